@@ -1,15 +1,15 @@
-//! Triangle meshes in: OBJ, PLY, STL and glTF files to triangles in metres, z up, and triangles to the grid.
+//! Triangle meshes: readers of OBJ, PLY, STL and glTF files, and conversion of triangles to the grid.
 //!
-//! In: mesh files of any size. Out: triangles one batch after another, in the order of the files. Polygons are cut into
-//! triangles; normals are passed over, and colours too unless they are wanted. No byte of a file is trusted: a damaged one
-//! gives an [`Error::Input`](crate::Error::Input) of one line, and no number in it sizes anything before it is checked.
-//! Memory: bounded by [`MeshOptions::memory_bytes`]; corners that do not fit it wait in a temporary file.
+//! In: mesh files of any size. Out: batches of triangles (metres, z up) in the order of the files. Polygons are
+//! triangulated; normals are skipped, and so are colours unless requested. The bytes are untrusted: a damaged file
+//! gives a one-line [`Error::Input`](crate::Error::Input), and no number in it sizes an allocation before it is
+//! checked. Memory: bounded by [`MeshOptions::memory_bytes`]; vertices that do not fit go to a temporary file.
 //!
-//! [`raster`] takes triangles to the grid exactly, [`sample`] as points, the thesis' way (algorithm 3.2); `paint` gives the pieces of
-//! triangles their colours.
+//! [`raster`] puts triangles on the grid exactly; [`sample`] puts them there as points, like the thesis (algorithm
+//! 3.2); `paint` computes the colours of the pieces of triangles.
 //!
-//! The readers are our own and thin, because the crates for these formats hold whole files in memory, or their structure in
-//! a hundred times the bytes of the text.
+//! The readers are written here and thin, because the crates for these formats hold whole files in memory, or their
+//! structure in a hundred times the bytes of the text.
 
 #[cfg(feature = "convert")]
 pub(crate) mod paint;
@@ -34,9 +34,9 @@ pub enum MeshMode {
     /// Every pixel that a triangle touches, its exact heights there, and its true slope.
     #[default]
     Exact,
-    /// As points (thesis, algorithm 3.2), which are judged by the classifier.
+    /// As points, which the classifier classifies (thesis, algorithm 3.2).
     Sampled {
-        /// Greatest distance of neighbouring points (m); the pixel size by default (thesis, equation 3.2).
+        /// Greatest distance between neighbouring points (m); the pixel size by default (thesis, equation 3.2).
         step_m: Option<f64>,
     },
 }

@@ -1,13 +1,14 @@
-//! Colours of triangles, and of the pieces of them that lie in voxels.
+//! Colours of triangles and of their pieces in voxels.
 //!
-//! In: a triangle, and what colours it: one colour, a colour at each corner, or a texture. Out: for each piece of it that lies in
-//! one voxel its colour (8-bit sRGB) and its weight. Memory: none beyond the textures, which are shared.
+//! In: a triangle and its paint: one colour, a colour per corner, or a texture. Out: colour (8-bit sRGB) and weight of
+//! each piece of the triangle that lies in one voxel. Memory: none beyond the textures, which are shared.
 //!
-//! *Definition.* A piece is the part of the triangle in one pixel and one slice, a convex polygon. Its colour is that of the
-//! triangle at the mean of the piece's corners; of a texture it is the mean of about as many texels as the piece covers, from
-//! images that are halved again and again (L. Williams, "Pyramidal parametrics", 1983). Its weight is its area in sixteenths of a pixel's,
-//! rounded, at least 1 and at most [`MOST_WEIGHT`]. Corners are taken in an order of their own, so that neither winding nor first corner
-//! shows. All of it is additions, multiplications, divisions and square roots, which are rounded alike everywhere.
+//! *Definition.* A piece is the part of the triangle in one pixel and one slice, a convex polygon. Its colour is the
+//! triangle's colour at the mean of the piece's corners; for a texture, the mean of about as many texels as the piece
+//! covers, from a mipmap (L. Williams, "Pyramidal parametrics", 1983). Its weight is its area in sixteenths of a
+//! pixel's area, rounded, at least 1 and at most [`MOST_WEIGHT`]. Corners are sorted first, so the result depends
+//! neither on the winding nor on the first corner. The arithmetic uses only additions, multiplications, divisions and
+//! square roots, which round alike on every platform.
 
 use super::Triangle;
 use crate::colour::multiplied;
@@ -16,17 +17,16 @@ use std::sync::Arc;
 
 /// Greatest weight of a piece.
 pub const MOST_WEIGHT: u32 = 63;
-/// Weight of a piece as large as a pixel.
+/// Weight of a piece with the area of one pixel.
 const WEIGHT_OF_A_PIXEL: f64 = 16.0;
-/// Corners of a triangle cut by six planes.
+/// Most corners of a triangle cut by six planes.
 const MOST_CORNERS: usize = 9;
-/// White.
 pub const WHITE: [u8; 3] = [255; 3];
 
-/// What colours a triangle (8-bit sRGB).
+/// Source of a triangle's colour (8-bit sRGB).
 #[derive(Debug, Clone, Default)]
 pub enum Paint {
-    /// Nothing.
+    /// No colour.
     #[default]
     None,
     /// One colour.
@@ -35,17 +35,17 @@ pub enum Paint {
     Corners([[u8; 3]; 3]),
     /// A texture.
     Texture {
-        /// Its image.
+        /// The texture.
         texture: Arc<Texture>,
-        /// Place of each corner in it; 0 to 1 is the image, from its upper left.
+        /// Texture coordinates of each corner; 0 to 1 spans the image, from its upper left.
         places: [[f64; 2]; 3],
-        /// Colour at each corner by whose linear light that of the texture is multiplied.
+        /// Colour at each corner; its linear light multiplies that of the texture.
         tints: [[u8; 3]; 3],
     },
 }
 
 impl Paint {
-    /// Whether it is a colour other than black.
+    /// Returns whether the paint has a colour other than black.
     pub fn is_seen(&self) -> bool {
         match self {
             Self::None => false,
@@ -56,26 +56,26 @@ impl Paint {
     }
 }
 
-/// What a texture shows beyond its image.
+/// Wrap mode: what a texture shows outside its image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Wrap {
-    /// The image again.
+    /// Repeats the image.
     #[default]
     Repeat,
-    /// The image again, each second time mirrored.
+    /// Repeats the image, every second time mirrored.
     Mirror,
-    /// Its edge.
+    /// Extends the edge of the image.
     Clamp,
 }
 
 impl Wrap {
-    /// The place in the image, 0 to 1, of a place anywhere.
+    /// Maps any coordinate into the image, 0 to 1.
     fn place(self, at: f64) -> f64 {
         if !at.is_finite() {
             return 0.0;
         }
         match self {
-            // The upper edge is the image's own.
+            // The image includes its upper edge.
             Self::Repeat if at == 1.0 => at,
             Self::Repeat => at - at.floor(),
             Self::Clamp => at.clamp(0.0, 1.0),
@@ -87,7 +87,7 @@ impl Wrap {
     }
 }
 
-/// An image with its halves.
+/// An image with its mipmap levels.
 #[derive(Debug)]
 pub struct Image {
     levels: Vec<Level>,
@@ -101,8 +101,8 @@ struct Level {
 }
 
 impl Image {
-    /// An image of `width × height` pixels, rows from the upper one, and its halves. Both are at least 1, and `rgb` holds three bytes
-    /// a pixel; what is missing is black.
+    /// Builds an image of `width × height` pixels, top row first, with its mipmap levels. Both sizes are raised to at
+    /// least 1; `rgb` holds three bytes per pixel, and missing bytes are black.
     pub fn new(width: u32, height: u32, mut rgb: Vec<u8>) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         rgb.resize(width as usize * height as usize * 3, 0);
@@ -113,13 +113,13 @@ impl Image {
         Self { levels }
     }
 
-    /// Bytes of an image of this many pixels with its halves, at most.
+    /// Upper bound of the bytes of an image of `pixels` pixels with its mipmap levels.
     pub fn bytes(pixels: u64) -> u64 {
-        // A third more for the halves, and rows of odd length round up.
+        // The mipmap levels add a third, and odd sizes round up.
         pixels.saturating_mul(4) + 4096
     }
 
-    /// The mean of about so many `texels` around a place (0 to 1).
+    /// Returns the mean of about `texels` texels around a position (0 to 1).
     fn at(&self, [u, v]: [f64; 2], texels: f64) -> [u8; 3] {
         let (mut level, mut covered) = (0, 4.0);
         while covered <= texels && level + 1 < self.levels.len() {
@@ -152,29 +152,28 @@ impl Level {
     }
 }
 
-/// An image, and what is beyond it.
+/// An image and its wrap modes.
 #[derive(Debug)]
 pub struct Texture {
     /// The image.
     pub image: Arc<Image>,
-    /// Beyond it, along its width and its height.
+    /// Wrap modes along the width and the height.
     pub wrap: [Wrap; 2],
-    /// Shared by all textures of one file, to tell when none is left.
+    /// Shared by all textures of one file; its reference count shows when none is left.
     _alive: Arc<()>,
 }
 
 impl Texture {
-    /// A texture of this image.
     pub fn new(image: Arc<Image>, wrap: [Wrap; 2], alive: &Arc<()>) -> Self {
         Self { image, wrap, _alive: Arc::clone(alive) }
     }
 
-    /// The mean of about so many `texels` around a place.
+    /// Returns the mean of about `texels` texels around a position.
     fn at(&self, [u, v]: [f64; 2], texels: f64) -> [u8; 3] {
         self.image.at([self.wrap[0].place(u), self.wrap[1].place(v)], texels)
     }
 
-    /// Texels of a triangle with these corners in it.
+    /// Area in texels of a triangle with these texture coordinates.
     fn texels(&self, [a, b, c]: [[f64; 2]; 3]) -> f64 {
         let twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
         let Level { width, height, .. } = &self.image.levels[0];
@@ -183,7 +182,7 @@ impl Texture {
     }
 }
 
-/// A convex polygon: places in pixels, pixels and quanta.
+/// A convex polygon; coordinates in pixels, pixels and quanta.
 #[derive(Debug, Clone, Copy)]
 struct Polygon {
     corners: [[f64; 3]; MOST_CORNERS],
@@ -194,19 +193,19 @@ impl Polygon {
     const NONE: Self = Self { corners: [[0.0; 3]; MOST_CORNERS], count: 0 };
 
     fn push(&mut self, corner: [f64; 3]) {
-        // A convex polygon gains at most one corner per cut; so this never drops any.
+        // A convex polygon gains at most one corner per cut, so this never drops one.
         if let Some(place) = self.corners.get_mut(self.count) {
             *place = corner;
             self.count += 1;
         }
     }
 
-    /// The part whose coordinate along `axis` lies between the two ends (Sutherland and Hodgman, 1974).
+    /// Clips to `low..=high` along `axis` (Sutherland and Hodgman, 1974).
     fn between(&self, axis: usize, low: f64, high: f64) -> Self {
         self.cut(axis, low, 1.0).cut(axis, high, -1.0)
     }
 
-    /// The part on one side of a plane: above it for a `side` of 1, below for -1.
+    /// Clips to one side of a plane: above it for `side` 1, below for -1.
     fn cut(&self, axis: usize, border: f64, side: f64) -> Self {
         let mut left = Self::NONE;
         for at in 0..self.count {
@@ -231,7 +230,7 @@ impl Polygon {
     }
 }
 
-/// The colour and the weight of a piece.
+/// Colour and weight of a piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PaintedPiece {
     /// Colour (8-bit sRGB).
@@ -244,18 +243,18 @@ pub struct PaintedPiece {
 #[derive(Debug)]
 pub struct PlacedPaint {
     whole: Polygon,
-    /// The corners, in pixels along all axes.
+    /// Corners, in pixels along all axes.
     corners: [[f64; 3]; 3],
-    /// Pixels in a quantum.
+    /// Pixels per quantum.
     rise: f64,
     paint: Paint,
-    /// The two axes in which places on the triangle are found.
+    /// The two axes used for barycentric coordinates: those in which the triangle's projection is largest.
     axes: (usize, usize),
-    /// Texels in the area of a pixel.
+    /// Texels per area of a pixel.
     texels: f64,
 }
 
-/// The part of a triangle in a row of pixels.
+/// Part of a triangle in one row of pixels.
 #[derive(Debug)]
 pub struct PaintedRow(Polygon);
 
@@ -269,9 +268,9 @@ fn length([x, y, z]: [f64; 3]) -> f64 {
 }
 
 impl PlacedPaint {
-    /// The triangle (m) on the grid; `None` if nothing colours it.
+    /// Puts the triangle (m) on the grid; `None` if it has no paint.
     pub fn new(frame: &Frame, triangle: &Triangle, paint: &Paint) -> Option<Self> {
-        // By place, then by what is there: corners at one place make no area.
+        // Sorts by position, then by paint: corners at equal positions span no area.
         let key = |at: usize| match paint {
             Paint::None | Paint::Flat(_) => (triangle[at], [0.0; 2], [0; 3]),
             Paint::Corners(colours) => (triangle[at], [0.0; 2], colours[at]),
@@ -308,13 +307,13 @@ impl PlacedPaint {
         Some(Self { whole, corners, rise, paint, axes: ((widest + 1) % 3, (widest + 2) % 3), texels })
     }
 
-    /// The part in row `j` of pixels.
+    /// Clips to row `j` of pixels.
     pub fn row(&self, j: i64) -> PaintedRow {
         PaintedRow(self.whole.between(1, j as f64, (j + 1) as f64))
     }
 
-    /// The piece in pixel `i` of a row and in `slice`. Where rounding leaves nothing of it, the place nearest by is taken, with the
-    /// least weight: each voxel that a triangle fills gets a colour.
+    /// Returns the piece in pixel `i` of a row and in `slice`. If rounding leaves nothing of it, uses the nearest part
+    /// of the triangle with the least weight, so that each voxel that a triangle fills gets a colour.
     pub fn piece(&self, row: &PaintedRow, i: i64, slice: i64) -> PaintedPiece {
         let in_pixel = row.0.between(0, i as f64, (i + 1) as f64);
         let (low, high) = ((slice * SLICE_QUANTA) as f64, ((slice + 1) * SLICE_QUANTA) as f64);
@@ -326,13 +325,13 @@ impl PlacedPaint {
         PaintedPiece { colour: self.colour([x, y, z * self.rise], area), weight }
     }
 
-    /// The colour at a place (m), as a mean over an area (m²).
+    /// Returns the mean colour over an area (m²) around a position (m).
     pub fn at(&self, frame: &Frame, [x, y, z]: [f64; 3], area_m2: f64) -> [u8; 3] {
         let place = [frame.pixels(x), frame.pixels(y), frame.quanta(z) * self.rise];
         self.colour(place, area_m2 / (frame.pixel_m() * frame.pixel_m()))
     }
 
-    /// Area of a polygon (pixels).
+    /// Area of a polygon, in areas of a pixel.
     fn area(&self, polygon: &Polygon) -> f64 {
         let place = |at: usize| {
             let [x, y, z] = polygon.corners[at];
@@ -342,7 +341,7 @@ impl PlacedPaint {
         fan.map(|at| length(normal_of(&[place(0), place(at - 1), place(at)])) / 2.0).sum()
     }
 
-    /// The colour at a place (pixels), as a mean over an area (pixels).
+    /// Returns the mean colour over an area around a position (both in pixels).
     fn colour(&self, place: [f64; 3], area: f64) -> [u8; 3] {
         let mixed = |shares: [f64; 3], colours: &[[u8; 3]; 3]| {
             [0, 1, 2].map(|channel| {
@@ -363,7 +362,7 @@ impl PlacedPaint {
         }
     }
 
-    /// What each corner adds to a place on the triangle, 0 to 1.
+    /// Barycentric coordinates of a position, each 0 to 1.
     fn shares(&self, place: [f64; 3]) -> [f64; 3] {
         let (u, v) = self.axes;
         let [a, b, c] = &self.corners;
@@ -411,7 +410,7 @@ mod tests {
             corners in prop::array::uniform3(prop::array::uniform3(-1.0f64..1.0)), turn in 0usize..3, turned: bool
         ) {
             let frame = Frame::new(0.1, 0.3).unwrap();
-            // Values that rise evenly with the place.
+            // A linear function of the position.
             let value = |place: f64| 127.5 + 100.0 * place;
             let mut paint = corners.map(|corner| corner.map(|place| value(place).round() as u8));
             let found = pieces(&frame, &corners, &Paint::Corners(paint));

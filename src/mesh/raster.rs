@@ -1,34 +1,34 @@
-//! Triangles to pixels: which pixels a triangle touches, and between which heights in each.
+//! Triangles to pixels: which pixels a triangle touches, and its height interval in each.
 //!
-//! In: triangles in metres. Out: for each pixel that the closed triangle touches its lowest and highest quantum there.
+//! In: triangles in metres. Out: the lowest and highest quantum of the closed triangle in each pixel that it touches.
 //! Memory: none beyond the stack.
 //!
-//! *Method.* A triangle is clipped to each row of pixels, the row's polygon then to each pixel. What is left is convex
-//! and in one piece, so its heights are an interval, which its corners bound; cut at slice boundaries, that interval is
+//! *Method.* A triangle is clipped to each row of pixels, then the row's polygon to each pixel. The result is convex
+//! and connected, so its heights form an interval bounded by its corners. Cut at slice boundaries, that interval gives
 //! the exact bottom and top within each slice.
 //!
-//! *Rounding.* Let `u = 2⁻⁵³` and `M` the greatest coordinate of the triangle along an axis, in pixels or quanta. Taking
-//! corners to the grid rounds once, as for points; so a place of the triangle, taken to the grid by the frame's monotone
-//! functions, lies within `2·u·M` of the triangle between the rounded corners. Clipping to a row moves corners by at
-//! most `22·u·M`, clipping to a pixel moves heights by at most `14·u·M`. Rows, pixels and heights grow outwards by
-//! `128·u·M` (`SLACK`), which is more than the sum, and are then cut to the bounds of the corners, which are exact.
-//! So guarantee G1 holds for every place of the triangle, not only for its corners; what is added lies within
-//! `256·u·M` of the triangle (10⁻⁹ pixels at a coordinate of 30,000 pixels), and upright or level triangles along the
-//! axes of the grid gain nothing at all.
+//! *Rounding.* Let `u = 2⁻⁵³` and `M` the greatest coordinate of the triangle along an axis, in pixels or quanta.
+//! Converting corners to grid coordinates rounds once, as for points; so any point of the triangle, converted by the
+//! frame's monotone functions, lies within `2·u·M` of the triangle between the rounded corners. Clipping to a row moves
+//! corners by at most `22·u·M`, clipping to a pixel moves heights by at most `14·u·M`. Rows, pixels and heights grow
+//! outwards by `128·u·M` (`SLACK`), which exceeds the sum, and are then cut to the bounds of the corners, which are
+//! exact. So guarantee G1 holds for every point of the triangle, not only for its corners. The growth stays within
+//! `256·u·M` of the triangle (10⁻⁹ pixels at a coordinate of 30,000 pixels), and vertical or horizontal triangles
+//! aligned with the grid's axes do not grow at all.
 
 use super::Triangle;
 use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, floor_index};
 use crate::plan::rise_of;
 
-/// Growth of rows, pixels and heights, in units of the greatest coordinate (see the module text).
+/// Growth of rows, pixels and heights, in units of the greatest coordinate (see the module documentation).
 const SLACK: f64 = 1.0 / (1u64 << 46) as f64;
-/// A slope is steep if the square of its tangent exceeds the limit's by more than this share: the corners of a ramp that
-/// was built at the limit are rounded, often to 32 bits (0.003 degrees at 45).
+/// A slope is steep if the square of its tangent exceeds the limit's by more than this share: the corners of a ramp
+/// built at the limit are rounded, often to 32 bits (0.003 degrees at 45).
 const SLOPE_SLACK: f64 = 1e-4;
-/// Corners of a triangle clipped to a strip.
+/// Most corners of a triangle clipped to a strip.
 const MOST_CORNERS: usize = 5;
 
-/// Takes triangles to the grid of one archive.
+/// Rasterizes triangles to the grid of one archive.
 #[derive(Debug, Clone, Copy)]
 pub struct Raster {
     frame: Frame,
@@ -44,18 +44,18 @@ pub struct GridTriangle {
     max: [f64; 3],
     slack: [f64; 3],
     steep: bool,
-    /// Whether the sorted corners run round the other way than those given.
+    /// True if the sorted corners have the opposite winding of the given ones.
     turned: bool,
 }
 
-/// The corners in a fixed order, so that neither winding nor first corner shows in what is computed from them.
+/// Sorts the corners, so that results depend neither on the winding nor on the first corner.
 fn sorted(triangle: &Triangle) -> Triangle {
     let mut sorted = triangle.map(|corner| corner.map(|v| v + 0.0));
     sorted.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     sorted
 }
 
-/// Whether an odd number of swaps of two corners makes `sorted` of `triangle`, whose corners differ.
+/// Returns whether `sorted` is an odd permutation of `triangle`, whose corners differ.
 fn is_odd(triangle: &Triangle, sorted: &Triangle) -> bool {
     let place = |corner: usize| triangle.iter().position(|other| *other == sorted[corner]).unwrap_or(0);
     let places = [place(0), place(1), place(2)];
@@ -67,7 +67,7 @@ fn normal_of([a, b, c]: &Triangle) -> [f64; 3] {
     [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
 }
 
-/// Whether the triangle has an area: its normal in `f64` is not zero.
+/// Returns whether the triangle has an area: its normal in `f64` is not zero.
 pub fn has_area(triangle: &Triangle) -> bool {
     normal_of(&sorted(triangle)) != [0.0; 3]
 }
@@ -81,13 +81,13 @@ pub fn extent_of(triangle: &Triangle) -> (f64, f64) {
 }
 
 impl Raster {
-    /// A raster on `frame`; triangles steeper than `max_slope_deg` (degrees, 0..=90) are obstacles.
+    /// Creates a raster on `frame`; triangles steeper than `max_slope_deg` (degrees, 0..=90) are obstacles.
     pub fn new(frame: Frame, max_slope_deg: f64) -> Self {
         let tangent = rise_of(max_slope_deg);
         Self { frame, steep_squared: tangent * tangent * (1.0 + SLOPE_SLACK) }
     }
 
-    /// The triangle on the grid; `None` if it has no area (its normal is zero in `f64`) or is not finite.
+    /// Puts the triangle on the grid; `None` if it has no area (its normal is zero in `f64`) or is not finite.
     pub fn place(&self, triangle: &Triangle) -> Option<GridTriangle> {
         let sorted = sorted(triangle);
         let normal = normal_of(&sorted);
@@ -108,33 +108,33 @@ impl Raster {
 }
 
 impl GridTriangle {
-    /// Whether it is steeper than the limit.
+    /// Returns whether the triangle is steeper than the limit.
     pub fn is_steep(&self) -> bool {
         self.steep
     }
 
-    /// Whether all its pixels and slices have an index on the grid.
+    /// Returns whether all its pixels and slices have an index on the grid.
     pub fn is_on_grid(&self) -> bool {
         let near = |v: f64, unit: i64| v.abs() < ((MAX_INDEX - 1) * unit) as f64;
         let ends = self.min.iter().zip(&self.max).zip([1, 1, SLICE_QUANTA]);
         ends.into_iter().all(|((&low, &high), unit)| near(low, unit) && near(high, unit))
     }
 
-    /// Calls `give` with each pixel whose upright middle line crosses the triangle, the height there (quanta), and by how
-    /// much the winding number of places on the line changes from below the triangle to above it: 1 or -1.
+    /// Calls `give` with each pixel whose vertical centre line crosses the triangle, the height of the crossing
+    /// (quanta), and the change of the winding number along the line from below the triangle to above it: 1 or -1.
     ///
-    /// Where an edge lies is computed alike for all triangles that share it, and pixels are taken half open, so a line
-    /// through an edge crosses one or both or neither of its triangles as if it passed beside it: the changes along a
-    /// line through a closed mesh add up to zero.
+    /// All triangles that share an edge compute its position alike, and pixels are half open. So a line through an edge
+    /// crosses one, both or neither of its triangles, as if it passed beside the edge, and the changes along a line
+    /// through a closed mesh add up to zero.
     pub fn for_each_crossing(&self, mut give: impl FnMut((i64, i64), f64, i32)) {
         let [a, b, c] = self.corners;
-        // In the order of corners, so that neighbours compute the same; the last runs against the way round.
+        // Edges in sorted order, so that neighbours compute the same values; the last runs against the winding.
         let edges = [(a, b, false), (b, c, false), (a, c, true)];
         let (p, q) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
         let area = p[0] * q[1] - p[1] * q[0];
         for j in self.rows().0..=self.rows().1 {
             let y = j as f64 + 0.5;
-            // Where one edge crosses the line of middles upwards in y, and where another does downwards.
+            // Where one edge crosses the row's centre line upwards in y, and where another crosses it downwards.
             let (mut up, mut down) = (None, None);
             for (a, b, against) in edges {
                 if (a[1] <= y) != (b[1] <= y) {
@@ -145,13 +145,13 @@ impl GridTriangle {
             let (Some(up), Some(down)) = (up, down) else { continue };
             let (left, right) = (up.min(down), up.max(down));
             let change = if (up > down) != self.turned { -1 } else { 1 };
-            // Middles from `left` on and before `right`.
+            // Pixel centres in `left..right`.
             for i in floor_index(left - 0.5)..=floor_index(right + 0.5) {
                 let x = i as f64 + 0.5;
                 if left <= x && x < right {
                     let (u, v) = ((x - a[0]) * q[1] - (y - a[1]) * q[0], (y - a[1]) * p[0] - (x - a[0]) * p[1]);
                     let height = a[2] + (u * p[2] + v * q[2]) / area;
-                    // Only an upright triangle has none, and then any of its heights will do.
+                    // Only a vertical triangle has no finite height here, and then any of its heights will do.
                     let height = if height.is_finite() { height } else { a[2] };
                     give((i, j), height.clamp(self.min[2], self.max[2]), change);
                 }
@@ -159,7 +159,7 @@ impl GridTriangle {
         }
     }
 
-    /// Area of its shadow on the grid (pixels), and the greater of its extents in x and y (pixels).
+    /// Area of its projection to the ground plan (pixels), and the greater of its extents in x and y (pixels).
     pub fn shadow(&self) -> (f64, f64) {
         let [a, b, c] = self.corners;
         let area = ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs() / 2.0;
@@ -176,7 +176,7 @@ impl GridTriangle {
         (floor_index(self.min[1]), floor_index(self.max[1]))
     }
 
-    /// First and last pixel of a row that it touches.
+    /// First and last pixel along x that it touches.
     pub fn pixels(&self) -> (i64, i64) {
         (floor_index(self.min[0]), floor_index(self.max[0]))
     }
@@ -218,14 +218,14 @@ struct Polygon {
 
 impl Polygon {
     fn push(&mut self, corner: [f64; 3]) {
-        // A convex polygon gains at most one corner per cut; so this never drops any.
+        // A convex polygon gains at most one corner per cut, so this never drops one.
         if let Some(place) = self.corners.get_mut(self.count) {
             *place = corner;
             self.count += 1;
         }
     }
 
-    /// The part where `inside` holds of `y`, which is cut off at `border` (Sutherland and Hodgman, 1974).
+    /// Clips to the part where `inside` holds for y, which ends at `border` (Sutherland and Hodgman, 1974).
     fn clipped(&self, inside: impl Fn(f64) -> bool, border: f64) -> Self {
         let mut left = Self::default();
         for at in 0..self.count {
@@ -242,7 +242,7 @@ impl Polygon {
     }
 }
 
-/// An edge of a row's polygon, left end first: place along the row, and height.
+/// An edge of a row's polygon, left end first: position along the row, and height.
 #[derive(Debug, Clone, Copy, Default)]
 struct Edge {
     left: (f64, f64),
@@ -271,7 +271,7 @@ impl Edges {
         Self { edges, count: polygon.count, range }
     }
 
-    /// Least and greatest height between two places of the row; `None` where there is no part of the polygon.
+    /// Least and greatest height between two positions along the row; `None` if the polygon has no part there.
     #[inline]
     fn heights_between(&self, (left, right): (f64, f64)) -> Option<(f64, f64)> {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -279,7 +279,7 @@ impl Edges {
             if edge.right.0 < left || edge.left.0 > right {
                 continue;
             }
-            // Where the edge has no width along the row, neither end is cut, and its rise is never used.
+            // An edge without width along the row is cut at neither end, so its infinite rise is never used.
             let at = |place: f64| edge.left.1 + (place - edge.left.0) * edge.rise;
             let begin = if left > edge.left.0 { at(left) } else { edge.left.1 };
             let end = if right < edge.right.0 { at(right) } else { edge.right.1 };

@@ -1,12 +1,12 @@
-//! Triangles to points no further apart than a step: the thesis' oversampling (algorithm 3.2).
+//! Triangles to points at most one step apart: the thesis' oversampling (algorithm 3.2).
 //!
-//! Kept to be charted against [`raster`](super::raster): points miss pixels that a triangle cuts at a corner, and no
-//! choice of the step avoids that.
+//! Kept for comparison with [`raster`](super::raster): points miss pixels whose corners a triangle cuts, whatever the
+//! step.
 //!
-//! *As the text tells it, not as printed.* The printed algorithm walks away from the triangle (`a + i/n·(a − b)`), never
-//! counts on in its outer loops, and uses one edge's count for another. The text and figure 3.5 are clear: points walk
-//! along `ab` and `ac` a step at a time, each pair is an edge of its own and is filled at the step; when the shorter
-//! edge is used up, its walker goes on along the third edge, until both are at an end.
+//! *Follows the thesis' text, not its listing.* The printed algorithm walks away from the triangle (`a + i/n·(a − b)`),
+//! never advances the counters of its outer loops, and uses one edge's count for another. The text and figure 3.5 are
+//! clear: points walk along `ab` and `ac` one step at a time, and the segment between each pair is filled at the step.
+//! When the shorter edge is used up, its walker continues along the third edge, until both reach the end.
 
 use super::Triangle;
 
@@ -35,7 +35,7 @@ pub fn oversample(triangle: &Triangle, step_m: f64, mut give: impl FnMut([f64; 3
     for i in (1..).map(f64::from).take_while(|&i| i < shorter) {
         line(between(a, b, i / ab), between(a, c, i / ac), [true; 2]);
     }
-    // `far` ends the longer edge, `near` the shorter; the second walker starts at `near` towards `far`.
+    // `far` ends the longer edge, `near` the shorter; the second walker continues from `near` towards `far`.
     let (far, near) = if ab > ac { (b, c) } else { (c, b) };
     let begun = shorter.ceil().max(1.0);
     for k in (0..).map(f64::from) {
@@ -46,7 +46,7 @@ pub fn oversample(triangle: &Triangle, step_m: f64, mut give: impl FnMut([f64; 3
         let (on_long, on_third) = (i < longer, k < bc);
         let p = if on_long { between(a, far, i / longer) } else { far };
         let q = if on_third { between(near, far, k / bc) } else { far };
-        // A walker at a corner gives nothing: corners are given once.
+        // A walker at a corner gives nothing: corners are given once, above.
         line(p, q, [on_long, on_third && k > 0.0]);
     }
 }
@@ -55,7 +55,8 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|k| (b[k] - a[k]) * (b[k] - a[k])).sum::<f64>().sqrt()
 }
 
-/// Rounding never leaves the box of the two, so that all points lie within the bounds of the corners.
+/// Interpolates; clamps to the bounding box of the two, so that rounding leaves all points within the bounds of the
+/// corners.
 fn between(a: [f64; 3], b: [f64; 3], share: f64) -> [f64; 3] {
     [0, 1, 2].map(|k| (a[k] + (b[k] - a[k]) * share).clamp(a[k].min(b[k]), a[k].max(b[k])))
 }
@@ -86,7 +87,7 @@ mod tests {
                 inside &= (0..3).all(|axis| (end(f64::min, axis)..=end(f64::max, axis)).contains(&point[axis]));
             });
             prop_assert!(inside);
-            // Lines are a step apart at most, and so are points on them.
+            // Lines are at most one step apart, and so are points on them.
             prop_assert!(nearest <= step * 1.0001, "{nearest}");
             prop_assert!(f64::from(count) < 40.0 + 400.0 / (step * step));
         }

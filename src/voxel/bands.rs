@@ -1,21 +1,21 @@
-//! Bands: the slices that verdicts look at together.
+//! Bands: groups of slices that are classified together.
 
 use super::record::{BLOCK_SLICES, Record, SLICE_STEPS};
 use crate::plan::{Plan, rise_of};
 use std::ops::Range;
 
-/// Least height of a band (pixels): that of a slice by default.
+/// Least height of a band (pixels): the default height of a slice.
 const LEAST_PIXELS: f64 = 3.0;
 /// Least height of a band (pixels per unit of the limit's tangent): a wall in three bands must rise further than a
-/// surface at the limit does in three pixels. Only limits above 60° ask for more than the three pixels.
+/// surface at the limit does in three pixels. Exceeds [`LEAST_PIXELS`] only for limits above 60°.
 const LEAST_PIXELS_PER_RISE: f64 = 1.732;
 /// Limits beyond this need no higher bands than this one (degrees).
 const STEEPEST_LIMIT_DEG: f64 = 80.0;
 
 /// Groups of adjacent slices, counted from the lowest slice of a column's block.
 ///
-/// Slopes and walls show over lengths of about a pixel. A slice much thinner than that holds too little of them, even with
-/// its neighbours, so verdicts look at the fewest slices that are three pixels high together.
+/// Slopes and walls show over lengths of about a pixel. A slice much thinner than that contains too little of them,
+/// even with its neighbours, so a band has the fewest slices that together are three pixels high.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Bands {
     slices: u32,
@@ -29,10 +29,10 @@ impl Default for Bands {
 }
 
 impl Bands {
-    /// The bands for archives of `plan`.
+    /// Returns the bands for archives of `plan`.
     pub fn new(plan: &Plan) -> Self {
         let rise = rise_of(plan.options.max_slope_deg.min(STEEPEST_LIMIT_DEG));
-        // A little less, so that a slice of three pixels is a band, however the quotient is rounded.
+        // Slightly less, so that a slice of three pixels is a band, however the quotient is rounded.
         let pixels = LEAST_PIXELS.max(LEAST_PIXELS_PER_RISE * rise) * (1.0 - 1e-9);
         let slices = (pixels * plan.frame.pixel_m() / plan.frame.slice_m()).ceil();
         Self { slices: slices.clamp(1.0, BLOCK_SLICES as f64) as u32 }
@@ -44,20 +44,20 @@ impl Bands {
         self.slices
     }
 
-    /// The band of a slice.
+    /// Returns the band of a slice.
     #[inline]
     pub fn of(self, slice: u32) -> u32 {
         // Most archives have bands of one slice, and a division costs as much as the rest of a step.
         if self.slices == 1 { slice } else { slice / self.slices }
     }
 
-    /// The slices of a band, of the one below and of the one above.
+    /// Returns the slices of a band, of the one below and of the one above.
     #[inline]
     pub fn around(self, band: u32) -> Range<u32> {
         band.saturating_sub(1) * self.slices..(band + 2) * self.slices
     }
 
-    /// Height of a point above the floor of its band [1/8160 band].
+    /// Returns the height of a point above the floor of its band [1/8160 band].
     #[inline]
     pub fn height(self, record: Record) -> i64 {
         let height = i64::from(record.height());

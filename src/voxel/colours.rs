@@ -1,9 +1,9 @@
-//! Colours of the voxels of a tile column, by exact sums.
+//! Colours of the voxels of a tile column, as exact sums.
 //!
-//! The values of a point lie in records of their own beside that of the point, of 8 bytes and with the voxel in the same bits, so
-//! that one external sort serves both; without colours there are none. A point takes one record, or two where its RGB has 16
-//! bits that are not 8 bits made wider; a piece of a triangle takes one, or two where its weight is more than 1. Sums of records are the
-//! sums of points and pieces, in any order.
+//! Each point's colour values take records of their own next to that of the point: 8 bytes, with the voxel in the same
+//! bits, so that one external sort serves both. Without colours there are no such records. A point takes one, or two if
+//! its RGB has 16 bits that are not widened 8-bit values; a piece of a triangle takes one, or two if its weight exceeds
+//! 1. Sums of records equal the sums of points and pieces, in any order.
 
 use super::fold::{Area, Patch};
 use super::record::{Content, PATCH_PIXELS, Record, VALUE_BITS};
@@ -13,22 +13,22 @@ use crate::mesh::paint::{MOST_WEIGHT, PaintedPiece};
 use crate::slice::{Occupancy, Page};
 use crate::{Error, Parameter, Result};
 
-/// What the lower bits of a record hold, in the bits above these.
+/// Tags of the payload, stored in the bits above it.
 const BYTES: u32 = 0;
 const BYTES_257: u32 = 1;
 const BYTES_256: u32 = 2;
 const FIRST_HALF: u32 = 3;
 const SECOND_HALF: u32 = 4;
 const VALUE: u32 = 5;
-/// Weight (6 bits), red times it (14 bits), and what blue times it has above its lower 10 bits.
+/// Weight (6 bits), red times the weight (14 bits), and the bits of blue times the weight above its lower 10.
 const FIRST_OF_PIECE: u32 = 6;
-/// Green times the weight (14 bits), and the lower 10 bits of blue times it.
+/// Green times the weight (14 bits), and the lower 10 bits of blue times the weight.
 const SECOND_OF_PIECE: u32 = 7;
 const PAYLOAD_BITS: u32 = 24;
 const _: () = assert!(MOST_WEIGHT < 1 << 6 && MOST_WEIGHT * 255 < 1 << 14);
 const _: () = assert!(PAYLOAD_BITS + 3 == VALUE_BITS);
 
-/// The lower bits of the records of a point's values: one or two.
+/// Encodes a point's values as the lower bits of one or two records.
 #[inline]
 pub fn values_of(source: ColourSource, [r, g, b]: [u16; 3]) -> (u32, Option<u32>) {
     let packed = |tag: u32, [r, g, b]: [u16; 3]| {
@@ -53,7 +53,7 @@ pub fn values_of(source: ColourSource, [r, g, b]: [u16; 3]) -> (u32, Option<u32>
     (first, Some(second))
 }
 
-/// The lower bits of the records of a triangle's piece in a voxel: one or two.
+/// Encodes the colour of a triangle's piece in a voxel as the lower bits of one or two records.
 #[inline]
 pub fn values_of_piece(scale: &ColourScale, piece: PaintedPiece) -> (u32, Option<u32>) {
     let [r, g, b] = piece.colour.map(u32::from);
@@ -67,19 +67,19 @@ pub fn values_of_piece(scale: &ColourScale, piece: PaintedPiece) -> (u32, Option
     (first, Some(SECOND_OF_PIECE << PAYLOAD_BITS | g << 10 | b & 0x3FF))
 }
 
-/// What a record says of the values of an input: of RGB whether it needs more than 8 bits, else the value.
+/// Fact about an input's values, taken from one record: for RGB whether it exceeds 8 bits, else the value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ValueFact {
-    /// All of 8 bits.
+    /// All channels fit 8 bits.
     Bytes,
-    /// One at least of more.
+    /// At least one channel does not.
     Wide,
     /// Intensity or class.
     Value(u16),
 }
 
 impl ValueFact {
-    /// Of a record's [value](Record::value). Of the two records of one point, one says what both do.
+    /// Derives the fact from a record's [value](Record::value). For a point with two records, the first decides.
     pub fn of(value: u32) -> Self {
         match value >> PAYLOAD_BITS {
             BYTES | SECOND_HALF | FIRST_OF_PIECE | SECOND_OF_PIECE => Self::Bytes,
@@ -89,14 +89,15 @@ impl ValueFact {
     }
 }
 
-/// Leaves out the values of points that are removed: each follows the record of its point, or of a piece of a surface, which stays.
+/// Filter that drops the values of removed points. Each value follows the record of its point, or that of a piece of a
+/// surface, which is always kept.
 #[derive(Debug, Default)]
 pub struct ValueSieve {
     next: Next,
     is_removed: bool,
 }
 
-/// What the next record is.
+/// Kind of the next record.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 enum Next {
     #[default]
@@ -106,7 +107,7 @@ enum Next {
 }
 
 impl ValueSieve {
-    /// Adds to `out` the values of those points that are not `removed`. Pieces of one run may come one after the other.
+    /// Appends to `out` the values of points that are not `removed`. A run may be passed in several consecutive parts.
     pub fn sift(&mut self, records: &[Record], removed: impl Fn(Record) -> bool, out: &mut Vec<Record>) {
         for &record in records {
             if self.next == Next::Point {
@@ -134,7 +135,7 @@ fn add(sum: &mut ColourSum, scale: &ColourScale, value: u32) {
         BYTES_256 => (1, bytes.map(|byte| byte * 256)),
         FIRST_HALF => (1, [payload >> 8, (payload & 0xFF) << 8, 0]),
         SECOND_HALF => (0, [0, payload >> 16, payload & 0xFFFF]),
-        // 8 bits, made as wide as the values of points are.
+        // 8-bit values, widened to the range of the points' values.
         FIRST_OF_PIECE => {
             let wide = u32::from(scale.high) / 255;
             (payload >> 18, [(payload >> 4 & 0x3FFF) * wide, 0, ((payload & 0xF) << 10) * wide])
@@ -152,30 +153,30 @@ fn add(sum: &mut ColourSum, scale: &ColourScale, value: u32) {
     }
 }
 
-/// Greatest value of the channels that are summed.
+/// Greatest value of the summed channels.
 fn greatest(scale: &ColourScale) -> u16 {
     match scale.source {
-        // Stretched before they are summed.
+        // Intensities are stretched before they are summed.
         ColourSource::Intensity => u16::MAX,
         ColourSource::Rgb | ColourSource::Class => scale.high,
     }
 }
 
-/// The colours of one tile column after another; its scratch is reused.
+/// Colours of one tile column at a time; reuses its buffers.
 ///
-/// Memory: 32 bytes for each voxel of the patch at hand, 16 for each coloured voxel of the column.
+/// Memory: 32 bytes for each voxel of the current patch, 16 for each coloured voxel of the column.
 #[derive(Debug)]
 pub struct ColumnColours {
     scale: ColourScale,
     /// Most voxels of a column.
     most: usize,
     sums: Vec<ColourSum>,
-    /// Place (layer, pixel, slice) and mean of voxels.
+    /// Position (layer, pixel, slice) and mean of voxels.
     found: Vec<(u64, [u16; 3])>,
 }
 
 impl ColumnColours {
-    /// Colours by `scale`, of up to `most` voxels a column.
+    /// Creates the colours of `scale`, for at most `most` voxels per column.
     pub fn new(scale: ColourScale, most: usize) -> Self {
         Self { scale, most, sums: Vec::new(), found: Vec::new() }
     }
@@ -186,7 +187,7 @@ impl ColumnColours {
         self.sums.resize(patch.voxels().len(), ColourSum::default());
     }
 
-    /// Adds the records that lie in `area`; those of voxels that `patch` does not have were dropped with them.
+    /// Adds the records in `area`. Skips voxels that `patch` does not have, because they were dropped.
     pub fn add(&mut self, patch: &Patch, area: Area, records: &[Record]) {
         // Values have no copies in halos.
         let is_whole = area == Area::TILE;
@@ -217,14 +218,14 @@ impl ColumnColours {
         Ok(())
     }
 
-    /// Forgets the column.
+    /// Clears the column.
     pub fn clear(&mut self) {
         self.found.clear();
         self.found.shrink_to(1 << 16);
     }
 
-    /// Gives `out` the colours of the voxels of a page in the order of `occupancy`, which becomes that of the page. The column's
-    /// lowest slice is `first_slice`.
+    /// Sets `out` to the colours of a page's voxels in the order of `occupancy`, which is set to that of the page. The
+    /// column's lowest slice is `first_slice`.
     pub fn of_page(
         &mut self,
         first_slice: i64,
@@ -242,7 +243,8 @@ impl ColumnColours {
         let layer = (i64::from(layer) - first_slice.div_euclid(PAGE_SLICES)) as u64;
         let start = self.found.partition_point(|found| found.0 >> 18 < layer);
         for &(place, mean) in self.found[start..].iter().take_while(|found| found.0 >> 18 == layer) {
-            // Points on the upper boundary of a span lie in a slice without matter of its own; they colour nothing.
+            // A point on the top boundary of a span may lie in a slice that the span does not occupy; it colours
+            // nothing.
             if let Some(number) = occupancy.find((place >> 6 & 0xFFF) as usize, place as u32 & 63) {
                 out[number] = Some(mean);
             }

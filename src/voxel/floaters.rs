@@ -1,11 +1,11 @@
-//! Matter that floats: connected pieces of few voxels, found out of core.
+//! Floaters: finds connected components of few voxels, out of core.
 //!
-//! Voxels are connected where they share a face, an edge or a corner. [`Pieces`] are those of one area of a tile column,
-//! whose voxels are in memory anyway. Pieces that end inside the area are settled at once. The others are joined across the
-//! areas' edges by a [`Frontier`], which remembers of each area only the voxels whose neighbours in other areas have
-//! not come yet, and only small pieces voxel by voxel: all that has more voxels than are dropped is one and the same.
+//! Voxels are connected if they share a face, an edge or a corner. [`Pieces`] holds the components of one area of a
+//! tile column, whose voxels are in memory. Components that end inside the area are settled at once. A [`Frontier`]
+//! joins the others across the areas' edges. Of each area it keeps only the voxels with neighbours in areas still to
+//! come, and only small components voxel by voxel; all components above the size limit count as one.
 //!
-//! What comes out is a set of voxels, whatever the order and the cut of the areas.
+//! The result is a set of voxels that does not depend on the order and the cut of the areas.
 
 use super::fold::{Area, Patch, neighbourhood};
 use super::record::{ColumnKey, HALO_PIXELS, PATCH_PIXELS};
@@ -23,7 +23,7 @@ struct Place {
 }
 
 impl Place {
-    /// Pixel and slice on the grid.
+    /// Returns pixel and slice on the grid.
     fn on_grid(self, column: ColumnKey) -> ((i64, i64), i64) {
         let PageKey { tx, ty, .. } = PageKey::from_column(column.column, 0);
         let along = |tile: i32, patch: usize| i64::from(tile) * TILE_PIXELS + patch as i64 - HALO_PIXELS;
@@ -33,10 +33,10 @@ impl Place {
     }
 }
 
-/// A voxel that is dropped: pixel and slice on the grid.
+/// A dropped voxel: pixel and slice on the grid.
 pub type Dropped = ((i64, i64), i64);
 
-/// The column and the place there of a voxel of a patch, which may lie in its halo.
+/// Returns the column that owns a voxel of a patch, which may lie in the halo, and its place there.
 fn home(column: ColumnKey, pixel: usize, slice: u32) -> (ColumnKey, Place) {
     let tile = TILE_PIXELS as usize;
     let side = |patch: usize| match patch {
@@ -57,26 +57,26 @@ fn home(column: ColumnKey, pixel: usize, slice: u32) -> (ColumnKey, Place) {
 #[derive(Debug)]
 struct Edge {
     place: Place,
-    /// Number in [`Pieces::open`]; `None` for a piece of too many voxels.
+    /// Index into [`Pieces::open`]; `None` for a component above the size limit.
     piece: Option<u32>,
     /// First of its [`Pieces::links`].
     first_link: u32,
 }
 
-/// The pieces of one area.
+/// Components of one area.
 #[derive(Debug)]
 pub struct Pieces {
     column: ColumnKey,
-    /// Voxels of small pieces that touch nothing outside the area.
+    /// Voxels of small components that touch nothing outside the area.
     floaters: Vec<Place>,
-    /// The voxels of each small piece that does.
+    /// Voxels of each small component that touches something outside.
     open: Vec<Vec<Place>>,
     edges: Vec<Edge>,
     /// Patch pixel and slice of the neighbours outside the area.
     links: Vec<(u16, u32)>,
 }
 
-/// Finds the pieces of areas; its scratch is reused.
+/// Finds the components of areas; reuses its buffers.
 #[derive(Debug)]
 pub struct PieceFinder {
     most: u32,
@@ -86,16 +86,16 @@ pub struct PieceFinder {
 }
 
 impl PieceFinder {
-    /// For pieces of at most `most` voxels.
+    /// Creates a finder whose small components have at most `most` voxels.
     pub fn new(most: u16) -> Self {
         Self { most: most.into(), parents: Vec::new(), sizes: Vec::new(), links: Vec::new() }
     }
 
-    /// The pieces of an area of the column's patch. Cost: linear in its voxels.
+    /// Finds the components of an area of the column's patch. Cost: linear in its voxels.
     pub fn find(&mut self, column: ColumnKey, patch: &Patch, area: Area) -> Pieces {
         self.join(patch, area);
         let Self { most, parents, sizes, links } = self;
-        // A piece that is open is marked in its root's parent, which is itself otherwise.
+        // Numbers the small components with links to outside, by root.
         let mut numbers: HashMap<u32, u32> = HashMap::new();
         links.sort_unstable();
         for &(voxel, ..) in &*links {
@@ -141,7 +141,7 @@ impl PieceFinder {
         pieces
     }
 
-    /// Joins what is connected inside the area, and lists what it touches outside.
+    /// Joins connected voxels inside the area, and lists the neighbours outside.
     fn join(&mut self, patch: &Patch, area: Area) {
         let Self { parents, sizes, links, .. } = self;
         let voxels = patch.voxels();
@@ -156,7 +156,7 @@ impl PieceFinder {
             }
             for (other, ..) in neighbourhood(pixel).filter(|&(other, ..)| other != pixel) {
                 let inside = area.holds(other);
-                // Pairs inside the area are looked at once.
+                // Visits pairs inside the area once.
                 if inside && other > pixel {
                     continue;
                 }
@@ -179,7 +179,7 @@ impl PieceFinder {
     }
 }
 
-/// Calls `take` with the voxels of a pixel and those of a neighbouring one that they touch.
+/// Calls `take` with each voxel of a pixel and each voxel of a neighbouring pixel that it touches.
 fn touching(patch: &Patch, pixel: usize, other: usize, mut take: impl FnMut(usize, usize)) {
     let voxels = patch.voxels();
     let others = patch.range(other);
@@ -206,62 +206,63 @@ fn union(parents: &mut [u32], a: u32, b: u32) {
     parents[a.max(b) as usize] = a.min(b);
 }
 
-/// A voxel some of whose neighbours have not come yet.
+/// A voxel with neighbours in areas still to come.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
     place: Place,
-    /// How many.
+    /// Number of these neighbours.
     left: u8,
     node: u32,
 }
 
 #[derive(Debug, Default)]
 struct OpenColumn {
-    /// In order of their places.
+    /// Sorted by place.
     voxels: Vec<Waiting>,
     left: u64,
 }
 
-/// A piece, or a part of one that leads to another part.
+/// A component, or a part of one whose parent is another part.
 #[derive(Debug)]
 struct Node {
     parent: u32,
-    /// Waiting voxels of the whole piece, if it is one.
+    /// Waiting voxels of the whole component, if this is its root.
     waiting: u32,
     voxels: Vec<(ColumnKey, Place)>,
 }
 
-/// The one piece of all that has too many voxels.
+/// Stands for all components above the size limit.
 const LARGE: u32 = 0;
-/// Bytes of a waiting voxel, of a node, and of a voxel of a small piece, with the room that lists leave.
+/// Bytes of a waiting voxel, of a node, and of a voxel of a small component, doubled for the spare capacity of vectors.
 const WAITING_BYTES: u64 = 2 * size_of::<Waiting>() as u64;
 const NODE_BYTES: u64 = 2 * size_of::<Node>() as u64;
 const VOXEL_BYTES: u64 = 2 * size_of::<(ColumnKey, Place)>() as u64;
 
-/// Joins the pieces of areas that come one after the other, each area once.
+/// Joins the components of areas that arrive in any order, each area once.
 ///
-/// Memory: that of the voxels along the border of what has come, and of the small pieces among them.
+/// Memory: proportional to the voxels along the border of the areas seen, and to the small components among them.
 #[derive(Debug)]
 pub struct Frontier {
     most: usize,
     max_bytes: u64,
     columns: HashMap<ColumnKey, OpenColumn>,
     nodes: Vec<Node>,
-    /// Nodes after the last tidying.
+    /// Number of nodes after the last cleanup.
     tidy: usize,
     waiting: u64,
     voxels: u64,
 }
 
 impl Frontier {
-    /// For pieces of at most `most` voxels, in so much memory.
+    /// Creates a frontier whose small components have at most `most` voxels, using at most `max_bytes` of memory.
     pub fn new(most: u16, max_bytes: u64) -> Self {
         let large = Node { parent: LARGE, waiting: 0, voxels: Vec::new() };
         let (columns, nodes) = (HashMap::new(), vec![large]);
         Self { most: most.into(), max_bytes, columns, nodes, tidy: 1, waiting: 0, voxels: 0 }
     }
 
-    /// Adds the pieces of an area, and appends to `dropped` the voxels of all pieces that this settles as small.
+    /// Adds the components of an area, and appends to `dropped` the voxels of all components that are now complete and
+    /// small.
     ///
     /// Fails if the border takes too much memory.
     pub fn add(&mut self, pieces: Pieces, dropped: &mut Vec<Dropped>) -> Result<()> {
@@ -320,7 +321,8 @@ impl Frontier {
         Ok(())
     }
 
-    /// The node of a voxel that waits, of which one neighbour has come; `None` if it has not come itself.
+    /// Counts one arrived neighbour of a waiting voxel and returns its node; `None` if the voxel itself has not
+    /// arrived.
     fn meet(&mut self, (column, place): (ColumnKey, Place)) -> Option<u32> {
         let open = self.columns.get_mut(&column)?;
         let number = open.voxels.binary_search_by_key(&place, |waiting| waiting.place).ok()?;
@@ -375,7 +377,7 @@ impl Frontier {
         }
     }
 
-    /// Forgets the nodes of which nothing waits, once they are most.
+    /// Drops nodes without waiting voxels once the number of nodes has doubled since the last cleanup.
     fn tidy_up(&mut self) {
         if self.nodes.len() < 2 * self.tidy + 1024 {
             return;
@@ -416,7 +418,7 @@ mod tests {
 
     type Voxels = BTreeSet<(i64, i64, i64)>;
 
-    /// By the definition: flood, voxel by voxel.
+    /// Reference implementation: flood fill, voxel by voxel.
     fn small(all: &Voxels, most: usize) -> Voxels {
         let (mut seen, mut dropped) = (HashSet::new(), Voxels::new());
         for &start in all {
@@ -440,7 +442,7 @@ mod tests {
         dropped
     }
 
-    /// The same piece by piece: each column in areas of `depth` halvings, in the order of `seed`.
+    /// Computes the same set by areas: each column in areas of `depth` halvings, in an order that depends on `seed`.
     fn found(all: &Voxels, most: u16, depth: u32, seed: u64) -> Voxels {
         let recorder = Recorder::new(Frame::new(1.0, 1.0).unwrap());
         let mut columns: BTreeMap<ColumnKey, Vec<Record>> = BTreeMap::new();
@@ -480,7 +482,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(48))]
         #[test]
         fn pieces_across_areas_and_tiles_are_those_of_a_flood(
-            // Around the corner of four tiles, where most pieces cross an edge.
+            // Around the corner of four tiles, where most components cross an edge.
             places in proptest::collection::vec((-9i64..9, -9i64..9, -4i64..5), 1..700),
             far in proptest::collection::vec((-70i64..140, 60i64..68, 0i64..2), 0..300),
             most in prop::sample::select(vec![1u16, 2, 3, 5, 9, 40, 400, 65_535]), depth in 0u32..5, seed: u64
@@ -501,7 +503,7 @@ mod tests {
 
     #[test]
     fn many_pieces_are_forgotten_once_they_are_settled_and_a_limit_is_kept() {
-        // Pairs across the edge of two columns of tiles, many rows of them.
+        // Pairs across the edge of two columns of tiles, in many rows.
         let pairs: Voxels = (0..6400).flat_map(|row| [(63, 2 * row, 0), (64, 2 * row, 0)]).collect();
         assert_eq!(found(&pairs, 2, 0, 1).len(), pairs.len());
         let mut frontier = Frontier::new(2, 100);

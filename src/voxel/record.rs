@@ -1,10 +1,10 @@
-//! One point as 8 bytes, relative to its tile column, and the names of tile columns.
+//! Records: one point as 8 bytes relative to its tile column, and the keys of tile columns.
 //!
-//! A record holds the point's voxel in its high bits and its place inside the voxel in its low bits, so that sorting
-//! records as integers groups them by pixel, then by slice, then by height. Heights beyond the slice say that a record
-//! is no point but what surfaces fill of a voxel: bottom, top, and whether a steep one is among them. Records of one
-//! tile column include a *halo*, copies of the points in the first pixel beyond each edge, so that what looks at 3 × 3 pixels needs no
-//! other tile column.
+//! A record holds the point's voxel in its high bits and the position inside the voxel in its low bits, so that sorting
+//! records as integers groups them by pixel, then by slice, then by height. A height beyond the slice marks a record of
+//! another kind, such as the part of a voxel that surfaces fill: bottom, top, and whether one of them is steep. Records
+//! of one tile column include a *halo*, copies of the points in the first pixel beyond each edge, so that code that
+//! inspects 3 × 3 pixels needs no other tile column.
 
 use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, floor_small, morton};
 
@@ -15,17 +15,17 @@ pub const PATCH_PIXELS: usize = (TILE_PIXELS + 2 * HALO_PIXELS) as usize;
 /// Pixels of a tile column with its halo.
 pub const PATCH_AREA: usize = PATCH_PIXELS * PATCH_PIXELS;
 
-/// Steps per pixel edge at which the place of a point inside its pixel is kept.
+/// Steps per pixel edge at which the position of a point inside its pixel is stored.
 pub const SUBPIXELS: i64 = 1 << SUBPIXEL_BITS;
 const SUBPIXEL_BITS: u32 = 7;
-/// Steps per height quantum: 16 cells, each split into "on its lower end" and "above it" (see [`Record::bottom`]).
+/// Steps per height quantum: 16 cells, each split into "on its lower end" and "above it" (see [`Record::height`]).
 const STEPS_PER_QUANTUM: i64 = 32;
-/// Steps per slice at which the height of a point is kept.
+/// Steps per slice at which the height of a point is stored.
 pub const SLICE_STEPS: i64 = SLICE_QUANTA * STEPS_PER_QUANTUM;
 const HEIGHT_BITS: u32 = 13;
 const SLICE_BITS: u32 = 24;
 
-/// Slices in one block of a tile column; a column of a scan higher than that is cut into blocks.
+/// Slices in one block of a tile column; a higher column is cut into blocks.
 pub const BLOCK_SLICES: i64 = 1 << SLICE_BITS;
 
 const _: () = assert!(SLICE_STEPS <= 1 << HEIGHT_BITS && PATCH_AREA <= 1 << 13);
@@ -33,42 +33,42 @@ const _: () = assert!(13 + SLICE_BITS + HEIGHT_BITS + 2 * SUBPIXEL_BITS == 64);
 
 /// Bits of a record below its slice.
 const PLACE_BITS: u32 = HEIGHT_BITS + 2 * SUBPIXEL_BITS;
-/// Bits of a value in a record of values.
+/// Bits of the value in a value record.
 pub const VALUE_BITS: u32 = PLACE_BITS;
 /// Least content of these bits in the record of a surface; bottom (8 bits), top (8) and steepness (1) are added.
 const SURFACE: u64 = (SLICE_STEPS as u64) << (2 * SUBPIXEL_BITS);
-/// Content of these bits in a record that says that its voxel is dropped.
+/// Content of these bits in a record that marks its voxel as dropped.
 const DROPPED: u64 = SURFACE + (1 << 17);
 const _: () = assert!(DROPPED < 1 << PLACE_BITS);
 
-/// What a record says of its voxel.
+/// Content of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Content {
-    /// A point lies in it.
+    /// A point.
     Point,
-    /// Surfaces fill a part of it.
+    /// The part of the voxel that surfaces fill.
     Surface(SurfacePart),
-    /// It is dropped with all that is in it.
+    /// The voxel is to be dropped with all its contents.
     Dropped,
 }
 
-/// A tile column, or one block of [`BLOCK_SLICES`] slices of a very high one. Ordered as its pages are in the archive.
+/// A tile column, or one block of [`BLOCK_SLICES`] slices of a very high one. Ordered like its pages in the archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ColumnKey {
-    /// Place on the Morton curve (see [`crate::frame::PageKey::column`]).
+    /// Position on the Morton curve (see [`crate::frame::PageKey::column`]).
     pub column: u64,
     /// Block of slices: slices `2²⁴·block − 2²³ .. 2²⁴·block + 2²³`.
     pub block: i16,
 }
 
 impl ColumnKey {
-    /// Lowest slice of the block.
+    /// Returns the lowest slice of the block.
     pub fn first_slice(self) -> i64 {
         i64::from(self.block) * BLOCK_SLICES - BLOCK_SLICES / 2
     }
 }
 
-/// A point relative to its tile column; see the module text for its layout.
+/// A point relative to its tile column; the module documentation describes the layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(transparent)]
 pub struct Record(pub u64);
@@ -78,7 +78,7 @@ impl Record {
         Self((pixel << SLICE_BITS | slice) << PLACE_BITS | place)
     }
 
-    /// What the record says of its voxel.
+    /// Decodes the content of the record.
     #[inline]
     pub fn content(self) -> Content {
         match (self.0 & ((1 << PLACE_BITS) - 1)).checked_sub(SURFACE) {
@@ -103,20 +103,20 @@ impl Record {
         (self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)) as u32 & ((1 << SLICE_BITS) - 1)
     }
 
-    /// Height above the slice's floor of a point [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd ones lie
-    /// between the multiples below and above; so both the floor and the ceiling to whole quanta can be told.
+    /// Height of a point above the slice's floor [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd
+    /// ones lie between two multiples; so both the floor and the ceiling in whole quanta can be derived.
     #[inline]
     pub fn height(self) -> u32 {
         (self.0 >> (2 * SUBPIXEL_BITS)) as u32 & ((1 << HEIGHT_BITS) - 1)
     }
 
-    /// The value that a record of values holds in place of a place.
+    /// Value of a value record, which is stored in the bits of the position.
     #[inline]
     pub fn value(self) -> u32 {
         (self.0 & ((1 << VALUE_BITS) - 1)) as u32
     }
 
-    /// Place of a point inside its pixel (1/128 pixel).
+    /// Position of a point inside its pixel (1/128 pixel).
     #[inline]
     pub fn place(self) -> (u32, u32) {
         let mask = (1 << SUBPIXEL_BITS) - 1;
@@ -124,9 +124,9 @@ impl Record {
     }
 }
 
-/// Records that lie in several places, to be looked at once or more.
+/// Records stored in several places, which can be visited repeatedly.
 pub trait RecordPieces {
-    /// Gives all of them to `take`, piece by piece, in the same order each time.
+    /// Passes all records to `take`, piece by piece, in the same order each time.
     fn each(&self, take: impl FnMut(&[Record]));
 }
 
@@ -136,30 +136,30 @@ impl RecordPieces for [Record] {
     }
 }
 
-/// What surfaces fill of a voxel.
+/// Part of a voxel that surfaces fill.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SurfacePart {
     /// Lowest quantum above the slice's floor (0..=254).
     pub bottom: u8,
     /// Highest quantum above the slice's floor (0..=255).
     pub top: u8,
-    /// Whether a surface steeper than the limit is among them.
+    /// True if a surface steeper than the limit is among them.
     pub steep: bool,
 }
 
-/// What a surface fills of one voxel, by the voxel's place on the grid.
+/// Part of one voxel that a surface fills, with the voxel's position on the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SurfaceVoxel {
     /// Pixel.
     pub pixel: (i64, i64),
     /// Slice.
     pub slice: i64,
-    /// What is filled.
+    /// Filled part.
     pub part: SurfacePart,
 }
 
-/// Cuts the heights `bottom..=top` (quanta) of a surface over a pixel at slice boundaries. A top on a boundary belongs
-/// to the slice below it, unless the surface is that boundary alone, as for spans.
+/// Cuts the heights `bottom..=top` (quanta) of a surface over a pixel at slice boundaries. Like for spans, a top on a
+/// boundary belongs to the slice below, unless the whole surface lies on that boundary.
 pub fn surface_voxels(pixel: (i64, i64), (bottom, top): (i64, i64), steep: bool) -> impl Iterator<Item = SurfaceVoxel> {
     let first = bottom.div_euclid(SLICE_QUANTA);
     let last = first.max((top - 1).div_euclid(SLICE_QUANTA));
@@ -181,7 +181,7 @@ pub fn top_quantum(steps: u32) -> u32 {
     steps.div_ceil(STEPS_PER_QUANTUM as u32)
 }
 
-/// Turns world points into records.
+/// Converts points in metres to records.
 #[derive(Debug, Clone, Copy)]
 pub struct Recorder {
     subpixels_per_m: f64,
@@ -189,7 +189,7 @@ pub struct Recorder {
     frame: Frame,
 }
 
-/// A tile column by its indices, cheaper to compare than a [`ColumnKey`].
+/// A tile column by its indices; cheaper to compare than a [`ColumnKey`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ColumnIndex {
     /// Tile index along x.
@@ -201,18 +201,18 @@ pub struct ColumnIndex {
 }
 
 impl ColumnIndex {
-    /// The key by which columns are ordered.
+    /// Returns the key by which columns are ordered.
     pub fn key(self) -> ColumnKey {
         ColumnKey { column: morton(self.tx, self.ty), block: self.block }
     }
 }
 
-/// Takes records.
+/// Consumer of records.
 pub trait RecordSink {
-    /// Takes one of this column.
+    /// Takes one record of the column.
     fn add(&mut self, index: ColumnIndex, record: Record);
 
-    /// Takes some, each of the column that `index` tells for its number.
+    /// Takes several records; `index` returns the column of each by its number.
     fn add_all(&mut self, records: &[Record], index: impl Fn(usize) -> ColumnIndex) {
         records.iter().enumerate().for_each(|(number, &record)| self.add(index(number), record));
     }
@@ -224,17 +224,17 @@ impl<F: FnMut(ColumnIndex, Record)> RecordSink for F {
     }
 }
 
-/// No point on the grid lies as many slices below the origin.
+/// More slices than any point on the grid lies below the origin.
 const MOST_SLICES: i64 = 1 << 40;
 const _: () = assert!(MAX_INDEX < MOST_SLICES && MOST_SLICES < i64::MAX / SLICE_STEPS / 2);
 
-/// Points whose places are computed in one go.
+/// Most points in one batch.
 pub const BATCH: usize = 1 << 10;
 
 impl Recorder {
-    /// A recorder for the grid `frame`.
+    /// Creates a recorder for the grid `frame`.
     pub fn new(frame: Frame) -> Self {
-        // Multiplying by a power of two is exact, so these round just as the frame's own functions do.
+        // Multiplying by a power of two is exact, so these round exactly like the frame's functions.
         Self {
             subpixels_per_m: frame.pixels(1.0) * SUBPIXELS as f64,
             cells_per_m: frame.quanta(1.0) * (STEPS_PER_QUANTUM / 2) as f64,
@@ -242,14 +242,14 @@ impl Recorder {
         }
     }
 
-    /// Whether all points within these bounds have an index on the grid.
+    /// Returns whether all points within these bounds have an index on the grid.
     pub fn reaches(&self, min: [f64; 3], max: [f64; 3]) -> bool {
         let indices = |p: [f64; 3]| [self.frame.pixel_of(p[0]), self.frame.pixel_of(p[1]), self.frame.slice_of(p[2])];
         indices(min).into_iter().chain(indices(max)).all(|index| index.abs() <= MAX_INDEX)
     }
 
-    /// Gives `sink` each point's record, and its copies for tile columns whose halo it lies in. The points, at most
-    /// [`BATCH`], must be within [`reaches`](Self::reaches).
+    /// Passes each point's record to `sink`, and copies for the tile columns whose halo contains the point. Takes at
+    /// most [`BATCH`] points, which must be within [`reaches`](Self::reaches).
     #[inline]
     pub fn record_into(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl RecordSink) {
         let places = self.places(x, y, z);
@@ -263,14 +263,14 @@ impl Recorder {
         }
     }
 
-    /// As [`record_into`](Self::record_into), one record after the other.
+    /// Like [`record_into`](Self::record_into), but takes a closure.
     #[cfg(test)]
     pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], sink: impl FnMut(ColumnIndex, Record)) {
         self.record_into(x, y, z, sink);
     }
 
-    /// Gives `sink` one or two records of each point's voxel with `values` of the point with this number, and no copies; before them,
-    /// `with_points`, that of the point. The points are those of
+    /// Passes one or two value records of each point to `sink`, without copies; `values` returns them by the point's
+    /// number. With `with_points`, the point's record comes first. The points must satisfy the conditions of
     /// [`record_into`](Self::record_into).
     pub fn record_values(
         &self,
@@ -297,8 +297,8 @@ impl Recorder {
         });
     }
 
-    /// Gives `sink` one or two records of a voxel with the values of a surface's piece, and no copies; before them, `with_points`, that of
-    /// the piece. The voxel must be on the grid.
+    /// Passes one or two value records of a surface's piece in a voxel to `sink`, without copies. With `with_points`,
+    /// the record of the piece comes first. The voxel must be on the grid.
     pub fn record_surface_values(
         &self,
         voxel: &SurfaceVoxel,
@@ -309,7 +309,7 @@ impl Recorder {
         let mut give = |place: u64| {
             let mut is_first = true;
             spread(voxel.pixel, voxel.slice, place, &mut |index, record| {
-                // Copies come after it.
+                // The original comes first, its copies after it.
                 if std::mem::take(&mut is_first) {
                     sink(index, record);
                 }
@@ -324,7 +324,7 @@ impl Recorder {
         }
     }
 
-    /// Where points, at most [`BATCH`], lie.
+    /// Returns the positions of at most [`BATCH`] points.
     #[inline]
     fn places(&self, x: &[f64], y: &[f64], z: &[f64]) -> Places {
         let count = x.len().min(y.len()).min(z.len()).min(BATCH);
@@ -344,13 +344,15 @@ impl Recorder {
         Places { count, fx, fy, steps }
     }
 
-    /// Gives `sink` the record of what a surface fills of a voxel, and its copies. The voxel must be on the grid.
+    /// Passes the record of the part of a voxel that a surface fills to `sink`, and its copies. The voxel must be on
+    /// the grid.
     pub fn record_surface(&self, voxel: &SurfaceVoxel, mut sink: impl FnMut(ColumnIndex, Record)) {
         spread(voxel.pixel, voxel.slice, place_of_surface(voxel.part), &mut sink);
     }
 }
 
-/// Where the points of a batch lie on the grid: one array per coordinate, so that the arithmetic compiles to vector instructions.
+/// Positions of a batch's points on the grid: one array per coordinate, so that the arithmetic compiles to vector
+/// instructions.
 struct Places {
     count: usize,
     /// Subpixels.
@@ -361,7 +363,7 @@ struct Places {
 }
 
 impl Places {
-    /// Gives `take` the number of each point, its place in subpixels, and its height in steps.
+    /// Passes the number of each point, its position in subpixels, and its height in steps to `take`.
     #[inline]
     fn each(&self, mut take: impl FnMut(usize, i64, i64, i64)) {
         let Self { count, fx, fy, steps } = self;
@@ -371,11 +373,11 @@ impl Places {
     }
 }
 
-/// The records of a batch whose points lie so near each other, as they do in nearly all, that numbers of 32 bits say where: twice as many of
-/// them are computed at once.
+/// Records of a batch whose points lie close together, as in nearly all batches: 32-bit offsets suffice, and vector
+/// instructions compute twice as many of them at once.
 struct Near {
     block: i16,
-    /// Tile column, and whether the point lies in a halo.
+    /// Tile column, and whether the point lies in the halo of another.
     tx: [i32; BATCH],
     ty: [i32; BATCH],
     is_copied: [bool; BATCH],
@@ -383,7 +385,7 @@ struct Near {
 }
 
 impl Near {
-    /// `None` where points lie too far from the first: 2³⁰ subpixels, 2¹⁷ slices, or in another block.
+    /// Returns `None` if a point is too far from the first: 2³⁰ subpixels, 2¹⁷ slices, or in another block.
     #[inline]
     fn of(places: &Places) -> Option<Self> {
         const TILE_BITS: u32 = TILE_PIXELS.ilog2();
@@ -399,12 +401,12 @@ impl Near {
             is_copied: [false; BATCH],
             records: [Record(0); BATCH],
         };
-        // Whole tiles away from the first point's.
+        // Origin of the first point's tile, so that offsets are whole tiles.
         let origin = |first: i64| first >> (SUBPIXEL_BITS + TILE_BITS);
         let (tx, ty) = (origin(fx[0]), origin(fy[0]));
         let from = |tile: i64| tile << (SUBPIXEL_BITS + TILE_BITS);
         let (from_x, from_y, from_z) = (from(tx), from(ty), first_slice * SLICE_STEPS);
-        // Has a bit where some number needs more than 31 of them, or a slice lies beyond the block.
+        // Nonzero if an offset needs more than 31 bits or a slice lies beyond the block.
         let mut far = 0;
         for number in 0..*count {
             let (x, y, z) = (fx[number] - from_x, fy[number] - from_y, steps[number] - from_z);
@@ -428,7 +430,7 @@ impl Near {
         (far == 0).then_some(near)
     }
 
-    /// Gives `sink` the records of the first `count` points, then their copies.
+    /// Passes the records of the first `count` points to `sink`, then their copies.
     #[inline]
     fn each(&self, count: usize, sink: &mut impl RecordSink) {
         let index = |number: usize| ColumnIndex { tx: self.tx[number], ty: self.ty[number], block: self.block };
@@ -440,7 +442,7 @@ impl Near {
     }
 }
 
-/// On which sides a pixel of a tile lies in the halo of another, along x and y.
+/// Returns on which sides, along x and y, a pixel of a tile lies in the halo of another tile.
 #[inline]
 fn beyond(patch_pixel: usize) -> (i64, i64) {
     let side = |p: usize| {
@@ -450,13 +452,13 @@ fn beyond(patch_pixel: usize) -> (i64, i64) {
     (side(patch_pixel % PATCH_PIXELS), side(patch_pixel / PATCH_PIXELS))
 }
 
-/// Lower bits of the record of what a surface fills of a voxel.
+/// Lower bits of the record of a surface's part of a voxel.
 #[inline]
 fn place_of_surface(SurfacePart { bottom, top, steep }: SurfacePart) -> u64 {
     SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep))
 }
 
-/// Place of a point in its voxel.
+/// Position of a point in its voxel.
 #[inline]
 fn place_of(fx: i64, fy: i64, steps: i64) -> u64 {
     let height = (steps - slice_of(steps) * SLICE_STEPS) as u64;
@@ -467,16 +469,16 @@ fn place_of(fx: i64, fy: i64, steps: i64) -> u64 {
 /// Slice of a height in steps.
 #[inline]
 fn slice_of(steps: i64) -> i64 {
-    // Moved above zero by whole slices: an unsigned division by a constant is a multiplication.
+    // Shifted above zero by whole slices, because an unsigned division by a constant is a multiplication.
     ((steps + MOST_SLICES * SLICE_STEPS) as u64 / SLICE_STEPS as u64) as i64 - MOST_SLICES
 }
 
-/// Gives `sink` the record that says that a voxel on the grid is dropped, and its copies.
+/// Passes the record that marks a voxel on the grid as dropped to `sink`, and its copies.
 pub fn record_dropped(pixel: (i64, i64), slice: i64, mut sink: impl FnMut(ColumnIndex, Record)) {
     spread(pixel, slice, DROPPED, &mut sink);
 }
 
-/// Gives `sink` a record with these low bits for pixel `(i, j)`, and its copies.
+/// Passes a record with the low bits `place` for pixel `(i, j)` to `sink`, and its copies.
 #[inline]
 fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(ColumnIndex, Record)) {
     let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
@@ -493,7 +495,8 @@ fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(Colu
     }
 }
 
-/// Gives `sink` the copies of a record for the tile columns so many tiles away, along x, y and both.
+/// Passes the copies of a record to `sink`, one each to the tile columns `dx` tiles away along x, `dy` along y, and
+/// both.
 #[cold]
 fn copy(of: ColumnIndex, record: Record, (dx, dy): (i64, i64), sink: &mut impl FnMut(ColumnIndex, Record)) {
     for (dx, dy) in [(dx, 0), (0, dy), (dx, dy)].into_iter().take(if dx != 0 && dy != 0 { 3 } else { 2 }) {
@@ -542,7 +545,7 @@ mod tests {
             mut points in prop::collection::vec(prop::array::uniform3(-30f64..30.0), 1..60),
             far in 0usize..9,
         ) {
-            // One point lies farther along one axis than is near, or none does.
+            // One point is farther along one axis than a near batch allows, or none is.
             let (too_far, in_reach) = ([1e6, 1e6, 2.3e4], far >= 3);
             points.iter_mut().flatten().enumerate().for_each(|(at, v)| *v += origin[at % 3]);
             if !in_reach {

@@ -1,17 +1,17 @@
-//! From voxels with verdicts to the pages of a tile column.
+//! Conversion of classified voxels to the pages of a tile column.
 
 use super::fold::{Area, Patch, Voxel};
 use super::record::{BLOCK_SLICES, PATCH_PIXELS};
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA, TILE_PIXELS};
 use crate::slice::{Page, RowBuilder, Span};
 
-/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
+/// Voxels of one pixel in adjacent slices form one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
-/// allows both: matter only ever fills the gap between points of vertically adjacent voxels.
+/// allows both: only gaps between points of vertically adjacent voxels are filled.
 const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
 
-/// A piece of a span inside one page, as one number: layer, pixel, bottom, top, kind, from the highest bits down. So
-/// pieces sort into the order of pages, pixels and heights, in place, and a column of many millions stays small.
+/// Part of a span inside one page, as one number: layer, pixel, bottom, top, kind, from the highest bits down. So
+/// pieces sort in place by page, pixel and height, and a column of many millions stays small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Piece(u64);
 
@@ -38,21 +38,21 @@ impl Piece {
     }
 }
 
-/// Pieces for which the memory of a column is kept for the next.
+/// Capacity in pieces that is kept for the next column.
 const KEPT_PIECES: usize = 1 << 16;
 
-/// Collects the spans of one tile column and hands out its pages. Memory: 8 bytes per span.
+/// Collects the spans of one tile column and returns its pages. Memory: 8 bytes per span.
 #[derive(Debug, Default)]
 pub struct ColumnPages {
     pieces: Vec<Piece>,
     builder: RowBuilder,
     column: Vec<Span>,
-    /// The layer of the page that `builder` has, where there are no pieces.
+    /// Layer of the page in `builder`, if the column was added without pieces.
     page: Option<i64>,
 }
 
 impl ColumnPages {
-    /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
+    /// Adds the spans of all pixels in `area`, with one class (true: obstacle) per voxel of `patch`.
     pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
         if area == Area::TILE && self.add_page(patch, verdicts) {
             return;
@@ -63,7 +63,7 @@ impl ColumnPages {
         }
     }
 
-    /// Adds the spans of a whole tile column if they make one page; `false` if they do not.
+    /// Adds the spans of a whole tile column if they form one page; else returns `false`.
     fn add_page(&mut self, patch: &Patch, verdicts: &[bool]) -> bool {
         let layer_of = |voxel: &Voxel| voxel.slice / PAGE_SLICES as u32;
         let Some(layer) = patch.voxels().first().map(layer_of) else { return false };
@@ -106,7 +106,8 @@ impl ColumnPages {
         }
     }
 
-    /// Hands out the pages, lowest layer first, and forgets them. `first_slice` is the column block's lowest slice.
+    /// Passes the pages to `give`, lowest layer first, and clears the column. `first_slice` is the column block's
+    /// lowest slice.
     pub fn finish<E>(
         &mut self,
         first_slice: i64,
@@ -138,7 +139,7 @@ impl ColumnPages {
     }
 }
 
-/// Adds the spans of the next pixel with matter, lowest first.
+/// Adds the spans of the next occupied pixel, lowest first.
 #[inline]
 fn push_column(builder: &mut RowBuilder, px: u32, py: u32, spans: &[Span]) {
     debug_assert!(spans.windows(2).all(|pair| pair[0].lies_below(pair[1])), "pixel ({px}, {py}): {spans:?}");
@@ -146,7 +147,7 @@ fn push_column(builder: &mut RowBuilder, px: u32, py: u32, spans: &[Span]) {
     builder.end_pixel(px, py);
 }
 
-/// Place in the tile of a patch pixel that is not in the halo.
+/// Position in the tile of a patch pixel that is not in the halo.
 #[inline]
 fn place(patch_pixel: usize) -> (usize, usize) {
     (patch_pixel % PATCH_PIXELS - 1, patch_pixel / PATCH_PIXELS - 1)

@@ -1,12 +1,12 @@
-//! Runs on disk, and the journal by which another process can go on from them.
+//! Spilled runs on disk, and the journal from which another process can resume.
 //!
-//! Two files of one name in the folder for temporary data: `.TARGET.slicewalk-<16 hex digits>.spill` holds the records,
-//! `….journal` says who wrote them, and one entry after the other which runs are complete and what of the input they
-//! stand for. The journal is locked while its writer lives. Nothing is synced: an entry holds checksums of itself, of all
-//! entries before it and of its run, so what a power failure took is seen and repeated.
+//! Two files of one name in the folder for temporary data: `.TARGET.slicewalk-<16 hex digits>.spill` holds the records;
+//! `….journal` states who wrote them, then in one entry per complete run which part of the input the run covers. The
+//! journal is locked while its writer lives. Nothing is synced: an entry holds checksums of itself, of all entries
+//! before it and of its run, so data lost in a power failure is detected and recomputed.
 //!
-//! Both files are removed when the [`Spill`] is dropped, unless [`keep`](Spill::keep) says otherwise. A killed process
-//! leaves them; [`Leftover::find`] finds them.
+//! Dropping the [`Spill`] removes both files, unless [`keep`](Spill::keep) was called. A killed process leaves them;
+//! [`Leftover::find`] finds them.
 
 use crate::disk::{Access, Files, OpenFile, Temporary, leftovers, lock};
 use crate::{Error, Parameter, Result};
@@ -17,27 +17,27 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64_with_seed};
 
 const JOURNAL: &str = ".journal";
 const SPILL: &str = ".spill";
-/// Files of other layouts, and of machines of the other byte order, begin with something else.
+/// Magic number. Files of other layouts or of the other byte order begin differently.
 const MAGIC: u64 = u64::from_be_bytes(*b"SLJRNL\x00\x02");
-/// Permissions: what a scan holds is nobody else's business.
+/// Permissions: only the owner may read a scan.
 const PRIVATE: Option<u32> = Some(0o600);
-/// Most bytes of a head or an entry that are read back: beyond what is ever written.
+/// Most bytes of a head or an entry when reading: more than is ever written.
 const MOST_BYTES: u64 = 1 << 30;
 const COPY_BYTES: usize = 1 << 20;
 
-/// Where runs are spilled, and for whom.
+/// Location of spilled runs, and the conversion that writes them.
 #[derive(Debug)]
 pub struct SpillPlace {
     pub files: Files,
     pub folder: PathBuf,
     /// Name of the target without folders.
     pub name: OsString,
-    /// Who writes: what [`Leftover::head`] gives back.
+    /// Identity of the writer, which [`Leftover::head`] returns.
     pub head: Vec<u8>,
 }
 
 impl SpillPlace {
-    /// A place on the current disk for work without a name.
+    /// Returns a place on the current disk for work without a target name.
     #[cfg(test)]
     pub fn unnamed(folder: &Path) -> Self {
         let files = Files::current();
@@ -52,7 +52,7 @@ pub struct SpilledRun {
     pub records: u64,
     pub index_bytes: u64,
     pub columns: u64,
-    /// Whether its records are values of points.
+    /// True if its records are values of points.
     pub values: bool,
 }
 
@@ -66,7 +66,8 @@ impl SpilledRun {
     }
 }
 
-/// The files once something is spilled. Fields are dropped in order: without its journal a spill is nobody's.
+/// The files once something is spilled. Fields are dropped in order: the spill first, because without its journal no
+/// process can claim it.
 #[derive(Debug)]
 struct Open {
     spill: Temporary,
@@ -90,12 +91,12 @@ pub struct Spill {
 }
 
 impl Spill {
-    /// Nothing yet; files are made when they are needed.
+    /// Creates an empty spill; files are created on demand.
     pub fn new(place: SpillPlace) -> Self {
         Self { place, open: OnceLock::new(), ends: Mutex::default() }
     }
 
-    /// Whether anything was spilled.
+    /// Returns whether anything was spilled.
     pub fn is_open(&self) -> bool {
         self.open.get().is_some()
     }
@@ -105,12 +106,12 @@ impl Spill {
         self.ends().spill
     }
 
-    /// Where the runs are, if anything was spilled.
+    /// Returns the path of the runs, if anything was spilled.
     pub fn path(&self) -> Option<&Path> {
         self.open.get().map(|open| open.spill.path())
     }
 
-    /// Leaves the files for another process.
+    /// Keeps the files for another process.
     pub fn keep(&mut self) {
         if let Some(open) = self.open.get_mut() {
             open.spill.set_stays(true);
@@ -126,7 +127,7 @@ impl Spill {
         if let Some(open) = self.open.get() {
             return Ok(open);
         }
-        // Held while the files are made, so that only one worker makes them.
+        // Held while the files are created, so that only one worker creates them.
         let mut ends = self.ends();
         if let Some(open) = self.open.get() {
             return Ok(open);
@@ -148,7 +149,7 @@ impl Spill {
         Ok(self.open.get_or_init(|| Open { spill, journal }))
     }
 
-    /// Room for so many bytes at the end of the file: where it begins.
+    /// Reserves `bytes` at the end of the file and returns their offset.
     pub fn reserve(&self, bytes: u64) -> Result<u64> {
         self.open()?;
         let mut ends = self.ends();
@@ -157,19 +158,20 @@ impl Spill {
         Ok(at)
     }
 
-    /// Writes into reserved room.
+    /// Writes into a reserved range.
     pub fn write(&self, at: u64, bytes: &[u8]) -> Result<()> {
         let spill = &self.open()?.spill;
         write(&self.place.folder, at, || spill.write_at(at, bytes))
     }
 
-    /// Reads back what was written.
+    /// Reads back written bytes.
     pub fn read(&self, at: u64, bytes: &mut [u8]) -> Result<()> {
         let read = self.open()?.spill.read_at(at, bytes);
         read.map_err(|error| in_folder(&self.place.folder, format!("read temporary data at byte {at}"), error))
     }
 
-    /// Notes that a run is complete. `sum` is the checksum of its bytes, `cover` says what of the input it stands for.
+    /// Appends a complete run to the journal. `sum` is the checksum of its bytes, `cover` states which part of the
+    /// input it covers.
     pub fn note(&self, run: &SpilledRun, sum: u64, cover: &[u8]) -> Result<()> {
         let journal = &self.open()?.journal;
         let mut ends = self.ends();
@@ -196,8 +198,8 @@ fn in_folder(folder: &Path, action: String, error: Error) -> Error {
     }
 }
 
-/// A block of the journal, which is its length, its content and a checksum, and that checksum. It depends on that of the
-/// block `before`, so what is left over from another journal is no block of this one.
+/// Encodes a block of the journal: length, content and checksum; also returns the checksum. The checksum depends on
+/// that of the block `before`, so blocks left over from another journal are invalid in this one.
 fn block(content: &[&[u8]], before: u64) -> (Vec<u8>, u64) {
     let content = content.concat();
     let mut bytes = [&(content.len() as u32).to_ne_bytes(), &content[..]].concat();
@@ -206,13 +208,14 @@ fn block(content: &[&[u8]], before: u64) -> (Vec<u8>, u64) {
     (bytes, sum)
 }
 
-/// The content of the block at `at`, its checksum, and where the next one begins; `None` if it is not whole.
+/// Returns the content of the block at `at`, its checksum, and where the next one begins; `None` if the block is
+/// incomplete or damaged.
 fn read_block(file: &OpenFile, at: u64, before: u64) -> Option<(Vec<u8>, u64, u64)> {
     let mut len = [0; 4];
     file.read_exact_at(at, &mut len).ok()?;
     let len = u64::from(u32::from_ne_bytes(len));
     let end = at + 4 + len + 8;
-    // A length that is not true must not take memory.
+    // A false length must not allocate memory.
     if len > MOST_BYTES || file.len().ok()? < end {
         return None;
     }
@@ -223,7 +226,7 @@ fn read_block(file: &OpenFile, at: u64, before: u64) -> Option<(Vec<u8>, u64, u6
     (sum == u64::from_ne_bytes(*stated)).then(|| (block[4..].to_vec(), sum, end))
 }
 
-/// Checksum of the bytes of a run, piece by piece.
+/// Incremental checksum of a run's bytes.
 #[derive(Default)]
 pub struct RunSum(Box<Xxh3>);
 
@@ -237,7 +240,7 @@ impl RunSum {
     }
 }
 
-/// The temporary files of a process that ended before it could remove them, locked.
+/// Temporary files of a process that ended before it could remove them; locked.
 #[derive(Debug)]
 pub struct Leftover {
     files: Files,
@@ -250,8 +253,8 @@ pub struct Leftover {
 }
 
 impl Leftover {
-    /// Those for the target called `name` in `folder` that belong to the user `owner`: in a folder that many write to,
-    /// others could leave points that nobody scanned. A spill without a journal is removed.
+    /// Finds the leftovers for the target called `name` in `folder` that belong to the user `owner`. In a shared
+    /// folder, other users could plant points that were never scanned. Removes spills without a journal.
     pub fn find(files: &Files, folder: &Path, name: &OsStr, owner: Option<u32>) -> Result<Vec<Self>> {
         let mut found = Vec::new();
         let journals = leftovers(files, folder, name, JOURNAL)?;
@@ -275,17 +278,17 @@ impl Leftover {
         Ok(found)
     }
 
-    /// Who wrote it, as [`SpillPlace::head`] said; `None` if that cannot be read.
+    /// Returns the identity of the writer, as given by [`SpillPlace::head`]; `None` if it cannot be read.
     pub fn head(&self) -> Option<&[u8]> {
         self.head.as_deref()
     }
 
-    /// Where the runs are.
+    /// Returns the path of the runs.
     pub fn path(&self) -> &Path {
         &self.spill_path
     }
 
-    /// Length of the file of runs.
+    /// Length of the file of runs (bytes).
     pub fn bytes(&self) -> u64 {
         self.files.about(&self.spill_path).ok().flatten().map_or(0, |about| about.len)
     }
@@ -296,9 +299,9 @@ impl Leftover {
         let _ = self.files.remove(&self.journal_path);
     }
 
-    /// Goes on from the files: gives `take` each run that is whole and what it stands for; `look` is called now and then
-    /// and may end the work, `see` is given the records of a run, piece by piece from an empty one on, before it is known to be
-    /// whole. If this fails the files stay. Cost: all runs are read.
+    /// Resumes from the files: passes each intact run with its coverage to `take`. Calls `look` after each part read,
+    /// which may end the work by an error. Passes the records of a run to `see` in parts, the first of them empty,
+    /// before the run is known to be intact. On failure the files stay. Cost: reads all runs.
     pub fn take_over(
         self,
         place: SpillPlace,
@@ -311,7 +314,7 @@ impl Leftover {
         let mut end = 0;
         while let Some((entry, next_sum, next)) = read_block(&journal, at, sum) {
             let Some((run, run_sum, cover)) = parse(&entry) else { break };
-            // Even of a run that is damaged: what is written now must not make it look whole.
+            // Counts damaged runs as well: what is written now must not make one look intact.
             end = end.max(run.end());
             if sum_in(&spill, &run, look, see)? == Some(run_sum) {
                 take(run, cover)?;
@@ -327,7 +330,7 @@ impl Leftover {
     }
 }
 
-/// An entry: the run, its checksum, and what it stands for.
+/// Parses an entry: the run, its checksum, and its coverage.
 fn parse(entry: &[u8]) -> Option<(SpilledRun, u64, &[u8])> {
     let (numbers, cover) = entry.split_at_checked(48)?;
     let mut numbers = numbers.as_chunks().0.iter().map(|&bytes| u64::from_ne_bytes(bytes));
@@ -337,7 +340,7 @@ fn parse(entry: &[u8]) -> Option<(SpilledRun, u64, &[u8])> {
     Some((run, next()?, cover))
 }
 
-/// Checksum of a run as it is in the file; `None` if it is not all there.
+/// Returns the checksum of a run's bytes in the file; `None` if some are missing.
 fn sum_in(
     spill: &OpenFile,
     run: &SpilledRun,

@@ -1,4 +1,5 @@
-//! Triangles to records: exactly, as what they fill of voxels, or as points; and their colours.
+//! Conversion of triangles to records: exactly, as the parts of voxels that they fill, or as points; and of their
+//! colours.
 
 use super::colours::values_of_piece;
 use super::record::{BATCH, Recorder, SurfaceVoxel, surface_voxels};
@@ -13,21 +14,21 @@ use crate::mesh::{MeshMode, Triangle};
 use crate::plan::Plan;
 use crate::{Error, Parameter, Result};
 
-/// Most voxels that one triangle may fill, roughly; more are a mistake in the unit or the pixel size, or a damaged corner,
-/// and would fill the disk (2³²: 34 GB, 1.3 × 1.3 km in pixels of 2 cm).
+/// Approximate limit of the voxels that one triangle may fill. More indicate a wrong unit or pixel size, or a damaged
+/// corner, and would fill the disk (2³²: 34 GB, 1.3 × 1.3 km in pixels of 2 cm).
 const MOST_VOXELS: f64 = (1u64 << 32) as f64;
 
-/// Turns the triangles of one worker into records. Its scratch is reused.
+/// Converts the triangles of one worker to records; reuses its buffers.
 #[derive(Debug)]
 pub struct SurfaceBuilder {
     frame: Frame,
     recorder: Recorder,
     raster: Raster,
-    /// Step of the points; `None`: exactly.
+    /// Step of the points (m); `None` for exact conversion.
     step_m: Option<f64>,
     voxels: Vec<SurfaceVoxel>,
     points: PointBatch,
-    /// Points made.
+    /// Number of generated points.
     made: u64,
     colours: Option<SurfaceColours>,
 }
@@ -38,12 +39,12 @@ struct SurfaceColours {
     scale: ColourScale,
     runs: RunBuilder,
     pieces: Vec<(SurfaceVoxel, (u32, Option<u32>))>,
-    /// Values of the points that [`SurfaceBuilder::points`] holds; `None` of those that nothing colours.
+    /// Colours of the points in [`SurfaceBuilder::points`]; `None` for uncoloured ones.
     values: Vec<Option<[u8; 3]>>,
 }
 
 impl SurfaceBuilder {
-    /// A builder for archives of `plan`.
+    /// Creates a builder for archives of `plan`.
     pub fn new(plan: &Plan, mode: MeshMode) -> Self {
         let step_m = match mode {
             MeshMode::Exact => None,
@@ -61,23 +62,24 @@ impl SurfaceBuilder {
         }
     }
 
-    /// Puts the colours of painted triangles into `runs`, which are runs of values; `scale` says how values become colours.
+    /// Puts the colours of painted triangles into `runs`, which must be value runs; `scale` maps values to colours.
     pub fn colouring(mut self, scale: ColourScale, runs: RunBuilder) -> Self {
         self.colours = Some(SurfaceColours { scale, runs, pieces: Vec::with_capacity(BATCH), values: Vec::new() });
         self
     }
 
-    /// Points made so far.
+    /// Number of points generated until now.
     pub fn points_made(&self) -> u64 {
         self.made
     }
 
-    /// Whether all coordinates within these bounds have an index on the grid.
+    /// Returns whether all coordinates within these bounds have an index on the grid.
     pub fn reaches(&self, min: [f64; 3], max: [f64; 3]) -> bool {
         self.recorder.reaches(min, max)
     }
 
-    /// Adds a usable triangle within [`reaches`](Self::reaches) and its colours; stops where `cancelled` says so.
+    /// Adds a usable triangle within [`reaches`](Self::reaches) and its colours; stops with an error once `cancelled`
+    /// is true.
     pub fn push(
         &mut self,
         triangle: &Triangle,
@@ -165,7 +167,7 @@ impl SurfaceBuilder {
         done
     }
 
-    /// Hands on what is left; to be called at the end.
+    /// Passes the remaining records on; must be called at the end.
     pub fn flush(&mut self, runs: &mut RunBuilder, store: &RunStore) -> Result<()> {
         runs.push_surfaces(&self.voxels, store)?;
         self.voxels.clear();
@@ -187,11 +189,11 @@ impl SurfaceColours {
         Ok(())
     }
 
-    /// Adds the colours of these points, and forgets them.
+    /// Adds the colours of these points, and clears them.
     fn add_points(&mut self, points: &PointBatch, store: &RunStore) -> Result<()> {
         let Self { scale, runs, values, .. } = self;
         let value = |colour: [u8; 3]| values_of_piece(scale, PaintedPiece { colour, weight: 1 });
-        // Of one triangle all points have a colour or none, so the pieces are long.
+        // All points of one triangle have a colour or none has, so the pieces are long.
         let mut begin = 0;
         for piece in values.chunk_by(|a, b| a.is_some() == b.is_some()) {
             let range = begin..begin + piece.len();

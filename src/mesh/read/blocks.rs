@@ -1,19 +1,19 @@
-//! Random access to files in small pieces, through a cache of fixed size.
+//! Random access to files through a small block cache of fixed size (1 MiB).
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 
 pub(super) const BLOCK_BYTES: usize = 4096;
-/// Blocks held; faces of real meshes use corners near those of the faces before.
+/// Blocks in the cache; faces of real meshes use corners near those of the previous faces.
 const BLOCKS: u64 = 256;
 
-/// Blocks of any number of files, kept where they were read last: each block has one place.
+/// Direct-mapped cache of blocks of any number of files.
 pub(super) struct Blocks {
     held: Vec<Block>,
 }
 
 #[derive(Clone)]
 struct Block {
-    /// File and number in it; no file of that number means that nothing is held.
+    /// File and block number; [`NO_FILE`] if the entry is empty.
     name: (u32, u64),
     bytes: Vec<u8>,
 }
@@ -21,18 +21,17 @@ struct Block {
 const NO_FILE: u32 = u32::MAX;
 
 impl Blocks {
-    /// An empty cache.
     pub(super) fn new() -> Self {
         Self { held: vec![Block { name: (NO_FILE, 0), bytes: Vec::new() }; BLOCKS as usize] }
     }
 
-    /// Forgets what is held: the files have changed.
+    /// Empties the cache, because the files have changed.
     pub(super) fn forget(&mut self) {
         self.held.iter_mut().for_each(|block| block.name.0 = NO_FILE);
     }
 
-    /// Fills `out` with the bytes of `file` from `offset` on, loading blocks by their number with `load`; false where the
-    /// file ends before.
+    /// Fills `out` with the bytes of `file` from `offset` on, loading blocks by number with `load`; returns false if
+    /// the file ends too early.
     pub(super) fn read(
         &mut self,
         file: u32,
@@ -45,7 +44,7 @@ impl Blocks {
             let place = number.wrapping_add(u64::from(file).wrapping_mul(37)) % BLOCKS;
             let block = &mut self.held[place as usize];
             if block.name != (file, number) {
-                // Until it is filled it is no block.
+                // The entry is invalid until it is filled.
                 block.name.0 = NO_FILE;
                 load(number, &mut block.bytes)?;
                 block.name = (file, number);
@@ -63,7 +62,7 @@ impl Blocks {
     }
 }
 
-/// Reads block `number` of `file`, as much of it as there is.
+/// Reads block `number` of `file`, up to the end of the file.
 pub(super) fn fill_block(file: &mut (impl Read + Seek), number: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.resize(BLOCK_BYTES, 0);
     file.seek(SeekFrom::Start(number.saturating_mul(BLOCK_BYTES as u64)))?;

@@ -1,4 +1,4 @@
-//! The triangles of a set of files, one file after the other.
+//! The triangles of a set of files, file by file.
 
 use super::watch::{Digest, Watch};
 use super::{MeshBatch, MeshCounts, MeshSet, Triangles, Wants, is_far, usable};
@@ -12,35 +12,35 @@ use std::time::Duration;
 /// Least and greatest corner (m).
 pub(super) type Bounds = ([f64; 3], [f64; 3]);
 
-/// Bounds of nothing.
+/// Empty bounds.
 pub(super) const NO_BOUNDS: Bounds = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
 
-/// `bounds` around `corner` too.
+/// Grows `bounds` to include `corner`.
 pub(super) fn grown((min, max): Bounds, corner: [f64; 3]) -> Bounds {
     ([0, 1, 2].map(|axis| min[axis].min(corner[axis])), [0, 1, 2].map(|axis| max[axis].max(corner[axis])))
 }
 
-/// Hands out the triangles of a set, file after file.
+/// Iterates over the triangles of a set, file by file.
 pub struct MeshFeed<'a> {
     set: &'a MeshSet,
-    /// Number of the file at hand.
+    /// Number of the current file.
     next: usize,
     open: Option<Box<dyn Triangles>>,
     of_file: OfFile,
     total: MeshCounts,
-    /// Of the usable triangles of each file so far, and the hash of what was read of it.
+    /// Per file: bounds of the usable triangles and hash of the bytes read until now.
     found: Vec<(Bounds, u128)>,
     complete: bool,
     colours: bool,
-    /// Lives in each texture of the file at hand and of the file before.
+    /// Shared by each texture of the current file and of the previous one.
     textures: Arc<()>,
 }
 
-/// What was met in the file at hand.
+/// Counts and faults of the current file.
 #[derive(Default)]
 struct OfFile {
     counts: MeshCounts,
-    /// Of the triangles left out, those with corners that are not finite or far away.
+    /// Triangles left out because of corners that are not finite or too far away.
     far: u64,
     broken: u64,
     reason: Option<Error>,
@@ -54,11 +54,11 @@ impl<'a> MeshFeed<'a> {
         Self { set, next: 0, open: None, of_file, total, found: Vec::new(), complete: true, colours, textures }
     }
 
-    /// Replaces `batch` by the next usable triangles (m, z up), maybe none; false after the last.
+    /// Replaces `batch` by the next usable triangles (m, z up), possibly none; returns false after the last.
     ///
-    /// At the end of each file a warning tells how many triangles without area were left out. A file without any usable one
-    /// is an error: an empty archive in place of a good one helps nobody. So are broken faces, and a file that changed
-    /// while it was read; where incomplete input is allowed, `monitor` is told of these instead.
+    /// At the end of each file, a warning reports how many triangles without area were left out. A file without a
+    /// usable triangle is an error, because an empty archive would silently replace a good one. Broken faces and a file
+    /// that changed while it was read are errors too; with `allow_incomplete`, they are warnings to `monitor` instead.
     pub fn next(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
         let mut whole = MeshBatch { triangles: std::mem::take(batch), ..MeshBatch::default() };
         let more = self.next_painted(&mut whole, monitor);
@@ -66,14 +66,15 @@ impl<'a> MeshFeed<'a> {
         more
     }
 
-    /// As [`next`](Self::next), with colours where they are wanted. Whoever shares a feed forgets a batch before asking for the next: textures
-    /// of a file are there until the next file is begun, so that those of two files are never there at once.
+    /// Like [`next`](Self::next), but with colours if they are requested. Callers that share a feed must drop a batch
+    /// before requesting the next: the textures of a file live until the next file begins, so that textures of two
+    /// files are never in memory together.
     pub(crate) fn next_painted(&mut self, batch: &mut MeshBatch, monitor: &dyn Monitor) -> Result<bool> {
         batch.clear();
         batch.is_painted = self.colours;
         let more = self.read(batch, monitor);
         if more.is_err() {
-            // What follows an error means nothing; other workers find the end.
+            // The position after an error is undefined; other workers see the end of the feed.
             self.next = self.set.files.len();
         }
         more
@@ -110,7 +111,7 @@ impl<'a> MeshFeed<'a> {
 
     fn read_some(&mut self, batch: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         watch.go_on()?;
-        // Other workers still use the textures of the file before.
+        // Waits while other workers still use the textures of the previous file.
         while self.open.is_none() && Arc::strong_count(&self.textures) > 1 {
             watch.go_on()?;
             std::thread::sleep(Duration::from_millis(1));
@@ -173,35 +174,36 @@ impl<'a> MeshFeed<'a> {
         Ok(())
     }
 
-    /// Files with the bounds of their usable triangles so far.
+    /// Returns the files with the bounds of their usable triangles until now.
     pub(crate) fn scenes(&self) -> impl Iterator<Item = Scene<'a>> {
         let files = self.set.files.iter().zip(&self.found);
         files.map(|(file, &((min, max), _))| Scene { path: &file.path, min, max })
     }
 
-    /// Bounds of all usable triangles so far.
+    /// Returns the bounds of all usable triangles until now.
     pub(super) fn bounds(&self) -> Option<Bounds> {
         let all = self.found.iter().fold(NO_BOUNDS, |all, (file, _)| grown(grown(all, file.0), file.1));
         (all.0[0] <= all.1[0]).then_some(all)
     }
 
-    /// Hashes of what was read of the files that came to their end, by number; 0 unless the options ask for them.
+    /// Returns the hashes of the bytes read from each finished file, by number; 0 unless
+    /// [`MeshOptions::hash`](super::MeshOptions::hash) is set.
     pub(crate) fn hashes(&self) -> impl Iterator<Item = u128> {
         self.found.iter().map(|found| found.1)
     }
 
-    /// Triangles of the files that came to their end.
+    /// Returns the counts over all finished files.
     pub fn counts(&self) -> MeshCounts {
         self.total
     }
 
-    /// Whether nothing is known to be missing so far: always so, unless incomplete input is allowed.
+    /// Returns whether no input is known to be missing yet; always true unless incomplete input is allowed.
     pub fn is_complete(&self) -> bool {
         self.complete
     }
 }
 
-/// Whether an error is about the file at `path` (and not about temporary data).
+/// Returns whether an error is about the file at `path` (and not about temporary data).
 fn is_about(error: &Error, path: &std::path::Path) -> bool {
     match error {
         Error::Input { .. } | Error::Unsupported { .. } => true,

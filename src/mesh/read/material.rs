@@ -1,6 +1,6 @@
-//! Materials of OBJ files: `newmtl`, `Kd` and `map_Kd` of MTL files; all else is passed over.
+//! Materials of OBJ files: `newmtl`, `Kd` and `map_Kd` of MTL files; the rest is skipped.
 //!
-//! What is wrong with them is a warning: the triangles have their places without. Source: "MTL material format (Lightwave, OBJ)",
+//! Faults in them are warnings, because triangles do not need them. Source: "MTL material format (Lightwave, OBJ)",
 //! Alias/Wavefront, 1995.
 
 use super::placing::Placing;
@@ -13,36 +13,36 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Most bytes of all files of materials of one mesh.
+/// Most bytes of all MTL files of one mesh.
 const MOST_BYTES: u64 = 16 << 20;
 /// Most materials of one mesh.
 const MOST_MATERIALS: usize = 1 << 16;
-/// Most files of materials of one mesh.
+/// Most MTL files of one mesh.
 const MOST_FILES: usize = 64;
 
-/// A material as its file states it.
+/// A material as stated in its file.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Stated {
     colour: Option<[u8; 3]>,
     map: Option<Map>,
 }
 
-/// A texture as a material names it.
+/// A texture as a material refers to it.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Map {
     file: String,
     wrap: Wrap,
     placing: Placing,
-    /// An option that would show and is passed over.
+    /// Unsupported option that would change the texture's appearance.
     ignored: Option<String>,
 }
 
-/// What colours the triangles of one material.
+/// A material with its texture loaded.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Material {
     pub colour: Option<[u8; 3]>,
     pub texture: Option<Arc<Texture>>,
-    /// Where the texture lies.
+    /// Transform of texture coordinates.
     pub placing: Placing,
 }
 
@@ -59,7 +59,8 @@ impl Materials {
         Self { stated: HashMap::new(), textures, files: 0, bytes_left: MOST_BYTES }
     }
 
-    /// Reads the files of materials that a line of the mesh at `of` names: one, whose name may hold blanks, or more of them.
+    /// Reads the MTL files that an `mtllib` line of the mesh at `of` names: one, whose name may contain blanks, or
+    /// several.
     pub(super) fn read_all(&mut self, of: &Path, names: &[u8], watch: &Watch) -> Result<()> {
         let whole = path_beside(of, &String::from_utf8_lossy(names));
         if whole.is_ok_and(|path| path.is_file()) {
@@ -69,7 +70,7 @@ impl Materials {
         words.take(MOST_FILES).try_for_each(|name| self.read(of, name, watch))
     }
 
-    /// Reads the file of materials that the mesh at `of` calls `name`.
+    /// Reads the MTL file that the mesh at `of` calls `name`.
     fn read(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<()> {
         watch.go_on()?;
         self.files += 1;
@@ -94,7 +95,7 @@ impl Materials {
         Ok(())
     }
 
-    /// The material called `name`, with its texture read.
+    /// Returns the material called `name`, with its texture loaded.
     pub(super) fn get(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<Material> {
         let Some(Stated { colour, map }) = self.stated.get(name).cloned() else {
             self.textures.warn(watch, &format!("materials: there is none called {}", shown(name)));
@@ -138,7 +139,7 @@ impl Materials {
 }
 
 impl Material {
-    /// The colour where there is no texture.
+    /// Returns the colour to use without texture coordinates.
     pub(super) fn flat(&self) -> Option<[u8; 3]> {
         // A material with a texture may state black beside it.
         if self.texture.is_some() { Some(WHITE) } else { self.colour }
@@ -148,13 +149,13 @@ impl Material {
 fn colour_of(text: &[u8]) -> Option<[u8; 3]> {
     let mut values = std::str::from_utf8(text).ok()?.split_ascii_whitespace().map(|word| word.parse::<f64>().ok());
     let mut channel = || Some((values.next()?? * 255.0 + 0.5).clamp(0.0, 255.0) as u8);
-    // One value alone is grey.
+    // A single value is grey.
     let red = channel()?;
     let Some(green) = channel() else { return Some([red; 3]) };
     Some([red, green, channel()?])
 }
 
-/// The texture behind its options, whose name may hold blanks.
+/// Parses the options and the name of the texture, which may contain blanks.
 fn map_of(text: &[u8]) -> Option<Map> {
     let text = String::from_utf8_lossy(text);
     let (mut rest, mut map) = (text.trim().to_owned(), Map::default());
@@ -165,7 +166,7 @@ fn map_of(text: &[u8]) -> Option<Map> {
     };
     while rest.starts_with('-') {
         let (option, mut behind) = next(&rest);
-        // How many words follow at least, and how many numbers may.
+        // Least number of words that follow, and how many more numbers may.
         let (least, more) = match &option[..] {
             "-blendu" | "-blendv" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-bm" | "-boost" | "-type" => (1, 0),
             "-mm" => (2, 0),
@@ -194,7 +195,7 @@ fn map_of(text: &[u8]) -> Option<Map> {
             }
             "-s" => pair(1.0).inspect(|found| scale = *found).is_some(),
             "-o" => pair(0.0).inspect(|found| offset = *found).is_some(),
-            // These would show, unless they say what holds without them.
+            // These would change the appearance, unless they state the defaults.
             "-t" => (0..3).all(|at| number(at, 0.0) == Some(0.0)),
             "-mm" => (number(0, 0.0), number(1, 1.0)) == (Some(0.0), Some(1.0)),
             _ => true,

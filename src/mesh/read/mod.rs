@@ -1,4 +1,4 @@
-//! Mesh files to triangles in metres, z up.
+//! Readers of mesh files: triangles in metres, z up.
 
 mod blocks;
 mod feed;
@@ -28,27 +28,28 @@ use std::sync::Arc;
 use self::feed::Bounds;
 pub use self::feed::MeshFeed;
 
-/// Greatest coordinate that is kept, in magnitude (m); as for scans.
+/// Greatest magnitude of a coordinate that is kept (m); the same as for scans.
 const FARTHEST_M: f64 = 1e12;
 
-/// What to read and how.
+/// Options for reading meshes.
 #[derive(Debug, Clone)]
 pub struct MeshOptions {
-    /// Length of a file unit. Metres for [`Units::Auto`]: of the formats only glTF states one, and that is the metre.
+    /// Length of a file unit. [`Units::Auto`] means metres: of the formats only glTF states a unit, and that is the
+    /// metre.
     pub units: Units,
-    /// Which axis of the files points up. glTF states that itself, y, and is always turned.
+    /// Up axis of the files. Ignored for glTF, whose up axis is always y.
     pub up: Up,
-    /// What a reader may hold of one file (bytes).
+    /// Most memory that a reader uses for one file (bytes).
     pub memory_bytes: u64,
-    /// Folder for the corners that do not fit.
+    /// Folder for vertices that do not fit in memory.
     pub temp_dir: PathBuf,
-    /// Whether files with broken faces are read as far as possible, with warnings, instead of being refused.
+    /// If true, files with broken faces are read as far as possible, with warnings, instead of being refused.
     pub allow_incomplete: bool,
-    /// Whether all that is read is hashed, so that two runs can tell whether they read the same.
+    /// If true, all bytes read are hashed, so that two runs can compare their input.
     pub hash: bool,
-    /// Whether triangles get the colours that their files state.
+    /// If true, triangles get the colours that their files state.
     pub colours: bool,
-    /// What the textures of one file may take, decoded, and while they are decoded (bytes); more is an error.
+    /// Most memory that the textures of one file take, decoded and during decoding (bytes); more is an error.
     pub texture_bytes: u64,
 }
 
@@ -87,27 +88,26 @@ fn kind_of(path: &Path) -> Option<MeshFormat> {
 
 /// Triangles of one file, in file coordinates.
 trait Triangles: Send {
-    /// Appends some triangles, at most a few thousand; false when there are no more.
+    /// Appends at most a few thousand triangles; returns false if there are no more.
     fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool>;
 }
 
-/// Triangles, and what colours them.
+/// Triangles with their paints.
 #[derive(Debug, Default)]
 pub(crate) struct MeshBatch {
     pub triangles: Vec<Triangle>,
-    /// One for each triangle; none at all where colours are not wanted.
+    /// One per triangle; empty if colours are not requested.
     pub paints: Vec<Paint>,
     is_painted: bool,
 }
 
 impl MeshBatch {
-    /// Forgets all.
     pub fn clear(&mut self) {
         self.triangles.clear();
         self.paints.clear();
     }
 
-    /// The triangles with their paints.
+    /// Returns the triangles with their paints.
     pub fn iter(&self) -> impl Iterator<Item = (&Triangle, &Paint)> {
         self.triangles.iter().zip(self.paints.iter().chain(std::iter::repeat(&Paint::None)))
     }
@@ -140,7 +140,7 @@ const BATCH_TRIANGLES: usize = 1 << 12;
 pub struct MeshCounts {
     /// Triangles read.
     pub read: u64,
-    /// Of these, left out for having no area or coordinates that are not finite or beyond 10¹² m.
+    /// Triangles left out, because they have no area or coordinates that are not finite or beyond 10¹² m.
     pub left_out: u64,
 }
 
@@ -151,7 +151,7 @@ impl std::ops::AddAssign for MeshCounts {
     }
 }
 
-/// Mesh files that were found to exist.
+/// Mesh files that could be opened.
 #[derive(Debug)]
 pub struct MeshSet {
     files: Vec<MeshFile>,
@@ -167,8 +167,8 @@ struct MeshFile {
 }
 
 impl MeshSet {
-    /// The meshes at `paths`, all of them with names of meshes. Warns once where no unit is known, and where incomplete input
-    /// is allowed, of files that cannot be opened.
+    /// Opens the meshes at `paths`, all of them with names of mesh formats. Warns once if a format states no unit and
+    /// none is given, and, if incomplete input is allowed, about each file that cannot be opened.
     pub fn open(paths: &[PathBuf], options: MeshOptions, monitor: &dyn Monitor) -> Result<Self> {
         let mut files = Vec::with_capacity(paths.len());
         let mut left_out = None;
@@ -202,17 +202,17 @@ impl MeshSet {
         Ok(Self { files, options, complete })
     }
 
-    /// Where the files are.
+    /// Returns the paths of the files.
     pub(crate) fn paths(&self) -> impl Iterator<Item = &Path> {
         self.files.iter().map(|file| file.path.as_path())
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no files.
     pub fn is_empty(&self) -> bool {
         self.files.is_empty()
     }
 
-    /// Unit of the files, if there are any.
+    /// Returns the unit of the files, if there are any.
     pub fn length_unit(&self) -> Option<LengthUnit> {
         (!self.is_empty()).then_some(match self.options.units {
             Units::Auto => LengthUnit::METRE,
@@ -220,33 +220,33 @@ impl MeshSet {
         })
     }
 
-    /// Length of all files (bytes): for progress only.
+    /// Length of all files (bytes), for progress only.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|file| file.stamp.len()).fold(0, u64::saturating_add)
     }
 
-    /// Whether no file had to be left out.
+    /// Returns whether no file had to be left out.
     pub fn is_complete(&self) -> bool {
         self.complete
     }
 
-    /// All triangles, from the first.
+    /// Starts reading all triangles from the first.
     pub fn feed(&self) -> MeshFeed<'_> {
         MeshFeed::new(self, self.options.colours)
     }
 
-    /// Says whether triangles get colours.
+    /// Sets whether triangles get colours.
     pub(crate) fn set_colours(&mut self, wanted: bool) {
         self.options.colours = wanted;
     }
 
-    /// Whether triangles get colours.
+    /// Returns whether triangles get colours.
     pub(crate) fn has_paint(&self) -> bool {
         self.options.colours && !self.is_empty()
     }
 
-    /// Whether some triangle has a colour other than black. Cost: mostly a piece of the first file; where there is none, all files
-    /// are read.
+    /// Returns whether some triangle has a colour other than black. Usually reads only part of the first file; without
+    /// colours, reads all files.
     pub(crate) fn has_colours(&self, monitor: &dyn Monitor) -> Result<bool> {
         let (mut feed, mut batch) = (MeshFeed::new(self, true), MeshBatch::default());
         while feed.next_painted(&mut batch, &Silent(monitor))? {
@@ -258,8 +258,8 @@ impl MeshSet {
         Ok(false)
     }
 
-    /// Bounds of all usable triangles (m), which are read for this; `None` if there are none. Warnings come when the
-    /// triangles themselves are read.
+    /// Reads all files and returns the bounds of all usable triangles (m), or `None` without any. Does not warn;
+    /// reading the triangles themselves does.
     pub fn bounds(&self, monitor: &dyn Monitor) -> Result<Option<Bounds>> {
         let (mut feed, mut batch) = (MeshFeed::new(self, false), Vec::new());
         while feed.next(&mut batch, &Silent(monitor))? {}
@@ -277,7 +277,7 @@ impl MeshSet {
         })
     }
 
-    /// File coordinates to metres, z up.
+    /// Converts file coordinates to metres, z up.
     fn place(&self, number: usize, triangle: &mut Triangle) {
         let factor = match self.options.units {
             Units::Auto => 1.0,
@@ -301,15 +301,15 @@ impl MeshFile {
     }
 }
 
-/// What is wanted of a file beside its triangles.
+/// Outputs requested from a reader besides the triangles.
 #[derive(Clone, Copy)]
 struct Wants<'a> {
     digest: &'a Digest,
-    /// Whether colours are wanted, and what lives as long as one of the textures.
+    /// Present if colours are requested; each texture holds a clone.
     colours: Option<&'a Arc<()>>,
 }
 
-/// Passes on the wish to stop, and nothing that is said.
+/// Monitor that forwards cancellation and drops all messages.
 struct Silent<'a>(&'a dyn Monitor);
 
 impl Monitor for Silent<'_> {
@@ -318,12 +318,12 @@ impl Monitor for Silent<'_> {
     }
 }
 
-/// Whether a corner is not finite or too far away to be kept.
+/// Returns whether a corner is not finite or too far away to be kept.
 fn is_far(triangle: &Triangle) -> bool {
     !triangle.as_flattened().iter().all(|v| v.abs() <= FARTHEST_M)
 }
 
-/// Whether a triangle has an area and lies where triangles are kept.
+/// Returns whether a triangle has an area and lies within the kept coordinates.
 fn usable(triangle: &Triangle) -> bool {
     !is_far(triangle) && super::raster::has_area(triangle)
 }

@@ -1,8 +1,8 @@
-//! Wavefront OBJ: `v` and `f` of the text format, and for colours `vt`, `mtllib`, `usemtl` and the colours that many programs write
-//! behind the coordinates of `v`; all else is passed over.
+//! Wavefront OBJ: `v` and `f` of the text format; for colours also `vt`, `mtllib`, `usemtl` and the colours that many
+//! programs write after the coordinates of `v`. The rest is skipped.
 //!
-//! Two passes over the file: faces may name corners that come later, and corners before are counted from the end.
-//! Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
+//! Reads the file twice: faces may refer to vertices that come later, while negative indices count back from the
+//! current line. Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
 
 use super::material::{Material, Materials};
 use super::polygon::Polygon;
@@ -22,33 +22,33 @@ const LINES: usize = 512;
 pub(super) struct ObjReader {
     lines: Lines,
     vertices: Vertices,
-    /// Corners defined before the line at hand.
+    /// Vertices defined before the current line.
     before: u64,
     polygon: Polygon,
     colours: Option<ObjColours>,
 }
 
-/// Colour of a corner, and its place in a texture.
+/// Colour of a corner, and its texture coordinates.
 type CornerColour = (Option<[u8; 3]>, Option<[f64; 2]>);
 
-/// What colours the faces of a file.
+/// Colours of the faces of a file.
 struct ObjColours {
     path: PathBuf,
-    /// Colours of corners; those without have the first value below 0.
+    /// Vertex colours; the first value is below 0 if a vertex has none.
     corners: Vertices,
-    /// Places in textures.
+    /// Texture coordinates.
     places: Vertices,
-    /// Those defined before the line at hand.
+    /// Texture coordinates defined before the current line.
     places_before: u64,
     materials: Materials,
-    /// That of the faces at hand.
+    /// Material of the current faces.
     material: Option<Material>,
-    /// Of the corners of the face at hand.
+    /// Corners of the current face.
     of_face: Vec<CornerColour>,
 }
 
 impl ObjColours {
-    /// The colour behind the coordinates of a corner: as many programs write it, 0 to 1, or to 255.
+    /// Parses the colour after the coordinates of a vertex, which programs write as 0 to 1 or 0 to 255.
     fn of_corner<'a>(lines: &Lines, words: &mut impl Iterator<Item = &'a [u8]>) -> [f64; 3] {
         let mut next = || lines.number(words.next()).ok().filter(|value| value.is_finite());
         match (next(), next(), next()) {
@@ -60,7 +60,7 @@ impl ObjColours {
         }
     }
 
-    /// What colours a triangle with these corners of the face.
+    /// Returns the paint of the triangle with these corners of the face.
     fn paint(&self, numbers: [usize; 3]) -> Paint {
         let [a, b, c] = numbers.map(|number| self.of_face.get(number).copied().unwrap_or_default());
         let at_corners = match (a.0, b.0, c.0) {
@@ -82,7 +82,8 @@ impl ObjColours {
     }
 }
 
-/// The number of a corner or a place, of which there are so many `before` the line; `None` inside: there is none.
+/// Parses a vertex or texture coordinate index, with `before` of them defined before the line. The inner `None` means
+/// that there is no such element.
 fn number_of(word: &[u8], before: u64) -> Option<Option<u64>> {
     match std::str::from_utf8(word).ok()?.parse::<i64>().ok()? {
         index @ 1.. => Some(Some(index as u64 - 1)),
@@ -116,7 +117,7 @@ impl ObjReader {
                 }
                 (Some(b"vt"), Some(colours)) => {
                     let mut next = || words.next().and_then(|word| lines.number(Some(word)).ok()).unwrap_or(0.0);
-                    // Textures begin at their lower edge.
+                    // OBJ counts v from the lower edge of the image.
                     let (u, v) = (next(), 1.0 - next());
                     colours.places.push([u, v, 0.0])?;
                 }
@@ -179,7 +180,7 @@ impl Triangles for ObjReader {
             let kind = self.lines.words().next();
             match kind {
                 Some(b"v") => self.before += 1,
-                // "fo" is the old name.
+                // `fo` is the obsolete name of `f`.
                 Some(b"f" | b"fo") => self.face(out, watch).or_else(|error| watch.lose(1, error))?,
                 _ => self.take_colours(watch)?,
             }
@@ -189,7 +190,7 @@ impl Triangles for ObjReader {
 }
 
 impl ObjReader {
-    /// Takes what the line says of colours, if they are wanted.
+    /// Reads the line's colour statement, if colours are requested.
     fn take_colours(&mut self, watch: &Watch) -> Result<()> {
         let Self { lines, colours: Some(colours), .. } = self else { return Ok(()) };
         let line = lines.line().trim_ascii();
@@ -199,7 +200,7 @@ impl ObjReader {
         match &line[..end] {
             b"vt" => *places_before += 1,
             b"usemtl" => *material = Some(materials.get(path, rest, watch)?),
-            // One name with blanks, or more than one name.
+            // One name with blanks, or several names.
             b"mtllib" => materials.read_all(path, rest, watch)?,
             _ => {}
         }

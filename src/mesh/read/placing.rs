@@ -1,6 +1,6 @@
-//! Where a texture lies on a surface: materials move, turn and scale the places that corners name.
+//! Transforms of texture coordinates: materials move, rotate and scale the coordinates of corners.
 
-/// What a material makes of places in its texture, which count from the upper left of the image.
+/// Transform of texture coordinates; the results count from the upper left of the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Placing {
     rows: [[f64; 3]; 2],
@@ -13,20 +13,21 @@ impl Default for Placing {
 }
 
 impl Placing {
-    /// Of the options `-s` and `-o` of MTL: scaled, then moved, both from the lower left, as programs that write them mean it.
+    /// Transform of the MTL options `-s` and `-o`: scale, then move, both from the lower left, as programs that write
+    /// them do.
     pub(super) fn of_mtl(scale: [f64; 2], offset: [f64; 2]) -> Self {
         let [[su, sv], [ou, ov]] = [scale, offset];
         Self { rows: [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]] }
     }
 
-    /// Of `KHR_texture_transform`: scaled, turned (radians), then moved.
+    /// Transform of `KHR_texture_transform`: scale, rotate (radians), then move.
     pub(super) fn of_gltf(offset: [f64; 2], rotation: f64, scale: [f64; 2]) -> Self {
-        // Not the platform's functions: colours are the same everywhere.
+        // libm instead of the platform's functions, so that colours are the same everywhere.
         let (sin, cos) = libm::sincos(rotation);
         Self { rows: [[cos * scale[0], sin * scale[1], offset[0]], [-sin * scale[0], cos * scale[1], offset[1]]] }
     }
 
-    /// The place in the image of a place that a corner names.
+    /// Maps texture coordinates of a corner to the image.
     pub(super) fn of(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         self.rows.map(|[a, b, c]| a * u + b * v + c)
     }
@@ -59,7 +60,7 @@ mod tests {
 
     #[test]
     fn gltf_scales_then_turns_then_moves() {
-        // By the matrices of the extension's text, for a quarter of a turn.
+        // Expected values follow the matrices in the extension's text; a quarter turn.
         let placing = Placing::of_gltf([0.5, 0.25], std::f64::consts::FRAC_PI_2, [2.0, 3.0]);
         assert_near(placing.of([0.0, 0.0]), [0.5, 0.25]);
         assert_near(placing.of([1.0, 0.0]), [0.5, 0.25 - 2.0]);

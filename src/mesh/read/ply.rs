@@ -1,8 +1,10 @@
-//! PLY, text and binary of either byte order: the elements `vertex` (x, y, z), `face` (a list of corners) and `tristrips` (lists of
-//! corners, each of which makes a triangle with the two before it; −1 ends a strip), and the colours of the first two. Others are
-//! passed over. Behind the last nothing may follow.
+//! PLY, as text and binary of either byte order.
 //!
-//! In text an element begins and ends where a line does; one that takes several lines is read too.
+//! Reads the elements `vertex` (x, y, z), `face` (a list of vertices) and `tristrips` (lists of vertices, each of which
+//! forms a triangle with the two before it; −1 ends a strip), and the colours of the first two. Skips other elements.
+//! Nothing may follow the last element.
+//!
+//! In text an element begins and ends with a line; one that spans several lines is accepted too.
 //!
 //! Source: Greg Turk, "The PLY Polygon File Format", 1994.
 
@@ -19,7 +21,7 @@ use crate::{Error, Result};
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Most numbers in a list, of which a face has one; strips have as many as they like.
+/// Most numbers in a list of a face; lists of strips are bounded only by 2³² − 1.
 const MOST_IN_LIST: f64 = 65_536.0;
 const CUT: &str = "the file ends before the elements that its header states: it is cut; fetch it again";
 /// Faces, or numbers of strips, read for one batch.
@@ -27,20 +29,20 @@ const FACES: u64 = 512;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Role {
-    /// Coordinate of a corner along an axis.
+    /// Coordinate of a vertex along an axis.
     Axis(usize),
-    /// Corners of a face.
+    /// Vertices of a face.
     Corners,
-    /// Red, green or blue, and which of its values is white.
+    /// Red, green or blue, and the value that stands for full intensity.
     Channel(usize, f64),
     Other,
 }
 
-/// A property, by what it is for.
+/// A property with its role.
 #[derive(Debug, Clone, Copy)]
 struct Column {
     role: Role,
-    /// Type of the count, of a list.
+    /// Type of the count if the property is a list.
     list: Option<Number>,
     number: Number,
 }
@@ -66,18 +68,18 @@ impl Column {
     }
 }
 
-/// Whether an element has corners of triangles.
+/// Returns whether an element lists vertices of triangles.
 fn is_surface(element: &Element) -> bool {
     element.name == "face" || element.name == "tristrips"
 }
 
-/// The channel of a colour that a property is.
+/// Returns the colour channel that a property holds.
 fn channel_of(name: &str) -> Option<usize> {
     let names = [["red", "r", "diffuse_red"], ["green", "g", "diffuse_green"], ["blue", "b", "diffuse_blue"]];
     names.iter().position(|names| names.iter().any(|other| other.eq_ignore_ascii_case(name)))
 }
 
-/// The value that stands for white.
+/// Value that stands for white.
 fn white_of(number: Number) -> f64 {
     match number {
         Number::F32 | Number::F64 => 1.0,
@@ -86,19 +88,19 @@ fn white_of(number: Number) -> f64 {
     }
 }
 
-/// A channel's value as 8 bits.
+/// Converts a channel's value to 8 bits.
 fn byte_of(value: f64, white: f64) -> u8 {
     (value / white * 255.0 + 0.5).clamp(0.0, 255.0) as u8
 }
 
-/// Whether columns have all three channels.
+/// Returns whether columns hold all three channels.
 fn has_colour(columns: &[Column]) -> bool {
     (0..3).all(|channel| columns.iter().any(|column| matches!(column.role, Role::Channel(own, _) if own == channel)))
 }
 
-/// The numbers of the body, one after the other.
+/// The body's numbers, in file order.
 enum Body {
-    /// `begun`: the line on which the element at hand begins.
+    /// `begun`: the line on which the current element begins.
     Text {
         lines: Lines,
         begun: u64,
@@ -119,7 +121,7 @@ impl Body {
         }
     }
 
-    /// Goes to the next line that holds something; false at the end of the file.
+    /// Advances to the next line that is not blank; returns false at the end of the file.
     fn next_line(lines: &mut Lines) -> Result<bool> {
         while lines.next()? {
             if lines.words().next().is_some() {
@@ -129,7 +131,7 @@ impl Body {
         Ok(false)
     }
 
-    /// Goes to the next element: in text it begins a line.
+    /// Begins an element; in text, on a new line.
     fn begin(&mut self) -> Result<()> {
         let Self::Text { lines, begun } = self else { return Ok(()) };
         if !Self::next_line(lines)? {
@@ -139,7 +141,8 @@ impl Body {
         Ok(())
     }
 
-    /// Whether there is nothing left to read.
+    /// Returns whether there is nothing left to read; always true for a binary body, which cannot resume after an
+    /// error.
     fn is_at_end(&mut self) -> Result<bool> {
         match self {
             Self::Text { lines, .. } => lines.is_at_end(),
@@ -147,7 +150,7 @@ impl Body {
         }
     }
 
-    /// Ends an element: in text nothing may follow it in its line.
+    /// Ends an element; in text nothing else may stand on its last line.
     fn finish(&self) -> Result<()> {
         let Self::Text { lines, begun } = self else { return Ok(()) };
         lines.rest().next().map_or(Ok(()), |word| {
@@ -158,7 +161,7 @@ impl Body {
         })
     }
 
-    /// The next number, which a binary body holds in the form `number`.
+    /// Reads the next number, of type `number` in a binary body.
     fn number(&mut self, number: Number) -> Result<f64> {
         match self {
             Self::Text { lines, .. } => {
@@ -180,7 +183,7 @@ impl Body {
         }
     }
 
-    /// The length of a list, which is at most `most`.
+    /// Reads the length of a list, which is at most `most`.
     fn length(&mut self, number: Number, most: f64) -> Result<u64> {
         let length = self.number(number)?;
         if !(0.0..=most).contains(&length) || length.fract() != 0.0 {
@@ -206,7 +209,7 @@ impl Body {
         }
     }
 
-    /// Reads one element; gives each number with its role.
+    /// Reads one element and passes each number with its role to `give`.
     fn element(&mut self, columns: &[Column], mut give: impl FnMut(Role, f64)) -> Result<()> {
         self.begin()?;
         for column in columns {
@@ -230,15 +233,15 @@ enum Kind {
     Other,
 }
 
-/// A corner: its number, place and colour.
+/// A corner: vertex number, position and colour.
 type Corner = (u64, [f64; 3], Option<[u8; 3]>);
 
-/// Where the reading of an element with strips is.
+/// Progress within an element with strips.
 #[derive(Debug, Default)]
 struct Strip {
-    /// Properties that were begun.
+    /// Number of properties begun.
     columns: usize,
-    /// Numbers to come of the last of them.
+    /// Numbers left in the last of them.
     left: u64,
     /// The two corners before.
     before: [Option<Corner>; 2],
@@ -247,7 +250,7 @@ struct Strip {
 pub(super) struct PlyReader {
     body: Body,
     vertices: Vertices,
-    /// What follows the elements at hand.
+    /// Elements after the current ones.
     elements: std::vec::IntoIter<Element>,
     kind: Kind,
     columns: Vec<Column>,
@@ -255,12 +258,12 @@ pub(super) struct PlyReader {
     strip: Strip,
     corners: Vec<f64>,
     polygon: Polygon,
-    /// Whether colours are wanted, and those of the corners, if there are some.
+    /// True if colours are requested.
     coloured: bool,
     colours: Option<Vertices>,
-    /// Colours of the corners of the face at hand.
+    /// Colours of the corners of the current face.
     at_corners: Vec<[u8; 3]>,
-    /// Whether faces have colours that are wanted.
+    /// True if colours are requested and faces have them.
     faces_have: bool,
 }
 
@@ -320,7 +323,7 @@ impl PlyReader {
         })
     }
 
-    /// Goes on to the next elements; false behind the last.
+    /// Advances to the next elements; returns false after the last.
     fn next_elements(&mut self) -> bool {
         let Some(element) = self.elements.next() else { return false };
         self.columns = Column::all_of(&element);
@@ -335,9 +338,9 @@ impl PlyReader {
         true
     }
 
-    /// The place and colour of a corner that a list names; the inner error: there is none.
+    /// Returns the vertex that a list refers to; the inner error means that there is no such vertex.
     fn corner(&mut self, index: f64) -> Result<Result<Corner>> {
-        // A whole number below 2⁵³, or no corner has it.
+        // Negative or fractional indices match no vertex.
         let number = (index >= 0.0 && index.fract() == 0.0).then_some(index as u64);
         let place = number.map(|number| self.vertices.get(number)).transpose()?.flatten();
         let (Some(number), Some(place)) = (number, place) else {
@@ -348,7 +351,7 @@ impl PlyReader {
         Ok(Ok((number, place, colour.map(|colour| colour.map(|value| value as u8)))))
     }
 
-    /// The corners of the next face, and its triangles; the inner error leaves the place of the next face known.
+    /// Reads the next face and outputs its triangles. After an inner error the reader can continue with the next face.
     fn face(&mut self, out: &mut MeshBatch, watch: &Watch) -> Result<Result<()>> {
         let (mut corners, mut flat) = (std::mem::take(&mut self.corners), [0; 3]);
         corners.clear();
@@ -383,7 +386,7 @@ impl PlyReader {
         Ok(cut.map_err(|reason| body.error(reason)))
     }
 
-    /// Some numbers of an element with strips; whether it ends there.
+    /// Reads some numbers of an element with strips; returns whether the element ends there.
     fn strip(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         if self.strip.columns == 0 {
             self.body.begin()?;
@@ -405,13 +408,13 @@ impl PlyReader {
             if role != Role::Corners {
                 continue;
             }
-            // −1 where the type has no sign.
+            // −1 in an unsigned type.
             let ends = index == -1.0 || number == Number::U32 && index == f64::from(u32::MAX);
             let corner = match ends {
                 true => None,
                 false => self.corner(index)?.map(Some).or_else(|error| watch.lose(1, error).map(|()| None))?,
             };
-            // One that is named twice joins strips, and makes no triangle.
+            // A repeated vertex joins strips and forms no triangle.
             if let ([Some(a), Some(b)], Some(c)) = (self.strip.before, corner)
                 && a.0 != b.0
                 && b.0 != c.0
@@ -453,7 +456,7 @@ impl Triangles for PlyReader {
                     outcome.or_else(|error| watch.lose(1, error))?;
                     self.left -= u64::from(ended);
                 }
-                // The next element begins with the next line.
+                // In text the next element begins on the next line, so reading can continue there.
                 Err(error) if matches!(self.body, Body::Text { .. }) && !self.body.is_at_end()? => {
                     watch.lose(1, error)?;
                     self.strip = Strip::default();

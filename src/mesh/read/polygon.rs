@@ -1,30 +1,30 @@
-//! Polygons to triangles.
+//! Triangulation of polygons.
 
 use crate::Result;
 #[cfg(test)]
 use crate::mesh::Triangle;
 
-/// Most corners of a polygon: cutting ears takes the square of their number.
+/// Most corners of a polygon, because ear clipping takes quadratic time.
 const MOST_CORNERS: usize = 4096;
 
 /// The corners of one face.
 #[derive(Debug, Default)]
 pub(super) struct Polygon {
     corners: Vec<[f64; 3]>,
-    /// Neighbours of each corner that is left.
+    /// Neighbours of each remaining corner.
     before: Vec<u32>,
     after: Vec<u32>,
     verdicts: Vec<Verdict>,
 }
 
-/// What is known of the triangle at a corner.
+/// State of the triangle at a corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Verdict {
-    /// Nothing.
+    /// Not tested since it last changed.
     New,
     /// It turns the wrong way, or has no area.
     Reflex,
-    /// It holds this corner, and none with a lower number.
+    /// It contains this corner, and none with a lower number.
     Holds(u32),
     /// The corner was cut off.
     Gone,
@@ -36,22 +36,23 @@ impl Polygon {
     }
 
     pub(super) fn push(&mut self, corner: [f64; 3]) {
-        // One more than the most is enough to tell.
+        // One more than the limit is enough to detect the excess.
         if self.corners.len() <= MOST_CORNERS {
             self.corners.push(corner);
         }
     }
 
-    /// The corners.
+    /// Corners of the polygon.
     pub(super) fn corners(&self) -> &[[f64; 3]] {
         &self.corners
     }
 
-    /// Gives the triangles of the polygon, concave or not, by the numbers of their corners: ears are cut off in the plane in which it is largest. The inner
-    /// error says that there are too few or too many corners; that of `go_on`, which is asked now and then, ends the work.
+    /// Triangulates the polygon, concave or not, by ear clipping in the coordinate plane in which it is largest. Passes
+    /// the corner numbers of each triangle to `give`. The inner error reports too few or too many corners; an error of
+    /// `go_on`, which is called once per ear, aborts the work.
     ///
-    /// Cost: at most three looks at each pair of corners. A corner once found in a triangle keeps that from being an ear until
-    /// it is cut off itself, and the search for another goes on behind it.
+    /// Cost: at most three tests per pair of corners. A corner found inside a triangle keeps that triangle from being
+    /// an ear until it is cut off itself; the search for another then continues after it.
     pub(super) fn triangles(
         &mut self,
         mut give: impl FnMut([usize; 3]),
@@ -79,13 +80,13 @@ impl Polygon {
         let mut first = 0u32;
         for _ in 3..count {
             go_on()?;
-            // From the second corner on, so that a convex polygon becomes the usual fan around its first.
+            // Starts at the second corner, so that a convex polygon becomes the usual fan around its first.
             let (mut at, second) = (after[first as usize], after[first as usize]);
             let ear = loop {
                 if is_ear(corners, &plane, (before[at as usize], at, after[at as usize]), verdicts) {
                     break at;
                 }
-                // A polygon that crosses itself may have no ear; then any corner is cut off.
+                // A polygon that crosses itself may have no ear; then the second corner is cut off.
                 if at == first {
                     break second;
                 }
@@ -106,7 +107,7 @@ impl Polygon {
     }
 }
 
-/// Whether the triangle at a corner and its neighbours lies inside and holds no other corner.
+/// Returns whether the triangle of a corner and its neighbours lies inside the polygon and contains no other corner.
 fn is_ear(corners: &[[f64; 3]], plane: &Plane, (a, b, c): (u32, u32, u32), verdicts: &mut [Verdict]) -> bool {
     let from = match verdicts[b as usize] {
         Verdict::Reflex | Verdict::Gone => return false,
@@ -137,10 +138,10 @@ fn is_ear(corners: &[[f64; 3]], plane: &Plane, (a, b, c): (u32, u32, u32), verdi
     }
 }
 
-/// The plane of two axes in which a polygon is largest.
+/// The coordinate plane in which a polygon is largest.
 struct Plane {
     axes: (usize, usize),
-    /// −1 where the polygon turns the other way round.
+    /// −1 if the polygon turns the other way round.
     flip: f64,
 }
 
@@ -156,7 +157,7 @@ impl Plane {
         (corner[self.axes.0], corner[self.axes.1])
     }
 
-    /// Twice the area of a triangle, above 0 if it turns as the polygon does.
+    /// Twice the area of a triangle, positive if it turns like the polygon.
     fn area(&self, a: (f64, f64), b: (f64, f64), c: (f64, f64)) -> f64 {
         self.flip * ((b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0))
     }
@@ -187,7 +188,7 @@ mod tests {
         out
     }
 
-    /// The same by looking at every corner for every ear.
+    /// Reference implementation, which tests every corner for every ear.
     fn cut_plainly(corners: &[[f64; 3]]) -> Vec<Triangle> {
         let (plane, mut left, mut out) = (Plane::of(corners), corners.to_vec(), Vec::new());
         while left.len() > 3 {
@@ -235,7 +236,7 @@ mod tests {
 
     #[test]
     fn the_work_for_a_great_face_is_bounded_and_can_be_stopped() {
-        // A comb: most triangles hold a corner, and most corners are cut off late.
+        // A comb: most triangles contain a corner, and most corners are cut off late.
         let corners: Vec<[f64; 3]> =
             (0..4096).map(|n| [f64::from(n), if n % 2 == 0 { 0.0 } else { f64::from(n % 7) + 1.0 }, 0.0]).collect();
         let mut polygon = Polygon::default();

@@ -1,8 +1,8 @@
-//! STL: the binary form (80 bytes, a count, 50 bytes a triangle) and the text form.
+//! STL: the binary form (80 bytes, a count, 50 bytes per triangle) and the text form.
 //!
-//! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" as the
-//! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text. Words of the
-//! text form may be in upper case, names of solids in any encoding.
+//! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" like the
+//! text form; so a file is binary if its length matches its count or its first bytes are not text. Keywords of the text
+//! form may be in upper case, names of solids in any encoding.
 
 use super::text::{BYTE_ORDER_MARK, Lines, only_padding};
 use super::watch::{Digest, MeshSource, Watch};
@@ -34,7 +34,7 @@ impl StlReader {
         let count = head.last_chunk().filter(|_| head.len() as u64 == HEAD_BYTES).map(|b| u32::from_le_bytes(*b));
         let expected = count.map(|count| HEAD_BYTES + u64::from(count) * TRIANGLE_BYTES as u64);
         let start = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&head);
-        // A count below 16,777,216 has a byte 0.
+        // A binary count below 16,777,216 has a zero byte, which text never has.
         let is_text = start.iter().all(|byte| !byte.is_ascii_control() || byte.is_ascii_whitespace());
         let begins = start.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
         if begins && is_text && expected != Some(bytes) {

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// Longest line (bytes).
 const MOST_BYTES: u64 = 1 << 20;
 
-/// Whether all that follows is zeros and blanks.
+/// Returns whether only zeros and blanks follow.
 pub(super) fn only_padding(reader: &mut impl BufRead) -> io::Result<bool> {
     loop {
         let bytes = reader.fill_buf()?;
@@ -23,15 +23,15 @@ pub(super) fn only_padding(reader: &mut impl BufRead) -> io::Result<bool> {
     }
 }
 
-/// Reads a file line by line; knows which line it is at.
+/// Reads a file line by line and keeps the line number.
 pub(super) struct Lines {
     reader: BufReader<MeshSource>,
     path: PathBuf,
     number: u64,
     line: Vec<u8>,
-    /// Where in the line the next word is looked for.
+    /// Offset in the line from which the next word is searched.
     at: usize,
-    /// Whether a line that ends in a backslash goes on in the next.
+    /// True if a backslash at the end of a line continues it on the next.
     continued: bool,
 }
 
@@ -44,12 +44,12 @@ impl Lines {
         Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), at: 0, continued }
     }
 
-    /// The reader, behind the last line read.
+    /// Returns the reader, positioned after the last line read.
     pub(super) fn into_reader(self) -> BufReader<MeshSource> {
         self.reader
     }
 
-    /// Goes to the next line; false at the end of the file. What follows a `#` is for the caller to skip.
+    /// Advances to the next line; returns false at the end of the file. Callers skip comments, which begin with `#`.
     pub(super) fn next(&mut self) -> Result<bool> {
         self.line.clear();
         self.at = 0;
@@ -79,34 +79,33 @@ impl Lines {
         }
     }
 
-    /// The line, without what ends it.
+    /// Returns the line without its terminator.
     pub(super) fn line(&self) -> &[u8] {
         &self.line
     }
 
-    /// The number of the line.
     pub(super) fn number_of_line(&self) -> u64 {
         self.number
     }
 
-    /// Whether nothing follows the line.
+    /// Returns whether the line is the last.
     pub(super) fn is_at_end(&mut self) -> Result<bool> {
         let left = self.reader.fill_buf().map_err(|e| Error::io(&self.path, "read a line", e))?;
         Ok(left.is_empty())
     }
 
-    /// The words of the line that were not asked for as numbers.
+    /// Returns the words of the line that [`next_number`](Self::next_number) has not consumed.
     pub(super) fn rest(&self) -> impl Iterator<Item = &[u8]> {
         let rest = self.line.get(self.at..).unwrap_or_default();
         rest.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
     }
 
-    /// The words of the line.
+    /// Returns the words of the line.
     pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> {
         self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
     }
 
-    /// Moves to the next word of the line, and to the line's end behind the last.
+    /// Advances to the next word of the line.
     fn next_word(&mut self) -> Option<std::ops::Range<usize>> {
         let rest = self.line.get(self.at..)?;
         let begin = self.at + rest.iter().position(|byte| !byte.is_ascii_whitespace())?;
@@ -115,24 +114,24 @@ impl Lines {
         Some(begin..self.at)
     }
 
-    /// The next word of the line as a number. Each word is looked at once, however long the line.
+    /// Parses the next word of the line as a number. Visits each word once, however long the line.
     pub(super) fn next_number(&mut self) -> Result<f64> {
         let word = self.next_word();
         self.number(word.map(|word| &self.line[word]))
     }
 
-    /// An error at this line.
+    /// Returns an error at this line.
     pub(super) fn error(&self, reason: impl Into<String>) -> Error {
         Error::input(&self.path, format!("line {}", self.number), reason)
     }
 
-    /// A word of the line as a number.
+    /// Parses a word of the line as a number.
     pub(super) fn number(&self, word: Option<&[u8]>) -> Result<f64> {
         let word = word.ok_or_else(|| self.error("expected a number, found the end of the line"))?;
         decimal(word).ok_or_else(|| self.error(format!("expected a number, found {}", shown(word))))
     }
 
-    /// Three words of the line as a corner.
+    /// Parses three words of the line as a position.
     pub(super) fn corner<'a>(&self, words: &mut impl Iterator<Item = &'a [u8]>) -> Result<[f64; 3]> {
         Ok([self.number(words.next())?, self.number(words.next())?, self.number(words.next())?])
     }

@@ -1,7 +1,7 @@
-//! Textures: PNG and JPEG files, and images inside glTF, decoded once for each mesh file and within bounds.
+//! Textures: PNG and JPEG files and images inside glTF, decoded once per mesh file within a memory limit.
 //!
-//! A texture that is not there or cannot be read is a warning: the rest of its material colours the triangles. One that does not fit
-//! the memory is an error, because what an archive holds must not depend on the memory.
+//! A missing or unreadable texture is a warning: the rest of its material colours the triangles. One that exceeds the
+//! memory limit is an error, because the contents of an archive must not depend on the memory.
 
 use super::watch::{Digest, Watch};
 use crate::bytes::open_regular;
@@ -22,15 +22,15 @@ use zune_jpeg::JpegDecoder;
 const MOST_EDGE: u32 = 1 << 15;
 /// Most texels of a texture.
 const MOST_TEXELS: u64 = 1 << 28;
-/// Warnings for the textures of one file.
+/// Most warnings for the textures of one file.
 const MOST_WARNINGS: u32 = 8;
 
-/// Why there is no image.
+/// Reason for a missing image.
 #[derive(Debug)]
 pub(super) enum Fault {
     /// It cannot be used, which is a warning.
     Unusable(String),
-    /// It needs more memory than there is (bytes).
+    /// It needs this many bytes, which exceeds the limit.
     Memory(u64),
 }
 
@@ -40,11 +40,11 @@ impl From<String> for Fault {
     }
 }
 
-/// The textures of one mesh file by what names them.
+/// Textures of one mesh file by key.
 pub(super) struct Textures<K> {
     path: PathBuf,
     images: HashMap<K, Option<Arc<Texture>>>,
-    /// What they may take (bytes), and what they do.
+    /// Most bytes that the textures may take, and the bytes they take.
     most_bytes: u64,
     held: u64,
     warnings: u32,
@@ -53,13 +53,13 @@ pub(super) struct Textures<K> {
 }
 
 impl<K: Eq + Hash> Textures<K> {
-    /// No textures yet, of the file at `path`. Something in each of them holds `alive`.
+    /// Creates an empty set for the mesh file at `path`. Each texture holds a clone of `alive`.
     pub(super) fn new(path: &Path, most_bytes: u64, digest: &Digest, alive: &Arc<()>) -> Self {
         let (images, digest) = (HashMap::new(), digest.clone());
         Self { path: path.to_path_buf(), images, most_bytes, held: 0, warnings: 0, digest, alive: Arc::clone(alive) }
     }
 
-    /// Warns of what is wrong with the colours of the file; after some warnings there are no more.
+    /// Warns about the colours of the file, at most [`MOST_WARNINGS`] times.
     pub(super) fn warn(&mut self, watch: &Watch, text: &str) {
         self.warnings += 1;
         if self.warnings <= MOST_WARNINGS {
@@ -69,13 +69,13 @@ impl<K: Eq + Hash> Textures<K> {
         }
     }
 
-    /// Adds to the hash of what was read of the file.
+    /// Adds to the hash of the bytes read for this file.
     pub(super) fn add_to_digest(&self, bytes: &[u8]) {
         self.digest.update(bytes);
     }
 
-    /// The texture that `key` names and `read` reads, given the most bytes that it may have; `None` where there is none that can
-    /// be used, which is a warning when it is asked for first.
+    /// Returns the texture of `key`, which `read` reads given the most bytes that it may have. Returns `None` if the
+    /// texture cannot be used, and warns the first time.
     pub(super) fn get(
         &mut self,
         key: K,
@@ -112,7 +112,7 @@ impl<K: Eq + Hash> Textures<K> {
     }
 }
 
-/// Reads a file that a mesh at `of` names: beside it or in folders below.
+/// Reads a file that the mesh at `of` refers to, beside it or in a folder below.
 pub(super) fn read_beside(of: &Path, name: &str, most_bytes: u64) -> Result<Vec<u8>, Fault> {
     let path = path_beside(of, name)?;
     let refused = |e: std::io::Error| format!("cannot read {}: {e}", path.display());
@@ -125,9 +125,9 @@ pub(super) fn read_beside(of: &Path, name: &str, most_bytes: u64) -> Result<Vec<
     Ok(bytes)
 }
 
-/// Where a file lies that a mesh at `of` names.
+/// Returns the path of a file that the mesh at `of` refers to.
 pub(super) fn path_beside(of: &Path, name: &str) -> Result<PathBuf, String> {
-    // Files from Windows name folders in its way.
+    // Files from Windows separate folders with backslashes.
     let below = PathBuf::from(name.replace('\\', "/"));
     let is_drive = name.as_bytes().get(1) == Some(&b':');
     let is_below = below.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
@@ -138,7 +138,8 @@ pub(super) fn path_beside(of: &Path, name: &str) -> Result<PathBuf, String> {
     Ok(of.with_file_name(below))
 }
 
-/// The image, and the bytes that it takes; both while it is decoded and afterwards it takes at most `most_bytes`.
+/// Decodes an image; returns it with the bytes that it takes. Takes at most `most_bytes`, both during decoding and
+/// afterwards.
 fn decode(bytes: &[u8], most_bytes: u64) -> Result<(Image, u64), Fault> {
     let (width, height, rgb) = match bytes {
         [0x89, b'P', b'N', b'G', ..] => decode_png(bytes, most_bytes)?,
@@ -149,7 +150,7 @@ fn decode(bytes: &[u8], most_bytes: u64) -> Result<(Image, u64), Fault> {
     Ok((Image::new(width, height, rgb), Image::bytes(texels)))
 }
 
-/// Checks the size of an image that takes `bytes_each` a texel while it is decoded, beside its halves.
+/// Checks the size of an image whose decoding takes `bytes_each` bytes per texel in addition to its mipmap levels.
 fn check_size(width: u64, height: u64, bytes_each: u64, most_bytes: u64) -> Result<(u32, u32), Fault> {
     let (edge, texels) = (width.max(height), width.saturating_mul(height));
     if texels == 0 || edge > u64::from(MOST_EDGE) || texels > MOST_TEXELS {
@@ -174,7 +175,7 @@ fn decode_png(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Faul
     let (color, _) = reader.output_color_type();
     let samples = color.samples();
     let (width, height) = (u64::from(reader.info().width), u64::from(reader.info().height));
-    // The rows as the file has them, with up to 16 bits a channel, wait for an interlaced image's end.
+    // An interlaced image is buffered in full, with up to 16 bits per channel as in the file.
     let (width, height) = check_size(width, height, 1 + samples as u64, most_bytes)?;
     let size = reader.output_buffer_size().ok_or_else(|| Fault::Unusable("it is too large".into()))?;
     let mut values = vec![0; size];
@@ -184,7 +185,7 @@ fn decode_png(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Faul
     if values.len() < texels * samples || samples == 0 {
         return Err("it is damaged: rows are missing".to_owned().into());
     }
-    // In place: an image of four values a texel need not be there twice.
+    // In place, so that an image of four channels is not in memory twice.
     match samples {
         1 | 2 => {
             let grey = values.chunks_exact(samples).take(texels);
@@ -212,7 +213,7 @@ fn decode_jpeg(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Fau
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(damaged)?;
     let info = decoder.info().ok_or_else(|| "it has no size".to_owned())?;
-    // One that comes in passes is held as coefficients of 16 bits for up to four channels until its end.
+    // A progressive image is held as 16-bit coefficients of up to four channels until its end.
     let bytes_each = if is_progressive(bytes) { 3 + 8 } else { 3 };
     let (width, height) = check_size(info.width.into(), info.height.into(), bytes_each, most_bytes)?;
     let mut values = decoder.decode().map_err(damaged)?;
@@ -228,7 +229,8 @@ fn decode_jpeg(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Fau
     Ok((width, height, values))
 }
 
-/// Whether a JPEG comes in passes: its frame is neither baseline nor extended sequential (ITU-T T.81, table B.1).
+/// Returns whether a JPEG is progressive: its frame is neither baseline nor extended sequential (ITU-T T.81, table
+/// B.1).
 fn is_progressive(bytes: &[u8]) -> bool {
     let mut at = 2;
     loop {

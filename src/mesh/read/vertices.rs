@@ -1,4 +1,4 @@
-//! Corners of a mesh by number: in memory as far as they fit, the rest in an unnamed temporary file.
+//! Vertices of a mesh by number: in memory as far as they fit, the rest in an unnamed temporary file.
 
 use super::MeshOptions;
 use super::blocks::{BLOCK_BYTES, Blocks};
@@ -10,13 +10,13 @@ use std::path::PathBuf;
 const VERTEX_BYTES: usize = 24;
 const BUFFER_BYTES: usize = 64 << 10;
 
-/// Corners in the order of the file, 24 bytes each.
+/// Vertices in file order, 24 bytes each.
 pub(super) struct Vertices {
     memory: Vec<[f64; 3]>,
     most_in_memory: usize,
     temp_dir: PathBuf,
     files: Files,
-    /// The corners beyond those in memory, and what of them is not yet in the file.
+    /// File for the vertices beyond those in memory, with its cache.
     file: Option<(OpenFile, Blocks)>,
     file_bytes: u64,
     buffer: Vec<u8>,
@@ -24,9 +24,9 @@ pub(super) struct Vertices {
 }
 
 impl Vertices {
-    /// No corners; `options` say how many stay in memory.
+    /// Creates an empty list; a third of `options.memory_bytes` limits the vertices in memory.
     pub(super) fn new(options: &MeshOptions) -> Self {
-        // A vector that grows holds up to three halves more than it needs while it moves.
+        // A growing vector takes up to three times its contents while it reallocates.
         let most_in_memory = (options.memory_bytes / 3 / VERTEX_BYTES as u64) as usize;
         let temp_dir = options.temp_dir.clone();
         let files = Files::current();
@@ -56,7 +56,7 @@ impl Vertices {
         if self.buffer.len() >= BUFFER_BYTES { self.flush() } else { Ok(()) }
     }
 
-    /// Makes all corners readable; to be called after the last [`push`](Self::push).
+    /// Makes all vertices readable; must follow the last [`push`](Self::push).
     pub(super) fn flush(&mut self) -> Result<()> {
         if self.buffer.is_empty() {
             return Ok(());
@@ -77,7 +77,7 @@ impl Vertices {
         Ok(())
     }
 
-    /// Corner `number`, if there are so many.
+    /// Returns vertex `number`, if it exists.
     pub(super) fn get(&mut self, number: u64) -> Result<Option<[f64; 3]>> {
         if number >= self.count {
             return Ok(None);

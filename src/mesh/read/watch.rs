@@ -1,4 +1,4 @@
-//! What a reader of a mesh minds on its way: the wish to stop, faces that are broken, and the bytes it reads.
+//! State shared by mesh readers: cancellation, broken-face count, content hash.
 
 use crate::bytes::Regular;
 use crate::{Error, Monitor, Parameter, Result};
@@ -7,15 +7,15 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
 
-/// Looks at whether work should stop once in so many steps.
+/// Steps between two checks for cancellation.
 const STEPS: u32 = 1 << 10;
 
-/// What happens beside the reading of one file.
+/// Cancellation and faults while one file is read.
 pub(super) struct Watch<'a> {
     pub monitor: &'a dyn Monitor,
-    /// Whether broken faces are left out instead of being errors.
+    /// True if broken faces are left out instead of being errors.
     pub allow_incomplete: bool,
-    /// Faces left out, and what is wrong with the first.
+    /// Number of faces left out, and the error of the first.
     pub broken: u64,
     pub reason: Option<Error>,
     steps: u32,
@@ -26,7 +26,7 @@ impl<'a> Watch<'a> {
         Self { monitor, allow_incomplete, broken: 0, reason: None, steps: 0 }
     }
 
-    /// One of many steps of work is done; fails when it should stop.
+    /// Counts one step of work; checks for cancellation every [`STEPS`] steps.
     pub fn step(&mut self) -> Result<()> {
         self.steps += 1;
         if self.steps < STEPS {
@@ -36,12 +36,12 @@ impl<'a> Watch<'a> {
         self.go_on()
     }
 
-    /// Fails when work should stop.
+    /// Fails if the work is cancelled.
     pub fn go_on(&self) -> Result<()> {
         if self.monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
     }
 
-    /// So many faces cannot be read: an error, unless they may be left out.
+    /// Records `faces` unreadable faces; fails unless incomplete input is allowed.
     pub fn lose(&mut self, faces: u64, error: Error) -> Result<()> {
         match error {
             error @ Error::Input { .. } if !self.allow_incomplete => Err(error.with_way_out(Parameter::Incomplete)),
@@ -55,12 +55,12 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// Hash of all that was read of a file, in the order of reading; shared by those that read it.
+/// Hash of all bytes read of a file, in reading order; shared by its readers.
 #[derive(Clone, Default)]
 pub(super) struct Digest(Arc<Mutex<Option<Box<Xxh3>>>>);
 
 impl Digest {
-    /// Of nothing yet; ignores all bytes unless it is `wanted`.
+    /// Creates the hash of no bytes; ignores all input unless `wanted`.
     pub fn new(wanted: bool) -> Self {
         Self(Arc::new(Mutex::new(wanted.then(Box::default))))
     }
@@ -71,7 +71,7 @@ impl Digest {
         }
     }
 
-    /// Forgets what was read: it is read again.
+    /// Starts over, because the file is read again.
     fn reset(&self) {
         if let Some(state) = &mut *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
             state.reset();
@@ -83,7 +83,7 @@ impl Digest {
     }
 }
 
-/// A mesh file that is read from front to back.
+/// A mesh file that is read from front to back and hashed.
 pub(super) struct MeshSource {
     file: Regular,
     bytes: u64,

@@ -1,4 +1,4 @@
-//! Parts of a tile column.
+//! Rectangular parts of a tile column.
 
 use crate::voxel::record::PATCH_PIXELS;
 
@@ -15,7 +15,7 @@ impl Area {
     /// The whole tile.
     pub const TILE: Self = Self { x: (0, 64), y: (0, 64) };
 
-    /// Whether a patch pixel lies in the area or in the one-pixel halo around it.
+    /// Returns whether a patch pixel lies in the area or in the one-pixel halo around it.
     #[inline]
     pub fn holds_with_halo(&self, patch_pixel: usize) -> bool {
         let (x, y) = ((patch_pixel % PATCH_PIXELS) as u32, (patch_pixel / PATCH_PIXELS) as u32);
@@ -23,13 +23,13 @@ impl Area {
         (self.x.0..=self.x.1 + 1).contains(&x) && (self.y.0..=self.y.1 + 1).contains(&y)
     }
 
-    /// Whether a patch pixel lies in the area itself.
+    /// Returns whether a patch pixel lies in the area itself.
     pub fn holds(&self, patch_pixel: usize) -> bool {
         let (x, y) = ((patch_pixel % PATCH_PIXELS) as u32, (patch_pixel / PATCH_PIXELS) as u32);
         (self.x.0 + 1..=self.x.1).contains(&x) && (self.y.0 + 1..=self.y.1).contains(&y)
     }
 
-    /// Two halves along the longer edge; `None` for a single pixel.
+    /// Splits the area in two halves along the longer edge; `None` for a single pixel.
     pub fn halves(&self) -> Option<[Self; 2]> {
         let (width, height) = (self.x.1 - self.x.0, self.y.1 - self.y.0);
         if width.max(height) < 2 {

@@ -1,8 +1,8 @@
-//! Folds the records of a tile column into voxels.
+//! Accumulates the records of a tile column into voxels.
 //!
-//! The fold of a voxel keeps minima, maxima and sums of integers only. It is associative and commutative to the last
-//! bit, so the order of points, files and threads cannot show in what comes out (guarantee G4), and voxels of parts of
-//! a scan add up to the voxels of the whole.
+//! An accumulator keeps only minima, maxima and sums of integers. Accumulation is exactly associative and commutative,
+//! so the result does not depend on the order of points, files and threads (guarantee G4), and voxels of parts of a
+//! scan add up to the voxels of the whole.
 
 mod area;
 mod moments;
@@ -18,15 +18,15 @@ use std::ops::Range;
 pub use sums::{Sums, place_in_patch};
 pub use voxel::{BINS, Voxel};
 
-/// Slices of one pixel that are told apart at once; a pixel with more is sorted.
+/// Slices of one pixel that are distinguished at once, by remainder; a pixel whose slices collide is sorted.
 const RECENT: usize = 1 << 10;
-/// Records of a pixel up to which sorting them costs less than telling their slices apart.
+/// Up to this number of records of a pixel, sorting them costs less than distinguishing their slices.
 const MOST_SORTED: usize = 16;
 
-/// Folds the records of one pixel after another into voxels; its scratch is reused.
+/// Accumulates the records of one pixel after another into voxels; reuses its buffers.
 #[derive(Debug)]
 struct Folder {
-    /// Voxels of the pixel at hand and how many points each has.
+    /// Voxels of the current pixel, each with its number of points.
     voxels: Vec<(Voxel, u32)>,
     /// Number in `voxels` of the last voxel whose slice has this remainder; may be left over from an earlier pixel.
     recent: Box<[u32; RECENT]>,
@@ -39,7 +39,8 @@ impl Default for Folder {
 }
 
 impl Folder {
-    /// The voxels of one pixel's records, lowest slice first, with the numbers of their points; and whether it sorted the records.
+    /// Returns the voxels of one pixel's records, lowest slice first, each with its number of points; and whether the
+    /// records were sorted.
     fn fold(&mut self, points: &mut [Record]) -> (&[(Voxel, u32)], bool) {
         let is_sorted = points.len() <= MOST_SORTED || !self.fold_unsorted(points);
         if is_sorted {
@@ -58,7 +59,7 @@ impl Folder {
         (&self.voxels, is_sorted)
     }
 
-    /// Folds records in any order; `false` if two of their slices have the same remainder.
+    /// Accumulates records in any order; returns `false` if two of their slices have the same remainder.
     fn fold_unsorted(&mut self, points: &[Record]) -> bool {
         let Self { voxels, recent } = self;
         voxels.clear();
@@ -82,7 +83,7 @@ impl Folder {
     }
 }
 
-/// The voxels of a tile column with its halo, pixel after pixel, lowest slice first.
+/// The voxels of a tile column with its halo, ordered by pixel, then by slice.
 #[derive(Debug, Default)]
 pub struct Patch {
     starts: Vec<u32>,
@@ -97,20 +98,20 @@ impl Patch {
         &self.voxels
     }
 
-    /// Patch pixels with voxels, in order.
+    /// Returns the patch pixels with voxels, in order.
     pub fn occupied(&self) -> impl Iterator<Item = usize> + '_ {
         self.occupied.iter().map(|&pixel| usize::from(pixel))
     }
 
-    /// Numbers of the voxels of a patch pixel.
+    /// Returns the numbers of the voxels of a patch pixel.
     #[inline]
     pub fn range(&self, patch_pixel: usize) -> Range<usize> {
         self.starts[patch_pixel] as usize..self.starts[patch_pixel + 1] as usize
     }
 
-    /// Replaces the content by the fold of `records`, over which `sums` will sum. Voxels of fewer than `min_points` points
-    /// and no surface, and those of which a record says so, are dropped; returns how many were, without those in the halo
-    /// around `area`.
+    /// Replaces the contents by the voxels of `records`, over which `sums` will sum. Drops voxels without surface that
+    /// have fewer than `min_points` points, and those marked as dropped by a record. Returns the number of voxels
+    /// dropped in `area`, without its halo.
     pub fn fold(
         &mut self,
         records: &(impl RecordPieces + ?Sized),
@@ -156,7 +157,8 @@ impl Patch {
         dropped
     }
 
-    /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]), and `sums` by theirs.
+    /// Replaces the contents by voxels that were accumulated in parts (see [`PieceFolder::fold_into`]), and `sums` by
+    /// their sums. Returns the number of voxels dropped, like [`fold`](Self::fold).
     pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area, sums: &mut Sums) -> u64 {
         self.clear();
         let kept = |(_, voxel, sums): &(usize, Voxel, Moments)| voxel.is_kept(sums.n, min_points);
@@ -169,7 +171,7 @@ impl Patch {
         dropped
     }
 
-    /// Number of the voxel of a patch pixel in this slice.
+    /// Returns the number of the voxel of a patch pixel in this slice.
     #[inline]
     pub fn find(&self, patch_pixel: usize, slice: u32) -> Option<usize> {
         let range = self.range(patch_pixel);
@@ -182,7 +184,7 @@ impl Patch {
         at.map(|at| range.start + at)
     }
 
-    /// Numbers of the voxels of a patch pixel in these slices.
+    /// Returns the numbers of the voxels of a patch pixel in these slices.
     #[inline]
     pub fn between(&self, patch_pixel: usize, slices: Range<u32>) -> Range<usize> {
         let range = self.range(patch_pixel);
@@ -196,8 +198,8 @@ impl Patch {
         range.start + first..range.start + first + count
     }
 
-    /// Drops the voxels of `area` that have no other voxel in the 3 × 3 × 3 around them, and returns how many. A lone
-    /// voxel is in nobody's neighbourhood, so it makes no difference that those of the halo stay.
+    /// Drops the voxels of `area` without another voxel in the 3 × 3 × 3 around them, and returns how many. Keeping
+    /// those of the halo changes nothing, because a lone voxel is in no other voxel's neighbourhood.
     pub fn drop_isolated(&mut self, area: Area, sums: &mut Sums) -> u64 {
         let mut kept = vec![true; self.voxels.len()];
         for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
@@ -226,7 +228,7 @@ impl Patch {
         self.voxels.clear();
     }
 
-    /// Adds those voxels of the next pixel that are kept; returns how many of the area's are not.
+    /// Adds the kept voxels of the next pixel; returns how many voxels of the area are not kept.
     fn push(&mut self, pixel: usize, voxels: impl Iterator<Item = (Voxel, bool)>, area: Area) -> u64 {
         let first = self.voxels.len();
         let mut dropped = 0;
@@ -246,12 +248,12 @@ impl Patch {
     }
 }
 
-/// The 3 × 3 pixels around a patch pixel that is not in the halo, with their places 0..3 in x and y.
+/// Returns the 3 × 3 pixels around a patch pixel that is not in the halo, with their positions 0..3 in x and y.
 pub fn neighbourhood(patch_pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
     (0..9).map(move |place| neighbour(patch_pixel, place))
 }
 
-/// The pixel of number `place` in the [`neighbourhood`].
+/// Returns pixel number `place` of the [`neighbourhood`].
 #[inline]
 pub fn neighbour(patch_pixel: usize, place: usize) -> (usize, i64, i64) {
     let (dx, dy) = (place % 3, place / 3);

@@ -3,7 +3,7 @@
 use crate::voxel::bands::Bands;
 use crate::voxel::record::{Content, Record, SLICE_STEPS, SUBPIXELS};
 
-/// Sums over the points of one voxel, exact: place `u`, `v` in its pixel (1/128 pixel) and height `w` in its band
+/// Exact sums over the points of one voxel: position `u`, `v` in its pixel (1/128 pixel) and height `w` in its band
 /// [1/8160 band]. Ten numbers determine the least-squares plane and its residual.
 ///
 /// No sum overflows below 10⁹ points in a 3 × 3 × 3 neighbourhood (24,480² · 10⁹ < 2⁶³).
@@ -22,12 +22,12 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// The ten numbers, in the order of the fields.
+    /// Returns the ten numbers, in the order of the fields.
     pub fn numbers(&self) -> [i64; 10] {
         [self.n, self.u, self.v, self.w, self.uu, self.uv, self.vv, self.uw, self.vw, self.ww]
     }
 
-    /// The inverse of [`numbers`](Self::numbers).
+    /// Inverse of [`numbers`](Self::numbers).
     #[inline]
     pub fn from_numbers([n, u, v, w, uu, uv, vv, uw, vw, ww]: [i64; 10]) -> Self {
         Self { n, u, v, w, uu, uv, vv, uw, vw, ww }
@@ -55,7 +55,7 @@ impl Moments {
         *self = Self::from_numbers(std::array::from_fn(|number| own[number] + of[number]));
     }
 
-    /// Adds the point of a record; surfaces do not count.
+    /// Adds the point of a record; ignores surfaces.
     #[inline]
     pub(super) fn add_record(&mut self, record: Record, bands: Bands) {
         if record.content() == Content::Point {

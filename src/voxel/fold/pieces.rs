@@ -1,14 +1,14 @@
-//! Folding piece by piece.
+//! Accumulation in parts.
 
 use super::sums::ByPixel;
 use super::{Folder, Moments, Voxel};
 use crate::voxel::bands::Bands;
 use crate::voxel::record::{PATCH_AREA, Record};
 
-/// Voxels with their patch pixel and sums, in order of pixel and slice.
+/// Voxels with their patch pixel and sums, ordered by pixel and slice.
 pub type Folded = Vec<(usize, Voxel, Moments)>;
 
-/// Folds records into voxels piece by piece, where they are too many to be kept.
+/// Accumulates records into voxels in parts, if they are too many to be kept in memory.
 #[derive(Debug, Default)]
 pub struct PieceFolder {
     bands: Bands,
@@ -17,12 +17,12 @@ pub struct PieceFolder {
 }
 
 impl PieceFolder {
-    /// A folder for sums of heights above the floors of `bands`.
+    /// Creates an accumulator that sums heights above the floors of `bands`.
     pub fn new(bands: Bands) -> Self {
         Self { bands, ..Self::default() }
     }
 
-    /// Folds `records` into voxels folded before; `scratch` is memory for as many, kept from piece to piece.
+    /// Adds `records` to the voxels accumulated earlier; `scratch` is a buffer of the same size, reused between calls.
     pub fn fold_into(&mut self, folded: &mut Folded, scratch: &mut Folded, records: &[Record]) {
         std::mem::swap(folded, scratch);
         folded.reserve(scratch.len());

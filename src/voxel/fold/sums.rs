@@ -1,4 +1,4 @@
-//! Records grouped by pixel, and sums over those of a voxel.
+//! Records grouped by pixel, and sums over the points of a voxel.
 
 use super::{Moments, Patch, Voxel};
 use crate::voxel::bands::Bands;
@@ -9,12 +9,12 @@ use std::ops::Range;
 #[derive(Debug, Default)]
 pub(super) struct ByPixel {
     records: Vec<Record>,
-    /// Where each pixel's records begin, and the end.
+    /// Start of each pixel's records, and the end of the last.
     starts: Vec<u32>,
 }
 
 impl ByPixel {
-    /// Replaces the content: a counting sort.
+    /// Replaces the contents, by counting sort.
     pub(super) fn set(&mut self, records: &(impl RecordPieces + ?Sized)) {
         // One more than the pixels: while records are placed, entry `p + 1` is where the next one of `p` goes.
         self.starts.clear();
@@ -39,13 +39,13 @@ impl ByPixel {
         self.starts[pixel] as usize..self.starts[pixel + 1] as usize
     }
 
-    /// The records of a pixel; none where all records are gone.
+    /// Returns the records of a pixel; none after [`Sums::set_all`] has dropped them.
     #[inline]
     fn of(&self, pixel: usize) -> &[Record] {
         if self.starts.is_empty() { &[] } else { &self.records[self.range(pixel)] }
     }
 
-    /// The records of a pixel, whose order may change.
+    /// Returns the records of a pixel, whose order may change.
     #[inline]
     pub(super) fn of_mut(&mut self, pixel: usize) -> &mut [Record] {
         let range = self.range(pixel);
@@ -53,18 +53,18 @@ impl ByPixel {
     }
 }
 
-/// Sums kept at once; beyond that they are made again when they are wanted again.
+/// Most sums kept in memory; when they are full, all are dropped and recomputed on demand.
 pub(super) const KEPT_SUMS: usize = 1 << 16;
 const NO_SUM: u32 = u32::MAX;
-/// Bands and records of a patch up to which sums about its origin are small enough: squares of heights below 2²⁰ steps, of fewer than
-/// 2²² points.
+/// Limits of bands and records of a patch within which sums about its origin do not overflow: squares of heights below
+/// 2²⁰ steps, over fewer than 2²² points.
 const MOST_BANDS: u32 = 1 << 7;
 const MOST_RECORDS: usize = 1 << 22;
 const _: () = assert!(MOST_BANDS as i64 * SLICE_STEPS <= 1 << 20 && PATCH_PIXELS as i64 * SUBPIXELS <= 1 << 20);
-/// Records per voxel up to which summing all costs less than it saves.
+/// Up to this number of records per voxel, summing all of them costs less than it saves.
 const MOST_RECORDS_FEW: usize = 6;
 
-/// Place of a point about the origin of its patch: of the first pixel and the band `lowest`.
+/// Returns the position of a point relative to the origin of its patch: the first pixel and the band `lowest`.
 #[inline]
 pub fn place_in_patch(record: Record, pixel: usize, bands: Bands, lowest: u32) -> [i64; 3] {
     let ((u, v), x, y) = (record.place(), pixel % PATCH_PIXELS, pixel / PATCH_PIXELS);
@@ -72,33 +72,34 @@ pub fn place_in_patch(record: Record, pixel: usize, bands: Bands, lowest: u32) -
     [i64::from(u) + x as i64 * SUBPIXELS, i64::from(v) + y as i64 * SUBPIXELS, bands.height(record) + above]
 }
 
-/// Sums over the points of voxels, made when they are wanted: most voxels are judged by the extent of their matter alone.
+/// Sums over the points of voxels, computed on demand, because most voxels are classified by their extent alone.
 ///
-/// Memory: the records of the patch, 4 bytes per voxel, and [`KEPT_SUMS`] sums; or the sums of all voxels where the
-/// records are gone.
+/// Memory: the records of the patch, 4 bytes per voxel, and [`KEPT_SUMS`] sums; or the sums of all voxels if there are
+/// no records.
 #[derive(Debug, Default)]
 pub struct Sums {
     bands: Bands,
     pub(super) records: ByPixel,
-    /// Whether `records` are those of the patch's voxels and no others.
+    /// True if `records` belong to the patch's voxels only.
     are_all_kept: bool,
     /// See [`lowest_band`](Self::lowest_band).
     lowest_band: Option<u32>,
-    /// Whether the records of a pixel are in order of slices.
+    /// True if the records of a pixel are sorted by slice.
     pub(super) in_order: Vec<bool>,
     pub(super) kept: Vec<Moments>,
-    /// Place in `kept` of each voxel's sums.
+    /// Index into `kept` of each voxel's sums.
     pub(super) places: Vec<u32>,
 }
 
 impl Sums {
-    /// No sums yet; heights will be those above the floors of `bands`.
+    /// Creates empty sums of heights above the floors of `bands`.
     pub fn new(bands: Bands) -> Self {
         Self { bands, ..Self::default() }
     }
 
-    /// Adds to `sums` those over the points of voxel `number` of `patch`, which lies in `pixel`: about the origin of the patch, where there is
-    /// [one](Self::lowest_band), else about that of `sums`, which is so many pixels and bands away.
+    /// Adds to `sums` those over the points of voxel `number` of `patch`, which lies in `pixel`. They are about the
+    /// origin of the patch if it [has one](Self::lowest_band), else about that of `sums`, from which the voxel lies
+    /// `away` (pixels, pixels, bands).
     #[inline]
     pub fn add_to(&mut self, sums: &mut Moments, patch: &Patch, (pixel, number): (usize, usize), away: [i64; 3]) {
         match (self.records.of(pixel), self.lowest_band) {
@@ -115,8 +116,8 @@ impl Sums {
         }
     }
 
-    /// The sums over the points of voxel `number` of `patch`, which lies in `pixel`: about the origin of the patch, where there is one, else
-    /// about that of the voxel.
+    /// Returns the sums over the points of voxel `number` of `patch`, which lies in `pixel`: about the origin of the
+    /// patch if it has one, else about that of the voxel.
     pub fn of(&mut self, patch: &Patch, pixel: usize, number: usize) -> &Moments {
         if self.places[number] == NO_SUM {
             if self.kept.len() >= KEPT_SUMS {
@@ -144,13 +145,13 @@ impl Sums {
         &self.kept[self.places[number] as usize]
     }
 
-    /// The lowest band of the patch, if sums are about one origin for all of it, that of its first pixel and this band: what a fit makes of
-    /// them does not depend on it.
+    /// Returns the lowest band of the patch if all sums are about one origin, which is the first pixel and this band;
+    /// else `None`. Fits do not depend on the origin.
     pub fn lowest_band(&self) -> Option<u32> {
         self.lowest_band
     }
 
-    /// The records of each pixel, if they are few for their voxels and those of no others.
+    /// Returns the records of each pixel, if they are few per voxel and all belong to voxels of the patch.
     pub fn few_by_pixel<'s>(&'s self) -> Option<impl Fn(usize) -> &'s [Record]> {
         let count = self.records.records.len();
         let are_few = count <= MOST_RECORDS_FEW * self.places.len();
@@ -164,7 +165,8 @@ impl Sums {
         self.in_order.resize(PATCH_AREA, false);
     }
 
-    /// Nothing is summed yet of the voxels of the patch, in which all records may be kept.
+    /// Resets the sums for the voxels of the patch; `are_all_kept` states that none of its records belongs to a dropped
+    /// voxel.
     pub(super) fn end(&mut self, voxels: &[Voxel], are_all_kept: bool) {
         self.are_all_kept = are_all_kept;
         let (lowest, highest) = voxels.iter().fold((u32::MAX, 0), |(lowest, highest), voxel| {
@@ -178,14 +180,14 @@ impl Sums {
         self.places.resize(voxels.len(), NO_SUM);
     }
 
-    /// Only these voxels of the patch stay, one after the other.
+    /// Drops the sums of the voxels that do not stay.
     pub(super) fn retain(&mut self, stays: &[bool]) {
         self.are_all_kept &= stays.iter().all(|&stays| stays);
         let mut stays = stays.iter();
         self.places.retain(|_| stays.next().is_none_or(|&stays| stays));
     }
 
-    /// The sums of all voxels, in order.
+    /// Sets the sums of all voxels, in order, and drops the records.
     pub(super) fn set_all(&mut self, all: impl Iterator<Item = Moments>) {
         self.records = ByPixel::default();
         (self.are_all_kept, self.lowest_band) = (false, None);

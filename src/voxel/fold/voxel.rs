@@ -1,4 +1,4 @@
-//! The matter of one voxel.
+//! Solid of one voxel.
 
 use crate::frame::SLICE_QUANTA;
 use crate::voxel::record::{Content, Record, SLICE_STEPS, SurfacePart, bottom_quantum, top_quantum};
@@ -7,39 +7,39 @@ use crate::voxel::record::{Content, Record, SLICE_STEPS, SurfacePart, bottom_qua
 pub const BINS: i64 = 16;
 const BIN_STEPS: u32 = (SLICE_STEPS / BINS) as u32;
 
-/// The matter of one voxel, folded: what points and surfaces have in common. Sums over the points are kept apart, since
-/// few voxels need them (see [`Sums`](super::Sums)).
+/// Accumulated solid of one voxel: the properties common to points and surfaces. Sums over the points are stored
+/// separately, because few voxels need them (see [`Sums`](super::Sums)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Voxel {
     /// Slice above the first of the column's block.
     pub slice: u32,
-    /// Sixteenths of the slice that hold matter: what lies between bottom and top, matter or void.
+    /// Sixteenths of the slice that contain solid; they show the voids between bottom and top.
     pub bins: u16,
-    /// Greatest quantum at or below the lowest matter, above the slice's floor (0..=254).
+    /// Greatest quantum at or below the lowest solid, above the slice's floor (0..=254).
     pub bottom: u8,
-    /// Least quantum at or above the highest matter, above the slice's floor (0..=255).
+    /// Least quantum at or above the highest solid, above the slice's floor (0..=255).
     pub top: u8,
-    /// What the matter is: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP).
+    /// Kinds of solid: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP).
     pub kinds: u8,
 }
 
 impl Voxel {
-    /// A surface that is not steeper than the limit.
+    /// A surface at most as steep as the limit.
     pub const FLAT: u8 = 1;
-    /// A surface that is.
+    /// A surface steeper than the limit.
     pub const STEEP: u8 = 2;
     /// Points.
     pub const POINTS: u8 = 4;
-    /// All that is in it is to be dropped.
+    /// The voxel is to be dropped with all its contents.
     const DROPPED: u8 = 8;
 
-    /// Without matter.
+    /// Creates a voxel without solid.
     #[inline]
     pub(super) fn empty(slice: u32) -> Self {
         Self { slice, bins: 0, bottom: u8::MAX, top: 0, kinds: 0 }
     }
 
-    /// Of one record.
+    /// Creates the voxel of one record.
     #[inline]
     pub(super) fn of(record: Record) -> Self {
         let mut voxel = Self::empty(record.slice());
@@ -68,30 +68,30 @@ impl Voxel {
         self.bottom = self.bottom.min(part.bottom);
         self.top = self.top.max(part.top);
         let bin = |quantum: u8| (i64::from(quantum) * BINS / SLICE_QUANTA).min(BINS - 1);
-        // What ends on the lower border of a bin does not reach into it.
+        // A surface that ends on the lower border of a bin does not reach into it.
         let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
         self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
         self.kinds |= if part.steep { Self::STEEP } else { Self::FLAT };
     }
 
-    /// Lowest and highest matter (quanta above the floor of slice `floor`).
+    /// Returns the lowest and highest solid (quanta above the floor of slice `floor`).
     #[inline]
     pub fn quanta_above(&self, floor: i64) -> (i64, i64) {
         let below = (i64::from(self.slice) - floor) * SLICE_QUANTA;
         (below + i64::from(self.bottom), below + i64::from(self.top))
     }
 
-    /// Whether a surface steeper than the limit is among its matter.
+    /// Returns whether a surface steeper than the limit is among its contents.
     pub fn is_steep(&self) -> bool {
         self.kinds & Self::STEEP != 0
     }
 
-    /// Whether it holds points, as opposed to surfaces alone.
+    /// Returns whether it holds points, as opposed to surfaces alone.
     pub fn has_points(&self) -> bool {
         self.kinds & Self::POINTS != 0
     }
 
-    /// Whether a voxel of so many points is kept where `min_points` are asked for.
+    /// Returns whether a voxel of `points` points is kept at this minimum.
     #[inline]
     pub(super) fn is_kept(&self, points: i64, min_points: u32) -> bool {
         let has_surface = self.kinds & (Self::FLAT | Self::STEEP) != 0;

@@ -1,35 +1,36 @@
-//! Floors and obstacles: the verdict per voxel.
+//! Classification of voxels as floor or obstacle.
 //!
 //! In: the voxels of a tile column with a halo of one pixel. Out: for each voxel whether it is an obstacle. Every rule
-//! compares exact integers, so verdicts depend neither on the order of points nor on where tiles and slices end.
+//! is computed from exact integers, so the result depends neither on the order of points nor on where tiles and slices
+//! end.
 //!
-//! *Lengths in pixels.* A slope shows over about a pixel, and points lie no closer to each other than the scan has them.
-//! Two of the three rules therefore measure in pixels, never in slices: where slices are thinner than three pixels they look at
-//! several together, a [band](super::bands::Bands). Thin slices make heights finer, and the places of verdicts, but leave the
-//! verdicts as they are.
+//! *Lengths in pixels.* A slope shows over about a pixel, and the spacing of points is that of the scan. Two of the
+//! three rules therefore measure in pixels, never in slices. If slices are thinner than three pixels, they combine
+//! several into a [band](super::bands::Bands). Thin slices refine heights and the positions of classified voxels, but
+//! do not change the classification.
 //!
-//! *Pieces and runs.* The matter of a pixel is known in sixteenths of a slice; a piece is a stretch of them without a
-//! void. Pieces are connected to a run when the void between them is at most a pixel's width, or when a neighbouring
-//! pixel has matter well inside it and the pixel opposite has not the same void: so walls of few points are runs, while
-//! the top and the underside of a floor slab, with nothing between, are not, even beside a wall. A plane of slope θ
-//! extends at most `√2·t·tan θ` within a pixel, whatever its heading; a run that extends further is steeper.
+//! *Pieces and runs.* The solid of a pixel is known in sixteenths of a slice; a piece is a stretch of them without a
+//! void. Pieces are connected to a run if the void between them is at most a pixel's width, or if a neighbouring pixel
+//! has solid well inside the void and the opposite pixel does not have the same void. So walls of few points are runs,
+//! while the top and the underside of a floor slab, with nothing in between, are not, even beside a wall. A plane of
+//! slope θ extends at most `√2·t·tan θ` within a pixel, whatever its heading; a run that extends further is steeper.
 //!
-//! The rules and their promises:
+//! The rules and their guarantees:
 //!
-//! - [`Classifier::Plane`]: runs clearly steeper than the limit are obstacles; any other voxel is judged by the
-//!   least-squares plane through the points of the connected voxels in 3 × 3 pixels. Where the points do not determine a
-//!   plane, or do not lie on one (stair edges, kerbs), the extents decide. On planes of two or more points per pixel edge
-//!   the verdict flips at the limit ± 3°, at every heading, place of the grid and slice height, for limits up to 60°.
+//! - [`Classifier::Plane`]: runs clearly steeper than the limit are obstacles. Any other voxel is classified by the
+//!   least-squares plane through the points of the connected voxels in 3 × 3 pixels. If the points do not determine a
+//!   plane, or do not lie on one (stair edges, kerbs), the extents decide. On planes of two or more points per pixel
+//!   edge the class switches at the limit ± 3°, at every heading, grid position and slice height, for limits up to 60°.
 //!   Walls are obstacles from about one point per pixel on.
-//! - [`Classifier::Span`]: a run higher than `√2·t·tan(limit)` is an obstacle. A plane up to the limit is never one,
-//!   except for its noise; a steeper one is found from a slope on that depends on its heading and on the density of
-//!   points. It depends on the slice height no more than the plane rule does.
-//! - [`Classifier::Thesis`]: a voxel whose points differ by more than a third of the slice height (thesis, algorithm
-//!   3.3, with all points of the voxel in place of the last one, which removes its dependence on their order). It is kept for
-//!   comparison, as the thesis has it: no angle is promised, and the slice height decides.
+//! - [`Classifier::Span`]: a run higher than `√2·t·tan(limit)` is an obstacle. A plane up to the limit never is, except
+//!   for its noise; a steeper one is detected from a slope on that depends on its heading and on the density of points.
+//!   The rule depends on the slice height no more than the plane rule does.
+//! - [`Classifier::Thesis`]: a voxel whose points differ by more than a third of the slice height is an obstacle
+//!   (thesis, algorithm 3.3, with all points of the voxel in place of the last one, which removes the dependence on
+//!   their order). Kept for comparison, like in the thesis: it guarantees no angle, and depends on the slice height.
 //!
 //! Surfaces of meshes have a true slope, whatever the classifier: a voxel with a surface steeper than the limit is an
-//! obstacle, one with other surfaces and no points is floor. Towards points, surfaces count as matter in the runs.
+//! obstacle, one with other surfaces and no points is floor. Next to points, surfaces count as solid in the runs.
 
 mod extents;
 mod pieces;
@@ -48,17 +49,17 @@ use std::ops::Deref;
 use surface::{Around, Surfaces, Verdict};
 use windows::Windows;
 
-/// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
-/// not make it an obstacle, and the fit is exact enough to tell.
+/// Runs are steep without a fit from this far above the limit. Closer to it, noise must not make a floor at the limit
+/// an obstacle, and the fit is exact enough to decide.
 const CLEARLY_STEEPER_DEG: f64 = 10.0;
 /// A neighbour belongs to the same surface if a plane this much steeper than the limit could connect the two.
 const CONNECTED_STEEPER_DEG: f64 = 15.0;
-/// Pixels to be fitted in a patch from which on the sums of all are made at once.
+/// Number of pixels to fit in a patch from which on the sums of all pixels are computed together.
 const LEAST_WINDOWS: usize = 512;
-/// No angle beyond this is used as a bound: its tangent would connect everything.
+/// No angle beyond this is used as a bound, because its tangent would connect everything.
 const STEEPEST_BOUND_DEG: f64 = 80.0;
 
-/// Judges voxels by one of the rules.
+/// Classifies voxels by one of the rules.
 #[derive(Debug, Clone, Copy)]
 pub struct Judge {
     classifier: Classifier,
@@ -71,14 +72,14 @@ pub struct Judge {
     least_windows: usize,
 }
 
-/// One verdict per voxel of a patch, true for an obstacle, and what judging it takes; reused.
+/// Classes of a patch's voxels, true for an obstacle, and the buffers for computing them; reused.
 #[derive(Debug, Default)]
 pub struct Verdicts {
     of_voxels: Vec<bool>,
-    /// Voxels that take no part in fits.
+    /// Voxels that are excluded from fits.
     steep_alone: Vec<bool>,
     extents: Extents,
-    /// Pixels that are not floor for being low.
+    /// Pixels that are not settled as floor by their low height.
     open: Vec<usize>,
     windows: Windows,
     around: Around,
@@ -95,7 +96,7 @@ impl Deref for Verdicts {
 }
 
 impl Judge {
-    /// A judge for archives of `plan`.
+    /// Creates the classifier for archives of `plan`.
     pub fn new(plan: &Plan) -> Self {
         let (frame, limit) = (&plan.frame, plan.options.max_slope_deg);
         let bands = Bands::new(plan);
@@ -114,8 +115,8 @@ impl Judge {
         }
     }
 
-    /// Sets `verdicts` to those on the voxels of `patch`. Only those of pixels in `area` are meant to be used; the halo's are
-    /// computed from less.
+    /// Sets `verdicts` to the classes of the voxels of `patch`. Only those of pixels in `area` are valid; those of the
+    /// halo are computed from fewer neighbours.
     pub fn judge(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Verdicts) {
         verdicts.of_voxels.clear();
         verdicts.of_voxels.resize(patch.voxels().len(), false);
@@ -127,7 +128,7 @@ impl Judge {
         }
     }
 
-    /// Verdicts on voxels with points; those on others mean nothing.
+    /// Classifies voxels with points; the results for others are undefined.
     fn judge_points(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Verdicts) {
         let Verdicts { of_voxels, steep_alone, extents, .. } = verdicts;
         let greatest_extent = match self.classifier {
@@ -140,15 +141,15 @@ impl Judge {
             Classifier::Span => self.steep_run,
             Classifier::Plane => self.clearly_steep_run,
         };
-        // No run reaches further than the matter of its pixel.
+        // No run extends further than the solids of its pixel.
         extents.set(patch);
         let reaches_far = |&pixel: &usize| extents.height(pixel) as f64 > greatest_extent;
         for pixel in patch.occupied().filter(reaches_far).filter(|&pixel| area.holds(pixel)) {
             self.runs.mark(patch, pixel, greatest_extent, of_voxels);
         }
         if self.classifier == Classifier::Plane {
-            // What stays out of the fits is decided by each pixel alone, so that it does not depend on which neighbours of
-            // the halo are at hand.
+            // Each pixel alone decides which voxels are excluded from fits, so that the result does not depend on which
+            // neighbours of the halo are available.
             steep_alone.clear();
             steep_alone.resize(of_voxels.len(), false);
             for pixel in patch.occupied().filter(reaches_far) {
@@ -158,11 +159,11 @@ impl Judge {
         }
     }
 
-    /// Verdicts on voxels that are in no clearly steep run.
+    /// Classifies the voxels outside clearly steep runs.
     fn judge_surfaces(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Verdicts) {
         let Verdicts { of_voxels: verdicts, steep_alone, extents, open, windows, around, of_runs } = verdicts;
         extents.set_around();
-        // Where all matter around a pixel is that low, all of it is floor, however it is connected.
+        // If all solid around a pixel is this low, all of it is floor, however it is connected.
         let is_low = |pixel: usize| self.surfaces.is_level(extents.height_around(pixel));
         open.clear();
         open.extend(patch.occupied().filter(|&pixel| area.holds(pixel) && !is_low(pixel)));

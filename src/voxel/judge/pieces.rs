@@ -1,21 +1,21 @@
-//! Pieces and runs: the matter of one pixel, from the lowest to the highest.
+//! Pieces and runs: the solids of one pixel from bottom to top.
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::voxel::bands::Bands;
 use crate::voxel::fold::{BINS, Patch, Voxel, neighbourhood};
 use std::ops::RangeInclusive;
 
-/// Longest void inside a run (pixels): what two adjacent bands leave at most where a slice has its default height.
+/// Longest void inside a run (pixels): the most that two adjacent bands can leave at the default slice height.
 const LONGEST_VOID_PIXELS: f64 = 6.0;
 
-/// Joins pieces to runs (see the text of the [module above](super)).
+/// Joins pieces to runs (see the [parent module](super)).
 #[derive(Debug, Clone, Copy)]
 pub struct Runs {
     bands: Bands,
     /// Void that joins two pieces without further evidence (quanta).
     pixel: f64,
     longest_void: f64,
-    /// How far a surface at the limit can reach into a void from its ends, one pixel further (quanta).
+    /// Greatest rise of a surface at the limit across one pixel, by which it can extend into a void (quanta).
     intrusion: f64,
 }
 
@@ -31,13 +31,13 @@ impl Runs {
         self.mark_connected(patch, pixel, connected, greatest_extent, marks);
     }
 
-    /// The same by the matter of the pixel alone.
+    /// Like [`mark`](Self::mark), but considers only the solids of the pixel itself.
     pub fn mark_alone(&self, patch: &Patch, pixel: usize, greatest_extent: f64, marks: &mut [bool]) {
         let connected = |below: &Piece, above: &Piece| (above.low - below.high) as f64 <= self.pixel;
         self.mark_connected(patch, pixel, connected, greatest_extent, marks);
     }
 
-    /// Sets `extents` to the greatest extent of a run (quanta) for each voxel of a pixel.
+    /// Sets `extents` to the greatest extent (quanta) of a run for each voxel of a pixel.
     pub fn extents(&self, patch: &Patch, pixel: usize, extents: &mut Vec<i64>) {
         let voxels = &patch.voxels()[patch.range(pixel)];
         extents.clear();
@@ -58,7 +58,7 @@ impl Runs {
     ) {
         let range = patch.range(pixel);
         let mut start = range.start;
-        // No run goes past an empty band, so most pixels need no look at their pieces.
+        // No run crosses an empty band, so most pixels are settled without their pieces.
         for stack in patch.voxels()[range].chunk_by(|below, above| self.adjacent(below, above)) {
             if let [first, .., last] | [first @ last] = stack
                 && (last.quanta_above(first.slice.into()).1 - i64::from(first.bottom)) as f64 > greatest_extent
@@ -73,8 +73,8 @@ impl Runs {
         }
     }
 
-    /// Calls `give` with the voxels and the extent (quanta) of each run: pieces in adjacent bands, each `connected` to
-    /// the next.
+    /// Calls `give` with the voxels and the extent (quanta) of each run: pieces in the same or adjacent bands, each
+    /// `connected` to the next.
     fn for_each_run(
         &self,
         voxels: &[Voxel],
@@ -102,13 +102,13 @@ impl Runs {
         }
     }
 
-    /// Whether two voxels, one above the other, lie in one band or in adjacent ones.
+    /// Returns whether two voxels, one above the other, lie in one band or in adjacent ones.
     #[inline]
     fn adjacent(&self, below: &Voxel, above: &Voxel) -> bool {
         self.bands.of(above.slice) - self.bands.of(below.slice) <= 1
     }
 
-    /// Whether two neighbouring pieces of `pixel` are parts of one run.
+    /// Returns whether two consecutive pieces of `pixel` are parts of one run.
     fn connected(&self, patch: &Patch, pixel: usize, below: &Piece, above: &Piece) -> bool {
         let void = (above.low - below.high) as f64;
         if void <= self.pixel {
@@ -132,7 +132,7 @@ impl Runs {
         let matter = |neighbour: usize| pieces(near_height(neighbour, below.high));
         let inside = |piece: Piece| low <= piece.low as f64 && piece.high as f64 <= high;
         let near = |a: i64, b: i64| (a - b).abs() as f64 <= self.intrusion;
-        // The same void, between the same ends: what a slab has in common with its next pixel, and a wall has not.
+        // A slab's next pixel has the same void between the same ends, a wall's does not.
         let same_void = |neighbour: usize| {
             matter(neighbour).any(|piece| near(piece.high, below.high))
                 && pieces(near_height(neighbour, above.low)).any(|piece| near(piece.low, above.low))
@@ -144,7 +144,7 @@ impl Runs {
     }
 }
 
-/// A stretch of matter in one voxel, in quanta above the column block's floor.
+/// An uninterrupted solid interval in one voxel, in quanta above the column block's floor.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
     /// Number of the voxel in its pixel.
@@ -153,7 +153,7 @@ struct Piece {
     high: i64,
 }
 
-/// The pieces of a pixel's voxels, lowest first.
+/// Returns the pieces of a pixel's voxels, lowest first.
 fn pieces(voxels: &[Voxel]) -> impl Iterator<Item = Piece> {
     voxels.iter().enumerate().flat_map(|(number, voxel)| {
         let floor = i64::from(voxel.slice) * SLICE_QUANTA;

@@ -1,4 +1,4 @@
-//! The surface around some voxels: the plane through its points or, where there is none, how far it rises.
+//! The surface around some voxels: the plane through its points or, without one, its vertical extent.
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::voxel::bands::Bands;
@@ -7,14 +7,14 @@ use crate::voxel::record::{SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 use std::ops::{BitOr, Range};
 
-/// Least standard deviation of the points' places across their main direction that determines a plane (pixels).
+/// Least standard deviation of the points' positions across their main direction that determines a plane (pixels).
 const LEAST_SPREAD_PIXELS: f64 = 0.2;
-/// Greatest root mean square distance of points from a plane that they are said to lie on (pixels).
+/// Greatest root mean square distance from a plane at which points are taken to lie on it (pixels).
 const GREATEST_RESIDUAL_PIXELS: f64 = 0.3;
-/// Void that ends a chain of matter (pixels).
+/// Void that ends a chain of solids (pixels).
 const CHAIN_VOID_PIXELS: f64 = 3.0;
 
-/// Judges voxels by the surface around them.
+/// Classifies voxels by the surface around them.
 #[derive(Debug, Clone, Copy)]
 pub struct Surfaces {
     bands: Bands,
@@ -30,7 +30,7 @@ pub struct Surfaces {
     bin: i64,
     /// Void that ends a chain (sixteenths of a band).
     chain_void: u32,
-    /// Connected matter that extends no further than this is no steep plane (quanta).
+    /// Greatest extent of connected solid that cannot be a steep plane (quanta).
     pub level: i64,
 }
 
@@ -48,8 +48,8 @@ enum Fit {
 }
 
 impl Surfaces {
-    /// Surfaces are obstacles from the slope `tangent` on; neighbours that a plane of slope `reach` could connect belong to
-    /// the same surface.
+    /// Surfaces steeper than the slope `tangent` are obstacles; neighbours that a plane of slope `reach` could connect
+    /// belong to the same surface.
     pub fn new(frame: &Frame, bands: Bands, tangent: f64, reach: f64) -> Self {
         let quanta_per_pixel = frame.pixel_m() / frame.quantum_m();
         let bands_per_pixel = frame.pixel_m() / (frame.slice_m() * f64::from(bands.slices()));
@@ -60,7 +60,7 @@ impl Surfaces {
             bands,
             steep_squared: steep * steep,
             greatest_square: greatest * greatest,
-            // Gaps are whole quanta, so the part behind the point decides nothing.
+            // Gaps are whole quanta, so the fraction is irrelevant.
             reach: (reach * quanta_per_pixel) as i64,
             steep_chain: 3.0 * tangent * quanta_per_pixel,
             bin: (i64::from(bands.slices()) * SLICE_QUANTA + BINS - 1) / BINS,
@@ -69,21 +69,22 @@ impl Surfaces {
         }
     }
 
-    /// Whether matter around a voxel that reaches no further in all (quanta) is floor, whatever its points.
+    /// Returns whether solids around a voxel with this total extent (quanta) are floor, whatever their points.
     #[inline]
     pub fn is_level(&self, extent: i64) -> bool {
         extent <= self.level && (extent + self.bin) as f64 <= self.steep_chain
     }
 
-    /// Whether all matter in a pixel and around it, of this extent (quanta), is one surface in three bands and takes part in fits, as
-    /// nothing up to `steep_run` is kept out of them; so that its plane is that of all points around.
+    /// Returns whether all solids in and around a pixel, of this total extent (quanta), form one surface within three
+    /// bands and all take part in fits, since none up to `steep_run` is excluded. The plane is then that of all points
+    /// around.
     #[inline]
     pub fn is_one_layer(&self, extent: i64, steep_run: f64) -> bool {
         let band = i64::from(self.bands.slices()) * SLICE_QUANTA;
         extent > self.level && extent <= self.reach && extent < band && extent as f64 <= steep_run
     }
 
-    /// Whether the plane of points is steeper than the limit; `None` where they determine none or lie on none.
+    /// Returns whether the plane of points is steeper than the limit; `None` if they determine none or lie on none.
     pub fn plane_is_steep(&self, sums: &Moments) -> Option<bool> {
         match self.fit(sums) {
             Fit::Plane { slope_squared } => Some(slope_squared > self.steep_squared),
@@ -91,8 +92,8 @@ impl Surfaces {
         }
     }
 
-    /// The voxels at the head of `numbers` that get one verdict: those in the band of the first that no gap parts into two
-    /// surfaces, up to one that has its verdict already or holds no points.
+    /// Returns the voxels at the head of `numbers` that are classified together: those in the band of the first with no
+    /// gap between two surfaces, up to one that is already classified or has no points.
     pub fn centre(&self, patch: &Patch, numbers: Range<usize>, verdicts: &[bool]) -> Centre {
         let first = &patch.voxels()[numbers.start];
         let band = self.bands.of(first.slice);
@@ -111,8 +112,8 @@ impl Surfaces {
         Centre { band, numbers: numbers.start..end, floor, low, high }
     }
 
-    /// Verdict on the voxels of `centre`, which lie in the pixel that `around` has entered. Voxels that are `steep_alone`
-    /// take no part in planes.
+    /// Classifies the voxels of `centre`, which lie in the pixel that `around` has entered. Voxels that are
+    /// `steep_alone` are excluded from planes.
     pub fn verdict(
         &self,
         patch: &Patch,
@@ -136,7 +137,7 @@ impl Surfaces {
                 }
             }
         }
-        // A chain is no longer than everything around, but for the width of a bin.
+        // A chain is no longer than everything around, except for the width of a bin.
         let longest_chain = top_of_all - bottom_of_all + self.bin;
         let chain_is_steep = || {
             longest_chain as f64 > self.steep_chain
@@ -160,7 +161,7 @@ impl Surfaces {
     }
 
     fn fit(&self, sums: &Moments) -> Fit {
-        // So few points overflow no 64 bits, even about the origin of a patch: (2²⁰ · 2¹¹)² < 2⁶³.
+        // Fewer than 2¹¹ points cannot overflow 64 bits, even about the origin of a patch: (2²⁰ · 2¹¹)² < 2⁶³.
         let central = |n: i64, ab: i64, a: i64, b: i64| match n < 1 << 11 {
             true => (n * ab - a * b) as f64,
             false => (i128::from(n) * i128::from(ab) - i128::from(a) * i128::from(b)) as f64,
@@ -173,7 +174,7 @@ impl Surfaces {
         let square = (n as f64) * (n as f64);
         let half_trace = (cuu + cvv) / 2.0;
         let half_difference = (cuu - cvv) / 2.0;
-        // Only operations that IEEE 754 rounds exactly, so that every machine gives the same verdict.
+        // Uses only operations that IEEE 754 rounds exactly, so that every machine gives the same result.
         let smaller = half_trace - (half_difference * half_difference + cuv * cuv).sqrt();
         let least = LEAST_SPREAD_PIXELS * SUBPIXELS as f64;
         let least = least * least * square;
@@ -189,8 +190,9 @@ impl Surfaces {
         Fit::Plane { slope_squared: gradient.norm_squared() }
     }
 
-    /// Greatest vertical extent (quanta) of a chain, matter in three bands of 3 × 3 pixels without a void of three pixels,
-    /// that the voxels in the middle take part in: where few points stand in a line, what tells a wall from an edge.
+    /// Returns the greatest vertical extent (quanta) of a chain that includes voxels of the centre: solids in three
+    /// bands of 3 × 3 pixels without a void of three pixels. It distinguishes a wall from an edge if few points stand
+    /// in a line.
     fn chain_extent(&self, patch: &Patch, around: &Around, centre: &Centre) -> i64 {
         let bins = |numbers: Range<usize>| {
             patch.voxels()[numbers].iter().map(|voxel| self.bins(voxel, centre.floor)).fold(0, u64::bitor)
@@ -217,27 +219,27 @@ impl Surfaces {
         i64::from(greatest) * i64::from(self.bands.slices()) * SLICE_QUANTA / BINS
     }
 
-    /// Sixteenths of bands, from the one that begins at slice `floor` on, that hold matter of a voxel.
+    /// Returns which sixteenths of bands, from slice `floor` up, contain solid of a voxel.
     #[inline]
     fn bins(&self, voxel: &Voxel, floor: u32) -> u64 {
         let (slices, above) = (u64::from(self.bands.slices()), u64::from(voxel.slice - floor) * BINS as u64);
         if slices == 1 {
             return u64::from(voxel.bins) << above;
         }
-        // A voxel that is no band is lower than the void that ends a chain, so what is void inside it does not matter.
+        // A voxel lower than a band is lower than the void that ends a chain, so voids inside it are irrelevant.
         let bin = |bin: u32| ((above + u64::from(bin)) / slices) as u32;
         bits(bin(voxel.bins.trailing_zeros()), bin(u16::BITS - 1 - voxel.bins.leading_zeros()))
     }
 }
 
-/// Vertical extent (quanta) up to which connected matter is no steep plane, whatever its points.
+/// Greatest vertical extent (quanta) of connected solid that cannot be a steep plane, whatever its points.
 ///
-/// The gradient `g` of a least-squares plane explains no more than all variance of the heights: `|g|²·λ ≤ var(w)`, where
-/// `λ`, the least variance of the places, is at least [`LEAST_SPREAD_PIXELS`]² or the plane is undetermined. Heights
-/// within `h` have at most the variance `h²/4`. So up to `h = 2·LEAST_SPREAD·tan(limit)` no plane is too steep, and up to
-/// `2·GREATEST_RESIDUAL` every plane fits.
+/// The gradient `g` of a least-squares plane explains no more than the whole variance of the heights: `|g|²·λ ≤
+/// var(w)`, where `λ`, the least variance of the positions, is at least [`LEAST_SPREAD_PIXELS`]² or the plane is
+/// undetermined. The variance of heights within `h` is at most `h²/4`. So up to `h = 2·LEAST_SPREAD·tan(limit)` no
+/// plane is too steep, and up to `2·GREATEST_RESIDUAL` every plane fits.
 fn level(tangent: f64, quanta_per_pixel: f64) -> i64 {
-    // A little less, for the rounding of the fit.
+    // Slightly less, to allow for rounding in the fit.
     (2.0 * 0.999 * (LEAST_SPREAD_PIXELS * tangent).min(GREATEST_RESIDUAL_PIXELS) * quanta_per_pixel) as i64
 }
 
@@ -246,10 +248,10 @@ fn bits(first: u32, last: u32) -> u64 {
     (2 << last) - (1 << first)
 }
 
-/// Voxels of one pixel and band that get one verdict. Heights are in quanta above the floor of the band below.
+/// Voxels of one pixel and band that are classified together. Heights are in quanta above the floor of the band below.
 pub struct Centre {
     band: u32,
-    /// Their numbers.
+    /// Numbers of the voxels.
     pub numbers: Range<usize>,
     /// Lowest slice of the band below.
     floor: u32,
@@ -257,14 +259,14 @@ pub struct Centre {
     high: i64,
 }
 
-/// The voxels of 3 × 3 pixels in three bands, which move up with the voxels of the pixel in the middle.
+/// The voxels of 3 × 3 pixels in three bands; moves up with the voxels of the centre pixel.
 #[derive(Debug, Default)]
 pub struct Around {
     pixel: usize,
     /// Per pixel of the neighbourhood: numbers of the first voxel in these bands, of the first above them, and of the
     /// first of the next pixel.
     places: [[usize; 3]; 9],
-    /// Voxels connected to those in work, each with the number of its pixel in the neighbourhood; scratch of a verdict.
+    /// Voxels connected to the current centre, each with the number of its pixel in the neighbourhood; a buffer.
     connected: Vec<(usize, u8)>,
 }
 
@@ -293,7 +295,7 @@ impl Around {
         }
     }
 
-    /// Numbers of the voxels, pixel by pixel in the order of [`neighbourhood`].
+    /// Returns the numbers of the voxels, pixel by pixel in the order of [`neighbourhood`].
     fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
         self.places.iter().map(|&[first, above, _]| first..above)
     }

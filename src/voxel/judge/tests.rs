@@ -10,7 +10,7 @@ fn plan(classifier: Classifier, max_slope_deg: f64) -> Plan {
     plan_of_slices(classifier, max_slope_deg, 3.0)
 }
 
-/// A small generator of uniform numbers in 0..1 and of nearly normal ones.
+/// Generator of uniform numbers in 0..1 and of nearly normal ones.
 struct Random(u64);
 
 impl Random {
@@ -39,12 +39,12 @@ fn folded(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> (Patch, Sums) 
     (patch, sums)
 }
 
-/// Share of voxels judged obstacle among the inner pixels of tile (0, 0), which holds `points`.
+/// Share of obstacles among the voxels of the inner pixels of tile (0, 0), which holds `points`.
 fn obstacle_share(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> f64 {
     obstacle_share_between(plan, points, (4, 60))
 }
 
-/// The same among the pixels from `x.0` to before `x.1` alone.
+/// Share of obstacles among the pixels `x.0..x.1`.
 fn obstacle_share_between(plan: &Plan, points: impl Iterator<Item = [f64; 3]>, x: (u32, u32)) -> f64 {
     let (patch, mut sums) = folded(plan, points);
     let inner = Area { x, y: (4, 60) };
@@ -63,7 +63,7 @@ fn obstacle_share_between(plan: &Plan, points: impl Iterator<Item = [f64; 3]>, x
 fn plane(slope_deg: f64, heading_deg: f64, per_edge: f64, noise: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let (slope, heading) = (slope_deg.to_radians(), heading_deg.to_radians());
     let edge = 64.0 * T;
-    // Uniform on the plane itself, as a scanner at a fair distance sees it.
+    // Uniform on the plane itself, like the points of a scanner at a fair distance.
     let count = (64.0 * per_edge).powi(2) / slope.cos().max(0.05);
     let phase = random.uniform() * 3.0 * T;
     (0..count as usize)
@@ -110,7 +110,7 @@ fn what_is_floor_without_a_fit_is_floor_by_the_fit_too() {
     let edge = 64.0 * T;
     for (limit, noise) in [(30.0, 0.002), (45.0, 0.004), (45.0, 0.012), (60.0, 0.02), (80.0, 0.03)] {
         let plan = plan(Classifier::Plane, limit);
-        // From a point in three pixels to ten in one: where points hardly determine a plane, and where they do.
+        // From a point in three pixels to ten in one: densities that hardly determine a plane, and ones that do.
         let points: Vec<_> = (0..12_000)
             .map(|_| {
                 let (x, y) = (random.uniform() * edge, random.uniform().powi(3) * edge);
@@ -234,7 +234,7 @@ fn stairs_are_floor_and_their_risers_are_not() {
         .collect();
     let share = obstacle_share(&plan(Classifier::Plane, 45.0), treads.into_iter());
     assert!(share < 0.01, "treads: {share}");
-    // A riser at x = 1.21, in the middle of a pixel, with its two treads.
+    // A riser at x = 1.21, in the middle of a pixel, without its treads.
     let riser: Vec<_> = (0..20_000).map(|_| [1.21, random.uniform() * edge, random.uniform() * 0.18]).collect();
     let share = obstacle_share(&plan(Classifier::Plane, 45.0), riser.into_iter());
     assert!(share > 0.95, "riser: {share}");
@@ -258,7 +258,7 @@ fn mirrored_points_get_mirrored_verdicts() {
     let mut random = Random(13);
     let points = plane(45.0, 33.0, 2.0, 0.003, &mut random);
     let edge = 64.0 * T;
-    // Keep off pixel borders, which are half open and so do not mirror.
+    // Keeps off pixel borders, which are half open and so do not mirror.
     let inside = |v: f64| ((v / T).fract() - 0.5).abs() < 0.49;
     let points: Vec<_> = points.into_iter().filter(|p| inside(p[0]) && inside(p[1])).collect();
     let mirrored = points.iter().map(|&[x, y, z]| [edge - x, y, z]).collect::<Vec<_>>();
@@ -276,7 +276,7 @@ fn plan_of_slices(classifier: Classifier, max_slope_deg: f64, slice_pixels: f64)
     Plan { frame: Frame::new(T, slice_pixels * T).unwrap(), options }
 }
 
-/// A voxel with its verdict: the middle of its pixel, and its heights (m).
+/// A classified voxel: the middle of its pixel, and its heights (m).
 struct Judged {
     place: [f64; 2],
     low: f64,
@@ -318,7 +318,7 @@ impl Sheet {
         [[c * hc, c * hs, s], [-hs, hc, 0.0], [-s * hc, -s * hs, c]]
     }
 
-    /// Points at random places, `per_edge` per pixel edge.
+    /// Points at random positions, `per_edge` per pixel edge.
     fn points(&self, per_edge: f64, noise: f64, random: &mut Random) -> Vec<[f64; 3]> {
         let [up, across, normal] = self.axes();
         let count = (self.size[0] * self.size[1] * per_edge * per_edge) as usize;
@@ -331,7 +331,7 @@ impl Sheet {
         places.into_iter().map(&mut point).collect()
     }
 
-    /// Whether no edge of the rectangle is near enough to a voxel to matter.
+    /// Returns whether all edges of the rectangle are too far from a voxel to affect it.
     fn is_inside(&self, voxel: &Judged) -> bool {
         let at = [voxel.place[0], voxel.place[1], (voxel.low + voxel.high) / 2.0];
         let [up, across, _] = self.axes();
@@ -354,7 +354,7 @@ fn planes_flip_at_the_limit_whatever_the_slice_height() {
             for slope_deg in [0.0, limit - 3.0, limit + 3.0, limit + 10.0, 80.0, 90.0] {
                 let (mut inside, mut right) = (0, 0);
                 for _ in 0..3 {
-                    // Headings, densities and noises take turns that do not keep step with each other.
+                    // Headings, densities and noises alternate with different periods.
                     case += 1;
                     let heading_deg = [0.0, 20.0, 45.0, 77.0, 200.0][case % 5];
                     let (per_edge, noise) = ([2.0, 3.0, 5.0, 10.0][case % 4], [0.0, 0.002][case / 4 % 2]);
@@ -446,7 +446,8 @@ fn runs_do_not_depend_on_the_slice_height() {
 fn floors_walls_stairs_and_shelves_keep_their_verdicts_at_every_slice_height() {
     let mut random = Random(47);
     let edge = 64.0 * T;
-    // Along x: a floor with a wall in pixel 16, stairs from pixel 24 on, and a shelf two pixels above a wall in pixel 60.
+    // Along x: a floor with a wall in pixel 16, stairs from pixel 24 on, and a shelf two pixels above a wall in pixel
+    // 60.
     let (wall, stairs, low_wall) = (16.5 * T, 24.5 * T, 60.5 * T);
     let (tread, riser, steps) = (6.0 * T, 3.6 * T, 5.0);
     let (board, low_wall_top) = (12.0 * T, 10.0 * T);
@@ -471,7 +472,7 @@ fn floors_walls_stairs_and_shelves_keep_their_verdicts_at_every_slice_height() {
         fill([57.0 * T, board], [edge, board]);
         for slice_pixels in SLICE_PIXELS {
             let plan = plan_of_slices(Classifier::Plane, 45.0, slice_pixels);
-            // Right and all voxels of: floor, wall, treads, risers, shelf, the wall below it.
+            // Correct and all voxels of: floor, wall, treads, risers, shelf, the wall below it.
             let mut counts = [[0, 0]; 6];
             for voxel in judged(&plan, points.iter().copied()) {
                 let x = voxel.place[0];
@@ -498,7 +499,7 @@ fn floors_walls_stairs_and_shelves_keep_their_verdicts_at_every_slice_height() {
             }
             let names = ["floor", "wall", "treads", "risers", "shelf", "low wall"];
             for (name, [right, all]) in names.into_iter().zip(counts) {
-                // What shares its slice with something else has no voxel of its own.
+                // A surface that shares its slice with another has no voxel of its own.
                 assert!(all > 20 || slice_pixels > 0.5 && !["floor", "treads"].contains(&name), "{name}: {all}");
                 let least = if name == "risers" { 0.94 } else { 0.98 };
                 let case = format!("{name}, {per_edge} points per edge, slices of {slice_pixels} pixels");
@@ -512,7 +513,7 @@ fn floors_walls_stairs_and_shelves_keep_their_verdicts_at_every_slice_height() {
 fn lines_of_few_points_are_no_wall_where_slices_hold_a_whole_storey() {
     let mut random = Random(53);
     let edge = 64.0 * T;
-    // Lines across a floor and a table, as a scanner that turns slowly leaves them.
+    // Lines across a floor and a table, like those of a slowly turning scanner.
     let points: Vec<_> = (0..4000)
         .map(|n| [random.uniform() * edge, (0.5 + f64::from(n % 16) * 4.0) * T, f64::from(n / 16 % 2) * 15.0 * T])
         .collect();

@@ -1,22 +1,22 @@
-//! Sums over the points of 3 × 3 pixels, row by row: what judges rough ground of few points, where every pixel's surface has to
-//! be fitted.
+//! Sums over the points of 3 × 3 pixels, row by row. They classify rough ground of few points, where every pixel's
+//! surface needs a fit.
 
 use crate::voxel::bands::Bands;
 use crate::voxel::fold::{Moments, place_in_patch};
 use crate::voxel::record::{Content, PATCH_PIXELS, Record};
 
-/// Of each of the ten numbers of [`Moments`], those of a row of pixels.
+/// The ten numbers of [`Moments`] for each pixel of a row.
 type Row = [[i64; PATCH_PIXELS]; 10];
 
-/// The sums of each pixel's window, about one origin for the whole patch: what a fit makes of them does not depend on it.
-/// Memory: 21 kB, reused.
+/// Sums of each pixel's window, about one origin for the whole patch; fits do not depend on the origin. Memory: 21 kB,
+/// reused.
 #[derive(Debug)]
 pub struct Windows {
-    /// The sums of single pixels, of the row with this number and two others, each at its number's remainder.
+    /// Sums of single pixels, for three rows; row `y` is at index `y % 3`.
     own: Box<[Row; 3]>,
-    /// Rows of `own`; those of an earlier patch are none.
+    /// Rows in `own`; [`NO_ROW`] for those of an earlier patch.
     rows: [usize; 3],
-    /// The sums of the windows of a row.
+    /// Sums of the windows of a row.
     sums: Box<Row>,
     row: usize,
     /// Lowest band of the patch.
@@ -34,13 +34,13 @@ impl Default for Windows {
 }
 
 impl Windows {
-    /// Begins with a patch whose sums are about the band `lowest`.
+    /// Begins a patch whose sums are about the band `lowest`.
     pub fn begin(&mut self, lowest: u32) {
         (self.rows, self.row, self.lowest) = ([NO_ROW; 3], NO_ROW, lowest);
     }
 
-    /// The sums over all points in the 3 × 3 pixels around a pixel that is not in the halo, where `records` are those of each pixel.
-    /// Cost, of pixels row by row: each point once, and 40 additions a pixel.
+    /// Returns the sums over all points in the 3 × 3 pixels around a pixel that is not in the halo; `records` returns
+    /// those of each pixel. Cost when called row by row: each point once, and 40 additions per pixel.
     #[inline]
     pub fn around<'a>(&mut self, pixel: usize, records: impl Fn(usize) -> &'a [Record], bands: Bands) -> Moments {
         let (row, x) = (pixel / PATCH_PIXELS, pixel % PATCH_PIXELS);

@@ -1,4 +1,4 @@
-//! Building runs: records by tile column, sorted by counting.
+//! Construction of runs: records grouped by tile column, by counting sort.
 
 use super::cover::Covering;
 use super::store::{RunKind, RunStore};
@@ -12,15 +12,15 @@ use std::hash::{BuildHasherDefault, Hasher};
 
 /// Bytes per record of a run under construction: the record, its column number and its sorted copy.
 pub const BUILD_BYTES: u64 = 20;
-/// Bytes per tile column of a run under construction: its place in the list and in the lookup, both of which double
-/// as they grow, and in the order and the index made at the end. A run of scattered points is mostly this.
+/// Bytes per tile column of a run under construction: its entries in the list and in the lookup, both of which double
+/// as they grow, and in the order and the index built at the end. They dominate a run of scattered points.
 const COLUMN_BYTES: usize = 120;
-/// Records of a run while no run is on disk: only there many runs cost more than few, and memory that is never touched
-/// costs nothing.
+/// Records of a run while no run is on disk. Many small runs are expensive only on disk, and memory that is never
+/// touched costs nothing.
 const SMALL_RUN_RECORDS: usize = 1 << 20;
 
-/// Mixes the few bytes of a [`ColumnIndex`]; the keys come from coordinates, and a slow map is the worst a crafted
-/// input can cause.
+/// Mixes the few bytes of a [`ColumnIndex`]. The keys come from coordinates, so a crafted input can at worst slow down
+/// the map.
 #[derive(Default)]
 struct ColumnHasher(u64);
 
@@ -44,7 +44,7 @@ impl Hasher for ColumnHasher {
 
 type Lookup = HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>;
 
-/// The tile columns whose records are kept, and what was asked of them last at each place of a 16 × 16 pattern.
+/// Filter of tile columns; caches the last answer at each position of a 16 × 16 pattern.
 struct Only {
     keeps: Box<dyn Fn(ColumnIndex) -> bool + Send>,
     recent: [Option<(ColumnIndex, bool)>; 256],
@@ -70,18 +70,18 @@ impl std::fmt::Debug for Only {
     }
 }
 
-/// Place of a column in a pattern of `2^bits` × `2^bits`.
+/// Position of a column in a pattern of `2^bits` × `2^bits`.
 #[inline]
 fn place(index: ColumnIndex, bits: u32) -> usize {
     let low = |index: i32| index as u32 & ((1 << bits) - 1);
     (low(index.tx) | low(index.ty) << bits) as usize
 }
 
-/// Edge of the pattern in which columns are found without hashing, as a power of two: 256 tiles of 64 pixels, 1.6 km at 10 cm.
-/// Points in no order jump between all of them.
+/// Edge of the pattern in which columns are found without hashing, as a power of two: 256 tiles of 64 pixels, 1.6 km at
+/// 10 cm. Unordered points jump between all of them.
 const PATTERN_BITS: u32 = 8;
 
-/// Number of a column among `columns`, which gets it if it has not met it.
+/// Returns the number of a column; appends it to `columns` if it is new.
 #[cold]
 fn number_of(index: ColumnIndex, lookup: &mut Lookup, columns: &mut Vec<(ColumnIndex, u32)>) -> u32 {
     *lookup.entry(index).or_insert_with(|| {
@@ -101,10 +101,10 @@ struct Adder<'a> {
 }
 
 impl Adder<'_> {
-    /// Number of a column.
+    /// Returns the number of a column.
     #[inline]
     fn number(&mut self, index: ColumnIndex) -> u32 {
-        // Most columns are found here without hashing.
+        // Finds most columns without hashing.
         let number = &mut self.recent[place(index, PATTERN_BITS)];
         if self.columns.get(*number as usize).is_none_or(|column| column.0 != index) {
             *number = number_of(index, self.lookup, self.columns);
@@ -130,7 +130,7 @@ impl RecordSink for Adder<'_> {
         if self.only.is_some() {
             return records.iter().enumerate().for_each(|(number, &record)| self.add(index(number), record));
         }
-        // Points of one column mostly follow each other, and their count is kept meanwhile.
+        // Consecutive points mostly share a column, so their count is kept in a local variable.
         let mut last = None;
         let (mut number, mut count) = (0, 0);
         let start = self.numbers.len();
@@ -153,31 +153,31 @@ impl RecordSink for Adder<'_> {
     }
 }
 
-/// Collects the records of one worker and hands them to a [`RunStore`] run by run.
+/// Collects the records of one worker and passes them to a [`RunStore`] in runs.
 #[derive(Debug)]
 pub struct RunBuilder {
     kind: RunKind,
     recorder: Recorder,
-    /// Tile columns whose records are kept; `None` for all.
+    /// Filter of the tile columns whose records are kept; `None` keeps all.
     only: Option<Only>,
     capacity: usize,
     records: Vec<Record>,
-    /// Number of each record's column in `columns`.
+    /// Index into `columns` for each record.
     numbers: Vec<u32>,
     columns: Vec<(ColumnIndex, u32)>,
     lookup: Lookup,
-    /// Number of the last column met at this place of a pattern ([`PATTERN_BITS`]); may be left over from an earlier run.
-    /// Memory is touched where there are columns.
+    /// Number of the last column seen at each position of a pattern ([`PATTERN_BITS`]); may be left over from an
+    /// earlier run. Memory is touched only where there are columns.
     recent: Box<[u32]>,
-    /// Memory of a run that went to disk.
+    /// Buffer of a run that was written to disk.
     spare: Vec<Record>,
     covering: Option<Covering>,
-    /// Whether values follow the records of their points.
+    /// True if values follow the records of their points.
     with_points: bool,
 }
 
 impl RunBuilder {
-    /// A builder of runs that take `build_bytes` of memory while they are built.
+    /// Creates a builder whose runs take `build_bytes` of memory during construction.
     pub fn new(recorder: Recorder, build_bytes: u64) -> Self {
         let capacity = (build_bytes / BUILD_BYTES).clamp(1 << 13, u32::MAX as u64) as usize;
         Self {
@@ -196,39 +196,39 @@ impl RunBuilder {
         }
     }
 
-    /// As [`new`](Self::new), of runs of values; `with_points`: each behind the record of its point.
+    /// Like [`new`](Self::new), but for runs of values; `with_points` puts each value after the record of its point.
     pub fn of_values(recorder: Recorder, build_bytes: u64, with_points: bool) -> Self {
         Self { kind: RunKind::Values, with_points, ..Self::new(recorder, build_bytes) }
     }
 
-    /// Notes what its runs stand for. `note` adds what else is to be known of a piece of a chunk.
+    /// Records the part of the input that each run covers. `note` appends further data for each piece of a chunk.
     pub fn covering(mut self, note: impl FnMut(&mut Vec<u8>) + Send + 'static) -> Self {
         self.covering = Some(Covering::new(Box::new(note)));
         self
     }
 
-    /// The points that follow are those of this chunk of the input, from its first.
+    /// Begins a chunk of the input: the points that follow are its points, from the first.
     pub fn begin_chunk(&mut self, chunk: u64) {
         if let Some(covering) = &mut self.covering {
             covering.begin(chunk);
         }
     }
 
-    /// Leaves out points of the chunk for which other runs stand.
+    /// Skips points of the chunk that other runs cover.
     pub fn pass(&mut self, points: u64) {
         if let Some(covering) = &mut self.covering {
             covering.pass(points);
         }
     }
 
-    /// The chunk is at its end. With a `result`, a process that goes on from the runs need not read it again.
+    /// Ends the chunk. With a `result`, a process that resumes from the runs need not read the chunk again.
     pub fn end_chunk(&mut self, result: Option<&[u8]>) {
         if let Some(covering) = &mut self.covering {
             covering.close(result);
         }
     }
 
-    /// Keeps only the records of the tile columns that `keeps` names, copies in their halo included.
+    /// Keeps only the records of tile columns for which `keeps` is true, including the copies in their halo.
     pub fn only(mut self, keeps: impl Fn(ColumnIndex) -> bool + Send + 'static) -> Self {
         self.only = Some(Only { keeps: Box::new(keeps), recent: [None; 256] });
         self
@@ -249,14 +249,15 @@ impl RunBuilder {
         Ok(())
     }
 
-    /// So many points of the chunk have no records in these runs.
+    /// Counts points of the chunk that have no records in these runs as covered.
     pub fn without_records(&mut self, points: u64) {
         if let Some(covering) = &mut self.covering {
             covering.add(points);
         }
     }
 
-    /// Adds `values` of points (all within [`Recorder::reaches`]), one or two for each; a full run goes to `store`.
+    /// Adds the `values` of points (all within [`Recorder::reaches`]), one or two records each; a full run goes to
+    /// `store`.
     pub fn push_values(
         &mut self,
         [x, y, z]: [&[f64]; 3],
@@ -279,7 +280,7 @@ impl RunBuilder {
         Ok(())
     }
 
-    /// Adds what surfaces fill of voxels (all on the grid); a full run goes to `store`.
+    /// Adds the parts of voxels that surfaces fill (all on the grid); a full run goes to `store`.
     pub fn push_surfaces(&mut self, voxels: &[SurfaceVoxel], store: &RunStore) -> Result<()> {
         for chunk in voxels.chunks(BATCH) {
             self.make_room(chunk.len(), store)?;
@@ -290,7 +291,8 @@ impl RunBuilder {
         Ok(())
     }
 
-    /// Adds the values of surfaces' pieces in voxels (all on the grid), one or two for each; a full run goes to `store`.
+    /// Adds the values of surface pieces in voxels (all on the grid), one or two records each; a full run goes to
+    /// `store`.
     pub fn push_surface_values(
         &mut self,
         pieces: &[(SurfaceVoxel, (u32, Option<u32>))],
@@ -307,7 +309,7 @@ impl RunBuilder {
         Ok(())
     }
 
-    /// Notes that voxels (pixel and slice, all on the grid) are dropped; a full run goes to `store`.
+    /// Marks voxels (pixel and slice, all on the grid) as dropped; a full run goes to `store`.
     pub fn push_dropped(&mut self, voxels: &[((i64, i64), i64)], store: &RunStore) -> Result<()> {
         for chunk in voxels.chunks(BATCH) {
             self.make_room(chunk.len(), store)?;
@@ -319,7 +321,8 @@ impl RunBuilder {
         Ok(())
     }
 
-    /// Makes room for `count` (at most [`BATCH`]) points or voxels with all their copies, so that adding needs no checks.
+    /// Makes room for `count` (at most [`BATCH`]) points or voxels with all their copies, so that adding needs no
+    /// checks.
     fn make_room(&mut self, count: usize, store: &RunStore) -> Result<()> {
         let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
         let covered = self.covering.as_ref().map_or(0, |covering| covering.len() / BUILD_BYTES as usize);
@@ -339,7 +342,7 @@ impl RunBuilder {
         Adder { records, numbers, columns, lookup, recent, only: only.as_mut() }
     }
 
-    /// Hands what is collected to `store`; call once more at the end.
+    /// Passes the collected records to `store`; must be called once more at the end.
     pub fn flush(&mut self, store: &RunStore) -> Result<()> {
         let cover = self.covering.as_mut().map(Covering::take).unwrap_or_default();
         if self.records.is_empty() && cover.is_empty() {
@@ -363,11 +366,11 @@ impl RunBuilder {
             sorted[*place as usize] = record;
             *place += 1;
         }
-        // The records are in `sorted` now; their memory is scratch from here on.
+        // The records are in `sorted` now, so their memory is free for use as scratch.
         let mut rest = &mut sorted[..];
         let mut start = 0;
         for &(_, number) in &order {
-            // The place of the next record is now the end of the segment.
+            // The position of the next record is now the end of the segment.
             let end = self.columns[number as usize].1;
             let (segment, others) = rest.split_at_mut((end - start) as usize);
             if segment.len() as u64 >= SORTED_RECORDS {
@@ -385,7 +388,7 @@ impl RunBuilder {
     }
 }
 
-/// Sorts many records by pixel, and by nothing else, by counting.
+/// Sorts many records by pixel only, by counting sort.
 fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
     let mut next = [0u32; PATCH_AREA];
     records.iter().for_each(|record| next[record.pixel()] += 1);

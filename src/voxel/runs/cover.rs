@@ -1,26 +1,27 @@
-//! What runs stand for, so that another process can go on from them.
+//! Coverage of runs: the part of the input that each run covers, so that another process can resume from them.
 
 use super::put_varint;
 
-/// What a run stands for: pieces of the chunks of the input.
+/// Coverage of a run: pieces of the input's chunks.
 #[derive(Debug, Default)]
 pub(super) struct Cover {
-    /// One piece after the other: chunk, first point and number of points, what [`RunBuilder::covering`](super::RunBuilder::covering) notes, and the
-    /// result if the piece is the last of its chunk; each number a varint, bytes behind their length.
+    /// Encoded pieces. Each is its chunk, first point, number of points, the note of
+    /// [`RunBuilder::covering`](super::RunBuilder::covering), and the result if it is the last piece of its chunk.
+    /// Numbers are varints, byte strings follow their length.
     pub bytes: Vec<u8>,
     /// Points of all pieces.
     pub points: u64,
 }
 
-/// Appends what is to be noted of a chunk.
+/// Appends the note of a piece.
 pub(super) type Note = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 
-/// Writes down what a builder's runs stand for.
+/// Collects the coverage of a builder's runs.
 pub(super) struct Covering {
     note: Note,
     cover: Cover,
     chunk: u64,
-    /// Points of the chunk that earlier pieces stand for, and those so far.
+    /// Points of the chunk covered by earlier pieces, and the points up to now.
     from: u64,
     at: u64,
 }
@@ -42,35 +43,35 @@ impl Covering {
         Self { note, cover: Cover::default(), chunk: 0, from: 0, at: 0 }
     }
 
-    /// The points that follow are those of this chunk, from its first.
+    /// Begins a chunk: the points that follow are its points, from the first.
     pub fn begin(&mut self, chunk: u64) {
         (self.chunk, self.from, self.at) = (chunk, 0, 0);
     }
 
-    /// So many points of the chunk are in the run.
+    /// Counts points of the chunk in the current run.
     pub fn add(&mut self, points: u64) {
         self.at += points;
     }
 
-    /// So many points of the chunk are in other runs.
+    /// Skips points of the chunk that other runs cover.
     pub fn pass(&mut self, points: u64) {
         self.close(None);
         self.at += points;
         self.from = self.at;
     }
 
-    /// What the run stands for; the next one begins.
+    /// Returns the coverage of the current run and begins the next.
     pub fn take(&mut self) -> Cover {
         self.close(None);
         std::mem::take(&mut self.cover)
     }
 
-    /// Length of what is written down (bytes).
+    /// Length of the encoded coverage (bytes).
     pub fn len(&self) -> usize {
         self.cover.bytes.len()
     }
 
-    /// Ends a piece, which is the last of its chunk if there is a result.
+    /// Ends a piece; with a result, it is the last of its chunk.
     pub fn close(&mut self, result: Option<&[u8]>) {
         if self.from == self.at && result.is_none() {
             return;

@@ -1,4 +1,4 @@
-//! Merging runs: tile columns in archive order, each with the records that belong to it.
+//! Merge of runs: tile columns in archive order, each with its records.
 
 use super::store::{Run, RunKind, RunStorage, RunStore};
 use super::{SORTED_RECORDS, Segment, SegmentCoder};
@@ -8,22 +8,22 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
-/// Read-ahead in the index of a run on disk, least and most.
+/// Least and greatest read-ahead in the index of a run on disk (bytes).
 const INDEX_CHUNK_BYTES: (u64, u64) = (256, 4096);
 
 /// Reads the segments of one run from front to back.
 #[derive(Debug)]
 struct Cursor {
     coder: SegmentCoder,
-    /// Index bytes at hand, and how many of them are used up.
+    /// Buffered bytes of the index, and how many of them are consumed.
     chunk: Vec<u8>,
     used: usize,
-    /// Next byte of the index to fetch, counted from its start.
+    /// Offset in the index of the next byte to fetch.
     fetched: u64,
     segments_left: u64,
     /// Most index bytes to fetch at once.
     chunk_bytes: usize,
-    /// The segment at hand and the record where it begins.
+    /// Current segment and the number of its first record.
     segment: Option<Segment>,
     first_record: u64,
 }
@@ -80,7 +80,7 @@ impl Cursor {
 struct Stretch {
     run: usize,
     first_record: u64,
-    /// Position of a column in the job, and how many records follow for it.
+    /// Position of a column in the job, and its number of records; in order.
     columns: Vec<(u32, u32)>,
 }
 
@@ -89,26 +89,26 @@ impl Stretch {
         self.columns.iter().map(|column| u64::from(column.1)).sum()
     }
 
-    /// Whether it is of one column, by pixel.
+    /// Returns whether it has a single column, sorted by pixel.
     fn is_sorted(&self) -> bool {
         self.columns.len() == 1 && self.records() >= SORTED_RECORDS
     }
 }
 
-/// A few neighbouring tile columns to be worked on together, in archive order.
+/// A few neighbouring tile columns that are processed together, in archive order.
 #[derive(Debug, Default)]
 pub struct ColumnJob {
-    /// The tile columns and how many records each has.
+    /// The tile columns, each with its number of records.
     pub columns: Vec<(ColumnKey, u64)>,
     /// Sum of the records of all columns.
     pub records: u64,
-    /// How many records of values each column has.
+    /// Number of value records of each column.
     pub values: Vec<u64>,
     stretches: Vec<Stretch>,
     value_stretches: Vec<Stretch>,
 }
 
-/// Merges the runs: hands out jobs in archive order.
+/// Merges the runs into jobs in archive order.
 #[derive(Debug)]
 pub struct Merge<'a> {
     store: &'a RunStore,
@@ -121,23 +121,23 @@ impl<'a> Merge<'a> {
         Self { store, runs: store.take_runs() }
     }
 
-    /// Takes the runs that came to the store since; for the next [`jobs`](Self::jobs).
+    /// Adds the runs that the store has received since. The next call of [`jobs`](Self::jobs) includes them.
     pub fn take_more(&mut self) {
         self.runs.append(&mut self.store.take_runs());
     }
 
-    /// Records of all runs but those of values.
+    /// Records of all runs except those of values.
     pub fn records(&self) -> u64 {
         self.runs.iter().filter(|run| run.kind == RunKind::Matter).map(|run| run.records).sum()
     }
 
-    /// Whether some of the runs are on disk.
+    /// Returns whether some of the runs are on disk.
     pub fn reads_disk(&self) -> bool {
         self.runs.iter().any(|run| matches!(run.storage, RunStorage::Disk { .. }))
     }
 
-    /// Calls `give` with one job after another, each of at most `max_columns` columns and `max_records` records, or of a
-    /// single column. Memory: up to 4 KiB per run and what the job lists.
+    /// Calls `give` with each job in turn, each of at most `max_columns` columns and `max_records` records, or of a
+    /// single column. Memory: up to 4 KiB per run, and the lists of the job.
     pub fn jobs(
         &self,
         max_records: u64,
@@ -194,12 +194,12 @@ impl<'a> Merge<'a> {
         if job.columns.is_empty() { Ok(()) } else { give(job) }
     }
 
-    /// The records of all columns of `job`; those that are on disk are read into `buffer`.
+    /// Loads the records of all columns of `job`; reads those on disk into `buffer`.
     pub fn load<'b>(&'b self, job: &ColumnJob, buffer: &'b mut Vec<Record>) -> Result<LoadedRecords<'b>> {
         self.load_from(&job.stretches, buffer)
     }
 
-    /// Puts the records of values of all columns of `job` into `records`, column after column.
+    /// Replaces `records` by the value records of all columns of `job`, column by column.
     pub fn load_values(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
         let mut buffer = Vec::new();
         let loaded = self.load_from(&job.value_stretches, &mut buffer)?;
@@ -233,13 +233,13 @@ impl<'a> Merge<'a> {
                 }
             }
         }
-        // Those of a column stay in the order of runs.
+        // The sort is stable, so records of a column stay in the order of runs.
         parts.sort_by_key(|part| part.0);
         Ok(LoadedRecords { parts, buffer })
     }
 
-    /// The records of a job's only column whose pixels lie in the `rows` (first and end) of its patch; those that are on disk or in no
-    /// order are put into `buffer`.
+    /// Loads the records of a job's only column whose pixels lie in the `rows` (first and end) of its patch; copies
+    /// those that are on disk or unsorted into `buffer`.
     pub fn load_rows<'b>(
         &'b self,
         job: &ColumnJob,
@@ -274,8 +274,8 @@ impl<'a> Merge<'a> {
         Ok(LoadedRecords { parts, buffer })
     }
 
-    /// Calls `take` with the records of a job's only column whose pixels lie in the `rows` (first and end) of its patch,
-    /// and maybe others, at most `chunk` records at a time, in no particular order, as long as it asks for more.
+    /// Calls `take` with the records of a job's only column whose pixels lie in the `rows` (first and end) of its
+    /// patch, and possibly others, at most `chunk` at a time, in no particular order, until it returns false.
     pub fn stream(
         &self,
         job: &ColumnJob,
@@ -286,7 +286,7 @@ impl<'a> Merge<'a> {
         self.stream_from(&job.stretches, rows, chunk, take)
     }
 
-    /// As [`stream`](Self::stream), of records of values.
+    /// Like [`stream`](Self::stream), but for value records.
     pub fn stream_values(
         &self,
         job: &ColumnJob,
@@ -319,7 +319,7 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Numbers of the records of a stretch that lie in `rows`; of all if it is not sorted.
+    /// Returns the numbers of a stretch's records that lie in `rows`; of all records if it is not sorted.
     fn rows_of(&self, stretch: &Stretch, rows: (u32, u32)) -> Result<Range<u64>> {
         Ok(match stretch.is_sorted() {
             true => self.row_begins(stretch, rows.0)?..self.row_begins(stretch, rows.1)?,
@@ -327,7 +327,7 @@ impl<'a> Merge<'a> {
         })
     }
 
-    /// Number of the first record of a sorted stretch that does not lie before `row`.
+    /// Returns the number of the first record of a sorted stretch that does not lie before `row`.
     fn row_begins(&self, stretch: &Stretch, row: u32) -> Result<u64> {
         let (mut low, mut high) = (0, stretch.records());
         while low < high {
@@ -348,20 +348,20 @@ impl<'a> Merge<'a> {
 #[derive(Debug)]
 enum Part<'a> {
     InMemory(&'a [Record]),
-    /// These of the buffer.
+    /// Range of the buffer.
     Read(Range<usize>),
 }
 
-/// The records of the columns of a [`ColumnJob`], those in memory where they are.
+/// Loaded records of the columns of a [`ColumnJob`]; those of runs in memory are borrowed.
 #[derive(Debug)]
 pub struct LoadedRecords<'a> {
-    /// With the position of their column in the job, by this.
+    /// Parts with the position of their column in the job, sorted by it.
     parts: Vec<(u32, Part<'a>)>,
     buffer: &'a [Record],
 }
 
 impl LoadedRecords<'_> {
-    /// Those of the column at this position in the job.
+    /// Returns the records of the column at position `number` of the job.
     pub fn column(&self, number: usize) -> ColumnRecords<'_> {
         let begin = self.parts.partition_point(|part| (part.0 as usize) < number);
         let end = self.parts.partition_point(|part| part.0 as usize <= number);
@@ -369,7 +369,7 @@ impl LoadedRecords<'_> {
     }
 }
 
-/// The records of a column.
+/// Records of a column.
 #[derive(Debug, Clone, Copy)]
 pub struct ColumnRecords<'a> {
     parts: &'a [(u32, Part<'a>)],

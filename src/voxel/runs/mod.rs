@@ -1,17 +1,18 @@
-//! The partition of records by tile column, within a memory budget: an external counting sort.
+//! Partition of records by tile column, within a memory budget: an external counting sort.
 //!
-//! Workers collect records into runs; a full run is sorted by tile column and kept in memory while the budget allows,
-//! else written to a temporary file ([`spill`](super::spill)). Afterwards the runs are merged: tile columns come out in
-//! archive order, each with the ranges of records that belong to it. Every run is read from front to back, whatever the
-//! order of the input, so neither shuffled points nor a huge extent turn the disk's work into single small reads.
+//! Workers collect records into runs. A full run is sorted by tile column and kept in memory while the budget allows,
+//! else written to a temporary file ([`spill`](super::spill)). Then the runs are merged: tile columns come out in
+//! archive order, each with the ranges of its records. Every run is read from front to back, whatever the order of the
+//! input, so neither shuffled points nor a huge extent cause many small random reads.
 //!
-//! Runs of values, for colours, lie beside those of matter in one store and come out with the same columns.
+//! Value runs, for colours, share the store with the runs of points and surfaces and are merged into the same columns.
 //!
-//! A run says what of the input it stands for, so that after a kill another process can go on from the runs on disk.
+//! A run states which part of the input it covers, so that another process can resume from the runs on disk after a
+//! kill.
 //!
 //! Memory: `retain_bytes` for runs kept, 20 bytes per record and 120 per tile column of each run under construction,
-//! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile
-//! column and run.
+//! and while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per
+//! tile column and run.
 
 mod builder;
 mod cover;
@@ -28,18 +29,19 @@ use super::record::{ColumnKey, Record};
 use crate::Result;
 
 const RECORD_BYTES: u64 = size_of::<Record>() as u64;
-/// Segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
-/// in areas, and their rows can then be found without reading the whole column for each.
+/// Segments of a run with at least this many records are also sorted by pixel. A column of very many records is
+/// processed in areas, and their rows can then be found without reading the whole column for each.
 const SORTED_RECORDS: u64 = 1 << 14;
 
-/// One tile column's records in a run.
+/// Records of one tile column in a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Segment {
     key: ColumnKey,
     records: u32,
 }
 
-/// Segments as bytes: column minus the column before (variable length), then the block if it is not 0, then the count.
+/// Encodes segments as bytes: column minus the previous column (varint), then the count (varint), then the block if it
+/// is not 0.
 #[derive(Default)]
 struct SegmentCoder {
     column: u64,
@@ -58,7 +60,7 @@ impl SegmentCoder {
         put_varint(segment.key.column.wrapping_sub(self.column), out);
         self.column = segment.key.column;
         let block = segment.key.block;
-        // One bit of the count tells whether a block follows: nearly all columns are one block.
+        // One bit of the count marks a following block: nearly all columns have a single block.
         put_varint(u64::from(segment.records) << 1 | u64::from(block != 0), out);
         if block != 0 {
             out.extend_from_slice(&block.to_le_bytes());

@@ -1,4 +1,4 @@
-//! Where runs are: in memory while they fit, else on disk.
+//! Storage of runs: in memory while they fit, else on disk.
 
 use super::cover::Cover;
 use super::{RECORD_BYTES, count_segments};
@@ -10,7 +10,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 const COPY_BYTES: usize = 1 << 16;
-/// Bytes of runs in memory while others are on disk: a kill costs no more, whatever the budget.
+/// Most bytes of runs in memory while others are on disk; bounds the work lost when the process is killed, whatever the
+/// budget.
 pub const MOST_IN_MEMORY_WHILE_SPILLING: u64 = 128 << 20;
 
 #[derive(Debug)]
@@ -19,10 +20,10 @@ pub(super) enum RunStorage {
     Disk { records_at: u64, index_at: u64, index_bytes: u64 },
 }
 
-/// What the records of a run are.
+/// Kind of the records of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunKind {
-    /// Points, surfaces, and what is dropped.
+    /// Points, surfaces, and marks of dropped voxels.
     Matter,
     /// Values of points, for colours.
     Values,
@@ -66,17 +67,17 @@ pub struct RunStore {
     pub(super) retain_bytes: u64,
     kept: Mutex<Kept>,
     spill: Spill,
-    /// Points for which the runs on disk stand.
+    /// Points covered by the runs on disk.
     points: AtomicU64,
 }
 
 impl RunStore {
-    /// A store that keeps up to `retain_bytes` in memory and the rest in a spill of its own at `place`.
+    /// Creates a store that keeps up to `retain_bytes` in memory and the rest in a new spill at `place`.
     pub fn new(retain_bytes: u64, place: SpillPlace) -> Self {
         Self::resumed(retain_bytes, Spill::new(place), Vec::new(), 0)
     }
 
-    /// A store that goes on from the `runs` in `spill`, which stand for so many points.
+    /// Creates a store that resumes from the `runs` in `spill`, which cover `points` points.
     pub fn resumed(retain_bytes: u64, spill: Spill, runs: Vec<SpilledRun>, points: u64) -> Self {
         let runs = runs.into_iter().map(Run::spilled).collect();
         Self { retain_bytes, kept: Mutex::new(Kept { runs, memory_bytes: 0 }), spill, points: points.into() }
@@ -87,18 +88,18 @@ impl RunStore {
         self.spill.bytes()
     }
 
-    /// Points of the input for which the runs on disk stand: none if that was not to be noted.
+    /// Points of the input covered by the runs on disk; 0 if coverage is not recorded.
     pub fn points_on_disk(&self) -> u64 {
         self.points.load(Ordering::Relaxed)
     }
 
-    /// Leaves what is on disk for another process; where it is.
+    /// Keeps the files on disk for another process, and returns their path.
     pub fn keep(&mut self) -> Option<PathBuf> {
         self.spill.keep();
         self.spill.path().map(Path::to_path_buf)
     }
 
-    /// Whether runs go to disk.
+    /// Returns whether runs go to disk.
     pub(super) fn spills(&self) -> bool {
         self.spill.is_open()
     }
@@ -108,7 +109,7 @@ impl RunStore {
         std::mem::take(&mut self.lock().runs)
     }
 
-    /// Reads from the disk.
+    /// Reads from disk.
     pub(super) fn read(&self, at: u64, bytes: &mut [u8]) -> Result<()> {
         self.spill.read(at, bytes)
     }
@@ -118,7 +119,7 @@ impl RunStore {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a run, and gives back its memory if it is not needed.
+    /// Stores a run, and returns its buffer if it is no longer needed.
     pub(super) fn add(
         &self,
         kind: RunKind,
@@ -144,7 +145,7 @@ impl RunStore {
         Ok(records)
     }
 
-    /// Moves one of the runs in memory to disk while there are too many.
+    /// Moves one of the runs in memory to disk if they take too much.
     fn lighten(&self) -> Result<()> {
         let run = {
             let mut kept = self.lock();
@@ -180,10 +181,10 @@ impl RunStore {
         self.spill.write(at, index)?;
         let values = kind == RunKind::Values;
         let run = SpilledRun { records_at, records: count, index_bytes, columns, values };
-        // A run that stands for nothing that could be known again is of no use to another process.
+        // A run without recorded coverage is of no use to another process.
         if !cover.bytes.is_empty() {
             self.spill.note(&run, sum.value(), &cover.bytes)?;
-            // Those of values stand for the same points.
+            // Value runs cover the same points again.
             self.points.fetch_add(if values { 0 } else { cover.points }, Ordering::Relaxed);
         }
         self.lock().runs.push(Run::spilled(run));

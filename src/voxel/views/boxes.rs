@@ -1,29 +1,30 @@
-//! Points in small boxes: of a box that a station cannot have seen through anywhere, it is not asked point by point.
+//! Points grouped in small boxes: if a station cannot have seen through any place in a box, its points are not tested.
 
 use super::places::Places;
 use super::view::{BATCH, View};
 use crate::voxel::record::Record;
 use std::ops::Range;
 
-/// Edge of a box (m): about as much as neighbouring rays differ in distance where they graze a wall.
+/// Edge of a box (m): about the difference in distance of neighbouring rays that graze a wall.
 const EDGE_M: f64 = 0.2;
-/// Bits of the number of a point in its key, and of the place of its box along each axis; boxes that do not fit share a key, which costs time only.
+/// Bits in a key: the point's number, and the position of its box along each axis. Boxes whose positions do not fit
+/// share a key, which only costs time.
 const NUMBER_BITS: u32 = 16;
 const PLACE_BITS: u32 = 16;
 const _: () = assert!(super::CHUNK <= 1 << NUMBER_BITS && NUMBER_BITS + 3 * PLACE_BITS == 64);
 
-/// The points of some records, box after box.
+/// Points of some records, box by box.
 #[derive(Debug)]
 pub(super) struct Boxes {
-    /// The place of each point (m), by axis.
+    /// Position of each point (m), by axis.
     points: [Vec<f64>; 3],
-    /// The number of each point among the records, where it is another.
+    /// Number of each point among the records; empty if the points are in the order of the records.
     numbers: Vec<u16>,
     boxes: Vec<Bounds>,
     all: Bounds,
 }
 
-/// Points that follow each other, as many as [`BATCH`], and the corners (m) between which they lie.
+/// Consecutive points, at most [`BATCH`], and their bounding box (m).
 #[derive(Debug, Clone)]
 struct Bounds {
     points: Range<usize>,
@@ -32,7 +33,7 @@ struct Bounds {
 }
 
 impl Boxes {
-    /// The points as they come, in boxes as large as their column.
+    /// Keeps the points in the order of the records, in boxes as large as their column.
     pub fn of_batches(places: Places, records: &[Record]) -> Self {
         let mut points = [0; 3].map(|_| vec![0.0; records.len()]);
         let [x, y, z] = &mut points;
@@ -45,7 +46,7 @@ impl Boxes {
         Self { points, numbers: Vec::new(), boxes: boxes.collect(), all: bounds(0..records.len()) }
     }
 
-    /// The points sorted into small boxes.
+    /// Sorts the points into small boxes.
     pub fn small(places: Places, records: &[Record]) -> Self {
         let (min, _) = places.bounds();
         let place_of = |record: &Record| places.of(*record);
@@ -83,7 +84,8 @@ impl Boxes {
         Self { points, numbers, boxes, all }
     }
 
-    /// The boxes with a place that a station may have seen through: the points of each, and where they are among all.
+    /// Returns the boxes with a place that the station may have seen through: the points of each, and their range among
+    /// all points.
     pub fn seen_by<'a>(&'a self, view: &'a View) -> impl Iterator<Item = ([&'a [f64]; 3], Range<usize>)> {
         let boxes = if view.reaches(self.all.min, self.all.max) { &self.boxes[..] } else { &[] };
         let moves = view.station.within_m > 0.0;
@@ -91,17 +93,17 @@ impl Boxes {
         some.map(move |own| (self.points.each_ref().map(|column| &column[own.points.clone()]), own.points.clone()))
     }
 
-    /// The number among the records of the point that is here among all.
+    /// Number among the records of the point at index `at`.
     pub fn number(&self, at: usize) -> usize {
         self.numbers.get(at).map_or(at, |number| usize::from(*number))
     }
 
-    /// The place of a point (m).
+    /// Position of a point (m).
     pub fn point(&self, at: usize) -> [f64; 3] {
         std::array::from_fn(|axis| self.points[axis][at])
     }
 
-    /// The place of one of the points (m), halfway among them.
+    /// Position of the middle point in the list (m).
     pub fn middle(&self) -> [f64; 3] {
         self.point(self.points[0].len() / 2)
     }

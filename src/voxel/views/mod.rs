@@ -1,23 +1,26 @@
-//! What each station of a scan saw, as images of distances, and which points others saw through.
+//! Views: images of the distances that each station of a scan measured, and detection of points that other stations saw
+//! through.
 //!
-//! In: stations and the points measured from them. An image covers all directions by the six faces of a cube; a cell keeps
-//! the least distance measured in it, in whole centimetres. Least distances do not depend on the order of points, and only
-//! sums, products, quotients and square roots decide in which cell a point falls: the same on every machine.
+//! In: stations and the points measured from them. An image covers all directions on the six faces of a cube; a cell
+//! keeps the least distance measured in it, in whole centimetres. Least distances do not depend on the order of points,
+//! and only sums, products, quotients and square roots determine the cell of a point, so the result is the same on
+//! every machine.
 //!
 //! A station *saw through* a place if it measured something clearly farther in the direction of the place and in all
-//! directions around it. The directions around take care of what a ray only grazes: a floor far away, the edge of a door, a
-//! leaf. It *hit* the place if it measured something about as far. A point is taken for moving where at least
-//! one station saw through its place, and no more stations hit it: the one that measured the point is among these.
+//! directions around it. The directions around cover what a ray only grazes: a distant floor, the edge of a door, a
+//! leaf. It *hit* the place if it measured something at about the same distance. A point counts as moving if at least
+//! one station saw through its place and no more stations hit it, including the one that measured the point.
 //!
-//! Where a cell has no distance, or its neighbours have too few, coarser images are asked, which hold least distances too.
+//! If a cell has no distance, or too few of its neighbours have one, coarser images are used, which hold least
+//! distances too.
 //!
-//! A scanner that moves is a station for each short piece of its way. Its rays begin up to [`Station::within_m`] beside the place of
-//! the station, so a ray through a place may end in another direction than that of the place, by at most that length divided by the
-//! distance of the place. Only images whose cells are wider than this are asked: then the cell and those around it hold the ends of
-//! all rays through the place.
+//! A moving scanner is modelled as a station for each short piece of its path. Its rays begin up to
+//! [`Station::within_m`] away from the station's position, so a ray through a place may end in a direction that
+//! deviates from that of the place by at most that length divided by the distance of the place. Only images whose cells
+//! are wider than this are used: then the cell and its neighbours contain the ends of all rays through the place.
 //!
-//! Compare: F. Pomerleau et al., "Long-term 3D map maintenance in dynamic environments" (2014), J. Schauer, A. Nüchter, "The
-//! Peopleremover" (2018), G. Kim, A. Kim, "Remove, then Revert" (2020).
+//! Compare: F. Pomerleau et al., "Long-term 3D map maintenance in dynamic environments" (2014), J. Schauer, A. Nüchter,
+//! "The Peopleremover" (2018), G. Kim, A. Kim, "Remove, then Revert" (2020).
 
 mod boxes;
 mod cell;
@@ -32,12 +35,12 @@ pub use places::Places;
 pub use view::Station;
 use view::{BATCH, Counts, Says, View};
 
-/// Records that are judged in one go.
+/// Most records per call of [`Views::are_moving`].
 pub const CHUNK: usize = 1 << 13;
 
 /// The views of all stations.
 ///
-/// Memory: 4.2 MB a station, 0.06 MB one that moves.
+/// Memory: 4.2 MB per stationary station, 0.06 MB per moving one.
 #[derive(Debug)]
 pub struct Views {
     views: Vec<View>,
@@ -45,7 +48,7 @@ pub struct Views {
 }
 
 impl Views {
-    /// Views from these stations, for records on the grid `frame`, without any point yet. Fails beyond `max_bytes`.
+    /// Creates empty views from these stations, for records on the grid `frame`. Fails if they exceed `max_bytes`.
     pub fn new(stations: &[Station], frame: Frame, max_bytes: u64) -> Result<Self> {
         let bytes = stations.iter().map(Station::bytes).fold(0, u64::saturating_add);
         if bytes > max_bytes {
@@ -63,12 +66,12 @@ impl Views {
         }
     }
 
-    /// All points are there.
+    /// Completes the views; all points must have been added.
     pub fn finish(&self) {
         self.views.iter().for_each(View::make_coarser);
     }
 
-    /// Which of some records, as many as [`CHUNK`], are points that are taken for moving.
+    /// Returns which of at most [`CHUNK`] records are points that count as moving.
     pub fn are_moving(&self, places: Places, records: &[Record]) -> Vec<bool> {
         let moves = self.views.iter().any(|view| view.station.within_m > 0.0);
         let boxes = if moves { Boxes::small(places, records) } else { Boxes::of_batches(places, records) };
@@ -90,20 +93,21 @@ impl Views {
         is_moving
     }
 
-    /// All views, the nearest to a place (m) first: those hit what is there.
+    /// Returns all views, the nearest to a place (m) first, because those are most likely to hit it.
     fn nearest_to(&self, place: [f64; 3]) -> Vec<&View> {
         let mut views: Vec<&View> = self.views.iter().collect();
         views.sort_by(|a, b| a.station.look(place).0.total_cmp(&b.station.look(place).0));
         views
     }
 
-    /// Where the points of records of a column lie.
+    /// Returns the positions of the points in a column's records.
     pub fn places(&self, column: ColumnKey) -> Places {
         Places::new(column, self.frame)
     }
 }
 
-/// Whether more stations hit a place (m) than saw through it, where `counts` tells of those that may have seen through it. The others can only have hit it.
+/// Returns whether more stations hit a place (m) than saw through it. `counts` covers the stations that may have seen
+/// through it; the others can only have hit it.
 fn outweighed(views: &[&View], point: [f64; 3], Counts { through, mut hit }: Counts) -> bool {
     for view in views {
         if hit > through {

@@ -1,9 +1,9 @@
-//! Where the points of records lie.
+//! Positions of the points of records.
 
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::voxel::record::{ColumnKey, HALO_PIXELS, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS};
 
-/// Where the points of records of one column lie.
+/// Positions of the points in one column's records.
 #[derive(Debug, Clone, Copy)]
 pub struct Places {
     /// First pixel of the column with its halo.
@@ -20,7 +20,7 @@ impl Places {
         Self { corner, first_slice: column.first_slice() as f64, frame }
     }
 
-    /// A box around the places of all points (m).
+    /// Returns a bounding box of all points of the column (m).
     pub(super) fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         let [x, y] = self.corner;
         let edge = |pixels: f64| pixels * self.frame.pixel_m();
@@ -28,10 +28,10 @@ impl Places {
         ([edge(x), edge(y), f64::NEG_INFINITY], [end_x, end_y, f64::INFINITY])
     }
 
-    /// Where the point of a record lies, to the precision of records (m).
+    /// Returns the position of a record's point, to the precision of records (m).
     #[inline(always)]
     pub fn of(&self, record: Record) -> [f64; 3] {
-        // Of 32 bits and with signs: what vector instructions convert.
+        // Converts via `i32`, because vector instructions convert only signed 32-bit integers.
         let float = |whole: u32| f64::from(whole as i32);
         let along = |corner: f64, patch: u32, sub: u32| {
             (corner + float(patch) + (float(sub) + 0.5) / SUBPIXELS as f64) * self.frame.pixel_m()

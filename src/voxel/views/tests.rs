@@ -19,11 +19,11 @@ proptest! {
     fn cells_are_those_of_the_face_that_the_direction_points_to(
         d in [-3i32..=3, -3..=3, -3..=3], more in [-1f64..1.0, -1f64..1.0, -1f64..1.0], scale in prop_oneof![Just(0.0), Just(1e-3), Just(1.0)]
     ) {
-        // Ties of the coordinates, edges and corners among them.
+        // Includes ties of the coordinates, edges and corners.
         let d: [f64; 3] = std::array::from_fn(|axis| f64::from(d[axis]) + scale * more[axis]);
         prop_assume!(d != [0.0; 3]);
         let size = d.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-        // Of equally long axes y before z, and x before both.
+        // Of axes of equal length, x comes before y, and y before z.
         let axis = d.iter().position(|v| v.abs() == size).unwrap();
         let at = |axis: usize| (((d[axis % 3] / size + 1.0) / 2.0 * EDGE as f64) as i64).min(EDGE as i64 - 1);
         let face = 2 * axis + usize::from(d[axis] < 0.0);
@@ -84,14 +84,14 @@ fn distance(view: &View, level: usize, face: usize, cell: [i64; 2]) -> Option<f6
 }
 
 impl Views {
-    /// Whether a point (m) is taken for moving, by the definition.
+    /// Returns whether a point (m) counts as moving, by the definition.
     fn is_moving(&self, point: [f64; 3]) -> bool {
         let said = |what: Says| self.views.iter().filter(|view| says_by_definition(view, point) == what).count();
         said(Says::Through) > 0 && said(Says::Through) >= said(Says::Hit)
     }
 }
 
-/// What a station says by the definition, distance by distance.
+/// Observation of a station by the definition, distance by distance.
 fn says_by_definition(view: &View, point: [f64; 3]) -> Says {
     let (distance_m, cell) = view.station.look(point);
     let margin = margin_m(distance_m);
@@ -139,7 +139,7 @@ proptest! {
             (state >> 11) as f64 / (1u64 << 53) as f64
         };
         let mut place = |r: f64| -> [f64; 3] {
-            // Near the corners and edges of the faces, too.
+            // Includes the corners and edges of the faces.
             let d = [1.0, 1.0, -1.0].map(|at| at + spread * (2.0 * uniform() - 1.0));
             d.map(|v| v * r * (0.2 + uniform()))
         };
@@ -173,12 +173,13 @@ proptest! {
     }
 }
 
-/// A floor at z = 0 and a wall at x = 8, seen from a place at steps of a quarter of a degree, and whatever stands in front of them.
+/// Points of a floor at z = 0, a wall at x = 8 and anything in front of them, seen from a station at steps of a quarter
+/// of a degree.
 fn see(views: &Views, station: usize, from: [f64; 3], in_front: impl Fn([f64; 3]) -> Option<f64>) -> Vec<[f64; 3]> {
     see_at(views, station, (from, 4), in_front)
 }
 
-/// The same at so many steps a degree.
+/// Like [`see`], but with the given number of steps per degree.
 fn see_at(
     views: &Views,
     station: usize,
@@ -207,7 +208,7 @@ fn see_at(
 fn what_stood_there_for_one_station_only_is_moving_and_floors_and_walls_are_not() {
     let (one, two) = ([0.0, 0.0, 1.6], [3.0, 5.0, 1.6]);
     let views = Views::new(&[one, two].map(stood), frame(), u64::MAX).unwrap();
-    // Somebody like a screen, 1.7 m high, 4 m in front of the first station.
+    // A person, modelled as a screen 1.7 m high, 4 m in front of the first station.
     let person = |d: [f64; 3]| {
         let t = 4.0 / d[0];
         let within = d[0] > 0.0 && (t * d[1]).abs() < 0.25 && (-1.6..0.1).contains(&(t * d[2]));
@@ -240,7 +241,7 @@ proptest! {
         let views = Views::new(&stations, frame(), u64::MAX).unwrap();
         let mut points = Vec::new();
         for (number, station) in stations.iter().enumerate() {
-            // Somebody for one station, at another place for the next.
+            // A person, who stands at another place for each station.
             let [x, y] = [4.0 + uniform(), station.at[1] + uniform()];
             points.extend(see_at(&views, number, (station.at, 1), |d| {
                 let t = (x - station.at[0]) / d[0];
@@ -264,7 +265,7 @@ proptest! {
                 }
             }
         }
-        // 44 to 96 in 150 cases.
+        // In 150 cases, 44 to 96 points were moving.
         prop_assert!(counts[0] > 1000 && counts[1] > 20, "{counts:?}");
     }
 
@@ -288,7 +289,7 @@ proptest! {
             for _ in 0..20 {
                 let at = place(0.5);
                 let point = std::array::from_fn(|axis| {
-                    // Corners and faces, too.
+                    // Includes corners and faces.
                     let share = (1.2 * (at[axis] + 0.5) - 0.1).clamp(0.0, 1.0);
                     (corner[axis] + share * size[axis]).min(max[axis])
                 });

@@ -1,37 +1,38 @@
-//! What one station saw: images of least distances, and what they say of a place.
+//! View of one station: images of least distances, and its observation of a place.
 
 use super::cell::{Cell, EDGE, LEVELS, direction, floor, low_bits};
 use std::sync::atomic::{AtomicU16, Ordering};
 
-/// Farthest distance that an image can tell (cm); what is farther counts as this far.
+/// Farthest distance that an image can hold (cm); farther ones count as this.
 pub(super) const FARTHEST_CM: u16 = u16::MAX - 1;
-/// Of a cell and the eight around it, so many must have a distance.
+/// Least number of cells with a distance among a cell and its eight neighbours.
 pub(super) const LEAST_SEEN: usize = 5;
-/// First image of a station that moves: finer ones, of four times the size each, could be asked beyond 14 m only. A way has some
-/// twenty stations a metre.
+/// First image of a moving station. Finer ones, each four times as large, would be usable only beyond 14 m, and a path
+/// has some twenty stations per metre.
 const FIRST_MOVING: usize = 3;
-/// Least angle of a cell, in the corners of a face, times the number of cells along its edge.
+/// Least angle of a cell (rad), in the corners of a face, times the number of cells along its edge.
 pub(super) const CELL_ANGLE: f64 = 0.9;
-/// Nearer points are never judged (m): the scanner's own legs.
+/// Points nearer than this are never tested (m), because they may be the scanner's own legs.
 pub(super) const NEAREST_M: f64 = 0.3;
 
-/// Places that are looked at in one go.
+/// Most positions per batch.
 pub(super) const BATCH: usize = 128;
 
-/// How much farther than a place something must be to be behind it (m): scans do not fit each other to the last centimetre.
+/// Least distance behind a place at which something is farther than the place (m): scans do not align to the
+/// centimetre.
 pub(super) fn margin_m(distance_m: f64) -> f64 {
     0.05 + 0.01 * distance_m
 }
 
-/// The distance that a cell's value tells (m); the value is not 0.
+/// Distance that a cell's value encodes (m); the value must not be 0.
 pub(super) fn seen_m(value: u16) -> f64 {
     f64::from(FARTHEST_CM - (value - 1)) * 0.01
 }
 
-/// Greatest value of a cell that tells of a distance beyond `distance_m`, which is less than the farthest one.
+/// Greatest cell value that encodes a distance beyond `distance_m`, which must be less than the farthest.
 #[inline]
 pub(super) fn beyond(distance_m: f64) -> u16 {
-    // Within one of the right number, which the comparison itself finds.
+    // The estimate is off by at most one; the exact comparisons below correct it.
     let mut cm = (distance_m * 100.0) as u16;
     while cm > 0 && f64::from(cm) * 0.01 > distance_m {
         cm -= 1;
@@ -42,42 +43,42 @@ pub(super) fn beyond(distance_m: f64) -> u16 {
     FARTHEST_CM - cm + 1
 }
 
-/// What a station says of a place.
+/// Observation of a place by a station.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Says {
-    /// Something is about there.
+    /// Something is at about this distance.
     Hit,
-    /// It saw farther, in this direction and around it.
+    /// The station saw farther, in this direction and around it.
     Through,
-    /// It cannot tell.
+    /// Undecided.
     Nothing,
 }
 
-/// How many stations said what of a place.
+/// Numbers of stations by their observation of a place.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Counts {
     pub through: u32,
     pub hit: u32,
 }
 
-/// Where a scanner stood, or a piece of the way of one that moved.
+/// Position of a stationary scanner, or one section of a moving one's path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Station {
-    /// Its place (m).
+    /// Position (m).
     pub at: [f64; 3],
-    /// How far beside it rays began (m); 0 if it stood.
+    /// Greatest distance from the position at which rays began (m); 0 for a stationary scanner.
     pub within_m: f64,
 }
 
 impl Station {
-    /// Distance (m) of a place, and its cell.
+    /// Returns the distance (m) of a place, and its cell.
     #[inline(always)]
     pub(super) fn look(&self, point: [f64; 3]) -> (f64, Cell) {
         let d: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.at[axis]);
         ((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt(), Cell::of(d))
     }
 
-    /// First image that can be asked about a place so far away; none may be.
+    /// Returns the first image that can be used for a place at this distance; [`LEVELS`] if no image can.
     #[inline]
     pub(super) fn first_level_at(&self, distance_m: f64) -> usize {
         let is_too_fine = |level: usize| self.within_m * (EDGE >> level) as f64 > CELL_ANGLE * distance_m;
@@ -98,10 +99,11 @@ impl Station {
 #[derive(Debug)]
 pub(super) struct View {
     pub station: Station,
-    /// For each level from the first one on all faces, row after row: [`FARTHEST_CM`] + 1 minus the least distance (cm), 0 where there
-    /// is none.
+    /// For each level from the first one on, all faces, row by row: [`FARTHEST_CM`] + 1 minus the least distance (cm),
+    /// 0 if there is none.
     levels: [Vec<AtomicU16>; LEVELS],
-    /// Of the values by which places are seen through, the farthest; 0 while there are none.
+    /// Value of the farthest distance in the image that [`View::may_see_through`] reads first; 0 while the image is
+    /// empty.
     farthest: AtomicU16,
 }
 
@@ -120,14 +122,14 @@ impl View {
         &self.levels[level][(face * edge + cell[1] as usize) * edge + cell[0] as usize]
     }
 
-    /// Adds points (m), as many as [`BATCH`].
+    /// Adds at most [`BATCH`] points (m).
     pub fn add(&self, points: [&[f64]; 3]) {
         const FARTHEST: f64 = FARTHEST_CM as f64;
         const MOST: f64 = FARTHEST + 1.0;
         let (mut cells, mut values) = ([Cell::default(); BATCH], [0u16; BATCH]);
         for ((point, cell), value) in places(points).zip(&mut cells).zip(&mut values) {
             let (distance, at) = self.station.look(point);
-            // A point where the scanner stood has no direction.
+            // A point at the station's position has no direction.
             let cm = distance * 100.0;
             let cm = floor(if cm < FARTHEST { cm } else { FARTHEST });
             (*cell, *value) = (at, low_bits(if distance > 0.0 { MOST - cm } else { 0.0 }) as u16);
@@ -159,25 +161,27 @@ impl View {
         self.farthest.store(values.filter(|&value| value != 0).min().unwrap_or(0), Ordering::Relaxed);
     }
 
-    /// Whether the station may have seen through a place in a box (m) between these corners: not if all are beyond what it saw.
+    /// Returns whether the station may have seen through a place in a box (m) between these corners: false if the whole
+    /// box is beyond everything it saw.
     pub fn reaches(&self, min: [f64; 3], max: [f64; 3]) -> bool {
         let farthest = self.farthest.load(Ordering::Relaxed);
-        // The operations and their order are those for a place, and rounding keeps order.
+        // The operations and their order are those for a place, and rounding is monotone.
         let at = self.station.at;
         let d: [f64; 3] = std::array::from_fn(|axis| (min[axis] - at[axis]).max(at[axis] - max[axis]).max(0.0));
         let nearest = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
         farthest != 0 && seen_m(farthest) > nearest + margin_m(nearest)
     }
 
-    /// The nearest distance (m) known in a cell, from the image of this `level` or the first coarser one that has it; 0 where none has.
+    /// Returns the least distance (m) known in a cell, from the image of `level` or the first coarser one that has it;
+    /// 0 if none has.
     #[inline]
     fn nearest_m(&self, level: usize, cell: Cell) -> f64 {
         let values = (level..LEVELS).map(|level| self.levels[level][cell.index(level)].load(Ordering::Relaxed));
         values.into_iter().find(|&value| value != 0).map_or(0.0, seen_m)
     }
 
-    /// Adds what the station says of places (m), as many as [`BATCH`], that it may have seen through: to `counts` how many saw through each
-    /// place and how many hit it.
+    /// Tests at most [`BATCH`] places (m) that the station may have seen through: increments in `counts` for each place
+    /// whether the station saw through it or hit it.
     pub fn count(&self, points: [&[f64]; 3], counts: &mut [Counts]) {
         let (mut cells, mut distances) = ([Cell::default(); BATCH], [0f64; BATCH]);
         for ((point, cell), distance) in places(points).zip(&mut cells).zip(&mut distances) {
@@ -188,7 +192,7 @@ impl View {
         if self.station.within_m > 0.0 {
             looks().zip(&mut may).for_each(|((&cell, &distance), may)| *may = self.may_see_through(distance, cell));
         } else {
-            // The same, with the level known: who stood is asked about far more places.
+            // This is the same test with a fixed level, because stationary stations are tested with far more places.
             for ((&cell, &distance), may) in looks().zip(&mut may) {
                 *may = (self.nearest_m(1, cell) > distance + margin_m(distance)) & (distance >= NEAREST_M);
             }
@@ -202,10 +206,11 @@ impl View {
         }
     }
 
-    /// Whether the station may have seen through a place: it does so of few more places than it saw through, at the cost of one cell each.
+    /// Returns whether the station may have seen through a place. Reads at most one cell per image, and is true for few
+    /// more places than [`says`](Self::says) finds seen through.
     ///
-    /// The image asked is one coarser than the first that [`says`](Self::says) asks: of the cells that must all be farther, it holds
-    /// the nearest of four.
+    /// Starts one image coarser than `says` does: of the cells that must all be farther, that image holds the nearest
+    /// of four.
     #[inline]
     pub fn may_see_through(&self, distance: f64, cell: Cell) -> bool {
         let first = self.station.first_level_at(distance);
@@ -213,17 +218,18 @@ impl View {
         first < LEVELS && distance >= NEAREST_M && self.nearest_m(level, cell) > distance + margin_m(distance)
     }
 
-    /// Whether the station, one that moves, may have seen through a place in a box (m) between these corners.
+    /// Returns whether the station, which must be a moving one, may have seen through a place in a box (m) between
+    /// these corners.
     ///
-    /// Where it is false, [`may_see_through`](Self::may_see_through) is so for all places in the box: no cell that the box reaches into tells of
-    /// anything farther than the nearest place in it.
+    /// If false, [`may_see_through`](Self::may_see_through) is false for all places in the box: no cell that the box
+    /// extends into holds a distance beyond the nearest place in the box.
     pub fn may_see_through_some(&self, min: [f64; 3], max: [f64; 3]) -> bool {
-        // The operations and their order are those for a place, and rounding keeps order.
+        // The operations and their order are those for a place, and rounding is monotone.
         let low: [f64; 3] = std::array::from_fn(|axis| min[axis] - self.station.at[axis]);
         let high: [f64; 3] = std::array::from_fn(|axis| max[axis] - self.station.at[axis]);
         let length = |d: [f64; 3]| (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
         let farthest = length(std::array::from_fn(|axis| high[axis].max(-low[axis])));
-        // Finer images tell of nothing nearer than coarser ones.
+        // Finer images hold no nearer distances than coarser ones.
         let first = self.station.first_level_at(farthest);
         if first == LEVELS {
             return false;
@@ -242,7 +248,8 @@ impl View {
         if distance < NEAREST_M || distance + margin >= f64::from(FARTHEST_CM) * 0.01 {
             return Says::Nothing;
         }
-        // Greater values are nearer: these are not behind the place. A cell's distance is rounded down by up to a centimetre.
+        // Values above this are nearer, so not behind the place. A cell's distance is rounded down by up to a
+        // centimetre.
         let behind = beyond(distance + margin);
         let nearer = |value: u16| if seen_m(value) + margin + 0.01 >= distance { Says::Hit } else { Says::Nothing };
         for level in self.station.first_level_at(distance)..LEVELS {
@@ -263,7 +270,7 @@ impl View {
         Says::Nothing
     }
 
-    /// The values of the eight cells around one, row by row.
+    /// Returns the values of the eight cells around one, row by row.
     #[inline]
     fn around(&self, level: usize, face: usize, [x, y]: [i64; 2], edge: usize) -> [u16; 8] {
         const STEPS: [[i64; 2]; 8] = [[-1, -1], [0, -1], [1, -1], [-1, 0], [1, 0], [-1, 1], [0, 1], [1, 1]];
@@ -286,17 +293,17 @@ impl View {
     }
 }
 
-/// The points of three columns.
+/// Iterates over the points of three columns.
 #[inline(always)]
 fn places([x, y, z]: [&[f64]; 3]) -> impl Iterator<Item = [f64; 3]> {
     x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z])
 }
 
-/// Cells of the finest image that a box of directions reaches into: their face, first and last column, first and last row. `None` where these are
-/// of several faces.
+/// Returns the cells of the finest image that a box of directions extends into: face, first and last column, first and
+/// last row. `None` if they lie on several faces.
 #[inline]
 fn cells_of(low: [f64; 3], high: [f64; 3]) -> Option<(usize, [[usize; 2]; 2])> {
-    // For what the same quotients lose when they are rounded (cells).
+    // Margin for the rounding of these quotients (cells).
     const ROUNDING: f64 = 1e-6;
     let sizes: [f64; 3] = std::array::from_fn(|axis| high[axis].max(-low[axis]));
     let ahead: [f64; 3] = std::array::from_fn(|axis| low[axis].max(-high[axis]));

@@ -1,4 +1,4 @@
-//! The buffers of a glTF file, read piece by piece through one cache and few open files, however many buffers there are.
+//! Buffers of a glTF file, read in blocks through one cache and a few open files, however many buffers there are.
 
 use super::structure::Buffer;
 use crate::bytes::{Regular, Stamp};
@@ -8,16 +8,16 @@ use crate::{Error, Result};
 use base64::Engine;
 use std::path::{Component, Path, PathBuf};
 
-/// What is wrong with an address.
+/// Error text for a URI that points elsewhere.
 pub const ELSEWHERE: &str = "it lies elsewhere; fetch it beside the file and name it there";
-/// Files held open.
+/// Most files held open.
 const OPEN_FILES: usize = 8;
 
 /// Where the bytes of a buffer are.
 enum Data {
-    /// In a file of its own, or in the second chunk of a `.glb`: which file, where they begin, and their number.
+    /// In a file of its own, or in the second chunk of a `.glb`: file number, start and length (bytes).
     File { file: u32, start: u64, len: u64 },
-    /// In the structure itself.
+    /// In the JSON itself.
     Memory(Vec<u8>),
 }
 
@@ -30,22 +30,22 @@ impl Data {
     }
 }
 
-/// All buffers of a file.
+/// All buffers of a glTF file.
 pub struct Buffers {
-    /// The glTF file itself first.
+    /// The glTF file itself comes first.
     files: Vec<(PathBuf, Stamp)>,
-    /// Open ones, the one used last at the end.
+    /// Open files, the most recently used last.
     open: Vec<(u32, Regular)>,
     all: Vec<Data>,
     cache: Blocks,
     digest: Digest,
 }
 
-/// Where the binary part of a `.glb` begins, and its length.
+/// Start and length (bytes) of the binary chunk of a `.glb`.
 pub type BinaryPart = (u64, u64);
 
 impl Buffers {
-    /// The buffers that the file at `path` names; each has the bytes that it states.
+    /// Opens the buffers that the file at `path` names, and checks that each has the bytes that it states.
     pub fn open(path: &Path, buffers: &[Buffer], binary: Option<BinaryPart>, digest: &Digest) -> Result<Self> {
         let own = |e| Error::io(path, "open", e);
         let (file, stamp) = Regular::open(path).map_err(own)?;
@@ -53,7 +53,7 @@ impl Buffers {
         let (open, all) = (vec![(0, file)], Vec::with_capacity(buffers.len()));
         let mut found = Self { files, open, all, cache: Blocks::new(), digest: digest.clone() };
         for (number, buffer) in buffers.iter().enumerate() {
-            // The binary part of a file is its first buffer.
+            // The binary chunk of a file is its first buffer.
             let data =
                 found.find(buffer, binary.filter(|_| number == 0)).map_err(|reason| error(path, number, reason))?;
             let (stated, there) = (buffer.byte_length, data.len());
@@ -103,14 +103,14 @@ impl Buffers {
         self.open.push((number, file));
     }
 
-    /// The bytes that the text of a `data:` address holds; `None` if it is none.
+    /// Decodes the base64 text of a `data:` URI; `None` if `uri` is not one.
     pub fn in_text(uri: &str) -> Option<Result<Vec<u8>, String>> {
         let text = uri.split_once("base64,").filter(|(head, _)| head.starts_with("data:"))?.1;
         let bytes = base64::engine::general_purpose::STANDARD.decode(text);
         Some(bytes.map_err(|e| format!("its base64 text is damaged: {e}")))
     }
 
-    /// Length of a buffer (bytes).
+    /// Returns the length of a buffer (bytes).
     pub fn len(&self, buffer: usize) -> Option<u64> {
         self.all.get(buffer).map(Data::len)
     }
@@ -144,7 +144,7 @@ impl Buffers {
         }
     }
 
-    /// The file `number`, opened again if it is not open.
+    /// Returns file `number`, reopened if it was closed.
     fn open_again<'o>(
         files: &[(PathBuf, Stamp)],
         open: &'o mut Vec<(u32, Regular)>,
@@ -171,7 +171,7 @@ impl Buffers {
         Ok(&mut open[last].1)
     }
 
-    /// A file that changed since it was opened.
+    /// Returns the first file that changed since it was opened.
     pub fn changed(&self) -> Option<&Path> {
         self.files.iter().find(|(path, stamp)| !stamp.is_of(path)).map(|(path, _)| path.as_path())
     }
@@ -181,7 +181,7 @@ fn error(path: &Path, buffer: usize, reason: impl Into<String>) -> Error {
     Error::input(path, format!("buffer {buffer}"), reason)
 }
 
-/// `%20` and the like to the bytes they stand for; what is no such code stays.
+/// Decodes `%20` and the like; keeps malformed codes as they are.
 pub fn decode_percent(text: &str) -> String {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text.as_bytes();

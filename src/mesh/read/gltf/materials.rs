@@ -1,7 +1,7 @@
-//! What colours the parts of a glTF file: factors, textures and colours of corners.
+//! Materials of a glTF file: factors, textures and vertex colours.
 //!
-//! Factors and colours of corners are linear light, textures are sRGB (glTF 2.0, sections 3.7.2.1 and 3.9.2). Between corners, values
-//! are interpolated after they became sRGB.
+//! Factors and vertex colours are linear, textures are sRGB (glTF 2.0, sections 3.7.2.1 and 3.9.2). Values between
+//! corners are interpolated after the conversion to sRGB.
 
 use super::buffers::{Buffers, ELSEWHERE, decode_percent};
 use super::structure::{BufferView, Material, Structure};
@@ -19,7 +19,7 @@ enum Source {
     View(Option<BufferView>),
     File(String),
     Memory(Vec<u8>),
-    /// Nowhere, and why.
+    /// Nowhere, with the reason.
     None(String),
 }
 
@@ -30,19 +30,19 @@ pub struct Materials {
     textures: Textures<(u32, [Wrap; 2])>,
 }
 
-/// What colours a part of a mesh.
+/// Colour source of a primitive.
 #[derive(Debug, Clone)]
 pub struct Coat {
-    /// Colour (sRGB), by which that of the texture is multiplied.
+    /// Colour (sRGB) that multiplies that of the texture.
     pub factor: [u8; 3],
     pub texture: Option<Arc<Texture>>,
-    /// Set of places in the texture, and where these are.
+    /// Set of texture coordinates, and their transform.
     pub set: u32,
     pub placing: Placing,
 }
 
 impl Coat {
-    /// One colour.
+    /// A coat of one colour.
     pub fn of_factor(factor: [u8; 3]) -> Self {
         Self { factor, texture: None, set: 0, placing: Placing::default() }
     }
@@ -63,7 +63,7 @@ impl Materials {
         Self { path: path.to_path_buf(), sources: structure.images.iter().map(source).collect(), textures }
     }
 
-    /// What colours a part with the material `number`; `None` if there is no such material, which is a warning.
+    /// Returns the coat of material `number`; warns and returns `None` if there is no such material.
     pub fn coat(
         &mut self,
         number: usize,
@@ -97,7 +97,7 @@ impl Materials {
             None => Err(Fault::Unusable(format!("there is no image {image}"))),
             Some(Source::None(reason)) => Err(Fault::Unusable(reason.clone())),
             Some(Source::File(name)) => read_beside(path, name, most),
-            // It is there already.
+            // Already in memory.
             Some(Source::Memory(bytes)) => Ok(bytes.clone()),
             Some(Source::View(view)) => of_view(*view, buffers, most),
         };
@@ -106,7 +106,7 @@ impl Materials {
     }
 }
 
-/// The bytes of a part of a buffer.
+/// Reads the bytes of a buffer view.
 fn of_view(view: Option<BufferView>, buffers: &mut Buffers, most_bytes: u64) -> Result<Vec<u8>, Fault> {
     let missing = || Fault::Unusable("it should lie in a buffer, and does not".into());
     let BufferView { buffer, byte_offset, byte_length, .. } = view.ok_or_else(missing)?;

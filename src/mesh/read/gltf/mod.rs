@@ -1,10 +1,10 @@
-//! glTF 2.0, as `.gltf` with its buffers and as `.glb`: the triangles of the default scene, or of all nodes where there
-//! is none, in the places that their nodes give them.
+//! glTF 2.0, as `.gltf` with its buffers and as `.glb`: the triangles of the default scene, or of all nodes if there is
+//! no scene, with the transforms of their nodes applied.
 //!
-//! Materials, their textures and the colours of corners are read where colours are wanted ([`materials`]).
+//! Materials, textures and vertex colours are read only if colours are requested ([`materials`]).
 //!
-//! What is used of the structure is held in memory and checked here; buffers are read piece by piece, and the places of
-//! parts follow from a walk through the nodes while they are read. Skins and morph targets stay at rest. Sources: "glTF 2.0
+//! The used part of the structure is held in memory and checked here. Buffers are read in blocks, and transforms are
+//! computed while the reader traverses the nodes. Skins and morph targets stay at rest. Sources: "glTF 2.0
 //! Specification", Khronos Group, chapters 3.5 to 3.7; `KHR_mesh_quantization`; `EXT_mesh_gpu_instancing`.
 
 mod buffers;
@@ -27,20 +27,20 @@ use std::cmp::Ordering;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Least memory granted to the structure of a file (bytes), as text and again as read.
+/// Least memory granted to the structure of a file (bytes), once as text and again as parsed.
 const LEAST_JSON_BYTES: u64 = 16 << 20;
-/// Most placed parts of meshes; nodes may share meshes, so these are not bounded by the file's length.
+/// Most primitives placed by nodes; nodes may share meshes, so the file's length does not bound their number.
 const MOST_PARTS: u64 = 1 << 22;
-/// Most nodes below each other.
+/// Deepest nesting of nodes.
 const DEEPEST: usize = 1000;
 
-/// Modes of primitives that are points and triangles.
+/// Modes of primitives: points and triangles.
 const POINTS: u8 = 0;
 const TRIANGLES: u8 = 4;
 const STRIP: u8 = 5;
 const FAN: u8 = 6;
 
-/// Types of components.
+/// Component types.
 const I8: u32 = 5120;
 const U8: u32 = 5121;
 const I16: u32 = 5122;
@@ -48,17 +48,17 @@ const U16: u32 = 5123;
 const U32: u32 = 5125;
 const F32: u32 = 5126;
 
-/// Equally typed values in a buffer.
+/// Values of an accessor: equally typed, in a buffer.
 #[derive(Debug, Clone, Copy)]
 struct Values {
-    /// Zeros, if there are none.
+    /// Zeros if `None`.
     place: Option<ValuePlace>,
     count: u64,
-    /// Type of a component, its bytes, and whether whole numbers stand for shares of the greatest.
+    /// Type and bytes of a component, and whether integers stand for fractions of their greatest value.
     kind: u32,
     size: usize,
     normalized: bool,
-    /// Values that differ: their number, their indices in rising order, and they.
+    /// Sparse values: their number, their indices in ascending order, and the values.
     sparse: Option<(u64, (ValuePlace, usize), ValuePlace)>,
 }
 
@@ -70,7 +70,7 @@ struct ValuePlace {
     stride: u64,
 }
 
-/// Where a node repeats its mesh.
+/// Instances of a node's mesh.
 #[derive(Debug, Clone, Copy)]
 struct Copies {
     translation: Option<Values>,
@@ -79,7 +79,7 @@ struct Copies {
     count: u64,
 }
 
-/// A part of a mesh in its place.
+/// A primitive with its transform.
 #[derive(Debug, Clone, Copy)]
 struct PlacedPrimitive {
     place: Matrix4<f64>,
@@ -90,10 +90,10 @@ struct PlacedPrimitive {
     number: usize,
 }
 
-/// What colours the part at hand.
+/// Colour source of the current primitive.
 struct PartColours {
     coat: Coat,
-    /// Of its corners.
+    /// Texture coordinates and colours of its corners.
     places: Option<Values>,
     colours: Option<Values>,
 }
@@ -105,7 +105,7 @@ impl PlacedPrimitive {
         if self.mode == TRIANGLES { corners / 3 } else { corners.saturating_sub(2) }
     }
 
-    /// Corners of triangle `number`, in order of the indices.
+    /// Returns the corners of triangle `number`, as positions in the list of indices.
     fn corners(&self, number: u64) -> [u64; 3] {
         match self.mode {
             STRIP => [number, number + 1, number + 2],
@@ -115,29 +115,29 @@ impl PlacedPrimitive {
     }
 }
 
-/// What a file holds, checked as far as it is used.
+/// Contents of a file, checked as far as they are used.
 struct Checked {
     path: PathBuf,
     structure: Structure<'static>,
     buffers: Buffers,
-    /// Nodes to begin with.
+    /// Root nodes.
     roots: Vec<u32>,
 }
 
-/// Nodes beside each other that are being walked through: their places in the list of all children, or of all roots.
+/// Sibling nodes that are being traversed: a range of the list of all children, or of all roots.
 struct Level {
     nodes: std::ops::Range<usize>,
     above: Matrix4<f64>,
 }
 
-/// The walk through the nodes in the order of the file: each node before its children.
+/// Depth-first traversal of the nodes in file order: each node before its children.
 #[derive(Default)]
 struct Traversal {
     levels: Vec<Level>,
-    /// Primitives of the node at hand that are still to come, and their place.
+    /// Remaining primitives of the current node, and their transform.
     primitives: std::ops::Range<usize>,
     place: Matrix4<f64>,
-    /// All its primitives and its place, the copies of these that are still to come, and the first of them.
+    /// All its primitives and its transform, its instances, and the number of the next one.
     node: (std::ops::Range<usize>, Matrix4<f64>),
     copies: Option<Copies>,
     copy: u64,
@@ -148,7 +148,7 @@ pub(super) struct GltfReader {
     traversal: Traversal,
     primitive: Option<PlacedPrimitive>,
     triangle: u64,
-    /// Where colours are wanted.
+    /// Present if colours are requested.
     materials: Option<Materials>,
     colours: Option<PartColours>,
 }
@@ -198,7 +198,7 @@ impl Checked {
         self.error("structure", format!("it names {what} {number}, which does not exist"))
     }
 
-    /// Nodes of the default scene, else of the first, else those that are no children.
+    /// Returns the nodes of the default scene, else of the first scene, else all nodes without a parent.
     fn roots(&self) -> Result<Vec<u32>> {
         let Structure { scenes, nodes, children, .. } = &self.structure;
         let scene = match self.structure.scene {
@@ -216,7 +216,7 @@ impl Checked {
         Ok(is_child.iter_zeros().map(|node| node as u32).collect())
     }
 
-    /// Walks through all nodes and looks at each part once, so that no fault shows only after hours.
+    /// Traverses all nodes and checks each primitive once, so that faults show at once and not after hours.
     fn check(&self, watch: &mut Watch) -> Result<()> {
         let Structure { nodes, children, .. } = &self.structure;
         let (mut met, mut checked): (BitVec, BitVec) =
@@ -231,7 +231,7 @@ impl Checked {
                 continue;
             };
             let node = nodes.get(number as usize).ok_or_else(|| self.missing("node", number))?;
-            // Every node has one parent at most, so one that is met twice is damage, and might be a circle.
+            // A node has at most one parent, so a node met twice is damage, and might be a cycle.
             if met.replace(number as usize, true) {
                 return Err(self.error(format!("node {number}"), "it has two parents, or is its own"));
             }
@@ -265,7 +265,7 @@ impl Checked {
         Ok(())
     }
 
-    /// A primitive in its place; `None` if it has no triangles.
+    /// Returns a primitive with its transform; `None` if it has no triangles.
     fn part(&self, number: usize, place: Matrix4<f64>) -> Result<Option<PlacedPrimitive>> {
         let primitive = &self.structure.primitives[number];
         if primitive.mode > FAN {
@@ -287,7 +287,7 @@ impl Checked {
         Ok(Some(PlacedPrimitive { place, mode: primitive.mode, positions, indices, number }))
     }
 
-    /// Values that lie within their buffer.
+    /// Returns the values of an accessor, checked to lie within their buffer.
     fn values(&self, number: usize, shape: AccessorShape, kinds: &[u32]) -> Result<Values> {
         let at = || format!("accessor {number}");
         let accessor = self.structure.accessors.get(number).ok_or_else(|| self.missing("accessor", number))?;
@@ -326,13 +326,13 @@ impl Checked {
         Ok(Values { place, count, kind: component_type, size, normalized: accessor.normalized, sparse })
     }
 
-    /// Where `count` values of so many bytes lie, all of them within their view and their buffer.
+    /// Returns where `count` values of `whole` bytes each lie, checked to be within their view and their buffer.
     fn place(&self, view: u32, offset: u64, count: u64, whole: u64) -> Result<ValuePlace, String> {
         let of_number = self.structure.views.get(view as usize);
         let view = of_number.ok_or_else(|| format!("there is no view {view}"))?;
         let buffer = view.buffer as usize;
         let bytes = self.buffers.len(buffer).ok_or_else(|| format!("there is no buffer {buffer}"))?;
-        // Zero stands for no gaps.
+        // A stride of zero means tightly packed.
         let stride = view.byte_stride.map_or(0, u64::from);
         let stride = if stride == 0 { whole } else { stride };
         let start = view.byte_offset.checked_add(offset);
@@ -345,7 +345,7 @@ impl Checked {
         }
     }
 
-    /// Reads from a place; zeros where there is none.
+    /// Reads value `number` at a place; zeros if there is no place.
     fn read_at(&mut self, place: Option<ValuePlace>, number: u64, out: &mut [u8]) -> Result<()> {
         match place {
             Some(ValuePlace { buffer, start, stride }) => self.buffers.read(buffer, start + number * stride, out),
@@ -356,7 +356,7 @@ impl Checked {
         }
     }
 
-    /// The bytes of value `number`, which there must be.
+    /// Reads the bytes of value `number`, which must exist.
     fn read(&mut self, values: &Values, number: u64, out: &mut [u8]) -> Result<()> {
         let Some((count, (indices, size), others)) = values.sparse else {
             return self.read_at(values.place, number, out);
@@ -381,7 +381,7 @@ impl Checked {
         Ok(u64::from(u32::from_le_bytes(bytes)))
     }
 
-    /// The components of a value, which there must be.
+    /// Reads the components of value `number`, which must exist.
     fn numbers<const N: usize>(&mut self, values: &Values, number: u64) -> Result<[f64; N]> {
         let mut bytes = [0; 16];
         let size = values.size;
@@ -397,7 +397,7 @@ impl Checked {
         self.numbers(values, number)
     }
 
-    /// The same of a value for colours; `None` where there is no such value.
+    /// Reads the components of a value for colours; `None` if there is no such value.
     fn shares<const N: usize>(&mut self, values: &Values, number: u64) -> Result<Option<[f32; N]>> {
         if number >= values.count {
             return Ok(None);
@@ -405,7 +405,7 @@ impl Checked {
         self.numbers(values, number).map(|numbers| Some(numbers.map(|value| value as f32)))
     }
 
-    /// Where a node repeats its mesh.
+    /// Returns the instances of a node.
     fn copies(&self, number: usize) -> Result<Copies> {
         let Instances { translation, rotation, scale } = self.structure.instances[number];
         let values = |of: Option<u32>, shape, kinds| of.map(|of| self.values(of as usize, shape, kinds)).transpose();
@@ -420,7 +420,7 @@ impl Checked {
         Ok(Copies { translation, rotation, scale, count })
     }
 
-    /// Where one of the copies lies in its node.
+    /// Returns the transform of one instance within its node.
     fn copy(&mut self, copies: &Copies, number: u64) -> Result<Matrix4<f64>> {
         let mut part = |values: Option<Values>| values.map(|values| self.numbers::<3>(&values, number)).transpose();
         let (translation, scale) = (part(copies.translation)?, part(copies.scale)?);
@@ -429,7 +429,7 @@ impl Checked {
         Ok(placed(translation.unwrap_or_default(), rotation, scale.unwrap_or([1.0; 3])))
     }
 
-    /// A triangle, and what colours it.
+    /// Reads a triangle and its paint.
     fn triangle(
         &mut self,
         part: &PlacedPrimitive,
@@ -469,7 +469,7 @@ impl Checked {
         Ok(if part.colours.is_some() { Paint::Corners(tints) } else { Paint::Flat(*factor) })
     }
 
-    /// What colours a part; `None` if nothing does.
+    /// Returns the colour source of a primitive; `None` if it has no colours.
     fn colours(&mut self, number: usize, materials: &mut Materials, watch: &Watch) -> Result<Option<PartColours>> {
         let primitive: Primitive = self.structure.primitives[number];
         let coat = match primitive.material() {
@@ -488,12 +488,12 @@ impl Checked {
             _ => self.values(of, AccessorShape::Vec3, &kinds),
         };
         let colours = primitive.colours().map(of_corners).transpose()?;
-        // Whether they say so or not.
+        // Integer colours are normalized, whether the file says so or not.
         let colours = colours.map(|values| Values { normalized: true, ..values });
         Ok(Some(PartColours { coat, places, colours }))
     }
 
-    /// Where a node places what it holds; a matrix excludes the rest (glTF 2.0, section 3.5.3).
+    /// Returns the transform of a node; a matrix excludes the other properties (glTF 2.0, section 3.5.3).
     fn matrix(&self, transform: Option<usize>) -> Matrix4<f64> {
         match transform.map(|number| self.structure.transforms[number]) {
             None => Matrix4::identity(),
@@ -514,7 +514,7 @@ fn size_of_kind(kind: u32) -> usize {
     }
 }
 
-/// A component; whole numbers that are normalized stand for shares of the greatest (glTF 2.0, section 3.6.2.2).
+/// Decodes a component; normalized integers stand for fractions of their greatest value (glTF 2.0, section 3.6.2.2).
 fn component(kind: u32, normalized: bool, bytes: &[u8]) -> f64 {
     let bits = bytes.iter().rev().fold(0, |bits, byte| bits << 8 | u32::from(*byte));
     let (value, greatest) = match kind {
@@ -528,7 +528,7 @@ fn component(kind: u32, normalized: bool, bytes: &[u8]) -> f64 {
     if normalized { (value / greatest).max(-1.0) } else { value }
 }
 
-/// Scaled, turned, then moved.
+/// Returns the transform that scales, then rotates, then translates.
 fn placed(translation: [f64; 3], [x, y, z, w]: [f64; 4], scale: [f64; 3]) -> Matrix4<f64> {
     let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
     Matrix4::new_translation(&Vector3::from(translation))
@@ -542,7 +542,7 @@ impl Traversal {
         Self { levels: vec![roots], ..Self::default() }
     }
 
-    /// The next part, through nodes that were checked; `None` after the last.
+    /// Returns the next primitive, through nodes that were checked; `None` after the last.
     fn next(&mut self, checked: &mut Checked, watch: &mut Watch) -> Result<Option<PlacedPrimitive>> {
         loop {
             watch.step()?;
@@ -611,7 +611,7 @@ impl Triangles for GltfReader {
     }
 }
 
-/// The structure of a file, and of a `.glb` where its binary part begins and its length.
+/// Reads the structure (JSON) of a file, and locates the binary chunk of a `.glb`.
 fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<u8>, Option<BinaryPart>)> {
     let io = |e| Error::io(path, "read the structure", e);
     let mut file = MeshSource::open(path, digest)?;

@@ -1,5 +1,5 @@
-//! The structure of a glTF file: of its JSON what triangles need, in a few bytes a thing, because files may hold millions of
-//! empty ones. What it refers to is checked where it is used.
+//! Structure of a glTF file: the part of its JSON that triangles need, in a few bytes per item, because files may hold
+//! millions of empty ones. References are checked where they are used.
 
 use crate::mesh::read::placing::Placing;
 use serde::Deserialize;
@@ -8,8 +8,8 @@ use std::borrow::Cow;
 use std::cell::Cell;
 use std::marker::PhantomData;
 
-/// Extensions that are read, and such that move no triangle and add none: looks, lights, texts about parts, animations (which
-/// rest) and coarser copies. A file may require them. Names that end in `_` stand for all that begin so.
+/// Extensions that a file may require: those that are read, and those that neither move nor add triangles (appearance,
+/// lights, metadata, animations, which rest, and coarser copies). A name that ends in `_` is a prefix.
 const HARMLESS: [&str; 20] = [
     "KHR_mesh_quantization",
     "EXT_mesh_gpu_instancing",
@@ -32,14 +32,15 @@ const HARMLESS: [&str; 20] = [
     "CESIUM_primitive_outline",
     "MSFT_lod",
 ];
-/// Extensions that move triangles and are not read: files that use them are refused, whether they require them or not.
+/// Extensions that move triangles and are not supported: files that use them are refused, whether they require them or
+/// not.
 const MOVING: [&str; 1] = ["CESIUM_RTC"];
-/// No number.
+/// Marks an absent number.
 const NONE: u32 = u32::MAX;
-/// What names of extensions for Gaussian splats hold.
+/// Substring of the names of extensions for Gaussian splats.
 pub const SPLATS: &str = "gaussian_splatting";
 
-/// Lists of numbers, one after the other.
+/// Lists of numbers, stored back to back.
 #[derive(Debug, Default)]
 pub struct Lists {
     ends: Vec<u32>,
@@ -52,7 +53,7 @@ impl Lists {
         self.ends.len()
     }
 
-    /// Where the numbers of list `index` stand.
+    /// Returns where the numbers of list `index` stand.
     pub fn range(&self, index: usize) -> std::ops::Range<usize> {
         let begin = index.checked_sub(1).map_or(0, |before| self.ends[before]);
         begin as usize..self.ends[index] as usize
@@ -72,14 +73,14 @@ impl Lists {
     }
 }
 
-/// Where a node places what it holds.
+/// Transform of a node.
 #[derive(Debug, Clone, Copy)]
 pub enum NodeTransform {
     Matrix([f32; 16]),
     Parts { translation: [f32; 3], rotation: [f32; 4], scale: [f32; 3] },
 }
 
-/// A node, but for its children.
+/// A node without its children.
 #[derive(Debug, Clone, Copy)]
 pub struct Node {
     mesh: u32,
@@ -87,7 +88,7 @@ pub struct Node {
     instances: u32,
 }
 
-/// Accessors of the places in which a node repeats its mesh.
+/// Accessors of the transforms in which a node repeats its mesh.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(default, rename_all = "UPPERCASE")]
 pub struct Instances {
@@ -113,17 +114,17 @@ impl Node {
     }
 }
 
-/// A part of a mesh.
+/// A primitive of a mesh.
 #[derive(Debug, Clone, Copy)]
 pub struct Primitive {
     positions: u32,
     indices: u32,
     material: u32,
     colours: u32,
-    /// Places in textures, of the first two sets.
+    /// Texture coordinates, of the first two sets.
     places: [u32; 2],
     pub mode: u8,
-    /// Whether it is compressed by Draco; it may be there as it is too.
+    /// True if it is compressed by Draco; uncompressed values may be present as well.
     pub is_draco: bool,
 }
 
@@ -147,12 +148,12 @@ impl Primitive {
         some(self.material)
     }
 
-    /// Accessor of colours of its corners.
+    /// Accessor of its vertex colours.
     pub fn colours(&self) -> Option<usize> {
         some(self.colours)
     }
 
-    /// Accessor of the places of its corners in textures that name this set of them.
+    /// Accessor of texture coordinate set `set`.
     pub fn places(&self, set: u32) -> Option<usize> {
         self.places.get(set as usize).copied().and_then(some)
     }
@@ -184,7 +185,7 @@ pub struct Accessor {
     pub sparse: Option<Sparse>,
 }
 
-/// Values of an accessor that differ from those in its view.
+/// Values of an accessor that replace those in its view.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Sparse {
@@ -193,19 +194,19 @@ pub struct Sparse {
     pub values: SparsePart,
 }
 
-/// Where their indices are, or the values.
+/// Location of the sparse indices or of the sparse values.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct SparsePart {
     pub buffer_view: u32,
     #[serde(default)]
     pub byte_offset: u64,
-    /// Of indices.
+    /// Of the indices only.
     #[serde(default)]
     pub component_type: u32,
 }
 
-/// A piece of a buffer.
+/// Range of a buffer.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct BufferView {
@@ -227,7 +228,7 @@ pub struct Buffer<'a> {
     pub extensions: BufferExtensions,
 }
 
-/// Whether a buffer stands in for one that is compressed.
+/// Presence of meshopt compression: the buffer stands in for a compressed one.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(default)]
 pub struct BufferExtensions {
@@ -241,11 +242,11 @@ struct Asset<'a> {
     version: Cow<'a, str>,
 }
 
-/// What a file holds; numbers are those of the file, and may name what is not there.
+/// Parsed contents of a file. Numbers are those of the file and may refer to missing items.
 #[derive(Debug, Default)]
 pub struct Structure<'a> {
     pub version: Cow<'a, str>,
-    /// An extension without which its triangles are not those that it means: of splats, else the first.
+    /// A required extension without which the triangles would be wrong: one for splats if there is one, else the first.
     pub extension_needed: Option<Cow<'a, str>>,
     pub scene: Option<u32>,
     /// Root nodes by scene.
@@ -255,7 +256,7 @@ pub struct Structure<'a> {
     pub children: Lists,
     pub transforms: Vec<NodeTransform>,
     pub instances: Vec<Instances>,
-    /// By primitive; `meshes` says which are those of a mesh.
+    /// All primitives; `meshes` holds the end of each mesh's range.
     pub primitives: Vec<Primitive>,
     meshes: Vec<u32>,
     pub accessors: Vec<Accessor>,
@@ -267,7 +268,7 @@ pub struct Structure<'a> {
     pub samplers: Vec<Sampler>,
 }
 
-/// How a part of a mesh is coloured.
+/// Material of a primitive.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub struct Material {
@@ -290,7 +291,7 @@ impl Default for Base {
     }
 }
 
-/// A texture, and the set of places in it.
+/// Reference to a texture, with its set of texture coordinates.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct TextureName {
@@ -308,7 +309,7 @@ struct TextureExtensions {
     transform: Option<TextureTransform>,
 }
 
-/// How places in a texture are moved, and maybe another set of them.
+/// Transform of texture coordinates, and maybe another set of them.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 struct TextureTransform {
@@ -325,12 +326,12 @@ impl Default for TextureTransform {
 }
 
 impl TextureName {
-    /// The set of places in the texture.
+    /// Returns the set of texture coordinates.
     pub fn set(&self) -> u32 {
         self.extensions.transform.and_then(|transform| transform.tex_coord).unwrap_or(self.tex_coord)
     }
 
-    /// Where the texture lies.
+    /// Returns the transform of the texture coordinates.
     pub fn placing(&self) -> Placing {
         let transform = self.extensions.transform;
         transform.map_or_else(Placing::default, |TextureTransform { offset, rotation, scale, .. }| {
@@ -339,14 +340,14 @@ impl TextureName {
     }
 }
 
-/// An image, and what is beyond it.
+/// An image and its sampler.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub struct TextureOf {
     pub source: Option<u32>,
     pub sampler: Option<u32>,
 }
 
-/// Where an image is.
+/// Location of an image.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct ImageOf<'a> {
@@ -355,7 +356,7 @@ pub struct ImageOf<'a> {
     pub buffer_view: Option<u32>,
 }
 
-/// What is beyond an image.
+/// Wrap modes of a texture, by number.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Sampler {
@@ -364,8 +365,7 @@ pub struct Sampler {
 }
 
 impl<'a> Structure<'a> {
-    /// Of the text `json`, in at most `most_bytes` of memory beside it.
-    /// Materials are passed over unless `colours` are wanted.
+    /// Parses `json` using at most `most_bytes` of memory besides the text. Skips materials unless `colours` is set.
     pub fn parse(json: &'a [u8], most_bytes: u64, colours: bool) -> Result<Self, serde_json::Error> {
         let mut reader = serde_json::Deserializer::from_slice(json);
         let structure = Root(&Budget(Cell::new(most_bytes)), colours).deserialize(&mut reader)?;
@@ -373,7 +373,7 @@ impl<'a> Structure<'a> {
         Ok(structure)
     }
 
-    /// The same without what it borrows from the text: version, extension, buffers and images.
+    /// Drops the fields that borrow from the text: version, extension, buffers and images.
     pub fn without_text(self) -> Structure<'static> {
         let Self { scene, scenes, nodes, children, transforms, primitives, meshes, accessors, views, .. } = self;
         let Self { instances, materials, textures, samplers, .. } = self;
@@ -399,7 +399,7 @@ impl<'a> Structure<'a> {
         }
     }
 
-    /// Primitives of a mesh.
+    /// Returns the range of the primitives of a mesh.
     pub fn mesh(&self, number: usize) -> Option<std::ops::Range<usize>> {
         let end = *self.meshes.get(number)?;
         let begin = number.checked_sub(1).map_or(0, |before| self.meshes[before]);
@@ -407,14 +407,14 @@ impl<'a> Structure<'a> {
     }
 }
 
-/// Why reading ends.
+/// Reason for aborting the parse.
 type Refusal = &'static str;
 
-/// Memory that is left.
+/// Bytes of memory left.
 struct Budget(Cell<u64>);
 
 impl Budget {
-    /// Takes room for one more `T`; a vector doubles as it grows, and is there twice meanwhile.
+    /// Reserves bytes for one more `T`: twice its size, because a growing vector is in memory twice for a moment.
     fn take<T>(&self) -> Result<(), Refusal> {
         let left = self.0.get().checked_sub(2 * size_of::<T>() as u64);
         self.0.set(left.ok_or("its structure takes more than its share of the memory budget; give more memory")?);
@@ -444,7 +444,7 @@ fn triangles() -> u8 {
     super::TRIANGLES
 }
 
-/// A list within a thing, of bounded length.
+/// A nested list of bounded length.
 struct Bounded<T>(Vec<T>);
 
 impl<T> Default for Bounded<T> {
@@ -468,7 +468,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Bounded<T> {
 /// Most elements of a [`Bounded`] list.
 const MOST_IN_LIST: usize = 1 << 20;
 
-/// Hands the elements of a list to a function, one by one.
+/// Passes the elements of a list to a function, one at a time.
 struct Fill<F, T>(F, PhantomData<T>);
 
 fn fill<T, F: FnMut(T) -> Result<(), Refusal>>(put: F) -> Fill<F, T> {
@@ -603,7 +603,7 @@ enum Key {
     Other,
 }
 
-/// Reads the whole, with or without materials.
+/// Reads the whole document, with or without materials.
 struct Root<'b>(&'b Budget, bool);
 
 impl<'de> DeserializeSeed<'de> for Root<'_> {
@@ -660,7 +660,7 @@ impl<'de> Visitor<'de> for Root<'_> {
     }
 }
 
-/// Appends to `all`.
+/// Returns a function that appends to `all`.
 fn push<T>(all: &mut Vec<T>, budget: &Budget) -> impl FnMut(T) -> Result<(), Refusal> {
     |item| {
         budget.take::<T>()?;
