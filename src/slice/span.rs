@@ -70,7 +70,7 @@ impl Span {
         self.0 & OBSTACLE | 1
     }
 
-    /// Returns the pixel's `x % 8`, for a span that a page holds.
+    /// Returns the pixel's `x % 8`; valid for spans that a page holds.
     #[inline]
     pub(crate) fn lane(self) -> u32 {
         self.0 >> LANE_SHIFT

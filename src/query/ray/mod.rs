@@ -93,8 +93,8 @@ impl RayHit {
     }
 }
 
-/// Returns the first solid that `ray` hits; `None` if it hits nothing within its length. Not loaded if a page that is not
-/// in memory could hold an earlier hit.
+/// Returns the first solid that `ray` hits; `None` if it hits nothing within its length. Not loaded if a page that is
+/// not in memory could hold an earlier hit.
 ///
 /// Solid space is that of [all queries](super#definition-of-touching). Pixel squares are closed and grown by at most
 /// 2⁻⁴⁸ of the coordinates, so a ray through an input point always hits. A ray that grazes a face may meet it earlier

@@ -9,7 +9,8 @@ use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
 /// Returns the world height (m) of the highest top of a span of either class under `shape`, from height `from` (m) down
-/// to `from - depth` (m, >= 0, finite); `None` if no span has one there. A span that continues above `from` has no top there.
+/// to `from - depth` (m, >= 0, finite); `None` if no span has one there. A span that continues above `from` has no top
+/// there.
 ///
 /// As in [`sweep`](crate::query::sweep()), a pixel counts if the shape's footprint meets its interior; the shape's own
 /// heights do not count. A span cut by a page boundary counts as if it ended there. Cost: like
@@ -26,8 +27,8 @@ pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64
 }
 
 /// Returns the mean world height (m) of the tops of floor under `shape`, from height `from` (m) down to `from - depth`
-/// (m, >= 0, finite); `None` if no floor is there. This is the average over "the points on the base of the bounding box" of
-/// the thesis, section 3.2.2.
+/// (m, >= 0, finite); `None` if no floor is there. This is the average over "the points on the base of the bounding
+/// box" of the thesis, section 3.2.2.
 ///
 /// Pixels and cost are those of [`top_under`].
 pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
