@@ -23,8 +23,8 @@ pub(super) fn search<S: PageSet>(set: &S, line: Line, bounds: &KeyBounds) -> Ans
         let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
             search.go_on(t0)?;
             if set.has_region(rx as i32, ry as i32) {
-                // Reaching the end of a region does not end the search: on an edge, the ray continues in the next
-                // region, too.
+                // A break in one region does not end the search: a ray along an edge is in the region on the other
+                // side, too.
                 let _ = line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
                     search.tile(set.column(tx as i32, ty as i32), tx as i32, ty as i32, t0, t1)
                 });
