@@ -1,17 +1,17 @@
-//! Spans of triangles, and the inside of closed meshes.
+//! Spans of triangles, and the interior of closed meshes.
 
 use super::tree::MOST_ITEMS;
 use crate::{Error, Result};
 
 type Pixel = (i64, i64);
 
-/// What triangles leave in the pixels, in any order.
+/// Surfaces and crossings that triangles leave in the pixels, in any order.
 #[derive(Debug, Default)]
 pub(super) struct Columns {
     /// Heights of surfaces (quanta).
     surfaces: Vec<(Pixel, (i64, i64))>,
-    /// Heights at which the line through the middle of a pixel crosses a surface (quanta), and how that changes the
-    /// winding number.
+    /// Heights at which the line through the middle of a pixel crosses a surface (quanta), and the change of the
+    /// winding number there.
     crossings: Vec<(Pixel, f64, i32)>,
 }
 
@@ -24,8 +24,8 @@ impl Columns {
         self.crossings.push((pixel, height, change));
     }
 
-    /// Fails when there are too many surfaces for a triangle of about `pixels` more. From time to time unites what
-    /// overlaps, so that small triangles by the million take no more than the pixels that they touch.
+    /// Fails if a triangle of about `pixels` more would exceed the limit. When the list is full it merges overlapping
+    /// surfaces before it grows, so that millions of small triangles take no more memory than the pixels they touch.
     pub(super) fn make_room(&mut self, pixels: f64) -> Result<()> {
         if self.surfaces.len() == self.surfaces.capacity() && !self.surfaces.is_empty() {
             unite(&mut self.surfaces);
@@ -40,8 +40,8 @@ impl Columns {
     }
 }
 
-/// The spans, united where they share a height. There is matter between two crossings of a pixel where the winding number
-/// is not zero: inside of one body, or of several at once, whichever way round their faces run.
+/// Returns the spans, merged where they share a height. Between two crossings of a pixel it is solid if the winding
+/// number is not zero: inside one body or several, whichever way their faces are oriented.
 pub(super) fn fill(columns: Columns) -> Vec<(Pixel, (i64, i64))> {
     let Columns { mut surfaces, mut crossings } = columns;
     crossings.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -58,7 +58,7 @@ pub(super) fn fill(columns: Columns) -> Vec<(Pixel, (i64, i64))> {
     surfaces
 }
 
-/// Sorts, and makes one of neighbours that share a height.
+/// Sorts the surfaces and merges neighbours that share a height.
 fn unite(surfaces: &mut Vec<(Pixel, (i64, i64))>) {
     surfaces.sort_unstable();
     surfaces.dedup_by(|next, kept| {

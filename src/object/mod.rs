@@ -1,25 +1,27 @@
-//! Rigid objects made of voxels: against each other, against pawns, and against scenes.
+//! Contacts between rigid voxel objects and other objects, pawns and scenes.
 //!
-//! In: [`Model`]s, made from the pages of an archive or from triangles, and where they are ([`Object`]). Out: whether
+//! In: [`Model`]s, built from the pages of an archive or from triangles, and their poses ([`Object`]). Out: whether
 //! they touch. The thesis names this as future work ("inter-object collision ... by cross-checking both image
 //! representations for occupied pixels", section 5.1).
 //!
-//! # What touching means
+//! # Definition of touching
 //!
-//! The matter of a model is that of queries: a span of pixel `(i, j)` fills the closed box of the pixel's square and all
-//! heights from its bottom to its top. An object carries these boxes, turned and moved by its pose. Two objects touch if
-//! a box of one and a box of the other share a point; this is decided for oriented boxes by the 15 separating axes
-//! (Gottschalk, Lin and Manocha, "OBBTree", 1996), and grows by `2⁻⁴⁵` of the coordinates for rounding, towards "hit":
-//! those of the places, and those of the models themselves, for a model may be built far from its origin and moved back.
-//! So of two surfaces that touch none is missed (G1), whatever their poses; and objects that touch have surfaces within
-//! the diagonals of a voxel of each, where no more than a pixel of `t × t × σ` lies between a box and its surface.
+//! A model is solid in the same sense as a scene is for queries: a span of pixel `(i, j)` fills the closed box over the
+//! pixel's square from its bottom to its top. An object carries these boxes, rotated and moved by its pose. Two objects
+//! touch if a box of one and a box of the other share a point. The test is that of oriented boxes by the 15 separating
+//! axes (Gottschalk, Lin and Manocha, "OBBTree", 1996). Boxes grow by `2⁻⁴⁵` of the coordinates to cover rounding, so
+//! errors go towards "hit"; this counts the coordinates of the poses and those of the models, because a model may be
+//! built far from its origin and moved back. Consequently, no contact of two surfaces is missed (G1), in any pose; and
+//! the surfaces of objects that touch are no farther apart than the diagonals of a voxel of each, provided that no box
+//! reaches farther than one voxel (`t × t × σ`) beyond its surface.
 //!
 //! # Method
 //!
-//! A binary tree of boxes over each model's spans, cut at the median; two trees are descended together, larger box
-//! first. A scene is its own summary: the boxes of the object's tree are asked of its pages, blocks and spans by
-//! [`overlaps`](crate::query::overlaps), and the few that remain are held against single spans. Nothing is allocated,
-//! locked or waited for. The cost grows with what lies near the other: boxes apart end the search at once.
+//! Each model has a binary tree of boxes over its spans, cut at the median. Two trees are descended together, the
+//! larger box first. A scene needs no tree: [`overlaps`](crate::query::overlaps) tests the boxes of the object's tree
+//! against its pages, blocks and spans, and the few boxes that remain are tested against single spans. Nothing
+//! allocates, locks or waits. The cost grows with the geometry close to the other object; boxes apart end the search at
+//! once.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -50,21 +52,22 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use oriented::{LocalBox, Relative};
 use tree::{Tree, deepest};
 
-/// A model in its place.
+/// A model in a pose.
 #[derive(Debug, Clone, Copy)]
 pub struct Object<'a> {
     model: &'a Model,
-    /// From the coordinates of the model's tree, which are about its middle, to the world.
+    /// From the coordinates of the model's tree, whose origin is near the model's middle, to the world.
     pose: Isometry3<f64>,
-    /// Sum of the coordinates that the pose and the model's boxes come from (m): their rounding errors scale with it.
+    /// Sum of the coordinates from which the pose and the model's boxes are computed (m); rounding errors scale with
+    /// it.
     coordinates_m: f64,
 }
 
 impl<'a> Object<'a> {
-    /// `model` moved from its own coordinates by `pose` (m).
+    /// Places `model`: `pose` maps its own coordinates to the world (m).
     ///
-    /// Fails if a number of the pose is NaN, a translation lies beyond ±10¹⁰⁰ m, or the rotation's quaternion is not of
-    /// length 1 (to 10⁻⁶; what is left of that is taken out).
+    /// Fails if a number of the pose is NaN, a translation lies beyond ±10¹⁰⁰ m, or the length of the rotation's
+    /// quaternion differs from 1 by more than 10⁻⁶ (smaller differences are normalised).
     pub fn new(model: &'a Model, pose: Isometry3<f64>) -> Result<Self> {
         let length = pose.rotation.quaternion().norm();
         let is_turn = (length - 1.0).abs() <= 1e-6;
@@ -80,12 +83,12 @@ impl<'a> Object<'a> {
         Ok(Self { model, pose: placed, coordinates_m })
     }
 
-    /// The model.
+    /// Returns the model.
     pub fn model(&self) -> &'a Model {
         self.model
     }
 
-    /// Middle (m) and radius (m) of a ball around the object: a first look for those who move many.
+    /// Returns the middle (m) and radius (m) of a ball around the object: a cheap first test among many objects.
     pub fn ball(&self) -> (Point3<f64>, f64) {
         (Point3::from(self.pose.translation.vector), self.model.radius())
     }
@@ -95,11 +98,11 @@ impl<'a> Object<'a> {
     }
 }
 
-/// Whether two objects touch; see the [module text](self) for what that means. Ends at the first contact.
+/// Returns whether two objects touch, as the [module text](self) defines it. Ends at the first contact.
 ///
-/// Cost: a hundred nanoseconds for objects apart. A close miss costs what lies near: for two bunnies of 30,000 to 400,000
-/// spans 0.1 to 0.3 ms in the median of poses and 3 ms at most; at worst, for surfaces oblique to their grids that run
-/// parallel within two voxels of each other, some microseconds for each of their spans.
+/// Cost: a hundred nanoseconds for objects apart. A close miss depends on the geometry nearby: for two bunnies of
+/// 30,000 to 400,000 spans 0.1 to 0.3 ms in the median of poses and at most 3 ms; in the worst case, surfaces oblique
+/// to their grids that run parallel within two voxels of each other, some microseconds for each of their spans.
 pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
     let relative = Relative::new(&a.pose, &b.pose, a.coordinates_m + b.coordinates_m);
     let (left, right) = (a.tree(), b.tree());
@@ -112,7 +115,7 @@ pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
         if relative.separates_by_faces(&one.bounds(), &other.bounds()) {
             continue;
         }
-        // The larger is cut, and the half nearer to the other comes first: it may end the search.
+        // Cut the larger box and visit the half nearer to the other one first, because it may end the search.
         let halves = match (one.children(m), other.children(n)) {
             (None, None) => {
                 let near = left.items(one).filter(|p| !relative.separates_by_faces(p, &other.bounds()));
@@ -135,9 +138,9 @@ pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
     false
 }
 
-/// Whether an object touches a box that stands upright in the world, for example a pawn.
+/// Returns whether an object touches an axis-aligned box, for example a pawn.
 pub fn touches_box(object: &Object<'_>, shape: &Aabb) -> bool {
-    // Only what the object can reach counts; that is finite.
+    // Clip the box to the object's reach, which is finite.
     let (center, radius) = object.ball();
     let reach = Vector3::repeat(radius + 4.0 * oriented::SLACK * object.coordinates_m);
     let (low, high) = (shape.min().sup(&(center - reach)), shape.max().inf(&(center + reach)));
@@ -151,7 +154,7 @@ pub fn touches_box(object: &Object<'_>, shape: &Aabb) -> bool {
     object.tree().any(|bounds| !relative.separates_by_faces(bounds, &shape), |item| relative.meets(item, &shape))
 }
 
-/// Whether an object touches a sphere.
+/// Returns whether an object touches a sphere.
 pub fn touches_sphere(object: &Object<'_>, sphere: &Sphere) -> bool {
     let center = object.pose.inverse_transform_point(&sphere.center());
     let coordinates_m = object.coordinates_m + center.coords.amax() + sphere.center().coords.amax();
@@ -163,8 +166,8 @@ pub fn touches_sphere(object: &Object<'_>, sphere: &Sphere) -> bool {
     object.tree().any(near, near)
 }
 
-/// Pairs of nodes to look at. A pair gives way to two, one level deeper on one side, so there are never more than the
-/// levels of both trees and one.
+/// Pairs of nodes to visit. A pair is replaced by two that are one level deeper on one side, so there are never more
+/// pairs than the levels of both trees plus one.
 struct Pairs {
     open: [(u32, u32); 2 * deepest() + 2],
     count: usize,

@@ -1,4 +1,4 @@
-//! A model: the spans of an archive or of a mesh, under a tree.
+//! A model: the spans of an archive or of a mesh under a tree.
 
 use super::fill::{Columns, fill};
 use super::tree::{Item, MOST_ITEMS, MOST_REACH, Tree};
@@ -12,20 +12,20 @@ use nalgebra::Point3;
 /// A span before its place in the tree is known: pixel, lowest and highest quantum.
 type PixelInterval = ((i64, i64), (i64, i64));
 
-/// The matter of a thing that moves. Memory: about 32 bytes a span.
+/// Geometry of a rigid body, as a tree of spans. Memory: about 32 bytes a span.
 #[derive(Debug, Clone)]
 pub struct Model {
     frame: Frame,
-    /// Pixel and quantum from which the tree counts.
+    /// Pixel and quantum at the origin of the tree's coordinates.
     origin: [i64; 3],
     radius: f64,
     tree: Tree,
 }
 
 impl Model {
-    /// A model of all matter of a set of pages.
+    /// Builds a model of all spans of a set of pages.
     ///
-    /// Fails if a page is not in memory, or the set is larger than a model can be.
+    /// Fails if a page is not in memory or the set exceeds the limits of a model.
     pub fn from_pages<S: PageSet>(set: &S) -> Result<Self> {
         let mut spans: Vec<PixelInterval> = Vec::new();
         for number in 0..set.column_count() {
@@ -48,14 +48,14 @@ impl Model {
         Self::new(*set.frame(), spans)
     }
 
-    /// A model of these triangles (m), exactly as conversion takes them to the grid, without the joining of spans across
-    /// gaps. Triangles without area are left out.
+    /// Builds a model of `triangles` (m), rasterised as in a conversion, but without joining spans across gaps.
+    /// Triangles without area are left out.
     ///
-    /// `solid` fills the inside of closed meshes: what their faces wind around, as often as they do, so that bodies may
-    /// overlap or occur twice. A hole lets matter out along its pixels only.
+    /// `solid` fills the interior of closed meshes, by winding number, so bodies may overlap or occur twice. Through a
+    /// hole, the fill leaks along the hole's pixels only.
     ///
-    /// Fails if a coordinate is no finite number or lies beyond the grid, or if there are more spans, or pixels of all
-    /// triangles together, than a model can hold; the latter is looked at first.
+    /// Fails if a coordinate is not finite or lies beyond the grid, or if the spans, or the pixels of all triangles
+    /// together, exceed the limits of a model. Coordinates and pixels are checked before any other work.
     pub fn from_triangles(frame: Frame, triangles: &[Triangle], solid: bool) -> Result<Self> {
         let raster = Raster::new(frame, 90.0);
         look_at_all(&raster, triangles)?;
@@ -84,7 +84,7 @@ impl Model {
         let origin = bounds.map(|(low, high)| low + (high - low) / 2);
         check_reach(&bounds)?;
         let unit = [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()];
-        // Bounded by the check above.
+        // `check_reach` bounds the difference.
         let local = |value: i64, axis: usize| (value - origin[axis]) as i32;
         let items = spans.iter().map(|&((i, j), (bottom, top))| Item {
             i: local(i, 0),
@@ -98,22 +98,22 @@ impl Model {
         Ok(Self { frame, origin, radius, tree })
     }
 
-    /// The grid of the spans.
+    /// Returns the grid of the spans.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// Number of spans.
+    /// Returns the number of spans.
     pub fn span_count(&self) -> usize {
         self.tree.len()
     }
 
-    /// Bytes of memory that the model holds.
+    /// Returns the memory of the model (bytes).
     pub fn weight_bytes(&self) -> usize {
         self.tree.weight_bytes()
     }
 
-    /// The boxes of all spans, least and greatest corner (m), in the model's own coordinates.
+    /// Iterates over the boxes of all spans, least and greatest corner (m), in the model's own coordinates.
     pub fn boxes(&self) -> impl Iterator<Item = (Point3<f64>, Point3<f64>)> {
         let middle = self.middle();
         self.tree.all().map(move |b| {
@@ -122,13 +122,13 @@ impl Model {
         })
     }
 
-    /// Where the tree's coordinates begin (m).
+    /// Returns the origin of the tree's coordinates (m).
     pub(super) fn middle(&self) -> Point3<f64> {
         let [i, j, quantum] = self.origin.map(|v| v as f64);
         Point3::new(i * self.frame.pixel_m(), j * self.frame.pixel_m(), quantum * self.frame.quantum_m())
     }
 
-    /// Greatest distance of matter from the middle (m).
+    /// Returns the greatest distance of a span from the middle (m).
     pub(super) fn radius(&self) -> f64 {
         self.radius
     }
@@ -143,7 +143,7 @@ fn too_large(what: &str, value: impl ToString, max: impl ToString) -> Error {
     Error::limit(what, value, max)
 }
 
-/// Fails if a model between these ends of each axis (pixels, pixels, quanta) is too long.
+/// Fails if a model with these bounds (pixels, pixels, quanta) is too long along an axis.
 fn check_reach(bounds: &[(i64, i64); 3]) -> Result<()> {
     match bounds.iter().find(|(low, high)| high - low > MOST_REACH) {
         Some((low, high)) => Err(too_large("pixels or quanta along an axis", high - low, MOST_REACH)),
@@ -151,7 +151,7 @@ fn check_reach(bounds: &[(i64, i64); 3]) -> Result<()> {
     }
 }
 
-/// Fails if no model can be made of these triangles, before any work is done on them.
+/// Fails if no model can be built from these triangles, before any work is done on them.
 fn look_at_all(raster: &Raster, triangles: &[Triangle]) -> Result<()> {
     let mut bounds = [(i64::MAX, i64::MIN); 3];
     let mut pixels = 0.0;

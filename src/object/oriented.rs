@@ -1,8 +1,8 @@
-//! Two boxes in different frames: do they share a point?
+//! Separating-axis test for two boxes in different coordinate frames.
 
 use nalgebra::Isometry3;
 
-/// Growth of all comparisons, in units of the coordinates: above their rounding errors, some 20 operations of `2⁻⁵³`.
+/// Growth of all comparisons relative to the coordinates, above their rounding errors: some 20 operations of `2⁻⁵³`.
 pub(super) const SLACK: f64 = 1.0 / (1u64 << 45) as f64;
 
 /// A closed box along the axes of its object (m).
@@ -12,10 +12,10 @@ pub(super) struct LocalBox {
     pub half: [f64; 3],
 }
 
-/// Where the frame of a second object lies, seen from the first.
+/// Pose of a second object in the frame of the first.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Relative {
-    /// Row `k`: axis `k` of the first in the second.
+    /// Row `k`: axis `k` of the first object in the frame of the second.
     turn: [[f64; 3]; 3],
     abs: [[f64; 3]; 3],
     shift: [f64; 3],
@@ -23,7 +23,8 @@ pub(super) struct Relative {
 }
 
 impl Relative {
-    /// Of objects in these places; `coordinates_m` is the sum of the coordinates that places and boxes come from (m).
+    /// Creates the relative pose of two objects; `coordinates_m` is the sum of the coordinates from which poses and
+    /// boxes are computed (m).
     pub(super) fn new(first: &Isometry3<f64>, second: &Isometry3<f64>, coordinates_m: f64) -> Self {
         let turn = (first.rotation.inverse() * second.rotation).to_rotation_matrix();
         let between = second.translation.vector - first.translation.vector;
@@ -32,7 +33,7 @@ impl Relative {
         Self { turn: rows(|v| v), abs: rows(f64::abs), shift: shift.into(), slack: SLACK * coordinates_m }
     }
 
-    /// From the middle of `a` to the middle of `b`, along the axes of the first object.
+    /// Returns the vector from the middle of `a` to the middle of `b`, along the axes of the first object.
     #[inline]
     fn between(&self, a: &LocalBox, b: &LocalBox) -> [f64; 3] {
         [0, 1, 2].map(|k| {
@@ -41,13 +42,13 @@ impl Relative {
         })
     }
 
-    /// Between the middles of two boxes (m²).
+    /// Returns the squared distance between the middles of two boxes (m²).
     #[inline]
     pub(super) fn distance_squared(&self, a: &LocalBox, b: &LocalBox) -> f64 {
         self.between(a, b).iter().map(|v| v * v).sum()
     }
 
-    /// Whether a face of either box separates them: most pairs that are apart are told by that.
+    /// Returns whether a face of either box separates them, which decides most pairs that are apart.
     #[inline]
     pub(super) fn separates_by_faces(&self, a: &LocalBox, b: &LocalBox) -> bool {
         self.faces(&self.between(a, b), a, b)
@@ -68,13 +69,13 @@ impl Relative {
         (0..3).any(of_first) || (0..3).any(of_second)
     }
 
-    /// Whether the boxes share a point.
+    /// Returns whether the boxes share a point.
     pub(super) fn meets(&self, a: &LocalBox, b: &LocalBox) -> bool {
         let d = self.between(a, b);
         !self.faces(&d, a, b) && !self.edges(&d, a, b)
     }
 
-    /// Whether a plane along an edge of each box separates them.
+    /// Returns whether a plane along an edge of each box separates them.
     fn edges(&self, d: &[f64; 3], a: &LocalBox, b: &LocalBox) -> bool {
         let (turn, abs) = (&self.turn, &self.abs);
         (0..9).any(|n| {
@@ -83,7 +84,7 @@ impl Relative {
             let along = d[i2] * turn[i1][j] - d[i1] * turn[i2][j];
             let reach = a.half[i1] * abs[i2][j] + a.half[i2] * abs[i1][j];
             let other = b.half[j1] * abs[i][j2] + b.half[j2] * abs[i][j1];
-            // Edges all but parallel make an axis of no length, on which both sides are rounding errors.
+            // The axis of two almost parallel edges has no length; both sides are then rounding errors.
             along.abs() > reach + other + self.slack
         })
     }

@@ -1,4 +1,4 @@
-//! An object against a scene: a set of pages, of which some may not be in memory.
+//! An object against a scene: a set of pages, some of which may not be in memory.
 
 use super::Object;
 use super::oriented::{LocalBox, Relative, SLACK};
@@ -7,13 +7,13 @@ use crate::query::{Aabb, GridCell, Matter, Overlap, SweepArea, Visit, descend, o
 use crate::store::{Missing, PageSet, join, note};
 use nalgebra::{Isometry3, Point3};
 
-/// Whether an object touches the matter of a scene; see the [module text](super) for what that means.
+/// Returns whether an object touches a scene, as the [module text](super) defines it.
 ///
-/// Where pages are missing under a part of the object that touches nothing else, the answer is "not loaded": it may name
-/// pages under the upright boxes around parts of the object that the parts themselves do not touch.
+/// If a part of the object touches nothing in memory but lies over missing pages, the answer is "not loaded". It may
+/// name pages below the axis-aligned boxes around such parts that the parts themselves do not touch.
 ///
-/// Cost: an [`overlaps`] for each box of the object's tree with matter near, and a look at the spans under each of the
-/// object's spans with matter near. An object that stands free costs one [`overlaps`].
+/// Cost: one [`overlaps`] for each box of the object's tree close to solid space, and a look at the spans under each of
+/// the object's spans that is close to some. An object that touches nothing costs one [`overlaps`].
 pub fn touches_scene<S: PageSet>(object: &Object<'_>, scene: &S) -> Overlap {
     let upright = Upright::new(object, scene.frame());
     let mut search = Search::new(object, scene.frame());
@@ -46,12 +46,12 @@ pub fn touches_scene<S: PageSet>(object: &Object<'_>, scene: &S) -> Overlap {
     }
 }
 
-/// Sum of the coordinates of an object and of the cells of a scene that are held against it (m).
+/// Returns the sum of the coordinates of an object and of the cells of a scene that are tested against it (m).
 fn coordinates_m(object: &Object<'_>, frame: &Frame) -> f64 {
     2.0 * object.coordinates_m + TILE_PIXELS as f64 * (frame.pixel_m() + frame.slice_m())
 }
 
-/// Makes upright boxes around the boxes of an object.
+/// Makes axis-aligned boxes around the boxes of an object.
 struct Upright {
     relative: Isometry3<f64>,
     abs: nalgebra::Matrix3<f64>,
@@ -61,7 +61,7 @@ struct Upright {
 impl Upright {
     fn new(object: &Object<'_>, frame: &Frame) -> Self {
         let turn = object.pose.rotation.to_rotation_matrix();
-        // More than that of the comparison at the end, which may then decide alone.
+        // Greater than the slack of the final comparison, so that the latter alone decides.
         let slack = 4.0 * SLACK * coordinates_m(object, frame);
         Self { relative: object.pose, abs: turn.matrix().abs(), slack }
     }
@@ -73,13 +73,13 @@ impl Upright {
     }
 }
 
-/// Holds a box of the object against cells of the scene.
+/// Tests a box of the object against cells of the scene.
 struct Search<'a> {
     frame: &'a Frame,
-    /// The world, seen from the object.
+    /// The world in the frame of the object.
     relative: Relative,
     item: LocalBox,
-    /// Heights around it (quanta).
+    /// Heights around the box (quanta).
     heights: (i64, i64),
     hit: bool,
     missing: Option<Missing>,
@@ -92,7 +92,7 @@ impl<'a> Search<'a> {
         Self { frame, relative, item, heights: (0, 0), hit: false, missing: None }
     }
 
-    /// A cell in the world.
+    /// Returns a cell as a box in the world.
     fn place(&self, cell: &GridCell) -> LocalBox {
         let t = self.frame.pixel_m();
         let (bottom, top) = (self.frame.bottom_height(cell.lo[2] as i64), self.frame.top_height(cell.hi[2] as i64));

@@ -4,17 +4,17 @@ use super::oriented::LocalBox;
 
 /// Most spans of a leaf.
 const LEAF_ITEMS: usize = 4;
-/// Most spans of a model: 2 GiB of them.
+/// Most spans of a model; they take 2 GiB with their tree.
 pub(super) const MOST_ITEMS: usize = 1 << 26;
 /// Most pixels or quanta along an axis of a model, so that indices fit `i32`.
 pub(super) const MOST_REACH: i64 = 1 << 30;
 
-/// Levels of the deepest tree: each halves the spans.
+/// Returns the levels of the deepest tree; each level halves the spans.
 pub(super) const fn deepest() -> usize {
     MOST_ITEMS.ilog2() as usize + 1
 }
 
-/// A span: pixel, and lowest and highest quantum, from the model's middle.
+/// A span: pixel, lowest and highest quantum, relative to the model's middle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Item {
     pub i: i32,
@@ -24,7 +24,7 @@ pub(super) struct Item {
 }
 
 impl Item {
-    /// Ends along an axis, in pixels or quanta.
+    /// Returns the ends along an axis, in pixels or quanta.
     fn range(self, axis: usize) -> (i32, i32) {
         match axis {
             0 => (self.i, self.i + 1),
@@ -34,14 +34,14 @@ impl Item {
     }
 }
 
-/// A box around the spans below it; in 32 bits, rounded outwards, so that two nodes share a cache line.
+/// A box around the spans below it, in 32 bits and rounded outwards, so that two nodes share a cache line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Node {
     middle: [f32; 3],
     half: [f32; 3],
-    /// First span of a leaf; else the second child, the first being the next node.
+    /// First span of a leaf; for an inner node, its second child (the first child is the next node).
     next: u32,
-    /// Spans of a leaf; 0 otherwise.
+    /// Spans of a leaf; 0 for an inner node.
     count: u32,
 }
 
@@ -51,13 +51,13 @@ impl Node {
         LocalBox { middle: self.middle.map(f64::from), half: self.half.map(f64::from) }
     }
 
-    /// What decides which of two nodes is descended.
+    /// Returns the size by which the larger of two nodes is chosen for descent.
     #[inline]
     pub(super) fn size(&self) -> f32 {
         self.half[0] + self.half[1] + self.half[2]
     }
 
-    /// Children of node `number`; `None` for a leaf.
+    /// Returns the children of node `number`, or `None` for a leaf.
     #[inline]
     pub(super) fn children(&self, number: u32) -> Option<[u32; 2]> {
         (self.count == 0).then_some([number + 1, self.next])
@@ -74,7 +74,7 @@ pub(super) struct Tree {
 }
 
 impl Tree {
-    /// A tree over `items`, at most [`MOST_ITEMS`].
+    /// Builds a tree over `items`, at most [`MOST_ITEMS`] of them.
     pub(super) fn new(mut items: Vec<Item>, unit: [f64; 3]) -> Self {
         let mut nodes = Vec::with_capacity(items.len() / 2 + 1);
         items.sort_unstable();
@@ -101,14 +101,14 @@ impl Tree {
         &self.nodes[number as usize]
     }
 
-    /// Boxes of a leaf's spans.
+    /// Iterates over the boxes of a leaf's spans.
     #[inline]
     pub(super) fn items(&self, leaf: &Node) -> impl Iterator<Item = LocalBox> + Clone {
         let first = leaf.next as usize;
         self.items[first..first + leaf.count as usize].iter().map(|&item| self.box_of(item))
     }
 
-    /// Boxes of all spans.
+    /// Iterates over the boxes of all spans.
     pub(super) fn all(&self) -> impl Iterator<Item = LocalBox> {
         self.items.iter().map(|&item| self.box_of(item))
     }
@@ -124,7 +124,7 @@ impl Tree {
         }
     }
 
-    /// Whether a span is `hit` among those whose boxes above are all `near`.
+    /// Returns whether any span is `hit` among those whose enclosing boxes are all `near`.
     pub(super) fn any(&self, near: impl Fn(&LocalBox) -> bool, hit: impl Fn(&LocalBox) -> bool) -> bool {
         let mut found = false;
         self.descend(near, |item| {
@@ -134,7 +134,7 @@ impl Tree {
         found
     }
 
-    /// Gives `leaf` the spans whose boxes above are all `near`, until it says that it has enough.
+    /// Passes the spans whose enclosing boxes are all `near` to `enough`, until that returns `true`.
     pub(super) fn descend(&self, mut near: impl FnMut(&LocalBox) -> bool, mut enough: impl FnMut(&LocalBox) -> bool) {
         let mut open = [0u32; deepest() + 1];
         let mut count = usize::from(!self.is_empty());
@@ -160,7 +160,7 @@ impl Tree {
     }
 }
 
-/// Appends the nodes over `items`, which begin at number `first`.
+/// Appends the nodes over `items`; `first` is the number of the first item.
 fn build(nodes: &mut Vec<Node>, items: &mut [Item], first: usize, unit: [f64; 3]) {
     let ends = [0, 1, 2].map(|axis| {
         let low = items.iter().map(|item| item.range(axis).0).min().unwrap_or(0);
@@ -171,7 +171,7 @@ fn build(nodes: &mut Vec<Node>, items: &mut [Item], first: usize, unit: [f64; 3]
     let half = [0, 1, 2].map(|axis| {
         let middle = f64::from(middle[axis]);
         let reach = (middle - ends[axis].0).max(ends[axis].1 - middle);
-        // The next number above what was rounded to nearest lies above the reach itself.
+        // The conversion rounds to nearest, so the next number up is above the exact reach.
         (reach as f32).next_up()
     });
     let number = nodes.len();

@@ -15,8 +15,8 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box from `min` to `max`, both inclusive (m). A minimum of -∞ and a maximum of ∞ are allowed, and every query
-    /// answers them exactly. A NaN, a minimum above its maximum, and a box that lies at infinity are refused.
+    /// Creates the box from `min` to `max`, both inclusive (m). A minimum of -∞ and a maximum of ∞ are allowed, and
+    /// every query answers them exactly. Fails on a NaN, a minimum above its maximum, and a box that lies at infinity.
     pub fn new(min: Point3<f64>, max: Point3<f64>) -> Result<Self> {
         // Written so that NaN fails.
         let spans = |axis: usize| min[axis] <= max[axis] && min[axis] < f64::INFINITY && max[axis] > f64::NEG_INFINITY;
@@ -27,24 +27,25 @@ impl Aabb {
         }
     }
 
-    /// The box between corners that are known to be in order and no NaN.
+    /// Creates the box between corners that are known to be in order and free of NaN.
     pub(crate) fn between(min: Point3<f64>, max: Point3<f64>) -> Self {
         debug_assert!((0..3).all(|axis| min[axis] <= max[axis]));
         Self { min, max }
     }
 
-    /// A box of `size` (m, >= 0) with `feet` in the middle of its bottom face: the pawn of the thesis.
+    /// Creates a box of `size` (m, >= 0) with `feet` in the middle of its bottom face: the pawn of the thesis. Fails
+    /// like [`new`](Self::new).
     pub fn standing(feet: Point3<f64>, size: Vector3<f64>) -> Result<Self> {
         let half = Vector3::new(size.x / 2.0, size.y / 2.0, 0.0);
         Self::new(feet - half, feet + half + Vector3::new(0.0, 0.0, size.z))
     }
 
-    /// Lower corner (m).
+    /// Returns the lower corner (m).
     pub fn min(&self) -> Point3<f64> {
         self.min
     }
 
-    /// Upper corner (m).
+    /// Returns the upper corner (m).
     pub fn max(&self) -> Point3<f64> {
         self.max
     }

@@ -1,19 +1,19 @@
-//! Answers that can also say which pages are missing.
+//! Answers that can also name missing pages.
 
 use crate::store::Missing;
 
-/// Whether a shape touches matter.
+/// Result of an overlap query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Overlap {
-    /// It touches none.
+    /// The shape touches nothing solid.
     Clear,
-    /// It touches matter, or may within the bounds that the [module text](crate::query) states.
+    /// The shape touches solid space, or may within the bounds that the [module text](crate::query) states.
     Hit,
-    /// It touches none in the pages in memory, but these pages could hold some.
+    /// The shape touches nothing solid in the pages in memory, but the missing pages could change that.
     NotLoaded(Missing),
 }
 
-/// An answer, or the pages without which it is not known.
+/// An answer, or the missing pages on which it depends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Answer<T> {
     /// The answer.
@@ -27,7 +27,7 @@ impl<T> Answer<T> {
         missing.map_or(Self::Known(value), Self::NotLoaded)
     }
 
-    /// The answer, if it is known.
+    /// Returns the answer if it is known.
     pub fn known(self) -> Option<T> {
         match self {
             Self::Known(value) => Some(value),

@@ -1,30 +1,31 @@
-//! Many shapes at once: those in one place are asked one after the other, so that each page comes into the processor's caches once.
+//! Batches of queries, ordered by place so that each page enters the processor's caches once.
 
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
 use super::{Overlap, overlaps};
 use crate::store::PageSet;
 
-/// Pages of fewer bytes mostly stay in the processor's caches, and another order only costs (`bench scale --only queries`).
+/// Page sets smaller than this (bytes) mostly stay in the processor's caches, where reordering only costs (`bench scale
+/// --only queries`).
 const IN_CACHE: f64 = (64 << 20) as f64;
-/// Shapes that are looked at to see whether an order pays; fewer than four times as many are never ordered.
+/// Shapes sampled to decide whether ordering pays; batches of fewer than four times this number are never ordered.
 const SAMPLE: usize = 64;
-/// Cells of the grid by which shapes are ordered, at most so many for each four shapes.
+/// Most cells, per four shapes, of the grid by which shapes are ordered.
 const CELLS: u64 = 4;
 
 /// A tile column.
 type Tile = [i32; 2];
 
-/// First pixel under a shape.
+/// Returns the first pixel under a shape.
 pub(super) fn pixel_of<S: PageSet, H: Shape>(set: &S, shape: &H) -> [i64; 2] {
     let rect = shape.on_grid(set.frame()).rect();
     [rect.i0, rect.j0]
 }
 
-/// Answers each of `questions`, into the answer of the same number.
+/// Answers each of `questions` into the element of `answers` with the same number.
 ///
 /// # Panics
-/// If there are fewer answers.
+/// If there are fewer answers than questions.
 pub(super) fn answer_each<S: PageSet, Q, A>(
     set: &S,
     questions: &[Q],
@@ -44,16 +45,16 @@ pub(super) fn answer_each<S: PageSet, Q, A>(
     }
 }
 
-/// Whether a shape touches matter, for each of `shapes`.
+/// Runs [`overlaps`] for each of `shapes` into the element of `answers` with the same number.
 ///
 /// # Panics
-/// If there are fewer answers.
+/// If there are fewer answers than shapes.
 pub(super) fn overlaps_each<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Overlap]) {
     assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
     let Some(order) = order(set, shapes, |shape| pixel_of(set, shape)) else {
         return shapes.iter().zip(answers).for_each(|(shape, answer)| *answer = overlaps(set, shape));
     };
-    // A whole answer has 200 bytes, too many to write here and there.
+    // An answer takes 200 bytes, too many for scattered writes: store its kind and ask again if pages are missing.
     let mut kinds = vec![0u8; shapes.len()];
     for number in order {
         kinds[number as usize] = match overlaps(set, &shapes[number as usize]) {
@@ -71,10 +72,11 @@ pub(super) fn overlaps_each<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers
     }
 }
 
-/// Numbers of `questions` by place: those that begin in one cell of a grid over all of them follow each other. `None` where their own
-/// order is as good: few questions, few pages under them, or neighbours that follow each other already.
+/// Returns the numbers of `questions` ordered by place: those that begin in the same cell of a grid over all of them
+/// become neighbours. `None` if their own order is as good: few questions, few pages under them, or neighbours already
+/// close together.
 ///
-/// Memory: 12 bytes a question. Cost: about that of two looks at each.
+/// Memory: 12 bytes a question. Cost: about two looks at each question.
 fn order<S: PageSet, Q>(set: &S, questions: &[Q], pixel: impl Fn(&Q) -> [i64; 2]) -> Option<Vec<u32>> {
     let bounds = set.bounds()?;
     let count = u32::try_from(questions.len()).ok().filter(|&count| count as usize >= 4 * SAMPLE)?;
@@ -88,7 +90,7 @@ fn order<S: PageSet, Q>(set: &S, questions: &[Q], pixel: impl Fn(&Q) -> [i64; 2]
     }
     let tiles: Vec<Tile> = questions.iter().map(tile).collect();
     let [min, max] = extent(tiles.iter().copied());
-    // Cells of as many tiles as it takes for a few shapes each.
+    // Use the smallest cells of which there are at most `CELLS` per four shapes.
     let size = |axis: usize, shift: u32| u64::from(max[axis].abs_diff(min[axis]) >> shift) + 1;
     let shift = (0..).find(|&shift| size(0, shift) * size(1, shift) <= u64::from(count) / 4 * CELLS).unwrap_or(31);
     let width = size(0, shift) as usize;
@@ -109,14 +111,14 @@ fn order<S: PageSet, Q>(set: &S, questions: &[Q], pixel: impl Fn(&Q) -> [i64; 2]
     Some(order)
 }
 
-/// Least and greatest of both indices.
+/// Returns the least and the greatest of both indices.
 fn extent(tiles: impl Iterator<Item = Tile>) -> [Tile; 2] {
     tiles.fold([[i32::MAX; 2], [i32::MIN; 2]], |[min, max], [x, y]| {
         [[min[0].min(x), min[1].min(y)], [max[0].max(x), max[1].max(y)]]
     })
 }
 
-/// Whether the pages under some of the questions exceed a cache, and questions that follow each other lie apart.
+/// Returns whether the pages under a sample of the questions exceed a cache while successive questions lie apart.
 fn pays<S: PageSet, Q>(set: &S, questions: &[Q], tile: impl Fn(&Q) -> Tile) -> bool {
     let weight = set.weight_hint() as f64;
     if weight <= IN_CACHE {
@@ -155,7 +157,7 @@ mod tests {
         Store::from_pages(Frame::new(0.1, 0.3).unwrap(), keys.map(|key| (key, page.clone())))
     }
 
-    /// Boxes all over the pages of [`store`] and around it, far from each other in their order.
+    /// Boxes across the pages of [`store`] and around them; successive boxes lie far apart.
     fn boxes(count: usize, edge: i32) -> Vec<Aabb> {
         let side = f64::from(edge) * 6.4 + 2.0;
         let place = |n: usize, step: f64| (n as f64 * step).fract() * side - side / 2.0;

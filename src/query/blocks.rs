@@ -7,22 +7,22 @@ use super::scan::meeting;
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{BlockView, Page, Span};
 
-/// What touched: a set of [`MATTER`] and [`OBSTACLE`].
+/// Classes of solid that a shape touches: a set of [`MATTER`] and [`OBSTACLE`].
 pub(super) type Kinds = u32;
-/// Matter of either kind.
+/// Solid of either class.
 pub(super) const MATTER: Kinds = 1;
 /// An obstacle; never without [`MATTER`].
 pub(super) const OBSTACLE: Kinds = Span::OBSTACLE_KIND;
 
-/// First and last slice in which a span can lie that meets the local heights `low..=high` [0..=16320]: one that ends at
-/// `low` on a slice boundary belongs to the slice below.
+/// Returns the first and last slice in which a span can lie that meets the local heights `low..=high` [0..=16320]. A
+/// span that ends at `low` on a slice boundary belongs to the slice below.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn slices_of(low: u32, high: u32) -> (u32, u32) {
     (low.saturating_sub(1) / SLICE_QUANTA as u32, (high / SLICE_QUANTA as u32).min(63))
 }
 
-/// The same slices as a mask.
+/// Returns the slices of [`slices_of`] as a mask.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn slices_between(low: u32, high: u32) -> u64 {
@@ -30,24 +30,24 @@ pub(super) fn slices_between(low: u32, high: u32) -> u64 {
     u64::MAX >> (63 - last) & u64::MAX << first
 }
 
-/// A height above the origin as a height in the page with floor `base`, clamped to the page (quanta).
+/// Converts a height above the origin to a height in the page with floor `base`, clamped to the page (quanta).
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn local(height: i64, base: i64) -> u32 {
     (height - base).clamp(0, PAGE_QUANTA) as u32
 }
 
-/// `heights` in the page with floor `base`; `None` if they lie outside.
+/// Converts `heights` to the page with floor `base`; `None` if they lie outside.
 #[inline]
 pub(super) fn local_heights(heights: Heights, base: i64) -> Option<(u32, u32)> {
     let meets = heights.low <= base + PAGE_QUANTA && heights.high >= base;
     meets.then(|| (local(heights.low, base), local(heights.high, base)))
 }
 
-/// The page that a shape is held against.
+/// A page under a shape.
 pub(super) struct PageUnder<'a> {
     pub page: &'a Page,
-    /// First pixel of the page, and the height of its floor (quanta).
+    /// First pixel of the page, and height of its floor (quanta).
     pub i: i64,
     pub j: i64,
     pub base: i64,
@@ -56,21 +56,22 @@ pub(super) struct PageUnder<'a> {
 }
 
 impl PageUnder<'_> {
-    /// Blocks under the shape with matter in the slices of local heights `low..=high`.
+    /// Returns the blocks under the shape that are occupied in the slices of local heights `low..=high`.
     #[inline]
     pub fn blocks_between(&self, low: u32, high: u32) -> u64 {
         let (first, last) = slices_of(low, high);
         self.blocks & self.page.blocks_in(first, last)
     }
 
-    /// First pixel of block `number`.
+    /// Returns the first pixel of block `number`.
     #[inline]
     pub fn corner(&self, number: u32) -> (i64, i64) {
         (self.i + i64::from((number & 7) * 8), self.j + i64::from((number >> 3) * 8))
     }
 }
 
-/// What `shape` touches between local heights `low` and `high`, at least until it is one of `until`.
+/// Returns the classes that `shape` touches between local heights `low` and `high`. May stop once one of `until` is
+/// found.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn touched<G: OnPixels>(place: &PageUnder<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
@@ -84,7 +85,7 @@ pub(super) fn touched<G: OnPixels>(place: &PageUnder<'_>, shape: &G, low: u32, h
     found
 }
 
-/// What `shape` touches in one block, unless it is among what is `known` to be touched.
+/// Returns the classes that `shape` touches in one block; does not verify those that are already `known`.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn touched_in_block<G: OnPixels>(
@@ -108,8 +109,8 @@ fn touched_in_block<G: OnPixels>(
     touched_in_pixels(block, shape, (i, j, place.base), (low, high), by_unions, until)
 }
 
-/// What `shape` touches in a block that it may cut and that holds matter at its heights. Apart, because few blocks get
-/// here, and the way to them is faster with less to keep in mind.
+/// Returns the classes that `shape` touches in a block that it may cut and that is occupied at its heights. Not
+/// inlined: few blocks get here, and without this code the common path needs fewer registers.
 #[inline(never)]
 fn touched_in_pixels<G: OnPixels>(
     block: BlockView<'_>,
@@ -136,7 +137,8 @@ fn touched_in_pixels<G: OnPixels>(
         let lanes = pixels >> (8 * y) & 0xFF;
         let row = if lanes == 0 { &[] } else { block.rows(y, y) };
         for span in row.iter().filter(|span| lanes >> span.lane() & 1 == 1 && span.meets(low, high)) {
-            // The heights over one pixel cost two roots: asked for only where it matters.
+            // The heights over one pixel cost two square roots, so they are computed only for spans that pass the
+            // cheaper tests.
             let over_pixel = shape.heights_over(i + i64::from(span.lane()), j + i64::from(y), 1);
             if local_heights(over_pixel, base).is_some_and(|(low, high)| span.meets(low, high)) {
                 kinds |= span.kinds();
@@ -146,7 +148,7 @@ fn touched_in_pixels<G: OnPixels>(
     kinds
 }
 
-/// Kinds of matter in any of the block's pixels that meet `low..=high`.
+/// Returns the classes of spans in any of the block's pixels that meet `low..=high`.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn kinds_by_unions(block: BlockView<'_>, low: u32, high: u32) -> Kinds {
@@ -154,21 +156,22 @@ fn kinds_by_unions(block: BlockView<'_>, low: u32, high: u32) -> Kinds {
     meeting(more, meeting(std::slice::from_ref(first), 0, low, high), low, high)
 }
 
-/// Whether any of the block's pixels has matter that meets `low..=high`.
+/// Returns whether a span in any of the block's pixels meets `low..=high`.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn touches_union(block: BlockView<'_>, low: u32, high: u32) -> bool {
     kinds_by_unions(block, low, high) != 0
 }
 
-/// Heights from the lowest to the highest end of the block's unions that meet `low..=high`; `None` if none does.
+/// Returns the lowest bottom and the highest top of the block's unions that meet `low..=high`; `None` if none of them
+/// does.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn union_heights(block: BlockView<'_>, low: u32, high: u32) -> Option<(u32, u32)> {
     let (first, more) = block.union_quads();
     let mut met = Unions::meeting(first, low, high);
     for quad in more {
-        // Lowest bottom first.
+        // Unions are sorted by bottom, lowest first.
         if quad[0].bottom() > high {
             break;
         }

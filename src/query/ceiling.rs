@@ -1,4 +1,4 @@
-//! The lowest underside of matter above a footprint.
+//! The lowest ceiling above a footprint.
 
 use super::answer::Answer;
 use super::blocks::{PageUnder, for_each_bit, local, slices_between};
@@ -10,13 +10,13 @@ use crate::store::{Missing, note};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the lowest ceiling above the footprint of `shape`, looked for from height `from` (m) up to
-/// `from + height` [m, >= 0, may be infinite]; `None` if there is none.
+/// Returns the world height (m) of the lowest ceiling above the footprint of `shape`, from height `from` (m) up to
+/// `from + height` [m, >= 0, may be infinite]; `None` if there is no ceiling.
 ///
-/// A ceiling is the underside of matter of either kind: the bottom of a span on which no other matter of the same pixel
-/// ends. Matter that goes on from page to page is one span. The answer is not above the ceiling's lowest point and at
-/// most one quantum (a slice height / 255) below it; `from` is compared in quanta, as for
-/// [`floor_under`](super::floor_under). A NaN finds nothing.
+/// A ceiling is the underside of a solid of either class: the bottom of a span on which no other span of the same pixel
+/// ends. A span cut by a page boundary counts as one. The answer is not above the ceiling's lowest point and at most
+/// one quantum (slice height / 255) below it. As in [`floor_under`](super::floor_under), `from` is compared in quanta.
+/// A NaN finds nothing.
 ///
 /// Cost: like [`overlaps`](super::overlaps), over the layers from `from` up to the first ceiling.
 pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height: f64) -> Answer<Option<f64>> {
@@ -25,30 +25,30 @@ pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height
     }
     let frame = set.frame();
     let shape = shape.on_grid(frame);
-    // Apart, because infinity less infinity is no number.
+    // A separate case, because infinity minus infinity is NaN.
     let highest = if height == f64::INFINITY { f64::INFINITY } else { from + height };
     let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(highest));
     let search = search.run(set, &shape);
     Answer::new(search.best.map(|bottom| frame.bottom_height(bottom)), search.missing)
 }
 
-/// Searches for the lowest underside at or above `from`: a bottom on which no other matter of its column ends.
+/// Searches for the lowest ceiling at or above `from`: a bottom on which no other span of its column ends.
 struct CeilingSearch {
     /// Least bottom that counts (quanta).
     from: i64,
-    /// Bottoms count up to here; falls with every one found.
+    /// Greatest bottom that counts; falls with every ceiling found.
     most: i64,
     best: Option<i64>,
     missing: Option<Missing>,
 }
 
 impl CeilingSearch {
-    /// Bottoms from `from` to `most` (quanta).
+    /// Creates a search for bottoms from `from` to `most` (quanta).
     fn new(from: i64, most: i64) -> Self {
         Self { from, most, best: None, missing: None }
     }
 
-    /// Searches all tile columns under `shape`; of the missing pages keeps those that could hold a lower underside.
+    /// Searches all tile columns under `shape`; reports only those missing pages that could hold a lower ceiling.
     fn run<S: PageSet, G: OnPixels>(mut self, set: &S, shape: &G) -> Self {
         for_each_column(set, shape.rect(), |tile, slots| {
             self.column(shape, tile, slots);
@@ -63,12 +63,12 @@ impl CeilingSearch {
         }
     }
 
-    /// The pages of one tile column, from the bottom up.
+    /// Searches the pages of one tile column, from the bottom up.
     fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) {
         if self.from > self.most {
             return;
         }
-        // From the page below on: undersides on a page's floor depend on it.
+        // Begin in the page below, on which an underside on a page's floor depends.
         let heights = Heights { low: self.from.saturating_sub(1), high: self.most };
         let mut below: Option<&T> = None;
         for slot in layers(slots, heights) {
@@ -99,8 +99,8 @@ impl CeilingSearch {
     }
 }
 
-/// Lowest underside of the page from `from` to `most` [0..=16320] in the footprint. Calls `unknown` if an underside on
-/// the page's floor depends on the page below, and that is not in memory.
+/// Returns the lowest underside of the page from `from` to `most` [0..=16320] in the footprint. Calls `unknown` if an
+/// underside on the page's floor depends on the page below and that page is not in memory.
 fn lowest_underside<G: OnPixels, T: PageSlot>(
     place: &PageUnder<'_>,
     shape: &G,
@@ -117,7 +117,7 @@ fn lowest_underside<G: OnPixels, T: PageSlot>(
         }
         let (i, j) = place.corner(number);
         let pixels = shape.mask(i, j) & block.pixels();
-        // Bottoms inside a slice are undersides; the lowest of all pixels is that of the lowest union.
+        // Every bottom inside a slice is an underside; the lowest one of all pixels is that of the lowest union.
         let first = block.unions().map(|span| span.bottom()).next().unwrap_or(0);
         if pixels == block.pixels() && first >= from && !first.is_multiple_of(SLICE_QUANTA as u32) {
             best = Some(first);
@@ -131,7 +131,7 @@ fn lowest_underside<G: OnPixels, T: PageSlot>(
                 let bottom = span.bottom();
                 if bottom >= from && ended != Some(bottom) && !(bottom == 0 && hangs_on(below, px, py, &mut unknown)) {
                     best = Some(bottom);
-                    // `most` may pass below `from`, and then nothing more is found.
+                    // `most` may fall below `from`; then nothing more is found.
                     most = bottom.saturating_sub(1);
                     break;
                 }
@@ -142,7 +142,7 @@ fn lowest_underside<G: OnPixels, T: PageSlot>(
     best
 }
 
-/// Whether matter of the page below reaches its end in pixel (`px`, `py`).
+/// Returns whether a span of the page below reaches that page's end in pixel (`px`, `py`).
 fn hangs_on<T: PageSlot>(below: Option<&T>, px: u32, py: u32, unknown: &mut impl FnMut()) -> bool {
     let Some(below) = below else { return false };
     match below.page() {

@@ -17,8 +17,8 @@ pub struct Cylinder {
 }
 
 impl Cylinder {
-    /// The cylinder of `radius` (m, >= 0) that stands on `feet` (the middle of its bottom face) and is `height` tall
-    /// (m, >= 0). NaN and values beyond ±10¹⁰⁰ m are refused.
+    /// Creates the cylinder of `radius` (m, >= 0) that stands on `feet` (the middle of its bottom face) and is `height`
+    /// (m, >= 0) tall. Fails on NaN and on values beyond ±10¹⁰⁰ m.
     pub fn new(feet: Point3<f64>, radius: f64, height: f64) -> Result<Self> {
         if all_within_reach(feet.iter().chain([&radius, &height])) && radius >= 0.0 && height >= 0.0 {
             Ok(Self { feet, radius, height })
@@ -33,17 +33,17 @@ impl Cylinder {
         }
     }
 
-    /// Middle of the bottom face (m).
+    /// Returns the middle of the bottom face (m).
     pub fn feet(&self) -> Point3<f64> {
         self.feet
     }
 
-    /// Radius (m).
+    /// Returns the radius (m).
     pub fn radius(&self) -> f64 {
         self.radius
     }
 
-    /// Height (m).
+    /// Returns the height (m).
     pub fn height(&self) -> f64 {
         self.height
     }

@@ -1,22 +1,22 @@
-//! The footprint of round shapes: pixels that a disc touches.
+//! Footprint of round shapes: the pixels that a disc touches.
 //!
-//! All rounding errors are covered by margins of [`SLACK`] of the magnitudes involved, outwards: a pixel that holds a
-//! point of the disc is always in the footprint, and no pixel farther than the margins from the disc is.
+//! Outward margins of [`SLACK`] relative to the magnitudes involved cover all rounding errors: a pixel that holds a
+//! point of the disc is always in the footprint, and no pixel farther from the disc than the margins is.
 
 use super::four::greater;
 use super::grid::Rect;
 use crate::frame::Frame;
 
-/// Relative margin, 16 times the rounding error of one operation. Longest chain of operations below: 8.
+/// Relative margin, 16 times the rounding error of one operation. The longest chain of operations below has 8.
 pub(super) const SLACK: f64 = 16.0 * f64::EPSILON / 2.0;
 
-/// `v` moved away from zero's side: down by the margin.
+/// Returns `v` moved down by the margin.
 #[inline]
 pub(super) fn lower(v: f64) -> f64 {
     v - v.abs() * SLACK
 }
 
-/// `v` moved up by the margin.
+/// Returns `v` moved up by the margin.
 #[inline]
 pub(super) fn upper(v: f64) -> f64 {
     v + v.abs() * SLACK
@@ -37,7 +37,7 @@ impl Disc {
         Self { frame: *frame, x, y, radius: upper(radius) }
     }
 
-    /// The radius with its margin (m).
+    /// Returns the radius with its margin (m).
     #[inline]
     pub fn radius(&self) -> f64 {
         self.radius
@@ -50,14 +50,14 @@ impl Disc {
         Rect { i0, i1, j0, j1 }
     }
 
-    /// Pixels whose closed squares hold a coordinate of `center - half ..= center + half`.
+    /// Returns the first and last pixel whose closed squares hold a coordinate of `center - half ..= center + half`.
     #[inline]
     fn pixels(&self, center: f64, half: f64) -> (i64, i64) {
-        // The pixel below an edge, too. No margin says so at 0.
+        // Squares are closed, so the pixel below an edge counts, too. At 0 the relative margin does not include it.
         (-self.frame.pixel_of(-lower(center - half)) - 1, self.frame.pixel_of(upper(center + half)))
     }
 
-    /// Distance from `center` to the pixels `first..first + count`: not above the true one (m).
+    /// Returns a lower bound of the distance from `center` to the pixels `first..first + count` (m).
     #[inline]
     fn gap(&self, center: f64, first: i64, count: i64) -> f64 {
         let low = lower(self.frame.edge_of_pixel(first));
@@ -65,22 +65,23 @@ impl Disc {
         lower(greater(greater(low - center, center - high), 0.0))
     }
 
-    /// Half of the chord at `distance` from the middle: not below the true one; `None` outside the disc (m).
+    /// Returns an upper bound of half the chord at `distance` from the middle (m); `None` outside the disc.
     #[inline]
     pub fn half_chord(&self, distance: f64) -> Option<f64> {
         let rest = self.radius - distance;
         (rest >= 0.0).then(|| upper((rest * (self.radius + distance)).sqrt()))
     }
 
-    /// Distance from the middle to the square of `edge` pixels that begins at (`i`, `j`): not above the true one (m).
+    /// Returns a lower bound of the distance from the middle to the square of `edge` pixels that begins at (`i`, `j`)
+    /// (m).
     #[inline]
     pub fn distance_to(&self, i: i64, j: i64, edge: i64) -> f64 {
         let (x, y) = (self.gap(self.x, i, edge), self.gap(self.y, j, edge));
         lower((x * x + y * y).sqrt())
     }
 
-    /// Whether the square of 8 × 8 pixels that begins at (`i`, `j`) lies inside the disc. May be `false` by an ulp
-    /// where it does.
+    /// Returns whether the square of 8 × 8 pixels that begins at (`i`, `j`) lies inside the disc. May return `false` if
+    /// the square is inside by an ulp or less.
     #[inline]
     pub fn holds(&self, i: i64, j: i64) -> bool {
         let far = |center: f64, first: i64| {
@@ -91,7 +92,7 @@ impl Disc {
         x * x + y * y <= self.radius * self.radius
     }
 
-    /// Pixels of the disc in the block that begins at (`i`, `j`), row by row contiguous.
+    /// Returns the pixels of the disc in the block that begins at (`i`, `j`); they are contiguous in each row.
     #[inline]
     pub fn mask(&self, i: i64, j: i64) -> u64 {
         (0..8).fold(0, |mask, row| {

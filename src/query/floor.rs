@@ -12,13 +12,13 @@ use crate::store::{Missing, note};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the highest floor under the footprint of `shape`, looked for from height `from` (m) down to
-/// `from - depth` [m, >= 0, may be infinite]; `None` if there is none.
+/// Returns the world height (m) of the highest floor under the footprint of `shape`, from height `from` (m) down to
+/// `from - depth` [m, >= 0, may be infinite]; `None` if there is no floor.
 ///
-/// Floor is the top of a span that is no obstacle; what counts are the pixels that the shape's footprint touches,
-/// whatever the shape's own heights. The answer is not below the floor's highest point and at most one quantum (a slice
-/// height / 255) above it. `from` is compared in quanta: a floor that shares its quantum with `from` is found. Matter
-/// that goes on from page to page is one span. A NaN finds nothing.
+/// Floor is the top of a span that is not an obstacle. The pixels that the shape's footprint touches count; the shape's
+/// own heights do not. The answer is not below the floor's highest point and at most one quantum (slice height / 255)
+/// above it. `from` is compared in quanta: a floor in the same quantum as `from` is found. A span cut by a page
+/// boundary counts as one. A NaN finds nothing.
 ///
 /// Cost: like [`overlaps`](super::overlaps), over the layers from `from` down to the first floor.
 pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
@@ -27,7 +27,7 @@ pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f
     }
     let frame = set.frame();
     let shape = shape.on_grid(frame);
-    // Apart, because infinity less infinity is no number.
+    // A separate case, because infinity minus infinity is NaN.
     let lowest = if depth == f64::INFINITY { f64::NEG_INFINITY } else { from - depth };
     let search = FloorSearch::new(frame.quantum_ceil(lowest), frame.quantum_floor(from));
     search.run(set, &shape).answer(frame)
@@ -38,14 +38,14 @@ pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f
 pub(super) struct FloorSearch {
     /// Greatest top that counts (quanta).
     limit: i64,
-    /// Tops count from here on; grows with every floor found.
+    /// Least top that counts; grows with every floor found.
     least: i64,
     best: Option<i64>,
     pub missing: Option<Missing>,
 }
 
 impl FloorSearch {
-    /// Tops from `least` to `limit` (quanta).
+    /// Creates a search for tops from `least` to `limit` (quanta).
     pub fn new(least: i64, limit: i64) -> Self {
         Self { limit, least, best: None, missing: None }
     }
@@ -60,7 +60,8 @@ impl FloorSearch {
         self.settle(set, shape)
     }
 
-    /// Ends a search over all tile columns: of the missing pages keeps those that could hold a higher floor than found.
+    /// Ends a search over all tile columns: keeps only those missing pages that could hold a higher floor than the one
+    /// found.
     #[inline]
     pub fn settle<S: PageSet, G: OnPixels>(self, set: &S, shape: &G) -> Self {
         match (self.missing, self.best) {
@@ -73,7 +74,7 @@ impl FloorSearch {
         Self { best: self.best.or(best), ..self }
     }
 
-    /// World height of the floor found.
+    /// Returns the world height of the floor found (m).
     pub fn floor_z(&self, frame: &Frame) -> Option<f64> {
         self.best.map(|top| frame.top_height(top))
     }
@@ -82,7 +83,7 @@ impl FloorSearch {
         Answer::new(self.floor_z(frame), self.missing)
     }
 
-    /// The pages of one tile column, from the top down.
+    /// Searches the pages of one tile column, from the top down.
     #[inline]
     pub fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) {
         if self.least > self.limit {
@@ -114,7 +115,7 @@ impl FloorSearch {
     }
 }
 
-/// Highest top of a floor span of the page from `least` to `limit` [0..=16320] in the footprint.
+/// Returns the highest top, from `least` to `limit` [0..=16320], of a floor span of the page in the footprint.
 #[inline]
 fn highest_top<G: OnPixels, T: PageSlot>(
     place: &PageUnder<'_>,
@@ -124,7 +125,7 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     above: Option<&T>,
 ) -> Option<u32> {
     const END: u32 = PAGE_QUANTA as u32;
-    // Tops on the page's end may go on in the page above: those need a look at each pixel.
+    // A span that ends at the page's end may continue in the page above, so its pixel needs a closer look.
     let inner_limit = limit.min(END - 1);
     let mut best = None;
     let mut found = |highest: u32, least: &mut u32| {
@@ -133,7 +134,7 @@ fn highest_top<G: OnPixels, T: PageSlot>(
             *least = highest;
         }
     };
-    // Blocks that lie wholly in the footprint first: their unions answer, and leave little to look for in the others.
+    // Blocks inside the footprint come first: their unions suffice, and raise `least` for the other blocks.
     let mut cut = 0u64;
     let mut unions = [0u16; 64];
     let mut highest_cut = (0, 0);
@@ -152,7 +153,7 @@ fn highest_top<G: OnPixels, T: PageSlot>(
             highest_cut = (top, number);
         }
     });
-    // Of the others the one that promises most: what is found there mostly settles the rest.
+    // Then the block with the highest union: its floor usually rules out the rest.
     let first = cut & 1u64.checked_shl(highest_cut.1).unwrap_or(0);
     [first, cut & !first].into_iter().for_each(|blocks| {
         for_each_bit(blocks, |number| {
@@ -187,8 +188,8 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     best
 }
 
-/// Highest top of a union of floor spans that begins at or below `limit`, plus 1; 0 if there is none. That top itself
-/// may lie above `limit`.
+/// Returns the highest top, plus 1, of a union of floor spans that begins at or below `limit`, or 0 without one. The
+/// top itself may lie above `limit`.
 #[inline]
 fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
     let (first, more) = block.union_quads();
@@ -199,8 +200,8 @@ fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
     more.iter().fold(highest(0, first), highest)
 }
 
-/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory
-/// it has been counted as missing: the search from the top down came by it.
+/// Returns whether floor that ends at the page's end in pixel (`px`, `py`) continues in the page above. If that page is
+/// not in memory, the search, which runs from the top down, has already noted it as missing.
 fn goes_on<T: PageSlot>(above: Option<&T>, px: u32, py: u32) -> bool {
     let Some(above) = above else { return false };
     match above.page() {

@@ -1,4 +1,4 @@
-//! The walk that all footprint queries share: tile columns under a shape, and the pages in them.
+//! Traversal shared by all footprint queries: tile columns under a shape, and their pages.
 
 use super::blocks::{self, Kinds, PageUnder};
 use super::grid::sealed::OnPixels;
@@ -38,14 +38,14 @@ impl Tile {
     }
 }
 
-/// Height of a layer's floor (quanta).
+/// Returns the height of a layer's floor (quanta).
 #[inline]
 pub(super) fn floor_of(layer: i32) -> i64 {
     i64::from(layer) * PAGE_QUANTA
 }
 
 /// Calls `f` for every tile column of `set` that `rect` meets, until it breaks. Never visits more tiles than the set
-/// has columns, however large the rectangle.
+/// has columns, regardless of the rectangle's size.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn for_each_column<S: PageSet>(
@@ -61,7 +61,7 @@ pub(super) fn for_each_column<S: PageSet>(
     if tx0 > tx1 || ty0 > ty1 {
         return;
     }
-    // Inside the bounds: indices fit `i32`, and counts 33 bits.
+    // Inside the bounds, indices fit `i32` and their counts fit 33 bits.
     let few = tx1 - tx0 <= 1 && ty1 - ty0 <= 1;
     if !few && (tx1 - tx0 + 1).saturating_mul(ty1 - ty0 + 1) > set.column_count() as i64 {
         return among_all_columns(set, rect, [tx0, tx1, ty0, ty1], &mut f);
@@ -82,8 +82,8 @@ pub(super) fn for_each_column<S: PageSet>(
     }
 }
 
-/// Looks at all columns of `set` for those with `tx0..=tx1`, `ty0..=ty1`. Apart, so that `f` is inlined where it
-/// counts.
+/// Calls `f` for those columns of `set` that lie in `tx0..=tx1`, `ty0..=ty1`. A separate function, so that `f` is
+/// inlined in the common case.
 #[inline(never)]
 fn among_all_columns<S: PageSet>(
     set: &S,
@@ -100,13 +100,14 @@ fn among_all_columns<S: PageSet>(
     }
 }
 
-/// Those of `slots` whose pages can hold matter that meets `heights`; a top on a page's floor lies in the page below.
+/// Returns those of `slots` whose pages can hold a span that meets `heights`; a top on a page's floor belongs to the
+/// page below.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn layers<T: PageSlot>(slots: &[T], heights: Heights) -> impl DoubleEndedIterator<Item = &T> + Clone {
     let below = move |slot: &T| floor_of(slot.layer()) + PAGE_QUANTA < heights.low;
     let above = move |slot: &T| floor_of(slot.layer()) > heights.high;
-    // Most columns have a few layers: looking at each is faster than searching.
+    // Most columns have few layers, and testing each is faster than a search.
     let (mut first, mut end) = (0, slots.len());
     if slots.len() > 8 {
         first = slots.partition_point(below);
@@ -115,7 +116,7 @@ pub(super) fn layers<T: PageSlot>(slots: &[T], heights: Heights) -> impl DoubleE
     slots[first..end].iter().filter(move |slot| !below(slot) & !above(slot))
 }
 
-/// Collects what a shape touches.
+/// Collects the classes that a shape touches.
 pub(super) struct Touch {
     heights: Heights,
     until: Kinds,
@@ -123,19 +124,19 @@ pub(super) struct Touch {
 }
 
 impl Touch {
-    /// Collects what `shape` touches, until that is one of the kinds in `until`.
+    /// Starts collecting the classes that `shape` touches, until one of those in `until` is found.
     #[inline]
     pub fn new<G: OnPixels>(shape: &G, until: Kinds) -> Self {
         Self { heights: shape.heights(), until, found: 0 }
     }
 
-    /// Whether one of the wanted kinds is found.
+    /// Returns whether one of the classes in `until` is found.
     #[inline]
     pub fn done(&self) -> bool {
         self.found & self.until != 0
     }
 
-    /// The pages of one tile column; breaks when one of the wanted kinds is found.
+    /// Tests the pages of one tile column; breaks if one of the classes in `until` is found.
     #[cfg_attr(target_family = "wasm", inline)]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub fn column<G: OnPixels, T: PageSlot>(

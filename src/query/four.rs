@@ -1,5 +1,5 @@
-//! Several numbers at once, by vector instructions that every x86-64 processor has: the compiler would make branches of some of
-//! these selections. Elsewhere lane by lane, with the same results to the last bit.
+//! Vectors of two and four numbers, by instructions that every x86-64 processor has, because the compiler would turn
+//! some of these selections into branches. Elsewhere lane by lane, with bit-identical results.
 
 #[cfg(any(not(target_arch = "x86_64"), slicewalk_portable))]
 use portable as lanes;
@@ -9,7 +9,8 @@ use sse2 as lanes;
 use crate::slice::Span;
 pub(super) use lanes::{Floats, Pair, Unions, Window, greater, lesser};
 
-/// The last four of `spans`, rather than a loop over what groups of four leave; fewer are filled up with such that meet nothing.
+/// Returns the last four of `spans`, which replaces a loop over the remainder of groups of four. Fewer spans are padded
+/// with ones that meet nothing.
 #[inline]
 pub(super) fn last_four(spans: &[Span]) -> [Span; 4] {
     spans.last_chunk().copied().unwrap_or_else(|| std::array::from_fn(|n| spans.get(n).copied().unwrap_or(Span::NEVER)))
@@ -28,7 +29,7 @@ mod sse2 {
     /// A span's highest bits are its lane.
     const LANE_SHIFT: u32 = 29;
 
-    /// Vector instructions.
+    /// Evaluates vector instructions.
     macro_rules! vector {
         ($($code:tt)*) => {
             // SAFETY: SSE2 is part of x86-64; nothing here reads or writes memory.
@@ -36,20 +37,20 @@ mod sse2 {
         };
     }
 
-    /// The lesser of two numbers that are no NaN. One instruction, unlike `f64::min`, and what the compiler makes of two choices
-    /// beside each other.
+    /// Returns the lesser of two numbers, neither of them NaN, in one instruction. `f64::min` takes more, and so does
+    /// what the compiler makes of two selections side by side.
     #[inline]
     pub fn lesser(a: f64, b: f64) -> f64 {
         vector!(_mm_cvtsd_f64(_mm_min_sd(_mm_set_sd(a), _mm_set_sd(b))))
     }
 
-    /// The greater of two numbers that are no NaN; as [`lesser`].
+    /// Returns the greater of two numbers, neither of them NaN, like [`lesser`].
     #[inline]
     pub fn greater(a: f64, b: f64) -> f64 {
         vector!(_mm_cvtsd_f64(_mm_max_sd(_mm_set_sd(a), _mm_set_sd(b))))
     }
 
-    /// Four numbers of single precision, none of them NaN.
+    /// Four single-precision numbers, none of them NaN.
     #[derive(Clone, Copy)]
     pub struct Floats(__m128);
 
@@ -84,14 +85,15 @@ mod sse2 {
             Self(vector!(_mm_max_ps(self.0, other.0)))
         }
 
-        /// 2 to the power of the nearest integer, for values from -1 to 9: the exponent is written directly.
+        /// Returns 2 to the power of the nearest integer, for values from -1 to 9, by writing the exponent bits.
         #[inline]
         pub fn power_of_nearest(self) -> Self {
             let exponent = vector!(_mm_add_epi32(_mm_cvtps_epi32(self.0), _mm_set1_epi32(127)));
             Self(vector!(_mm_castsi128_ps(_mm_slli_epi32::<23>(exponent))))
         }
 
-        /// The integers nearest to these and then to the others, all from 0 to 255, as bytes from the lowest on.
+        /// Returns the integers nearest to these and then to the other numbers, all from 0 to 255, as bytes, lowest
+        /// first.
         #[inline]
         pub fn bytes(self, others: Self) -> u64 {
             let words = vector!(_mm_packs_epi32(_mm_cvtps_epi32(self.0), _mm_cvtps_epi32(others.0)));
@@ -99,7 +101,7 @@ mod sse2 {
         }
     }
 
-    /// Two numbers, none of them NaN.
+    /// Two numbers, neither of them NaN.
     #[derive(Clone, Copy)]
     pub struct Pair(__m128d);
 
@@ -140,15 +142,16 @@ mod sse2 {
         }
     }
 
-    /// How far spans reach: per lane the bottom, and above it what the top lacks to 16383; least is farthest in both.
+    /// Lowest bottom and highest top of spans: each lane holds the bottom and, above it, 16383 minus the top, so that
+    /// the minimum is the extreme of both.
     #[derive(Clone, Copy)]
     pub struct Unions(__m128i);
 
     impl Unions {
-        /// Those of four spans that meet `low..=high`.
+        /// Extent of those of four spans that meet `low..=high`.
         #[inline]
         pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
-            // Comparisons are signed, and of 16 bits.
+            // Comparisons are signed and have 16 bits.
             let (low, high) = (low.min(FIELD as u32) as i32, high.min(PAGE_QUANTA as u32) as i32);
             // SAFETY: reads the four spans, which are 32 bits each.
             let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
@@ -165,7 +168,7 @@ mod sse2 {
             Self(vector!(_mm_min_epi16(self.0, other.0)))
         }
 
-        /// The lowest bottom and the highest top; the first is above the second if nothing meets.
+        /// Returns the lowest bottom and the highest top; the first exceeds the second if no span was met.
         #[inline]
         pub fn ends(self) -> (u32, u32) {
             let half = vector!(_mm_min_epi16(self.0, _mm_shuffle_epi32::<0b1110>(self.0)));
@@ -174,21 +177,21 @@ mod sse2 {
         }
     }
 
-    /// Lanes and heights that spans are held against.
+    /// Lanes and heights against which spans are tested.
     #[derive(Clone, Copy)]
     pub struct Window {
-        /// The highest bottom, and above it what the lowest top lacks to 16383.
+        /// The highest bottom and, above it, 16383 minus the lowest top.
         heights: __m128i,
-        /// Makes words of lanes `x0..=x1` the least ones, as signed numbers, and the greatest of them.
+        /// Added to a word, makes those of lanes `x0..=x1` the least signed numbers; `last` is the greatest of them.
         turn: __m128i,
         last: __m128i,
     }
 
     impl Window {
-        /// Lanes `x0..=x1` [0..8], heights `low..=high`.
+        /// Window of lanes `x0..=x1` [0..8] and heights `low..=high`.
         #[inline]
         pub fn new([x0, x1]: [u32; 2], low: u32, high: u32) -> Self {
-            // Comparisons are signed, and of 16 bits.
+            // Comparisons are signed and have 16 bits.
             let (low, high) = (low.min(FIELD as u32) as i32, high.min(PAGE_QUANTA as u32) as i32);
             let last = u32::MAX >> 3 | (x1 - x0) << LANE_SHIFT;
             Self {
@@ -198,7 +201,7 @@ mod sse2 {
             }
         }
 
-        /// Four spans, and bits in those that do not lie in the lanes or do not meet the heights.
+        /// Returns four spans, and a mask with bits set in those outside the lanes or heights.
         #[inline]
         fn outside(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
             // SAFETY: reads the four spans, which are 32 bits each.
@@ -209,31 +212,32 @@ mod sse2 {
             }
         }
 
-        /// Four spans, and all bits in those that lie in the lanes and meet the heights.
+        /// Returns four spans, and a mask with all bits set in those that lie in the lanes and meet the heights.
         #[inline]
         fn inside(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
             let (words, outside) = self.outside(spans);
             (words, vector!(_mm_cmpeq_epi32(outside, _mm_setzero_si128())))
         }
 
-        /// Which of sixteen spans lie in the lanes and meet the heights, as a mask.
+        /// Returns the mask of those of sixteen spans that lie in the lanes and meet the heights.
         #[inline]
         pub fn meets_of_sixteen(self, spans: &[Span; 16]) -> u32 {
             let [a, b, c, d] = [0, 1, 2, 3].map(|n| self.outside(&spans.as_chunks().0[n]).1);
-            // Saturating: what has a bit keeps one.
+            // Packing saturates, so a word with any bit set keeps one.
             vector! {
                 let outside = _mm_packs_epi16(_mm_packs_epi32(a, b), _mm_packs_epi32(c, d));
                 _mm_movemask_epi8(_mm_cmpeq_epi8(outside, _mm_setzero_si128())) as u32
             }
         }
 
-        /// Which of four spans lie in the lanes and meet the heights, as a mask.
+        /// Returns the mask of those of four spans that lie in the lanes and meet the heights.
         #[inline]
         pub fn meets(self, spans: &[Span; 4]) -> u32 {
             vector!(_mm_movemask_ps(_mm_castsi128_ps(self.inside(spans).1))) as u32
         }
 
-        /// Kinds of those `spans` that lie in the lanes and meet the heights, at least until one is in `until`.
+        /// Returns the classes of those `spans` that lie in the lanes and meet the heights. May stop once one of
+        /// `until` is found.
         #[inline]
         pub fn kinds(self, spans: &[Span], until: Kinds) -> Kinds {
             let until = vector!(_mm_set1_epi32(until as i32));
@@ -245,7 +249,7 @@ mod sse2 {
             };
             let (fours, rest) = spans.as_chunks();
             let mut pairs = fours.chunks_exact(2);
-            // Two at a time: the way out costs as much as one of them.
+            // Two at a time: the test for an early exit costs as much as one group.
             let done = pairs.any(|pair| {
                 join(&pair[0]);
                 join(&pair[1])
@@ -264,7 +268,7 @@ mod sse2 {
         }
     }
 
-    /// Per lane of 32 bits the bottom of a span, and above it what its top lacks to 16383.
+    /// Returns, per lane of 32 bits, the bottom of a span and, above it, 16383 minus its top.
     #[inline]
     fn ends_of(spans: __m128i) -> __m128i {
         vector! {
@@ -275,30 +279,30 @@ mod sse2 {
 }
 
 #[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
-// There for tests, which ask for a part of it only.
+// Compiled for tests as well, which use only a part of it.
 #[cfg_attr(all(target_arch = "x86_64", not(slicewalk_portable)), allow(dead_code))]
 mod portable {
     use crate::query::blocks::Kinds;
     use crate::query::scan::meeting_in_lanes;
     use crate::slice::Span;
 
-    /// The lesser of two numbers that are no NaN.
+    /// Returns the lesser of two numbers, neither of them NaN.
     #[inline]
     pub fn lesser(a: f64, b: f64) -> f64 {
         if a < b { a } else { b }
     }
 
-    /// The greater of two numbers that are no NaN.
+    /// Returns the greater of two numbers, neither of them NaN.
     #[inline]
     pub fn greater(a: f64, b: f64) -> f64 {
         if a > b { a } else { b }
     }
 
-    /// Four numbers of single precision, none of them NaN.
+    /// Four single-precision numbers, none of them NaN.
     #[derive(Clone, Copy)]
     pub struct Floats([f32; 4]);
 
-    /// Makes the integer nearest to a number of magnitude below 2²² the last bits of the sum, of two equally near the even one.
+    /// Added to a number of magnitude below 2²², leaves the nearest integer (ties to even) in the last bits of the sum.
     const INTEGERS: f32 = (3 << 22) as f32;
 
     fn nearest(v: f32) -> u32 {
@@ -341,13 +345,14 @@ mod portable {
             self.with(other, |a, b| if a > b { a } else { b })
         }
 
-        /// 2 to the power of the nearest integer, for values from -1 to 9: the exponent is written directly.
+        /// Returns 2 to the power of the nearest integer, for values from -1 to 9, by writing the exponent bits.
         #[inline]
         pub fn power_of_nearest(self) -> Self {
             Self(self.0.map(|v| f32::from_bits(nearest(v).wrapping_add(127) << 23)))
         }
 
-        /// The integers nearest to these and then to the others, all from 0 to 255, as bytes from the lowest on.
+        /// Returns the integers nearest to these and then to the other numbers, all from 0 to 255, as bytes, lowest
+        /// first.
         #[inline]
         pub fn bytes(self, others: Self) -> u64 {
             let lanes = self.0.iter().chain(&others.0).rev();
@@ -355,7 +360,7 @@ mod portable {
         }
     }
 
-    /// Two numbers, none of them NaN.
+    /// Two numbers, neither of them NaN.
     #[derive(Clone, Copy)]
     pub struct Pair([f64; 2]);
 
@@ -401,12 +406,12 @@ mod portable {
         }
     }
 
-    /// The lowest bottom and the highest top of spans.
+    /// Lowest bottom and highest top of spans.
     #[derive(Clone, Copy)]
     pub struct Unions(u32, u32);
 
     impl Unions {
-        /// Those of four spans that meet `low..=high`.
+        /// Extent of those of four spans that meet `low..=high`.
         #[inline]
         pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
             let met = spans.iter().filter(|span| span.meets(low, high));
@@ -418,14 +423,14 @@ mod portable {
             Self(self.0.min(other.0), self.1.max(other.1))
         }
 
-        /// The lowest bottom and the highest top; the first is above the second if nothing meets.
+        /// Returns the lowest bottom and the highest top; the first exceeds the second if no span was met.
         #[inline]
         pub fn ends(self) -> (u32, u32) {
             (self.0, self.1)
         }
     }
 
-    /// Lanes and heights that spans are held against.
+    /// Lanes and heights against which spans are tested.
     #[derive(Clone, Copy)]
     pub struct Window {
         lanes: [u32; 2],
@@ -434,13 +439,13 @@ mod portable {
     }
 
     impl Window {
-        /// Lanes `x0..=x1` [0..8], heights `low..=high`.
+        /// Window of lanes `x0..=x1` [0..8] and heights `low..=high`.
         #[inline]
         pub fn new(lanes: [u32; 2], low: u32, high: u32) -> Self {
             Self { lanes, low, high }
         }
 
-        /// Which of four spans lie in the lanes and meet the heights, as a mask.
+        /// Returns the mask of those of four spans that lie in the lanes and meet the heights.
         #[inline]
         pub fn meets(self, spans: &[Span; 4]) -> u32 {
             let [x0, x1] = self.lanes;
@@ -448,13 +453,14 @@ mod portable {
             spans.iter().rev().fold(0, |mask, &span| mask << 1 | u32::from(inside(span)))
         }
 
-        /// Which of sixteen spans lie in the lanes and meet the heights, as a mask.
+        /// Returns the mask of those of sixteen spans that lie in the lanes and meet the heights.
         #[inline]
         pub fn meets_of_sixteen(self, spans: &[Span; 16]) -> u32 {
             spans.as_chunks().0.iter().rev().fold(0, |mask, four| mask << 4 | self.meets(four))
         }
 
-        /// Kinds of those `spans` that lie in the lanes and meet the heights, at least until one is in `until`.
+        /// Returns the classes of those `spans` that lie in the lanes and meet the heights. May stop once one of
+        /// `until` is found.
         #[inline]
         pub fn kinds(self, spans: &[Span], until: Kinds) -> Kinds {
             meeting_in_lanes(spans, self.lanes[0], self.lanes[1], self.low, self.high, until)

@@ -1,4 +1,4 @@
-//! Shapes on the grid: which pixels a shape covers, and between which heights.
+//! Shapes on the grid: the pixels that a shape covers, and its heights.
 
 use crate::frame::Frame;
 
@@ -7,15 +7,15 @@ pub trait Shape: sealed::OnGrid {}
 
 impl<T: sealed::OnGrid> Shape for T {}
 
-/// Greatest magnitude of the numbers of round shapes, rays and poses (m): their squares are finite.
+/// Greatest magnitude of the numbers of round shapes, rays and poses (m), small enough that squares are finite.
 pub(crate) const FARTHEST_M: f64 = 1e100;
 
-/// Whether no value is NaN or farther from zero than [`FARTHEST_M`].
+/// Returns whether all values are within ±[`FARTHEST_M`]; NaN is not.
 pub(crate) fn all_within_reach<'a>(values: impl IntoIterator<Item = &'a f64>) -> bool {
     values.into_iter().all(|v| v.abs() <= FARTHEST_M)
 }
 
-/// Pixels `i0..=i1` × `j0..=j1`, within ±2⁵⁰ as [`Frame`] gives them.
+/// Pixels `i0..=i1` × `j0..=j1`, within ±2⁵⁰ as [`Frame`] returns them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rect {
     pub i0: i64,
@@ -24,8 +24,8 @@ pub struct Rect {
     pub j1: i64,
 }
 
-/// Heights within ±2⁵⁰ that matter meets if its bottom is at most `high` and its top at least `low` (quanta). For a
-/// shape between two neighbouring quanta `low` is `high + 1`.
+/// Heights within ±2⁵⁰ (quanta). A span meets them if its bottom is at most `high` and its top at least `low`. For a
+/// shape between two neighbouring quanta, `low` is `high + 1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Heights {
     pub low: i64,
@@ -33,19 +33,19 @@ pub struct Heights {
 }
 
 impl Heights {
-    /// Of the closed world interval `[low, high]` (m).
+    /// Converts the closed world interval `[low, high]` (m).
     #[inline]
     pub fn of(frame: &Frame, low: f64, high: f64) -> Self {
         Self { low: frame.quantum_ceil(low), high: frame.quantum_floor(high) }
     }
 }
 
-/// What a walk over blocks needs to know of a shape. Public only in name: the module is private.
+/// Properties of a shape that the traversal of blocks needs. Public in name only, because the module is private.
 pub(super) mod sealed {
     use super::{Heights, Rect};
     use crate::frame::Frame;
 
-    /// A shape that can be taken to a grid.
+    /// A shape that can be converted to a grid.
     pub trait OnGrid {
         type Grid: OnPixels;
         fn on_grid(&self, frame: &Frame) -> Self::Grid;
@@ -53,52 +53,53 @@ pub(super) mod sealed {
 
     /// A shape on a grid.
     pub trait OnPixels {
-        /// Whether the heights are the same over all pixels of the footprint.
+        /// True if the heights are the same over all pixels of the footprint.
         const UPRIGHT: bool;
 
-        /// Smallest rectangle that holds the footprint.
+        /// Returns the smallest rectangle around the footprint.
         fn rect(&self) -> Rect;
 
-        /// Heights over the whole footprint.
+        /// Returns the heights over the whole footprint.
         fn heights(&self) -> Heights;
 
-        /// Whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may be
-        /// `false` where it does.
+        /// Returns whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may
+        /// return `false` for a block that does.
         fn holds(&self, i: i64, j: i64) -> bool;
 
-        /// Pixels of the footprint in the block of 8 × 8 pixels that begins at pixel (`i`, `j`), bit `8·dy + dx`. The
-        /// bits of a row are contiguous.
+        /// Returns the pixels of the footprint in the block of 8 × 8 pixels that begins at pixel (`i`, `j`), bit `8·dy
+        /// + dx`. The bits of a row are contiguous.
         fn mask(&self, i: i64, j: i64) -> u64;
 
-        /// Heights over the square of `edge` pixels that begins at pixel (`i`, `j`) and meets the footprint.
+        /// Returns the heights over the square of `edge` pixels that begins at pixel (`i`, `j`) and meets the
+        /// footprint.
         fn heights_over(&self, _i: i64, _j: i64, _edge: i64) -> Heights {
             self.heights()
         }
     }
 }
 
-/// Mask of the bits `first..=last` [0..8] of every row of a block.
+/// Returns the mask of columns `first..=last` [0..8] of a block.
 #[inline]
 pub(super) fn column_bits(first: u32, last: u32) -> u64 {
     let row = (2u64 << last) - (1u64 << first);
     row * 0x0101_0101_0101_0101
 }
 
-/// Mask of the rows `first..=last` [0..8] of a block.
+/// Returns the mask of rows `first..=last` [0..8] of a block.
 #[inline]
 pub(super) fn row_bits(first: u32, last: u32) -> u64 {
     u64::MAX >> (8 * (7 - last)) & u64::MAX << (8 * first)
 }
 
 impl Rect {
-    /// Whether pixel (`i`, `j`) is one of these.
+    /// Returns whether pixel (`i`, `j`) lies in the rectangle.
     #[inline]
     pub(super) fn holds(&self, i: i64, j: i64) -> bool {
         (self.i0 <= i) & (i <= self.i1) & (self.j0 <= j) & (j <= self.j1)
     }
 
-    /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8
-    /// squares of `1 << shift` pixels. The two must meet.
+    /// Returns the rectangle's part in the square of 8 × 8 cells that begins at (`i`, `j`), as a mask of these cells of
+    /// `1 << shift` pixels each. The two must meet.
     #[inline]
     pub(super) fn bits(&self, i: i64, j: i64, shift: u32) -> u64 {
         let last = (8 << shift) - 1;

@@ -1,30 +1,29 @@
-//! Exact questions about the matter in a set of pages: does a shape touch it, where is the floor, what does a ray hit.
+//! Exact collision queries against a set of pages: does a shape touch anything solid, where is the floor, what does a
+//! ray hit.
 //!
-//! In: a [`PageSet`] (usually a [`Store`](crate::store::Store)) and shapes in world coordinates [m, `f64`]. Out:
-//! answers of three kinds: clear, hit, or "not loaded" with the pages that are missing. No query allocates, locks or
-//! waits.
+//! In: a [`PageSet`] (usually a [`Store`](crate::store::Store)) and shapes in world coordinates [m, `f64`]. Out: one of
+//! three kinds of answers: clear, hit, or "not loaded" with the missing pages. No query allocates, locks or waits.
 //!
-//! # What touching means
+//! # Definition of touching
 //!
-//! Matter is a set of closed boxes: a span of pixel `(i, j)` fills the pixel's square and all heights from its bottom
-//! to its top. Shapes are closed, and touching counts as a hit. All shapes are taken to the grid by the monotone
-//! functions of [`Frame`](crate::frame::Frame), so the answer does not depend on where page, tile or slice boundaries
-//! lie, and:
+//! Solid space is a set of closed boxes: a span of pixel `(i, j)` fills the pixel's square from its bottom to its top.
+//! Shapes are closed, and touching counts as a hit. The monotone functions of [`Frame`](crate::frame::Frame) convert
+//! all shapes to the grid, so the answer does not depend on page, tile or slice boundaries, and:
 //!
 //! - **G1**: a shape that contains an input point is a hit, at any coordinate up to ±10⁷ m.
 //! - **G2**: a shape that contains no input point even when grown by the pixel size in x and y and by the slice height
 //!   in z is clear. A box is exact: it is a hit if and only if pixels `pixel_of(xmin)..=pixel_of(xmax)`,
 //!   `pixel_of(ymin)..=pixel_of(ymax)` hold a span with `bottom ≤ quantum_floor(zmax)` and `top ≥ quantum_ceil(zmin)`.
-//!   For round shapes and rays squares and radii grow by rounding errors: at most 2⁻⁴⁸ of the largest coordinate
+//!   For round shapes and rays, squares and radii grow by rounding errors: at most 2⁻⁴⁸ of the largest coordinate
 //!   (4·10⁻⁸ m at 10⁷ m) on top of G2, always towards "hit".
 //!
-//! "Not loaded" replaces "clear" where a page that is not in memory has matter in the slices asked for. A hit in a page
-//! that is in memory is a hit, whatever else is missing.
+//! "Not loaded" replaces "clear" if a page that is not in memory is occupied in the relevant slices. A hit in a page in
+//! memory is a hit, regardless of missing pages.
 //!
 //! # Method
 //!
 //! Broad phase and narrow phase of the thesis (algorithm 3.4) in one descent: tile columns under the shape, pages by
-//! their slice mask, blocks of 8 × 8 pixels by theirs, then the union of the block's spans, then the spans of its
+//! their slice mask, blocks of 8 × 8 pixels by their masks, then the union of the block's spans, then the spans of its
 //! pixels.
 
 mod aabb;
@@ -65,10 +64,10 @@ use blocks::MATTER;
 use footprint::{Touch, for_each_column};
 use grid::sealed::OnPixels;
 
-/// Whether `shape` touches matter. Ends at the first hit.
+/// Returns whether `shape` touches anything solid. Ends at the first hit.
 ///
-/// Cost: a few nanoseconds per tile column (64 × 64 pixels) and block (8 × 8 pixels) under the shape, less when it
-/// hits. Exactness: see the [module text](self).
+/// Cost: a few nanoseconds per tile column (64 × 64 pixels) and block (8 × 8 pixels) under the shape, less for a hit.
+/// Exactness: see the [module text](self).
 #[inline]
 pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
     let shape = shape.on_grid(set.frame());
@@ -82,10 +81,11 @@ pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
     }
 }
 
-/// [`overlaps`] for each of `shapes`, in order, into `answers`.
+/// Runs [`overlaps`] for each of `shapes`, in order, into `answers`.
 ///
-/// Where the pages exceed the processor's caches and shapes that follow each other lie apart, they are asked in the order of their
-/// places, for which a batch takes 13 bytes of memory a shape; elsewhere it takes none. So do the other batches, with 12 bytes.
+/// If the pages exceed the processor's caches and successive shapes lie apart, the shapes are processed in order of
+/// place, which takes 13 bytes of memory per shape; otherwise no memory is allocated. The other batches do the same
+/// with 12 bytes.
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.

@@ -1,4 +1,4 @@
-//! Everything that a walker asks in one go.
+//! One traversal that answers all of a walker's questions.
 
 use super::answer::Answer;
 use super::batch;
@@ -10,20 +10,20 @@ use super::grid::sealed::OnPixels;
 use crate::store::{PageSet, join};
 use std::ops::ControlFlow;
 
-/// What a shape touches, and the floor under it.
+/// Result of [`probe`]: contacts of a shape, and the floor under it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Probe {
-    /// The shape touches matter.
+    /// The shape touches something solid.
     pub hit: bool,
     /// The shape touches an obstacle.
     pub obstacle: bool,
-    /// World height (m) of the highest floor at or below the shape's top, at any depth, in the pixels of its
-    /// footprint (see [`floor_under`](super::floor_under)).
+    /// World height (m) of the highest floor at or below the shape's top, at any depth, in the pixels of its footprint
+    /// (see [`floor_under`](super::floor_under)).
     pub floor_z: Option<f64>,
 }
 
-/// What `shape` touches, and the floor under it, in one walk over the pages. Not loaded if a page that is not in memory
-/// could change any of the three.
+/// Returns the contacts of `shape` and the floor under it from one traversal of the pages. Not loaded if a page that is
+/// not in memory could change any of the three fields.
 ///
 /// Cost: an [`overlaps`](super::overlaps) that does not end before the first obstacle, and a
 /// [`floor_under`](super::floor_under).
@@ -34,7 +34,7 @@ pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
     let mut floor = FloorSearch::new(-1 << 50, shape.heights().high);
     for_each_column(set, shape.rect(), |tile, slots| {
         if !touch.done() {
-            // A break only says that nothing more can be learnt about touching.
+            // A break only means that `touch` has found all it looks for.
             let _ = touch.column(&shape, tile, slots, &mut untouched);
         }
         floor.column(&shape, tile, slots);
@@ -49,7 +49,7 @@ pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
     Answer::new(Probe { hit, obstacle, floor_z: floor.floor_z(set.frame()) }, missing)
 }
 
-/// [`probe`] for each of `shapes`, in order, into `answers`.
+/// Runs [`probe`] for each of `shapes`, in order, into `answers`.
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.

@@ -1,15 +1,16 @@
-//! Loops over runs of spans, shaped so that the compiler makes vector instructions of them.
+//! Loops over runs of spans, written so that the compiler vectorises them.
 //!
-//! Always inlined: whether the compiler does so by itself changes with unrelated code, and a box takes a tenth longer
-//! without.
+//! Always inlined: the compiler's own choice changes with unrelated code, and without inlining a box query takes a
+//! tenth longer.
 
 use super::blocks::Kinds;
 use crate::slice::Span;
 
-/// Joins `value` of all `spans` (a value may be joined twice without harm) until `done`.
+/// Joins `value` of all `spans` (joining a value twice must be harmless) until `done`.
 ///
-/// Eight spans at a time, the last eight overlapping: no loop over a rest. The way out in the middle keeps the compiler
-/// from vectorising across groups of eight, which costs more than it gains on runs of 10 to 60 spans.
+/// Takes eight spans at a time; the last eight overlap the previous ones, which avoids a loop over the remainder. The
+/// early exit keeps the compiler from vectorising across groups of eight, which costs more than it gains on runs of 10
+/// to 60 spans.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn gather(
@@ -46,12 +47,13 @@ fn quad(spans: &[Span; 4], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) 
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn eight(spans: &[Span; 8], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
-    // Not `map`: it is inlined at times only, too.
+    // Not `map`, which is not always inlined either.
     let pair = |n: usize| join(value(spans[n]), value(spans[n + 4]));
     join(join(pair(0), pair(1)), join(pair(2), pair(3)))
 }
 
-/// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`, at least until one is in `until`.
+/// Returns the classes of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`. May stop once one of `until`
+/// is found.
 #[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
@@ -60,8 +62,8 @@ pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high:
     gather(spans, kinds, |a, b| a | b, |all| all & until != 0)
 }
 
-/// Highest top up to `limit` of a floor span of lanes `x0..=x1`, plus 1; 0 if there is none. Ends when it reaches
-/// `bound`.
+/// Returns the highest top up to `limit`, plus 1, of a floor span in lanes `x0..=x1`, or 0 without one. Ends when it
+/// reaches `bound`.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: u32) -> u32 {
@@ -72,7 +74,7 @@ pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: 
     gather(spans, top, |a, b| if a as i32 > b as i32 { a } else { b }, |all| all >= bound)
 }
 
-/// `kinds`, and the kinds of those spans that meet `low..=high`.
+/// Returns `kinds` joined with the classes of those spans that meet `low..=high`.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) -> Kinds {
@@ -80,7 +82,7 @@ pub(super) fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) ->
     quads.iter().fold(kinds, |kinds, group| kinds | quad(group, met, |a, b| a | b))
 }
 
-/// Signed comparisons of values below 2³¹: the plain x86-64 instruction set has no others for vectors.
+/// Signed comparisons of values below 2³¹, because baseline x86-64 has no others for vectors.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn meets(span: Span, low: u32, high: u32) -> bool {
@@ -93,7 +95,7 @@ fn in_lanes(span: Span, x0: u32, x1: u32) -> bool {
     (span.lane() as i32 >= x0 as i32) & (span.lane() as i32 <= x1 as i32)
 }
 
-/// All bits if `condition`, else none.
+/// Returns all bits if `condition`, else 0.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn select(condition: bool) -> u32 {

@@ -16,7 +16,7 @@ pub struct Sphere {
 }
 
 impl Sphere {
-    /// The ball of `radius` (m, >= 0) around `center`. NaN and values beyond ±10¹⁰⁰ m are refused.
+    /// Creates the ball of `radius` (m, >= 0) around `center`. Fails on NaN and on values beyond ±10¹⁰⁰ m.
     pub fn new(center: Point3<f64>, radius: f64) -> Result<Self> {
         if all_within_reach(center.iter().chain([&radius])) && radius >= 0.0 {
             Ok(Self { center, radius })
@@ -28,12 +28,12 @@ impl Sphere {
         }
     }
 
-    /// Middle (m).
+    /// Returns the middle (m).
     pub fn center(&self) -> Point3<f64> {
         self.center
     }
 
-    /// Radius (m).
+    /// Returns the radius (m).
     pub fn radius(&self) -> f64 {
         self.radius
     }
@@ -89,7 +89,7 @@ impl OnPixels for GridSphere {
 
     #[inline]
     fn heights_over(&self, i: i64, j: i64, edge: i64) -> Heights {
-        // A square that the disc just touches may lie outside by an ulp here: it then counts as touched.
+        // A square that the disc just touches may seem to lie outside by an ulp; it counts as touched.
         self.heights_within(self.disc.half_chord(self.disc.distance_to(i, j, edge)).unwrap_or(0.0))
     }
 }

@@ -4,10 +4,10 @@ use super::page::Page;
 
 const PIXELS: usize = 64 * 64;
 
-/// The voxels with matter of a page, numbered pixel by pixel in row order, in each from the lowest slice up.
+/// Occupied voxels of a page, numbered pixel by pixel in row order and from the lowest slice up within a pixel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Occupancy {
-    /// Slices with matter of each pixel.
+    /// Occupied slices of each pixel.
     masks: Box<[u64]>,
     /// Number of each pixel's first voxel.
     first: Box<[u32]>,
@@ -21,14 +21,14 @@ impl Default for Occupancy {
 }
 
 impl Occupancy {
-    /// Those of `page`. Memory: 48 KiB.
+    /// Returns the occupied voxels of `page`. Memory: 48 KiB.
     pub fn of(page: &Page) -> Self {
         let mut occupancy = Self::default();
         occupancy.set(page);
         occupancy
     }
 
-    /// Replaces them by those of `page`.
+    /// Replaces the contents by the occupied voxels of `page`, without allocating.
     pub fn set(&mut self, page: &Page) {
         self.masks.fill(0);
         for (px, py, spans) in page.columns() {
@@ -37,29 +37,29 @@ impl Occupancy {
         self.count = 0;
         for (first, mask) in self.first.iter_mut().zip(&self.masks) {
             *first = self.count as u32;
-            // Mostly none or one; not every processor counts bits in one instruction.
+            // Most masks have at most one bit, and some processors have no instruction that counts bits.
             let is_few = mask & mask.wrapping_sub(1) == 0;
             self.count += if is_few { usize::from(*mask != 0) } else { mask.count_ones() as usize };
         }
     }
 
-    /// Number of voxels.
+    /// Returns the number of voxels.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether there is no voxel.
+    /// Returns whether there are no voxels.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Slices with matter of pixel `64·py + px`, and the number of its first voxel.
+    /// Returns the occupied slices of pixel `64·py + px` as a mask, and the number of its first voxel.
     #[inline]
     pub fn pixel(&self, pixel: usize) -> (u64, usize) {
         (self.masks[pixel & (PIXELS - 1)], self.first[pixel & (PIXELS - 1)] as usize)
     }
 
-    /// Number of the voxel in slice `k` (0..=63) of pixel `64·py + px`; `None` without matter.
+    /// Returns the number of the voxel in slice `k` (0..=63) of pixel `64·py + px`, or `None` if it is not occupied.
     #[inline]
     pub fn find(&self, pixel: usize, k: u32) -> Option<usize> {
         let (mask, first) = self.pixel(pixel);
@@ -67,7 +67,7 @@ impl Occupancy {
         (mask >> (k & 63) & 1 == 1).then(|| first + below.count_ones() as usize)
     }
 
-    /// All voxels in order: pixel `64·py + px` and slice of the page.
+    /// Iterates over all voxels in order: pixel `64·py + px` and slice of the page.
     pub fn voxels(&self) -> impl Iterator<Item = (usize, u32)> + '_ {
         let slices = |mask: u64| std::iter::successors(Some(mask), |mask| Some(mask & mask.wrapping_sub(1)));
         self.masks.iter().enumerate().filter(|(_, mask)| **mask != 0).flat_map(move |(pixel, &mask)| {
@@ -76,48 +76,49 @@ impl Occupancy {
     }
 }
 
-/// Colours (sRGB, 8 bits a channel) of the voxels of a page. A voxel without points that had a colour has none: one that was inferred, or
-/// that matter reaches by a tolerance alone, for instance.
+/// Colours (sRGB, 8 bits a channel) of the occupied voxels of a page. A voxel has no colour if none of its points had
+/// one: for instance an inferred voxel, or one that a span reaches only within the height tolerance.
 ///
 /// Memory: 48 KiB and 4 bytes a voxel.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Colours {
     occupancy: Occupancy,
-    /// Red, green, blue, and 255 where there is a colour. In order of voxels.
+    /// Red, green, blue, and 255 if the voxel has a colour; in order of voxels.
     values: Vec<[u8; 4]>,
 }
 
 impl Colours {
-    /// `values` for the voxels of `occupancy`, in order; `None` if they are not as many.
+    /// Pairs the voxels of `occupancy` with `values`, in order; `None` if the counts differ.
     pub(crate) fn new(occupancy: Occupancy, values: Vec<[u8; 4]>) -> Option<Self> {
         (values.len() == occupancy.len()).then_some(Self { occupancy, values })
     }
 
-    /// The voxels of the page.
+    /// Returns the occupied voxels of the page.
     pub fn occupancy(&self) -> &Occupancy {
         &self.occupancy
     }
 
-    /// Colour of the voxel in slice `k` (0..=63) of pixel (`px`, `py`) [0..64]; `None` without matter or colour.
+    /// Returns the colour of the voxel in slice `k` (0..=63) of pixel (`px`, `py`) [0..64]; `None` if the voxel is not
+    /// occupied or has no colour.
     pub fn of(&self, px: u32, py: u32, k: u32) -> Option<[u8; 3]> {
         let number = self.occupancy.find(((py & 63) << 6 | px & 63) as usize, k)?;
         let [r, g, b, a] = *self.values.get(number)?;
         (a != 0).then_some([r, g, b])
     }
 
-    /// All voxels with matter in row order, lowest first: pixel x and y, slice of the page, colour.
+    /// Iterates over all occupied voxels in row order, lowest first: pixel x and y, slice of the page, colour.
     pub fn voxels(&self) -> impl Iterator<Item = (u32, u32, u32, Option<[u8; 3]>)> + '_ {
         let places = self.occupancy.voxels().zip(&self.values);
         places
             .map(|((pixel, k), &[r, g, b, a])| (pixel as u32 & 63, pixel as u32 >> 6, k, (a != 0).then_some([r, g, b])))
     }
 
-    /// Colours in order of voxels: red, green, blue, and 255 where there is a colour (0, 0, 0, 0 elsewhere).
+    /// Returns the colours in order of voxels: red, green, blue, 255 for voxels with a colour, (0, 0, 0, 0) for others.
     pub fn values(&self) -> &[[u8; 4]] {
         &self.values
     }
 
-    /// Number of voxels with a colour.
+    /// Returns the number of voxels that have a colour.
     pub fn count(&self) -> u64 {
         self.values.iter().filter(|value| value[3] != 0).count() as u64
     }

@@ -1,38 +1,39 @@
-//! Which spans of a page are inferred: floor that closes a hole of the scan, on which no point lies.
+//! Inferred spans of a page: floor that closes a hole of the scan and holds no point.
 
 use super::page::{Page, PageBuilder};
 use super::span::Span;
 
-/// The inferred spans of a page, by pixel; all of them are floors. Memory: 16 bytes a pixel that has some.
+/// Inferred spans of a page, by pixel; all of them are floor. Memory: 16 bytes per pixel that has one.
 ///
-/// A page holds them among its other spans, so that queries meet both alike; this tells them apart.
+/// The page holds them among its scanned spans, so queries treat both alike; this type distinguishes them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inferred {
-    /// Pixel `64·py + px`, ascending, and which of its spans, bit `k` for the one above `k` others; never 0.
+    /// Pixel `64·py + px`, ascending, and the mask of its inferred spans: bit `k` is the span above `k` others. No mask
+    /// is 0.
     pixels: Vec<(u16, u64)>,
 }
 
 impl Inferred {
-    /// Nothing is inferred.
+    /// Set without inferred spans.
     pub const NONE: Self = Self { pixels: Vec::new() };
 
-    /// Nothing is inferred.
+    /// Creates a set without inferred spans.
     pub fn new() -> Self {
         Self::NONE
     }
 
-    /// Whether nothing is.
+    /// Returns whether no span is inferred.
     pub fn is_empty(&self) -> bool {
         self.pixels.is_empty()
     }
 
-    /// Forgets all.
+    /// Removes all entries.
     pub fn clear(&mut self) {
         self.pixels.clear();
     }
 
-    /// Adds the inferred spans `mask` of pixel (`px`, `py`) [0..64]: bit `k` for the span above `k` others. Pixels come in row order;
-    /// returns `false`, and takes nothing, if they do not, or outside the page.
+    /// Adds the inferred spans `mask` of pixel (`px`, `py`) [0..64]: bit `k` is the span above `k` others. Pixels must
+    /// come in row order; returns `false` and adds nothing if they do not, or if the pixel lies outside the page.
     #[must_use]
     pub fn push(&mut self, px: u32, py: u32, mask: u64) -> bool {
         let pixel = (py << 6 | px) as u16;
@@ -43,23 +44,23 @@ impl Inferred {
         in_order
     }
 
-    /// The inferred spans of pixel (`px`, `py`), bit `k` for the span above `k` others.
+    /// Returns the mask of inferred spans of pixel (`px`, `py`): bit `k` is the span above `k` others.
     pub fn of(&self, px: u32, py: u32) -> u64 {
         let found = self.pixels.binary_search_by_key(&((py << 6 | px) as u16), |&(pixel, _)| pixel);
         found.map_or(0, |at| self.pixels[at].1)
     }
 
-    /// Pixels with inferred spans in row order: `(px, py, mask)`.
+    /// Iterates over the pixels with inferred spans in row order: `(px, py, mask)`.
     pub fn pixels(&self) -> impl Iterator<Item = (u32, u32, u64)> + '_ {
         self.pixels.iter().map(|&(pixel, mask)| (u32::from(pixel) & 63, u32::from(pixel) >> 6, mask))
     }
 
-    /// Number of inferred spans.
+    /// Returns the number of inferred spans.
     pub fn span_count(&self) -> u64 {
         self.pixels.iter().map(|(_, mask)| u64::from(mask.count_ones())).sum()
     }
 
-    /// Number of voxels of `page` whose matter is inferred alone.
+    /// Returns the number of voxels of `page` that only inferred spans occupy.
     pub fn voxel_count(&self, page: &Page) -> u64 {
         let voxels = |(px, py, mask): (u32, u32, u64)| {
             let slices = |inferred: bool| {
@@ -72,7 +73,7 @@ impl Inferred {
         self.pixels().map(voxels).sum()
     }
 
-    /// `page` without its inferred spans, built in `builder`.
+    /// Returns a copy of `page` without its inferred spans, built in `builder`.
     pub fn without(&self, page: &Page, builder: &mut PageBuilder) -> Page {
         builder.clear();
         let mut scanned: Vec<Span> = Vec::new();
@@ -88,8 +89,8 @@ impl Inferred {
         builder.build()
     }
 
-    /// Lengths of the runs of floor spans of `page` that are scanned, inferred, scanned and so on, in row order and lowest
-    /// first; the last run is inferred. Empty where nothing is.
+    /// Returns the run lengths of the floor spans of `page`, alternately scanned and inferred, in row order and lowest
+    /// first. The first run is scanned (it may be 0), the last one inferred. Empty if no span is inferred.
     pub(crate) fn runs(&self, page: &Page) -> Vec<u32> {
         let mut runs = vec![0u32];
         for (px, py, spans) in page.columns() {
@@ -109,7 +110,7 @@ impl Inferred {
         runs
     }
 
-    /// Sets what [`runs`](Self::runs) say of `page`; `false` if they are longer than its floor spans.
+    /// Sets the inferred spans from [`runs`](Self::runs) of `page`; returns `false` if the runs exceed its floor spans.
     pub(crate) fn set_runs(&mut self, page: &Page, runs: &[u32]) -> bool {
         self.pixels.clear();
         let mut runs = runs.iter();
@@ -118,7 +119,7 @@ impl Inferred {
             let mut mask = 0;
             for (at, _) in spans.iter().enumerate().filter(|(_, span)| !span.is_obstacle()) {
                 while left == 0 {
-                    // Behind the last run all is scanned.
+                    // After the last run, all spans are scanned.
                     (left, inferred) = (runs.next().copied().unwrap_or(u32::MAX), !inferred);
                 }
                 left -= 1;
@@ -137,7 +138,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Pixel, and its spans: thickness, obstacle, inferred.
+    /// Pixel and its spans: thickness, obstacle, inferred.
     type Column = (u32, u32, Vec<(u32, bool, bool)>);
 
     fn page(columns: &[Column]) -> (Page, Inferred) {

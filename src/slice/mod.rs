@@ -1,11 +1,11 @@
-//! Columns, spans and pages: what an archive holds and what queries read.
+//! Spans and pages: the form in which archives are queried in memory.
 //!
 //! In: spans per pixel (from the voxel pass or a decoded page). Out: [`Page`], one tile column of 64 slices, laid out
-//! for queries. Memory: a page weighs [`Page::weight_bytes`]: 4 bytes per span, about 48 per block of 8 × 8 pixels that
-//! has matter, 8 per slice from the lowest with matter to the highest, 180 per page.
+//! for queries. Memory: a page takes [`Page::weight_bytes`]: 4 bytes per span, about 48 per occupied block of 8 × 8
+//! pixels, 8 per slice from the lowest occupied one to the highest, 180 per page.
 //!
-//! A span is a maximal vertical run of matter in one pixel. Inside it no height is stored, so a wall costs one span
-//! however many slices it crosses, and slices inside a wall are equal by construction.
+//! A span is a maximal vertical solid run in one pixel. It stores no heights between its ends, so a wall costs one span
+//! regardless of the number of slices it crosses, and slices inside a wall are equal by construction.
 
 mod colours;
 mod inferred;

@@ -1,13 +1,13 @@
-//! A span: a vertical run of matter in one pixel of one page.
+//! A span: a vertical solid run in one pixel of one page.
 
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 
-/// Bottom and top in quanta above the page's floor, and whether the matter is an obstacle; 4 bytes.
+/// Bottom and top (quanta above the page's floor) and class (floor or obstacle) of a solid run; 4 bytes.
 ///
 /// Both ends are inclusive: a span is the closed interval `[bottom, top]`, `0 ≤ bottom ≤ top ≤ 16320`.
 ///
-/// Three bits are left over. Inside a page they hold the pixel's `x % 8`, so that a run of spans over several pixels
-/// can be filtered without a look at where each pixel begins; they are no part of the span's value.
+/// Three bits are spare. Inside a page they hold the pixel's `x % 8`, so that the spans of several pixels can be
+/// filtered without looking up where each pixel begins; they are not part of the span's value.
 #[derive(Clone, Copy)]
 #[repr(transparent)]
 pub struct Span(u32);
@@ -32,68 +32,70 @@ impl std::hash::Hash for Span {
 }
 
 impl Span {
-    /// Bit of [`kinds`](Self::kinds) that says obstacle.
+    /// Bit of [`kinds`](Self::kinds) that stands for obstacle.
     pub(crate) const OBSTACLE_KIND: u32 = OBSTACLE;
 
-    /// Fills up groups of spans: meets no interval.
+    /// Padding for groups of spans: meets no interval.
     pub(crate) const NEVER: Self = Self(FIELD);
 
-    /// The span `[bottom, top]` [quanta above the page's floor]; `None` unless `bottom <= top <= 16320` and the
+    /// Creates the span `[bottom, top]` (quanta above the page's floor); `None` unless `bottom <= top <= 16320` and the
     /// bottom lies below the page's end (a span that only touches the end belongs to the page above).
     pub fn new(bottom: u32, top: u32, obstacle: bool) -> Option<Self> {
         (bottom <= top && top <= PAGE_QUANTA as u32 && bottom < PAGE_QUANTA as u32)
             .then_some(Self(bottom | top << 14 | if obstacle { OBSTACLE } else { 0 }))
     }
 
-    /// Lowest quantum [quanta above the page's floor].
+    /// Returns the lowest quantum (above the page's floor).
     #[inline]
     pub fn bottom(self) -> u32 {
         self.0 & FIELD
     }
 
-    /// Highest quantum [quanta above the page's floor].
+    /// Returns the highest quantum (above the page's floor).
     #[inline]
     pub fn top(self) -> u32 {
         self.0 >> 14 & FIELD
     }
 
-    /// Steeper than the slope limit, as opposed to floor that can be stood on.
+    /// Returns whether the span is an obstacle, steeper than the slope limit, rather than floor to stand on.
     #[inline]
     pub fn is_obstacle(self) -> bool {
         self.0 & OBSTACLE != 0
     }
 
-    /// Bit 0 set, and bit 28 ([`OBSTACLE_KIND`](Self::OBSTACLE_KIND)) for an obstacle: what loops without branches
-    /// gather.
+    /// Returns bit 0, and bit 28 ([`OBSTACLE_KIND`](Self::OBSTACLE_KIND)) for an obstacle, to be ORed by loops without
+    /// branches.
     #[inline]
     pub(crate) fn kinds(self) -> u32 {
         self.0 & OBSTACLE | 1
     }
 
-    /// The pixel's `x % 8`, for a span that a page holds.
+    /// Returns the pixel's `x % 8`; valid for spans that a page holds.
     #[inline]
     pub(crate) fn lane(self) -> u32 {
         self.0 >> LANE_SHIFT
     }
 
-    /// The span as a page holds it in a pixel with `x % 8 == lane`.
+    /// Returns the span as a page holds it in a pixel with `x % 8 == lane`.
     pub(crate) fn in_lane(self, lane: u32) -> Self {
         Self(self.0 & VALUE | lane << LANE_SHIFT)
     }
 
-    /// Whether the span lies in a lane before `lane`, or in it with its top below `low`: so at first in a row, and then not.
+    /// Returns whether the span lies in a lane before `lane`, or in `lane` with its top below `low`. Within a row, all
+    /// spans for which this holds precede the others.
     #[inline]
     pub(crate) fn is_before(self, lane: u32, low: u32) -> bool {
         self.0 & !OBSTACLE < lane << LANE_SHIFT | low.min(FIELD) << 14
     }
 
-    /// Whether the span and the closed interval `[low, high]` share a height.
+    /// Returns whether the span and the closed interval `[low, high]` share a height.
     #[inline]
     pub fn meets(self, low: u32, high: u32) -> bool {
         self.bottom() <= high && self.top() >= low
     }
 
-    /// Whether the span ends below where `above` begins, or there at a slice boundary if they differ in kind: spans of a pixel do.
+    /// Returns whether the span ends below `above`, or ends on its bottom at a slice boundary and differs from it in
+    /// class. Neighbouring spans of a pixel satisfy this.
     #[inline]
     pub(crate) fn lies_below(self, above: Self) -> bool {
         let (top, bottom) = (self.top(), above.bottom());
@@ -101,8 +103,8 @@ impl Span {
             || top == bottom && top.is_multiple_of(SLICE_QUANTA as u32) && self.is_obstacle() != above.is_obstacle()
     }
 
-    /// First and last slice of the page (0..=63) that hold matter of the span. A top on a slice boundary belongs to
-    /// the slice below it, unless the span is that boundary alone.
+    /// Returns the first and last slice of the page (0..=63) that the span occupies. A top on a slice boundary belongs
+    /// to the slice below, unless the span consists of that boundary alone.
     #[inline]
     pub fn slices(self) -> (u32, u32) {
         let unit = SLICE_QUANTA as u32;
@@ -110,14 +112,15 @@ impl Span {
         (first, first.max(self.top().saturating_sub(1) / unit))
     }
 
-    /// The slices of the span as a mask, bit `k` for slice `k` of the page.
+    /// Returns the slices of the span as a mask: bit `k` is slice `k` of the page.
     #[inline]
     pub fn slice_mask(self) -> u64 {
         let (first, last) = self.slices();
         (u64::MAX >> (63 - (last - first))) << first
     }
 
-    /// The span's part inside slice `k` of the page, as quanta above that slice's floor (0..=255); `None` outside.
+    /// Returns the part of the span inside slice `k` of the page, in quanta above that slice's floor (0..=255); `None`
+    /// outside.
     pub fn within_slice(self, k: u32) -> Option<(u8, u8)> {
         let (first, last) = self.slices();
         (first..=last).contains(&k).then(|| {

@@ -1,4 +1,4 @@
-//! A budget of bytes that is never exceeded: whoever needs memory takes room first, and gives it back by dropping it.
+//! Byte budget that is never exceeded: callers reserve before they allocate; dropping the reservation releases it.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -17,16 +17,16 @@ impl Account {
         Arc::new(Self { budget, used: AtomicUsize::new(0), peak: AtomicUsize::new(0) })
     }
 
-    /// Room for `bytes`, if the budget has them.
+    /// Reserves `bytes` if the budget allows.
     pub fn take(self: &Arc<Self>, bytes: usize) -> Option<Room> {
-        // Relaxed: the numbers order nothing but themselves.
+        // Relaxed: nothing but the counters depends on their order.
         let add = |used: usize| used.checked_add(bytes).filter(|&sum| sum <= self.budget);
         let before = self.used.fetch_update(Relaxed, Relaxed, add).ok()?;
         self.peak.fetch_max(before + bytes, Relaxed);
         Some(Room { account: self.clone(), bytes })
     }
 
-    /// All that is left.
+    /// Reserves all that is left of the budget.
     #[cfg(test)]
     pub fn take_rest(self: &Arc<Self>) -> Room {
         self.take(self.budget - self.used()).expect("nobody else takes")
@@ -45,7 +45,7 @@ impl Account {
     }
 }
 
-/// Bytes taken from an [`Account`] until dropped.
+/// Reservation of bytes in an [`Account`], released when dropped.
 #[derive(Debug)]
 pub(super) struct Room {
     account: Arc<Account>,
@@ -53,7 +53,7 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// Parts `bytes` of this room from it; less if it has less.
+    /// Splits `bytes` off this reservation, or all of it if it is smaller.
     pub fn split(&mut self, bytes: usize) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;

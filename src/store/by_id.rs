@@ -1,6 +1,6 @@
-//! A map of a few things by ids that ascend: small code, where a tree would be compiled anew for each kind of thing.
+//! A small map from ascending ids. Less code than a tree, which would be compiled again for each type of value.
 
-/// Pairs in ascending order of their ids. Insertion at the end and lookups are cheap; removal moves what follows.
+/// Pairs in ascending order of their ids. Appending and lookups are cheap; removal moves all later pairs.
 #[derive(Debug)]
 pub(super) struct ById<K, V>(Vec<(K, V)>);
 
@@ -13,7 +13,7 @@ impl<K: Ord + Copy, V> ById<K, V> {
         self.0.binary_search_by(|(other, _)| other.cmp(id))
     }
 
-    /// Puts a thing in; what was there is dropped.
+    /// Inserts a value and drops the previous one of the same id.
     pub fn insert(&mut self, id: K, thing: V) {
         match self.place(&id) {
             Ok(at) => self.0[at].1 = thing,

@@ -1,8 +1,8 @@
-//! The pages in memory: which to read next, which have to go for it, and the change of the snapshot.
+//! Pages in memory: chooses the next read, evicts pages for it, and updates the snapshot.
 //!
-//! A run of pages is claimed with the room that it will take, and settled when it is there. Room is taken before a read,
-//! so that the budget holds at every moment: the table of pages, pages in memory, pages that views still hold, bytes
-//! on their way, and what decoding takes besides.
+//! A run of pages is claimed together with a reservation of the memory that it will take, and settled when it is
+//! decoded. Memory is reserved before a read, so the budget holds at every moment. It covers the table of pages, pages
+//! in memory, pages that views still hold, bytes in flight, and the scratch memory of decoding.
 
 use super::account::{Account, Room};
 use super::fetch::{PageError, Time};
@@ -19,17 +19,17 @@ use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Bytes read in vain that a run of pages may hold between two that are wanted.
+/// Most unwanted bytes that a run may read between two wanted pages.
 const GAP: u64 = 16 << 10;
-/// Pages looked at in each direction for a run.
+/// Pages considered in each direction for a run.
 const NEIGHBOURS: u32 = 64;
 
 #[derive(Debug)]
 struct Resident {
     held: Arc<Held>,
-    /// Pages whose slots hold it: more than one if they share its content.
+    /// Pages whose slots hold it; several if they share its content.
     pages: Vec<u32>,
-    /// Whether a body came to touch it.
+    /// True once a body touched it.
     touched: bool,
 }
 
@@ -37,32 +37,32 @@ struct Resident {
 struct Failure {
     tries: u32,
     again: Time,
-    /// Damaged bytes stay damaged.
+    /// Damaged bytes stay damaged: never try again.
     lasting: bool,
 }
 
-/// Pages asked for, most urgent first, with the time until they are needed (s).
+/// Requested pages, most urgent first, with the time until they are needed (s).
 #[derive(Debug, Default)]
 pub(super) struct Order {
     pub pages: Vec<(f32, u32)>,
     times: HashMap<u32, f32>,
-    /// How many of `pages` are done with, and when those of them that failed may be tried again.
+    /// Number of `pages` that are finished, and when those of them that failed may be tried again.
     done: usize,
     pub again: Option<Time>,
-    /// Asked for by a caller that waits, not by a hint.
+    /// Requested by a waiting caller, not by a hint.
     explicit: bool,
     focus: Vec<PageKey>,
 }
 
 impl Order {
-    /// What hints want: in order of time, then of keys.
+    /// Creates the order of all hints: by time, then by key.
     pub fn hinted(times: HashMap<u32, f32>, focus: Vec<PageKey>) -> Self {
         let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
         pages.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         Self { pages, times, done: 0, again: None, explicit: false, focus }
     }
 
-    /// What a caller waits for: nearest to `around` first.
+    /// Creates the order of a waiting caller: nearest to `around` first.
     pub fn explicit(index: &Index, keys: &[PageKey], around: PageKey) -> Self {
         let times: HashMap<u32, f32> = keys.iter().filter_map(|key| Some((index.find(*key)?, 0.0))).collect();
         let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
@@ -70,7 +70,7 @@ impl Order {
         Self { pages, times, done: 0, again: None, explicit: true, focus: vec![around] }
     }
 
-    /// Looks at all pages again.
+    /// Considers all pages again.
     pub fn restart(&mut self) {
         (self.done, self.again) = (0, None);
     }
@@ -80,32 +80,32 @@ impl Order {
     }
 }
 
-/// A run of pages to read at once.
+/// A run of pages for one read.
 #[derive(Debug)]
 pub(super) struct PageRun {
     pub bytes: Range<u64>,
-    /// Contents to decode, and the pages that show them.
+    /// Contents to decode, each with the page that shows it.
     pub contents: Vec<(u32, u32)>,
     pub needed_in: f32,
     room: Room,
 }
 
-/// What to do next about an order.
+/// Next action for an order.
 #[derive(Debug)]
 pub(super) enum Claim {
     Run(PageRun),
-    /// All that could be done is done; pages that failed may be tried again later.
+    /// Everything possible is done; pages that failed may be tried again later.
     Done,
-    /// The rest is on its way.
+    /// The rest is in flight.
     Busy,
-    /// The rest finds no room; `true`: until views are dropped.
+    /// The rest does not fit in the budget; `true` if it may fit once views are dropped.
     NoRoom(bool),
 }
 
-/// An order, and which pages it leaves in memory for others.
+/// An order, and the test for pages that it must leave in memory for others.
 type Wants<'a> = (&'a Order, &'a dyn Fn(u32) -> bool);
 
-/// The newest snapshot, for any number of readers on any threads: they never wait.
+/// Access to the newest snapshot for any number of readers on any threads, which never wait.
 #[derive(Clone)]
 pub struct Views {
     pub(super) index: Arc<Index>,
@@ -113,13 +113,13 @@ pub struct Views {
 }
 
 impl Views {
-    /// The pages in memory now. Lock-free, allocates nothing.
+    /// Returns the pages in memory now. Lock-free; allocates nothing.
     #[inline]
     pub fn view(&self) -> View {
         View { index: self.index.clone(), snapshot: self.current.get() }
     }
 
-    /// Pages that a body touches before it moves; none for an outlook that is not valid.
+    /// Returns the pages that a body touches before it moves; empty if the outlook is invalid.
     pub fn keys_around(&self, outlook: &Outlook) -> Vec<PageKey> {
         let mut times = HashMap::new();
         if outlook.is_valid() {
@@ -145,17 +145,17 @@ pub(super) struct Cache {
     snapshot: Arc<Snapshot>,
     retired: Retired<Snapshot>,
     resident: HashMap<u32, Resident>,
-    /// Weight of the resident pages, and room of all that is not theirs: the table and runs on their way.
+    /// Bytes of the resident pages, and reservations of everything else: the table and runs in flight.
     weight: usize,
     reserved: usize,
     in_flight: HashSet<u32>,
     failed: HashMap<u32, Failure>,
-    /// Contents of a run that could not be read: to be read one by one, as it may be the fault of a single one.
+    /// Contents of a run that could not be read. They are read one at a time, since a single one may be the cause.
     alone: HashSet<u32>,
-    /// What the hints want, and where the bodies are, as of the last plan.
+    /// Pages that the hints want, and the positions of the bodies, as of the last plan.
     times: HashMap<u32, f32>,
     focus: Vec<PageKey>,
-    /// What may go, first to go last, and by when it is needed; of the last plan.
+    /// Contents that may be evicted, the next one last, each with the time until it is needed (s); from the last plan.
     victims: Option<Vec<(f32, u32)>>,
     longest_run: u64,
 }
@@ -188,7 +188,7 @@ impl Cache {
         &self.views.index
     }
 
-    /// Takes over what the hints want now.
+    /// Adopts the pages that the hints want now.
     pub fn replan(&mut self, order: &Order, counters: &mut Counters) {
         for (&page, &time) in &order.times {
             match self.resident.get_mut(&self.views.index.content(page)) {
@@ -201,8 +201,8 @@ impl Cache {
         self.victims = None;
     }
 
-    /// Claims the most urgent pages of `order` that are not in memory. Pages that `stays` names make no room, nor do those that are
-    /// needed now.
+    /// Claims the most urgent pages of `order` that are not in memory. Does not evict pages for which `stays` returns
+    /// true, nor those that are needed now.
     pub fn claim(
         &mut self,
         order: &mut Order,
@@ -224,7 +224,7 @@ impl Cache {
                 busy = true;
             } else if order.explicit || self.may_try(content, now) {
                 match self.claim_run((order, stays), time, page, now, counters) {
-                    // A uniform page: it is there already.
+                    // A uniform page needs no bytes and is in memory already.
                     Claim::Done => continue,
                     other => claim = other,
                 }
@@ -245,7 +245,7 @@ impl Cache {
         }
     }
 
-    /// Claims `page`, and what lies around it; [`Claim::Done`] if it needed no bytes.
+    /// Claims `page` and wanted pages near it in the file; returns [`Claim::Done`] if it needed no bytes.
     fn claim_run(&mut self, wants: Wants, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
         let order = wants.0;
         let content = self.views.index.content(page);
@@ -270,30 +270,30 @@ impl Cache {
         let run = PageRun { bytes, contents, needed_in: time, room };
         if run.bytes.is_empty() {
             let page = PageDecoder::new().decode(self.views.index.entry(content), &[]);
-            // A uniform page is what the directory says of it: it cannot fail.
+            // A uniform page is fully described by the directory, so decoding cannot fail.
             self.settle(run, vec![page], counters);
             return Claim::Done;
         }
         Claim::Run(run)
     }
 
-    /// Where the bytes of a page lie; of none if it is uniform.
+    /// Returns the byte range of a page; empty if the page is uniform.
     fn extent(&self, content: u32) -> Range<u64> {
         let extent = self.views.index.entry(content).extent();
         extent.map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
     }
 
-    /// Room for a run: its bytes, the pages, and the scratch of decoding them one after the other.
+    /// Returns the memory for a run: its bytes, its pages, and the scratch memory of decoding them in turn.
     fn need(&self, bytes: &Range<u64>, contents: &[(u32, u32)]) -> usize {
         let entries = || contents.iter().map(|&(content, _)| self.views.index.entry(content));
-        // Without its inferred matter a page is built a second time.
+        // To drop its inferred spans, a page is built a second time.
         let whole = |entry: &PageEntry| if self.views.index.ignores_inferred() { entry.weight_bytes() } else { 0 };
         let decoding = |entry: &PageEntry| PageDecoder::scratch_bytes(entry.size);
         let scratch = entries().map(|entry| decoding(entry) + whole(entry)).max().unwrap_or(0);
         (bytes.end - bytes.start) as usize + scratch + entries().map(|entry| entry.weight_bytes()).sum::<usize>()
     }
 
-    /// Bytes of a budget in which all pages of `order` have room at once.
+    /// Returns the budget in which all pages of `order` fit at once (bytes).
     pub fn needed_bytes(&self, order: &Order) -> usize {
         let contents: HashSet<u32> = order.pages.iter().map(|&(_, page)| self.views.index.content(page)).collect();
         let weight = |content: &u32| self.views.index.entry(*content).weight_bytes();
@@ -302,7 +302,7 @@ impl Cache {
         self._table.bytes() + pages + contents.iter().map(read).max().unwrap_or(0)
     }
 
-    /// The stretch of bytes around `content` with the neighbours that are wanted too, and these.
+    /// Returns the byte range around `content` that covers wanted neighbours, and the contents to decode from it.
     fn run_around(&self, order: &Order, content: u32, now: Time) -> (Range<u64>, Vec<(u32, u32)>) {
         let index = &self.views.index;
         let (mut contents, mut bytes) = (vec![(content, content)], self.extent(content));
@@ -330,15 +330,15 @@ impl Cache {
         (bytes, contents)
     }
 
-    /// Takes room for `bytes`, evicting pages that no body wants, farthest first, and then pages that are needed later
-    /// than `time`, latest first.
+    /// Reserves `bytes`, if necessary by evicting pages: first those that no body wants, farthest first, then those
+    /// needed later than `time`, latest first.
     fn make_room(&mut self, wants: Wants, time: f32, bytes: usize, counters: &mut Counters) -> Option<Room> {
         self.retired.reclaim();
         if let Some(room) = self.account.take(bytes) {
             return Some(room);
         }
         let (used, budget) = (self.account.used(), self.account.budget());
-        // What views alone still hold becomes free without any further eviction.
+        // Pages held by views alone are released without further eviction.
         let held_by_views = used.saturating_sub(self.weight + self.reserved);
         let need = (used - held_by_views).saturating_add(bytes).saturating_sub(budget);
         let mut victims = match self.victims.take() {
@@ -347,7 +347,7 @@ impl Cache {
         };
         let (mut gain, mut count) = (0, 0);
         for &(needed, content) in victims.iter().rev() {
-            // A little more than is needed now, so that the next run need not wait for views to be dropped.
+            // Evict a little more than is needed now, so that the next run need not wait for views to be dropped.
             let enough = if needed.is_infinite() { need + budget / 16 } else { need };
             if gain >= enough || needed <= time {
                 break;
@@ -366,7 +366,7 @@ impl Cache {
         room.flatten()
     }
 
-    /// All pages in memory that are not needed now, first to go last.
+    /// Returns all pages in memory that are not needed now, the next one to evict last.
     fn victims(&self, (order, stays): Wants) -> Vec<(f32, u32)> {
         let mut focus = self.focus.clone();
         focus.extend(order.focus.iter().filter(|_| order.explicit));
@@ -408,7 +408,7 @@ impl Cache {
         self.retired.reclaim();
     }
 
-    /// Puts the pages of a run into the next snapshot; how many they are, and what became of the others.
+    /// Puts the pages of a run into the next snapshot; returns their number and the errors of the others.
     pub fn settle(
         &mut self,
         run: PageRun,
@@ -429,7 +429,7 @@ impl Cache {
                 }
             };
             self.failed.remove(&content);
-            // The weight is the directory's: checked by the decoder (rule P11).
+            // Equals the directory's size of the page, which the decoder checked (rule P11).
             let room = room.split(decoded.weight_bytes());
             self.weight += room.bytes();
             let held = Arc::new(Held { page: decoded, room });
@@ -446,7 +446,7 @@ impl Cache {
         (loaded, failures)
     }
 
-    /// Gives up a run that was not read, and its room.
+    /// Gives up a run that was not read, and its reservation.
     pub fn release(&mut self, run: PageRun) {
         self.reserved -= run.room.bytes();
         for (content, _) in &run.contents {
@@ -454,13 +454,13 @@ impl Cache {
         }
     }
 
-    /// Gives up a run of several pages that could not be read: they are read one by one.
+    /// Gives up a run of several pages that could not be read; they will be read one at a time.
     pub fn divide(&mut self, run: PageRun) {
         self.alone.extend(run.contents.iter().map(|(content, _)| *content));
         self.release(run);
     }
 
-    /// Notes that a page could not be loaded.
+    /// Records that a page could not be loaded.
     pub fn note_failure(&mut self, content: u32, error: &Error, now: Time) {
         let tries = self.failed.get(&content).map_or(0, |failure| failure.tries);
         let lasting = !matches!(error, Error::Io { .. });
@@ -471,7 +471,7 @@ impl Cache {
         self.failed.get(&content).is_none_or(|failure| !failure.lasting && failure.again <= now)
     }
 
-    /// Whether `order` wants a page that is neither in memory nor on its way, and may be tried now.
+    /// Returns whether `order` wants a page that is neither in memory nor in flight and may be tried now.
     pub fn is_absent(&self, order: &Order, now: Time) -> bool {
         let absent = |&(_, page): &(f32, u32)| {
             let content = self.views.index.content(page);
@@ -481,7 +481,7 @@ impl Cache {
         order.pages[order.done..].iter().any(absent)
     }
 
-    /// How many pages of `order` are not in memory under their own slots.
+    /// Returns the number of pages of `order` that are not in memory under their own slots.
     pub fn absent(&self, order: &Order) -> usize {
         let holds = |page: u32| {
             self.resident.get(&self.views.index.content(page)).is_some_and(|resident| resident.pages.contains(&page))
@@ -489,7 +489,7 @@ impl Cache {
         order.pages.iter().filter(|(_, page)| !holds(*page)).count()
     }
 
-    /// Pages in memory, and their bytes, without those that views alone hold.
+    /// Returns the number of pages in memory and their bytes, without those that only views hold.
     pub fn resident(&self) -> (usize, usize) {
         (self.resident.len(), self.weight)
     }

@@ -1,8 +1,8 @@
-//! Colours of pages that are in memory, for whoever draws them: a state machine beside a [`Loader`], for when it has nothing to do.
+//! Colours of pages in memory, for viewers: a state machine that uses the idle time of a [`Loader`].
 //!
-//! In: pages by urgency, fetched bytes. Out: colours, one page at a time. Memory: bytes on their way, the colour leaves in use and
-//! the scratch of decoding, in a share of the loader's budget that is set aside, since pages fill all the rest of it; colours that
-//! were handed out belong to their new owner.
+//! In: pages by urgency, fetched bytes. Out: colours, one page at a time. Memory: bytes in flight, the colour leaves in
+//! use and the scratch memory of decoding, in a share of the loader's budget. The share is set aside because pages fill
+//! the rest of the budget. Colours that were handed out belong to the caller and no longer count.
 
 use super::account::{Account, Room};
 use super::by_id::ById;
@@ -18,36 +18,36 @@ use crate::{Error, Result};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Most bytes of blocks in one fetch, unless a single one is longer, and bytes between two blocks that are fetched along.
+/// Most bytes of blocks in one fetch (unless a single block is longer), and most unwanted bytes between two blocks.
 const RUN_BYTES: u64 = 64 << 10;
 const GAP_BYTES: u64 = 2 << 10;
-/// Bytes of an entry of a colour leaf before compression, at most.
+/// Most bytes of an entry of a colour leaf before compression.
 const RAW_ENTRY: usize = 16;
-/// Bytes that decoding needs for the voxels of a page besides each voxel's, and for each.
+/// Scratch memory of decoding per page and per voxel (bytes).
 const PAGE_SCRATCH: usize = 64 << 10;
 const VOXEL_SCRATCH: usize = 16;
-/// Share of the budget that is set aside for colours, its least size while that is a quarter at most, and what suffices for a page
-/// whose voxels are all solid.
+/// Share of the budget for colours; its least size (bytes), provided that is at most a quarter of the budget; and the
+/// size that suffices for a page in which every voxel is occupied.
 const SHARE: usize = 8;
 const LEAST_SHARE: usize = 512 << 10;
 const FULL_SHARE: usize = (4 << 20) + LEAST_SHARE;
 
-/// Brings colours of pages in memory; see [`Loader::colours`].
+/// Loads the colours of pages in memory; see [`Loader::colours`].
 ///
-/// Its owner tells it which pages it draws ([`want`](Self::want)), fetches what [`poll`](Self::poll) says, gives the bytes and takes
-/// colours ([`decode`](Self::decode)) until there are none. There is one fetch at a time, so that it never holds up geometry for long;
-/// [`cancel`](Self::cancel) gives it up.
+/// Its owner names the pages that it draws ([`want`](Self::want)), fetches the bytes that [`poll`](Self::poll) returns,
+/// passes them to [`given`](Self::given) and takes colours ([`decode`](Self::decode)) until there are no more. Only one
+/// fetch is in flight at a time, so that colours never delay geometry for long; [`cancel`](Self::cancel) gives it up.
 #[derive(Debug)]
 pub struct ColourLoader {
     catalog: Arc<Catalog>,
     index: Arc<Index>,
     account: Arc<Account>,
-    /// What is set aside, in use or not.
+    /// The share that is set aside, in use or not.
     own: Arc<Account>,
     _share: Option<Room>,
     table: Option<ColourTable>,
     leaves: ById<usize, Leaf>,
-    /// Pages by number, most urgent first.
+    /// Numbers of the wanted pages, most urgent first.
     wanted: Vec<u32>,
     flight: Option<Flight>,
     here: Option<Here>,
@@ -57,7 +57,7 @@ pub struct ColourLoader {
 
 #[derive(Debug)]
 struct Leaf {
-    /// None where it is damaged.
+    /// Empty if the leaf is damaged.
     entries: Vec<ColourEntry>,
     _room: Room,
 }
@@ -71,14 +71,14 @@ struct Flight {
 
 #[derive(Debug)]
 enum What {
-    /// The table that says where the colours of a level lie.
+    /// Table that locates the colours of a level.
     Levels,
     Table,
     Leaf(usize),
     Pages(Vec<(u32, ColourEntry)>),
 }
 
-/// Blocks to be decoded, the next one last.
+/// Blocks to decode, the next one last.
 #[derive(Debug)]
 struct Here {
     start: u64,
@@ -88,12 +88,12 @@ struct Here {
 }
 
 impl Loader {
-    /// Colours of the pages that this loader brings, within its budget; `None` until the directory is there, and for an archive
-    /// or overview level without colours. Sets an eighth of the budget aside for them, if that has room: to be called before pages
-    /// fill it.
+    /// Returns a loader of colours for the pages that this loader brings, within its budget; `None` until the directory
+    /// is loaded, and for an archive or overview level without colours. Reserves an eighth of the budget for colours if
+    /// available, so call it before pages fill the budget.
     pub fn colours(&self) -> Option<ColourLoader> {
         let (catalog, index) = (self.shared_catalog()?, self.cache.as_ref()?.index().clone());
-        // Inferred matter has no colours, but its voxels are counted.
+        // Inferred voxels have no colours but are counted, so colours cannot be matched to pages without them.
         if catalog.ignores_inferred() {
             return None;
         }
@@ -120,7 +120,8 @@ impl Loader {
 }
 
 impl ColourLoader {
-    /// Says which pages should get colours, most urgent first; replaces what was said before. Unknown pages are ignored.
+    /// Sets the pages that should get colours, most urgent first, and replaces the previous ones. Unknown pages are
+    /// ignored.
     pub fn want(&mut self, keys: impl IntoIterator<Item = PageKey>) {
         let busy = |page: &u32| {
             let under_way = match &self.flight {
@@ -133,17 +134,17 @@ impl ColourLoader {
         self.wanted = keys.into_iter().filter_map(|key| self.index.find(key)).filter(|page| !busy(page)).collect();
     }
 
-    /// Whether there are bytes on their way.
+    /// Returns whether bytes are in flight.
     pub fn is_fetching(&self) -> bool {
         self.flight.is_some()
     }
 
-    /// When to poll again, if only time is missing.
+    /// Returns when to poll again if only time must pass.
     pub fn retry_at(&self) -> Option<Time> {
         Some(self.again).filter(|again| *again > Time::ZERO && *again < Time::MAX && !self.wanted.is_empty())
     }
 
-    /// The page for whose sake bytes are fetched.
+    /// Returns the page for which bytes are fetched.
     pub fn most_urgent(&self) -> Option<PageKey> {
         let page = match &self.flight {
             Some(Flight { what: What::Pages(pages), .. }) => pages.first().map(|(page, _)| *page),
@@ -152,12 +153,13 @@ impl ColourLoader {
         page.map(|page| self.index.key(page))
     }
 
-    /// Whether [`decode`](Self::decode) has something to decode.
+    /// Returns whether [`decode`](Self::decode) has bytes to decode.
     pub fn has_decodable(&self) -> bool {
         self.here.is_some()
     }
 
-    /// Which bytes to fetch now; `None` while there are some on their way or to be decoded, and without pages that need any.
+    /// Returns the byte range to fetch now; `None` while bytes are in flight or to be decoded, and if no page needs
+    /// any.
     pub fn poll(&mut self, now: Time) -> Option<Range<u64>> {
         if self.flight.is_some() || self.here.is_some() || now < self.again {
             return None;
@@ -201,14 +203,15 @@ impl ColourLoader {
         }
     }
 
-    /// Notes a fetch if the budget has room for it and what comes of it.
+    /// Records a fetch if the budget has room for its bytes and for what they decode to.
     fn launch(&mut self, range: Range<u64>, what: What, bytes: usize) -> Option<Range<u64>> {
         let room = self.room(bytes)?;
         self.flight = Some(Flight { range: range.clone(), what, room });
         Some(range)
     }
 
-    /// Room in the share, or else in the whole budget; leaves make room, since they are few and come again.
+    /// Reserves in the share or else in the whole budget. Drops the leaves if necessary: they are few and can be
+    /// fetched again.
     fn room(&mut self, bytes: usize) -> Option<Room> {
         let take = |own: &Arc<Account>, shared: &Arc<Account>| own.take(bytes).or_else(|| shared.take(bytes));
         take(&self.own, &self.account).or_else(|| {
@@ -217,7 +220,8 @@ impl ColourLoader {
         })
     }
 
-    /// The bytes of the fetch came. Fails where they break a rule: the colours that they say something of never come.
+    /// Takes the bytes of the fetch. Fails if they break a rule of the format; the colours they describe are then never
+    /// loaded.
     pub fn given(&mut self, bytes: Vec<u8>, now: Time) -> Result<()> {
         let Some(flight) = &self.flight else { return Ok(()) };
         if bytes.len() as u64 != flight.range.end - flight.range.start {
@@ -258,22 +262,23 @@ impl ColourLoader {
         Ok(())
     }
 
-    /// The fetch failed: the same is asked for again after 0.1 s, then 0.2 s and so on up to 6.4 s.
+    /// Records that the fetch failed. The same bytes are requested again after 0.1 s, then 0.2 s and so on up to 6.4 s.
     pub fn failed(&mut self, now: Time) {
         self.cancel();
         self.again = now + pause_after(self.tries);
         self.tries += 1;
     }
 
-    /// Gives up the fetch; its pages are wanted still.
+    /// Gives up the fetch; its pages stay wanted.
     pub fn cancel(&mut self) {
         if let Some(Flight { what: What::Pages(pages), .. }) = self.flight.take() {
             self.wanted.splice(0..0, pages.into_iter().map(|(page, _)| page));
         }
     }
 
-    /// The colours of the next page whose bytes are there: about 0.3 ms. Pages that are no longer in memory are passed over.
-    /// Damage is an error of that page alone. `None` with [`has_decodable`](Self::has_decodable): until the budget has room.
+    /// Decodes the colours of the next page whose bytes have arrived; takes about 0.3 ms. Skips pages that are no longer
+    /// in memory. Damage is an error of that page alone. Returns `None` if there is nothing to decode or, while
+    /// [`has_decodable`](Self::has_decodable) is true, until the budget has room.
     pub fn decode(&mut self, view: &View) -> Option<(PageKey, Result<Colours>)> {
         loop {
             let Some(&(number, entry)) = self.here.as_ref()?.pages.last() else {
@@ -297,7 +302,7 @@ impl ColourLoader {
 
 #[cfg(test)]
 impl ColourLoader {
-    /// All room that is set aside.
+    /// Reserves all that is left of the share.
     pub(super) fn take_rest(&self) -> Room {
         self.own.take_rest()
     }
@@ -307,8 +312,8 @@ fn loaded(view: &View, key: PageKey) -> Option<&Page> {
     view.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer)?.page()
 }
 
-/// The wanted pages around `page`, whose blocks lie close together, in order; `entries` begin with page `first`. Empty where the
-/// leaf is damaged.
+/// Returns the wanted pages around `page` whose blocks lie close together, in order. `entries` begin with page `first`.
+/// Empty if the leaf is damaged.
 fn run(entries: &[ColourEntry], first: u32, page: u32, wanted: &[u32]) -> Vec<(u32, ColourEntry)> {
     let entry = |page: u32| Some((page, *entries.get(page.checked_sub(first)? as usize)?));
     let Some(middle) = entry(page) else { return Vec::new() };
@@ -553,7 +558,7 @@ mod tests {
                 assert!(stream.counters().peak_bytes <= budget);
             }
         }
-        // Without room for a share there is nothing to do until there is room.
+        // Without memory for a share there is nothing to do until the budget has room.
         let options = StreamOptions { prefetch: Prefetch::Manual, ..StreamOptions::new(64 << 20) };
         let stream = Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap();
         stream.load(&all, all[0]).unwrap();
@@ -602,7 +607,7 @@ mod tests {
                     found.insert(key);
                 }
                 if prefetch == Prefetch::Thread {
-                    // What was not in memory when it was asked for is asked for again.
+                    // Pages that were not in memory when they were requested are requested again.
                     stream.want_colours(&wanted.iter().copied().filter(|key| !found.contains(key)).collect::<Vec<_>>());
                 }
             }

@@ -1,4 +1,4 @@
-//! What passes between a [`Loader`](super::Loader) and its driver: bytes to fetch, work to do, news.
+//! Messages between a [`Loader`](super::Loader) and its driver: bytes to fetch, bytes to decode, reports.
 
 use super::snapshot::Index;
 use crate::archive::{Catalog, PageDecoder, PageEntry};
@@ -9,34 +9,35 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A moment: the time since one that the driver chose. Never runs back: an earlier one counts as the last.
+/// A moment, as the time since an origin that the driver chooses. Time never runs back: an earlier value counts as the
+/// latest one passed before.
 pub type Time = Duration;
 
-/// Names one fetch of a loader, and never another.
+/// Identifier of one fetch of a loader; never reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FetchId(pub(super) u64);
 
 /// Bytes of the archive to fetch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fetch {
-    /// To be named with the answer.
+    /// Identifier to pass back with the answer.
     pub id: FetchId,
-    /// Which bytes; never none.
+    /// Byte range; never empty.
     pub range: Range<u64>,
-    /// Time until a body may need them (s); zero if it waits already.
+    /// Time until a body may need the bytes; zero if it is waiting already.
     pub needed_in: Duration,
 }
 
-/// What a driver should do next.
+/// Next action of a driver.
 #[derive(Debug)]
 pub enum Next {
-    /// Fetch these bytes, then say [`given`](super::Loader::given) or [`failed`](super::Loader::failed).
+    /// Fetch these bytes, then call [`given`](super::Loader::given) or [`failed`](super::Loader::failed).
     Fetch(Fetch),
-    /// Give this fetch up, and its bytes with it: nobody wants them any more. An answer that comes all the same is ignored.
+    /// Give up this fetch and drop its bytes: its pages are no longer wanted. An answer that arrives anyway is ignored.
     Cancel(FetchId),
     /// A page could not be loaded.
     Report(PageError),
-    /// Nothing until there is news, a command, or this moment.
+    /// Nothing to do until bytes arrive, a command is given, or this moment.
     Wait(Option<Time>),
 }
 
@@ -46,13 +47,13 @@ pub enum Next {
 pub struct PageError {
     /// The page.
     pub key: PageKey,
-    /// Why: bytes that cannot be read, or a rule of the format that they break.
+    /// Cause: bytes that cannot be read, or a violated rule of the format.
     pub error: Error,
 }
 
-/// Fetched bytes, to be decoded on any thread; what comes of it goes back by [`Loader::loaded`](super::Loader::loaded).
+/// Fetched bytes to decode, on any thread; pass the result to [`Loader::loaded`](super::Loader::loaded).
 ///
-/// The scratch memory of decoding is reserved in the budget from the fetch on.
+/// The scratch memory of decoding is reserved in the budget when the fetch begins.
 #[derive(Debug)]
 #[must_use = "run it, and hand the result to `Loader::loaded`"]
 pub struct Decode {
@@ -63,13 +64,13 @@ pub struct Decode {
 
 #[derive(Debug)]
 pub(super) enum Work {
-    /// Directory leaves that lie together.
+    /// Adjacent directory leaves.
     Leaves(Arc<Catalog>, Range<usize>),
     /// Pages by number, from bytes that begin at this offset of the archive.
     Pages(Arc<Index>, u64, Vec<u32>),
 }
 
-/// What a [`Decode`] made of its bytes.
+/// Result of a [`Decode`].
 #[derive(Debug)]
 #[must_use = "hand it to `Loader::loaded`"]
 pub struct Decoded {
@@ -84,7 +85,7 @@ pub(super) enum Made {
 }
 
 impl Decode {
-    /// Decodes: about 0.1 ms a page. Damage becomes part of the result.
+    /// Decodes the bytes, in about 0.1 ms a page. Damage becomes part of the result.
     pub fn run(self) -> Decoded {
         let made = match self.work {
             Work::Leaves(catalog, leaves) => Made::Leaves(leaves_of(&catalog, leaves, &self.bytes)),

@@ -1,4 +1,4 @@
-//! The store: all pages of a scan, in memory.
+//! The store: all pages of a scan in memory.
 
 use super::table::{KeyBounds, SlotTable};
 use super::{PageSet, PageSlot};
@@ -8,7 +8,7 @@ use crate::monitor::Monitor;
 use crate::slice::Page;
 use crate::{Error, Result};
 
-/// Place of one page in a [`Store`].
+/// Slot of one page in a [`Store`].
 #[derive(Debug)]
 pub struct StoreSlot {
     layer: i32,
@@ -33,7 +33,7 @@ impl PageSlot for StoreSlot {
     }
 }
 
-/// All pages of a scan, in memory. Queries share it (`&Store`) between threads. For scans that are too large there is the
+/// All pages of a scan in memory. Threads share it by reference for queries. For scans that exceed memory, use a
 /// [`Stream`](super::Stream).
 ///
 /// ```
@@ -60,7 +60,7 @@ pub struct Store {
 }
 
 impl Store {
-    /// A store of pages that are in memory already.
+    /// Creates a store of pages that are in memory already.
     ///
     /// # Panics
     /// If a key occurs twice.
@@ -74,9 +74,9 @@ impl Store {
         Self { frame, columns, weight }
     }
 
-    /// A store of all pages of an archive, read now: neighbours in reads of up to 1 MiB, four at the same time. Fails with the first
-    /// page that cannot be loaded, before it reads any if the memory for all cannot be had, and with [`Error::Interrupted`]
-    /// when `monitor` asks to stop.
+    /// Reads all pages of an archive into a store: neighbours in reads of up to 1 MiB, four at a time. Fails with the
+    /// error of the first page that cannot be loaded; before reading any page, if memory for all of them is not
+    /// available; and with [`Error::Interrupted`] if `monitor` requests a stop.
     pub fn resident(archive: &Archive, monitor: &dyn Monitor) -> Result<Self> {
         let entries: Vec<PageEntry> = archive.entries().collect::<Result<_>>()?;
         let slot = size_of::<StoreSlot>() + size_of::<Page>();
@@ -87,23 +87,23 @@ impl Store {
         Ok(Self::from_pages(*archive.frame(), entries.iter().map(|entry| entry.key).zip(pages)))
     }
 
-    /// Weight of the pages (bytes).
+    /// Returns the memory of the pages (bytes).
     pub fn weight_bytes(&self) -> usize {
         self.weight
     }
 
-    /// Memory of the table of pages, which comes on top of [`weight_bytes`](Self::weight_bytes) (bytes).
+    /// Returns the memory of the table of pages, which adds to [`weight_bytes`](Self::weight_bytes) (bytes).
     pub fn table_bytes(&self) -> usize {
         self.columns.weight_bytes()
     }
 
-    /// Number of pages.
+    /// Returns the number of pages.
     pub fn page_count(&self) -> usize {
         self.columns.slots().len()
     }
 }
 
-/// Refuses pages for which the system has no memory: to run out of it while they are decoded would end the process.
+/// Fails if the system lacks memory for the pages, because running out of it while decoding would abort the process.
 fn check_memory(bytes: usize, pages: usize) -> Result<()> {
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
         let action = format!("reserve {bytes} bytes for all {pages} pages");

@@ -1,4 +1,4 @@
-//! Loading pages ahead of moving bodies: a state machine without a thread, a lock, a clock or a source of bytes.
+//! Loads pages ahead of moving bodies: a state machine without threads, locks, a clock or a source of bytes.
 
 use super::account::Account;
 use super::by_id::ById;
@@ -17,31 +17,31 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Looks ahead this many times the latency of a fetch.
+/// The horizon is this many times the latency of a fetch.
 const LATENCIES_AHEAD: u32 = 32;
-/// When to look again whether views were dropped: nobody says so.
+/// Interval at which to check whether views were dropped, since dropping one sends no notification.
 const VIEWS_AGAIN: Duration = Duration::from_millis(1);
-/// Reports kept until the driver polls.
+/// Most reports kept until the driver polls.
 const REPORTS: usize = 16;
 
-/// How a [`Loader`] works.
+/// Options of a [`Loader`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoaderOptions {
-    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, those that views still hold,
-    /// bytes on their way, and the scratch memory of decoding them.
+    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that views
+    /// still hold, bytes in flight, and the scratch memory of decoding them.
     pub budget_bytes: usize,
-    /// Least time to look ahead. The time is 32 times the latency of a fetch, within these two.
+    /// Least time to look ahead. The time is 32 times the latency of a fetch, clamped to these two limits.
     pub horizon_min: Duration,
     /// Greatest time to look ahead.
     pub horizon_max: Duration,
-    /// Most bytes of one fetch, unless a single page is longer; no more than an eighth of the budget.
+    /// Most bytes of one fetch, unless a single page is longer; at most an eighth of the budget.
     pub run_bytes: usize,
-    /// Most fetches under way at once.
+    /// Most fetches in flight at once.
     pub fetches: usize,
 }
 
 impl LoaderOptions {
-    /// Looks one to eight seconds ahead; four fetches at once, each of up to 256 KiB.
+    /// Creates the default options: looks one to eight seconds ahead; four fetches at once, each of up to 256 KiB.
     pub fn new(budget_bytes: usize) -> Self {
         Self {
             budget_bytes,
@@ -53,7 +53,7 @@ impl LoaderOptions {
     }
 }
 
-/// Names a body that gives hints.
+/// Identifier of a body that gives hints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BodyId(u64);
 
@@ -63,7 +63,7 @@ struct Tracked {
     missing: Option<Missing>,
 }
 
-/// A run on its way, or being decoded.
+/// A run that is in flight or being decoded.
 #[derive(Debug)]
 pub(super) struct Flight {
     run: PageRun,
@@ -71,27 +71,29 @@ pub(super) struct Flight {
     decoding: bool,
 }
 
-/// What [`Loader::turn`] found to do.
+/// Next action found by [`Loader::turn`].
 #[derive(Debug)]
 pub(super) enum Turn {
     Fetch(Fetch),
-    /// Nothing is left to do until there is news, or the time of [`Loader::retry_at`].
+    /// Nothing to do until there is news, or until [`Loader::retry_at`].
     Idle,
-    /// What is left is on its way.
+    /// Everything left is in flight.
     Busy,
-    /// What is left finds no room; `true`: until views are dropped.
+    /// The rest does not fit in the budget; `true` if it may fit once views are dropped.
     NoRoom(bool),
-    /// A request has its outcome.
+    /// A request has finished.
     Ended(Result<LoadReport>),
 }
 
-/// Keeps the pages around moving bodies in memory, under a budget of bytes. It opens the archive, decides what to fetch,
-/// most urgent first, and publishes what came as [`View`]s; its owner, the driver, moves the bytes and knows the time.
+/// Keeps the pages around moving bodies in memory, under a byte budget. The loader opens the archive, decides what to
+/// fetch, most urgent first, and publishes loaded pages as [`View`]s. Its owner, the driver, transfers the bytes and
+/// supplies the time.
 ///
-/// What it has not: files, threads, locks, a clock. Its methods are of four kinds: **commands** say what is wanted
-/// ([`hint`](Self::hint), [`need`](Self::need), [`forget`](Self::forget), [`request`](Self::request)); **polling** says what to
-/// do ([`poll`](Self::poll), until it says [`Next::Wait`]); **news** says what became of it ([`given`](Self::given),
-/// [`failed`](Self::failed), [`loaded`](Self::loaded)); the others look. Equal calls give equal answers.
+/// The loader has no files, threads, locks or clock. Its methods are of four kinds. **Commands** request pages
+/// ([`hint`](Self::hint), [`need`](Self::need), [`forget`](Self::forget), [`request`](Self::request)). **Polling**
+/// returns actions for the driver ([`poll`](Self::poll), until it returns [`Next::Wait`]). **News** reports their
+/// results ([`given`](Self::given), [`failed`](Self::failed), [`loaded`](Self::loaded)). The other methods only read.
+/// A sequence of calls always gives the same results.
 ///
 /// A driver that reads from a file on its own thread:
 ///
@@ -99,7 +101,7 @@ pub(super) enum Turn {
 /// use slicewalk::bytes::ByteSource;
 /// use slicewalk::store::{Loader, Next, Time};
 ///
-/// /// Does all that is to be done now; when to come again.
+/// /// Does everything that is due now; returns when to call it again.
 /// fn drive(loader: &mut Loader, source: &dyn ByteSource, now: impl Fn() -> Time) -> slicewalk::Result<Option<Time>> {
 ///     loop {
 ///         match loader.poll(now())? {
@@ -118,7 +120,7 @@ pub(super) enum Turn {
 /// }
 /// ```
 ///
-/// In the loop of a game, where an engine fetches and decodes in the background:
+/// In a game loop, with an engine that fetches and decodes in the background:
 ///
 /// ```
 /// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Outlook, Next, Time, View};
@@ -143,22 +145,22 @@ pub(super) enum Turn {
 /// }
 /// ```
 ///
-/// Every [`Decode`] comes back by [`loaded`](Self::loaded): until then its pages count as on their way.
+/// Pass the result of every [`Decode`] to [`loaded`](Self::loaded); until then its pages count as in flight.
 pub struct Loader {
     options: LoaderOptions,
     account: Arc<Account>,
     pub(super) counters: Counters,
     catalog: Option<Arc<Catalog>>,
-    /// Until the directory is there.
+    /// Present until the directory is loaded.
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
     bodies: ById<BodyId, Tracked>,
-    /// What the bodies want, and whether it, or what may go for it, is another since.
+    /// Pages that the bodies want; `stale` if they, or the pages that may be evicted, have changed since.
     hinted: Order,
     pub(super) stale: bool,
     again: Option<Time>,
     pub(super) requests: ById<RequestId, Request>,
-    /// Asked for before the directory was there.
+    /// Requests made before the directory was loaded.
     pub(super) early: Vec<(RequestId, Vec<PageKey>, PageKey)>,
     pub(super) ended: ById<RequestId, Result<LoadReport>>,
     pub(super) flights: ById<FetchId, Flight>,
@@ -169,14 +171,14 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// Begins with an archive of which nothing is there yet but its length (bytes), if that is known: the loader
-    /// fetches head and directory by itself.
+    /// Begins with an archive of which at most the length is known (bytes); the loader also fetches the head and the
+    /// directory.
     pub fn open(file_len: Option<u64>, options: LoaderOptions) -> Self {
         let account = Account::new(options.budget_bytes);
         Self::begin(Start::new(file_len), account, options)
     }
 
-    /// Begins with an archive that is open; the directory is fetched by itself.
+    /// Begins with an open archive; the loader also fetches the directory.
     ///
     /// Fails if the table of its pages alone exceeds the budget.
     pub fn new(catalog: Catalog, options: LoaderOptions) -> Result<Self> {
@@ -207,7 +209,7 @@ impl Loader {
         }
     }
 
-    /// The head of the archive, once it is there.
+    /// Returns the head of the archive once it is loaded.
     pub fn catalog(&self) -> Option<&Catalog> {
         self.catalog.as_deref()
     }
@@ -220,18 +222,18 @@ impl Loader {
         &self.account
     }
 
-    /// The pages in memory now; `None` until the directory is there. Answers from a view do not change, and its pages stay in
-    /// memory and in the budget until it is dropped: take one per frame.
+    /// Returns the pages in memory now; `None` until the directory is loaded. Answers from a view do not change, and
+    /// its pages stay in memory and count against the budget until it is dropped: take one per frame.
     pub fn view(&self) -> Option<View> {
         Some(self.cache.as_ref()?.views.view())
     }
 
-    /// Where other threads get their views from, without waiting; `None` until the directory is there.
+    /// Returns a source of views for other threads, which never wait for it; `None` until the directory is loaded.
     pub fn views(&self) -> Option<Views> {
         Some(self.cache.as_ref()?.views.clone())
     }
 
-    /// What the loader did so far, and what it holds.
+    /// Returns counts of the loader's work and the memory it holds.
     pub fn counters(&self) -> Counters {
         let cache = self.cache.as_ref();
         let (resident_pages, resident_bytes) = cache.map_or((0, 0), |cache| cache.resident());
@@ -246,15 +248,15 @@ impl Loader {
         }
     }
 
-    /// A new body, which wants nothing yet.
+    /// Adds a body, which wants nothing yet.
     pub fn body(&mut self) -> BodyId {
         let id = BodyId(self.name());
         self.bodies.insert(id, Tracked::default());
         id
     }
 
-    /// Says how a body moves now; once a frame. Replaces its last hint, and with it what it needed. An outlook that is not
-    /// finite is dropped and counted.
+    /// Sets how a body moves now; call it once a frame. Replaces the body's last hint and the pages that it
+    /// [needed](Self::need). An outlook that is not finite or not in order is dropped and counted.
     pub fn hint(&mut self, body: BodyId, outlook: &Outlook) {
         if !outlook.is_valid() {
             self.counters.hints_dropped += 1;
@@ -264,7 +266,7 @@ impl Loader {
         }
     }
 
-    /// Asks for pages that a query of this body missed; they come before what hints want.
+    /// Requests pages that a query of this body missed; they precede the pages that hints want.
     pub fn need(&mut self, body: BodyId, missing: &Missing) {
         if let Some(body) = self.bodies.get_mut(&body) {
             body.missing = Some(*missing);
@@ -272,17 +274,17 @@ impl Loader {
         }
     }
 
-    /// Ends the hints of a body.
+    /// Removes a body and its hints.
     pub fn forget(&mut self, body: BodyId) {
         self.stale |= self.bodies.remove(&body).is_some();
     }
 
-    /// What to do next. To be called until it says [`Next::Wait`], then again after news and commands, or at the time that
-    /// it gives.
+    /// Returns the next action. Call it until it returns [`Next::Wait`], then again after news and commands, or at the
+    /// time that `Wait` names.
     ///
-    /// Fails while the archive cannot be opened. What could not be read is asked for again after 0.1 s, then 0.2 s and so on
-    /// up to 6.4 s, if the driver goes on polling; an archive that breaks a rule, or whose table of pages exceeds the
-    /// budget, fails for ever.
+    /// Fails while the archive cannot be opened. Bytes that could not be read are requested again after 0.1 s, then 0.2
+    /// s and so on up to 6.4 s, as long as the driver keeps polling. An archive that breaks a rule of the format, or
+    /// whose table of pages exceeds the budget, fails at every further call.
     pub fn poll(&mut self, now: Time) -> Result<Next> {
         let now = self.at(now);
         if let Some(turn) = self.begin_turn(now)? {
@@ -323,7 +325,7 @@ impl Loader {
                 }
             }
         }
-        // Nobody wants these any more, and they are in the way of what somebody wants.
+        // No order wants these pages any longer, and they take memory that wanted pages need.
         if no_room && let Some(id) = self.unwanted() {
             let flight = self.flights.remove(&id);
             if let (Some(flight), Some(cache)) = (flight, &mut self.cache) {
@@ -336,7 +338,7 @@ impl Loader {
         Ok(Next::Wait(until))
     }
 
-    /// Opens the archive; what to do for that.
+    /// Opens the archive; returns the next action for that.
     fn begin_turn(&mut self, now: Time) -> Result<Option<Next>> {
         let Some(start) = &mut self.start else { return Ok(None) };
         let turn = start.poll(now, &self.account)?;
@@ -362,7 +364,7 @@ impl Loader {
         }
     }
 
-    /// The next step of what the hints want.
+    /// Returns the next step for the hints.
     pub(super) fn turn(&mut self, now: Time) -> Turn {
         let now = self.at(now);
         if self.stale || self.again.is_some_and(|again| again <= now) {
@@ -383,7 +385,7 @@ impl Loader {
         }
     }
 
-    /// What all hints want, as of now.
+    /// Updates the pages that all hints want.
     fn replan(&mut self) {
         let Some(cache) = &mut self.cache else { return };
         let horizon =
@@ -415,7 +417,7 @@ impl Loader {
         Fetch { id, range, needed_in }
     }
 
-    /// Whether a request, or a hint, wants a page that is neither in memory nor on its way.
+    /// Returns whether a request, or a hint, wants a page that is neither in memory nor in flight.
     fn is_absent(&self, request: Option<RequestId>, now: Time) -> bool {
         let order = match request {
             Some(id) => self.requests.get(&id).map(|request| &request.order),
@@ -424,7 +426,7 @@ impl Loader {
         order.zip(self.cache.as_ref()).is_some_and(|(order, cache)| cache.is_absent(order, now))
     }
 
-    /// The first fetch on its way of which no page is wanted.
+    /// Returns the first fetch in flight with no page that is still wanted.
     fn unwanted(&self) -> Option<FetchId> {
         let wanted = |flight: &Flight| {
             let pages = || flight.run.contents.iter().map(|(_, page)| *page);
@@ -434,10 +436,10 @@ impl Loader {
         flight.map(|(id, _)| *id)
     }
 
-    /// Takes the bytes of a fetch; what to decode of them, if anything. Bytes of a fetch that was cancelled, or of none, are
-    /// ignored; fewer or more than were asked for are a failure.
+    /// Takes the bytes of a fetch and returns the work of decoding them, if there is any. Bytes of a cancelled or
+    /// unknown fetch are ignored; a wrong number of bytes counts as a failed fetch.
     ///
-    /// Of the first fetch of an archive of unknown length fewer are welcome: they say how long it is.
+    /// For the first fetch of an archive of unknown length, fewer bytes are allowed: they reveal its length.
     pub fn given(&mut self, id: FetchId, bytes: Vec<u8>, now: Time) -> Option<Decode> {
         let now = self.at(now);
         if let Some(start) = &mut self.start {
@@ -457,8 +459,9 @@ impl Loader {
         Some(Decode { id, bytes, work })
     }
 
-    /// A fetch failed. Pages fetched together are fetched one by one, others again after 0.1 s, then 0.2 s and so on up to
-    /// 6.4 s, unless the error is lasting: any but [`Error::Io`].
+    /// Records that a fetch failed. Pages fetched together are then fetched one at a time. A page that failed alone is
+    /// fetched again after 0.1 s, then 0.2 s and so on up to 6.4 s, unless the error is lasting, which is any error but
+    /// [`Error::Io`].
     pub fn failed(&mut self, id: FetchId, error: Error, now: Time) {
         let now = self.at(now);
         if let Some(start) = &mut self.start {
@@ -481,7 +484,7 @@ impl Loader {
         }
     }
 
-    /// Takes decoded pages into the next view; how many they are.
+    /// Puts decoded pages into the next view and returns their number.
     pub fn loaded(&mut self, decoded: Decoded, now: Time) -> usize {
         self.at(now);
         match decoded.made {
@@ -502,7 +505,7 @@ impl Loader {
         }
     }
 
-    /// A page could not be loaded: the request that waits for it ends, or a report is due.
+    /// Records that a page could not be loaded: ends the request that waits for it, or queues a report.
     fn fail(&mut self, content: u32, error: PageError) {
         self.counters.failed += 1;
         self.stale = true;
@@ -522,13 +525,13 @@ impl Loader {
         self.reports.push_back(error);
     }
 
-    /// When pages that could not be read are tried again.
+    /// Returns when pages that could not be read are tried again.
     #[cfg(not(target_family = "wasm"))]
     pub(super) fn retry_at(&self) -> Option<Time> {
         self.again
     }
 
-    /// Failures that were not polled yet.
+    /// Returns failures that were not polled yet.
     #[cfg(not(target_family = "wasm"))]
     pub(super) fn take_reports(&mut self) -> Vec<PageError> {
         self.reports.drain(..).collect()

@@ -1,11 +1,11 @@
-//! The pages that an answer needed and that are not in memory.
+//! Missing pages of an answer.
 
 use crate::frame::PageKey;
 
-/// Most keys that [`Missing`] names; more are only counted.
+/// Most keys that [`Missing`] stores; further ones are only counted.
 pub const MISSING_KEYS: usize = 16;
 
-/// Pages that a query needed and that are not in memory. Holds its keys inline: making one allocates nothing.
+/// Pages that a query needed and that are not in memory. Stores its keys inline, so creating one allocates nothing.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Missing {
     keys: [PageKey; MISSING_KEYS],
@@ -13,13 +13,13 @@ pub struct Missing {
 }
 
 impl Missing {
-    /// One missing page.
+    /// Creates a set of one missing page.
     #[cold]
     pub(crate) fn one(key: PageKey) -> Self {
         Self { keys: [key; MISSING_KEYS], count: 1 }
     }
 
-    /// Counts `key`, unless it is among the keys named already.
+    /// Adds `key` unless it is among the stored keys.
     #[cold]
     pub(crate) fn push(&mut self, key: PageKey) {
         if self.keys().contains(&key) {
@@ -31,12 +31,12 @@ impl Missing {
         self.count = self.count.saturating_add(1);
     }
 
-    /// The first [`MISSING_KEYS`] missing pages, each once.
+    /// Returns the first [`MISSING_KEYS`] missing pages, each once.
     pub fn keys(&self) -> &[PageKey] {
         &self.keys[..self.keys.len().min(self.count as usize)]
     }
 
-    /// Number of missing pages; exact up to [`MISSING_KEYS`], beyond that a page may be counted twice.
+    /// Returns the number of missing pages: exact up to [`MISSING_KEYS`]; beyond, a page may be counted twice.
     pub fn count(&self) -> usize {
         self.count as usize
     }
@@ -49,7 +49,7 @@ impl std::fmt::Debug for Missing {
     }
 }
 
-/// Adds `key` to pages missing so far.
+/// Adds `key` to the missing pages.
 #[cold]
 pub(crate) fn note(missing: &mut Option<Missing>, key: PageKey) {
     match missing {
@@ -58,7 +58,7 @@ pub(crate) fn note(missing: &mut Option<Missing>, key: PageKey) {
     }
 }
 
-/// Adds the pages that `more` names to those missing so far.
+/// Adds the pages that `more` names to the missing pages.
 #[cold]
 pub(crate) fn join(missing: &mut Option<Missing>, more: &Missing) {
     more.keys().iter().for_each(|key| note(missing, *key));

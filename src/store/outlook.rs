@@ -1,43 +1,46 @@
-//! What a moving body will touch, and when: the order in which pages are loaded.
+//! Pages that a moving body may touch, and when: the order in which pages are loaded.
 //!
-//! Times are lower bounds in closed form. A body reaches a page not before it has closed the gap along each axis: sideways
-//! at its velocity, or at its agility if that is faster (it may turn at any moment); downwards by falling from now on,
-//! even if it stands (it may walk off a ledge), up to its terminal speed; upwards by its velocity or agility. A page that is
-//! touched is thus never later than its time, so loading in order of time is loading in order of need.
+//! Times are lower bounds in closed form. A body cannot reach a page before it has closed the gap along each axis:
+//! horizontally at its velocity, or at its agility if that is faster (it may turn at any moment); downwards by falling
+//! from now on, up to its terminal speed, even if it stands (it may walk off a ledge); upwards at its velocity or
+//! agility. A body never touches a page before that page's time, so loading in order of time is loading in order of
+//! need.
 
 use super::snapshot::Index;
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use nalgebra::{Point3, Vector3};
 use std::collections::HashMap;
 
-/// How a body moves, and so what it may touch soon: what [`PawnHandle::hint`](super::PawnHandle::hint) takes.
+/// Motion hint: how a body moves, and therefore which pages it may touch soon. See
+/// [`PawnHandle::hint`](super::PawnHandle::hint).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outlook {
-    /// Least corner of all that queries of one frame may ask about if the body stood still (m): the body grown by climb
-    /// height, snap distance and skin.
+    /// Least corner of the box that holds everything the queries of one frame may cover if the body stood still (m):
+    /// the body grown by climb height, snap distance and skin.
     pub min: Point3<f64>,
-    /// Greatest corner of the same (m).
+    /// Greatest corner of that box (m).
     pub max: Point3<f64>,
-    /// Velocity now (m/s).
+    /// Current velocity (m/s).
     pub velocity: Vector3<f64>,
-    /// Acceleration of a free fall (m/s²); 0 for a body that cannot fall.
+    /// Acceleration of free fall (m/s²); 0 for a body that cannot fall.
     pub gravity: f64,
     /// Greatest speed of falling (m/s).
     pub terminal_speed: f64,
-    /// Speed that the body may take on from one frame to the next in any horizontal direction or upwards (m/s): of a
+    /// Speed that the body may adopt from one frame to the next, in any horizontal direction or upwards (m/s); for a
     /// walker, its walking speed.
     pub agility: f64,
 }
 
 impl Outlook {
-    /// A walker in the box `min..max` with this velocity: falls by 9.81 m/s² to at most 60 m/s, turns at its own speed and at
-    /// no less than 1.5 m/s.
+    /// Creates the hint of a walker in the box `min..max` (m) with this velocity (m/s). It falls by 9.81 m/s² up to 60
+    /// m/s; its agility is its horizontal speed, at least 1.5 m/s.
     pub fn walking(min: Point3<f64>, max: Point3<f64>, velocity: Vector3<f64>) -> Self {
         let agility = velocity.xy().norm().max(1.5);
         Self { min, max, velocity, gravity: 9.81, terminal_speed: 60.0, agility }
     }
 
-    /// Whether all numbers are finite and in order; other hints are ignored.
+    /// Returns whether all numbers are finite and at most 10⁹ in magnitude, the box is in order, and gravity, terminal
+    /// speed and agility are not negative. Other hints are ignored.
     pub fn is_valid(&self) -> bool {
         let ordered = (0..3).all(|axis| self.min[axis] <= self.max[axis]);
         let speeds = [self.gravity, self.terminal_speed, self.agility];
@@ -47,7 +50,7 @@ impl Outlook {
             && speeds.iter().all(|speed| finite(speed) && *speed >= 0.0)
     }
 
-    /// The page in the body's middle.
+    /// Returns the page at the body's middle.
     pub(super) fn focus(&self, frame: &Frame) -> PageKey {
         let middle = nalgebra::center(&self.min, &self.max);
         PageKey {
@@ -57,7 +60,7 @@ impl Outlook {
         }
     }
 
-    /// Least time until the body can touch `low..high` along `axis` (s).
+    /// Returns the least time until the body can touch `low..high` along `axis` (s).
     fn time_along(&self, axis: usize, low: f64, high: f64) -> f64 {
         let over = |gap: f64, speed: f64| if gap <= 0.0 { 0.0 } else { gap / speed };
         let velocity = self.velocity[axis];
@@ -68,7 +71,7 @@ impl Outlook {
         forward.max(self.fall_time(self.min[2] - high))
     }
 
-    /// Time to fall `gap` (m) from now on.
+    /// Returns the time to fall `gap` (m) from now on (s).
     fn fall_time(&self, gap: f64) -> f64 {
         if gap <= 0.0 {
             return 0.0;
@@ -83,7 +86,7 @@ impl Outlook {
         if gap > fallen { rise + (gap - fallen) / top } else { (top_root(speed, gravity, gap) - speed) / gravity }
     }
 
-    /// How far the body can come along `axis` within `time`, backwards and forwards (m).
+    /// Returns how far the body can move along `axis` within `time`, backward and forward (m).
     fn reach(&self, axis: usize, time: f64) -> [f64; 2] {
         let velocity = self.velocity[axis];
         let ahead = velocity.max(self.agility) * time;
@@ -98,7 +101,7 @@ impl Outlook {
         [down, ahead]
     }
 
-    /// Adds to `wanted` all pages that the body can touch within `horizon` (s), each with the least time of all bodies.
+    /// Adds all pages that the body can touch within `horizon` (s) to `wanted`, each with the least time of all bodies.
     pub(super) fn wants(&self, index: &Index, horizon: f64, wanted: &mut HashMap<u32, f32>) {
         let frame = index.frame();
         let (pixel, slice) = (frame.pixel_m(), frame.slice_m());
@@ -109,7 +112,7 @@ impl Outlook {
         };
         index.for_each_column(tiles(0), tiles(1), |pages| {
             let first = index.key(pages.start);
-            // Grown by a pixel and a slice: what rounds to touching must not come late.
+            // Grown by a pixel and a slice, so that rounding never makes a page late.
             let side = |axis: usize, tile: i32| {
                 let low = frame.edge_of_pixel(i64::from(tile) * TILE_PIXELS) - pixel;
                 self.time_along(axis, low, low + (TILE_PIXELS + 2) as f64 * pixel)
@@ -131,7 +134,7 @@ impl Outlook {
     }
 }
 
-/// Speed after falling `gap` from `speed`.
+/// Returns the speed after falling `gap` from `speed`.
 fn top_root(speed: f64, gravity: f64, gap: f64) -> f64 {
     (speed * speed + 2.0 * gravity * gap).sqrt()
 }
@@ -140,8 +143,8 @@ fn clamped(index: i64) -> i32 {
     index.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
 }
 
-/// Layers apart, then tiles apart (the greater of x and y), from the nearest of `focus`: the greatest is evicted first
-/// (thesis, section 3.2.1: the slice with the furthest z goes).
+/// Returns the distance in layers, then in tiles (the greater of x and y), from the nearest of `focus`. The page with
+/// the greatest distance is evicted first (thesis, section 3.2.1: the slice with the furthest z goes).
 pub(super) fn distance(key: PageKey, focus: &[PageKey]) -> (u32, u32) {
     let from = |around: &PageKey| {
         (key.layer.abs_diff(around.layer), key.tx.abs_diff(around.tx).max(key.ty.abs_diff(around.ty)))
@@ -178,7 +181,7 @@ mod tests {
     }
 
     proptest! {
-        /// Simulates in small steps; no point is touched before its time, and none is out of reach when it is touched.
+        /// Simulates in small steps: no point is touched before its time, and every point touched is within reach.
         #[test]
         fn nothing_is_touched_before_its_time(
             vx in -20.0f64..20.0, vz in -70.0f64..10.0, turn in 0.0f64..2.0, gap in 0.01f64..40.0, axis in 0usize..3, back: bool
@@ -195,7 +198,7 @@ mod tests {
                     velocity.x = if back { -motion.agility } else { motion.agility };
                     velocity.y = velocity.x;
                 }
-                // Exact for the fall within a step, as the body's own motion is.
+                // Exact for the fall within a step, like the body's own motion.
                 let falling = (velocity.z - motion.gravity * step).max(-motion.terminal_speed.max(-motion.velocity.z));
                 moved += Vector3::new(velocity.x, velocity.y, (velocity.z + falling) / 2.0) * step;
                 velocity.z = falling;

@@ -1,9 +1,10 @@
-//! Handing the newest of a sequence of values to any number of readers, none of whom ever waits.
+//! Publication of the newest of a sequence of values to any number of readers, which never wait.
 //!
-//! Two cells hold the newest value; an index says which of them readers take. The publisher writes the other cell, turns
-//! the index, then writes the first. A reader that finds its cell being written, or the index turned while it held the
-//! cell, looks again. So no reader waits for a publisher or for another reader, even one that is suspended for ever; it
-//! repeats at most once per publication. No `unsafe`: the cells are locks of which readers use `try_read` only.
+//! Two cells hold the newest value; an index selects the cell that readers use. The publisher writes the other cell,
+//! switches the index, then writes the first cell. A reader tries again if its cell is being written, or if the index
+//! changed while it held the cell. So no reader waits for a publisher or for another reader, even one that is suspended
+//! forever, and it tries again at most once per publication. No `unsafe`: the cells are locks, and readers only use
+//! `try_read`.
 //!
 //! `tests/publish.rs` compiles this file against loom's types and runs readers and a publisher in every interleaving.
 
@@ -23,12 +24,12 @@ impl<T> Current<T> {
         Self { cells: [RwLock::new(value.clone()), RwLock::new(value)], newest: AtomicUsize::new(0) }
     }
 
-    /// The newest value. Lock-free: repeats only if a publication ended meanwhile.
+    /// Returns the newest value. Lock-free: tries again only if a publication ended meanwhile.
     pub fn get(&self) -> Arc<T> {
         loop {
             let at = self.newest.load(Acquire);
-            // If the index still names the cell while it is held, it holds the newest value, not the one that is about
-            // to become it: nobody sees a later value and then an earlier one.
+            // If the index still names the cell while it is held, the cell holds the newest value and not the next one,
+            // so no reader sees a later value and then an earlier one.
             if let Some(cell) = self.try_cell(at).filter(|_| self.newest.load(Acquire) == at) {
                 return Arc::clone(&cell);
             }
@@ -44,8 +45,8 @@ impl<T> Current<T> {
         }
     }
 
-    /// Makes `value` the newest. One publisher at a time: the caller sees to that. Waits for readers that are just
-    /// copying the pointer of a cell; afterwards neither cell holds an older value.
+    /// Makes `value` the newest. The caller ensures that there is one publisher at a time. Waits for readers that are
+    /// just copying the pointer of a cell; afterwards neither cell holds an older value.
     pub fn publish(&self, value: &Arc<T>) {
         let put = |at: usize| *self.cells[at].write().unwrap_or_else(PoisonError::into_inner) = Arc::clone(value);
         let old = self.newest.load(Relaxed);
@@ -54,7 +55,7 @@ impl<T> Current<T> {
         put(old);
     }
 
-    /// The lock that a publisher holds while it writes the cell that nobody should read.
+    /// Returns the lock that a publisher holds while it writes the cell that readers do not use.
     #[cfg(test)]
     #[allow(dead_code, reason = "the model of this file does without")]
     pub fn hold_a_publication(&self) -> impl Sized + '_ {
@@ -62,10 +63,10 @@ impl<T> Current<T> {
     }
 }
 
-/// Values that were published and may still be in use.
+/// Published values that may still be in use.
 ///
-/// The publisher keeps one more handle of each, and drops it when it is the last: so a reader never has to free anything
-/// itself, and what a value holds is given back exactly when nobody can see it.
+/// The publisher keeps one more handle of each and drops it when it is the last one. So readers never free anything,
+/// and a value's memory is released only when no reader can see it.
 #[derive(Debug)]
 pub(super) struct Retired<T>(Vec<Arc<T>>);
 
@@ -76,17 +77,17 @@ impl<T> Default for Retired<T> {
 }
 
 impl<T> Retired<T> {
-    /// Takes over a value that [`Current`] no longer hands out.
+    /// Adds a value that [`Current`] no longer returns.
     pub fn push(&mut self, value: Arc<T>) {
         self.0.push(value);
     }
 
-    /// Drops the values that no reader holds. No reader can come to hold one again, as nobody hands it out.
+    /// Drops the values that no reader holds. A reader cannot get one again, because [`Current`] no longer returns it.
     pub fn reclaim(&mut self) {
         self.0.retain(|value| Arc::strong_count(value) > 1);
     }
 
-    /// Number of values that readers still held when [`reclaim`](Self::reclaim) was last called.
+    /// Returns the number of values that readers still held at the last [`reclaim`](Self::reclaim).
     pub fn len(&self) -> usize {
         self.0.len()
     }

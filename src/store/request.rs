@@ -1,4 +1,4 @@
-//! Requests: pages that somebody waits for, and what became of them.
+//! Requests: pages for which a caller waits, and their outcomes.
 
 use super::cache::{Claim, Order};
 use super::fetch::Time;
@@ -7,26 +7,26 @@ use crate::Result;
 use crate::frame::PageKey;
 use std::time::Duration;
 
-/// How long a request waits for views to be dropped, if these hold the room that it needs.
+/// Time that a request waits for views to be dropped if they hold the memory that it needs.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Names a [`request`](Loader::request).
+/// Identifier of a [`request`](Loader::request).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RequestId(u64);
 
-/// What became of a request.
+/// Outcome of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct LoadReport {
-    /// Pages loaded meanwhile.
+    /// Requested pages that were loaded.
     pub loaded: usize,
-    /// Pages asked for that were in memory already.
+    /// Requested pages that were in memory already.
     pub already: usize,
-    /// Pages dropped to make room.
+    /// Pages evicted meanwhile to make room.
     pub evicted: usize,
-    /// Pages asked for that found no room.
+    /// Requested pages that did not fit in the budget.
     pub left_out: usize,
-    /// A budget in which all pages asked for have room at once (bytes).
+    /// Budget in which all requested pages fit at once (bytes).
     pub needed_bytes: usize,
 }
 
@@ -35,17 +35,18 @@ pub(super) struct Request {
     pub order: Order,
     absent: usize,
     evicted: u64,
-    /// Whether it lacks room that others give back; meanwhile nobody behind it fetches.
+    /// True while it waits for memory that others will release; later requests and hints then fetch nothing.
     lacks_room: bool,
-    /// Since when it waits for views alone.
+    /// Since when it waits only for views.
     waits_since: Option<Time>,
 }
 
 impl Loader {
-    /// Asks for these pages before all others, nearest to `around` first, and for an [`outcome`](Self::outcome): when all
-    /// are there, one failed, or the rest finds no room. Unknown keys hold no matter and need no page. Pages that neither a hint
-    /// needs now nor an earlier request asks for make room, farthest first. Before it does without a page it waits for all that is on
-    /// its way, and for views to be dropped, these for 0.1 s; hints and later requests fetch nothing meanwhile.
+    /// Requests these pages before all others, nearest to `around` first. The [`outcome`](Self::outcome) is ready when
+    /// all are in memory, one has failed, or the rest does not fit. Unknown keys are ignored, because they have no
+    /// page. Evicts pages that neither a hint needs now nor an earlier request wants, farthest first. Before it leaves
+    /// out a page, the request waits for everything in flight and up to 0.1 s for views to be dropped; meanwhile, hints
+    /// and later requests fetch nothing.
     pub fn request(&mut self, keys: &[PageKey], around: PageKey) -> RequestId {
         let id = RequestId(self.name());
         match &self.cache {
@@ -55,12 +56,12 @@ impl Loader {
         id
     }
 
-    /// What became of a request, told once; `None` while it is under way.
+    /// Returns the outcome of a request, once; `None` while it is in progress.
     pub fn outcome(&mut self, request: RequestId) -> Option<Result<LoadReport>> {
         self.ended.remove(&request)
     }
 
-    /// Begins with a request, as the table of pages is there.
+    /// Begins a request once the table of pages is loaded.
     pub(super) fn admit(&mut self, id: RequestId, keys: &[PageKey], around: PageKey) {
         let Some(cache) = &self.cache else { return };
         let order = Order::explicit(cache.index(), keys, around);
@@ -69,12 +70,12 @@ impl Loader {
         self.stale = true;
     }
 
-    /// Whether a request before this one, or before the hints, lacks room.
+    /// Returns whether a request before this one, or before the hints, lacks memory.
     pub(super) fn gives_way(&self, id: Option<RequestId>) -> bool {
         self.requests.iter().any(|(other, request)| request.lacks_room && id.is_none_or(|id| *other < id))
     }
 
-    /// The next step of a request.
+    /// Returns the next step of a request.
     pub(super) fn request_turn(&mut self, id: RequestId, now: Time) -> Turn {
         let now = self.at(now);
         if let Some(outcome) = self.ended.remove(&id) {
@@ -87,12 +88,12 @@ impl Loader {
         let stays = |page| self.requests.iter().any(|(other, earlier)| *other < id && earlier.order.wants(page));
         let mut claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
         if matches!(claim, Claim::Done) && cache.absent(&request.order) > 0 {
-            // An earlier request took the room of what was there.
+            // An earlier request evicted pages that were in memory.
             request.order.restart();
             claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
         }
         request.lacks_room = matches!(claim, Claim::NoRoom(_));
-        // What is on its way takes room that it gives back, and so does what an earlier request waits for.
+        // Runs in flight release memory, and so do earlier requests when they finish.
         let comes = !self.flights.is_empty() || self.requests.iter().any(|(other, _)| *other < id);
         let turn = match claim {
             Claim::Run(run) => Turn::Fetch(self.launch(run)),

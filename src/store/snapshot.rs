@@ -1,12 +1,12 @@
-//! What queries see: an immutable index of all pages, and snapshots of which of them are in memory.
+//! Pages as queries see them: an immutable index of all pages, and snapshots of those in memory.
 //!
-//! A snapshot is a table of groups, each the slots of some neighbouring tile columns; the next snapshot shares the
-//! groups in which nothing changed. A reader that holds a snapshot holds all its pages; a page that was evicted since
-//! lives until the last such reader lets go. Everything here is plain shared data: no lock, no `unsafe`, and answers do
+//! A snapshot is a table of groups, each with the slots of some neighbouring tile columns; the next snapshot shares the
+//! groups in which nothing changed. A reader that holds a snapshot holds all its pages: an evicted page lives until the
+//! last such reader drops its snapshot. Everything here is plain shared data, without locks or `unsafe`, and answers do
 //! not change while a view is held.
 //!
-//! Memory: about 90 bytes a page, in memory or not (entry 48, slot 24, tables); a new snapshot copies the pointers of all
-//! groups and one group, both about √n for n pages.
+//! Memory: about 90 bytes a page, in memory or not (entry 48, slot 24, tables). A new snapshot copies the pointers of
+//! all groups and the slots of the groups that change; a table of n pages has about √n groups of √n slots.
 
 use super::account::Room;
 use super::outlook::Outlook;
@@ -19,14 +19,14 @@ use crate::slice::Page;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// A page in memory with the room that it takes.
+/// A page in memory with its reservation.
 #[derive(Debug)]
 pub(super) struct Held {
     pub page: Page,
     pub room: Room,
 }
 
-/// Place of one page in a [`View`].
+/// Slot of one page in a [`View`].
 #[derive(Debug, Clone)]
 pub struct ViewSlot {
     layer: i32,
@@ -51,20 +51,20 @@ impl PageSlot for ViewSlot {
     }
 }
 
-/// All pages of an archive, as numbers 0.. in the order of their keys.
+/// All pages of an archive, numbered from 0 in order of their keys.
 #[derive(Debug)]
 pub(super) struct Index {
     frame: Frame,
     entries: SlotTable<PageEntry>,
     keys: Box<[PageKey]>,
-    /// Per page the first one with the same content.
+    /// For each page, the first page with the same content.
     contents: Box<[u32]>,
-    /// From tile column to `group << shift | offset`.
+    /// Maps a tile column to `group << shift | offset`.
     tiles: TileTable,
     shift: u32,
-    /// Number of each group's first page, and the number of all pages.
+    /// Number of each group's first page, then the number of all pages.
     groups: Box<[u32]>,
-    /// Whether pages are decoded without inferred matter.
+    /// True if pages are decoded without inferred spans.
     ignores_inferred: bool,
 }
 
@@ -79,7 +79,7 @@ impl Index {
         let entries = SlotTable::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
         let columns = || (0..entries.column_count()).map(|number| entries.column_at(number));
         let longest = columns().map(|(_, _, slots)| slots.len()).max().unwrap_or(0);
-        // A column never lies in two groups, so that its slots are contiguous.
+        // No column is split between groups, so that its slots are contiguous.
         let size = longest.max(keys.len().isqrt()).max(64).next_power_of_two();
         let (mut groups, mut first, mut cells) = (vec![0], 0, Vec::new());
         for (tx, ty, slots) in columns() {
@@ -119,19 +119,19 @@ impl Index {
         self.keys[page as usize]
     }
 
-    /// The page that stands for all of the same content.
+    /// Returns the page that represents all pages of the same content.
     pub fn content(&self, page: u32) -> u32 {
         self.contents[page as usize]
     }
 
-    /// Number of the page with this key.
+    /// Returns the number of the page with this key.
     pub fn find(&self, key: PageKey) -> Option<u32> {
         let range = self.entries.range(key.tx, key.ty);
         let layers = &self.keys[range.clone()];
         layers.binary_search_by_key(&key.layer, |key| key.layer).ok().map(|at| (range.start + at) as u32)
     }
 
-    /// Calls `f` with the numbers of the pages of each tile column with `tx` and `ty` in these ranges, ends included.
+    /// Calls `f` with the numbers of the pages of each tile column with `tx` and `ty` in these inclusive ranges.
     pub fn for_each_column(&self, [tx0, tx1]: [i32; 2], [ty0, ty1]: [i32; 2], mut f: impl FnMut(std::ops::Range<u32>)) {
         let Some(bounds) = self.entries.bounds() else { return };
         let (tx0, tx1) = (tx0.max(bounds.min[0]), tx1.min(bounds.max[0]));
@@ -162,7 +162,7 @@ impl Index {
         }
     }
 
-    /// Bytes of the index and of the slots of one snapshot.
+    /// Returns the bytes of the index and of the slots of one snapshot.
     pub fn weight_bytes(&self) -> usize {
         self.entries.weight_bytes()
             + self.tiles.weight_bytes()
@@ -176,8 +176,8 @@ impl Index {
     }
 }
 
-/// Per entry the first entry of the same content: stored pages and those that share their bytes, and uniform pages of
-/// equal spans.
+/// Returns, for each entry, the first entry of the same content: stored pages and those that share their bytes, and
+/// uniform pages with equal spans.
 fn contents(entries: &[PageEntry]) -> Box<[u32]> {
     let mut stored: Vec<(u64, u32)> = Vec::new();
     let mut uniform = HashMap::new();
@@ -188,7 +188,8 @@ fn contents(entries: &[PageEntry]) -> Box<[u32]> {
                 stored.push((extent.offset, at));
                 at
             }
-            // An archive whose pages do not ascend is broken; then nothing is shared, and reading finds the reason.
+            // An archive whose pages do not ascend is damaged; its pages are then not shared, and reading them reports
+            // the reason.
             Storage::Shared(extent) => {
                 let found = stored.binary_search_by_key(&extent.offset, |&(offset, _)| offset);
                 let first = found.map_or(at, |found| stored[found].1);
@@ -202,7 +203,7 @@ fn contents(entries: &[PageEntry]) -> Box<[u32]> {
     entries.iter().enumerate().map(number).collect()
 }
 
-/// Which pages are in memory, at one moment.
+/// The pages in memory at one moment.
 #[derive(Debug)]
 pub(super) struct Snapshot {
     groups: Box<[Arc<[ViewSlot]>]>,
@@ -211,7 +212,7 @@ pub(super) struct Snapshot {
 }
 
 impl Snapshot {
-    /// The snapshot with no page in memory.
+    /// Creates the snapshot without pages in memory.
     pub fn empty(index: &Index) -> Self {
         let slot = |entry: &PageEntry| ViewSlot { layer: entry.key.layer, slices: entry.slices, page: None };
         let groups = index.groups.windows(2).map(|ends| {
@@ -221,7 +222,7 @@ impl Snapshot {
         Self { groups: groups.collect(), weight: 0 }
     }
 
-    /// This snapshot with some pages put in or taken out.
+    /// Returns this snapshot with some pages inserted or removed.
     pub fn with(&self, index: &Index, changes: &mut [(u32, Option<Arc<Held>>)]) -> Self {
         changes.sort_by_key(|(page, _)| *page);
         let (mut groups, mut weight) = (self.groups.clone(), self.weight);
@@ -240,11 +241,11 @@ impl Snapshot {
     }
 }
 
-/// The pages of a [`Stream`](super::Stream) that were in memory when the view was taken: a [`PageSet`] for queries.
+/// Pages of a [`Stream`](super::Stream) that were in memory when the view was taken: a [`PageSet`] for queries.
 ///
-/// Answers from one view are answers about one moment: pages that are loaded or evicted meanwhile change nothing. Pages in
-/// a view stay in memory, and count against the budget, until it is dropped: take one per frame, and drop it with
-/// the frame. Cost: two reference counts to take; a query costs one pointer more than in a resident
+/// All answers from one view refer to the same moment: pages loaded or evicted meanwhile change nothing. Pages in a
+/// view stay in memory, and count against the budget, until it is dropped: take one per frame, and drop it with the
+/// frame. Cost: two reference counts to take; a query follows one pointer more than in a resident
 /// [`Store`](super::Store).
 #[derive(Debug, Clone)]
 pub struct View {
@@ -253,13 +254,13 @@ pub struct View {
 }
 
 impl View {
-    /// Whether the page is known and in memory; `None` if the scan has no matter there.
+    /// Returns whether the page is in memory; `None` if the archive has no such page.
     pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
         let (group, offset) = self.index.group(self.index.find(key)?);
         Some(self.snapshot.groups[group][offset].page.is_some())
     }
 
-    /// Number of pages in memory that a body touches before it moves; none for an outlook that is not valid.
+    /// Returns the number of pages in memory that a body touches before it moves; 0 if the outlook is invalid.
     pub fn count_loaded(&self, outlook: &Outlook) -> usize {
         let loaded = |page: &u32| {
             let (group, offset) = self.index.group(*page);

@@ -1,6 +1,6 @@
-//! How a [`Loader`](super::Loader) comes to know an archive: its head and footer, then all leaves of its directory.
+//! Start of a [`Loader`](super::Loader): reads the head and footer of an archive, then all leaves of its directory.
 //!
-//! In: fetched bytes. Out: the table of all pages. Memory: reserved in the budget before a leaf is asked for.
+//! In: fetched bytes. Out: the table of all pages. Memory: reserved in the budget before a leaf is requested.
 
 use super::account::{Account, Room};
 use super::by_id::ById;
@@ -12,21 +12,21 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Most bytes of leaves to fetch at once, unless a single leaf is longer.
+/// Most bytes of leaves in one fetch, unless a single leaf is longer.
 const LONGEST: u64 = 1 << 20;
-/// First pause before what could not be fetched is asked for again; doubled each time, up to 2⁶ times.
+/// Pause before a failed fetch is repeated; doubled each time, at most six times.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Pause after `tries` failures.
+/// Returns the pause after `tries` failures.
 pub(super) fn pause_after(tries: u32) -> Duration {
     PAUSE * (1 << tries.min(6))
 }
 
-/// Bytes that are on their way.
+/// Bytes in flight.
 #[derive(Debug)]
 struct Flight {
     range: Range<u64>,
-    /// None while head and footer are fetched.
+    /// Empty while head and footer are fetched.
     leaves: Range<usize>,
     room: Option<Room>,
 }
@@ -36,23 +36,23 @@ pub(super) struct Start {
     opening: Opening,
     len_known: bool,
     catalog: Option<Arc<Catalog>>,
-    /// Room for the table of pages; its size is exact once it is made.
+    /// Reservation for the table of pages; its size becomes exact when the table is built.
     table: Option<Room>,
-    /// Leaves not asked for yet, in stretches; those that failed come back.
+    /// Leaves not requested yet, by run; those that failed return here.
     left: Vec<Range<usize>>,
     entries: ById<usize, Vec<PageEntry>>,
     flights: ById<FetchId, Flight>,
     tries: u32,
     again: Option<Time>,
-    /// What the next poll says. Unless it is a failure to read, it is said for ever.
+    /// Error that the next poll returns. Unless it is a failed read, every later poll returns it, too.
     error: Option<Error>,
 }
 
-/// What to do next.
+/// Next action.
 pub(super) enum StartTurn {
     Fetch(Range<u64>, Range<usize>, Option<Room>),
     Wait(Option<Time>),
-    /// The table of pages with its room.
+    /// The table of pages with its reservation.
     Ready(Arc<Index>, Room),
 }
 
@@ -83,7 +83,7 @@ impl Start {
         self.catalog.as_ref()
     }
 
-    /// Reserves the table of pages, before anything is read that is sized by their number.
+    /// Reserves the table of pages, before any read whose size depends on their number.
     fn plan(&mut self, catalog: Catalog, account: &Arc<Account>) -> Result<()> {
         let pages = catalog.header().pages.total();
         let least = usize::try_from(pages).unwrap_or(usize::MAX).saturating_mul(Index::LEAST_PAGE_BYTES);
@@ -157,19 +157,19 @@ impl Start {
         Ok(StartTurn::Ready(Arc::new(index), table))
     }
 
-    /// Notes that a fetch which [`poll`](Self::poll) asked for has this name.
+    /// Records the identifier of a fetch that [`poll`](Self::poll) returned.
     pub fn launched(&mut self, id: FetchId, range: Range<u64>, leaves: Range<usize>, room: Option<Room>) {
         self.flights.insert(id, Flight { range, leaves, room });
     }
 
-    /// Takes the bytes of a fetch; what is to be decoded of them. `None` where it is no fetch of these.
+    /// Takes the bytes of a fetch and returns the work of decoding them. `None` if there is nothing to decode.
     pub fn given(&mut self, id: FetchId, bytes: &[u8], now: Time) -> Option<Work> {
         let flight = self.flights.get(&id)?;
         let (range, leaves) = (flight.range.clone(), flight.leaves.clone());
         let short = (bytes.len() as u64) < range.end - range.start;
         let Some(catalog) = self.catalog.clone().filter(|_| !leaves.is_empty()) else {
             self.flights.remove(&id);
-            // Only the first answer may be short: it says how long the archive is.
+            // Only the first answer may be short: it reveals the archive's length.
             if short && (self.len_known || range.start > 0) {
                 self.fail(short_answer(&range, bytes.len()), now);
             } else {
@@ -216,7 +216,7 @@ impl Start {
     }
 }
 
-/// Bytes that decoding takes for each entry of a leaf, at most: before compression, and as columns of numbers.
+/// Most bytes for decoding each entry of a leaf: before compression, and as columns of numbers.
 const LEAF_SCRATCH: usize = 47 + 8 + size_of::<crate::frame::PageKey>() + 4;
 
 pub(super) fn short_answer(range: &Range<u64>, found: usize) -> Error {
@@ -224,7 +224,7 @@ pub(super) fn short_answer(range: &Range<u64>, found: usize) -> Error {
     Error::io("archive", action, std::io::ErrorKind::UnexpectedEof.into())
 }
 
-/// An error that lasts, for whoever polls again: errors cannot be cloned, as `io::Error` cannot.
+/// Copies a lasting error for later polls: errors cannot be cloned, because `io::Error` cannot.
 fn same_again(error: &Error) -> Error {
     match error {
         Error::Format { rule, part, offset, expected, found } => {
@@ -241,7 +241,7 @@ fn same_again(error: &Error) -> Error {
 fn too_small(account: &Account, pages: u64, least: usize) -> Error {
     match account.budget() {
         0 => Error::parameter(Parameter::Cache, "0 bytes hold no page; give some MiB"),
-        // What is too few depends on the archive: no fault of the parameter alone.
+        // The least size depends on the archive, so the parameter alone is not at fault.
         budget => Error::parameter(
             "cache",
             format!("{budget} bytes are too few: the table of {pages} pages alone needs {least}; give more memory"),

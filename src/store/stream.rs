@@ -22,41 +22,43 @@ use std::sync::PoisonError;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::time::{Duration, Instant};
 
-/// Who loads pages before they are needed.
+/// Where pages are loaded before they are needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Prefetch {
-    /// Nobody: pages come by [`Stream::load`] alone.
+    /// Nowhere: only [`Stream::load`] loads pages.
     Off,
-    /// A background thread named `slicewalk-prefetch`.
+    /// On a background thread named `slicewalk-prefetch`.
     Thread,
-    /// Whoever calls [`Stream::step`]: a program with its own scheduler, or a test with its own time.
+    /// On the caller of [`Stream::step`]: for programs with their own scheduler, or tests with their own time.
     Manual,
 }
 
-/// Colours that wait to be taken, at most.
+/// Most colours that wait to be taken.
 const COLOURED: usize = 16;
-/// When to look again whether there is room to decode colours.
+/// Interval at which to check whether the budget has room to decode colours.
 const ROOM_AGAIN: Duration = Duration::from_millis(100);
 
-/// How a [`Stream`] works.
+/// Options of a [`Stream`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamOptions {
-    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, those that views still hold,
-    /// bytes being read, and the scratch memory of decoding them. Of an archive with colours an eighth is for these.
+    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that views
+    /// still hold, bytes being read, and the scratch memory of decoding them. For an archive with colours, an eighth is
+    /// reserved for these.
     pub budget_bytes: usize,
-    /// Who loads pages ahead.
+    /// Where pages are loaded ahead.
     pub prefetch: Prefetch,
-    /// Least time to look ahead. The time is 32 times the latency of a read, within these two.
+    /// Least time to look ahead. The time is 32 times the latency of a read, clamped to these two limits.
     pub horizon_min: Duration,
     /// Greatest time to look ahead.
     pub horizon_max: Duration,
-    /// Most bytes of one read, unless a single page is longer; no more than an eighth of the budget.
+    /// Most bytes of one read, unless a single page is longer; at most an eighth of the budget.
     pub run_bytes: usize,
 }
 
 impl StreamOptions {
-    /// A background thread that looks one to eight seconds ahead and reads up to 256 KiB at once.
+    /// Creates the default options: a background thread that looks one to eight seconds ahead and reads up to 256 KiB
+    /// at once.
     pub fn new(budget_bytes: usize) -> Self {
         Self {
             budget_bytes,
@@ -68,19 +70,19 @@ impl StreamOptions {
     }
 }
 
-/// What one [`Stream::step`] did.
+/// Result of one [`Stream::step`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Step {
-    /// Read and decoded a run; this many pages came into memory.
+    /// Read and decoded a run; this many pages were added.
     Loaded(usize),
-    /// No pages were to be read, so colours of some were.
+    /// There were no pages to read, so colours of some were read or decoded.
     Coloured,
     /// Nothing is left to do until a hint changes.
     Idle,
-    /// Another thread reads what is left.
+    /// Another thread reads the rest.
     Busy,
-    /// What is left finds no room. `true`: pages that views hold would make room once these are dropped.
+    /// The rest does not fit in the budget. `true` if it may fit once views are dropped.
     NoRoom(bool),
 }
 
@@ -119,11 +121,12 @@ struct Inbox {
 /// ```
 ///
 /// Any number of bodies may hint and query from any number of threads. Queries run on a [`View`]: they take no lock, do
-/// no I/O and allocate nothing (guarantee G8), and loading never changes an answer, it only turns "not loaded" into one.
-/// Dropping the stream ends its thread: at once, or as soon as the read in progress returns; reads of remote objects end within a moment.
+/// no I/O and allocate nothing (guarantee G8). Loading never changes an answer; it only replaces "not loaded" by one.
+/// Dropping the stream ends its thread at once, or as soon as the read in progress returns; reads of remote objects end
+/// within a moment.
 ///
-/// Memory: the budget, in which everything counts. A stream is a [`Loader`] that drives itself; programs with a scheduler, a
-/// browser or a fetch of their own drive one directly.
+/// Memory: the budget covers everything. A stream is a [`Loader`] that drives itself. Programs with their own scheduler
+/// or way to fetch, and browsers, drive a [`Loader`] directly.
 pub struct Stream {
     shared: Arc<Shared>,
     worker: Option<JoinHandle<()>>,
@@ -133,35 +136,35 @@ struct Shared {
     archive: Archive,
     views: Views,
     loader: Mutex<Loader>,
-    /// Of what has colours, and those that wait to be taken.
+    /// Loader of colours, if the archive has any, and colours that wait to be taken.
     colours: Mutex<Option<ColourLoader>>,
     coloured: Mutex<Vec<(PageKey, Result<Colours>)>>,
-    /// Told whenever a run was loaded or failed.
+    /// Notified when a run was loaded or failed.
     settled: Condvar,
     options: StreamOptions,
     origin: Instant,
     pawns: Mutex<Vec<Arc<Mutex<Inbox>>>>,
-    /// Rises with every hint.
+    /// Increases with every hint.
     hints: AtomicU64,
     hints_dropped: AtomicU64,
     stop: AtomicBool,
-    /// The newest number of `hints` that the loader knows; held by the one who takes a step.
+    /// Newest number of `hints` that the loader knows; locked for the whole of a step.
     desk: Mutex<Option<u64>>,
-    /// The newest number of `hints` for which the background thread has nothing left to do.
+    /// Newest number of `hints` for which the background thread has nothing left to do.
     rested: Mutex<Option<u64>>,
     rest: Condvar,
 }
 
 impl Stream {
-    /// Opens a stream on an archive; no page is loaded yet. Reads the directory, all of it: one read per MiB. Fails if the
-    /// table of pages alone exceeds the budget.
+    /// Opens a stream on an archive; no page is loaded yet. Reads the whole directory, one read per MiB. Fails if that
+    /// cannot be read, or if the table of pages alone exceeds the budget.
     pub fn open(archive: Archive, options: StreamOptions) -> Result<Self> {
         let loader = LoaderOptions {
             budget_bytes: options.budget_bytes,
             horizon_min: options.horizon_min,
             horizon_max: options.horizon_max,
             run_bytes: options.run_bytes,
-            // As many as there are threads that drive it.
+            // The number of driving threads is the limit.
             fetches: usize::MAX,
         };
         let mut loader = Loader::new(archive.catalog().clone(), loader)?;
@@ -209,13 +212,13 @@ impl Stream {
         Ok(Self { shared, worker })
     }
 
-    /// The pages in memory now. Lock-free, allocates nothing; take one per frame, and drop it with the frame.
+    /// Returns the pages in memory now. Lock-free; allocates nothing. Take one per frame, and drop it with the frame.
     #[inline]
     pub fn view(&self) -> View {
         self.shared.views.view()
     }
 
-    /// A place for the hints of one body, as long as it lives.
+    /// Returns a handle through which one body gives its hints, as long as the handle lives.
     pub fn pawn(&self) -> PawnHandle {
         let body = lock(&self.shared.loader).body();
         let inbox = Arc::new(Mutex::new(Inbox { body, outlook: None, missing: None, changed: false, gone: false }));
@@ -224,23 +227,25 @@ impl Stream {
         PawnHandle { inbox, shared: self.shared.clone(), worker }
     }
 
-    /// Brings the pages `keys` into memory, nearest to `around` first, and returns when all are there or failed; unknown
-    /// keys hold no matter and need no page. Pages that no hint needs now make room, farthest first.
+    /// Loads the pages `keys`, nearest to `around` first, and blocks until all are in memory, one fails, or the rest
+    /// does not fit. Unknown keys are ignored, because they have no page. Evicts pages that no hint needs now, farthest
+    /// first.
     ///
-    /// Fails with the first page that cannot be loaded; pages loaded before stay. Pages that find no room are
-    /// [`left_out`](LoadReport::left_out): the budget is too small, or views hold it (drop your own first).
+    /// Fails with the error of the first page that cannot be loaded; pages loaded before stay. Pages that do not fit
+    /// are counted as [`left_out`](LoadReport::left_out): the budget is too small, or views hold it (drop your own
+    /// first).
     pub fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
         self.shared.load(keys, around)
     }
 
-    /// As [`load`](Self::load) for all pages that a query missed.
+    /// Runs [`load`](Self::load) for all pages that a query missed.
     pub fn load_missing(&self, missing: &Missing) -> Result<LoadReport> {
         let keys = missing.keys();
         self.load(keys, keys[0])
     }
 
-    /// As [`load`](Self::load) for all pages that a body touches before it moves: for the first frame, or after a
-    /// jump to another place.
+    /// Runs [`load`](Self::load) for all pages that a body touches before it moves: for the first frame, or after a
+    /// jump to another place. Fails, too, if the outlook is invalid.
     pub fn load_around(&self, outlook: &Outlook) -> Result<LoadReport> {
         if !outlook.is_valid() {
             return Err(Error::parameter("outlook", "its numbers must be finite and in order"));
@@ -249,8 +254,8 @@ impl Stream {
         self.load(&keys, outlook.focus(self.shared.index().frame()))
     }
 
-    /// Does one piece of the background thread's work on this thread: reads one run of pages. For
-    /// [`Prefetch::Manual`]; does nothing otherwise.
+    /// Does one step of the background thread's work on this thread: reads one run of pages. For [`Prefetch::Manual`];
+    /// does nothing otherwise.
     pub fn step(&self) -> Step {
         match self.shared.options.prefetch {
             Prefetch::Manual => self.shared.step(),
@@ -258,11 +263,12 @@ impl Stream {
         }
     }
 
-    /// Waits until all that the hints given so far want has been loaded, has failed, or finds no room, at most for
-    /// `at_most`; whether it came so far. Loads on this thread if nobody else does ([`Prefetch::Manual`]).
+    /// Waits until every page that the present hints want is loaded, has failed, or does not fit, but at most for
+    /// `at_most`. Returns whether it got that far. With [`Prefetch::Manual`] it loads on this thread; with
+    /// [`Prefetch::Off`] it returns `true` at once.
     ///
-    /// For programs whose frames are not paced by a clock: a simulation that gives each frame the time that it would
-    /// have had, a recording. Drop views before: what they hold makes no room.
+    /// For programs whose frames are not paced by a clock, such as simulations and recordings. Drop views first: the
+    /// memory that they hold is not available.
     pub fn settle(&self, at_most: Duration) -> bool {
         let (shared, start) = (&self.shared, Instant::now());
         match shared.options.prefetch {
@@ -272,7 +278,7 @@ impl Stream {
                     Step::Idle | Step::NoRoom(false) => return true,
                     _ if start.elapsed() >= at_most => return false,
                     Step::Loaded(_) => {}
-                    // Pages came before colours.
+                    // Pages come before colours, so they are done.
                     Step::Coloured => return true,
                     Step::Busy | Step::NoRoom(true) => yield_now(),
                 }
@@ -285,9 +291,9 @@ impl Stream {
         }
     }
 
-    /// Asks for the colours of these pages, most urgent first, instead of those asked for before; pages that are not in memory get
-    /// none. Whoever loads pages ahead reads colours when no page is to be read, so a page waits for one read of
-    /// colours (64 KiB) at most. With [`Prefetch::Off`] nobody does. Does nothing for an archive without colours.
+    /// Sets the pages whose colours are wanted, most urgent first, and replaces the previous ones; pages that are not
+    /// in memory get none. Colours are read only if no page is to be read, so a page waits for at most one read of
+    /// colours (64 KiB). With [`Prefetch::Off`] no colours are read. Does nothing for an archive without colours.
     pub fn want_colours(&self, keys: &[PageKey]) {
         if let Some(colours) = &mut *lock(&self.shared.colours) {
             colours.want(keys.iter().copied());
@@ -297,8 +303,8 @@ impl Stream {
         }
     }
 
-    /// The colours that came since the last call, at most 16: the next ones come after these were taken. They do not count
-    /// against the budget. Damage is an error of its page; its geometry is sound.
+    /// Returns the colours loaded since the last call, at most 16; loading continues after they are taken. They do not
+    /// count against the budget. Damaged colours are an error of their page, whose geometry is intact.
     pub fn take_colours(&self) -> Vec<(PageKey, Result<Colours>)> {
         let taken = std::mem::take(&mut *lock(&self.shared.coloured));
         if let (false, Some(worker)) = (taken.is_empty(), &self.worker) {
@@ -307,20 +313,21 @@ impl Stream {
         taken
     }
 
-    /// What the stream did so far.
+    /// Returns counts of the stream's work and the memory it holds.
     pub fn counters(&self) -> Counters {
         let counters = lock(&self.shared.loader).counters();
         let dropped = self.shared.hints_dropped.load(Relaxed);
         Counters { hints_dropped: counters.hints_dropped + dropped, ..counters }
     }
 
-    /// Errors of loading ahead since the last call, the last 16 at most. Their pages stay "not loaded"; those that could
-    /// not be read are tried again after 0.1 s, then 0.2 s and so on up to 6.4 s, those that are damaged are not.
+    /// Returns the errors of loading ahead since the last call, at most the last 16. Their pages stay "not loaded".
+    /// Pages that could not be read are tried again after 0.1 s, then 0.2 s and so on up to 6.4 s; damaged pages are
+    /// not.
     pub fn take_errors(&self) -> Vec<PageError> {
         lock(&self.shared.loader).take_reports()
     }
 
-    /// The archive.
+    /// Returns the archive.
     pub fn archive(&self) -> &Archive {
         &self.shared.archive
     }
@@ -331,7 +338,7 @@ impl Drop for Stream {
         self.shared.stop.store(true, Release);
         if let Some(worker) = self.worker.take() {
             worker.thread().unpark();
-            // A panic of the thread was reported when it happened.
+            // The thread's panic was reported when it happened.
             let _ = worker.join();
         }
     }
@@ -343,7 +350,7 @@ impl std::fmt::Debug for Stream {
     }
 }
 
-/// Where one body says how it moves. Dropping it ends its hints.
+/// Handle through which one body gives hints. Dropping it ends them.
 pub struct PawnHandle {
     inbox: Arc<Mutex<Inbox>>,
     shared: Arc<Shared>,
@@ -351,21 +358,21 @@ pub struct PawnHandle {
 }
 
 impl PawnHandle {
-    /// Says how the body moves now; once a frame. Replaces the last hint, and with it what was asked for by
-    /// [`need`](Self::need). Never waits: a hint that is not finite, or given in the moment in which the last one is taken,
-    /// is dropped and counted.
+    /// Sets how the body moves now; call it once a frame. Replaces the last hint and the pages requested by
+    /// [`need`](Self::need). Never waits: a hint that is not finite or not in order, or that is given at the moment at
+    /// which the last one is collected, is dropped and counted.
     pub fn hint(&mut self, outlook: &Outlook) {
         self.put(outlook.is_valid(), |inbox| {
             (inbox.outlook, inbox.missing, inbox.changed) = (Some(*outlook), None, true);
         });
     }
 
-    /// Asks for pages that a query missed; they come before all others. Never waits.
+    /// Requests pages that a query missed; they precede all others. Never waits.
     pub fn need(&mut self, missing: &Missing) {
         self.put(true, |inbox| (inbox.missing, inbox.changed) = (Some(*missing), true));
     }
 
-    /// The pages in memory now: as [`Stream::view`], for a body on a thread of its own.
+    /// Returns the pages in memory now, like [`Stream::view`], for a body on its own thread.
     #[inline]
     pub fn view(&self) -> View {
         self.shared.views.view()
@@ -382,7 +389,7 @@ impl PawnHandle {
         self.told();
     }
 
-    /// Lets the background thread know that there is something new.
+    /// Wakes the background thread, because there is something new.
     fn told(&self) {
         self.shared.hints.fetch_add(1, Release);
         if let Some(worker) = &self.worker {
@@ -408,11 +415,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The bytes of a fetch.
+/// Reads the bytes of a fetch.
 fn read(archive: &Archive, fetch: &Fetch) -> Result<Vec<u8>> {
     let mut bytes = vec![0; (fetch.range.end - fetch.range.start) as usize];
     let read = archive.source().read_at(fetch.range.start, &mut bytes);
-    // Who waits was asked to stop; the bytes are as good as before.
+    // The reader was asked to stop, but the bytes are intact: an I/O error lets the pages be tried again.
     let again = |error| match error {
         Error::Interrupted => Error::io("archive", "read on", std::io::Error::other("interrupted")),
         error => error,
@@ -425,7 +432,7 @@ impl Shared {
         self.origin.elapsed()
     }
 
-    /// The background thread.
+    /// Runs the background thread.
     fn work(&self) {
         while !self.stop.load(Acquire) {
             match self.step() {
@@ -437,9 +444,9 @@ impl Shared {
                 Step::Idle | Step::NoRoom(false) => {
                     *lock(&self.rested) = *lock(&self.desk);
                     self.rest.notify_all();
-                    // Whatever happens meanwhile has left its token, and ends this at once.
+                    // An unpark since the step has left its token, so parking returns at once.
                     let colours = lock(&self.colours).as_ref().and_then(|colours| {
-                        // Nobody says when the budget has room.
+                        // There is no notification when the budget has room.
                         let room = colours.has_decodable().then(|| self.now() + ROOM_AGAIN);
                         [colours.retry_at(), room].into_iter().flatten().min()
                     });
@@ -454,7 +461,7 @@ impl Shared {
         }
     }
 
-    /// Reads one run of what the newest hints want.
+    /// Reads one run of the pages that the newest hints want.
     fn step(&self) -> Step {
         let mut known = lock(&self.desk);
         let newest = self.hints.load(Acquire);
@@ -473,7 +480,7 @@ impl Shared {
         }
     }
 
-    /// Reads or decodes colours of one page or some, or says `nothing`.
+    /// Reads or decodes colours of one page or several; returns `nothing` if there is nothing to do.
     fn colour_step(&self, nothing: Step) -> Step {
         if lock(&self.coloured).len() >= COLOURED {
             return nothing;
@@ -487,7 +494,7 @@ impl Shared {
         }
         let lacks_room = loader.has_decodable();
         let Some(range) = loader.poll(self.now()) else {
-            // Pages without a colour are there without a fetch.
+            // Pages without a colour are decodable without a fetch.
             return if loader.has_decodable() && !lacks_room { Step::Coloured } else { nothing };
         };
         drop(colours);
@@ -510,7 +517,7 @@ impl Shared {
         Step::Coloured
     }
 
-    /// Hands what the pawns said since the last time to the loader.
+    /// Passes the hints that pawns gave since the last time to the loader.
     fn collect(&self, loader: &mut Loader) {
         lock(&self.pawns).retain(|inbox| {
             let mut inbox = lock(inbox);
@@ -528,7 +535,7 @@ impl Shared {
         });
     }
 
-    /// Reads and decodes, holding no lock; how many pages came.
+    /// Reads and decodes a run without holding a lock; returns the number of loaded pages.
     fn carry(&self, fetch: Fetch) -> usize {
         let answer = read(&self.archive, &fetch);
         let job = match answer {
@@ -556,7 +563,7 @@ impl Shared {
                     loader = lock(&self.loader);
                 }
                 turn => {
-                    // Another thread reads a page of these, or views hold the room.
+                    // Another thread reads one of these pages, or views hold the memory.
                     let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
                     loader = wait_at_most(&self.settled, &self.loader, loader, pause);
                 }
@@ -571,7 +578,7 @@ impl Shared {
 
 #[cfg(test)]
 impl Stream {
-    /// Takes all room, that for colours too.
+    /// Reserves all memory, that for colours included.
     pub(super) fn fill_the_budget(&self) -> Vec<super::account::Room> {
         let shared = lock(&self.shared.loader).account().take_rest();
         let own = lock(&self.shared.colours).as_ref().map(ColourLoader::take_rest);
@@ -621,8 +628,8 @@ mod tests {
         assert!(stream.settle(long));
     }
 
-    /// A loader suspended at the worst moment, for ever: every lock is held, even that of the cell which a
-    /// publication writes. Frames go on all the same.
+    /// A loader suspended forever at the worst moment: every lock is held, even that of the cell which a publication
+    /// writes. Frames must continue.
     #[test]
     fn no_lock_held_for_ever_holds_a_frame() {
         let options = StreamOptions { prefetch: Prefetch::Manual, ..StreamOptions::new(1 << 20) };
@@ -649,7 +656,7 @@ mod tests {
                 }
                 done.send(()).unwrap();
             });
-            // A frame that waits for a lock would hang here, and the process with it: say so and end it.
+            // A frame that waits for a lock would hang here, and the process with it: report it and exit.
             if finished.recv_timeout(Duration::from_secs(20)).is_err() {
                 eprintln!("a frame waited for a lock");
                 std::process::abort();

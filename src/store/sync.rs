@@ -1,5 +1,5 @@
-//! What the store's hand-over between threads is made of. `tests/publish.rs` puts loom's types in place of these, and the flag
-//! `--cfg slicewalk_schedules` puts shuttle's: `tests/schedules.rs` then runs streams in schedules of its own choice.
+//! Synchronisation primitives of the store. `tests/publish.rs` replaces them by loom's types. With `--cfg
+//! slicewalk_schedules` they are shuttle's: `tests/schedules.rs` then runs streams in schedules that shuttle chooses.
 
 #[cfg(not(slicewalk_schedules))]
 #[cfg_attr(target_family = "wasm", allow(unused_imports, dead_code, reason = "streams have a thread"))]
@@ -9,7 +9,7 @@ mod real {
     pub use std::sync::{Arc, Condvar, Mutex, MutexGuard, RwLock, RwLockReadGuard};
     pub use std::thread::{Builder, JoinHandle, Thread, park, park_timeout, yield_now};
 
-    /// Gives the lock of `mutex` back until `condvar` is told, at most for `at_most`.
+    /// Releases the lock of `mutex` until `condvar` is notified, at most for `at_most`.
     pub fn wait_at_most<'a, T>(
         condvar: &Condvar,
         _: &'a Mutex<T>,
@@ -20,20 +20,20 @@ mod real {
     }
 }
 
-/// Shuttle has no time: what waits for a while may go on at any moment.
+/// Shuttle has no time: a timed wait may end at any moment.
 #[cfg(slicewalk_schedules)]
 mod real {
     pub use shuttle::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
     pub use shuttle::sync::{Condvar, Mutex, MutexGuard, RwLock, RwLockReadGuard};
     pub use shuttle::thread::{Builder, JoinHandle, Thread, park, yield_now, yield_now as pause};
-    // Only counts; what is published goes through the locks above.
+    // Only counts references; published data passes through the locks above.
     pub use std::sync::Arc;
 
     pub fn park_timeout(_: std::time::Duration) {
         yield_now();
     }
 
-    /// Lets others have the lock for a moment.
+    /// Lets other threads take the lock for a moment.
     pub fn wait_at_most<'a, T>(
         _: &Condvar,
         mutex: &'a Mutex<T>,

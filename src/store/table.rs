@@ -1,4 +1,4 @@
-//! An immutable table from tile column to its run of slots.
+//! An immutable table from tile columns to runs of slots.
 
 use crate::frame::PageKey;
 use std::ops::Range;
@@ -12,11 +12,11 @@ pub struct KeyBounds {
     pub max: [i32; 3],
 }
 
-/// Slots sorted by key, with an open-addressing table from tile column to run.
+/// Slots sorted by key, with an index from tile column to run.
 #[derive(Debug)]
 pub(super) struct SlotTable<T> {
     slots: Box<[T]>,
-    /// Runs in the order of their keys, and a sentinel that ends the last one.
+    /// Runs in order of their keys, and a sentinel that ends the last one.
     runs: Box<[TileRun]>,
     tiles: TileTable,
     /// Regions of 64 × 64 tiles that hold a run.
@@ -32,10 +32,10 @@ struct TileRun {
 }
 
 impl<T> SlotTable<T> {
-    /// Takes slots of distinct keys in any order.
+    /// Builds the table from slots with distinct keys in any order.
     ///
     /// # Panics
-    /// If a key occurs twice or there are 2³² slots: sources promise neither happens.
+    /// If a key occurs twice or there are 2³² slots or more, which sources rule out.
     pub fn new(mut slots: Vec<(PageKey, T)>) -> Self {
         slots.sort_unstable_by_key(|(key, _)| *key);
         assert!(u32::try_from(slots.len()).is_ok(), "{} pages are too many", slots.len());
@@ -53,7 +53,7 @@ impl<T> SlotTable<T> {
                 runs.push(TileRun { tx: key.tx, ty: key.ty, first: at as u32 });
             }
         }
-        // Along the Morton curve the tiles of a region lie one behind the other.
+        // Along the Morton curve the tiles of a region are contiguous.
         let mut regions: Vec<(i32, i32)> = runs.iter().map(|run| (run.tx >> 6, run.ty >> 6)).collect();
         regions.dedup();
         let end = slots.len() as u32;
@@ -66,30 +66,30 @@ impl<T> SlotTable<T> {
         Self { slots, runs: runs.into(), tiles, regions, bounds }
     }
 
-    /// Where the slots of tile column (`tx`, `ty`) lie.
+    /// Returns the range of the slots of tile column (`tx`, `ty`).
     #[inline]
     pub fn range(&self, tx: i32, ty: i32) -> Range<usize> {
         self.tiles.get(tx, ty)
     }
 
-    /// The slots of tile column (`tx`, `ty`).
+    /// Returns the slots of tile column (`tx`, `ty`).
     #[inline]
     pub fn column(&self, tx: i32, ty: i32) -> &[T] {
         &self.slots[self.range(tx, ty)]
     }
 
-    /// Whether some tile (`64·rx..`, `64·ry..`) has slots.
+    /// Returns whether any tile of region (`rx`, `ry`) has slots.
     #[inline]
     pub fn has_region(&self, rx: i32, ry: i32) -> bool {
         !self.regions.get(rx, ry).is_empty()
     }
 
-    /// Number of tile columns.
+    /// Returns the number of tile columns.
     pub fn column_count(&self) -> usize {
         self.runs.len() - 1
     }
 
-    /// The tile column with this number.
+    /// Returns the tile column with this number.
     pub fn column_at(&self, number: usize) -> (i32, i32, &[T]) {
         let (run, next) = (self.runs[number], self.runs[number + 1]);
         (run.tx, run.ty, &self.slots[run.first as usize..next.first as usize])
@@ -103,7 +103,7 @@ impl<T> SlotTable<T> {
         &self.slots
     }
 
-    /// Bytes of the tables and the slots themselves, without what slots own.
+    /// Returns the bytes of the tables and of the slots, without memory that slots own.
     pub fn weight_bytes(&self) -> usize {
         size_of_val::<[T]>(&self.slots)
             + size_of_val::<[TileRun]>(&self.runs)
@@ -112,7 +112,7 @@ impl<T> SlotTable<T> {
     }
 }
 
-/// From pairs of indices to ranges that are not empty.
+/// Map from pairs of indices to ranges that are not empty.
 #[derive(Debug)]
 pub(super) enum TileTable {
     Grid(Grid),
@@ -129,10 +129,10 @@ pub(super) struct Grid {
 }
 
 /// Fibonacci hashing (Knuth, vol. 3, section 6.4) and linear probing at a load of at most one half, so that a lookup
-/// reads one or two neighbouring lines.
+/// reads one or two neighbouring cache lines.
 #[derive(Debug)]
 pub(super) struct Hashed {
-    /// Power of two in length.
+    /// Its length is a power of two.
     buckets: Box<[Bucket]>,
     /// Right shift of a 64-bit hash to an index of `buckets`.
     shift: u32,
@@ -147,7 +147,7 @@ struct Bucket {
 }
 
 impl TileTable {
-    /// Most cells of a grid per entry: with as many it takes what a table of buckets takes at least.
+    /// Most cells of a grid per entry; a grid with that many is as large as the smallest table of buckets.
     const MOST_CELLS: usize = 4;
 
     pub fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
@@ -171,7 +171,7 @@ impl TileTable {
 }
 
 impl Grid {
-    /// `None` if too few of the cells would have an entry.
+    /// Returns `None` if too few of the cells would have an entry.
     fn new(entries: &[(i32, i32, Range<u32>)]) -> Option<Self> {
         let ends = |along: fn(&(i32, i32, Range<u32>)) -> i32| {
             let (least, most) = (entries.iter().map(along).min()?, entries.iter().map(along).max()?);

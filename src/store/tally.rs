@@ -1,37 +1,37 @@
-//! Counting what a loader does.
+//! Counters of a loader's work.
 
-/// What a [`Loader`](super::Loader) or a [`Stream`](super::Stream) did so far, and what it holds.
+/// Counts of the work of a [`Loader`](super::Loader) or a [`Stream`](super::Stream), and the memory it holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Counters {
-    /// Pages that hints came to want and that were not in memory.
+    /// Pages that became wanted by hints while they were not in memory.
     pub requested: u64,
     /// Pages loaded.
     pub loaded: u64,
     /// Pages that a body touched already when their fetch began.
     pub late: u64,
-    /// Pages dropped to make room.
+    /// Pages evicted to make room.
     pub evicted: u64,
-    /// Pages dropped that no body ever touched.
+    /// Pages evicted that no body ever touched.
     pub wasted: u64,
-    /// Pages that could not be loaded, each time counted.
+    /// Failures to load a page; each failed attempt counts.
     pub failed: u64,
-    /// Times that the most urgent page found no room: all others were needed sooner, or views held too much.
+    /// Times that the most urgent page did not fit: all others were needed sooner, or views held too much.
     pub no_room: u64,
-    /// Hints that were dropped: not finite, or given in the very moment in which the last one was taken.
+    /// Hints that were dropped: not finite or not in order, or given at the moment at which the last one was collected.
     pub hints_dropped: u64,
     /// Fetches of pages.
     pub reads: u64,
-    /// Bytes that these asked for.
+    /// Bytes requested by these fetches.
     pub read_bytes: u64,
-    /// Fetches that were given up because nobody wanted their pages any more.
+    /// Fetches cancelled because their pages were no longer wanted.
     pub cancelled: u64,
     /// Pages in memory.
     pub resident_pages: usize,
-    /// Weight of these pages (bytes).
+    /// Bytes of these pages.
     pub resident_bytes: usize,
-    /// Bytes in use now: the table of pages, resident pages, pages that only views hold, and pages and bytes on their way
-    /// with the scratch memory of decoding them.
+    /// Bytes in use now: the table of pages, resident pages, pages that only views hold, and runs in flight with the
+    /// scratch memory of decoding them.
     pub used_bytes: usize,
     /// Most bytes in use at any moment; never above the budget.
     pub peak_bytes: usize,

@@ -1,4 +1,4 @@
-//! The thorough search of a ray, which looks at every cell on the way and settles every case.
+//! The exact search of a ray, which visits every cell along it and settles every case.
 
 use super::RayHit;
 use super::line::Line;
@@ -11,7 +11,7 @@ use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, Missing, PageSet, PageSlot, note};
 use std::ops::ControlFlow;
 
-/// The first matter on `line` in a set of pages with these bounds, or the pages that are missing before it.
+/// Returns the first solid on `line` in a set of pages with these bounds, or the pages missing before it.
 #[inline(never)]
 pub(super) fn search<S: PageSet>(set: &S, line: Line, bounds: &KeyBounds) -> Answer<Option<RayHit>> {
     let mut search = Search { line, best: None, missing: None };
@@ -23,7 +23,8 @@ pub(super) fn search<S: PageSet>(set: &S, line: Line, bounds: &KeyBounds) -> Ans
         let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
             search.go_on(t0)?;
             if set.has_region(rx as i32, ry as i32) {
-                // An end here is none of the region on the other side of an edge.
+                // A break in one region does not end the search: a ray along an edge is in the region on the other
+                // side, too.
                 let _ = line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
                     search.tile(set.column(tx as i32, ty as i32), tx as i32, ty as i32, t0, t1)
                 });
@@ -35,19 +36,19 @@ pub(super) fn search<S: PageSet>(set: &S, line: Line, bounds: &KeyBounds) -> Ans
 }
 
 impl Rect {
-    /// The part of a rectangle of cells in the square of `edge` cells that begins at (`i`, `j`).
+    /// Returns the part of a rectangle of cells in the square of `edge` cells that begins at (`i`, `j`).
     fn part(&self, i: i64, j: i64, edge: i64) -> Self {
         let (i1, j1) = (self.i1.min(i + edge - 1), self.j1.min(j + edge - 1));
         Self { i0: self.i0.max(i), i1, j0: self.j0.max(j), j1 }
     }
 }
 
-/// All cells of a square of 8 × 8 that begins at (`i`, `j`).
+/// Returns the cells of the 8 × 8 square that begins at (`i`, `j`).
 fn square(i: i64, j: i64) -> Rect {
     Rect { i0: i, i1: i + 7, j0: j, j1: j + 7 }
 }
 
-/// The nearest hit so far and the pages that are missing before it.
+/// Nearest hit found, and the pages missing before it.
 struct Search {
     line: Line,
     best: Option<RayHit>,
@@ -55,8 +56,8 @@ struct Search {
 }
 
 impl Search {
-    /// Whether matter at `t` or behind can still be the first hit. Asked when a cell is entered, not when one is left:
-    /// a ray along an edge is in the cells on both sides at once.
+    /// Continues if a span at or behind `t` can still be the first hit. Tested when a cell is entered, not when one is
+    /// left: a ray along an edge is in the cells on both sides at once.
     #[inline]
     fn go_on(&self, t: f64) -> ControlFlow<()> {
         match self.best {

@@ -1,35 +1,36 @@
-//! Rays beyond the pages in memory: overview levels say how far such a ray is free at least.
+//! Rays beyond the pages in memory: overview levels give a lower bound of their free length.
 
 use super::super::answer::Answer;
 use super::{Ray, RayHit, cast};
 use crate::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use crate::store::PageSet;
 
-/// What is known of a ray.
+/// Result of [`cast_far`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Sight {
-    /// What [`cast`] would say if all pages were loaded.
+    /// The answer that [`cast`] would give if all pages were loaded.
     Exact(Option<RayHit>),
-    /// A page is missing where the ray may meet matter, and there is none nearer than this distance (m): an answer of a level,
-    /// which says where matter may be and never where it is.
+    /// A page is missing where the ray may hit something, and there is nothing solid nearer than this distance (m). The
+    /// bound comes from an overview level, which shows where something may be solid but not where it is.
     AtLeast(f64),
 }
 
-/// The first matter that `ray` meets in `set`; where pages are missing, `level`, an overview level of the same archive
-/// ([`Archive::level`](crate::archive::Archive::level)), says how far the ray is free at least. Levels hold all matter of the
-/// pages, so what is free in a level is free. Not loaded where pages of the level are missing too.
+/// Returns the first solid that `ray` hits in `set`. If pages are missing, `level`, an overview level of the same
+/// archive ([`Archive::level`](crate::archive::Archive::level)), bounds the free length of the ray from below: a level
+/// covers all solid space of the pages, so whatever is free in it is free. Not loaded if pages of the level are
+/// missing, too.
 ///
-/// Cost: up to three rays. Up to the first missing page the pages answer, from there on the level.
+/// Cost: up to three rays. The pages answer up to the first missing page, the level from there on.
 pub fn cast_far<S: PageSet, L: PageSet>(set: &S, level: &L, ray: &Ray) -> Answer<Sight> {
     let missing = match cast(set, ray) {
         Answer::Known(hit) => return Answer::Known(Sight::Exact(hit)),
         Answer::NotLoaded(missing) => missing,
     };
     let entries = missing.keys().iter().map(|key| entry(set.frame(), *key, ray));
-    // Less than rounding can change.
+    // Covers what rounding can change.
     let margin = 1e-6 + 1e-13 * ray.origin.coords.amax();
     let near = (entries.fold(f64::INFINITY, f64::min) - margin).clamp(0.0, ray.max);
-    // More pages may be missing than are named.
+    // More pages may be missing than the answer names.
     let known = cast(set, &Ray { max: near, ..*ray }) == Answer::Known(None);
     let near = if known { near } else { 0.0 };
     match cast(level, &Ray { origin: ray.at(near), max: ray.max - near, ..*ray }) {
@@ -39,7 +40,7 @@ pub fn cast_far<S: PageSet, L: PageSet>(set: &S, level: &L, ray: &Ray) -> Answer
     }
 }
 
-/// Where a ray enters a page's box (m); 0 if it misses it by what was rounded.
+/// Returns the distance at which a ray enters a page's box (m); 0 if it misses the box because of rounding.
 fn entry(frame: &Frame, key: PageKey, ray: &Ray) -> f64 {
     let edge = TILE_PIXELS as f64 * frame.pixel_m();
     let size = [edge, edge, PAGE_SLICES as f64 * frame.slice_m()];

@@ -1,4 +1,4 @@
-//! A ray on the grid, and the cells on its way.
+//! A ray on the grid, and the cells that it meets.
 
 use super::{Ray, RayHit};
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS, floor_index};
@@ -9,8 +9,8 @@ use crate::store::KeyBounds;
 use nalgebra::Vector3;
 use std::ops::ControlFlow;
 
-/// Growth of cells relative to the largest coordinate involved. Of the position of a point on the ray, its rounding to
-/// the grid, direction and length account for 10 rounding errors, the crossing of an edge for 5.
+/// Growth of cells relative to the largest coordinate involved. It covers 10 rounding errors of the position of a point
+/// on the ray (its rounding to the grid, direction and length), and 5 of the crossing of an edge.
 const MARGIN: f64 = 1.5 * SLACK;
 
 /// A ray in grid units: pixels, pixels and quanta.
@@ -33,15 +33,15 @@ impl Line {
         Self { origin, speed, major: usize::from(speed[1].abs() > speed[0].abs()), max: ray.max }
     }
 
-    /// Position along `axis` at distance `t`, and its margin \[grid units\].
+    /// Returns the position along `axis` at distance `t`, and its margin (grid units).
     #[inline]
     fn at(&self, axis: usize, t: f64) -> (f64, f64) {
         let way = t * self.speed[axis];
         (self.origin[axis] + way, self.origin[axis].abs().max(way.abs()) * MARGIN)
     }
 
-    /// The part of `t0..=t1` in which the coordinate along `axis` lies in `low..=high`, grown by the margin; empty if
-    /// the first exceeds the second.
+    /// Returns the part of `t0..=t1` in which the coordinate along `axis` lies in `low..=high`, grown by the margin.
+    /// The part is empty if its first number exceeds the second.
     #[inline]
     pub fn clip(&self, axis: usize, low: f64, high: f64, t0: f64, t1: f64) -> (f64, f64) {
         let origin = self.origin[axis];
@@ -55,7 +55,7 @@ impl Line {
         (t0.max(a.min(b)), t1.min(a.max(b)))
     }
 
-    /// The part of `0..=max` inside the bounds of all pages.
+    /// Returns the part of `0..=max` inside the bounds of all pages.
     pub fn within(&self, bounds: &KeyBounds) -> Option<(f64, f64)> {
         let units = [TILE_PIXELS, TILE_PIXELS, PAGE_QUANTA];
         let (t0, t1) = (0..3).fold((0.0, self.max), |(t0, t1), axis| {
@@ -65,8 +65,8 @@ impl Line {
         (t0 <= t1).then_some((t0, t1))
     }
 
-    /// Calls `f` for the cells of `1 << shift` pixels in `area` that the ray meets between `t0` and `t1`, in its order,
-    /// with the part in which it does.
+    /// Calls `f` for the cells of `1 << shift` pixels in `area` that the ray meets between `t0` and `t1`, in order
+    /// along the ray, with the part of the ray in each cell.
     #[inline]
     pub fn cells(
         &self,
@@ -79,10 +79,11 @@ impl Line {
         let size = (1u64 << shift) as f64;
         let minor = 1 - self.major;
         let bounds = [(area.i0, area.i1), (area.j0, area.j1)];
-        // Cells along `axis` between the positions at `t0` and `t1`: first, last in the ray's order, and the step.
+        // Cells along `axis` between the positions at `t0` and `t1`: first, last, and whether the ray visits them
+        // backward.
         let run = |axis: usize, t0: f64, t1: f64| {
             let ((p0, e0), (p1, e1)) = (self.at(axis, t0), self.at(axis, t1));
-            // Cells are closed: a position on an edge lies in the cell below it, too. No margin says so at 0.
+            // Cells are closed, so the cell below an edge counts, too. At 0 the relative margin does not include it.
             let first = (-floor_index(-(p0 - e0).min(p1 - e1)) - 1) >> shift;
             let last = floor_index((p0 + e0).max(p1 + e1)) >> shift;
             let (first, last) = (first.max(bounds[axis].0), last.min(bounds[axis].1));
@@ -108,7 +109,7 @@ impl Line {
         ControlFlow::Continue(())
     }
 
-    /// Heights that the ray passes between `t0` and `t1`.
+    /// Returns the heights that the ray passes between `t0` and `t1`.
     #[inline]
     pub fn heights(&self, t0: f64, t1: f64) -> Heights {
         let ((a, ea), (b, eb)) = (self.at(2, t0), self.at(2, t1));
@@ -117,7 +118,7 @@ impl Line {
         Heights { low: -floor_index(-low), high: floor_index(high) }
     }
 
-    /// Outward normal of the side through which the ray enters pixel (`i`, `j`).
+    /// Returns the outward normal of the side through which the ray enters pixel (`i`, `j`).
     fn side(&self, i: i64, j: i64) -> Vector3<f64> {
         let entry = |axis: usize, cell: i64| {
             let near = if self.speed[axis] > 0.0 { cell } else { cell + 1 };
@@ -133,9 +134,9 @@ impl Line {
         normal
     }
 
-    /// The hit of a span of pixel (`i`, `j`) in a page with its floor at `base` (quanta), which the ray meets.
+    /// Returns the hit of a span that the ray meets, in pixel (`i`, `j`) of a page with its floor at `base` (quanta).
     pub fn meet(&self, (i, j): (i64, i64), base: i64, span: Span) -> RayHit {
-        // From the pixel's sides alone: what a part of the ray owes to a page's floor and end is no face.
+        // From the pixel's sides alone: where a page's floor or end clips the ray there is no face.
         let (t0, t1) = self.clip(0, i as f64, (i + 1) as f64, 0.0, self.max);
         let (t0, t1) = self.clip(1, j as f64, (j + 1) as f64, t0, t1);
         let (entry, margin) = self.at(2, t0);

@@ -1,13 +1,14 @@
-//! Rays: the first matter along a half-line.
+//! Rays: the first solid along a half-line.
 //!
-//! Two searches give one answer. Both step through cells on four levels: regions of 64 × 64 tiles, tiles, blocks, pixels.
+//! Two searches give the same answer. Both step through cells on four levels: regions of 64 × 64 tiles, tiles, blocks,
+//! pixels.
 //!
-//! - The *exact* one follows Amanatides and Woo (1987), with two differences. Crossings are computed from the cell's index
-//!   instead of summed up, so errors do not grow with the number of steps. And cells are grown by a margin, so a ray along
-//!   an edge or through a corner looks at the cells on both sides.
-//! - The *quick* one asks masks which rows of blocks and pixels hold matter, and computes where the ray meets these alone.
-//!   It grows cells by far more than the margin and so passes over nothing that counts. What it meets counts only if the
-//!   ray meets it with cells shrunk by as much, too. Where the two differ, or a page is missing, the exact search decides.
+//! - The *exact* search follows Amanatides and Woo (1987), with two differences. It computes crossings from the cell's
+//!   index instead of adding them up, so errors do not grow with the number of steps. And it grows cells by a margin,
+//!   so a ray along an edge or through a corner visits the cells on both sides.
+//! - The *quick* search reads from masks which blocks and pixels are occupied, and computes where the ray meets these
+//!   alone. It grows cells by far more than the margin and so misses nothing. A hit counts only if the ray also meets
+//!   it with cells shrunk by the same amount. If the two differ, or a page is missing, the exact search decides.
 
 mod exact;
 mod far;
@@ -33,8 +34,8 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// The ray from `origin` (m, within ±10¹⁰⁰) along `direction` (finite, of any length but zero) for `max` metres
-    /// [m, >= 0, may be infinite].
+    /// Creates the ray from `origin` (m, within ±10¹⁰⁰) along `direction` (finite, of any length but zero) with a
+    /// length of `max` [m, >= 0, may be infinite]. Fails if a value lies outside these ranges.
     pub fn new(origin: Point3<f64>, direction: Vector3<f64>, max: f64) -> Result<Self> {
         let scale = direction.amax();
         let fits = all_within_reach(&origin.coords) && direction.iter().all(|v| v.is_finite());
@@ -51,56 +52,57 @@ impl Ray {
         Ok(Self { origin, direction: (direction / scale).normalize(), max })
     }
 
-    /// Where the ray begins (m).
+    /// Returns the origin (m).
     pub fn origin(&self) -> Point3<f64> {
         self.origin
     }
 
-    /// Direction, of length 1.
+    /// Returns the direction, of length 1.
     pub fn direction(&self) -> Vector3<f64> {
         self.direction
     }
 
-    /// Length (m).
+    /// Returns the length (m).
     pub fn max(&self) -> f64 {
         self.max
     }
 
-    /// The point at `distance` from the origin (m).
+    /// Returns the point at `distance` from the origin (m).
     pub fn at(&self, distance: f64) -> Point3<f64> {
         self.origin + self.direction * distance
     }
 }
 
-/// The first matter along a ray.
+/// First solid along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct RayHit {
     /// Distance from the origin (m).
     pub distance: f64,
     /// Outward normal of the face that was hit: ±x or ±y for the side of a pixel, ±z for the top or bottom of a span.
-    /// Zero if the ray begins in or on matter: then there is no such face, and the distance is 0.
+    /// Zero if the ray begins inside or on a solid: then there is no such face, and the distance is 0.
     pub normal: Vector3<f64>,
-    /// The matter is an obstacle.
+    /// The span that was hit is an obstacle.
     pub obstacle: bool,
 }
 
 impl RayHit {
-    /// Whether this is the first of two hits; of two at one distance an obstacle is.
+    /// Returns whether this hit precedes `other`; at equal distances an obstacle does.
     fn is_before(&self, other: &Self) -> bool {
         self.distance < other.distance || self.distance == other.distance && self.obstacle
     }
 }
 
-/// The first matter that `ray` meets; `None` if there is none within its length. Not loaded if a page that is not in
-/// memory could hold matter before that.
+/// Returns the first solid that `ray` hits; `None` if it hits nothing within its length. Not loaded if a page that is
+/// not in memory could hold an earlier hit.
 ///
-/// Matter is as for [all queries](super#what-touching-means); squares are closed and grown by at most 2⁻⁴⁸ of the
-/// coordinates, so a ray through an input point always hits; a ray that grazes a face may meet it earlier by as much
-/// over the sine of their angle. Where the ray enters a side and a span's end at once, the side's normal is given.
+/// Solid space is that of [all queries](super#definition-of-touching). Pixel squares are closed and grown by at most
+/// 2⁻⁴⁸ of the coordinates, so a ray through an input point always hits. A ray that grazes a face may meet it earlier
+/// by that amount divided by the sine of their angle. If the ray enters through a pixel's side and a span's end at
+/// once, the result has the side's normal.
 ///
-/// Cost: a step per tile column on the way, per block in pages with matter at the ray's heights, and per pixel in blocks
-/// with matter there; a region of 64 × 64 tiles without pages is one step.
+/// Cost: one step per tile column along the ray, per block in pages occupied at the ray's heights, and per pixel in
+/// blocks occupied there. A region of 64 × 64 tiles without pages is one step.
 ///
 /// ```
 /// use nalgebra::{Point3, Vector3};
@@ -123,14 +125,14 @@ impl RayHit {
 pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
     let Some(bounds) = set.bounds() else { return Answer::Known(None) };
     let line = Line::new(set.frame(), ray);
-    // A page on the web asks few rays, and the quick search would be 2 kB of what it fetches before the first step.
+    // A web page casts few rays, and would have to fetch the 2 kB of the quick search before its first step.
     if cfg!(target_family = "wasm") {
         return exact::search(set, line, &bounds);
     }
     walk::first_hit(set, &line, &bounds).map_or_else(|_| exact::search(set, line, &bounds), Answer::Known)
 }
 
-/// [`cast`] for each of `rays`, in order, into `answers`.
+/// Runs [`cast`] for each of `rays`, in order, into `answers`.
 ///
 /// # Panics
 /// If `answers` is shorter than `rays`.

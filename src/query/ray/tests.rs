@@ -1,4 +1,4 @@
-//! The quick search against the exact one: equal to the last bit, and hardly ever in doubt.
+//! The quick search against the exact one: bit-identical answers, and rarely undecided.
 
 use super::line::Line;
 use super::*;
@@ -8,13 +8,13 @@ use crate::random::Random;
 use crate::slice::{Page, PageBuilder, Span};
 use crate::store::{KeyBounds, PageSlot, Store};
 
-/// From -1 to 1; with `coarse` a multiple of an eighth.
+/// A number from -1 to 1; with `coarse` a multiple of an eighth.
 fn unit(random: &mut Random, coarse: bool) -> f64 {
     let steps: u64 = if coarse { 8 } else { 1 << 40 };
     random.below(2 * steps + 1) as f64 / steps as f64 - 1.0
 }
 
-/// A store of which some pages are not in memory.
+/// A store with some pages not in memory.
 struct Part<'a> {
     whole: &'a Store,
     columns: std::collections::HashMap<(i32, i32), Vec<PartSlot<'a>>>,
@@ -84,7 +84,7 @@ impl<'a> PageSet for Part<'a> {
     }
 }
 
-/// Pages about the origin, sparse or dense, with ends of spans on and next to ends of slices.
+/// Pages around the origin, sparse or dense, with ends of spans on and next to slice boundaries.
 fn scene(random: &mut Random) -> Store {
     let most = [2, 60, 2000, 6000][random.below(4) as usize];
     let keys = (-2..2).flat_map(|tx| (-2..2).flat_map(move |ty| (-1..1).map(move |layer| PageKey { tx, ty, layer })));
@@ -105,7 +105,7 @@ fn scene(random: &mut Random) -> Store {
     Store::from_pages(Frame::new(0.5, 1.5).unwrap(), pages)
 }
 
-/// Any ray about the scene, some along and through edges of pixels, tiles, pages and slices.
+/// Any ray around the scene, some of them along and through edges of pixels, tiles, pages and slices.
 fn ray(random: &mut Random) -> Option<Ray> {
     let coarse = random.below(3) == 0;
     let along = [(); 3].map(|()| [1.0, 1.0, 0.1, 0.0][random.below(4) as usize] * unit(random, coarse));
@@ -118,7 +118,7 @@ fn ray(random: &mut Random) -> Option<Ray> {
     Ray::new(from.into(), along.into(), max).ok()
 }
 
-/// Compares the searches, and says whether the quick one knew the answer, and whether something was hit.
+/// Compares the searches; returns whether the quick one was certain, and whether the ray hit something.
 fn agree<S: PageSet>(set: &S, ray: &Ray) -> (bool, bool) {
     let bounds = set.bounds().unwrap();
     let line = Line::new(set.frame(), ray);

@@ -1,4 +1,4 @@
-//! The quick search of a ray, which passes over what holds no matter and leaves what is not certain to the exact one.
+//! The quick search of a ray: skips empty cells, and leaves uncertain cases to the exact search.
 
 use super::RayHit;
 use super::line::Line;
@@ -10,15 +10,15 @@ use crate::query::grid::{Heights, row_bits};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
 
-/// Growth of cells across (pixels) and along z (quanta): many times the margins of the exact search and the rounding errors
-/// of this one, as long as all coordinates are [`FARTHEST`] at most.
+/// Growth of cells across (pixels) and along z (quanta): many times the margins of the exact search and the rounding
+/// errors of this one, provided that no coordinate exceeds [`FARTHEST`].
 const SLACK: f64 = 1.0 / (1 << 16) as f64;
 const SLACK_Z: f64 = 1.0 / (1 << 12) as f64;
 /// Greatest coordinates (pixels, pixels, quanta).
 const FARTHEST: [f64; 3] = [(1u64 << 30) as f64, (1u64 << 30) as f64, (1u64 << 32) as f64];
 
-/// Growth of cells where single precision tells which of 8 × 8 a ray meets (cells): far above [`SLACK`] and the errors of
-/// numbers below 8, also where these are multiplied by the slope.
+/// Growth of cells where single precision decides which of 8 × 8 cells a ray meets (cells): far above [`SLACK`] and the
+/// rounding errors of numbers below 8, even multiplied by the slope.
 const NEAR: f64 = 1.0 / (1 << 12) as f64;
 
 /// Tiles along the edge of a region.
@@ -29,7 +29,7 @@ pub(super) struct Unsure;
 
 type Certain<T = ()> = Result<T, Unsure>;
 
-/// The first matter on `line` in a set of pages with these `bounds`.
+/// Returns the first solid on `line` in a set of pages with these `bounds`.
 pub(super) fn first_hit<S: PageSet>(set: &S, line: &Line, bounds: &KeyBounds) -> Certain<Option<RayHit>> {
     let mut walk = Walk::new(set, line);
     let (mut t0, mut t1) = (0.0, line.max);
@@ -52,26 +52,26 @@ pub(super) fn first_hit<S: PageSet>(set: &S, line: &Line, bounds: &KeyBounds) ->
     Ok(walk.hit)
 }
 
-/// `1 / speed`, and instead of infinity a number that leads far beyond every way, and times 0 is 0.
+/// Returns `1 / speed`. Instead of infinity it returns a number that leads far beyond any ray, and that times 0 is 0.
 #[inline]
 fn inverse(speed: f64) -> f64 {
     if speed.abs() < 1e-30 { 1e30 } else { 1.0 / speed }
 }
 
-/// `v` on an axis that is mirrored if the ray descends along it.
+/// Returns `v` on an axis that is mirrored if the ray descends along it.
 #[inline]
 fn mirrored(v: f64, speed: f64) -> f64 {
     if speed < 0.0 { -v } else { v }
 }
 
-/// The integer nearest to `v`, of magnitude below 2³¹.
+/// Returns the integer nearest to `v`, which must be of magnitude below 2³¹.
 #[inline]
 fn nearest(v: f64) -> i32 {
     (v + (3u64 << 51) as f64).to_bits() as i32
 }
 
-/// A ray on its way, in coordinates that are mirrored so that it ascends in x and y: pixel `n` of a mirrored axis is
-/// pixel `-1 - n` of the grid, which is `!n`.
+/// State of the search, in coordinates that are mirrored so that the ray ascends in x and y: pixel `n` of a mirrored
+/// axis is pixel `-1 - n` of the grid, which is `!n`.
 struct Walk<'a, S> {
     set: &'a S,
     line: &'a Line,
@@ -79,7 +79,7 @@ struct Walk<'a, S> {
     origin: [f64; 2],
     speed: [f64; 2],
     inverse: [f64; 2],
-    /// All bits for a mirrored axis, else none.
+    /// All bits for a mirrored axis, else 0.
     mirror: [i64; 2],
     /// Along x, y and z, not mirrored: metres per pixel and quantum.
     inverses: [f64; 3],
@@ -87,19 +87,21 @@ struct Walk<'a, S> {
     start: Pair,
     way: Pair,
     each: Pair,
-    /// Pixels along x per pixel along y, and where in a row cells are to be looked for from and up to, as of its beginning.
+    /// Pixels along x per pixel along y; and the least and greatest x of the ray in a row, relative to its x where the
+    /// row begins.
     slope: f32,
     wider: [f32; 2],
-    /// What turns the number `8·y + x` of a cell in a mirrored square of 8 × 8 back.
+    /// XORed with the number `8·y + x` of a cell in a mirrored square of 8 × 8, gives its number on the grid.
     turn: u32,
-    /// The page at hand: height of its floor (quanta), and that of the ray's origin above it.
+    /// Current page: height of its floor (quanta), and of the ray's origin above that floor.
     base: i64,
     height: f64,
-    /// Distance of the hit; before that, the ray's length (m).
+    /// Distance of the hit; before there is one, the ray's length (m).
     end: f64,
     hit: Option<RayHit>,
-    /// Cells of one mask are entered in the order in which they are looked at, but for less than this (m). A cell that comes later is
-    /// entered earlier only if it lies in the next row and before this one, which then is in the mask for its margin alone.
+    /// Cells of one mask are visited in the order in which the ray enters them, except for differences below this (m).
+    /// A later cell is entered earlier only if it lies in the next row and before this one, which the mask then holds
+    /// only for its margin.
     overlap: f64,
 }
 
@@ -124,26 +126,26 @@ impl<'a, S: PageSet> Walk<'a, S> {
             way: Pair::new([line.speed[0], line.speed[1]]),
             each: Pair::new([inverses[0], inverses[1]]),
             slope: slope as f32,
-            // Half a cell less: nearest is floor.
+            // Minus half a cell, because `nearest` is used as floor.
             wider: [lesser(before, behind) - NEAR - 0.5, greater(before, behind) + NEAR - 0.5].map(|v| v as f32),
             turn: if line.speed[0] < 0.0 { 7 } else { 0 } | if line.speed[1] < 0.0 { 56 } else { 0 },
             base: 0,
             height: line.origin[2],
             end: line.max,
             hit: None,
-            // Four times what the largest cells are grown by.
+            // Four times the growth of the largest cells.
             overlap: 32.0 * NEAR * (inverses[0].abs() + inverses[1].abs()),
         }
     }
 
-    /// Cell `row`, `cell` across it, in x and y and not mirrored.
+    /// Returns x and y, not mirrored, of the cell at position `cell` in row `row`.
     #[inline]
     fn on_grid(&self, row: i64, cell: i64) -> [i64; 2] {
         let (row, cell) = (row ^ self.mirror[0], cell ^ self.mirror[1]);
         if self.line.major == 0 { [row, cell] } else { [cell, row] }
     }
 
-    /// A mask of a square of 8 × 8 cells mirrored as the ray needs it, or back.
+    /// Mirrors the mask of a square of 8 × 8 cells as the ray needs it, or back.
     #[inline]
     fn mirrored_square(&self, mask: u64) -> u64 {
         let rows = if self.turn & 56 == 0 { mask } else { mask.swap_bytes() };
@@ -151,15 +153,16 @@ impl<'a, S: PageSet> Walk<'a, S> {
         if self.turn & 7 == 0 { rows } else { columns }
     }
 
-    /// Cells of `SIZE` pixels in the square of 8 × 8 that begins at pixel `corner` that the ray may meet between `t0` and `t1`, as a
-    /// mask. All rows at once: a ray that meets few cells would mispredict more branches than this has instructions.
+    /// Returns the mask of the cells of `SIZE` pixels, in the square of 8 × 8 that begins at pixel `corner`, that the
+    /// ray may meet between `t0` and `t1`. Tests all rows at once: for a ray that meets few cells, mispredicted
+    /// branches would cost more than these instructions.
     #[inline]
     fn met<const SIZE: u32>(&self, corner: [f64; 2], t0: f64, t1: f64) -> u64 {
         let origin = self.start.minus(Pair::new(corner));
         let at = |t: f64| origin.plus(self.way.times(Pair::new([t; 2]))).times(Pair::new([1.0 / f64::from(SIZE); 2]));
         let (here, there) = (at(t0), at(t1));
         let ([x0, y0], ([_, low], [_, high])) = (here.both(), (here.lesser(there).both(), here.greater(there).both()));
-        // Half a cell less: nearest is floor.
+        // Minus half a cell, because `nearest` is used as floor.
         let south = nearest(low - NEAR - 0.5).clamp(0, 7) as u32;
         let north = nearest(high + NEAR - 0.5).clamp(0, 7) as u32;
         let all = |v: f64| Floats::new([v as f32; 4]);
@@ -178,8 +181,8 @@ impl<'a, S: PageSet> Walk<'a, S> {
         half([0.0, 1.0, 2.0, 3.0]).bytes(half([4.0, 5.0, 6.0, 7.0])) & row_bits(south, north)
     }
 
-    /// The part between `t0` and `t1` in which the ray is in the cell of `size` pixels that begins at pixel `first`, grown by `slack`
-    /// pixels.
+    /// Returns the part between `t0` and `t1` in which the ray is in the cell of `size` pixels that begins at pixel
+    /// `first`, grown by `slack` pixels.
     #[inline]
     fn within(&self, first: [f64; 2], size: f64, slack: f64, t0: f64, t1: f64) -> (f64, f64) {
         let origin = Pair::new(first).minus(self.start);
@@ -189,9 +192,9 @@ impl<'a, S: PageSet> Walk<'a, S> {
         (greater(greater(t0, enter), or), lesser(lesser(t1, leave), and))
     }
 
-    /// Shows `visit` the cells of `1 << SHIFT` pixels that the ray meets between `t0` and `t1`, in a rectangle of `count`
-    /// rows and cells across that begins at cell `first`: row, cell across, and the part in which it does. Cells are grown
-    /// by [`SLACK`]. What lies behind a hit is left out.
+    /// Calls `visit` for the cells of `1 << SHIFT` pixels that the ray meets between `t0` and `t1`, in the rectangle of
+    /// `count` rows and columns that begins at cell `first`. Passes the row, the column, and the part of the ray in the
+    /// cell. Cells are grown by [`SLACK`] pixels. Omits cells behind a hit.
     #[inline]
     fn cells<const SHIFT: u32>(
         &mut self,
@@ -204,11 +207,11 @@ impl<'a, S: PageSet> Walk<'a, S> {
         let slack = SLACK / size;
         let origin = [0, 1].map(|n| (self.origin[n] - (first[n] << SHIFT) as f64) / size);
         let speed = self.speed.map(|speed| speed / size);
-        // Where a cell is entered and left: those of cell 0, and for each further one.
+        // Where cell 0 is entered and left; each further cell adds `each`.
         let each = self.inverse.map(|inverse| inverse * size);
         let enter = [0, 1].map(|n| (-slack - origin[n]) * each[n]);
         let leave = [0, 1].map(|n| (1.0 + slack - origin[n]) * each[n]);
-        // Half a cell less: nearest is floor.
+        // Minus half a cell, because `nearest` is used as floor.
         let (low, high) = (origin.map(|o| o - slack - 0.5), origin.map(|o| o + slack - 0.5));
         let from = |axis: usize, t: f64| nearest(low[axis] + speed[axis] * t).max(0);
         let upto = |axis: usize, t: f64| nearest(high[axis] + speed[axis] * t).min(count[axis] - 1);
@@ -234,7 +237,7 @@ impl<'a, S: PageSet> Walk<'a, S> {
         Ok(())
     }
 
-    /// Heights of the ray between `t0` and `t1` above the page's floor, lower first (quanta).
+    /// Returns the heights of the ray between `t0` and `t1` above the page's floor, lower first (quanta).
     #[inline]
     fn heights(&self, t0: f64, t1: f64) -> (f64, f64) {
         let speed = self.line.speed[2];
@@ -242,17 +245,17 @@ impl<'a, S: PageSet> Walk<'a, S> {
         (lesser(a, b), greater(a, b))
     }
 
-    /// Heights in the page that matter meets if the ray may between `t0` and `t1`.
+    /// Returns the heights in the page at which the ray may meet a span between `t0` and `t1`.
     #[inline]
     fn heights_in_page(&self, t0: f64, t1: f64) -> (u32, u32) {
         let (low, high) = self.heights(t0, t1);
         let low = nearest(low - SLACK_Z + 0.5).max(0);
-        // Below the page's floor nothing is met.
+        // Below the page's floor the ray meets nothing.
         let high = nearest(high + SLACK_Z - 0.5);
         if high < 0 { (i32::MAX as u32, 0) } else { (low as u32, high as u32) }
     }
 
-    /// The part between `t0` and `t1` in which the ray may lie between heights `bottom` and `top` of the page.
+    /// Returns the part between `t0` and `t1` in which the ray may lie between heights `bottom` and `top` of the page.
     #[inline]
     fn between(&self, bottom: u32, top: u32, t0: f64, t1: f64) -> (f64, f64) {
         let a = (f64::from(bottom) - SLACK_Z - self.height) * self.inverses[2];
@@ -260,7 +263,7 @@ impl<'a, S: PageSet> Walk<'a, S> {
         (greater(t0, lesser(a, b)), lesser(t1, greater(a, b)))
     }
 
-    /// All tiles within `bounds`, in regions where they are many.
+    /// Visits all tiles within `bounds`, by region if there are many.
     fn scene(&mut self, bounds: &KeyBounds, t0: f64, t1: f64) -> Certain {
         let end = |n: usize, axis: usize| {
             let (a, b) = (i64::from(bounds.min[axis]) ^ self.mirror[n], i64::from(bounds.max[axis]) ^ self.mirror[n]);
@@ -312,7 +315,7 @@ impl<'a, S: PageSet> Walk<'a, S> {
             }
             let (low, high) = self.heights_in_page(t0, t1);
             let (bottom, top) = slices_of(low, high);
-            // At the page's end a slice more than there are: then the page tells that it has none.
+            // Beyond the page's ends `bottom` may exceed 63 and the shift wraps; `blocks_in` then returns no blocks.
             if slot.slices() & u64::MAX >> (63 - top) & u64::MAX.wrapping_shl(bottom) == 0 {
                 continue;
             }
@@ -322,7 +325,8 @@ impl<'a, S: PageSet> Walk<'a, S> {
         Ok(())
     }
 
-    /// Those `blocks` of a page that hold matter at the ray's heights; the first pixel of the page is `corner`.
+    /// Visits those of `blocks` that the ray meets, in the page whose first pixel is `corner`; `blocks` are occupied at
+    /// the ray's heights.
     #[inline]
     fn page(&mut self, page: &Page, blocks: u64, corner: [f64; 2], t0: f64, t1: f64) -> Certain {
         if blocks == 0 {
@@ -351,7 +355,7 @@ impl<'a, S: PageSet> Walk<'a, S> {
         Ok(())
     }
 
-    /// A block whose first pixel is `first`.
+    /// Visits the pixels of a block whose first pixel is `first`.
     #[inline(never)]
     fn block(&mut self, block: BlockView<'_>, first: [f64; 2], t0: f64, t1: f64) -> Certain {
         let mut left = self.mirrored_square(block.pixels() & self.met::<1>(first, t0, t1));
@@ -376,14 +380,14 @@ impl<'a, S: PageSet> Walk<'a, S> {
         Ok(())
     }
 
-    /// A pixel whose `spans`, one or more, the ray meets between `t0` and `t1`, or may.
+    /// Tests a pixel; the ray meets, or may meet, its `spans` (at least one) between `t0` and `t1`.
     #[inline(never)]
     fn pixel(&mut self, spans: impl Iterator<Item = Span>, pixel: [f64; 2], t0: f64, t1: f64) -> Certain {
-        // Something else was hit, and not before this is entered.
+        // There is a hit already, and the ray does not certainly reach it before it enters this pixel.
         if self.hit.is_some() {
             return Err(Unsure);
         }
-        // From here to there the ray is in the pixel beyond doubt.
+        // Between these the ray is certainly in the pixel.
         let (here, there) = self.within(pixel, 1.0, -SLACK, t0, t1);
         let (least, most) = self.heights(here, there);
         let (least, most) = (least + SLACK_Z, most - SLACK_Z);

@@ -1,6 +1,6 @@
-//! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth
-//! a look is decided by a visitor. It names the heights that matter must meet, in quanta, and narrows them as it finds some; what meets
-//! them is told by masks, four spans at a time. About tile columns and blocks it is asked as about boxes.
+//! Descent to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. A visitor decides
+//! which cells are relevant. It names the heights (quanta) that a span must meet, and narrows them as it finds spans;
+//! masks select the spans that meet them, four at a time. Tile columns and blocks are passed to it as boxes.
 
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::query::Aabb;
@@ -20,7 +20,7 @@ pub(crate) struct GridCell {
 }
 
 impl GridCell {
-    /// The square of `edge` pixels that begins at (`i`, `j`), from height `bottom` to `top`.
+    /// Returns the square of `edge` pixels that begins at (`i`, `j`), from height `bottom` to `top`.
     #[inline]
     fn square(i: i64, j: i64, edge: i64, bottom: i64, top: i64) -> Self {
         Self { lo: [i as f64, j as f64, bottom as f64], hi: [(i + edge) as f64, (j + edge) as f64, top as f64] }
@@ -38,56 +38,55 @@ pub(crate) struct Matter {
 }
 
 impl Matter {
-    /// What it fills.
+    /// Returns the box that the span fills.
     #[inline]
     pub fn cell(&self) -> GridCell {
         GridCell::square(self.pixel[0], self.pixel[1], 1, self.bottom, self.top)
     }
 }
 
-/// What is asked on the way down.
+/// Decisions on the descent.
 pub(crate) trait Visit {
-    /// Whether matter anywhere in `cell` can matter. If it can in a part of the cell, it can in the cell.
+    /// Returns whether the cell can contain a relevant span. True for a cell if it is true for any part of it.
     fn enter(&mut self, cell: &GridCell) -> bool;
 
-    /// A span that meets [`heights`](Self::heights), in a pixel of the area.
+    /// Receives a span that meets [`heights`](Self::heights), in a pixel of the area.
     fn matter(&mut self, matter: &Matter);
 
-    /// A page that is not in memory and has matter in a cell that can matter.
+    /// Receives the key of a page that is not in memory and is occupied in a relevant cell.
     fn missing(&mut self, key: PageKey);
 
-    /// The lowest top and the highest bottom of matter that can matter now.
+    /// Returns the lowest top and the highest bottom of spans that are relevant now.
     fn heights(&self) -> (i64, i64);
 
-    /// Whether [`enter`](Self::enter) need not be asked, because it hardly ever says no to matter at these heights.
+    /// Returns whether [`enter`](Self::enter) can be skipped because it rarely rejects cells at these heights.
     #[inline]
     fn takes_all(&self) -> bool {
         false
     }
 
-    /// Least and greatest coordinate along the other axis of x and y that can matter between `lo` and `hi` along
-    /// `axis`.
+    /// Returns the range of relevant coordinates along the other axis of x and y, between `lo` and `hi` along `axis`.
     #[inline]
     fn across(&self, _axis: usize, _lo: f64, _hi: f64) -> (f64, f64) {
         (f64::NEG_INFINITY, f64::INFINITY)
     }
 }
 
-/// Where to look, and in which order.
+/// Area of a descent, and its order.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SweepArea {
     pub rect: Rect,
-    /// Matter counts if its top is at least `low` and its bottom at most `high` (quanta).
+    /// A span counts if its top is at least `low` and its bottom at most `high` (quanta).
     pub low: i64,
     pub high: i64,
-    /// Axis of x and y along which tile columns are taken in order.
+    /// Axis of x and y along which tile columns are visited in order.
     pub major: usize,
-    /// From the far end, per axis.
+    /// Per axis, true if the descent begins at the far end.
     pub backward: [bool; 3],
 }
 
 impl SweepArea {
-    /// What a box that stands still may touch.
+    /// Returns the area that a box at rest may touch.
     pub fn around(frame: &Frame, shape: &Aabb) -> Self {
         let shape = shape.on_grid(frame);
         let Heights { low, high } = shape.heights();
@@ -95,10 +94,10 @@ impl SweepArea {
     }
 }
 
-/// Shows `visit` the matter of `set` in `area`.
+/// Passes the spans of `set` in `area` to `visit`.
 #[inline]
 pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &mut V) {
-    // A page on the web fetches what it runs: one way down for all visitors.
+    // A web page fetches the code it runs, so all visitors share one copy of the descent.
     #[cfg(target_family = "wasm")]
     let visit: &mut dyn Visit = visit;
     tiles(set, area, visit);
@@ -131,14 +130,14 @@ fn tiles<S: PageSet, V: Visit + ?Sized>(set: &S, area: &SweepArea, visit: &mut V
         let a = if area.backward[major] { first + last - n } else { n };
         let (from, to) = if slabs > 2 {
             let (low, high) = visit.across(major, (a << 6) as f64, ((a + 1) << 6) as f64);
-            // Saturating casts: what lies beyond all tiles ends at the first or last one.
+            // Saturating casts: a coordinate beyond all tiles becomes the first or last tile.
             let tile = |v: f64| (v / TILE_PIXELS as f64).floor() as i64;
             (ranges[minor].0.max(tile(low)), ranges[minor].1.min(tile(high)))
         } else {
             ranges[minor]
         };
         if from <= to && (to - from) as u64 > set.column_count() as u64 + 4 {
-            // A slab wider than the set has columns.
+            // The slab is wider than the set has columns.
             for number in 0..set.column_count() {
                 let (tx, ty, slots) = set.column_at(number);
                 let at = [i64::from(tx), i64::from(ty)];
@@ -188,7 +187,7 @@ fn column<T: PageSlot, V: Visit + ?Sized>(area: &SweepArea, tx: i32, ty: i32, sl
     }
 }
 
-/// Pixels of a tile, or of a block, along x or y.
+/// First and last pixel of a tile, or of a block, along x or y.
 #[derive(Clone, Copy)]
 struct Extent {
     first: u32,
@@ -196,21 +195,21 @@ struct Extent {
 }
 
 impl Extent {
-    /// The part of `first..=last` in the tile that begins at `origin`.
+    /// Returns the part of `first..=last` in the tile that begins at `origin`.
     #[inline]
     fn within(first: i64, last: i64, origin: i64) -> Self {
         let clamp = |pixel: i64| (pixel - origin).clamp(0, TILE_PIXELS - 1) as u32;
         Self { first: clamp(first), last: clamp(last) }
     }
 
-    /// The part in the block that begins at pixel `begin` of the tile.
+    /// Returns the part in the block that begins at pixel `begin` of the tile.
     #[inline]
     fn in_block(self, begin: u32) -> Self {
         Self { first: self.first.saturating_sub(begin), last: (self.last - begin).min(BLOCK_PIXELS - 1) }
     }
 }
 
-/// The pixels `x`, `y` of a block that begins at `place`.
+/// Visits the pixels `x`, `y` of a block that begins at `place`.
 #[inline]
 fn block<V: Visit + ?Sized>(block: BlockView<'_>, place: Place, [x, y]: [Extent; 2], visit: &mut V) {
     let (low, high) = place.heights(visit);
@@ -228,14 +227,14 @@ fn block<V: Visit + ?Sized>(block: BlockView<'_>, place: Place, [x, y]: [Extent;
     }
 }
 
-/// Most spans that are looked at together: bits of a mask.
+/// Most spans tested together; one bit of a mask each.
 const MOST: usize = 64;
 
-/// Which of at most [`MOST`] spans are in `window`, as a mask.
+/// Returns the mask of those of at most [`MOST`] spans that are in `window`.
 #[cfg_attr(not(target_family = "wasm"), inline)]
 fn met_of(spans: &[Span], window: Window) -> u64 {
     let mut met = 0;
-    // The last ones rather than a loop over what groups leave.
+    // The last group overlaps the previous one, which avoids a loop over the remainder.
     if let Some(last) = spans.last_chunk() {
         for (n, sixteen) in spans.as_chunks().0.iter().enumerate() {
             met |= u64::from(window.meets_of_sixteen(sixteen)) << (16 * n);
@@ -248,7 +247,7 @@ fn met_of(spans: &[Span], window: Window) -> u64 {
     met | u64::from(window.meets(&last_four(spans))) << spans.len().saturating_sub(4)
 }
 
-/// A place in a page: a pixel, and the page's floor.
+/// A position in a page: a pixel, and the height of the page's floor.
 #[derive(Clone, Copy)]
 struct Place {
     i: i64,
@@ -257,26 +256,26 @@ struct Place {
 }
 
 impl Place {
-    /// `x` and `y` pixels on.
+    /// Returns the place `x` and `y` pixels further.
     #[inline]
     fn at(self, x: u32, y: u32) -> Self {
         Self { i: self.i + i64::from(x), j: self.j + i64::from(y), ..self }
     }
 
-    /// The square of `edge` pixels that begins here, between two heights in the page.
+    /// Returns the square of `edge` pixels that begins here, between two heights in the page.
     #[inline]
     fn cell(self, edge: i64, bottom: u32, top: u32) -> GridCell {
         GridCell::square(self.i, self.j, edge, self.base + i64::from(bottom), self.base + i64::from(top))
     }
 
-    /// Heights in the page that can matter.
+    /// Returns the relevant heights in the page.
     #[inline]
     fn heights<V: Visit + ?Sized>(self, visit: &V) -> (u32, u32) {
         let (low, high) = visit.heights();
         (local(low, self.base), local(high, self.base))
     }
 
-    /// Shows `visit` those of the spans of a block here that are in the mask `met`.
+    /// Passes the spans in the mask `met` of a block here to `visit`.
     #[inline(never)]
     fn spans<V: Visit + ?Sized>(self, spans: &[Span], mut met: u64, visit: &mut V, row_of: impl Fn(usize) -> u32) {
         let (mut low, mut high) = (0, u32::MAX);
@@ -284,7 +283,7 @@ impl Place {
             let n = met.trailing_zeros() as usize;
             met &= met - 1;
             let span = spans[n];
-            // What was found may have left less to look for.
+            // A span found before may have narrowed the heights.
             if span.meets(low, high) {
                 let Self { i, j, base } = self.at(span.lane(), row_of(n));
                 let (bottom, top) = (base + i64::from(span.bottom()), base + i64::from(span.top()));

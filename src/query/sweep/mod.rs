@@ -1,8 +1,8 @@
-//! Sweeps: the first matter that a moving shape meets.
+//! Sweeps: the first solid that a moving shape meets.
 //!
 //! Time of impact of moving boxes by intervals per axis (Ericson, Real-Time Collision Detection, 2005, section 5.5.8),
-//! against every span that the motion can reach: tile columns in the order of travel, pages, blocks and spans pruned by
-//! the same intervals. Nothing is sampled, so no speed is too high.
+//! against every span that the motion can reach. Tile columns are visited in the order of travel; the same intervals
+//! prune pages, blocks and spans. Nothing is sampled, so the result is exact at any speed.
 
 mod descent;
 mod near;
@@ -22,58 +22,58 @@ use crate::store::{Missing, PageSet, note};
 use nalgebra::Vector3;
 use solid::{Contact, Moving, Resting};
 
-/// Farther than all matter is from all (m), and the square of its pixels is finite.
+/// Longer than any motion that can reach something (m), while its square in pixels is still finite.
 const LONGEST_M: f64 = 1e30;
 
-/// Motions up to here (pixels) hardly leave the blocks around the shape.
+/// Motions up to this length (pixels) hardly leave the blocks around the shape.
 const SHORT: f64 = 8.0;
 
-/// Heights that no matter meets: above all that there is, and below.
+/// Heights that no span meets: the lowest top lies above all spans, the highest bottom below.
 const NOWHERE: (i64, i64) = (1 << 50, -(1 << 50));
 
-/// The first matter that a moving shape meets.
+/// First solid that a moving shape meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SweepHit {
-    /// Part of the motion until the contact, 0..=1. The shape moved by `fraction · motion` touches the matter.
+    /// Part of the motion until the contact, 0..=1. The shape moved by `fraction · motion` touches the solid.
     pub fraction: f64,
     /// Distance until the contact (m).
     pub distance: f64,
-    /// Outward normal of the matter at the contact, of length 1: ±x, ±y or ±z for a box, ±z or across for a cylinder.
-    /// Zero if the shape begins inside matter: then the fraction is 0, and [`depenetrate`](super::depenetrate) helps.
+    /// Outward normal of the solid at the contact, of length 1: ±x, ±y or ±z for a box, ±z or horizontal for a
+    /// cylinder. Zero if the shape begins inside: then the fraction is 0, and [`depenetrate`](super::depenetrate) finds
+    /// a way out.
     pub normal: Vector3<f64>,
-    /// The matter is an obstacle (an obstacle rather than floor, if both are met at once).
+    /// The span that was met is an obstacle. If the shape meets an obstacle and floor at once, this is the obstacle.
     pub obstacle: bool,
-    /// Pixel of the matter.
+    /// Pixel of the span.
     pub pixel: [i64; 2],
-    /// Heights of the matter's span within its page, lowest and highest (m).
+    /// Heights of the span within its page, lowest and highest (m).
     pub heights: [f64; 2],
 }
 
 impl SweepHit {
-    /// Whether the shape was inside matter before it moved.
+    /// Returns whether the shape was inside a solid before it moved.
     pub fn begins_inside(&self) -> bool {
         self.normal == Vector3::zeros()
     }
 }
 
-/// The first matter that `shape` meets on its way along `motion` (m); `None` if the way is free. Not loaded if a page
-/// that is not in memory could hold matter before that.
+/// Returns the first solid that `shape` meets along `motion` (m); `None` if it meets none. Not loaded if a page that is
+/// not in memory could hold an earlier contact.
 ///
-/// Matter is as for [all queries](super#what-touching-means), but a sweep asks when the *interiors* meet: a shape that
-/// touches matter may move along it and away from it, and one that moves towards it is stopped at 0. Faces that overlap
-/// by no more than rounding errors (2⁻⁴⁸ of the coordinates, 4·10⁻⁸ m at 10⁷ m) touch. So what hits before its end,
-/// moved by `fraction · motion`, touches there, and the next sweep goes on from there.
+/// Solid space is that of [all queries](super#definition-of-touching), but a sweep tests when the *interiors* meet: a
+/// shape in contact may move along the solid and away from it; if it moves towards it, it is stopped at 0. Faces that
+/// overlap by no more than rounding errors (2⁻⁴⁸ of the coordinates, 4·10⁻⁸ m at 10⁷ m) are in contact. So a shape
+/// moved by `fraction · motion` to a contact touches there, and the next sweep continues from there.
 ///
-/// A shape without any height that lies in a plane of matter or in the plane between two pages (64 slices) touches what
-/// is on both sides, so nothing stops it there; give it some height.
+/// A shape of zero height in a plane where spans end, or in the plane between two pages (64 slices), touches the solid
+/// on both sides, so nothing stops it there. Give it some height.
 ///
-/// The answer does not depend on page, tile or slice boundaries: of contacts at the same time the one against z is
-/// taken before x before y, then an obstacle before floor; of a shape that begins inside, any span that it is in. A
-/// motion that is not finite is stopped at 0.
+/// The answer does not depend on page, tile or slice boundaries. Among contacts at the same time, one against z
+/// precedes x, x precedes y, and then an obstacle precedes floor. A shape that begins inside reports any span that it
+/// is in. A motion that is not finite is stopped at 0.
 ///
-/// Cost: as [`overlaps`](super::overlaps) over the pixels swept; of long ways only what lies along them is looked at.
-///
+/// Cost: like [`overlaps`](super::overlaps) over the pixels swept; long motions visit only what lies along them.
 /// ```
 /// use nalgebra::Vector3;
 /// use slicewalk::frame::{Frame, PageKey};
@@ -99,7 +99,7 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
     if !motion.iter().all(|v| v.is_finite()) {
         return Answer::Known(Some(stopped(frame, &rest)));
     }
-    // What is left of a longer way leads past no matter.
+    // The rest of a longer motion meets nothing.
     let share = if motion.amax() > LONGEST_M { LONGEST_M / motion.amax() } else { 1.0 };
     let motion = motion * share;
     let moving = Moving::new(frame, rest, motion);
@@ -109,7 +109,7 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
     let mut search = Search { moving, best: Best::NONE, heights, pixels, is_short, missing: None };
     descend(set, &area, &mut search);
     if search.missing.is_some() && search.best.at < f64::INFINITY {
-        // Only pages that could hold an earlier contact matter: those, again.
+        // Search again: only pages that could hold an earlier contact are reported as missing.
         search.missing = None;
         descend(set, &area, &mut search);
     }
@@ -117,7 +117,7 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
     Answer::new(hit, search.missing)
 }
 
-/// [`sweep`] for each of `ways` (a shape and its motion), in order, into `answers`.
+/// Runs [`sweep`] for each of `ways` (a shape and its motion), in order, into `answers`.
 ///
 /// # Panics
 /// If `answers` is shorter than `ways`.
@@ -143,10 +143,10 @@ fn stopped(frame: &Frame, rest: &Resting) -> SweepHit {
     }
 }
 
-/// The first contact so far.
+/// First contact found.
 #[derive(Debug, Clone, Copy)]
 struct Best {
-    /// Of the motion; -1 for a shape that begins inside, infinite while there is none.
+    /// Fraction of the motion; -1 for a shape that begins inside, infinite if there is no contact.
     at: f64,
     normal: [f64; 3],
     matter: Matter,
@@ -159,13 +159,13 @@ impl Best {
         matter: Matter { pixel: [0; 2], bottom: 0, top: 0, obstacle: false },
     };
 
-    /// Whether this one is to be taken before `other`: an order in which no two contacts are equal.
+    /// Returns whether this contact precedes `other`, in an order in which no two contacts are equal.
     fn before(&self, other: &Self) -> bool {
         let axis = |best: &Self| (best.normal[2] == 0.0, best.normal[0] == 0.0, rank(&best.matter));
         self.at.total_cmp(&other.at).then_with(|| axis(self).cmp(&axis(other))).is_lt()
     }
 
-    /// Of a motion that is this `share` of the one asked for.
+    /// Converts the contact to a hit; `motion` is this `share` of the requested motion.
     fn hit(&self, frame: &Frame, motion: Vector3<f64>, share: f64) -> SweepHit {
         let fraction = self.at.max(0.0);
         SweepHit {
@@ -179,7 +179,7 @@ impl Best {
     }
 }
 
-/// The least of matter that is met at the same time counts.
+/// Sort key among spans met at the same time; the least one is reported.
 #[inline]
 fn rank(matter: &Matter) -> (bool, [i64; 2], i64) {
     (!matter.obstacle, matter.pixel, matter.bottom)
@@ -188,17 +188,17 @@ fn rank(matter: &Matter) -> (bool, [i64; 2], i64) {
 struct Search {
     moving: Moving,
     best: Best,
-    /// Heights and pixels of matter that may be met first.
+    /// Heights and pixels of spans that may be met first.
     heights: (i64, i64),
     pixels: Rect,
-    /// The motion is so short that all blocks around it are looked at.
+    /// The motion is so short that all blocks around it are visited.
     is_short: bool,
     missing: Option<Missing>,
 }
 
 impl Search {
-    /// Whether matter is met at the same time as what was found, because an upright way leads to the same height, but comes after that in
-    /// the order of contacts.
+    /// Returns whether a span would be met at the same time as the best one, because an upright motion leads to the
+    /// same height, but follows it in the order of contacts.
     #[inline]
     fn is_later_of_equal(&self, matter: &Matter) -> bool {
         let best = &self.best.matter;
@@ -211,7 +211,7 @@ impl Visit for Search {
     #[inline]
     fn enter(&mut self, cell: &GridCell) -> bool {
         let meeting = self.moving.meeting(cell);
-        // A shape that begins inside looks for no better place.
+        // A shape that begins inside looks no further.
         meeting.is_some() && meeting.enter <= self.best.at && self.best.at >= 0.0
     }
 
@@ -226,7 +226,7 @@ impl Visit for Search {
             if found.before(&self.best) {
                 self.best = found;
                 if at < 0.0 {
-                    // A shape that begins inside looks for no better place.
+                    // A shape that begins inside looks no further.
                     self.heights = NOWHERE;
                 } else {
                     self.heights = self.moving.heights_before(at, self.heights);

@@ -1,4 +1,4 @@
-//! How far matter is from a shape, and the shortest way out of it.
+//! Clearance of a shape, and the shortest way out of solid space.
 
 use super::descent::{GridCell, Matter, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Resting, Solid, norm};
@@ -12,18 +12,18 @@ use crate::store::PageSet;
 use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
-/// Distance from `shape` to the nearest matter, if that is at most `max` (m, >= 0); 0 if the shape touches matter,
-/// `None` if there is none so near. Not loaded if a page that is not in memory could hold nearer matter.
+/// Returns the distance from `shape` to the nearest solid if that is at most `max` (m, >= 0): 0 if the shape touches
+/// it, `None` if there is nothing that near. Not loaded if a page that is not in memory could hold something nearer.
 ///
-/// Exact but for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: as
-/// [`overlaps`](crate::query::overlaps) of the shape grown by 1.5 pixels or up to four times the distance found, by `max` where
-/// nothing lies within 24 pixels; name no larger `max` than needed.
+/// Exact except for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: like
+/// [`overlaps`](crate::query::overlaps) of the shape grown by 1.5 pixels or up to four times the distance found, or by
+/// `max` if there is nothing within 24 pixels; keep `max` as small as possible.
 pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<f64>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);
     }
     let rest = shape.resting(set.frame());
-    // What is near is found sooner where nobody looks farther.
+    // Small reaches first, because they find near solids sooner.
     for reach in NEAR.map(|pixels| pixels * set.frame().pixel_m()) {
         if 2.0 * reach > max {
             break;
@@ -37,10 +37,10 @@ pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<O
     nearest(set, rest, max)
 }
 
-/// Reaches within which the nearest matter is looked for first (pixels).
+/// Reaches tried before `max` (pixels).
 const NEAR: [f64; 3] = [1.5, 6.0, 24.0];
 
-/// The distance to the nearest matter within `max`.
+/// Returns the distance to the nearest solid within `max`.
 fn nearest<S: PageSet>(set: &S, rest: Resting, max: f64) -> Answer<Option<f64>> {
     let frame = set.frame();
     let area = around(frame, &rest, max);
@@ -54,7 +54,7 @@ fn nearest<S: PageSet>(set: &S, rest: Resting, max: f64) -> Answer<Option<f64>> 
     Answer::new(search.found.then_some(search.best), search.missing)
 }
 
-/// [`clearance`] for each of `shapes`, in order, into `answers`.
+/// Runs [`clearance`] for each of `shapes`, in order, into `answers`.
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
@@ -62,11 +62,12 @@ pub fn clearance_batch<S: PageSet, H: Solid>(set: &S, shapes: &[H], max: f64, an
     batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| clearance(set, shape, max));
 }
 
-/// The shortest push along one axis that brings `shape` out of all matter (m): zero if it is in none, `None` if that
-/// needs more than `max` (m, >= 0) along every axis. Of equal pushes up is taken before +x, -x, +y, -y, down.
+/// Returns the shortest push along one axis that moves `shape` out of all solids (m): zero if it is in none, `None` if
+/// every axis needs more than `max` (m, >= 0). Among equal pushes, up precedes +x, -x, +y, -y, down.
 ///
-/// Exact: the shape pushed so far touches matter at most, and no shorter push along an axis does so. Not loaded if a
-/// page that is not in memory could be in the way. Cost: up to 6 × the number of gaps passed × an overlap.
+/// Exact: after the push, the shape at most touches a solid, and no shorter push along an axis achieves that. Not
+/// loaded if a page that is not in memory could be in the way. Cost: up to 6 × the number of gaps passed × an overlap
+/// query.
 pub fn depenetrate<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<Vector3<f64>>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);
@@ -92,7 +93,7 @@ pub fn depenetrate<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer
     Answer::Known(best)
 }
 
-/// [`depenetrate`] for each of `shapes`, in order, into `answers`.
+/// Runs [`depenetrate`] for each of `shapes`, in order, into `answers`.
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
@@ -105,17 +106,17 @@ pub fn depenetrate_batch<S: PageSet, H: Solid>(
     batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| depenetrate(set, shape, max));
 }
 
-/// Metres per grid unit.
+/// Returns metres per grid unit.
 fn metres(frame: &Frame) -> [f64; 3] {
     [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()]
 }
 
-/// First and last pixel or quantum with matter that is at most `reach` from a shape along `axis` (grid units).
+/// Returns the first and last pixel or quantum within `reach` of a shape along `axis` (grid units).
 fn within(rest: &Resting, axis: usize, reach: f64) -> (i64, i64) {
     (floor_index(lower(rest.lo[axis] - reach) - 1.0), floor_index(upper(rest.hi[axis] + reach) + 1.0))
 }
 
-/// What lies within `reach` metres of a shape.
+/// Returns the area within `reach` of a shape (m).
 fn around(frame: &Frame, rest: &Resting, reach: f64) -> SweepArea {
     let unit = metres(frame);
     let [(i0, i1), (j0, j1), (low, high)] = [0, 1, 2].map(|axis| within(rest, axis, reach / unit[axis]));
@@ -125,16 +126,16 @@ fn around(frame: &Frame, rest: &Resting, reach: f64) -> SweepArea {
 struct Nearest {
     rest: Resting,
     metres: [f64; 3],
-    /// Distance of the nearest matter so far, at first how far to look (m).
+    /// Distance of the nearest span found; initially the greatest distance searched (m).
     best: f64,
-    /// Heights of matter that is no farther.
+    /// Heights of spans at most as far as `best`.
     heights: (i64, i64),
     found: bool,
     missing: Option<Missing>,
 }
 
 impl Nearest {
-    /// Distance of the shape to a cell (m).
+    /// Returns the distance of the shape to a cell (m).
     fn distance(&self, cell: &GridCell) -> f64 {
         let Resting { lo, hi, form } = self.rest;
         let gap = |a: usize, lo: f64, hi: f64| greater(greater(cell.lo[a] - hi, lo - cell.hi[a]), 0.0) * self.metres[a];
@@ -177,7 +178,7 @@ impl Visit for Nearest {
     }
 }
 
-/// [`clearance`] by the distance of every one of `cells`.
+/// Computes [`clearance`] from the distance of every one of `cells`.
 #[cfg(test)]
 pub(super) fn nearest_of_all(
     frame: &Frame,
@@ -190,7 +191,8 @@ pub(super) fn nearest_of_all(
     cells.map(|cell| search.distance(&cell)).filter(|&distance| distance <= max).min_by(f64::total_cmp)
 }
 
-/// How far a shape must go along `axis` until it meets no matter: the way out of all that it is in, again and again.
+/// Returns how far a shape must move along `axis` to be out of all solids, by repeatedly leaving all spans that it is
+/// in.
 fn push<S: PageSet>(set: &S, rest: Resting, axis: usize, sign: f64, max: f64) -> Answer<Option<f64>> {
     let unit = metres(set.frame())[axis];
     let mut gone = 0.0;
@@ -220,13 +222,13 @@ struct WayOut {
     axis: usize,
     sign: f64,
     heights: (i64, i64),
-    /// Longest way out of a span so far (grid units).
+    /// Longest way out of any span found (grid units).
     most: f64,
     missing: Option<Missing>,
 }
 
 impl WayOut {
-    /// Way along the axis out of `cell` (grid units).
+    /// Returns the distance along the axis out of `cell` (grid units).
     fn way(&self, cell: &GridCell) -> f64 {
         let Resting { lo, hi, form } = self.moving.rest;
         let middle = |a: usize| (lo[a] + hi[a]) * 0.5;

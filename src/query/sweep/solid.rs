@@ -1,10 +1,10 @@
-//! Shapes in motion, on the grid: when they meet a box.
+//! Moving shapes on the grid: when they meet a box.
 //!
-//! Units are pixels, pixels and quanta; times are fractions of the motion. The interior of the shape must enter the
-//! interior of the box: to touch is not to meet. Faces count as touching while they overlap by no more than `2·slack`,
-//! a margin of rounding errors, so that a shape moved by `fraction · motion` to a contact touches there and can go on.
-//! For each axis the times at which the shape's bounding box enters and leaves a box are monotone functions of the
-//! box's faces. So the same function that judges spans prunes blocks and pages, exactly.
+//! Units are pixels, pixels and quanta; times are fractions of the motion. A shape meets a box when its interior enters
+//! the box's interior; touching is not meeting. Faces count as touching while they overlap by no more than `2·slack`, a
+//! margin for rounding errors, so that a shape moved by `fraction · motion` to a contact touches there and can move on.
+//! For each axis, the times at which the shape's bounding box enters and leaves a box are monotone functions of the
+//! box's faces. So the same function that tests spans prunes blocks and pages, exactly.
 
 use super::descent::{GridCell, SweepArea};
 use crate::frame::{Frame, floor_index};
@@ -29,14 +29,14 @@ pub(super) mod sealed {
     }
 }
 
-/// What a shape is inside its bounding box. Radii in pixels.
+/// Form of a shape inside its bounding box. Radii in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Form {
     /// The box itself.
     Box,
     /// Round in x and y.
     Cylinder { radius: f64 },
-    /// Round; one quantum is `scale` pixels high.
+    /// Round in all axes; one quantum is `scale` pixels high.
     Sphere { radius: f64, scale: f64 },
 }
 
@@ -52,7 +52,7 @@ fn grid(frame: &Frame, p: Point3<f64>) -> [f64; 3] {
     [frame.pixels(p.x), frame.pixels(p.y), frame.quanta(p.z)]
 }
 
-/// Beyond all pixels and quanta of pages: what lies farther out is as good as infinite.
+/// Beyond all pixels and quanta of pages; larger coordinates are treated as infinite.
 const BEYOND: f64 = (1u64 << 46) as f64;
 
 impl sealed::OnSolid for Aabb {
@@ -83,7 +83,8 @@ impl sealed::OnSolid for Sphere {
     }
 }
 
-/// Times between which a shape's interior meets a box's; none unless `enter < leave`. `enter` is -∞ if it does at 0.
+/// Times between which a shape's interior meets a box's; they meet only if `enter < leave`. `enter` is -∞ if they meet
+/// at 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Meeting {
     pub enter: f64,
@@ -105,7 +106,7 @@ impl Meeting {
     }
 }
 
-/// The first contact with a box.
+/// First contact with a box.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contact {
     /// Fraction of the motion, 0..=1; -1 if the shape begins inside.
@@ -124,9 +125,10 @@ pub(super) struct Moving {
     pub rest: Resting,
     pub v: [f64; 3],
     inverse: [f64; 3],
-    /// Rounding errors of a coordinate.
+    /// Rounding error of a coordinate.
     pub slack: [f64; 3],
-    /// A disc that holds the footprint of a cylinder all the way: its centre, and the square of its radius; infinite for other shapes.
+    /// Centre, and squared radius, of a disc that holds the footprint of a cylinder during the whole motion; infinite
+    /// for other shapes.
     middle: [f64; 2],
     reach: f64,
     /// A box or a cylinder that moves along z alone, or not at all.
@@ -137,36 +139,36 @@ impl Moving {
     #[inline]
     pub fn new(frame: &Frame, rest: Resting, motion: Vector3<f64>) -> Self {
         let v = [frame.pixels(motion.x), frame.pixels(motion.y), frame.quanta(motion.z)];
-        // Infinite sides have no rounding errors, and of a way only the part before a contact has.
+        // Infinite sides have no rounding errors, and only the part of a motion before a contact has any.
         let error = |side: f64| if side.is_finite() { side.abs() } else { 0.0 };
         let slack: [f64; 3] =
             std::array::from_fn(|a| (error(rest.lo[a]).max(error(rest.hi[a])) + v[a].abs().min(BEYOND)) * SLACK);
         let (middle, reach) = match rest.form {
-            // Larger by far more than rounding.
+            // Larger by far more than rounding errors.
             Form::Cylinder { radius } => (
                 [0, 1].map(|a| (rest.lo[a] + rest.hi[a] + v[a]) * 0.5),
                 radius + norm([v[0], v[1], 0.0]) * 0.5 + 8.0 * slack[0].max(slack[1]),
             ),
-            // A box may be infinite, and then has no middle.
+            // A box may be infinite, and then it has no middle.
             Form::Box | Form::Sphere { .. } => ([0.0; 2], f64::INFINITY),
         };
         let is_upright = v[0] == 0.0 && v[1] == 0.0 && !matches!(rest.form, Form::Sphere { .. });
         Self { rest, v, inverse: v.map(|v| 1.0 / v), slack, middle, reach: reach * reach, is_upright }
     }
 
-    /// Everything that the bounding box can meet.
+    /// Returns the area that the bounding box can meet.
     #[inline]
     pub fn area(&self) -> SweepArea {
         let (lo, hi) = (self.rest.lo, self.rest.hi);
         let low = |a: usize| lo[a] + self.v[a].min(0.0);
         let high = |a: usize| hi[a] + self.v[a].max(0.0);
-        // Pixels and heights that the box only touches are left out: `axis` says the same of them.
+        // Pixels and heights that the box only touches are left out; `axis` rejects them, too.
         let pixels = |a: usize| (floor_index(low(a) + self.slack[a]), -floor_index(self.slack[a] - high(a)) - 1);
         let ((i0, i1), (j0, j1)) = (pixels(0), pixels(1));
         let (bottom, top) = (floor_index(low(2) + self.slack[2]), -floor_index(self.slack[2] - high(2)));
         let (bottom, top) = (bottom.saturating_add(1), top.saturating_sub(1));
         SweepArea {
-            // A box of no width lies in one pixel or on the edge of two; one of no height likewise.
+            // A box of zero width lies in one pixel or on the edge of two; the same holds for zero height.
             rect: Rect { i0: i0.min(i1), i1: i1.max(i0), j0: j0.min(j1), j1: j1.max(j0) },
             low: bottom.min(top),
             high: top.max(bottom),
@@ -175,11 +177,11 @@ impl Moving {
         }
     }
 
-    /// When the bounding box meets `lo..hi` along `axis`.
+    /// Returns the times at which the bounding box meets `lo..hi` along `axis`.
     #[inline]
     fn axis(&self, axis: usize, lo: f64, hi: f64) -> Meeting {
         let (v, slack) = (self.v[axis], self.slack[axis]);
-        // Distance that its faces have to go until they touch the far ones of the other box.
+        // Distances that its faces have to move until they touch the far ones of the other box.
         let (below, above) = (lo - self.rest.hi[axis], hi - self.rest.lo[axis]);
         if v == 0.0 {
             return if below < -2.0 * slack && above > 2.0 * slack { Meeting::ALWAYS } else { Meeting::NEVER };
@@ -199,14 +201,14 @@ impl Moving {
         Meeting { enter, leave }
     }
 
-    /// When the bounding box meets `cell`.
+    /// Returns the times at which the bounding box meets `cell`.
     #[inline]
     pub fn meeting(&self, cell: &GridCell) -> Meeting {
         let of = |a: usize| self.axis(a, cell.lo[a], cell.hi[a]);
         of(0).and(of(1)).and(of(2))
     }
 
-    /// The part of `heights` that the bounding box touches up to time `at`.
+    /// Returns the part of `heights` that the bounding box touches up to time `at`.
     #[inline]
     pub fn heights_before(&self, at: f64, (low, high): (i64, i64)) -> (i64, i64) {
         let (way, slack) = (self.v[2] * at, 2.0 * self.slack[2]);
@@ -217,7 +219,7 @@ impl Moving {
         }
     }
 
-    /// The part of `pixels` that the bounding box touches up to time `at`; all of an upright way.
+    /// Returns the part of `pixels` that the bounding box touches up to time `at`; all of them for an upright motion.
     #[inline]
     pub fn pixels_before(&self, at: f64, pixels: Rect) -> Rect {
         if self.is_upright {
@@ -226,24 +228,24 @@ impl Moving {
         let ends = |a: usize| {
             let (way, slack) = (self.v[a] * at, 2.0 * self.slack[a]);
             let (low, high) = (self.rest.lo[a] + way.min(0.0), self.rest.hi[a] + way.max(0.0));
-            // A pixel that begins or ends there is touched.
+            // Pixels that begin or end there are touched.
             (-floor_index(slack - low) - 1, floor_index(high + slack))
         };
         let ((i0, i1), (j0, j1)) = (ends(0), ends(1));
         Rect { i0, i1, j0, j1 }
     }
 
-    /// Extent of the bounding box along the other axis while it meets `lo..hi` along `axis`.
+    /// Returns the extent of the bounding box along the other axis while it meets `lo..hi` along `axis`.
     #[inline]
     pub fn across(&self, axis: usize, lo: f64, hi: f64) -> (f64, f64) {
         let other = 1 - axis;
         let Meeting { enter, leave } = self.axis(axis, lo, hi);
         let (t0, t1) = (enter.clamp(0.0, 1.0) * self.v[other], leave.clamp(0.0, 1.0) * self.v[other]);
-        // A pixel more for rounding.
+        // One pixel more to cover rounding.
         (self.rest.lo[other] + t0.min(t1) - 1.0, self.rest.hi[other] + t0.max(t1) + 1.0)
     }
 
-    /// The first contact with `cell`, within the motion and not after `until`.
+    /// Returns the first contact with `cell`, within the motion and not after `until`.
     #[cfg_attr(not(target_family = "wasm"), inline)]
     pub fn contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
         let gap = |a: usize| greater(greater(cell.lo[a] - self.middle[a], self.middle[a] - cell.hi[a]), 0.0);
@@ -261,7 +263,7 @@ impl Moving {
         self.form_contact(cell, &meetings, hull)
     }
 
-    /// The first contact of a box or a cylinder that moves along z alone.
+    /// Returns the first contact of a box or a cylinder that moves along z alone.
     #[inline]
     fn upright_contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
         let over = |a: usize| {
@@ -290,7 +292,7 @@ impl Moving {
         match self.rest.form {
             Form::Box if hull.enter < 0.0 => Some(Contact::INSIDE),
             Form::Box => {
-                // A box that comes down on an edge lands.
+                // On a tie z wins: a box that comes down on an edge lands.
                 let axis = [2, 0, 1].into_iter().max_by(|&a, &b| {
                     let by_time = meetings[a].enter.total_cmp(&meetings[b].enter);
                     by_time.then((a != 2).cmp(&(b != 2)).reverse()).then(b.cmp(&a))
@@ -314,7 +316,7 @@ impl Moving {
         }
     }
 
-    /// Normal of the face that is hit along `axis`.
+    /// Returns the normal of the face that is hit along `axis`.
     #[inline]
     fn face(&self, axis: usize) -> [f64; 3] {
         let mut normal = [0.0; 3];
@@ -335,10 +337,10 @@ struct Round {
 }
 
 impl Round {
-    /// `axes` (2 or 3) of them count; the others are scaled by 0.
+    /// The first `axes` (2 or 3) axes count; the others are scaled by 0.
     fn new(moving: &Moving, cell: &GridCell, scale: [f64; 3], axes: usize) -> Self {
         let rest = &moving.rest;
-        // Relative to the box, so that no digits are lost to large coordinates.
+        // Relative to the box, so that large coordinates lose no digits.
         let p = std::array::from_fn(|a| ((rest.lo[a] - cell.lo[a]) + (rest.hi[a] - cell.lo[a])) * 0.5 * scale[a]);
         let slack = (0..axes).map(|a| moving.slack[a] * scale[a]).fold(0.0, f64::max);
         Self {
@@ -351,7 +353,7 @@ impl Round {
         }
     }
 
-    /// From the nearest point of the box to the centre at time `t`.
+    /// Returns the vector from the nearest point of the box to the centre at time `t`.
     fn away(&self, t: f64) -> [f64; 3] {
         std::array::from_fn(|a| {
             let p = self.p[a] + t * self.v[a];
@@ -359,10 +361,11 @@ impl Round {
         })
     }
 
-    /// When the centre is nearer than `radius` to the box: a box with rounded edges, the union of boxes grown by the radius along one
-    /// axis and of what is near to edges and corners. It is convex, so the union of the times is an interval.
+    /// Returns the times at which the centre is nearer than `radius` to the box. They form an interval, because a box
+    /// with rounded edges is convex: it is the union of boxes grown by the radius along one axis, and of the
+    /// surroundings of edges and corners.
     fn within(&self, radius: f64) -> Meeting {
-        // Between the faces along an axis, grown by so much.
+        // Times between the faces along an axis, grown by `by`.
         let between = |a: usize, by: f64| {
             let (lo, hi, v) = (self.lo[a] - by - self.p[a], self.hi[a] + by - self.p[a], self.v[a]);
             if v == 0.0 {
@@ -371,7 +374,7 @@ impl Round {
             let (s, t) = (lo / v, hi / v);
             Meeting { enter: lesser(s, t), leave: greater(s, t) }
         };
-        // Near to an edge or a corner, on these sides along some axes.
+        // Times near an edge or a corner, on these sides along some axes.
         let near = |along: &[usize], sides: usize| {
             let distance = |sum: [f64; 3], (n, &a): (usize, &usize)| {
                 let (v, from) = (self.v[a], self.p[a] - if sides >> n & 1 == 0 { self.lo[a] } else { self.hi[a] });
@@ -404,7 +407,7 @@ impl Round {
         self.within(radius).enter
     }
 
-    /// The first contact while `also`.
+    /// Returns the first contact while `also` holds.
     fn contact(&self, radius: f64, also: Meeting) -> Option<Contact> {
         let begin = self.away(0.0);
         let distance = norm(begin);
@@ -412,7 +415,7 @@ impl Round {
             return Some(Contact::INSIDE);
         }
         if distance < radius - self.slack {
-            // Touching, within rounding errors: only coming nearer counts.
+            // In contact, within rounding errors: only an approach counts.
             let nearer = (0..3).map(|a| begin[a] * self.v[a]).sum::<f64>() < 0.0;
             if also.enter < 0.0 && !nearer {
                 return None;
@@ -425,13 +428,13 @@ impl Round {
         let at = self.enter(radius).max(also.enter).clamp(0.0, 1.0);
         let normal = self.away(at);
         let length = norm(normal);
-        // The centre inside the box: only a shape without extent gets there first.
+        // The centre is inside the box, which only a shape without extent can reach before a contact.
         let normal = if length > 0.0 { normal.map(|v| v / length) } else { unit_against(self.v) };
         Some(Contact { at, normal })
     }
 }
 
-/// Where `a·t² + 2·b·t + c < 0`.
+/// Returns the times at which `a·t² + 2·b·t + c < 0`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 fn below_zero([a, b, c]: [f64; 3]) -> Meeting {
     if a == 0.0 {
@@ -441,7 +444,7 @@ fn below_zero([a, b, c]: [f64; 3]) -> Meeting {
     if root <= 0.0 {
         return Meeting::NEVER;
     }
-    // The root without cancellation first.
+    // Compute the root without cancellation first.
     let q = -(b + root.sqrt().copysign(b));
     let (s, t) = (q / a, if q == 0.0 { 0.0 } else { c / q });
     Meeting { enter: lesser(s, t), leave: greater(s, t) }

@@ -1,4 +1,4 @@
-//! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
+//! Tops under a footprint: the height of a step, and the mean floor of the thesis.
 
 use super::descent::{GridCell, Matter, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Solid};
@@ -8,11 +8,12 @@ use crate::store::PageSet;
 use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
-/// World height (m) of the highest top of matter of either kind under `shape`, looked for from height `from` (m) down
-/// to `from - depth` (m, >= 0, finite); `None` if there is none. Matter that goes on above `from` has no top there.
+/// Returns the world height (m) of the highest top of a span of either class under `shape`, from height `from` (m) down
+/// to `from - depth` (m, >= 0, finite); `None` if no span has one there. A span that continues above `from` has no top
+/// there.
 ///
-/// As for [`sweep`](crate::query::sweep()), pixels count whose interior the shape's footprint meets; its own heights do not
-/// matter. Matter that ends with its page and goes on in the next counts as if it ended there. Cost: as
+/// As in [`sweep`](crate::query::sweep()), a pixel counts if the shape's footprint meets its interior; the shape's own
+/// heights do not count. A span cut by a page boundary counts as if it ended there. Cost: like
 /// [`floor_under`](crate::query::floor_under). A NaN finds nothing.
 pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
     let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
@@ -25,9 +26,9 @@ pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64
     Answer::new(search.found.then(|| set.frame().top_height(search.best)), search.missing)
 }
 
-/// Mean world height (m) of the tops of floor under `shape`, looked for from height `from` (m) down to `from - depth`
-/// (m, >= 0, finite); `None` if there is none. The average over "the points on the base of the bounding box" of the
-/// thesis, section 3.2.2.
+/// Returns the mean world height (m) of the tops of floor under `shape`, from height `from` (m) down to `from - depth`
+/// (m, >= 0, finite); `None` if no floor is there. This is the average over "the points on the base of the bounding
+/// box" of the thesis, section 3.2.2.
 ///
 /// Pixels and cost are those of [`top_under`].
 pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
@@ -38,7 +39,7 @@ pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, dep
     Answer::new(mean, search.missing)
 }
 
-/// Where tops are looked for.
+/// Returns the area in which tops count, and the footprint at any height.
 fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Option<(SweepArea, Moving)> {
     if !from.is_finite() || !depth.is_finite() || depth < 0.0 {
         return None;
@@ -55,7 +56,7 @@ fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Op
     (area.low <= area.high).then_some((area, moving))
 }
 
-/// Whether the footprint meets a cell.
+/// Returns whether the footprint meets a cell.
 fn over(moving: &Moving, cell: &GridCell) -> bool {
     moving.contact(cell, f64::INFINITY).is_some()
 }

@@ -1,4 +1,4 @@
-//! What the search passes over changes no answer: it is held against the same judgement of every span.
+//! Pruning changes no answer: each search must agree with the same test applied to every span.
 
 use super::near::nearest_of_all;
 use super::solid::Moving;
@@ -25,7 +25,7 @@ fn matter() -> impl Strategy<Value = Vec<Matter>> {
     prop::collection::vec(matter, 1..300)
 }
 
-/// A store of that matter, and the matter that is in it: what a page may hold.
+/// A store of these spans, and those of them that a page can hold.
 fn store(matter: &[Matter]) -> (Store, Vec<Matter>) {
     let mut pages: BTreeMap<PageKey, BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
     let mut kept = Vec::new();

@@ -1,14 +1,15 @@
-//! Makes pages of spans: pixel by pixel in any order, or row by row.
+//! Builders of pages from spans: pixel by pixel in any order, or in row order.
 
 use super::unions::UnionFinder;
 use super::{BLOCK_PIXELS, BLOCKS, Block, Page};
 use crate::frame::{SLICE_QUANTA, TILE_PIXELS};
 use crate::slice::Span;
 
-/// Collects the spans of a page pixel by pixel; reusable, so that a page costs no more than its final allocations.
+/// Collects the spans of a page pixel by pixel, in any order. Reusable, so each further page allocates only its own
+/// memory.
 #[derive(Debug)]
 pub struct PageBuilder {
-    /// Per pixel in block-major order: its range in `spans`.
+    /// Range in `spans` of each pixel, in block-major order.
     ranges: Box<[(u32, u32)]>,
     spans: Vec<Span>,
 }
@@ -20,10 +21,10 @@ impl Default for PageBuilder {
 }
 
 impl PageBuilder {
-    /// Bytes of scratch memory that building a page of `spans` spans takes besides the page, if as many were
-    /// [reserved](Self::reserve).
+    /// Returns the scratch memory (bytes, without the page itself) for building a page of `spans` spans, if that number
+    /// was [reserved](Self::reserve).
     pub fn scratch_bytes(spans: usize) -> usize {
-        // All spans, two lists of a block's, and the page's own list where it outgrows what was expected.
+        // All spans, two lists of one block's spans, and the page's own list if it outgrows its estimate.
         let lists = spans + 2 * spans.min(64 * 64) + 2 * spans;
         size_of::<(u32, u32)>() * (TILE_PIXELS * TILE_PIXELS) as usize
             + size_of::<Block>() * (BLOCKS + 1)
@@ -31,25 +32,26 @@ impl PageBuilder {
             + size_of::<Span>() * lists
     }
 
-    /// Makes room for `spans` spans.
+    /// Reserves memory for `spans` spans.
     pub fn reserve(&mut self, spans: usize) {
         self.spans.reserve_exact(spans);
     }
 
-    /// Forgets all spans.
+    /// Removes all spans.
     pub fn clear(&mut self) {
         self.ranges.fill((0, 0));
         self.spans.clear();
     }
 
-    /// Whether no pixel has a span.
+    /// Returns whether no pixel has a span.
     pub fn is_empty(&self) -> bool {
         self.spans.is_empty()
     }
 
-    /// Sets the spans of pixel (`px`, `py`) [0..64]. They must be lowest first, at most one per slice, and apart: a
-    /// span begins above the top of the one below, or on it at a slice boundary if the two differ in kind. Returns
-    /// `false`, and takes nothing, if that does not hold or the pixel is set already.
+    /// Sets the spans of pixel (`px`, `py`) [0..64]. They must come lowest first, at most 64 of them, and apart: a span
+    /// begins above the top of the one below, or on that top if it is a slice boundary and the two differ in class.
+    /// Returns `false` and changes nothing if that does not hold or if the pixel is already set. Panics if the pixel
+    /// lies outside the page.
     #[must_use]
     pub fn set_column(&mut self, px: u32, py: u32, spans: &[Span]) -> bool {
         let pixel = Self::place(px, py);
@@ -68,7 +70,7 @@ impl PageBuilder {
         (block << 6 | (py & 7) << 3 | px & 7) as usize
     }
 
-    /// The page of all spans set so far.
+    /// Builds the page of all spans set since the last `clear`.
     pub fn build(&self) -> Page {
         let occupied = |ranges: &[(u32, u32)]| ranges.iter().any(|range| range.1 > 0);
         let count = self.ranges.chunks_exact(64).filter(|ranges| occupied(ranges)).count();
@@ -92,12 +94,12 @@ impl PageBuilder {
     }
 }
 
-/// Collects the spans of a page whose pixels come in row order, which costs less than in any order; reusable.
+/// Collects the spans of a page whose pixels come in row order, which is cheaper than any order. Reusable.
 #[derive(Debug)]
 pub(crate) struct RowBuilder {
-    /// Pixels with matter.
+    /// Occupied pixels of each row.
     rows: [u64; 64],
-    /// Where in `spans` the eight pixels of a row that lie in one block end; valid where some have matter.
+    /// End in `spans` of the eight pixels of a row that lie in one block; valid if one of them is occupied.
     ends: Box<[u32; 8 * 64]>,
     spans: Vec<Span>,
 }
@@ -109,36 +111,36 @@ impl Default for RowBuilder {
 }
 
 impl RowBuilder {
-    /// Bytes that it takes itself, with room [reserved](Self::reserve) for `spans` spans. What building takes besides is as of a
-    /// [`PageBuilder`].
+    /// Returns the bytes of the builder itself with memory [reserved](Self::reserve) for `spans` spans.
+    /// [`build`](Self::build) needs no more scratch memory than a [`PageBuilder`].
     pub fn own_bytes(spans: usize) -> usize {
         size_of::<Self>() + size_of::<[u32; 8 * 64]>() + size_of::<Span>() * spans
     }
 
-    /// Makes room for `spans` spans.
+    /// Reserves memory for `spans` spans.
     pub fn reserve(&mut self, spans: usize) {
         self.spans.reserve_exact(spans);
     }
 
-    /// Begins a page with matter in these pixels.
+    /// Begins a page in which these pixels are occupied.
     pub fn begin(&mut self, rows: [u64; 64]) {
         self.rows = rows;
         self.spans.clear();
     }
 
-    /// Adds the next span of the pixel in work; spans of a pixel come lowest first and [apart](Span::lies_below).
+    /// Adds the next span of the current pixel; the spans of a pixel come lowest first and [apart](Span::lies_below).
     #[inline(always)]
     pub fn push(&mut self, px: u32, span: Span) {
         self.spans.push(span.in_lane(px % BLOCK_PIXELS));
     }
 
-    /// The next span is one of a pixel behind this.
+    /// Ends the current pixel: the next span belongs to a later one.
     #[inline(always)]
     pub fn end_pixel(&mut self, px: u32, py: u32) {
         self.ends[(py << 3 | px >> 3) as usize & 0x1FF] = self.spans.len() as u32;
     }
 
-    /// The page of all spans.
+    /// Builds the page of all spans.
     pub fn build(&self) -> Page {
         let mut parts = [(0, 0); 8 * 64];
         let (mut start, mut sizes) = (0, [0; BLOCKS]);
@@ -169,13 +171,13 @@ impl RowBuilder {
         blocks.finish()
     }
 
-    /// Pixels with matter of a row of a block.
+    /// Returns the occupied pixels of one row of a block.
     fn pixels(&self, at: usize) -> u64 {
         self.rows[at / 8] >> (8 * (at % 8)) & 0xFF
     }
 }
 
-/// The blocks of a page, one after the other.
+/// Block-major arrays of a page under construction.
 struct Blocks {
     slices: u64,
     slice_blocks: [u64; 64],
@@ -186,7 +188,7 @@ struct Blocks {
 }
 
 impl Blocks {
-    /// For so many blocks and spans, at most `most` in a block.
+    /// Allocates for `count` blocks and `spans` spans, at most `most` of them in one block.
     fn with_capacity(count: usize, spans: usize, most: usize) -> Self {
         Self {
             slices: 0,
@@ -198,12 +200,13 @@ impl Blocks {
         }
     }
 
-    /// Adds block `number` with matter in `pixels`: its spans are those from `start` on, in which its rows begin at `rows`.
+    /// Adds block `number` with occupied `pixels`. Its spans are those from `start` on; its rows begin at `rows`.
     fn add(&mut self, number: usize, pixels: u64, mut rows: [u16; 8], start: usize) {
         let spans = &mut self.spans;
         let unions = self.unions.find(&spans[start..]);
         let mut slices = unions.iter().fold(0, |mask, span| mask | span.slice_mask());
-        // A span that is a slice boundary alone belongs to the slice above, as none of a union does that ends there.
+        // A span `[b, b]` on a slice boundary belongs to the slice above, which a union that ends at `b` does not
+        // count.
         for union in unions.iter().filter(|union| union.top().is_multiple_of(SLICE_QUANTA as u32)) {
             let is_alone = |span: &Span| span.bottom() == union.top() && span.top() == union.top();
             slices |=

@@ -1,17 +1,17 @@
-//! A page in memory: one tile column (64 × 64 pixels) of 64 slices, as spans per pixel under a summary per block.
+//! A page in memory: one tile column (64 × 64 pixels) of 64 slices, as spans per pixel below a summary per block.
 //!
-//! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only those with matter are stored.
+//! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only occupied ones are stored.
 //!
-//! 1. Per slice a mask of blocks with matter in it: one pass over the slices that a shape spans leaves the
-//!    few blocks that can matter.
-//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if at most four, the
-//!    mask of pixels with matter, where its rows begin.
-//! 3. Per block the unions beyond four, then its spans in row order.
+//! 1. Per slice, a mask of the blocks occupied in it: one pass over the slices that a shape spans selects the few
+//!    blocks that are relevant.
+//! 2. Per block, a record of 48 bytes: the four lowest *unions* of its floor spans and of its obstacle spans, the mask
+//!    of occupied pixels, and where its rows begin.
+//! 3. Per block, the unions beyond four, then its spans in row order.
 //!
-//! A shape of constant height that covers all pixels with matter of a block is answered by the unions alone, and
-//! exactly: the union meets a height interval if and only if some pixel's span does. Where the shape cuts a block, the
-//! spans of the rows concerned lie one behind the other, each with its pixel's `x % 8`, so that one loop without
-//! branches tests them all (see [`Span`]).
+//! For a shape of constant height that covers all occupied pixels of a block, the unions alone give an exact answer: a
+//! union meets a height interval if and only if the span of some pixel does. If the shape cuts a block, the spans of
+//! the rows that it covers are contiguous and each stores its pixel's `x % 8`, so one loop without branches tests them
+//! all (see [`Span`]).
 
 mod builder;
 mod unions;
@@ -28,13 +28,13 @@ const BLOCKS: usize = 64;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 struct Block {
-    /// The lowest unions, filled up with [`Span::NEVER`].
+    /// The lowest unions, padded with [`Span::NEVER`].
     unions: [Span; 4],
-    /// Pixels with matter, bit `8·(y % 8) + x % 8`.
+    /// Occupied pixels, bit `8·(y % 8) + x % 8`.
     pixels: u64,
-    /// First of the block's further unions and spans in the page's.
+    /// Index in the page's spans of the block's further unions, which its spans follow.
     first: u32,
-    /// Where each row's spans begin, counted from `first`. Before row 0 lie the unions beyond four, filled up to a
+    /// Where the spans of each row begin, counted from `first`. The unions beyond four come before row 0, padded to a
     /// multiple of four.
     rows: [u16; 8],
 }
@@ -45,14 +45,14 @@ impl Block {
     }
 }
 
-/// All matter in one tile column of 64 slices. Immutable; see the module text for its layout.
+/// Spans of one tile column of 64 slices. Immutable; the module text describes the layout.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Page {
-    /// Slices with matter.
+    /// Occupied slices.
     slices: u64,
-    /// Per block its place in the arrays below; blocks without matter share the sentinel at the end.
+    /// Index of each block in the arrays below; empty blocks share the sentinel at the end.
     places: [u8; BLOCKS],
-    /// From the lowest to the highest slice with matter: its blocks with matter, bit `8·by + bx`.
+    /// Occupied blocks (bit `8·by + bx`) of each slice from the lowest occupied one to the highest.
     slice_blocks: Box<[u64]>,
     blocks: Box<[Block]>,
     spans: Box<[Span]>,
@@ -66,7 +66,7 @@ pub struct BlockView<'a> {
 }
 
 impl<'a> BlockView<'a> {
-    /// Slices of the page in which some pixel of the block has matter, as a mask.
+    /// Returns the slices of the page in which a pixel of the block is occupied, as a mask.
     pub fn slices(self) -> u64 {
         let number = self.page.places.iter().position(|&place| usize::from(place) == self.place).unwrap_or(0);
         let with_matter = self.page.slice_blocks.iter().rev();
@@ -74,19 +74,20 @@ impl<'a> BlockView<'a> {
         slices << self.page.slices.trailing_zeros().min(63)
     }
 
-    /// Pixels of the block with matter: bit `8·(y % 8) + x % 8`.
+    /// Returns the occupied pixels of the block: bit `8·(y % 8) + x % 8`.
     #[inline]
     pub fn pixels(self) -> u64 {
         self.page.blocks[self.place].pixels
     }
 
-    /// Unions of the block's floor spans and unions of its obstacle spans: disjoint within a kind, lowest bottom first.
+    /// Iterates over the unions of the block's floor spans and those of its obstacle spans: disjoint within a class,
+    /// lowest bottom first.
     pub fn unions(self) -> impl Iterator<Item = Span> {
         let (first, more) = self.union_quads();
         first.iter().chain(more.as_flattened()).copied().take_while(|span| *span != Span::NEVER)
     }
 
-    /// The unions in groups of four, filled up with spans that meet nothing.
+    /// Returns the unions in groups of four, padded with spans that meet nothing.
     #[inline]
     pub(crate) fn union_quads(self) -> (&'a [Span; 4], &'a [[Span; 4]]) {
         let block = &self.page.blocks[self.place];
@@ -95,7 +96,7 @@ impl<'a> BlockView<'a> {
         (&block.unions, more.as_chunks().0)
     }
 
-    /// Spans of the rows `y0..=y1` [0..8], row by row, within a row pixel by pixel, lowest first.
+    /// Returns the spans of the rows `y0..=y1` [0..8]: row by row, within a row pixel by pixel, lowest first.
     #[inline]
     pub(crate) fn rows(self, y0: u32, y1: u32) -> &'a [Span] {
         let block = &self.page.blocks[self.place];
@@ -111,7 +112,7 @@ impl<'a> BlockView<'a> {
         &self.page.spans[first..end]
     }
 
-    /// Row of the span that is number `number` of those of the rows from `y0` on.
+    /// Returns the row of span `number`, counted from the first span of row `y0`.
     #[inline]
     pub(crate) fn row_of(self, y0: u32, number: usize) -> u32 {
         let begins = &self.page.blocks[self.place].rows;
@@ -119,14 +120,16 @@ impl<'a> BlockView<'a> {
         begins.iter().map(|&begin| u32::from(begin <= number)).sum::<u32>() - 1
     }
 
-    /// Spans of the row of pixel `bit` from the first of that pixel on whose top is not below `low`, or from where it would be.
+    /// Returns the rest of the row of pixel `bit`, beginning with the first span of that pixel whose top is not below
+    /// `low`, or where that span would be.
     #[inline]
     pub(crate) fn row_from(self, bit: u32, low: u32) -> &'a [Span] {
         let row = self.rows(bit >> 3, bit >> 3);
         &row[row.partition_point(|span| span.is_before(bit & 7, low))..]
     }
 
-    /// Spans of the pixel with bit number `bit` in [`pixels`](Self::pixels), lowest first; empty without matter.
+    /// Returns the spans of the pixel with bit number `bit` in [`pixels`](Self::pixels), lowest first; empty if it is
+    /// not occupied.
     #[inline]
     pub fn column(self, bit: u32) -> &'a [Span] {
         if self.pixels() >> bit & 1 == 0 {
@@ -134,7 +137,7 @@ impl<'a> BlockView<'a> {
         }
         let (x, y) = (bit & 7, bit >> 3);
         let row = self.rows(y, y);
-        // A span at least for each pixel before this one.
+        // Each occupied pixel before this one has at least one span.
         let before = (self.pixels() >> (8 * y) & ((1 << x) - 1)).count_ones() as usize;
         let row = row.get(before..).unwrap_or(&[]);
         let first = row.iter().position(|span| span.lane() >= x).unwrap_or(row.len());
@@ -144,20 +147,20 @@ impl<'a> BlockView<'a> {
 }
 
 impl Page {
-    /// The block at block coordinates `bx`, `by` [0..8].
+    /// Returns the block at block coordinates `bx`, `by` [0..8].
     #[inline]
     pub fn block(&self, bx: u32, by: u32) -> BlockView<'_> {
         debug_assert!(bx < 8 && by < 8);
         self.block_at((by & 7) << 3 | bx & 7)
     }
 
-    /// The block with number `8·by + bx`.
+    /// Returns the block with number `8·by + bx`.
     #[inline]
     pub(crate) fn block_at(&self, number: u32) -> BlockView<'_> {
         BlockView { page: self, place: self.places[(number & 63) as usize] as usize }
     }
 
-    /// Blocks (bit `8·by + bx`) with matter in one of the slices `first..=last` [0..64].
+    /// Returns the blocks (bit `8·by + bx`) that are occupied in any of the slices `first..=last` [0..64].
     #[inline]
     pub(crate) fn blocks_in(&self, first: u32, last: u32) -> u64 {
         let lowest = self.slices.trailing_zeros();
@@ -169,7 +172,7 @@ impl Page {
         let mut all = quads.iter().fold([0; 4], or);
         match slices.last_chunk() {
             Some(last) => all = or(all, last),
-            // At most three.
+            // At most three slices.
             None => {
                 let at = |n: usize| slices.get(n).copied().unwrap_or(0);
                 all[0] = at(0) | at(slices.len() / 2) | at(slices.len().wrapping_sub(1));
@@ -178,13 +181,13 @@ impl Page {
         all[0] | all[1] | all[2] | all[3]
     }
 
-    /// Spans of pixel (`px`, `py`) [0..64], lowest first.
+    /// Returns the spans of pixel (`px`, `py`) [0..64], lowest first.
     #[inline]
     pub fn column(&self, px: u32, py: u32) -> &[Span] {
         self.block(px >> 3, py >> 3).column((py & 7) << 3 | px & 7)
     }
 
-    /// All pixels with matter in row order (y, then x): `(px, py, spans)`.
+    /// Iterates over all occupied pixels in row order (y, then x): `(px, py, spans)`.
     pub fn columns(&self) -> impl Iterator<Item = (u32, u32, &[Span])> {
         (0..TILE_PIXELS as u32).flat_map(move |py| {
             (0..TILE_PIXELS as u32 / BLOCK_PIXELS).flat_map(move |bx| {
@@ -194,32 +197,32 @@ impl Page {
         })
     }
 
-    /// Slices of the page with matter, as a mask.
+    /// Returns the occupied slices of the page as a mask.
     pub fn slices(&self) -> u64 {
         self.slices
     }
 
-    /// Number of spans.
+    /// Returns the number of spans.
     pub fn span_count(&self) -> usize {
         let further_unions = self.blocks.iter().map(|block| block.rows[0] as usize).sum::<usize>();
         self.spans.len() - further_unions
     }
 
-    /// The blocks with matter.
+    /// Iterates over the occupied blocks.
     fn blocks_with_matter(&self) -> impl Iterator<Item = BlockView<'_>> {
         (0..self.blocks.len() - 1).map(|place| BlockView { page: self, place })
     }
 
-    /// All spans, block by block.
+    /// Iterates over all spans, block by block.
     pub(crate) fn spans_of_blocks(&self) -> impl Iterator<Item = &[Span]> {
         self.blocks_with_matter().map(|block| block.rows(0, BLOCK_PIXELS - 1))
     }
 
-    /// Number of occupied voxels, and how many of them hold obstacle.
+    /// Returns the number of occupied voxels, and how many of them hold obstacle.
     pub fn voxel_counts(&self) -> (u64, u64) {
         let mut counts = (0, 0);
         for (block, y) in self.blocks_with_matter().flat_map(|block| (0..BLOCK_PIXELS).map(move |y| (block, y))) {
-            // Slices of the pixel at hand: with matter, and with obstacle.
+            // Occupied slices of the current pixel, and those that hold obstacle.
             let (mut lane, mut slices, mut obstacles) = (0, 0u64, 0u64);
             let mut count = |slices: u64, obstacles: u64| {
                 counts.0 += u64::from(slices.count_ones());
@@ -239,7 +242,7 @@ impl Page {
         counts
     }
 
-    /// The least box around all matter; `None` for a page without matter. Cost: one pass over the blocks.
+    /// Returns the smallest box around all spans, or `None` for an empty page. Cost: one pass over the blocks.
     pub fn bounds(&self) -> Option<PageBounds> {
         let (mut x, mut y, mut bottom, mut top) = (0u64, 0u64, u32::MAX, 0);
         for number in 0..BLOCKS as u32 {
@@ -259,18 +262,18 @@ impl Page {
         })
     }
 
-    /// Bytes of memory that the page holds.
+    /// Returns the memory of the page (bytes).
     pub fn weight_bytes(&self) -> usize {
         self.size().weight_bytes(self.slices)
     }
 
-    /// How large the page is.
+    /// Returns the size of the page.
     pub fn size(&self) -> PageSize {
         PageSize((self.blocks.len() as u32 - 1) << PageSize::SHIFT | self.spans.len() as u32)
     }
 }
 
-/// The least box around the matter of a page, both ends inclusive.
+/// Smallest box around the spans of a page, both ends inclusive.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct PageBounds {
     /// Least pixel x and y [0..64] and lowest bottom (quanta above the page's floor).
@@ -280,44 +283,45 @@ pub struct PageBounds {
 }
 
 impl PageBounds {
-    /// Of a page whose pixels all hold the one `span`.
+    /// Bounds of a page in which every pixel holds `span` and nothing else.
     pub fn of_uniform(span: Span) -> Self {
         let last = TILE_PIXELS as u32 - 1;
         Self { min: [0, 0, span.bottom()], max: [last, last, span.top()] }
     }
 }
 
-/// What the weight of a page follows from, together with its mask of slices: small enough for a directory entry.
+/// Blocks and words of a page. Together with the mask of slices it gives the page's memory, and it is small enough for
+/// a directory entry.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct PageSize(u32);
 
 impl PageSize {
     const SHIFT: u32 = 24;
-    /// Most words that a page can have: its spans, and as many unions, filled up in each block.
+    /// Most words of a page: its spans and an equal number of unions, padded in each block.
     pub const MAX_WORDS: u32 = 2 * 64 * 64 * 64 + 64 * 3;
-    /// The size of a page whose pixels all hold the same single span.
+    /// Size of a page in which every pixel holds the same single span.
     pub const UNIFORM: Self = Self((64 << Self::SHIFT) | (64 * 64));
 
-    /// The size of a page with this many blocks and words; `None` unless there are 1 to 64 blocks, at least a word for
-    /// each and at most [`MAX_WORDS`](Self::MAX_WORDS).
+    /// Returns the size of a page with `blocks` blocks and `words` words; `None` unless there are 1 to 64 blocks and
+    /// from one word per block to [`MAX_WORDS`](Self::MAX_WORDS) words.
     pub fn new(blocks: u32, words: u32) -> Option<Self> {
         let inside = (1..=64).contains(&blocks) && (blocks..=Self::MAX_WORDS).contains(&words);
         inside.then_some(Self(blocks << Self::SHIFT | words))
     }
 
-    /// Blocks of 8 × 8 pixels with matter.
+    /// Returns the number of occupied blocks of 8 × 8 pixels.
     pub fn blocks(self) -> u32 {
         self.0 >> Self::SHIFT
     }
 
-    /// Spans, and in each block its unions beyond four, rounded up to a multiple of four.
+    /// Returns the number of words: the spans, plus each block's unions beyond four, rounded up to a multiple of four.
     pub fn words(self) -> u32 {
         self.0 & ((1 << Self::SHIFT) - 1)
     }
 
-    /// [`Page::weight_bytes`] of a page of this size with matter in `slices` (bytes); exact.
+    /// Returns the exact [`Page::weight_bytes`] of a page of this size in which `slices` are occupied (bytes).
     pub fn weight_bytes(self, slices: u64) -> usize {
-        // A mask of blocks for every slice from the lowest to the highest with matter.
+        // One mask of blocks per slice from the lowest occupied one to the highest.
         let height = (64 - slices.leading_zeros()).saturating_sub(slices.trailing_zeros()) as usize;
         size_of::<Page>()
             + size_of::<u64>() * height
@@ -334,7 +338,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeMap;
 
-    /// Columns as a builder accepts them: one span per chosen slice, kinds at random.
+    /// Columns as a builder accepts them: one span per chosen slice, classes at random.
     fn columns() -> impl Strategy<Value = BTreeMap<(u32, u32), Vec<Span>>> {
         let span = (0u32..64, 0u32..250, 0u32..4, any::<bool>());
         let column = proptest::collection::vec(span, 1..6).prop_map(|parts| {

@@ -1,19 +1,19 @@
-//! The union of a block's spans: what its pixels cover together, floors and obstacles apart.
+//! Unions of a block's spans: the heights that its pixels cover together, floor and obstacle apart.
 
 use crate::slice::Span;
 
 /// Finds the unions of a block's spans; reusable.
 #[derive(Debug)]
 pub(super) struct UnionFinder {
-    /// Of floors and of obstacles, two bits for each height above the lowest of the block, the second for what lies between it and the
-    /// next: spans that do not share a height are not joined.
+    /// Covered heights of floor and of obstacle, two bits for each height above the lowest of the block. The second bit
+    /// stands for the gap to the next height, so that spans that share no height stay apart.
     covered: [[u64; Self::WORDS]; 2],
     sorted: Vec<Span>,
     unions: Vec<Span>,
 }
 
 impl UnionFinder {
-    /// Words that stand for the heights of a block, one more than the longest needs. Higher blocks are sorted.
+    /// Words of `covered`, one more than the tallest block needs. Spans of taller blocks are sorted instead.
     const WORDS: usize = 2 * 2048 / 64 + 1;
     /// Longest span that is marked bit by bit (quanta).
     const LONGEST: u32 = 512;
@@ -24,9 +24,9 @@ impl UnionFinder {
         Self { covered: [[0; Self::WORDS]; 2], sorted, unions }
     }
 
-    /// Unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
+    /// Returns the unions of the floor spans and those of the obstacle spans in `spans`, lowest bottom first.
     pub fn find(&mut self, spans: &[Span]) -> &[Span] {
-        // Signed, so that every processor compares several at once.
+        // Signed, because not every processor compares several unsigned numbers at once.
         let (mut low, mut high, mut longest) = (i32::MAX, 0, 0);
         for span in spans {
             let (bottom, top) = (span.bottom() as i32, span.top() as i32);
@@ -66,7 +66,7 @@ impl UnionFinder {
                 }
                 let mut passed = 0;
                 loop {
-                    // A run from its first bit to the first that is not in it, as far as this word goes.
+                    // Finds a run, from its first set bit to the first clear one; it may continue in the next word.
                     if begun.is_none() {
                         if bits == 0 {
                             break;
@@ -79,7 +79,7 @@ impl UnionFinder {
                         break;
                     }
                     let bottom = begun.take();
-                    // Where the word begins with the end of a run, that is the last bit of the one before.
+                    // If a run ends where the word begins, its last bit is that of the previous word.
                     let top = low + (64 * number as u32 + end - 1) / 2;
                     self.unions.extend(bottom.and_then(|bottom| Span::new(bottom, top, kind == 1)));
                     bits &= u64::MAX << end;
@@ -111,7 +111,7 @@ impl UnionFinder {
         self.merge_kinds();
     }
 
-    /// Unions of floors lie before those of obstacles, each kind in order.
+    /// Puts the unions in order: those of floor precede those of obstacle, and each class is already in order.
     fn merge_kinds(&mut self) {
         let is_one_kind = |ends: (&Span, &Span)| ends.0.is_obstacle() == ends.1.is_obstacle();
         if !self.unions.first().zip(self.unions.last()).is_none_or(is_one_kind) {
@@ -125,7 +125,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Runs of heights that spans of one kind cover, by a list of all half heights.
+    /// Runs of heights that spans of one class cover, from a list of all half heights.
     fn covered(spans: &[Span], obstacle: bool) -> Vec<Span> {
         let mut halves = vec![false; 2 * 16321 + 1];
         for span in spans.iter().filter(|span| span.is_obstacle() == obstacle) {
@@ -147,7 +147,7 @@ mod tests {
     }
 
     proptest! {
-        /// One finder for all, as for the blocks of a page; short and long spans, near together and apart.
+        /// One finder for all blocks, as in a page; spans short and long, close together and far apart.
         #[test]
         fn unions_are_the_runs_of_heights_that_spans_cover(
             blocks in proptest::collection::vec((0u32..14000, prop_oneof![Just(40u32), Just(700), Just(2300)], prop_oneof![Just(2u32), Just(70), Just(900)]), 1..6),
