@@ -35,7 +35,7 @@ pub struct ScanFile {
     bounds: [[f64; 3]; 2],
     pub(super) transform: Transform,
     pub(super) content: Content,
-    /// Red, green and blue are 8-bit and are scaled to 16 bits.
+    /// True if red, green and blue are 8-bit and must be scaled to 16 bits.
     pub(super) widen: bool,
     text: Option<Box<TextLayout>>,
 }
