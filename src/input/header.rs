@@ -37,7 +37,7 @@ pub(super) struct LasHeader {
     pub offset: [f64; 3],
     /// Minimum and maximum corner stated by the header, in file units.
     pub bounds: [[f64; 3]; 2],
-    /// Offset of the waveforms (LAS 1.3 and later); 0 if there are none.
+    /// Offset of the waveforms (LAS 1.3 and later); 0 if absent.
     pub waveforms_at: u64,
     pub first_extended: u64,
     pub extended: u32,

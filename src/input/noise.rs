@@ -30,7 +30,7 @@ const MARGIN: i64 = 1 << 17;
 const LEAST_SPREAD: f64 = 0.5;
 /// Maximum slope of the plane, rise over run, squared.
 const MOST_RISE_SQUARED: f64 = 0.25;
-/// Number of non-planar shapes visible in the mean residuals of parts: bent along x, bent along y, twisted.
+/// Number of non-planar shapes visible in mean residuals of parts: bent along x, bent along y, twisted.
 const SHAPES: f64 = 3.0;
 /// Maximum mean square per shape, in variances of the remaining residuals. Noise alone exceeds it in about one of
 /// twenty regions (the F-test of nested models).

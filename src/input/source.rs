@@ -95,7 +95,7 @@ impl ReadLog {
         self.noted().all
     }
 
-    /// Returns the file and what was read of it for the points of the chunk so far.
+    /// Returns the file and what was read of it for the points of the current chunk.
     pub(crate) fn reads(&self) -> (usize, Reads) {
         let mut noted = self.noted();
         match noted.reads.pieces.len() <= Self::MOST_PIECES {
