@@ -161,7 +161,7 @@ pub(crate) enum Tag {
 }
 
 impl PointBatch {
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.x.len()
     }
@@ -197,12 +197,12 @@ impl PointBatch {
 pub struct PointCounts {
     /// Points read, kept or not.
     pub read: u64,
-    /// Points of these left out because the file marks them: withheld in LAS, without a return in other formats (not a
-    /// number, an invalid state, `0 0 0` in PTX).
+    /// Points among `read` left out because the file marks them: withheld in LAS, without a return in other formats
+    /// (not a number, an invalid state, `0 0 0` in PTX).
     pub withheld: u64,
-    /// Points of these left out by class.
+    /// Points among `read` left out by class.
     pub excluded: u64,
-    /// Points of these left out because a coordinate is not finite or exceeds 10¹² m.
+    /// Points among `read` left out because a coordinate is not finite or exceeds 10¹² m.
     pub not_finite: u64,
     /// Points that were expected but missing or unreadable (not included in `read`).
     pub missing: u64,

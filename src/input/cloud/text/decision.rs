@@ -372,7 +372,7 @@ fn joined(words: &[String], width: usize) -> Option<Vec<String>> {
     if let Some(names) = joined_between(words, width) {
         return Some(names);
     }
-    // `X coordinate Y coordinate Z coordinate`, `Local X Local Y Local Z`.
+    // Words may qualify a neighbour: `X coordinate Y coordinate Z coordinate`, `Local X Local Y Local Z`.
     let found = axes(words).ok()?;
     let merged = |is_before: bool| {
         let mut names: Vec<String> = Vec::new();
@@ -565,7 +565,7 @@ mod tests {
             "x,y,z\n,,\n1,2.5,-3",
             "X [m] Y [m] Z [m]\n1 2.5 -3",
             "ring,azimuth,elevation,distance,x,y,z\n0,0,0.1,5,1,2.5,-3",
-            // More or fewer names than cells, in one way only.
+            // More or fewer names than cells, with only one way to fit.
             "Point ID X Y Z Intensity\n0 1 2.5 -3 77",
             "\"Point ID\" X Y Z Scan Angle\n0 1 2.5 -3 77",
             "X coordinate Y coordinate Z coordinate\n1 2.5 -3",
