@@ -1,15 +1,15 @@
-//! Which column of a text is which.
+//! Assignment of the columns of text files.
 
 use crate::text::shown;
 use serde_json::{Value, json};
 use std::fmt::{Display, Formatter};
 use std::str::FromStr;
 
-/// Most columns that can be named.
+/// Maximum number of columns that can be named.
 const MOST: usize = 64;
 
-/// Columns of text, from left to right: `x`, `y`, `z`, maybe `class`, `i` (intensity) and `r`, `g`, `b`; every other name (`-`) is
-/// passed over.
+/// Columns of text, from left to right: `x`, `y`, `z`, optionally `class`, `i` (intensity) and `r`, `g`, `b`; a column
+/// with any other name (`-`) is skipped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Columns {
     pub(super) axes: [u8; 3],
@@ -18,7 +18,7 @@ pub struct Columns {
     pub(super) rgb: Option<[u8; 3]>,
 }
 
-/// As the command line takes it: `x,y,z,i,r,g,b`, in the order of the columns.
+/// Parses the command-line form: `x,y,z,i,r,g,b`, in the order of the columns.
 impl FromStr for Columns {
     type Err = String;
 
@@ -51,7 +51,7 @@ impl FromStr for Columns {
     }
 }
 
-/// As [`FromStr`] reads it, with `-` for columns that are passed over.
+/// Writes the form that [`FromStr`] parses, with `-` for skipped columns.
 impl Display for Columns {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
         let named = self.axes.into_iter().zip(["x", "y", "z"]);
@@ -67,34 +67,35 @@ impl Display for Columns {
     }
 }
 
-/// How a scan in text was understood, so that a person sees a wrong guess.
+/// How a text scan was interpreted, so that a person can spot a wrong guess.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TextLayout {
-    /// What separates columns: blanks, commas, semicolons or tabs.
+    /// Column separator: blanks, commas, semicolons or tabs.
     pub separator: &'static str,
-    /// Whether numbers have decimal commas.
+    /// True if numbers have decimal commas.
     pub decimal_comma: bool,
-    /// The columns that are read: those of x, y and z, and of class, intensity, red, green and blue as far as there are such.
+    /// Columns that are read: x, y and z, and class, intensity, red, green and blue where present.
     pub columns: Vec<TextColumn>,
     /// The first points, at most three, in the file's own coordinates.
     pub first_points: Vec<[f64; 3]>,
 }
 
-/// A column of a text that is read.
+/// A text column that is read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TextColumn {
-    /// What it holds: `x`, `y`, `z`, `class`, `intensity`, `red`, `green`, `blue`, or `rgb` for colours in one number.
+    /// Content: `x`, `y`, `z`, `class`, `intensity`, `red`, `green`, `blue`, or `rgb` for colours in one number.
     pub holds: &'static str,
-    /// Its number, from 1 on.
+    /// Column number, from 1.
     pub number: usize,
-    /// Its name in the header, if that has one.
+    /// Name in the header, if the header has one.
     pub name: Option<String>,
 }
 
 impl TextLayout {
-    /// Its facts as JSON: `separator`, `decimal_comma`, `columns` (each with `holds`, `number` and `name`) and `first_points`.
+    /// Returns the layout as JSON: `separator`, `decimal_comma`, `columns` (each with `holds`, `number` and `name`) and
+    /// `first_points`.
     pub fn info(&self) -> Value {
         let column =
             |TextColumn { holds, number, name }: &TextColumn| json!({ "holds": holds, "number": number, "name": name });
@@ -107,7 +108,7 @@ impl TextLayout {
     }
 }
 
-/// In words: `x is column 2 "X", y is column 3 "Y", z is column 4 "Z", separated by commas`.
+/// Describes the layout in words: `x is column 2 "X", y is column 3 "Y", z is column 4 "Z", separated by commas`.
 impl Display for TextLayout {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
         for TextColumn { holds, number, name } in &self.columns {

@@ -1,16 +1,16 @@
-//! From point records to metres: the inner loop of both decoders.
+//! Conversion of point records to metres: the inner loop of both decoders.
 //!
-//! In: whole records as bytes, in the layout of a LAS file. Out: kept points in a [`PointBatch`].
-//! The arithmetic is exactly `(raw · scale + offset) · unit` in `f64`, each step rounded once (no fused operation), then
-//! the turn of the axes, so that an independent reader gets the same bits.
+//! Input: whole records as bytes, in the layout of a LAS file. Output: kept points in a [`PointBatch`].
+//! The arithmetic is exactly `(raw · scale + offset) · unit` in `f64`, each step rounded once (no fused operation),
+//! followed by the rotation to z up, so that an independent reader gets the same bits.
 
 use crate::input::{PointBatch, PointCounts};
 use crate::plan::{ClassSet, Up};
 
-/// Greatest coordinate that is kept, in magnitude (m).
+/// Greatest magnitude of a kept coordinate (m).
 pub(crate) const FARTHEST_M: f64 = 1e12;
 
-/// Raw integers to metres, z up.
+/// Converts raw integers to metres, z up.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Transform {
     pub scale: [f64; 3],
@@ -26,22 +26,22 @@ impl Transform {
         (f64::from(raw) * self.scale[axis] + self.offset[axis]) * self.unit[axis]
     }
 
-    /// Where the point of a record lies, before any turn of the axes (m).
+    /// Returns the point of a record before the rotation to z up (m).
     fn place(&self, record: &[u8]) -> [f64; 3] {
         std::array::from_fn(|axis| self.axis(axis, raw(record, axis)))
     }
 
-    /// Where the point of a record lies (m, z up).
+    /// Returns the point of a record (m, z up).
     pub(super) fn point(&self, record: &[u8]) -> [f64; 3] {
         self.up.turn(self.place(record))
     }
 
-    /// Whether no raw value leads to a coordinate beyond [`FARTHEST_M`].
+    /// Returns whether every raw value yields a coordinate within [`FARTHEST_M`].
     fn always_near(&self) -> bool {
         [i32::MIN, i32::MAX].iter().all(|&raw| (0..3).all(|a| self.axis(a, raw).abs() <= FARTHEST_M))
     }
 
-    /// A corner given in file units (m, z up); `None` if not finite.
+    /// Converts a corner from file units to metres, z up; `None` if not finite.
     pub(super) fn corner(&self, at: [f64; 3]) -> Option<[f64; 3]> {
         let m = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
         let turned = self.up.turn(m);
@@ -49,21 +49,21 @@ impl Transform {
     }
 }
 
-/// Where flags and class lie in a record.
+/// Location of flags and class in a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Layout {
-    /// Formats 0 to 5: class in bits 0 to 4 of byte 15, withheld in its bit 7.
+    /// Formats 0 to 5: class in bits 0 to 4 of byte 15, withheld flag in bit 7.
     Old,
-    /// Formats 6 to 10: withheld in bit 2 of byte 15, class in byte 16.
+    /// Formats 6 to 10: withheld flag in bit 2 of byte 15, class in byte 16.
     Extended,
 }
 
-/// Where values for colours lie in a record.
+/// Location of colour values in a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Field {
-    /// Three numbers of 16 bits from this byte on.
+    /// Three 16-bit numbers from this byte on.
     Rgb(usize),
-    /// A number of 16 bits.
+    /// The 16-bit intensity.
     Intensity,
     /// The class.
     Class(Layout),
@@ -82,7 +82,7 @@ impl Field {
     }
 }
 
-/// Where in a record the number lies that says which station measured a point.
+/// Location of the tag in a record that identifies the station of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TagField {
     /// The point source id, from this byte on.
@@ -101,7 +101,7 @@ impl TagField {
     }
 }
 
-/// What is read of a record beside its place, its flags and its class.
+/// Fields to read from a record besides coordinates, flags and class.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Extras {
     pub field: Option<Field>,
@@ -111,7 +111,7 @@ pub(super) struct Extras {
 const WITHHELD: u8 = 1;
 const EXCLUDED: u8 = 2;
 
-/// Which points are left out, as tables over the bytes 15 and 16 of a record.
+/// Filter for points to leave out: tables over bytes 15 and 16 of a record.
 #[derive(Debug, Clone)]
 pub(super) struct Filter {
     byte_15: [u8; 256],
@@ -136,8 +136,9 @@ impl Filter {
     }
 }
 
-/// Replaces `batch` by the kept points of `records`, each `stride` (at least 20) bytes long, with the values and tags of the fields
-/// in `extras`, if they are given; the rest of a record is ignored. Adds to `counts` all but `missing`.
+/// Replaces the content of `batch` by the kept points of `records`, each `stride` (at least 20) bytes long, with the
+/// values and tags of the fields in `extras`, if given; other fields are ignored. Updates all of `counts` but
+/// `missing`.
 pub(super) fn convert(
     records: &[u8],
     stride: usize,
@@ -153,9 +154,9 @@ pub(super) fn convert(
     batch.values.clear();
     batch.tags.clear();
     let flagged = records.chunks_exact(stride).fold(0, |any, record| any | filter.verdict(record));
-    // Where no raw value can be out of range, records without flags need no look at their coordinates.
+    // If no raw value can be out of range, records without flags need no check of their coordinates.
     if flagged == 0 && transform.always_near() {
-        // Known strides let the compiler unroll: the usual lengths of records without extra bytes.
+        // Constant strides let the compiler unroll: the usual record lengths without extra bytes.
         match stride {
             20 => whole::<20>(records, transform, batch),
             26 => whole::<26>(records, transform, batch),
@@ -203,7 +204,7 @@ fn place<'a>(records: impl Iterator<Item = &'a [u8]>, transform: &Transform, bat
     }
 }
 
-/// The same for slabs in which something is left out; returns the number of kept points, which come first in `batch`.
+/// Converts slabs in which points are left out; returns the number of kept points, which are stored first in `batch`.
 fn sieve(
     records: &[u8],
     stride: usize,

@@ -1,11 +1,12 @@
-//! Reference system of a file: its name, and how long its units are.
+//! Reference system of a file: its name and the lengths of its units.
 //!
-//! In: the projection records. Out: [`Georeference`]. Well-known text (WKT 1 and 2, by GDAL or ESRI) is read as trees of
-//! brackets, not by searching for words, since the unit of the angles, of the ellipsoid and of the axes stand in the same text.
-//! Programs leave out brackets or write too many: where a system cannot be part of another one, it stands beside it. GeoTIFF
-//! keys follow the GeoTIFF specification 1.0, section 2.7. Memory: some multiple of the text, at most 1 MiB each.
+//! Input: the projection records. Output: [`Georeference`]. Well-known text (WKT 1 and 2, by GDAL or ESRI) is parsed as
+//! a tree of brackets; a search for words would not do, since the units of the angles, the ellipsoid and the axes are
+//! in the same text. Programs omit brackets or write too many: a system that cannot be part of another becomes its
+//! sibling. GeoTIFF keys follow the GeoTIFF specification 1.0, section 2.7. Memory: a small multiple of the text, at
+//! most 1 MiB each.
 //!
-//! Small case: `PROJCS["P",GEOGCS["G",UNIT["degree",0.0174]],UNIT["foot",0.3048]]`: the child `UNIT` of `PROJCS` counts
+//! Example: in `PROJCS["P",GEOGCS["G",UNIT["degree",0.0174]],UNIT["foot",0.3048]]`, the child `UNIT` of `PROJCS` counts
 //! (0.3048), the one within `GEOGCS` does not.
 
 use super::epsg::{self, FOOT, Ground, US_SURVEY_FOOT};
@@ -15,39 +16,39 @@ use super::{ScanFile, Those};
 use crate::Monitor;
 use crate::text::number;
 
-/// What a file says about its coordinates.
+/// Reference system and units of a file.
 #[derive(Debug, Default, Clone, PartialEq)]
 pub(super) struct Georeference {
     /// WKT, else `EPSG:n`, else the citation of the GeoTIFF keys.
     pub text: Option<String>,
-    /// EPSG codes of the system and of what it consists of, as far as it states them.
+    /// EPSG codes of the system and its components, as far as stated.
     pub codes: Vec<u32>,
-    /// Metres per unit of x and y, as stated: any number.
+    /// Metres per unit of x and y, as stated; not validated.
     pub horizontal: Option<f64>,
-    /// Metres per unit of z, likewise.
+    /// Metres per unit of z, as stated; not validated.
     pub vertical: Option<f64>,
-    /// x and y are longitude and latitude.
+    /// True if x and y are longitude and latitude.
     pub degrees: bool,
-    /// Soft problems, for the monitor.
+    /// Warnings for the monitor.
     pub notes: Vec<String>,
 }
 
-/// Units that are believed (m): scans come in units from the millimetre to the mile, and a size beyond an order of
-/// magnitude more is damage that would crush the scene to a point or blow it up.
+/// Plausible units (m): scans use units from the millimetre to the mile. Anything beyond 10 km is damage that would
+/// collapse the scene to a point or inflate it.
 const BELIEVED_M: std::ops::RangeInclusive<f64> = 1e-3..=1e4;
-/// Said of a system whose axes start in the middle of the Earth.
+/// Warning about a system whose axes start at the centre of the Earth.
 const GEOCENTRIC: &str = "its reference system is geocentric: its z axis does not point up";
-/// Said of a system of depths.
+/// Warning about a system of depths.
 const DOWNWARD: &str = "its reference system counts depths, downwards; z is taken as height";
 
 impl Georeference {
-    /// A stated unit that cannot be meant.
+    /// Returns a stated unit that is not plausible.
     pub(super) fn absurd_unit(&self) -> Option<f64> {
         [self.horizontal, self.vertical].into_iter().flatten().find(|unit| !BELIEVED_M.contains(unit))
     }
 
-    /// Completes what the file says by the system `code`, if the file names none. Returns a note if the two cannot be
-    /// compared; refuses another one.
+    /// Adds the system `code` if the file names none. Returns a note if the unit of `code` is unknown or the two
+    /// systems cannot be compared; fails if the file states another system.
     pub(super) fn complete(&mut self, code: u32) -> Result<Option<String>, String> {
         match &self.text {
             None => {
@@ -73,7 +74,7 @@ impl Georeference {
         Ok(None)
     }
 
-    /// Adds the units of system `code` to those that are stated otherwise.
+    /// Adds the units of system `code` where none are stated.
     fn take_code(&mut self, code: u32) {
         let Some(system) = epsg::system(code) else { return };
         match system.ground {
@@ -103,13 +104,13 @@ impl Georeference {
         let keys = keys.filter(|k| *k != Self::default());
         match (wkt, keys) {
             (Some(wkt), Some(keys)) if says_wkt => wkt.or(keys),
-            // A file that has both and does not say which counts: the keys did, before LAS 1.4.
+            // The file has both and does not say which counts; before LAS 1.4, the keys did.
             (Some(wkt), Some(keys)) => Self { text: wkt.text.clone(), ..keys.or(wkt) },
             (wkt, keys) => wkt.or(keys).unwrap_or_default(),
         }
     }
 
-    /// What this one does not state, by `other`; what they state differently is noted.
+    /// Fills in what `self` does not state from `other`; notes units that differ.
     fn or(mut self, other: Self) -> Self {
         let mut differ = |counts: Option<f64>, other: Option<f64>, axes: &str| {
             if let (Some(counts), Some(other)) = (counts, other)
@@ -132,7 +133,7 @@ impl Georeference {
         self
     }
 
-    /// Of a file that states its system as text alone: well-known text, or a code such as `EPSG:25832+5783`.
+    /// Parses a system stated only as text: well-known text, or a code such as `EPSG:25832+5783`.
     pub(super) fn of_text(text: String) -> Self {
         if text.len() as u64 > MOST_TEXT {
             let note = format!("its reference system is {} bytes long; it is passed over", text.len());
@@ -151,7 +152,7 @@ impl Georeference {
         let mut found = Self::default();
         let (roots, is_whole) = Node::parse(&text);
         roots.iter().for_each(|root| found.take(root));
-        // What a text leaves to codes; the vertical system comes last.
+        // Codes supply what the text does not state. Reversed, since the vertical system comes last.
         found.codes.clone().into_iter().rev().for_each(|code| found.take_code(code));
         if !is_whole || roots.is_empty() {
             found.note("the well-known text of its reference system is damaged");
@@ -160,7 +161,7 @@ impl Georeference {
         found
     }
 
-    /// Adds what the system `node` states.
+    /// Adds what system `node` states.
     fn take(&mut self, node: &Node) {
         let kind = Kind::of(&node.word);
         if kind.is_some() {
@@ -193,7 +194,7 @@ impl Georeference {
         self.note(GEOCENTRIC);
     }
 
-    /// Adds the unit of a third axis: ellipsoidal heights, or those of a site.
+    /// Adds the unit of a third axis: ellipsoidal heights, or heights of a site.
     fn take_height(&mut self, node: &Node) {
         let up = node.axes().find(|axis| axis.is_vertical());
         self.vertical = self.vertical.or_else(|| up?.unit(&mut self.notes));
@@ -208,7 +209,7 @@ impl Georeference {
         let doubles = records.projection(GEO_DOUBLES).unwrap_or_default();
         let entries: Vec<[u16; 4]> = keys
             .chunks_exact(8)
-            .skip(1) // the directory's own head
+            .skip(1) // skips the head of the directory
             .map(|e| [u16_at(e, 0), u16_at(e, 2), u16_at(e, 4), u16_at(e, 6)])
             .collect();
         let entry = |id: u16| entries.iter().find(|e| e[0] == id);
@@ -227,7 +228,7 @@ impl Georeference {
         let projected = code(3072).filter(is_code);
         let geographic = code(2048).filter(is_code);
         let model = code(1024).filter(is_code);
-        // Some programs put the code of a geographic system where that of a projected one belongs.
+        // Some programs store the code of a geographic system in the key of a projected one.
         let misplaced = projected.filter(|&code| ground(code) == Some(Ground::Angles));
         found.degrees = model == Some(2)
             || misplaced.is_some()
@@ -256,7 +257,7 @@ impl Georeference {
             }
         }
         found.vertical = vertical;
-        // Vertical systems are named by codes of their own, or by that of a geographic one of three axes.
+        // A vertical system is named by a code of its own, or by that of a geographic system with three axes.
         if let Some(code) = code(4096).filter(is_code)
             && let Some(epsg::System { ground: Ground::None | Ground::Angles, up: Some(up), .. }) =
                 epsg::system(code.into())
@@ -272,7 +273,7 @@ impl Georeference {
         } else if let Some(code) = named {
             found.take_code(code);
         }
-        // The last resort: words such as "NAD83 / Texas Central (ftUS) + NAVD88 height (ftUS)".
+        // Last resort: names such as "NAD83 / Texas Central (ftUS) + NAVD88 height (ftUS)".
         let (on_ground, above) =
             cited.as_deref().map(|text| text.split_once('+').unwrap_or((text, ""))).unwrap_or_default();
         if !found.degrees {
@@ -284,10 +285,10 @@ impl Georeference {
     }
 }
 
-/// A GeoTIFF key whose value is not one of the listed ones.
+/// GeoTIFF value for "user-defined".
 const USER_DEFINED: u16 = 32767;
 
-/// EPSG code of the projected system in what an archive says of its reference system: `EPSG:n`, or well-known text.
+/// Returns the EPSG code of the projected system in the reference system of an archive: `EPSG:n`, or well-known text.
 pub fn projected_epsg(text: &str) -> Option<u16> {
     fn find(node: &Node) -> Option<u32> {
         match Kind::of(&node.word)? {
@@ -306,7 +307,7 @@ pub fn projected_epsg(text: &str) -> Option<u16> {
     code.filter(is_projected).and_then(|code| u16::try_from(code).ok()).filter(|code| (1..USER_DEFINED).contains(code))
 }
 
-/// The codes in `EPSG:n`, `EPSG:n+m` or `urn:ogc:def:crs:EPSG::n`; none of other text.
+/// Returns the codes in `EPSG:n`, `EPSG:n+m` or `urn:ogc:def:crs:EPSG::n`; none for other text.
 fn codes(text: &str) -> Vec<u32> {
     let text = text.trim().to_ascii_uppercase();
     let code = |part: &str| part.rsplit(':').next()?.parse().ok();
@@ -315,7 +316,7 @@ fn codes(text: &str) -> Vec<u32> {
     found.flatten().unwrap_or_default()
 }
 
-/// Text of a record without the zeros around it; `None` when nothing is left.
+/// Returns the text of a record without surrounding zeros; `None` if nothing is left.
 fn clean_text(bytes: &[u8]) -> Option<String> {
     let text = bytes.split(|&b| b == 0).find(|text| !text.trim_ascii().is_empty())?;
     let text = String::from_utf8_lossy(text);
@@ -323,17 +324,17 @@ fn clean_text(bytes: &[u8]) -> Option<String> {
     (!text.is_empty()).then(|| text.to_string())
 }
 
-/// The reference systems of a set of files, found one file after the other. Texts may be long and many: two are held.
+/// Reference systems of a set of files, collected file by file. Texts may be long and many, so only two are held.
 #[derive(Default)]
 pub(super) struct Systems {
-    /// The one whose text sorts first, and the files that state it.
+    /// The text that sorts first, and the files that state it.
     least: Option<(String, Those)>,
-    /// One of the others, and the files that state any of these.
+    /// Short name of one of the others, and the files that state any of them.
     other: Option<(String, Those)>,
 }
 
 impl Systems {
-    /// Adds what file `file` states; files come in ascending order.
+    /// Adds the text that file `file` states; files come in ascending order.
     pub(super) fn add(&mut self, file: usize, text: Option<String>) {
         let Some(text) = text else { return };
         let mut here = Those::default();
@@ -351,7 +352,7 @@ impl Systems {
         }
     }
 
-    /// The text that sorts first; tells `monitor` if there are others.
+    /// Returns the text that sorts first; warns `monitor` if there are others.
     pub(super) fn common(self, files: &[ScanFile], monitor: &dyn Monitor) -> Option<String> {
         let (text, those) = self.least?;
         if let Some((name, others)) = &self.other {
@@ -368,13 +369,13 @@ impl Systems {
     }
 }
 
-/// A reference system for messages: the name in its text, or its code.
+/// Returns a short name for messages: the name in the text, or the code.
 fn short_name(text: &str) -> String {
     let name = text.split('"').nth(1).unwrap_or(text);
     name.chars().take(60).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// A unit named in a citation such as "NAD83 / Texas Central (ftUS)": the last resort.
+/// Finds a unit in a citation such as "NAD83 / Texas Central (ftUS)": the last resort.
 fn unit_in_words(text: &str) -> Option<f64> {
     let text = text.to_ascii_lowercase();
     let any = |words: &[&str]| words.iter().any(|w| text.contains(w));
@@ -387,7 +388,7 @@ fn unit_in_words(text: &str) -> Option<f64> {
     }
 }
 
-/// The length that the name of a unit in well-known text means, of those that scans come in.
+/// Returns the length of a unit of well-known text by its name, for units that scans use.
 fn unit_named(name: &str) -> Option<f64> {
     let name = name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
     match name.as_str() {
@@ -400,22 +401,22 @@ fn unit_named(name: &str) -> Option<f64> {
     }
 }
 
-/// Replaces a printed conversion factor by the metre or the exact foot that it stands for.
+/// Replaces a rounded conversion factor by the metre or the exact foot that it stands for.
 fn exact(factor: f64) -> f64 {
     let near = |exact: &f64| (factor - exact).abs() <= 1e-7 * exact;
     [1.0, FOOT, US_SURVEY_FOOT].into_iter().find(near).unwrap_or(factor)
 }
 
-/// What a word of well-known text stands for, of those that are reference systems.
+/// Kind of reference system that a WKT keyword stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Projected,
     Geographic,
     Geocentric,
-    /// The axes of a site.
+    /// Axes of a site.
     Local,
     Vertical,
-    /// Holds others.
+    /// A combination of other systems.
     Several,
 }
 
@@ -433,30 +434,30 @@ impl Kind {
     }
 }
 
-/// One bracketed word of well-known text.
+/// One WKT keyword with its brackets.
 #[derive(Debug, Default)]
 struct Node {
     word: String,
-    /// The first quoted text.
+    /// First quoted text.
     name: Option<String>,
     numbers: Vec<f64>,
     /// Bare words such as axis directions, in lower case.
     bare: Vec<String>,
-    /// The last quoted text that is a number: `AUTHORITY["EPSG","25832"]`.
+    /// Last quoted text that is a number: `AUTHORITY["EPSG","25832"]`.
     quoted_number: Option<u32>,
     children: Vec<Node>,
 }
 
-/// Longest part of a quoted text that is kept (characters).
+/// Maximum number of bytes kept of a quoted text.
 const LONGEST_NAME: usize = 64;
-/// Deepest nesting that is followed; real texts have about eight.
+/// Maximum nesting depth; real texts have about eight levels.
 const DEEPEST: usize = 48;
 
 impl Node {
-    /// The words of `text` that lie in no other, and whether it is whole. Brackets that are too few are closed where a system
-    /// begins that cannot be part of the one before, or at the end; those that are too many are passed over.
+    /// Parses `text` into its top-level nodes; also returns whether the text is whole. Missing brackets are closed
+    /// where a system begins that cannot be part of the one before, or at the end; surplus brackets are ignored.
     fn parse(text: &str) -> (Vec<Node>, bool) {
-        // Some programs double each quote, or put a backslash before it.
+        // Some programs double each quote, or escape it with a backslash.
         let text = text.replace("\\\"", "\"").replace(['\u{201c}', '\u{201d}'], "\"");
         let is_doubled = ["[\"\"", "(\"\""].iter().any(|start| {
             text.find(start).and_then(|at| text[at + start.len()..].chars().next()).is_some_and(char::is_alphanumeric)
@@ -468,7 +469,7 @@ impl Node {
         while let Some(c) = characters.next() {
             match c {
                 '"' => {
-                    // Content of quotes may hold brackets, and quotes that are doubled.
+                    // Quoted text may contain brackets and doubled quotes.
                     let mut quoted = String::new();
                     loop {
                         match characters.next() {
@@ -520,8 +521,8 @@ impl Node {
         (roots, is_whole)
     }
 
-    /// Whether `word` may stand in this one: systems stand beside each other, but for a geographic one in a projected one, of
-    /// which the projection is no part.
+    /// Returns whether `word` may be nested in this node. Systems are siblings, except that a projected one contains a
+    /// geographic one, which does not contain the projection.
     fn may_hold(&self, word: &str) -> bool {
         let own = Kind::of(&self.word);
         let holds_any = own == Some(Kind::Several) || own.is_none() && self.word.ends_with("CRS");
@@ -543,7 +544,7 @@ impl Node {
         }
     }
 
-    /// Its own EPSG code: `AUTHORITY["EPSG","25832"]` (WKT 1) or `ID["EPSG",25832]` (WKT 2).
+    /// Returns the node's own EPSG code: `AUTHORITY["EPSG","25832"]` (WKT 1) or `ID["EPSG",25832]` (WKT 2).
     fn epsg_code(&self) -> Option<u32> {
         let is_epsg = |node: &&Node| node.name.as_ref().is_some_and(|name| name.eq_ignore_ascii_case("EPSG"));
         let id = self.children.iter().filter(|c| c.word == "AUTHORITY" || c.word == "ID").find(is_epsg)?;
@@ -559,7 +560,7 @@ impl Node {
         self.bare.iter().any(|word| word == "up" || word == "down")
     }
 
-    /// Whether its heights grow downwards: by its axis, or (ESRI) by a parameter.
+    /// Returns whether heights grow downwards, according to the axis or (ESRI) a parameter.
     fn points_down(&self) -> bool {
         let direction = |child: &Node| {
             child.word == "PARAMETER"
@@ -575,7 +576,7 @@ impl Node {
         self.children.iter().any(is_cartesian)
     }
 
-    /// Length of its own unit, by its factor or else by its name or code.
+    /// Returns the length of the node's own unit by its factor, or else by its name or code.
     fn unit(&self, notes: &mut Vec<String>) -> Option<f64> {
         let unit = self.children.iter().find(|child| child.word == "UNIT" || child.word == "LENGTHUNIT")?;
         let name = unit.name.as_deref().unwrap_or_default();
@@ -597,8 +598,8 @@ impl Node {
         }
     }
 
-    /// Unit of its axes on the ground: of the system, or (WKT 2 may state it so) of the first one that has one, or that of the
-    /// system from which it is derived.
+    /// Returns the unit of the horizontal axes: that of the system, else (in WKT 2) of the first axis that has one,
+    /// else of the system it is derived from.
     fn ground_unit(&self, notes: &mut Vec<String>) -> Option<f64> {
         let own = self
             .unit(notes)
@@ -607,14 +608,14 @@ impl Node {
         own.or_else(|| self.children.iter().find(is_base)?.ground_unit(notes))
     }
 
-    /// Unit of a vertical system, likewise.
+    /// Returns the unit of a vertical system: its own, else that of an axis, else of the system it is derived from.
     fn height_unit(&self, notes: &mut Vec<String>) -> Option<f64> {
         let own = self.unit(notes).or_else(|| self.axes().find_map(|axis| axis.unit(notes)));
         own.or_else(|| self.children.iter().find(|child| child.word == "BASEVERTCRS")?.height_unit(notes))
     }
 }
 
-/// Closes the innermost open word. One that belongs to a system which a bracket too many closed before is given to that.
+/// Closes the innermost open node. A unit or axis cut off by a surplus bracket is attached to the system before it.
 fn close(open: &mut Vec<Node>, roots: &mut Vec<Node>) {
     let Some(node) = open.pop() else { return };
     let siblings = match open.last_mut() {
@@ -657,7 +658,7 @@ mod tests {
         assert_eq!((found.horizontal, found.vertical), (Some(FOOT), Some(1.0)));
     }
 
-    /// Metres per unit of x and y and of heights.
+    /// Returns metres per unit of x and y, and of heights.
     fn units(text: &str) -> (Option<f64>, Option<f64>) {
         let found = wkt(text);
         assert!(!found.notes.iter().any(|note| note.contains("damaged")), "{text}: {:?}", found.notes);
@@ -690,7 +691,7 @@ mod tests {
                 }
             }
         }
-        // A bracket too many or too few before the unit of the map itself.
+        // A surplus or missing bracket before the unit of the map itself.
         let map = r#"PROJECTION["Albers"],UNIT["foot",0.3048]"#;
         let heights = r#"VERT_CS["V",VERT_DATUM["D",2005],UNIT["metre",1],AXIS["Up",UP]]"#;
         let open = &GEOGRAPHIC[..GEOGRAPHIC.len() - 1];
@@ -781,7 +782,7 @@ mod tests {
         let joined =
             r#"COMPD_CS["C",PROJCS["P",UNIT["metre",1]],VERT_CS["V",VERT_DATUM["D",2005]],AUTHORITY["EPSG","8720"]]"#;
         assert_eq!(units(joined).1, epsg::system(8720).and_then(|system| system.up));
-        // Each quote doubled, a quote in a name, a backslash before each.
+        // All quotes doubled, with quotes in the name; then all escaped by a backslash.
         let text = r#"PROJCS["P ""[old]"" one",UNIT["Foot_US",0.3048006096012192]]"#;
         assert_eq!(units(text).0, Some(US_SURVEY_FOOT));
         let text = r#"PROJCS["P [ftUS]",UNIT["Foot_US",0.3048006096012192]]"#;

@@ -1,4 +1,4 @@
-//! Decoding: pieces of files, by any number of threads, in any order.
+//! Decoding of pieces of files, on any number of threads, in any order.
 
 use super::cloud;
 use super::convert::{self, Extras, TagField};
@@ -10,9 +10,9 @@ use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
 use crate::colour::ColourSource;
 use crate::{Error, Result};
 
-/// Points of one [`PointChunk`] of a plain LAS file.
+/// Points in one [`PointChunk`] of a plain LAS file.
 const CHUNK_POINTS: u64 = 1 << 17;
-/// Longest slab of undecoded records (bytes); fits a second-level cache beside the batch and what is made of it.
+/// Maximum length of a slab of undecoded records (bytes): fits into a second-level cache beside the batch.
 const SLAB_BYTES: usize = 1 << 17;
 
 /// One piece of work.
@@ -32,20 +32,20 @@ enum ChunkSource {
 }
 
 impl PointChunk {
-    /// Index of its file in [`InputSet::files`].
+    /// Returns the index of its file in [`InputSet::files`].
     pub fn file(&self) -> usize {
         self.file
     }
 
-    /// Points that it should hold: for progress only.
+    /// Returns the number of points it should hold: for progress only.
     pub fn points(&self) -> u64 {
         self.points
     }
 }
 
 impl InputSet {
-    /// Independent pieces of work, made as they are asked for: 131,072 points of a LAS file, one LAZ chunk, or a LAZ file
-    /// that can only be read from its start.
+    /// Returns independent pieces of work, created lazily: 131,072 points of a LAS file, one LAZ chunk, or a whole LAZ
+    /// file that can only be read from its start.
     pub fn chunks(&self) -> impl Iterator<Item = PointChunk> + Send + '_ {
         self.files.iter().enumerate().flat_map(|(file, scan)| {
             let pieces: Box<dyn Iterator<Item = PointChunk> + Send + '_> = match &scan.content {
@@ -85,7 +85,7 @@ impl InputSet {
     }
 }
 
-/// Decodes pieces of work; one per thread, so that its buffers are reused.
+/// Decodes pieces of work; use one per thread to reuse its buffers.
 #[derive(Debug, Default)]
 pub struct PointDecoder {
     slab: Vec<u8>,
@@ -96,27 +96,27 @@ pub struct PointDecoder {
 }
 
 impl PointDecoder {
-    /// A decoder with empty buffers.
+    /// Creates a decoder with empty buffers.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Notes of what it reads, where the set's options ask for hashes.
+    /// Returns the log of its reads, which is filled if the set's options request hashes.
     pub(crate) fn log(&self) -> ReadLog {
         self.log.clone()
     }
 
-    /// Whether the piece decoded last was not whole.
+    /// Returns whether the last decoded piece was incomplete.
     pub(crate) fn has_lost(&self) -> bool {
         self.lost
     }
 
-    /// Decodes `piece` of `set`, handing its kept points to `sink` in batches of at most [`BATCH_POINTS`] points; a batch
-    /// may be empty, so that `sink` can end work of which nothing is kept.
+    /// Decodes `piece` of `set` and passes its kept points to `sink` in batches of at most [`BATCH_POINTS`] points. A
+    /// batch may be empty, so that `sink` can cancel even if no points are kept.
     ///
-    /// An error of `sink` ends the work and is returned. Points that are not there are counted, not an error. Damaged
-    /// compressed data are an error, after some points were handed on; where incomplete input is allowed
-    /// they are a loss that [`InputSet::check_complete`] tells, and of a damaged LAZ chunk no point is handed on.
+    /// An error of `sink` ends the work and is returned. Missing points are counted and are not an error. Damaged
+    /// compressed data are an error, after some points were passed on. With `allow_incomplete` they are a loss reported
+    /// by [`InputSet::check_complete`], and no point of a damaged LAZ chunk is passed on.
     pub fn decode(
         &mut self,
         set: &InputSet,
@@ -141,7 +141,7 @@ impl PointDecoder {
             let done = cloud.decode(part, source, &mut self.slab, &mut taker);
             let outcome = match done {
                 Ok(missing) => taker.flush().map(|()| missing),
-                // What came before the damage is handed on.
+                // Points before the damage are passed on.
                 Err(error) if !taker.refused => taker.flush().and(Err(error)),
                 Err(error) => Err(error),
             };
@@ -163,7 +163,7 @@ impl PointDecoder {
             Content::Packed { packing, .. } => packing.decoded_bytes(rgb),
             Content::Cloud(_) => return Err(of_another_set()),
         };
-        // A slab is at least one record (64 KiB at most) and never more than a batch or than the piece needs.
+        // A slab holds at least one record (at most 64 KiB), and no more than a batch or than the piece needs.
         let most_points = piece.points.clamp(1, BATCH_POINTS as u64) as usize;
         let slab_points = (SLAB_BYTES / record_bytes).clamp(1, most_points);
         self.slab.resize(slab_points * record_bytes, 0);
@@ -188,7 +188,7 @@ impl PointDecoder {
             PackedPoints { source, packing, start, len, points, stream, wanted, memory_bytes, name }
         };
         let (slab, only_whole) = (&mut self.slab, set.options.allow_incomplete);
-        // How many points are not there.
+        // `Ok` holds the number of missing points.
         let outcome = match (&piece.source, &file.content) {
             (ChunkSource::Chunk { index, start, len }, Content::Packed { packing, .. }) => {
                 let run = run(&**packing, *start, *len, None, format!("LAZ chunk {index}"));
@@ -208,7 +208,7 @@ impl PointDecoder {
         self.settle(set, piece, outcome, counts, refused)
     }
 
-    /// Notes what was lost: points that are not there, or what an error left unread.
+    /// Records losses: missing points, or those left unread after an error.
     fn settle(
         &mut self,
         set: &InputSet,
@@ -217,7 +217,7 @@ impl PointDecoder {
         mut counts: PointCounts,
         refused: bool,
     ) -> Result<PointCounts> {
-        // Single records that could not be read are among the missing already.
+        // Single unreadable records are already counted as missing.
         let broken = counts.missing;
         self.lost = broken > 0;
         match outcome {

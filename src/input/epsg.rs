@@ -1,7 +1,7 @@
-//! Units of reference systems that a file or an option names by their EPSG code alone.
+//! Units of reference systems that a file or an option names only by EPSG code.
 //!
-//! In: a code. Out: what its axes mean. GeoTIFF keys may leave the unit to the code (`ProjLinearUnits` is optional), and then
-//! nothing in the file says "feet". A code that the table lacks has no unit: none is guessed.
+//! Input: a code. Output: the meaning of its axes. GeoTIFF keys may leave the unit to the code (`ProjLinearUnits` is
+//! optional); then nothing in the file says "feet". A code that is not in the table has no unit; none is guessed.
 
 use super::epsg_table::{KINDS, RUNS, UNITS};
 pub(super) use crate::unit::{FOOT_M as FOOT, US_SURVEY_FOOT_M as US_SURVEY_FOOT};
@@ -13,24 +13,24 @@ pub(super) struct System {
     pub ground: Ground,
     /// Metres per unit of z, if the system has a vertical axis; negative if that points down.
     pub up: Option<f64>,
-    /// It joins two systems, whose codes are others.
+    /// True if it combines two systems that have codes of their own.
     pub is_compound: bool,
 }
 
-/// Axes on the ground.
+/// Horizontal axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Ground {
     /// Metres per unit.
     Length(f64),
     /// Longitude and latitude.
     Angles,
-    /// Three axes from the middle of the Earth, in metres.
+    /// Three axes from the centre of the Earth, in metres.
     Geocentric,
-    /// A vertical system has none.
+    /// No horizontal axes: a vertical system.
     None,
 }
 
-/// The system `code`; `None` if the table has none.
+/// Returns the system `code`, or `None` if it is not in the table.
 pub(super) fn system(code: u32) -> Option<System> {
     let code = u16::try_from(code).ok()?;
     let after = RUNS.partition_point(|&(first, _)| first <= code);
@@ -38,7 +38,7 @@ pub(super) fn system(code: u32) -> Option<System> {
     KINDS.get(usize::from(kind).checked_sub(1)?).copied()
 }
 
-/// Metres per unit of EPSG unit of measure `code`, as `ProjLinearUnits` and `VerticalUnits` hold it.
+/// Returns metres per unit of EPSG unit of measure `code`, as used by `ProjLinearUnits` and `VerticalUnits`.
 pub(super) fn unit(code: u16) -> Option<f64> {
     UNITS.binary_search_by_key(&code, |unit| unit.0).ok().map(|at| UNITS[at].1)
 }

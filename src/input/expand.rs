@@ -1,7 +1,6 @@
-//! From the paths a user gives to a sorted list of scan files.
+//! Expands the paths given by the user to a sorted list of scan files.
 //!
-//! In: files, directories, glob patterns. Out: files in order of their paths, each file once.
-//! Memory: the list of paths.
+//! Input: files, directories, glob patterns. Output: files sorted by path, each once. Memory: the list of paths.
 
 use super::losses::Losses;
 use super::{cloud, is_of_input, pattern};
@@ -16,14 +15,15 @@ use std::path::{Path, PathBuf};
 
 /// Expands `inputs` to files.
 ///
-/// - A file is taken as it is, whatever its name (its signature decides later).
-/// - A directory stands for the scans directly in it, by their names with letters of any case: `.las`, `.laz`, `.e57`, `.pcd`,
-///   `.pts`, `.ptx`, `.xyz`, the last three also with `.gz` or `.zst`. Directories in it are not entered, because tiles of one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
-/// - A path that does not exist and holds `*`, `?` or `[` is a pattern; files in its matches count if they end so, and
-///   meshes and PLY if the pattern itself ends as they do: an export beside the scans is no input. Nor is a table: `.txt`
-///   and `.csv` are named one by one.
+/// - A file is accepted whatever its name; its signature decides later.
+/// - A directory stands for the scans directly in it, by extension in any case: `.las`, `.laz`, `.e57`, `.pcd`,
+///   `.pts`, `.ptx`, `.xyz`, the last three also with `.gz` or `.zst`. Subdirectories are not entered, because tiles of
+///   one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
+/// - A path that does not exist and contains `*`, `?` or `[` is a pattern. It finds files with these extensions, and
+///   meshes and PLY only if the pattern has the same extension, because an export beside the scans is not input.
+///   Neither are tables: `.txt` and `.csv` must be named individually.
 ///
-/// Where `losses` are given, what cannot be read is noted there and told to `monitor`, as long as anything is left.
+/// With `losses`, unreadable inputs are recorded there and reported to `monitor`, unless nothing else is left.
 pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut left_out = None;
@@ -45,7 +45,7 @@ pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn 
     let mut seen: HashMap<FileId, usize> = HashMap::new();
     let mut once: Vec<PathBuf> = Vec::with_capacity(found.len());
     for path in found {
-        // Where the system cannot tell, opening the file will say why.
+        // If the system returns no id, opening the file will report why.
         let before = FileId::at(&path).and_then(|id| seen.insert(id, once.len()).map(|first| (id, first)));
         match before {
             Some((id, first)) => {
@@ -59,7 +59,7 @@ pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn 
     Ok(once)
 }
 
-/// Says that something is left out.
+/// Reports that an input is left out.
 fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
     if let Some(losses) = losses {
         losses.note();
@@ -110,7 +110,8 @@ fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, m
     }
 }
 
-/// Expands an address: an object; `s3://bucket/folder/`, which stands for the scans directly in it; patterns in object stores.
+/// Expands an address: an object; `s3://bucket/folder/`, which stands for the scans directly in it; a pattern in an
+/// object store.
 #[cfg_attr(
     not(feature = "remote"),
     allow(unused_variables, reason = "opening it will say that addresses are not read")
@@ -124,7 +125,7 @@ fn objects(input: &Path, address: &str, found: &mut Vec<PathBuf>) -> Result<()> 
             let pattern = glob::Pattern::new(key).map_err(|e| Error::input(input, "pattern", e.to_string()))?;
             let folder = &key[..key[..wild].rfind('/').map_or(0, |at| at + 1)];
             let deep = key[folder.len()..].contains('/');
-            // A name that begins with a dot is a name as any other, as in patterns over folders.
+            // A leading dot is not special, as in patterns over folders.
             let how = glob::MatchOptions { require_literal_separator: true, ..glob::MatchOptions::default() };
             for name in list(&format!("{bucket}{folder}"), deep)? {
                 let path = PathBuf::from(&name);
@@ -152,7 +153,7 @@ fn objects(input: &Path, address: &str, found: &mut Vec<PathBuf>) -> Result<()> 
     Ok(())
 }
 
-/// `s3://bucket/` and the key behind it.
+/// Splits an address into `s3://bucket/` and the key.
 #[cfg(feature = "remote")]
 fn split_address(address: &str) -> (&str, &str) {
     let host = address.find("://").map_or(0, |at| at + 3);
@@ -174,14 +175,14 @@ fn is_scan(path: &Path) -> bool {
         || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
 }
 
-/// Whether the name says mesh.
+/// Returns whether the name has the extension of a mesh.
 fn is_mesh_named(path: &Path) -> bool {
     const ENDINGS: [&str; 5] = ["obj", "ply", "stl", "gltf", "glb"];
     path.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
 }
 
-/// Whether a file is a mesh: by its name. (A scan under such a name is told by its signature, and a PLY without faces is a
-/// cloud.)
+/// Returns whether a file is a mesh according to its extension. Exceptions: a file with the signature of a scan, and a
+/// PLY file without faces, which is a cloud.
 pub(super) fn is_mesh(path: &Path) -> bool {
     let is_cloud = || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) && cloud::is_ply_cloud(path);
     is_mesh_named(path) && !has_signature_of_scan(path) && !is_cloud()
@@ -189,7 +190,7 @@ pub(super) fn is_mesh(path: &Path) -> bool {
 
 fn has_signature_of_scan(path: &Path) -> bool {
     let mut start = [0; 4];
-    // Where it cannot be read, opening it as a mesh will say why.
+    // If the file cannot be read, opening it as a mesh will report why.
     Input::open(path).is_ok_and(|(input, _)| input.read_up_to(0, &mut start).is_ok() && &start == b"LASF")
 }
 

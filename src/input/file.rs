@@ -1,6 +1,6 @@
-//! One scan file: what its header and records say, checked, and where its points lie.
+//! One scan file: its checked header and records, and the location of its points.
 //!
-//! LAS and LAZ are read here and in the modules beside this; every other format is a [`Cloud`].
+//! This file and its sibling modules read LAS and LAZ; every other format is a [`Cloud`].
 
 use super::cloud::{self, Cloud, Depth, Opened, Opening, Standpoint};
 use super::convert::{Field, Layout, TagField, Transform};
@@ -31,11 +31,11 @@ pub struct ScanFile {
     pub(super) record_bytes: u16,
     pub(super) points_at: u64,
     points_stated: u64,
-    /// Least and greatest corner that its header claims, in file units.
+    /// Minimum and maximum corner stated by the header, in file units.
     bounds: [[f64; 3]; 2],
     pub(super) transform: Transform,
     pub(super) content: Content,
-    /// Its red, green and blue are of 8 bits and become those of 16.
+    /// True if red, green and blue are 8-bit and must be scaled to 16 bits.
     pub(super) widen: bool,
     text: Option<Box<TextLayout>>,
 }
@@ -49,21 +49,21 @@ pub(super) enum Content {
         packing: Arc<Packing>,
         body: Chunking,
     },
-    /// Another format than LAS; what only LAS has is 0 in the file.
+    /// A format other than LAS; fields of `ScanFile` that only LAS has are 0.
     Cloud(Box<dyn Cloud>),
 }
 
-/// What files have in common, so that each need not hold it.
+/// Data shared by the files of a set.
 #[derive(Debug)]
 pub(super) struct Common {
-    /// By the bytes of the LASzip record.
+    /// Packings, keyed by the bytes of the LASzip record.
     packings: Mutex<HashMap<Vec<u8>, Arc<Packing>>>,
-    /// Chunks that may still be listed.
+    /// Number of chunks that may still be listed.
     chunks_left: AtomicU64,
 }
 
 impl Common {
-    /// For chunk tables of so many bytes in all.
+    /// Shares a limit of `memory_bytes` among all chunk tables.
     pub fn new(memory_bytes: u64) -> Self {
         Self { packings: Mutex::default(), chunks_left: (memory_bytes / size_of::<Chunk>() as u64).into() }
     }
@@ -74,19 +74,19 @@ impl Common {
             return Ok(packing.clone());
         }
         let packing = Arc::new(Packing::read(source, body, memory_bytes)?);
-        // Another thread may have been faster.
+        // Another thread may have inserted it meanwhile.
         Ok(packings().entry(body.to_vec()).or_insert(packing).clone())
     }
 }
 
-/// What a file leaves open, and its reference system.
+/// Reference system of a file, and what it leaves open.
 #[derive(Debug, Default)]
 pub(super) struct Reference {
-    /// WKT, else `EPSG:n`, else what GeoTIFF keys cite.
+    /// WKT, else `EPSG:n`, else the citation of the GeoTIFF keys.
     pub crs: Option<String>,
     pub no_unit: bool,
     pub degrees: bool,
-    /// How the file was understood, where that takes guessing.
+    /// How the file was interpreted, if that required guessing.
     pub said: Option<String>,
 }
 
@@ -132,7 +132,7 @@ impl ScanFile {
                 let left = common.chunks_left.load(Ordering::Relaxed);
                 let body = packing.body(&source, &header, bytes, left, findings)?;
                 if let Chunking::Chunks { chunks, .. } = &body {
-                    // Threads may overdraw it, each by its one file.
+                    // Threads may exceed the limit, each by one file.
                     let less = |left: u64| Some(left.saturating_sub(chunks.len() as u64));
                     let _ = common.chunks_left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
                 }
@@ -177,7 +177,7 @@ impl ScanFile {
         Ok((file, reference))
     }
 
-    /// The file of a cloud.
+    /// Builds the file of a cloud.
     fn of_cloud(
         source: &Source,
         opened: Opened,
@@ -207,7 +207,7 @@ impl ScanFile {
         Ok((file, reference))
     }
 
-    /// Whether a record holds a point as the header describes them.
+    /// Returns whether a record holds a point that matches the header.
     fn is_plausible(&self, record: &[u8]) -> bool {
         let at = self.transform.point(record);
         let inside =
@@ -215,12 +215,12 @@ impl ScanFile {
         record.iter().any(|&byte| byte != 0) && self.bounds_with_slack().is_some_and(inside)
     }
 
-    /// Where a place in the file's own coordinates lies (m, z up); `None` if that is not finite.
+    /// Converts a position in the file's own coordinates to metres, z up; `None` if the result is not finite.
     pub(crate) fn place_of(&self, at: [f64; 3]) -> Option<[f64; 3]> {
         self.transform.corner(at)
     }
 
-    /// Where the scanner of each of its clouds stood, in its own coordinates.
+    /// Returns the scanner position of each cloud, in the file's own coordinates.
     pub(crate) fn standpoints(&self) -> Vec<Standpoint> {
         match &self.content {
             Content::Cloud(cloud) => cloud.standpoints(),
@@ -228,27 +228,27 @@ impl ScanFile {
         }
     }
 
-    /// Where the file is.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Its length (bytes).
+    /// Returns the length of the file (bytes).
     pub fn bytes(&self) -> u64 {
         self.stamp.len()
     }
 
-    /// LAS version, for example (1, 4); `None` for other formats.
+    /// Returns the LAS version, for example (1, 4); `None` for other formats.
     pub fn version(&self) -> Option<(u8, u8)> {
         (!matches!(self.content, Content::Cloud(_))).then_some(self.version)
     }
 
-    /// LAS point format [0..=10]; `None` for other formats.
+    /// Returns the LAS point format [0..=10]; `None` for other formats.
     pub fn point_format(&self) -> Option<u8> {
         self.version().map(|_| self.format)
     }
 
-    /// Name of its format: LAS, LAZ, E57, PCD, PLY, PTS, PTX, text.
+    /// Returns the name of the format: LAS, LAZ, E57, PCD, PLY, PTS, PTX, text.
     pub fn format(&self) -> &'static str {
         match &self.content {
             Content::Plain { .. } => "LAS",
@@ -257,12 +257,12 @@ impl ScanFile {
         }
     }
 
-    /// How its columns were understood, of XYZ, CSV, PTS and PTX.
+    /// Returns how the columns of an XYZ, CSV, PTS or PTX file were interpreted.
     pub fn text_layout(&self) -> Option<&TextLayout> {
         self.text.as_deref()
     }
 
-    /// Checks what only all decoded pieces together tell.
+    /// Makes the checks that need all pieces decoded.
     pub(super) fn check(&self, findings: &mut Findings<'_>, monitor: &dyn Monitor) -> Result<()> {
         match &self.content {
             Content::Cloud(cloud) => cloud.check(findings, monitor),
@@ -270,17 +270,17 @@ impl ScanFile {
         }
     }
 
-    /// Whether its header states bounds and a number of points, right or wrong, as that of LAS does.
+    /// Returns whether the format has a header that states bounds and a point count, right or wrong, as LAS does.
     pub(crate) fn has_header(&self) -> bool {
         !matches!(self.content, Content::Cloud(_))
     }
 
-    /// Points that its header claims.
+    /// Returns the number of points stated by the header.
     pub fn points_stated(&self) -> u64 {
         self.points_stated
     }
 
-    /// Points that it can hold by its length and chunk table: a better hint, still only a hint.
+    /// Returns the number of points that the file's length and chunk table allow: a better hint, but still only a hint.
     pub fn points_expected(&self) -> u64 {
         match &self.content {
             Content::Plain { points } => *points,
@@ -292,12 +292,12 @@ impl ScanFile {
         }
     }
 
-    /// Metres per file unit along the file's own x, y and z.
+    /// Returns metres per file unit along the file's own x, y and z.
     pub fn unit_m(&self) -> [f64; 3] {
         self.transform.unit
     }
 
-    /// Where flags and class lie in its records.
+    /// Returns where flags and class lie in a record.
     pub(super) fn layout(&self) -> Layout {
         match &self.content {
             Content::Packed { packing, .. } => packing.layout,
@@ -306,11 +306,11 @@ impl ScanFile {
         }
     }
 
-    /// Where in a decoded record values for colours lie; `None` if the file has none.
+    /// Returns where the colour values lie in a decoded record; `None` if the file has none.
     pub(super) fn field(&self, source: ColourSource) -> Option<Field> {
         let rgb = match &self.content {
             Content::Packed { packing, .. } => packing.rgb_at,
-            // Of point formats 0 to 10.
+            // Offsets for point formats 0 to 10.
             Content::Plain { .. } => match self.format {
                 2 => Some(20),
                 3 | 5 => Some(28),
@@ -326,7 +326,7 @@ impl ScanFile {
         }
     }
 
-    /// Where in a decoded record the tag of a point lies; `None` if its points have none.
+    /// Returns where the tag of a point lies in a decoded record; `None` if the points have none.
     pub(super) fn tag_field(&self, tag: Tag) -> Option<TagField> {
         let (layout, format) = (self.layout(), self.point_format()?);
         let (field, end) = match (tag, layout) {
@@ -339,12 +339,12 @@ impl ScanFile {
         (end <= usize::from(self.record_bytes)).then_some(field)
     }
 
-    /// Whether its points have such a tag.
+    /// Returns whether the points have such a tag.
     pub(crate) fn has_tags(&self, tag: Tag) -> bool {
         self.tag_field(tag).is_some()
     }
 
-    /// Whether its points have such values, as far as its header tells.
+    /// Returns whether the points have such values, according to the header.
     pub(super) fn has_values(&self, source: ColourSource) -> bool {
         let of_cloud = match &self.content {
             Content::Cloud(cloud) => cloud.has_values(source),
@@ -353,7 +353,7 @@ impl ScanFile {
         of_cloud && self.points_expected() > 0
     }
 
-    /// Finds out what its values of this source mean.
+    /// Determines the meaning of values of this source.
     pub(super) fn prepare_values(&mut self, source: ColourSource) -> Result<()> {
         self.widen = false;
         if !self.has_values(source) {
@@ -365,7 +365,7 @@ impl ScanFile {
         }
     }
 
-    /// What its red, green and blue reach up to.
+    /// Returns the maximum value of red, green and blue.
     pub(super) fn depth(&self) -> Depth {
         match &self.content {
             Content::Cloud(cloud) => cloud.depth(),
@@ -373,7 +373,7 @@ impl ScanFile {
         }
     }
 
-    /// XXH3-128 of what its header says about the points: with the bytes of the points it makes their coordinates.
+    /// Returns the XXH3-128 of everything in the header that affects coordinates.
     pub(super) fn hash(&self) -> u128 {
         let Transform { scale, offset, unit, .. } = self.transform;
         let numbers = [scale, offset, unit].concat().into_iter().flat_map(f64::to_le_bytes);
@@ -385,7 +385,7 @@ impl ScanFile {
         xxh3_128(&numbers.chain(counts.into_iter().flat_map(u64::to_le_bytes)).chain(state).collect::<Vec<_>>())
     }
 
-    /// XXH3-128 of all that decides which pieces its points are read in.
+    /// Returns the XXH3-128 of everything that determines how the file is divided into pieces.
     pub(crate) fn layout_hash(&self) -> u128 {
         let mut hash = Xxh3::new();
         hash.update(&self.hash().to_le_bytes());
@@ -398,7 +398,7 @@ impl ScanFile {
         hash.digest128()
     }
 
-    /// The bounds that its header claims; `None` where they are not finite or not in order. Often wrong.
+    /// Returns the bounds stated by the header, often wrong; `None` if not finite or not in order.
     pub fn bounds_stated(&self) -> Option<StatedBounds> {
         let [a, b] = self.bounds;
         let in_order = (0..3).all(|axis| a[axis] <= b[axis]);
@@ -407,8 +407,8 @@ impl ScanFile {
         in_order.then_some(StatedBounds { min: pick(f64::min), max: pick(f64::max) })
     }
 
-    /// Whether the bounds that its header claims are not those of points from `min` to `max`, give or take a step of
-    /// its coordinates. Unless these are `all` of its points, the claim may be larger.
+    /// Returns whether the stated bounds differ from `min` and `max` of the points by more than one coordinate step.
+    /// The stated bounds may be larger unless `all` points of the file are covered.
     pub fn bounds_disagree(&self, min: [f64; 3], max: [f64; 3], all: bool) -> bool {
         let Some(stated) = self.bounds_stated() else { return self.has_header() };
         (0..3).any(|axis| {
@@ -418,7 +418,7 @@ impl ScanFile {
         })
     }
 
-    /// The bounds that its header claims, larger by a step of its coordinates on every side.
+    /// Returns the stated bounds, enlarged by one coordinate step on every side.
     pub fn bounds_with_slack(&self) -> Option<StatedBounds> {
         let stated = self.bounds_stated()?;
         let slack: [f64; 3] = std::array::from_fn(|axis| self.slack(stated.min[axis], stated.max[axis]));
@@ -428,14 +428,14 @@ impl ScanFile {
         finite.then_some(StatedBounds { min, max })
     }
 
-    /// The file with the bounds that its header claims, if it claims points.
+    /// Returns the file and its stated bounds, if it states points.
     pub(crate) fn scene_stated(&self) -> Option<Scene<'_>> {
         let StatedBounds { min, max } = self.bounds_stated().filter(|_| self.points_expected() > 0)?;
         Some(Scene { path: &self.path, min, max })
     }
 
-    /// How far a coordinate between `min` and `max` may lie from what a header says of it (m): a step of the largest
-    /// scale, and rounding.
+    /// Tolerance for comparing a coordinate between `min` and `max` with the header (m): one step of the largest scale,
+    /// plus rounding.
     fn slack(&self, min: f64, max: f64) -> f64 {
         let step =
             (0..3).map(|axis| (self.transform.scale[axis] * self.transform.unit[axis]).abs()).fold(0.0, f64::max);
@@ -443,7 +443,7 @@ impl ScanFile {
     }
 }
 
-/// The reference of a file and the lengths of its units (m), by what it states and by the options.
+/// Combines what the file states with the options: returns the reference and the lengths of the units (m).
 fn settle(
     path: &Path,
     mut georeference: crs::Georeference,
@@ -467,7 +467,7 @@ fn settle(
             reference.degrees = georeference.degrees;
             reference.no_unit = georeference.horizontal.is_none() && !georeference.degrees;
             let horizontal = georeference.horizontal.unwrap_or(1.0);
-            // Heights without a unit of their own: that of the map, as surveyors in feet do; never degrees.
+            // Heights without a unit of their own use the map's, as is usual with surveys in feet; never degrees.
             let vertical = georeference.vertical.unwrap_or(horizontal);
             [horizontal, horizontal, vertical]
         }

@@ -1,47 +1,47 @@
 //! The public header block of LAS 1.0 to 1.5, every number checked against the file's length.
 //!
-//! In: an open file. Out: the facts that decoding needs, or one line that says which byte is wrong.
-//! Memory: 512 bytes. The standard: "LAS Specification 1.4 - R15" (ASPRS), sections 2.4 and 2.6; offsets below are bytes.
+//! Input: an open file. Output: the facts that decoding needs, or one line that names the wrong byte.
+//! Memory: 512 bytes. Standard: "LAS Specification 1.4 - R15" (ASPRS), sections 2.4 and 2.6; offsets below are bytes.
 //!
-//! Not by the crate `las`: it reads the fields that a version has, whatever length the header states, so it ends with an error
-//! at headers whose version or length is wrong while their points are sound.
+//! The crate `las` is not used: it reads all fields of a version regardless of the stated header length, so it fails on
+//! headers with a wrong version or length although the points are sound.
 
 use super::source::Source;
 use crate::{Error, Result};
 
-/// Bytes of the oldest header; no version has a shorter one.
+/// Length of the oldest header (bytes), the shortest of all versions.
 const SHORTEST: u16 = 227;
-/// Length from which on the field of LAS 1.3 (place of the waveforms) is present.
+/// Minimum header length with the LAS 1.3 field (offset of the waveforms).
 const WITH_WAVEFORMS: u16 = 235;
-/// Length from which on the fields of LAS 1.4 (64-bit counts, extended records) are present.
+/// Minimum header length with the LAS 1.4 fields (64-bit counts, extended records).
 const WITH_LONG_COUNTS: u16 = 375;
-/// Bytes of a record of each point format without extra bytes.
+/// Record length of each point format without extra bytes.
 const RECORD_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
 /// A checked header.
 #[derive(Debug, Clone)]
 pub(super) struct LasHeader {
     pub version: (u8, u8),
-    /// The global encoding says that the reference system is well-known text.
+    /// The global encoding states that the reference system is well-known text.
     pub says_wkt: bool,
     pub header_bytes: u16,
-    /// First byte of the points; may lie beyond the end of a truncated file.
+    /// Offset of the first point; may lie beyond the end of a truncated file.
     pub points_at: u64,
     pub records: u32,
     pub format: u8,
     pub compressed: bool,
     pub record_bytes: u16,
-    /// What the header claims; never more than a hint.
+    /// Point count stated by the header; only a hint.
     pub points_stated: u64,
     pub scale: [f64; 3],
     pub offset: [f64; 3],
-    /// Least and greatest corner that the header claims, in file units.
+    /// Minimum and maximum corner stated by the header, in file units.
     pub bounds: [[f64; 3]; 2],
-    /// First byte of the waveforms (LAS 1.3 and later); 0 if there are none.
+    /// Offset of the waveforms (LAS 1.3 and later); 0 if absent.
     pub waveforms_at: u64,
     pub first_extended: u64,
     pub extended: u32,
-    /// Soft problems, for the monitor.
+    /// Warnings for the monitor.
     pub notes: Vec<String>,
 }
 
@@ -134,8 +134,8 @@ impl LasHeader {
         Ok(header)
     }
 
-    /// Scales and offsets from which finite coordinates follow. A negative scale mirrors an axis: unusual, but it means
-    /// what it says, so it is taken.
+    /// Checks that scales and offsets yield finite coordinates. A negative scale mirrors an axis: unusual, but
+    /// well-defined, so it is accepted.
     fn check_scale(&self, source: &Source) -> Result<()> {
         for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
             let (scale, offset) = (self.scale[axis], self.offset[axis]);
@@ -152,7 +152,7 @@ impl LasHeader {
     }
 }
 
-/// The first bytes of something else, as readable text.
+/// Quotes the first bytes of a file in another format as readable text.
 fn quote(bytes: &[u8]) -> String {
     if bytes.is_empty() {
         return "an empty file".into();
@@ -166,7 +166,7 @@ fn quote(bytes: &[u8]) -> String {
     format!("the bytes {}", hex.join(" "))
 }
 
-/// Little-endian numbers of a slice that the caller knows to be long enough.
+/// Reads a little-endian number; the caller ensures that `bytes` is long enough.
 pub(super) fn u16_at(bytes: &[u8], at: usize) -> u16 {
     u16::from_le_bytes([bytes[at], bytes[at + 1]])
 }

@@ -1,14 +1,14 @@
-//! Plain LAS: how many whole records a file holds, and reading them in slabs.
+//! Plain LAS: counts the whole records of a file and reads them in slabs.
 //!
-//! In: a checked header. Out: whole point records. Memory: one slab, given by the caller. The count in the header is
-//! only an upper bound: files are cut (`1.2-with-color-clipped.las`) and headers lie.
+//! Input: a checked header. Output: whole point records. Memory: one slab, supplied by the caller. The count in the
+//! header is only an upper bound: files are truncated (`1.2-with-color-clipped.las`) and headers can be wrong.
 
 use super::header::LasHeader;
 use super::losses::Findings;
 use super::source::Source;
 use crate::{Error, Result};
 
-/// Points that can be read: as many as stated, if they fit.
+/// Returns the number of readable points: the stated count, or fewer if the file is too short.
 pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findings: &mut Findings) -> Result<u64> {
     let stated = header.points_stated;
     let extended_at = header.first_extended;
@@ -30,7 +30,7 @@ pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findi
     Ok(stated.min(room))
 }
 
-/// The record that follows the stated `points`, if there is room for one before other parts of the file begin.
+/// Returns the record that follows the stated `points`, if one fits before the next part of the file.
 pub(super) fn record_after(
     source: &Source,
     header: &LasHeader,
@@ -47,7 +47,7 @@ pub(super) fn record_after(
     source.bytes_at(at, header.record_bytes.into())
 }
 
-/// Reads `count` records of `record_bytes` from byte `start` on, slab by slab; returns how many were there.
+/// Reads `count` records of `record_bytes` from byte `start` on in slabs; returns the number read.
 pub(super) fn read(
     source: &Source,
     start: u64,
@@ -66,7 +66,7 @@ pub(super) fn read(
         }
         done += got as u64;
         if got * record_bytes < want {
-            break; // the file became shorter since it was opened
+            break; // the file was truncated since it was opened
         }
     }
     Ok(done)

@@ -1,7 +1,7 @@
-//! Input that could be read in part only: an error, unless the user allows it.
+//! Input that is only partly readable: an error unless the user allows it.
 //!
-//! Points that are in a file and not in the archive, without a filter that asked for it, make the input incomplete. A
-//! header that is wrong about counts or bounds while all points are there does not.
+//! Input is incomplete if a file holds points that are missing from the archive although no filter excluded them. A
+//! header with wrong counts or bounds does not make it incomplete as long as all points are there.
 
 use super::ScanFile;
 use crate::{Error, Monitor, Parameter, Result};
@@ -11,20 +11,20 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// What a user can do about incomplete input.
+/// Advice to users about incomplete input.
 const WAY_OUT: &str = "fetch or write it again";
 
-/// An error about a file that can be read in part only.
+/// Error for a file that is only partly readable.
 pub(crate) fn incomplete(path: &Path, at: &str, what: impl Display) -> Error {
     Error::input(path, at, format!("{what}; {WAY_OUT}")).with_way_out(Parameter::Incomplete)
 }
 
-/// Tells `monitor` that a file was read in part only.
+/// Warns that a file was read only in part.
 pub(crate) fn warn_incomplete(path: &Path, what: impl Display, monitor: &dyn Monitor) {
     monitor.warn(&format!("{}: incomplete: {what}", path.display()).into());
 }
 
-/// An error about a file whose name is told beside it.
+/// Formats an error without its path, for messages that name the file already.
 pub(super) fn without_path(error: Error) -> String {
     match error {
         Error::Input { at, reason, .. } => format!("{at}: {reason}"),
@@ -32,24 +32,24 @@ pub(super) fn without_path(error: Error) -> String {
     }
 }
 
-/// What opening a file finds wrong.
+/// Problems found while opening a file.
 pub(super) struct Findings<'a> {
     pub path: &'a Path,
     pub allow_incomplete: bool,
-    /// Soft problems, for the monitor.
+    /// Warnings for the monitor.
     pub notes: Vec<String>,
-    /// What is known to be lost, and how many points that is.
+    /// Descriptions of what is lost, and the number of points among it.
     pub lost: Vec<String>,
     pub points: u64,
 }
 
 impl Findings<'_> {
-    /// A soft problem.
+    /// Adds a warning.
     pub fn note(&mut self, text: impl Into<String>) {
         self.notes.push(text.into());
     }
 
-    /// Points cannot be read.
+    /// Records that points cannot be read: an error unless `allow_incomplete` is set.
     pub fn lose(&mut self, text: impl Into<String>) -> Result<()> {
         let text = text.into();
         if !self.allow_incomplete {
@@ -59,7 +59,7 @@ impl Findings<'_> {
         Ok(())
     }
 
-    /// So many points cannot be read.
+    /// Like [`lose`](Self::lose), and counts the `points`.
     pub fn lose_points(&mut self, points: u64, text: impl Into<String>) -> Result<()> {
         self.lose(text)?;
         self.points = self.points.saturating_add(points);
@@ -67,16 +67,17 @@ impl Findings<'_> {
     }
 }
 
-/// What decoding lost of one file.
+/// Losses while decoding one file.
 #[derive(Debug, Default)]
 pub(super) struct Loss {
     pub not_finite: u64,
     pub missing: u64,
-    /// Points in what cannot be read (chunks, pieces from their damage on, single records), pieces among that, and the reason of one.
+    /// Damaged pieces; points unread because of damage (whole chunks, rest of a piece, single records); one of the
+    /// reasons.
     pub damaged: u64,
     pub unread: u64,
     pub reason: Option<String>,
-    /// What the format found out, in words.
+    /// Losses described by the format itself.
     pub told: Vec<String>,
     pub changed: bool,
 }
@@ -103,13 +104,13 @@ impl Loss {
     }
 }
 
-/// What decoding lost, by file; most files lose nothing.
+/// Losses while decoding, by file; most files have none.
 #[derive(Debug, Default)]
 pub(super) struct Losses {
     by_file: Mutex<BTreeMap<usize, Loss>>,
-    /// Whether anything was lost and told.
+    /// True if a loss was reported.
     any: AtomicBool,
-    /// Points lost before any point was decoded.
+    /// Points lost before decoding.
     points: AtomicU64,
 }
 
@@ -118,17 +119,17 @@ impl Losses {
         change(self.by_file.lock().unwrap_or_else(PoisonError::into_inner).entry(file).or_default());
     }
 
-    /// Something was lost before any point was decoded.
+    /// Records a loss before decoding.
     pub fn note(&self) {
         self.any.store(true, Ordering::Relaxed);
     }
 
-    /// So many points were lost before any point was decoded.
+    /// Adds points lost before decoding.
     pub fn note_points(&self, points: u64) {
         self.points.fetch_add(points, Ordering::Relaxed);
     }
 
-    /// Points lost before any point was decoded.
+    /// Returns the number of points lost before decoding.
     pub fn points(&self) -> u64 {
         self.points.load(Ordering::Relaxed)
     }
@@ -137,7 +138,8 @@ impl Losses {
         self.any.load(Ordering::Relaxed)
     }
 
-    /// Fails if anything was lost since the last call, or tells `monitor` where that is allowed: one line a file and kind.
+    /// Fails if anything was lost since the last call, or, if `allowed`, warns `monitor` once per file and kind of
+    /// loss.
     pub fn settle(&self, files: &[ScanFile], allowed: bool, monitor: &dyn Monitor) -> Result<()> {
         let by_file = std::mem::take(&mut *self.by_file.lock().unwrap_or_else(PoisonError::into_inner));
         let lost: Vec<(&Path, String)> = by_file

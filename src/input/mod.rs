@@ -1,15 +1,16 @@
-//! Laser scans in, points in metres out.
+//! Reads laser scans and yields points in metres.
 //!
-//! In: LAS 1.0 to 1.5 and LAZ files (COPC files are LAZ), clouds in E57, PLY, PCD and text, directories, patterns. Out:
-//! [`PointBatch`]es of kept points, z up, in metres. Nothing later knows what a LAS record is. No byte of a file is trusted: a damaged one gives an
-//! [`Error::Input`] of one line or a warning, never a panic, and no number in it sizes anything before it is
-//! checked against the file's length.
+//! Input: LAS 1.0 to 1.5 and LAZ files (COPC files are LAZ), clouds in E57, PLY, PCD and text, directories, patterns.
+//! Output: [`PointBatch`]es of kept points, z up, in metres; no later stage knows what a LAS record is. No byte of a
+//! file is trusted: a damaged file causes an [`Error::Input`] of one line or a warning, never a panic, and no number in
+//! a file determines an allocation before it is checked against the file's length.
 //!
-//! How to use it: [`InputSet::open`] checks the headers; [`InputSet::chunks`] cuts the files into pieces; any number of
-//! threads, each with its own [`PointDecoder`], decode pieces in any order; [`InputSet::check_complete`] at the end.
+//! Usage: [`InputSet::open`] checks the headers; [`InputSet::chunks`] divides the files into pieces; any number of
+//! threads, each with its own [`PointDecoder`], decode pieces in any order; finally call [`InputSet::check_complete`].
 //!
-//! Memory: a set holds about 300 bytes and the path of a file and 8 bytes a LAZ chunk (16 MiB for 10¹¹ points); a decoder 3 MiB, and
-//! for layered LAZ the compressed coordinates of one chunk (see [`InputOptions::memory_bytes`]), for `.zst` 8 MiB.
+//! Memory: a set holds about 300 bytes plus the path per file and 8 bytes per LAZ chunk (16 MiB for 10¹¹ points). A
+//! decoder holds 3 MiB, plus the compressed coordinates of one chunk for layered LAZ (see
+//! [`InputOptions::memory_bytes`]) and 8 MiB for `.zst`.
 //!
 //! Sources: "LAS Specification 1.4 - R15" and "LAS Specification 1.5" (ASPRS); LASzip: see `laz`.
 
@@ -60,20 +61,20 @@ pub use self::file::ScanFile;
 pub(crate) use self::losses::{incomplete, warn_incomplete};
 pub(crate) use self::source::{ReadLog, Reads};
 
-/// Most points of one [`PointBatch`].
+/// Maximum number of points in one [`PointBatch`].
 pub const BATCH_POINTS: usize = 1 << 16;
 
 /// Length of a file unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Units {
-    /// As the file's reference system says; metres where it says nothing.
+    /// As stated by the file's reference system; metres if it states none.
     #[default]
     Auto,
     /// Metres per unit, for x, y and z of every file (m, > 0).
     Factor(f64),
 }
 
-/// As the command line takes it: `auto`, the name of a unit, or metres per unit.
+/// Parses the command-line form: `auto`, the name of a unit, or metres per unit.
 impl FromStr for Units {
     type Err = String;
 
@@ -91,26 +92,26 @@ impl FromStr for Units {
     }
 }
 
-/// What to read and how.
+/// Options for reading a set of files.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InputOptions {
     /// Length of a file unit.
     pub units: Units,
-    /// EPSG code of the reference system of files that state none; a file that states another is refused.
+    /// EPSG code of the reference system, for files that state none; a file that states another is refused.
     pub epsg: Option<u32>,
-    /// Columns of text without a header of their own; x, y and z come first by default.
+    /// Columns of text files without a header of their own; by default x, y and z come first.
     pub columns: Option<Columns>,
-    /// Which axis of the files points up.
+    /// Axis of the files that points up.
     pub up: Up,
-    /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
+    /// LAS classes to leave out: class `c` is bit `c % 64` of word `c / 64`.
     pub exclude_classes: ClassSet,
-    /// What one decoder may hold of one compressed LAZ chunk, and the set of chunk tables (bytes).
+    /// Byte limit for one compressed LAZ chunk in one decoder, and for all chunk tables of the set together.
     pub memory_bytes: u64,
-    /// Values of points that are read for colours, where a file has them.
+    /// Source of colour values to read from points, in files that have it.
     pub colour: Option<ColourSource>,
-    /// Whether input that can be read in part only is read so, with warnings, instead of being refused.
+    /// Reads files that are only partly readable, with warnings, instead of refusing them.
     pub allow_incomplete: bool,
-    /// Whether all that is decoded is hashed, so that two runs can tell whether they read the same.
+    /// Hashes everything that is decoded, so that two runs can check that they read the same data.
     pub hash: bool,
     /// Threads that read headers, at least 1.
     pub threads: usize,
@@ -133,7 +134,7 @@ impl Default for InputOptions {
     }
 }
 
-/// Kept points of one cloud in metres, z up; the three columns are equally long.
+/// Kept points of one cloud in metres, z up; the three columns have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct PointBatch {
@@ -143,17 +144,16 @@ pub struct PointBatch {
     pub y: Vec<f64>,
     /// Heights (m).
     pub z: Vec<f64>,
-    /// Cloud of the file that all of them belong to, from 0: an E57 or PTX may hold several.
+    /// Cloud of the file that all points belong to, from 0: an E57 or PTX file may hold several.
     pub cloud: usize,
-    /// Values for colours, as many as points, or none where these have none or none are asked for: red, green and blue, up to 255 or
-    /// up to 65,535 as the file has them; else the intensity or the class, and zeros.
+    /// Colour values, one per point; empty if the points have none or none were requested. Red, green and blue, up to
+    /// 255 or 65,535 as stored in the file; otherwise the intensity or class followed by zeros.
     pub values: Vec<[u16; 3]>,
-    /// Which station measured each point, as many as points, or none where the file has none or none are asked for: its point source id or
-    /// its GPS time (s).
+    /// Station tags, one per point: point source id or GPS time (s). Empty if the file has none or none were requested.
     pub tags: Vec<f64>,
 }
 
-/// What tells which station measured a point of a file.
+/// Kind of tag that identifies the station which measured a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Tag {
     SourceId,
@@ -161,17 +161,17 @@ pub(crate) enum Tag {
 }
 
 impl PointBatch {
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.x.len()
     }
 
-    /// Whether it holds no point.
+    /// Returns whether it holds no points.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
 
-    /// Forgets all points.
+    /// Removes all points.
     pub(crate) fn clear(&mut self) {
         self.resize(0);
     }
@@ -192,24 +192,24 @@ impl PointBatch {
     }
 }
 
-/// Numbers of points; sums do not depend on the order of units.
+/// Point counts; their sums do not depend on the order in which pieces are decoded.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PointCounts {
     /// Points read, kept or not.
     pub read: u64,
-    /// Of these, left out because the file marks them: withheld in LAS, without a return in others (not a number, an
-    /// invalid state, `0 0 0` in PTX).
+    /// Points among `read` left out because the file marks them: withheld in LAS, without a return in other formats
+    /// (not a number, an invalid state, `0 0 0` in PTX).
     pub withheld: u64,
-    /// Of these, left out by class.
+    /// Points among `read` left out by class.
     pub excluded: u64,
-    /// Of these, left out because a coordinate is not finite or beyond 10¹² m.
+    /// Points among `read` left out because a coordinate is not finite or exceeds 10¹² m.
     pub not_finite: u64,
-    /// Points that were expected but not there, or could not be read (not among `read`).
+    /// Points that were expected but missing or unreadable (not included in `read`).
     pub missing: u64,
 }
 
 impl PointCounts {
-    /// Points handed on.
+    /// Returns the number of points passed on.
     pub fn kept(&self) -> u64 {
         self.read - self.withheld - self.excluded - self.not_finite
     }
@@ -225,36 +225,36 @@ impl std::ops::AddAssign for PointCounts {
     }
 }
 
-/// A box that a header claims (m, z up).
+/// Bounding box stated by a header (m, z up).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StatedBounds {
-    /// Least corner.
+    /// Minimum corner.
     pub min: [f64; 3],
-    /// Greatest corner.
+    /// Maximum corner.
     pub max: [f64; 3],
 }
 
-/// Files that are opened before warnings about them are given.
+/// Files opened before the warnings about them are issued.
 const OPENED_AT_ONCE: usize = 1024;
 
-/// Threads that look at files with few reads each: more than processors where answers come from far away, each of which has a
-/// connection of its own.
+/// Returns the number of threads for opening files with a few reads each. For remote files it may exceed the number of
+/// processors: latency dominates, and every thread has a connection of its own.
 pub(crate) fn threads_to_look<'a>(threads: usize, mut paths: impl ExactSizeIterator<Item = &'a Path>) -> usize {
     const AT_ONCE: usize = 32;
     let many = (paths.len() / FILES_A_CONNECTION).min(AT_ONCE);
     if paths.any(|path| address(path).is_some()) { threads.max(many) } else { threads }
 }
 
-/// Fewest files in a store that pay for another connection.
+/// Minimum number of remote files that justify one more connection.
 const FILES_A_CONNECTION: usize = 3;
 
-/// The files that `inputs` stand for, in order of their paths, each once.
+/// Expands `inputs` to files, sorted by path, each listed once.
 pub(crate) fn expand_inputs(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
     expand::expand(inputs, None, monitor)
 }
 
-/// What `work` gives of `items`, in their order, by so many threads; up to the first that `stops`, or as far as it came when
-/// `monitor` was cancelled.
+/// Runs `work` on `items` on at most `threads` threads and returns the results in order, up to and including the first
+/// for which `stops` is true. Returns fewer if `monitor` was cancelled.
 fn in_order<I: Sync, T: Send>(
     items: &[I],
     threads: usize,
@@ -276,7 +276,7 @@ fn in_order<I: Sync, T: Send>(
         }
     };
     std::thread::scope(|scope| {
-        // The calling thread works too, also where the system starts no other.
+        // The calling thread works too, so the work completes even if the system cannot start other threads.
         for _ in 1..threads.min(items.len()) {
             let _ = crate::bytes::spawn_in(scope, run);
         }
@@ -288,38 +288,39 @@ fn in_order<I: Sync, T: Send>(
     found.into_iter().map_while(|done| done).take_while(before).collect()
 }
 
-/// Opened scan files with checked headers, in order of their paths.
+/// Opened scan files with checked headers, sorted by path.
 #[derive(Debug)]
 pub struct InputSet {
     files: Vec<ScanFile>,
     meshes: Vec<PathBuf>,
     options: InputOptions,
     crs: Option<String>,
-    /// For records of the old layout and of the extended one.
+    /// Filters for records of the old and of the extended layout.
     filters: [Filter; 2],
     losses: Losses,
-    /// Sum of the hashes of what was decoded of each file; none if not asked for.
+    /// Sum of the hashes of the decoded data, per file; empty unless requested.
     hashes: Mutex<Vec<u128>>,
-    /// Tags that are read of points that have them.
+    /// Kind of tag to read from points that have it.
     tag: Option<Tag>,
 }
 
 impl InputSet {
-    /// Opens and checks `inputs`: files; directories, which stand for the scans directly in them; patterns with `*`, `?`,
-    /// `[...]`, `**` where no such file exists. Neither finds `.txt`, `.csv` and `.ply`, but for patterns that end in
-    /// `.ply`. The same file named twice is read once. Files with names of meshes are set aside, PLY if they have faces.
+    /// Opens and checks `inputs`: files; directories, which stand for the scans directly in them; patterns with `*`,
+    /// `?`, `[...]`, `**` where no file of that name exists. Directories and patterns skip `.txt`, `.csv` and `.ply`,
+    /// except that patterns ending in `.ply` match PLY files. A file named twice is read once. Files with mesh
+    /// extensions are set aside, PLY files only if they have faces.
     ///
-    /// Fails with one line on the first file that cannot be read in full; where incomplete input is allowed, such a file is
-    /// read as far as possible or left out, and `monitor` is told. Wrong counts, unknown units and the like are told to
-    /// `monitor` too. Cost: a few small reads a file, and its chunk table; of text that states how many lines belong to a cloud
-    /// (PTX, PLY, PCD) all lines, of E57 the heads of all packets.
+    /// Fails with one line on the first file that cannot be read in full. With `allow_incomplete`, such a file is read
+    /// as far as possible or left out, with a warning to `monitor`. Wrong counts, unknown units and the like are
+    /// warnings, too. Cost: a few small reads per file, and its chunk table; all lines of text that states how many
+    /// lines belong to a cloud (PTX, PLY, PCD); all packet headers of E57.
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
         let losses = Losses::default();
         let paths = expand::expand(inputs, options.allow_incomplete.then_some(&losses), monitor)?;
         Self::with(paths, losses, options, monitor)
     }
 
-    /// As [`open`](Self::open), of files that [`expand_inputs`] found; there may be none.
+    /// Like [`open`](Self::open), but takes the files that [`expand_inputs`] found; there may be none.
     pub(crate) fn of_paths(paths: Vec<PathBuf>, options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
         Self::with(paths, Losses::default(), options, monitor)
     }
@@ -382,7 +383,7 @@ impl InputSet {
                 Err(error) => return Err(error),
             }
         }
-        // All, but where the monitor was cancelled meanwhile.
+        // All files were opened, unless the monitor was cancelled meanwhile.
         if count < paths.len() {
             return Err(Error::Interrupted);
         }
@@ -407,28 +408,28 @@ impl InputSet {
         Ok(Self { files, meshes, options, crs, filters, losses, hashes, tag: None })
     }
 
-    /// Replaces the reference system, where these are not all scans.
+    /// Replaces the reference system, for runs whose inputs are not only scans.
     pub(crate) fn set_crs(&mut self, crs: Option<String>) {
         self.crs = crs;
     }
 
-    /// Points that the headers and chunk tables lead to expect: for progress only.
+    /// Returns the number of points expected from headers and chunk tables: for progress only.
     pub fn points_stated(&self) -> u64 {
         self.files.iter().map(ScanFile::points_expected).fold(0, u64::saturating_add)
     }
 
-    /// Length of all files (bytes): for progress only.
+    /// Returns the total length of all files (bytes): for progress only.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(ScanFile::bytes).fold(0, u64::saturating_add)
     }
 
-    /// The reference system that the scans state; of several, the one whose text sorts first. The one of the options if they
-    /// state none.
+    /// Returns the reference system stated by the scans, or that of the options if they state none. If scans state
+    /// several, returns the one whose text sorts first.
     pub fn crs(&self) -> Option<&str> {
         self.crs.as_deref()
     }
 
-    /// Units of the files that hold points.
+    /// Returns the units of the files that hold points.
     pub fn length_units(&self) -> impl Iterator<Item = LengthUnit> + '_ {
         self.files.iter().filter(|file| file.points_expected() > 0).map(|file| {
             let [horizontal_m, _, vertical_m] = file.unit_m();
@@ -436,28 +437,28 @@ impl InputSet {
         })
     }
 
-    /// The files, in order of their paths.
+    /// Returns the files, sorted by path.
     pub fn files(&self) -> &[ScanFile] {
         &self.files
     }
 
-    /// Meshes among the inputs, in order of their paths: not opened, no part of the set's points.
+    /// Returns the meshes among the inputs, sorted by path. They are not opened and add no points to the set.
     pub fn meshes(&self) -> &[PathBuf] {
         &self.meshes
     }
 
-    /// Replaces the meshes by those that can be opened.
+    /// Replaces the meshes by those that could be opened.
     pub(crate) fn set_meshes<'a>(&mut self, paths: impl Iterator<Item = &'a Path>) {
         self.meshes = paths.map(Path::to_path_buf).collect();
     }
 
-    /// The options that the set was opened with.
+    /// Returns the options the set was opened with.
     pub fn options(&self) -> &InputOptions {
         &self.options
     }
 
-    /// Fails if decoding lost points since the last call, or if a file changed since it was opened; where incomplete
-    /// input is allowed, `monitor` is told instead, one line per file and kind.
+    /// Fails if decoding lost points since the last call, or if a file changed since it was opened. With
+    /// `allow_incomplete`, warns `monitor` instead, with one line per file and kind of loss.
     pub fn check_complete(&self, monitor: &dyn Monitor) -> Result<()> {
         for (number, file) in self.files.iter().enumerate() {
             if monitor.cancelled() {
@@ -478,54 +479,56 @@ impl InputSet {
         self.losses.settle(&self.files, self.options.allow_incomplete, monitor)
     }
 
-    /// Whether nothing is known to be missing: always so, unless incomplete input is allowed.
+    /// Returns true if nothing is known to be missing; always true unless `allow_incomplete` is set.
     pub fn is_complete(&self) -> bool {
         !self.losses.any()
     }
 
-    /// Points that are known to be missing since the files were opened; those that decoding misses come on top.
+    /// Returns the number of points found missing while the files were opened; those missed by decoding are not
+    /// included.
     pub(crate) fn points_missing(&self) -> u64 {
         self.losses.points()
     }
 
-    /// Hash of all that was decoded of a file, whatever the order; 0 unless the options ask for hashes.
+    /// Returns an order-independent hash of the data decoded from a file, or 0 unless the options request hashes.
     pub(crate) fn hash(&self, file: usize) -> u128 {
         let hashes = self.hashes.lock().unwrap_or_else(PoisonError::into_inner);
         hashes.get(file).map_or(0, |hash| hash.wrapping_add(self.files[file].hash()))
     }
 
-    /// Hashes all that is decoded from here on.
+    /// Hashes all data decoded from now on.
     pub(crate) fn start_hashing(&mut self) {
         self.options.hash = true;
         self.hashes = Mutex::new(vec![0; self.files.len()]);
     }
 
-    /// Finds out what values of this source mean, where only the points of a file tell that. Cost: some MiB of such a file.
+    /// Determines the meaning of values of this source in files where only the points reveal it. Cost: some MiB read
+    /// per such file.
     pub(crate) fn prepare_values(&mut self, source: ColourSource) -> Result<()> {
         self.files.iter_mut().try_for_each(|file| file.prepare_values(source))
     }
 
-    /// What red, green and blue of each file reach up to; `None` of files without.
+    /// Returns the maximum of red, green and blue of each file; `None` for files without colours.
     pub(crate) fn depths(&self) -> Vec<Option<Depth>> {
         self.files.iter().map(|file| file.has_values(ColourSource::Rgb).then(|| file.depth())).collect()
     }
 
-    /// The red, green and blue of a file are of 8 bits and become those of 16.
+    /// Marks the red, green and blue of a file as 8-bit; they are then scaled to 16 bits.
     pub(crate) fn widen(&mut self, file: usize) {
         self.files[file].widen = true;
     }
 
-    /// Reads values for colours from here on.
+    /// Sets the source of colour values to read from now on.
     pub(crate) fn set_colour(&mut self, source: Option<ColourSource>) {
         self.options.colour = source;
     }
 
-    /// Reads such tags from here on.
+    /// Sets the kind of tag to read from now on.
     pub(crate) fn set_tag(&mut self, tag: Option<Tag>) {
         self.tag = tag;
     }
 
-    /// Whether points of some file have such values, as far as headers tell.
+    /// Returns whether points of any file have such values, according to the headers.
     pub(crate) fn has_values(&self, source: ColourSource) -> bool {
         self.files.iter().any(|file| file.has_values(source))
     }
@@ -540,17 +543,17 @@ impl InputSet {
     }
 }
 
-/// An EPSG code as the text of a reference system.
+/// Formats an EPSG code as the text of a reference system.
 fn epsg_text(code: u32) -> String {
     format!("EPSG:{code}")
 }
 
-/// Whether an error is about one input file, and not about the options or the machine.
+/// Returns whether an error concerns one input file rather than the options or the machine.
 pub(crate) fn is_of_input(error: &Error) -> bool {
     matches!(error, Error::Io { .. } | Error::Input { .. } | Error::Unsupported { .. })
 }
 
-/// Files of which something is told in one line.
+/// Files that share one warning.
 #[derive(Default)]
 struct Those {
     first: Option<usize>,
@@ -565,7 +568,7 @@ impl Those {
         }
     }
 
-    /// Their names: the first, and how many more.
+    /// Returns the name of the first file and the number of others.
     fn names(&self, files: &[ScanFile]) -> Option<String> {
         let first = files.get(self.first?)?.path().display();
         Some(if self.count > 1 { format!("{first} and {} more", self.count - 1) } else { first.to_string() })

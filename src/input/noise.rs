@@ -1,49 +1,51 @@
-//! How much noise the heights of a scan have: what is left of them where planes are fitted to what is flat.
+//! Noise of the heights of a scan: the residuals of planes fitted to flat parts.
 //!
-//! In: the points of sampled blocks, all of each ([`Survey`](super::spacing::Survey)). Out: the same bits whatever the order of
-//! points and files and the number of threads (guarantee G4): sums are exact integers, the rest are correctly rounded
-//! operations in one order.
+//! Input: all points of each sampled block ([`Survey`](super::spacing::Survey)). Output: identical bits for any order
+//! of points and files and any number of threads (guarantee G4): sums are exact integers, all else is correctly rounded
+//! operations in a fixed order.
 //!
-//! Blocks are cut into cubes, *regions*. A region counts if its points lie on a plane but for noise:
+//! Blocks are cut into cubes, *regions*. A region counts if its points lie on a plane up to noise:
 //!
 //! - at least `LEAST_POINTS` points, spread over both axes and all four quarters of its base;
-//! - all of them away from bottom and top of the cube, which would cut the noise off, on a plane that rises at most 1 in 2;
-//! - mean residuals of the quarters and thirds of its base no greater than noise explains: edges, steps and curves fail here.
+//! - all of them away from the bottom and top of the cube, which would clip the noise, on a plane that rises at most 1
+//!   in 2;
+//! - mean residuals of the quarters and thirds of its base no greater than noise explains: edges, steps and curves fail
+//!   here.
 //!
-//! Each region gives a variance of residuals, of `n − 3` degrees of freedom. The noise is the root of their lower quartile: a
-//! quarter of what is flat is no rougher, and whatever of clutter, grass or gravel passes for flat lies above it. The edge of
-//! regions is the one that gives most of them.
+//! Each region yields a variance of residuals with `n − 3` degrees of freedom. The noise is the root of their lower
+//! quartile: a quarter of the flat regions are no rougher, and clutter, grass or gravel that passes for flat lies above
+//! it. The region size used is the one that yields the most regions.
 
 use crate::plan::Noise;
 
-/// Least points of a region: 9 degrees of freedom.
+/// Minimum number of points in a region: 9 degrees of freedom.
 const LEAST_POINTS: usize = 12;
-/// Least regions from which a noise is told.
+/// Minimum number of regions for a result.
 const LEAST_REGIONS: u64 = 20;
-/// Units of a region's edge in which places are counted.
+/// Units per region edge in which positions are counted.
 const UNITS: f64 = (1u64 << 20) as f64;
-/// Part of a region's height, below and above, in which no point may lie: an eighth.
+/// Units at the bottom and at the top of a region in which no point may lie: an eighth of its height.
 const MARGIN: i64 = 1 << 17;
-/// Least variance along x and y, and least share of its square that is not in common, of those of an even spread.
+/// Minimum variance along x and y relative to an even spread, and minimum determinant relative to their product.
 const LEAST_SPREAD: f64 = 0.5;
-/// Steepest plane, rise over run, squared.
+/// Maximum slope of the plane, rise over run, squared.
 const MOST_RISE_SQUARED: f64 = 0.25;
-/// Shapes that are no plane and show in the mean residuals of parts: bent along x, bent along y, twisted.
+/// Number of non-planar shapes visible in mean residuals of parts: bent along x, bent along y, twisted.
 const SHAPES: f64 = 3.0;
-/// Greatest mean square of a shape, in variances of what is left besides: noise alone exceeds it in about one of twenty regions (the
-/// F-test of nested models).
+/// Maximum mean square per shape, in variances of the remaining residuals. Noise alone exceeds it in about one of
+/// twenty regions (the F-test of nested models).
 const MOST_SHAPE: f64 = 4.0;
 
-/// Points of the blocks of one size: cubes of this edge (m), a power of two.
+/// Points of the blocks of one size: cubes with this edge (m), a power of two.
 pub(super) struct Blocks<'a> {
     pub edge_m: f64,
     pub points: &'a [[f64; 3]],
 }
 
-/// How often blocks are halved.
+/// Number of times blocks are halved.
 const HALVINGS: i32 = 3;
 
-/// The noise of heights by these samples; `None` where too little is flat.
+/// Estimates the noise of heights from these samples; `None` if too little is flat.
 pub(super) fn noise_of<'a>(samples: impl Iterator<Item = Blocks<'a>>) -> Option<Noise> {
     let mut best: Option<Noise> = None;
     let mut places = Vec::new();
@@ -51,7 +53,7 @@ pub(super) fn noise_of<'a>(samples: impl Iterator<Item = Blocks<'a>>) -> Option<
         for halvings in 0..=HALVINGS {
             let edge_m = edge_m * 0.5f64.powi(halvings);
             let cells = cut(points, edge_m, &mut places);
-            // Regions only become smaller from here on.
+            // Further halving only makes the regions smaller.
             if points.len() < LEAST_POINTS.max(cells * LEAST_POINTS / 4) {
                 break;
             }
@@ -69,14 +71,14 @@ pub(super) fn noise_of<'a>(samples: impl Iterator<Item = Blocks<'a>>) -> Option<
     best
 }
 
-/// A point: its region, and its place in there (parts of the edge, 1 / 2²⁰).
+/// A point: its region, and its position in the region (in 2⁻²⁰ of the edge).
 type Place = ([i64; 3], [i64; 3]);
 
-/// Sets `places` to the points by region; returns how many regions there are.
+/// Sets `places` to the points sorted by region; returns the number of regions.
 fn cut(points: &[[f64; 3]], edge_m: f64, places: &mut Vec<Place>) -> usize {
     places.clear();
     places.extend(points.iter().map(|point| {
-        // Exact: the edge is a power of two, and what is behind the point has no more digits than the number.
+        // Exact: the edge is a power of two, and the fraction has no more digits than the number.
         let scaled = point.map(|v| v / edge_m);
         let region = scaled.map(f64::floor);
         (region.map(|v| v as i64), [0, 1, 2].map(|axis| ((scaled[axis] - region[axis]) * UNITS) as i64))
@@ -85,14 +87,14 @@ fn cut(points: &[[f64; 3]], edge_m: f64, places: &mut Vec<Place>) -> usize {
     places.chunk_by(|a, b| a.0 == b.0).count()
 }
 
-/// Variance of what a fitted plane leaves of the heights of a region's points; `None` if the region is not flat.
+/// Returns the variance of heights about a plane fitted to the points of a region; `None` if the region is not flat.
 fn variance(places: &[Place]) -> Option<f64> {
     let n = places.len();
     let is_inside = |(_, [_, _, w]): &Place| (MARGIN..(1 << 20) - MARGIN).contains(w);
     if n < LEAST_POINTS || !places.iter().all(is_inside) {
         return None;
     }
-    // Sums of products; those of the deviations from the means are exact, too, times n.
+    // Sums of products. Those of deviations from the means, times n, are exact, too.
     let (mut sum, mut product) = ([0i128; 3], [[0i128; 3]; 3]);
     for (_, place) in places {
         (0..3).for_each(|axis| {
@@ -137,12 +139,13 @@ fn variance(places: &[Place]) -> Option<f64> {
         let residual = off[2] - rise[0] * off[0] - rise[1] * off[1];
         shape += count * residual * residual;
     }
-    // Places are whole units: less than one is their rounding.
+    // Positions are whole units, so a variance below 1 is rounding.
     let rest = (squares - shape).max(0.0) / (freedom - SHAPES);
     if variance > 1.0 && shape > MOST_SHAPE * SHAPES * rest {
         return None;
     }
-    // Variances of few degrees of freedom are skewed; so their median is the true one (Wilson and Hilferty, 1931).
+    // Variances with few degrees of freedom are skewed; this makes their median the true one (Wilson and Hilferty,
+    // 1931).
     Some(variance / (1.0 - 2.0 / (9.0 * freedom)).powi(3))
 }
 
@@ -150,7 +153,7 @@ fn variance(places: &[Place]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Evenly distributed in [0, 1), by number.
+    /// Returns the `number`-th value of an even distribution in [0, 1).
     fn random(number: u64) -> f64 {
         let mut h = number.wrapping_mul(0x9E37_79B9_7F4A_7C15);
         h = (h ^ h >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -158,7 +161,7 @@ mod tests {
         (h ^ h >> 31) as f64 / u64::MAX as f64
     }
 
-    /// Points of a plane with noise of this standard deviation, `n × n`, `step` apart.
+    /// `n × n` points of a plane, `step` apart, with noise of this standard deviation.
     fn floor(n: u64, step: f64, rise: f64, noise_m: f64) -> Vec<[f64; 3]> {
         let point = |at: u64| {
             let (x, y) = ((at % n) as f64 + random(7 * at), (at / n) as f64 + random(7 * at + 1));

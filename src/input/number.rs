@@ -1,6 +1,6 @@
-//! Numbers of files, binary and as text.
+//! Numbers in files, binary and as text.
 
-/// How a number is stored.
+/// Storage type of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Number {
     I8,
@@ -16,7 +16,7 @@ pub(crate) enum Number {
 }
 
 impl Number {
-    /// Its length (bytes).
+    /// Returns the length (bytes).
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -26,7 +26,7 @@ impl Number {
         }
     }
 
-    /// The number that begins at `at`, which must hold it.
+    /// Reads the number at the start of `at`, which must be long enough.
     #[inline]
     pub fn read(self, at: &[u8], big: bool) -> f64 {
         let mut value = [0; 8];
@@ -51,7 +51,7 @@ impl Number {
     }
 }
 
-/// The number that a word of text is, also in the spellings of C libraries: `nan(ind)`, `1.#QNAN`, `-1.#IND`, `1.#INF`.
+/// Parses a number in text, including the spellings of C libraries: `nan(ind)`, `1.#QNAN`, `-1.#IND`, `1.#INF`.
 pub(crate) fn decimal(word: &[u8]) -> Option<f64> {
     let text = std::str::from_utf8(word).ok()?;
     text.parse().ok().or_else(|| {

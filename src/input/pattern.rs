@@ -1,7 +1,7 @@
-//! Glob patterns over folders, whose names may hold any bytes and whose links may run in circles.
+//! Glob patterns over folders, with names of any bytes and links that may form cycles.
 //!
-//! The crate `glob` matches names; its own walk leaves out names that are not UTF-8 without a word, and follows links that
-//! lead back until paths become too long. Memory: the folders that wait, and the identity of those that `**` entered.
+//! The crate `glob` matches names. Its own walk silently skips names that are not UTF-8, and follows cyclic links until
+//! paths become too long. Memory: the folders still to visit, and the ids of those that `**` entered.
 
 use crate::bytes::FileId;
 use crate::{Error, Monitor, Result};
@@ -11,18 +11,18 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
-/// Whether a path holds characters of patterns.
+/// Returns whether a path contains pattern characters.
 pub(super) fn is_pattern(path: &Path) -> bool {
     path.as_os_str().as_encoded_bytes().iter().any(|byte| matches!(byte, b'*' | b'?' | b'['))
 }
 
 /// One component of a pattern.
 enum Step {
-    /// As it stands.
+    /// A literal name.
     Exactly(PathBuf),
-    /// Names that match.
+    /// Names that match a pattern.
     Matching(Pattern),
-    /// `**`: any folders, or none.
+    /// `**`: any number of folders, including none.
     Folders,
 }
 
@@ -40,13 +40,13 @@ impl Step {
     }
 }
 
-/// Bytes of a name that are no text match as one unknown character.
+/// Matches a name; each invalid UTF-8 sequence counts as one unknown character.
 fn matches(pattern: &Pattern, name: &OsStr) -> bool {
     pattern.matches(&name.to_string_lossy())
 }
 
-/// Calls `found` with each file whose path matches `pattern`, links followed. A folder that cannot be listed goes to
-/// `failed`, which decides whether the walk goes on.
+/// Calls `found` with each file whose path matches `pattern`, following links. If a folder cannot be listed, calls
+/// `failed`, which decides whether the walk continues.
 pub(super) fn walk(
     pattern: &Path,
     monitor: &dyn Monitor,
@@ -54,7 +54,7 @@ pub(super) fn walk(
     found: &mut dyn FnMut(&Path),
 ) -> Result<()> {
     let steps = pattern.components().map(|component| Step::of(component, pattern)).collect::<Result<Vec<_>>>()?;
-    // Folders, or at the end files, with the number of the next step. What was entered by `**` is not entered again.
+    // Stack of paths, each with the index of its next step. A folder that `**` entered is not entered again.
     let mut open = vec![(PathBuf::new(), 0)];
     let mut entered: HashSet<(FileId, usize)> = HashSet::new();
     while let Some((path, number)) = open.pop() {
@@ -70,7 +70,7 @@ pub(super) fn walk(
         let names = match step {
             Step::Exactly(name) => {
                 let next = path.join(name);
-                // A path that is not there, or no folder on the way, matches nothing.
+                // A path that does not exist, or that leads through a file, matches nothing.
                 if fs::symlink_metadata(&next).is_ok() {
                     open.push((next, number + 1));
                 }
@@ -93,7 +93,7 @@ pub(super) fn walk(
                 continue;
             }
         };
-        // The last is taken first.
+        // Reversed: the name pushed last is visited first.
         names.sort_by(|a, b| b.cmp(a));
         match step {
             Step::Folders => {
@@ -112,7 +112,7 @@ pub(super) fn walk(
     Ok(())
 }
 
-/// The folder of an empty path.
+/// Returns the folder to list: `.` for an empty path.
 fn here(path: &Path) -> &Path {
     if path.as_os_str().is_empty() { Path::new(".") } else { path }
 }
@@ -186,7 +186,7 @@ mod tests {
         fs::write(&odd, "").unwrap();
         fs::create_dir_all(dir.path().join("a/b")).unwrap();
         fs::write(dir.path().join("a/b/c.las"), "").unwrap();
-        // Each of ten links leads back: a walk that follows them has 10^40 paths.
+        // Each of the ten links leads back: a walk that follows them sees 10^40 paths.
         for n in 0..10 {
             symlink("..", dir.path().join(format!("a/up{n}"))).unwrap();
             symlink(dir.path(), dir.path().join(format!("a/b/top{n}"))).unwrap();

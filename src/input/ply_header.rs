@@ -1,4 +1,4 @@
-//! Headers of PLY files, of points and of meshes.
+//! Headers of PLY files, for both points and meshes.
 //!
 //! Source: Greg Turk, "The PLY Polygon File Format", 1994. Memory: the header, at most 1 MiB.
 
@@ -9,12 +9,12 @@ use crate::text::shown;
 pub(crate) const MOST_HEADER: usize = 1 << 20;
 /// Byte order mark of UTF-8.
 pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
-/// Most elements, and most properties of one.
+/// Maximum number of elements, and of properties per element.
 const MOST_PARTS: usize = 1024;
 
 const NO_PLY: &str = "expected \"ply\": this is no PLY file";
 
-/// How the body is written.
+/// Encoding of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Encoding {
     Text,
@@ -26,12 +26,12 @@ pub(crate) enum Encoding {
 #[derive(Debug)]
 pub(crate) struct Property {
     pub name: String,
-    /// Type of the count, of a list.
+    /// Type of the count, if the property is a list.
     pub list: Option<Number>,
     pub number: Number,
 }
 
-/// An element: so many rows of these properties.
+/// An element: `count` rows of these properties.
 #[derive(Debug)]
 pub(crate) struct Element {
     pub name: String,
@@ -39,7 +39,7 @@ pub(crate) struct Element {
     pub properties: Vec<Property>,
 }
 
-/// What a header says.
+/// A parsed header.
 #[derive(Debug)]
 pub(crate) struct Header {
     pub encoding: Encoding,
@@ -47,7 +47,8 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Whether the rows of its elements can be told apart, and which are the points; else why not.
+    /// Checks that the rows of its elements can be separated and that the points are unambiguous; returns the reason if
+    /// not.
     pub fn check(&self) -> Result<(), String> {
         if self.elements.iter().filter(|element| element.name == "vertex").count() > 1 {
             return Err("it has the element \"vertex\" more than once; write it once".into());
@@ -67,7 +68,7 @@ impl Header {
     }
 }
 
-/// Takes a header line by line.
+/// Parses a header line by line.
 #[derive(Debug, Default)]
 pub(crate) struct HeaderReader {
     lines: u64,
@@ -77,15 +78,15 @@ pub(crate) struct HeaderReader {
 }
 
 impl HeaderReader {
-    /// The header is longer than [`MOST_HEADER`].
+    /// Error for a header longer than [`MOST_HEADER`].
     pub const LONG: &str = "no \"end_header\" in the first MiB: this is no PLY, or damaged";
 
-    /// What is wrong with a file that ends here.
+    /// Returns the error for a file that ends here.
     pub fn cut(&self) -> &'static str {
         if self.lines == 0 { NO_PLY } else { "the file ends before \"end_header\": it is cut; fetch it again" }
     }
 
-    /// Takes the next line; gives the header with its last one, else what is wrong with the line.
+    /// Takes the next line; returns the header with the last line, or what is wrong with the line.
     pub fn take(&mut self, line: &[u8]) -> Result<Option<Header>, String> {
         self.lines += 1;
         self.bytes += line.len() + 1;

@@ -1,21 +1,22 @@
-//! Variable length records, before the points and (LAS 1.4) after them: those few that matter here.
+//! Variable length records before the points and (LAS 1.4) after them; only a few kinds are relevant.
 //!
-//! In: a checked header. Out: the LASzip record and the records that describe the reference system.
-//! Memory: one record of each kind, each within its limit; the others are stepped over. Stated counts (there are files with
-//! 1,069,128,089) never size anything: stepping ends where the points or the file begin to end.
+//! Input: a checked header. Output: the LASzip record and the records that describe the reference system.
+//! Memory: one record of each kind, each within its limit; other records are skipped. Stated counts (some files state
+//! 1,069,128,089) never determine an allocation: reading stops where the points begin or the file ends.
 //!
-//! Not by the crate `las`: it holds every record whole, and makes room for one of a stated length of up to 2⁶⁴ bytes before
-//! it reads it.
+//! The crate `las` is not used: it holds every record whole, and allocates the stated length, up to 2⁶⁴ bytes, before
+//! it reads the record.
 
 use super::header::{LasHeader, u16_at, u64_at};
 use super::source::Source;
 use crate::Result;
 
-/// Longest kept text of a reference system (bytes), as an archive can hold it; a longer one is passed over with a note.
+/// Longest text of a reference system that is kept (bytes), as an archive can hold it; longer ones are skipped with a
+/// note.
 pub(super) const MOST_TEXT: u64 = 1 << 20;
-/// Longest kept record of GeoTIFF, and longest LASzip record (bytes).
+/// Longest GeoTIFF record that is kept, and longest LASzip record (bytes).
 const MOST_KEYS: u64 = 1 << 16;
-/// Most records looked at, before and after the points each.
+/// Maximum number of records examined before the points, and again after them.
 const MOST_RECORDS: u32 = 1 << 16;
 
 /// Record id of well-known text.
@@ -28,13 +29,13 @@ pub(super) const GEO_DOUBLES: u16 = 34736;
 pub(super) const GEO_TEXT: u16 = 34737;
 const LASZIP: u16 = 22204;
 
-/// The records that are kept.
+/// Records that are kept.
 #[derive(Debug, Default)]
 pub(super) struct Records {
     pub laszip: Option<Vec<u8>>,
-    /// The first record of user `LASF_Projection` of each id that is not empty: id and content.
+    /// Id and content of the first non-empty record of each id with user `LASF_Projection`.
     projection: Vec<(u16, Vec<u8>)>,
-    /// Soft problems, for the monitor.
+    /// Warnings for the monitor.
     pub notes: Vec<String>,
 }
 
@@ -67,7 +68,7 @@ impl Records {
         Ok(records)
     }
 
-    /// Looks at the record at `at`; the byte after it, or `None` if it does not fit before `end`.
+    /// Examines the record at `at`; returns the offset of the byte after it, or `None` if it does not fit before `end`.
     fn step(&mut self, source: &Source, at: u64, end: u64, head_bytes: u64) -> Result<Option<u64>> {
         let Some(body_at) = at.checked_add(head_bytes).filter(|&b| b <= end) else { return Ok(None) };
         let Some(head) = source.bytes_at(at, head_bytes as usize)? else { return Ok(None) };
@@ -92,12 +93,12 @@ impl Records {
         Ok(Some(next))
     }
 
-    /// Keeps a record of the projection.
+    /// Keeps a projection record.
     pub(super) fn keep(&mut self, id: u16, body: Vec<u8>) {
         self.projection.push((id, body));
     }
 
-    /// The first record `id` of the projection that is not empty.
+    /// Returns the first non-empty projection record `id`.
     pub(super) fn projection(&self, id: u16) -> Option<&[u8]> {
         self.projection.iter().find(|(i, _)| *i == id).map(|(_, body)| body.as_slice())
     }

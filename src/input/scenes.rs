@@ -1,11 +1,11 @@
-//! Whether the files of one run can belong together.
+//! Checks whether the files of one run can belong together.
 
 use crate::Warning;
 use std::path::Path;
 
-/// Least distance that is worth a warning (m): parts of one scene, and models placed in it, lie closer.
+/// Minimum gap that causes a warning (m): parts of one scene, and models placed in it, lie closer.
 const FAR_M: f64 = 1000.0;
-/// The same, in sizes of the largest file.
+/// Minimum gap that causes a warning, in sizes of the largest file.
 const FAR_SIZES: f64 = 10.0;
 
 /// Bounds of the content of a file (m).
@@ -22,8 +22,8 @@ impl Scene<'_> {
     }
 }
 
-/// A warning if the scenes fall into groups with a gap along an axis that is far wider than any of them: then they
-/// probably come in different reference systems or units. Cost: n log n.
+/// Returns a warning if the scenes fall into groups separated along an axis by a gap far wider than any scene: they
+/// probably use different reference systems or units. Cost: n log n.
 pub(crate) fn far_apart(scenes: &[Scene]) -> Option<Warning> {
     let size = scenes.iter().map(Scene::diagonal).fold(0.0, f64::max);
     let mut widest: Option<(f64, &Path, &Path)> = None;
@@ -72,7 +72,7 @@ mod tests {
         assert_eq!(found([here, tile(20_000.0, 0.0), ([0.0; 3], 9_000.0)]), None, "11 km beside a scene of 16 km");
         let told = found([tile(0.0, 500_000.0), tile(0.0, 300.0), here]).unwrap().to_string();
         assert!(told.starts_with("b and a lie 500 km apart, and no file is larger than 0.2 km"), "{told}");
-        // One that hides another: the gap begins where the longer one ends.
+        // A scene that covers another: the gap begins where the longer one ends.
         assert_eq!(found([([0.0; 3], 50_000.0), tile(1.0, 1.0), tile(51_000.0, 0.0)]), None);
         assert!(found([here, here, ([0.0, 0.0, -5_000.0], 1.0)]).is_some(), "heights count");
         assert_eq!(far_apart(&[]), None);

@@ -1,6 +1,6 @@
-//! Positioned reading of one scan file, and a bounded window on it to read and seek in.
+//! Positioned reads from a scan file, and a bounded window that supports `Read` and `Seek`.
 //!
-//! In: a path. Out: bytes at offsets. Nothing here moves a shared file position, so several threads may read one file.
+//! Input: a path. Output: bytes at offsets. No shared file position is moved, so several threads may read one file.
 //! Memory: one [`Window`] holds at most [`WINDOW_BYTES`].
 
 use std::io::{self, Read, Seek, SeekFrom};
@@ -20,21 +20,21 @@ pub(super) struct Source {
     input: Input,
     path: PathBuf,
     stamp: Stamp,
-    /// Where reads are noted, if they are.
+    /// Log that records the reads, if any.
     log: Option<ReadLog>,
 }
 
-/// What was read of a file.
+/// Pieces read from a file, with their hash.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Reads {
-    /// Sum of the hashes of the pieces, each of its bytes and its place.
+    /// Sum of the hashes of the pieces; each covers the bytes and their offset.
     pub sum: u128,
-    /// Place and length of each piece.
+    /// Offset and length of each piece.
     pub pieces: Vec<(u64, u64)>,
 }
 
 impl Reads {
-    /// Whether reading the same pieces of the file at `path` gives the same bytes. Cost: that reading.
+    /// Returns whether the same pieces of the file at `path` hold the same bytes. Cost: reads them all.
     pub fn are_of(&self, path: &Path) -> Result<bool> {
         let source = Source::open(path, None)?;
         let (mut sum, mut buffer) = (0u128, vec![0; WINDOW_BYTES]);
@@ -56,7 +56,7 @@ impl Reads {
     }
 }
 
-/// Notes what a decoder reads of the chunk at hand; shared with whoever asks for it.
+/// Log of what a decoder reads for the current chunk, shared with those who query it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ReadLog(Arc<Mutex<Noted>>);
 
@@ -69,15 +69,15 @@ struct Noted {
 }
 
 impl ReadLog {
-    /// Pieces of a chunk that are listed each time: those of a chunk of usual size. Of a longer one, a whole file, only
-    /// those since the last time are.
+    /// Maximum number of pieces listed again by each call of `reads`, enough for a chunk of usual size. For longer
+    /// chunks (a whole file), each call lists only the pieces since the last one.
     const MOST_PIECES: usize = 256;
 
     fn noted(&self) -> MutexGuard<'_, Noted> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A chunk of this file begins.
+    /// Begins a chunk of file `file`.
     pub(super) fn begin(&self, file: usize) {
         *self.noted() = Noted { file, ..Noted::default() };
     }
@@ -90,12 +90,12 @@ impl ReadLog {
         pieces.push((at, bytes.len() as u64));
     }
 
-    /// Hash of all that was read of the chunk, whatever the order.
+    /// Returns an order-independent hash of everything read for the chunk.
     pub(crate) fn hash(&self) -> u128 {
         self.noted().all
     }
 
-    /// The file, and what was read of it for the points of the chunk so far.
+    /// Returns the file and what was read of it for the points of the current chunk.
     pub(crate) fn reads(&self) -> (usize, Reads) {
         let mut noted = self.noted();
         match noted.reads.pieces.len() <= Self::MOST_PIECES {
@@ -106,7 +106,7 @@ impl ReadLog {
 }
 
 impl Source {
-    /// Opens the file at `path`; what is read of it is noted in `log`.
+    /// Opens the file at `path`; reads are recorded in `log`.
     pub(super) fn open(path: &Path, log: Option<ReadLog>) -> Result<Self> {
         let (input, stamp) = Input::open(path)?;
         Ok(Self { input, path: path.to_path_buf(), stamp, log })
@@ -116,12 +116,12 @@ impl Source {
         &self.path
     }
 
-    /// State of the file when it was opened.
+    /// Returns the state of the file at the time it was opened.
     pub(super) fn stamp(&self) -> Stamp {
         self.stamp
     }
 
-    /// Fills `out` from `offset` on; returns fewer bytes only where the file ends.
+    /// Fills `out` from `offset` on; returns fewer bytes only at the end of the file.
     pub(super) fn read_at(&self, out: &mut [u8], offset: u64) -> Result<usize> {
         let len = out.len();
         self.fill(out, offset).map_err(|e| Error::io(&self.path, format!("read {len} bytes at byte {offset}"), e))
@@ -135,7 +135,7 @@ impl Source {
         Ok(read)
     }
 
-    /// The `len` bytes at `offset`, or `None` where the file ends before. `len` must be bounded by the caller.
+    /// Returns the `len` bytes at `offset`, or `None` if the file ends before. The caller must bound `len`.
     pub(super) fn bytes_at(&self, offset: u64, len: usize) -> Result<Option<Vec<u8>>> {
         let mut bytes = vec![0; len];
         Ok((self.read_at(&mut bytes, offset)? == len).then_some(bytes))
@@ -144,13 +144,13 @@ impl Source {
 
 /// The bytes `start .. start + len` of a file as a stream of their own.
 ///
-/// What is skipped by seeking is never read from the disk; the last byte of the window is its end of file.
+/// Bytes skipped by seeking are never read from disk; the end of the window reads as end of file.
 #[derive(Clone)]
 pub(super) struct Window<'a> {
     source: &'a Source,
     start: u64,
     len: u64,
-    /// Position in the window of the next byte to hand out is `held_at + next`.
+    /// Window position of `held`; the next byte to return is at `held_at + next`.
     held_at: u64,
     held: Vec<u8>,
     next: usize,
@@ -161,7 +161,7 @@ impl<'a> Window<'a> {
         Self { source, start, len, held_at: 0, held: Vec::new(), next: 0 }
     }
 
-    /// Position in the window (bytes).
+    /// Returns the position in the window (bytes).
     pub(super) fn position(&self) -> u64 {
         self.held_at + self.next as u64
     }
@@ -200,7 +200,7 @@ impl Read for Window<'_> {
         Ok(n)
     }
 
-    // Some decoders ask for one byte at a time: this is their inner loop.
+    // Some decoders read one byte at a time, so this is their inner loop.
     #[inline]
     fn read_exact(&mut self, out: &mut [u8]) -> io::Result<()> {
         match self.held.get(self.next..self.next + out.len()) {

@@ -1,15 +1,16 @@
-//! What an automatic pixel size and tolerance need to know of a scan: how far apart its points lie, by the distance of a point to
-//! its nearest neighbour, and how much noise their heights have.
+//! Statistics of a scan for the automatic pixel size and tolerance: the distance of a point to its nearest neighbour,
+//! and the noise of the heights.
 //!
-//! In: a set of scans. Out: figures of a sample, the same bits whatever the order of points and files and the
+//! Input: a set of scans. Output: statistics of a sample, with identical bits for any order of points and files and any
 //! number of threads (guarantee G4). Memory: below 24 MiB for any input and number of threads.
 //!
-//! A nearest neighbour can only be found where *all* points of a neighbourhood are kept, so whole blocks are sampled, not
-//! points: a block (a cube of the grid) is in the sample of round `m` when the top `m` bits of a mix of its indices are
-//! zero. Whenever more than `MOST_POINTS` points are held, `m` grows by one and blocks drop out. The final `m` is the
-//! least for which the points of all its blocks fit, which is a property of the set of points; this is bottom-k
-//! sampling (Cohen and Kaplan, "Summarizing Data using Bottom-k Sketches", 2007) with a rounded threshold.
-//! Which block size suits depends on the spacing itself, so several are sampled at once, and `choose` takes one.
+//! A nearest neighbour can only be found where *all* points of a neighbourhood are kept, so the sample consists of
+//! whole blocks rather than points. A block (a cube of the grid) is in the sample of round `m` if the top `m` bits of a
+//! hash of its indices are zero. Whenever more than `MOST_POINTS` points are held, `m` grows by one and blocks drop
+//! out. The final `m` is the smallest for which the points of all its blocks fit, which is a property of the set of
+//! points. This is bottom-k sampling (Cohen and Kaplan, "Summarizing Data using Bottom-k Sketches", 2007) with a
+//! rounded threshold. The best block size depends on the spacing itself, so several sizes are sampled at once and
+//! `choose` picks one.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
@@ -19,42 +20,42 @@ use super::{InputSet, PointBatch, PointChunk, PointDecoder};
 use crate::plan::Noise;
 use crate::{Error, Monitor, Parameter, Result};
 
-/// Points per metre of the finest grid of indices: a power of two, so that the product is exact.
+/// Cells per metre of the finest grid: a power of two, so that the product is exact.
 const FINEST_PER_M: f64 = 64.0;
-/// Edges of the blocks, as shifts of an index of the finest grid: 1/64, 1/4, 1, 4, 16, 64, 512 and 4096 m.
+/// Block edges, as shifts of an index of the finest grid: 1/64, 1/4, 1, 4, 16, 64, 512 and 4096 m.
 const SHIFTS: [u32; 8] = [0, 4, 6, 8, 10, 12, 15, 18];
-/// Last level: single points, for scans that no block size suits.
+/// Number of levels. The last samples single points, for scans that suit no block size.
 const LEVELS: usize = SHIFTS.len() + 1;
-/// Most points held at a level.
+/// Maximum number of points held per level.
 const MOST_POINTS: usize = 60_000;
-/// Least number of distinct points at a level to be chosen.
+/// Minimum number of distinct points for a level to be chosen.
 const ENOUGH_POINTS: usize = 1_000;
-/// Least number of blocks: fewer stand for one corner of the scan.
+/// Minimum number of blocks: fewer represent only a corner of the scan.
 const ENOUGH_BLOCKS: usize = 12;
-/// Least mean number of distinct points in a block.
+/// Minimum mean number of distinct points per block.
 const ENOUGH_IN_BLOCK: usize = 64;
-/// Coordinates below this are 0 (m).
+/// Coordinates of smaller magnitude count as 0 (m).
 const LEAST_M: f64 = 1e-140;
-/// Points that a thread gathers at a level before it takes the lock.
+/// Points a thread collects per level before it takes the lock.
 const LOCAL_POINTS: usize = 512;
 
 /// Result of [`Survey::spacing`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Spacing {
-    /// Median distance of a point to its nearest neighbour that lies elsewhere (m).
+    /// Median distance from a point to its nearest neighbour at another position (m).
     pub spacing_m: f64,
-    /// Distinct points over which the median was taken.
+    /// Number of distinct points the median covers.
     pub sampled: u64,
-    /// Edge of the sampled blocks (m); 0 when single points were sampled and the spacing was inferred from them.
+    /// Edge of the sampled blocks (m); 0 if single points were sampled and the spacing was inferred from them.
     pub block_m: f64,
-    /// Kept points of the scans.
+    /// Number of kept points in the scans.
     pub points: u64,
 }
 
 /// Reads all of `set` once and estimates the distance between neighbouring points.
 ///
-/// Fails when the scans hold fewer than two distinct points.
+/// Fails if the scans hold fewer than two distinct points.
 pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Spacing> {
     Survey::read(set, threads, "spacing", monitor)?.spacing()
 }
@@ -66,7 +67,7 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Reads all of `set` once, a stage of this name.
+    /// Reads all of `set` once, as a progress stage named `stage`.
     pub fn read(set: &InputSet, threads: usize, stage: &'static str, monitor: &dyn Monitor) -> Result<Self> {
         monitor.stage(stage, set.points_stated(), "points");
         let (shared, points) = sample(set, threads, monitor)?;
@@ -81,7 +82,7 @@ impl Survey {
         }
     }
 
-    /// The distance between neighbouring points; fails when there are fewer than two distinct points.
+    /// Returns the distance between neighbouring points; fails if there are fewer than two distinct points.
     pub fn spacing(&self) -> Result<Spacing> {
         choose(&self.samples, self.points).ok_or_else(|| {
             Error::parameter(
@@ -91,14 +92,14 @@ impl Survey {
         })
     }
 
-    /// The noise of heights; `None` where too little is flat to tell.
+    /// Returns the noise of the heights; `None` if too little of the scan is flat.
     pub fn noise(&self) -> Option<Noise> {
         let blocks = self.samples.iter().filter(|sample| sample.points.len() > 1);
         noise_of(blocks.filter_map(|sample| Some(Blocks { edge_m: sample.edge_m()?, points: &sample.points })))
     }
 }
 
-/// Points of the blocks of one level, each once and in order.
+/// Points of the blocks of one level, sorted and without duplicates.
 struct Sample {
     level: usize,
     round: u32,
@@ -108,7 +109,8 @@ struct Sample {
 
 impl Sample {
     fn of(level: usize, Level { round, mut points }: Level) -> Self {
-        // Squares of distances among numbers as small as this vanish; a search among points without distances is endless.
+        // Squared distances between such small numbers underflow to 0, and a search among points without distances
+        // never ends.
         points.as_flattened_mut().iter_mut().filter(|v| v.abs() < LEAST_M).for_each(|v| *v = 0.0);
         points.sort_unstable_by(order);
         points.dedup_by(|a, b| order(a, b).is_eq());
@@ -118,13 +120,13 @@ impl Sample {
         Self { level, round, points, blocks: blocks.len() }
     }
 
-    /// Edge of the blocks (m); `None` where single points were sampled.
+    /// Returns the edge of the blocks (m); `None` if single points were sampled.
     fn edge_m(&self) -> Option<f64> {
         SHIFTS.get(self.level).map(|&shift| (1u64 << shift) as f64 / FINEST_PER_M)
     }
 }
 
-/// The sample of all levels, and the number of kept points.
+/// Samples all levels; also returns the number of kept points.
 fn sample(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<(Shared, u64)> {
     let shared = Shared::default();
     let chunks = Mutex::new(set.chunks());
@@ -150,7 +152,7 @@ fn sample(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<(Shar
     };
     let guarded = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
     let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
-        // Fewer threads than asked for do the same work.
+        // If the system starts fewer threads than requested, those do all the work.
         let start = |_| crate::bytes::spawn_in(scope, guarded).ok();
         let threads: Vec<_> = (1..threads.max(1)).map_while(start).collect();
         let mut outcomes = vec![guarded()];
@@ -161,7 +163,7 @@ fn sample(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<(Shar
     Ok((shared, points.into_inner() as u64))
 }
 
-/// Top bits of this decide whether a block is sampled: the finaliser of SplitMix64 over a weighted sum.
+/// Hash whose top bits decide whether a block is sampled: the SplitMix64 finaliser over a weighted sum.
 #[inline(always)]
 fn mix(block: [i64; 3], level: usize) -> u64 {
     let mut h = (block[0] as u64)
@@ -174,17 +176,18 @@ fn mix(block: [i64; 3], level: usize) -> u64 {
     h ^ h >> 31
 }
 
-/// Where `point` falls at `level`: a block, or (last level) the bits of the point itself.
+/// Returns the block of `point` at `level`; at the last level, the bits of the point itself.
 #[inline(always)]
 fn block_of(point: [f64; 3], level: usize) -> [i64; 3] {
     match SHIFTS.get(level) {
-        // Adding 0 makes one zero of both.
+        // Adding 0 turns -0 into 0.
         None => point.map(|v| (v + 0.0).to_bits() as i64),
         Some(shift) => finest(point).map(|index| index >> shift),
     }
 }
 
-/// Indices on the finest grid. A call of `f64::floor` is a function call on the oldest x86-64, three times as slow.
+/// Returns the indices on the finest grid. `f64::floor` would be a function call on the oldest x86-64, three times as
+/// slow.
 #[inline(always)]
 fn finest(point: [f64; 3]) -> [i64; 3] {
     point.map(|v| {
@@ -201,7 +204,7 @@ fn hash_of(point: [f64; 3], level: usize) -> u64 {
 /// One level of the sample.
 #[derive(Default)]
 struct Level {
-    /// A block is in when its hash has this many leading zeros; from 64 on the level is empty for good.
+    /// A block is sampled if its hash has at least this many leading zeros; from 64 on the level stays empty.
     round: u32,
     points: Vec<[f64; 3]>,
 }
@@ -225,11 +228,11 @@ impl Level {
 #[derive(Default)]
 struct Shared {
     levels: [Mutex<Level>; LEVELS],
-    /// Copies of the rounds, at most too small: a filter before the lock.
+    /// Copies of the rounds, which may lag behind: a filter before the lock.
     rounds: [AtomicU32; LEVELS],
 }
 
-/// What one thread has gathered since it last took the lock.
+/// Points a thread has collected since it last took the lock.
 #[derive(Default)]
 struct Local {
     points: [Vec<[f64; 3]>; LEVELS],
@@ -279,11 +282,11 @@ fn hand_over(held: &mut Vec<[f64; 3]>, level: usize, shared: &Shared) -> u32 {
     into.round
 }
 
-/// Takes the smallest blocks that hold enough points each: smaller blocks are more in number and so stand for more of the
-/// scan, whose density varies by orders of magnitude (eight real scans came within 12 % of their exact median so, and
-/// up to 2.2 times off with the largest blocks); with fewer points in them, too many neighbours are cut off at
-/// their faces. Then, in this order: blocks that hold the whole scan; few blocks; single points, whose distances
-/// grow by √2 for each halving of the sample as on a surface.
+/// Chooses the smallest blocks that hold enough points each. Smaller blocks are more numerous and so represent more of
+/// the scan, whose density varies by orders of magnitude: with them, eight real scans came within 12 % of their exact
+/// median; with the largest blocks, the error reached a factor of 2.2. Blocks with fewer points lose too many
+/// neighbours at their faces. Fallbacks, in this order: blocks that hold the whole scan; few blocks; single points,
+/// whose distances grow by √2 for each halving of the sample, as on a surface.
 fn choose(samples: &[Sample], points: u64) -> Option<Spacing> {
     let result = |sample: &Sample, factor: f64| {
         let spacing_m = median_distance(&sample.points)? * factor;
@@ -316,7 +319,7 @@ fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
     a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
 }
 
-/// Median (of an even number, the lower) distance of each of `points`, which are distinct, to its nearest other.
+/// Returns the median (of an even number, the lower) distance from each of the distinct `points` to its nearest other.
 fn median_distance(points: &[[f64; 3]]) -> Option<f64> {
     if points.len() < 2 {
         return None;
@@ -336,7 +339,7 @@ fn median_distance(points: &[[f64; 3]]) -> Option<f64> {
     Some(median.sqrt())
 }
 
-/// Orders `points` as a k-d tree (Bentley, 1975): the middle splits along the axis of its depth.
+/// Arranges `points` as a k-d tree (Bentley, 1975): the median splits along the axis of its depth.
 fn build(points: &mut [[f64; 3]], depth: usize) {
     if points.len() < 2 {
         return;
@@ -387,7 +390,7 @@ mod tests {
         survey(points).spacing().ok()
     }
 
-    /// A floor of `n × n` points `step` apart, scattered by up to a quarter of it.
+    /// A floor of `n × n` points `step` apart, each scattered by up to a quarter of `step`.
     fn floor(n: i64, step: f64) -> Vec<[f64; 3]> {
         let scatter = |i, j, a| (mix([i, j, a], 99) >> 40) as f64 / (1u64 << 24) as f64 * 0.5 - 0.25;
         let point = |i: i64, j: i64| {

@@ -1,7 +1,7 @@
-//! Bodies of PLY and PCD: rows of text with a point each, and what may follow the points.
+//! Text bodies of PLY and PCD, with one point per row, and checks of the data after the points.
 //!
-//! A row has as many values as the header states, or it is refused: one more or fewer would make coordinates of other values.
-//! Where each point begins on a line of its own but takes more than one, the lines are joined; one thread reads such a file.
+//! A row with more or fewer values than the header states is refused: its coordinates could be other values. If every
+//! point starts on a line of its own but takes several lines, the lines are joined; one thread reads such a file.
 
 use super::text::{Lines, short};
 use super::values::{Channels, SAMPLE_PLACES, SAMPLE_POINTS, Sample, bytes_of};
@@ -13,20 +13,20 @@ use crate::input::ply_header::{Element, Property};
 use crate::text::counted;
 use crate::{Error, Monitor, Result};
 
-/// Bytes of a piece.
+/// Bytes per piece.
 const PIECE_BYTES: u64 = 4 << 20;
-/// Bytes behind the points that are looked at together.
+/// Bytes examined at once after the points.
 const LOOK_BYTES: usize = 1 << 16;
 
-/// How rows are written.
+/// Format of the rows.
 #[derive(Debug)]
 pub(super) struct Form {
     pub format: &'static str,
-    /// Whether commas stand between values, and not blanks alone.
+    /// True if values are separated by commas, not only by blanks.
     pub commas: bool,
-    /// Values of a point.
+    /// Number of values per point.
     pub words: usize,
-    /// Places of x, y and z among them, and of what else is known.
+    /// Indices of x, y and z among them; below, those of the other known values.
     pub axes: [usize; 3],
     pub class: Option<usize>,
     pub rgb: Option<RgbPlaces>,
@@ -34,22 +34,22 @@ pub(super) struct Form {
     pub channels: Channels,
 }
 
-/// Where red, green and blue stand.
+/// Location of red, green and blue.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum RgbPlaces {
     Each([usize; 3]),
     /// In the bytes of a whole number.
     Whole(usize),
-    /// In those of a number of 32 bits that is written as floating point.
+    /// In the bytes of a 32-bit number written as floating point.
     Float(usize),
 }
 
-/// What a value of a row is for: coordinates are 0 to 2, then these.
+/// Roles of values in a row: 0 to 2 for coordinates, then these.
 const CLASS: usize = 3;
 const COLOUR: usize = 4;
 const NOTHING: usize = 7;
 
-/// Values of a row by what they are for.
+/// Values of a row by role.
 type Row = [f64; NOTHING + 1];
 
 /// Points as text.
@@ -60,11 +60,11 @@ pub(super) struct Body {
     end: u64,
     points: u64,
     stated: u64,
-    /// Whether points take more than one line.
+    /// True if points take more than one line.
     folded: bool,
 }
 
-/// Lines that make a point.
+/// Lines joined to one point.
 #[derive(Default)]
 struct Fold {
     row: Vec<u8>,
@@ -72,7 +72,7 @@ struct Fold {
 }
 
 impl Fold {
-    /// Adds a line; whether the point is whole.
+    /// Adds a line; returns whether the point is complete.
     fn add(&mut self, line: &[u8], form: &Form) -> Result<bool, String> {
         if self.words == form.words {
             *self = Self::default();
@@ -91,13 +91,13 @@ impl Fold {
     }
 }
 
-/// Counts of a pass over joined lines.
+/// Result of a pass over joined lines.
 struct Walk {
-    /// Whole points, and the place behind the last.
+    /// Number of complete points; `end`: offset after the last.
     held: u64,
     end: u64,
     folded: bool,
-    /// Why it ended before the file did.
+    /// Why the pass ended before the file did.
     wrong: Option<Error>,
 }
 
@@ -107,7 +107,7 @@ impl Form {
         line.split(is_blank).filter(|word| !word.is_empty()).count()
     }
 
-    /// What each value of a row is for, where values of `source` are wanted.
+    /// Returns the role of each value in a row, with those of `source` if given.
     fn roles(&self, source: Option<ColourSource>) -> Vec<usize> {
         let mut roles = vec![NOTHING; self.words];
         let mut put = |place: usize, role: usize| roles.iter_mut().skip(place).take(1).for_each(|of| *of = role);
@@ -124,7 +124,7 @@ impl Form {
         roles
     }
 
-    /// The values of a row, which has as many as it should.
+    /// Parses the values of a row; fails if their number is wrong.
     fn parse(&self, row: &[u8], roles: &[usize]) -> Result<Row, String> {
         let is_blank = |byte: &u8| byte.is_ascii_whitespace() || self.commas && *byte == b',';
         let (mut found, mut rest) = ([0.0; NOTHING + 1], row);
@@ -159,7 +159,7 @@ impl Form {
         format!("expected {} values, found {found}: {}", self.words, shown(row.trim_ascii()))
     }
 
-    /// The value of a row for colours.
+    /// Returns the colour value of a row.
     fn value(&self, row: &Row, source: ColourSource) -> Option<[u16; 3]> {
         let (scale, [.., red, green, blue, _]) = (self.channels.scale(), row);
         Some(match (source, self.rgb) {
@@ -171,7 +171,7 @@ impl Form {
         })
     }
 
-    /// Joins lines to `stated` points, passes over `tail` and looks for the end.
+    /// Joins lines to `stated` points, skips the elements `tail` and checks that the file ends there.
     fn walk(&self, opening: &Opening<'_, '_>, start: u64, stated: u64, tail: &[Element]) -> Result<Walk> {
         let (mut lines, mut fold) = (Lines::begin(opening.source, start), Fold::default());
         let mut walk = Walk { held: 0, end: start, folded: false, wrong: None };
@@ -202,7 +202,7 @@ impl Form {
     }
 }
 
-/// Passes over elements, each of which begins and ends where a line does; the inner error says what is wrong.
+/// Skips elements, each of which begins and ends at line boundaries; the inner error describes the fault.
 pub(super) fn pass(lines: &mut Lines<'_>, elements: &[Element], monitor: &dyn Monitor) -> Result<Result<(), String>> {
     for element in elements {
         for instance in 0..element.count {
@@ -226,10 +226,10 @@ pub(super) fn pass(lines: &mut Lines<'_>, elements: &[Element], monitor: &dyn Mo
     Ok(Ok(()))
 }
 
-/// Values of an element that are still to come.
+/// Values of an element that have not been read yet.
 struct Values<'e> {
     properties: &'e [Property],
-    /// Of the list at hand.
+    /// Values left in the current list.
     left: f64,
 }
 
@@ -252,8 +252,8 @@ impl Values<'_> {
 }
 
 impl Body {
-    /// The points from `lines` on, of which the header states so many; `tail`: what follows them. Other numbers of points and of
-    /// lines are a loss.
+    /// Opens the points from `lines` on, of which the header states `stated`, followed by the elements `tail`. Any
+    /// other number of points or lines is a loss.
     pub fn open(
         opening: &mut Opening<'_, '_>,
         form: Form,
@@ -298,7 +298,7 @@ impl Body {
         Ok(Self { form, start, end, points: held, stated, folded: false })
     }
 
-    /// Hands the rows of a piece to `take`, or what is wrong with them, as long as that asks for more.
+    /// Passes the rows of a piece, or their faults, to `take` until it returns false.
     fn each_row(
         &self,
         piece: &Piece,
@@ -367,7 +367,7 @@ impl Cloud for Body {
             for (_, piece) in self.pieces().enumerate().filter(|(number, _)| wanted.next_if_eq(number).is_some()) {
                 let mut left = rows;
                 self.each_row(&piece, file, Some(source), |row| {
-                    // What is no row of numbers is refused where it is read in full.
+                    // Invalid rows are refused when they are read in full.
                     row.iter().flat_map(|row| &row[of_source.clone()]).for_each(|&value| sample.add(value));
                     left -= 1;
                     Ok(left > 0)
@@ -416,8 +416,8 @@ impl Cloud for Body {
     }
 }
 
-/// Looks at what follows the `stated` records of a binary body and all else that it states: padding, or more records, which
-/// are a loss.
+/// Checks the bytes after the `stated` records and everything else stated in a binary body: they may be padding; more
+/// records are a loss.
 pub(super) fn look_behind(opening: &mut Opening<'_, '_>, end: u64, stride: usize, stated: u64) -> Result<()> {
     let mut block = [0; LOOK_BYTES];
     let mut at = end;

@@ -1,14 +1,14 @@
-//! Clouds in other formats than LAS: PLY, PCD, text (XYZ, CSV, PTS, PTX) and E57.
+//! Clouds in formats other than LAS: PLY, PCD, text (XYZ, CSV, PTS, PTX) and E57.
 //!
-//! In: an open file whose name or signature says which format it has. Out: a [`Cloud`]: facts of its header, [`Piece`]s of
-//! work, and the points of each piece in the file's own coordinates. What all formats share is done once, by
-//! [`Taker`]: units, the axis that points up, points without a return or out of range, batches.
+//! Input: an open file whose name or signature identifies its format. Output: a [`Cloud`]: facts from its header,
+//! [`Piece`]s of work, and the points of each piece in the file's own coordinates. [`Taker`] does what all formats
+//! share: units, rotation to z up, points without a return or out of range, batches.
 //!
-//! Coordinates are not rounded: what a file stores as a number (integer, `f32`, `f64`, decimal text) becomes the nearest
-//! `f64`, and poses are applied in `f64`, each operation rounded once, in a fixed order, with the crate's own sine and
-//! cosine. So the same file gives the same coordinates on every machine.
+//! Coordinates are not rounded: a stored number (integer, `f32`, `f64`, decimal text) becomes the nearest `f64`, and
+//! poses are applied in `f64`, each operation rounded once, in a fixed order, with sine and cosine from `libm` rather
+//! than the system. So the same file gives the same coordinates on every machine.
 //!
-//! Memory of one piece: a block of the file of at most 1 MiB and a batch; each format states what it holds beyond that.
+//! Memory per piece: a block of the file of at most 1 MiB and a batch; each format documents what it needs beyond that.
 
 mod body;
 mod e57;
@@ -35,57 +35,58 @@ pub(crate) use values::Depth;
 
 /// One opened cloud.
 pub(super) trait Cloud: Debug + Send + Sync {
-    /// Name of the format.
+    /// Returns the name of the format.
     fn format(&self) -> &'static str;
 
-    /// Points that the file states; 0 if it states none.
+    /// Returns the number of points the file states; 0 if it states none.
     fn points_stated(&self) -> u64;
 
-    /// Points that it can hold: a hint.
+    /// Returns the number of points the file can hold: a hint.
     fn points_expected(&self) -> u64;
 
-    /// Whether some of its points have values of this source, as far as its header tells.
+    /// Returns whether any of its points have values of this source, according to its header.
     fn has_values(&self, source: ColourSource) -> bool;
 
-    /// Finds out what the values of this source mean, which it has, where only the points tell that: before they are decoded.
-    /// Cost: at most some MiB of the file.
+    /// Determines the meaning of the values of this source, which the cloud has, if only the points reveal it. Call
+    /// before decoding. Cost: at most some MiB of the file.
     fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()>;
 
-    /// What red, green and blue reach up to, once they are prepared.
+    /// Returns the maximum of red, green and blue, once they are prepared.
     fn depth(&self) -> Depth;
 
-    /// Independent pieces of work, made as they are asked for.
+    /// Returns independent pieces of work, created lazily.
     fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_>;
 
-    /// Hands the points of a piece to `taker`; returns how many are missing. The same points in the same order each time.
+    /// Passes the points of a piece to `taker`, always the same points in the same order; returns how many are missing.
     fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64>;
 
-    /// Checks what only all decoded pieces together tell, and forgets it. Cost: reads pieces that were not decoded, if need be.
+    /// Makes the checks that need all pieces, and discards the data collected for them. Cost: reads pieces that were
+    /// not decoded, if necessary.
     fn check(&self, _findings: &mut Findings<'_>, _monitor: &dyn Monitor) -> Result<()> {
         Ok(())
     }
 
-    /// All that decides, beside the bytes of the points, which pieces and coordinates these make.
+    /// Returns everything, apart from the bytes of the points, that determines pieces and coordinates.
     fn state(&self) -> Vec<u8>;
 
-    /// Where the scanner of each of its clouds stood.
+    /// Returns the scanner position of each of its clouds.
     fn standpoints(&self) -> Vec<Standpoint> {
         vec![Standpoint::Unknown(format!("{} does not say where the scanner stood", self.format()))]
     }
 }
 
-/// Where the scanner of a cloud stood, by what its file says.
+/// Scanner position of a cloud, according to its file.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Standpoint {
-    /// Here, in the coordinates of the file.
+    /// Position in the coordinates of the file.
     At([f64; 3]),
     /// The cloud has no points.
     Needless,
-    /// The file does not say; why.
+    /// Not stated; holds the reason.
     Unknown(String),
 }
 
-/// A piece of work; its numbers mean what the format makes of them.
+/// Unit of work; each format defines the meaning of its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Piece {
     /// Points that it should hold: for progress only.
@@ -96,11 +97,11 @@ pub(super) struct Piece {
     pub end: u64,
 }
 
-/// What opening finds out beside the points.
+/// An opened cloud, with what opening found.
 pub(super) struct Opened {
     pub cloud: Box<dyn Cloud>,
     pub georeference: Georeference,
-    /// How the file was understood, where that takes guessing.
+    /// How the file was interpreted, if that required guessing.
     pub said: Option<String>,
     /// Columns and first points of text.
     pub text: Option<TextLayout>,
@@ -112,7 +113,7 @@ impl Opened {
     }
 }
 
-/// What opening may use.
+/// Resources for opening a cloud.
 pub(super) struct Opening<'a, 'f> {
     pub source: &'a Source,
     /// Length of the file (bytes).
@@ -123,13 +124,13 @@ pub(super) struct Opening<'a, 'f> {
 }
 
 impl Opening<'_, '_> {
-    /// An error of this file.
+    /// Creates an error about this file.
     fn error(&self, at: impl Into<String>, reason: impl Into<String>) -> Error {
         Error::input(self.source.path(), at, reason)
     }
 }
 
-/// Formats of clouds.
+/// Cloud formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Format {
     E57,
@@ -140,7 +141,7 @@ pub(super) enum Format {
     Rows,
 }
 
-/// The format that the name says.
+/// Returns the format indicated by the name.
 pub(super) fn format_named(path: &Path) -> Option<Format> {
     let name = unpacked_name(path);
     Some(match name.extension()?.to_str()?.to_ascii_lowercase().as_str() {
@@ -154,8 +155,8 @@ pub(super) fn format_named(path: &Path) -> Option<Format> {
     })
 }
 
-/// Whether folders and patterns find a file of this name. Tables of any kind end in `.txt` and `.csv`, and exports in
-/// `.ply`: these are named.
+/// Returns whether folders and patterns find a file of this name. `.txt` and `.csv` may be tables of any kind and
+/// `.ply` may be an export, so these must be named individually.
 pub(super) fn is_found(path: &Path) -> bool {
     let ending = |endings: &[&str]| {
         unpacked_name(path).extension().is_some_and(|e| endings.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
@@ -166,17 +167,17 @@ pub(super) fn is_found(path: &Path) -> bool {
     }
 }
 
-/// Refuses Gaussian splats, by their names; `None` for other files.
+/// Returns the reason to refuse a Gaussian splat, recognised by its name; `None` for other files.
 pub(super) fn splat_named(path: &Path) -> Option<&'static str> {
     let ending = path.extension()?.to_str()?.to_ascii_lowercase();
     ["splat", "ksplat", "spz", "sog"].contains(&ending.as_str()).then_some(SPLATS)
 }
 
-/// What is said of splats.
+/// Error for splats.
 const SPLATS: &str = "Gaussian splats are no point cloud: their centres lie beside the surfaces; convert the scan that \
                       they were made from, or their voxels or mesh";
 
-/// Opens the file as a cloud of this format.
+/// Opens the file as a cloud of the given format.
 pub(super) fn open(format: Format, mut opening: Opening<'_, '_>) -> Result<Opened> {
     if opening.bytes == 0 {
         return Err(opening.error("byte 0", "the file is empty; fetch or write it again"));
@@ -196,7 +197,7 @@ pub(super) fn open(format: Format, mut opening: Opening<'_, '_>) -> Result<Opene
     }
 }
 
-/// Takes the points of a piece, in file coordinates, and hands them on in batches.
+/// Receives the points of a piece in file coordinates, and passes them on in batches.
 pub(super) struct Taker<'a> {
     unit: [f64; 3],
     up: Up,
@@ -206,13 +207,13 @@ pub(super) struct Taker<'a> {
     /// Records since the last batch.
     since: usize,
     sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
-    /// The error came from whoever takes the batches.
+    /// True if the error came from the sink.
     pub refused: bool,
     colour: Option<ColourSource>,
-    /// What values are multiplied by.
+    /// Factor for values.
     widen: u16,
     allow_incomplete: bool,
-    /// What is wrong with the first record that was left out.
+    /// Fault of the first record that was left out.
     reason: Option<String>,
 }
 
@@ -232,17 +233,17 @@ impl<'a> Taker<'a> {
         Self { unit, up, exclude, batch, counts, since: 0, sink, refused, colour, widen: 1, allow_incomplete, reason }
     }
 
-    /// Makes values of 8 bits those of 16.
+    /// Scales values from 8 to 16 bits if `widen` is set.
     pub fn widening(self, widen: bool) -> Self {
         Self { widen: if widen { 257 } else { 1 }, ..self }
     }
 
-    /// Whether classes are asked for, to leave points out or to colour them.
+    /// Returns whether classes are needed, to exclude or to colour points.
     pub fn wants_classes(&self) -> bool {
         self.exclude.is_some() || self.colour == Some(ColourSource::Class)
     }
 
-    /// What follows belongs to this cloud of the file.
+    /// Begins a cloud of the file, which the following points belong to.
     pub fn begin_cloud(&mut self, cloud: usize) -> Result<()> {
         if cloud != self.batch.cloud {
             if self.since > 0 {
@@ -253,12 +254,12 @@ impl<'a> Taker<'a> {
         Ok(())
     }
 
-    /// The values that are asked for: red, green and blue or the intensity.
+    /// Returns the source of requested values: red, green and blue, or intensity.
     pub fn wanted(&self) -> Option<ColourSource> {
         self.colour.filter(|source| *source != ColourSource::Class)
     }
 
-    /// A point, of a class if the file has classes, and with its value if it has one.
+    /// Adds a point, with its class if the file has classes, and with its value if it has one.
     #[inline]
     pub fn push(&mut self, at: [f64; 3], class: Option<f64>, value: Option<[u16; 3]>) -> Result<()> {
         self.counts.read += 1;
@@ -273,7 +274,7 @@ impl<'a> Taker<'a> {
             Some(ColourSource::Class) => class.filter(|class| (0.0..256.0).contains(class)).map(|c| [c as u16, 0, 0]),
             _ => value.map(|value| value.map(|v| v.saturating_mul(self.widen))),
         };
-        // All points of a batch come with a value, or none of them.
+        // In one batch, either all points have a value or none has.
         if !self.batch.is_empty() && self.batch.values.is_empty() == value.is_some() {
             self.flush()?;
         }
@@ -300,7 +301,7 @@ impl<'a> Taker<'a> {
         self.step()
     }
 
-    /// A record that the file marks as one without a return.
+    /// Adds a record that the file marks as having no return.
     #[inline]
     pub fn absent(&mut self) -> Result<()> {
         self.counts.read += 1;
@@ -308,7 +309,7 @@ impl<'a> Taker<'a> {
         self.step()
     }
 
-    /// So many records cannot be read: an error, unless they may be left out.
+    /// Leaves out records that cannot be read: an error unless `allow_incomplete` is set.
     #[cold]
     pub fn leave_out(&mut self, records: u64, error: Error) -> Result<()> {
         if !self.allow_incomplete {
@@ -319,12 +320,13 @@ impl<'a> Taker<'a> {
         Ok(())
     }
 
-    /// How many records were left out so, and why the first was.
+    /// Returns the number of records left out, and why the first was, if [`leave_out`](Self::leave_out) left out any.
     pub fn broken(&mut self) -> Option<(u64, String)> {
         self.reason.take().map(|reason| (self.counts.missing, reason))
     }
 
-    /// A record that cannot be read, which the format reports: counted as missing where that is allowed; whether it is.
+    /// Handles an unreadable record that the format itself reports. Returns whether incomplete input is allowed; if so,
+    /// the record counts as missing.
     pub fn lose(&mut self) -> Result<bool> {
         if self.allow_incomplete {
             self.counts.missing += 1;
@@ -339,7 +341,7 @@ impl<'a> Taker<'a> {
         if self.since == BATCH_POINTS { self.flush() } else { Ok(()) }
     }
 
-    /// Hands on what has come.
+    /// Passes on the collected points.
     pub fn flush(&mut self) -> Result<()> {
         if self.up == Up::Y {
             std::mem::swap(&mut self.batch.y, &mut self.batch.z);
@@ -351,13 +353,13 @@ impl<'a> Taker<'a> {
         taken
     }
 
-    /// What has come so far.
+    /// Returns the current counts.
     pub fn counts(&self) -> PointCounts {
         self.counts
     }
 }
 
-/// A rotation, scaling or the like, and a shift: `x·m[0] + y·m[1] + z·m[2] + m[3]`, in this order.
+/// A linear map, such as a rotation or scaling, and a shift: `x·m[0] + y·m[1] + z·m[2] + m[3]`, in this order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pose([[f64; 3]; 4]);
 

@@ -1,11 +1,11 @@
 //! PCD of the Point Cloud Library, versions .5 to 0.7: text, binary, and binary compressed by LZF.
 //!
-//! Fields may come in any order and of any type; x, y and z are needed. NaN marks a pixel of an organised cloud without a
-//! return. The viewpoint is not applied: by the library's own habit coordinates are used as they are stored.
+//! Fields may come in any order and of any type; x, y and z are required. NaN marks a pixel of an organised cloud
+//! without a return. The viewpoint is not applied: by convention of the library, coordinates are used as stored.
 //!
-//! Compressed data hold one column of numbers after the other, up to 4 GiB unpacked. One decoder walks up to the last needed
-//! column and leaves a copy of itself at the start of each: three to seven (with classes and colours), which go on side by
-//! side, with 104 KiB each. So memory does not depend on the file, and nothing is unpacked more than twice.
+//! Compressed data store one column after another, up to 4 GiB unpacked. One decoder runs to the last needed column and
+//! leaves a copy of itself at the start of each: three to seven copies (with classes and colours) of 104 KiB, which
+//! then advance in step. So memory does not depend on the file, and nothing is unpacked more than twice.
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
 
@@ -23,18 +23,18 @@ use std::io::{self, Read};
 
 /// Longest header (bytes).
 const MOST_HEADER: usize = 1 << 16;
-/// Most fields.
+/// Maximum number of fields.
 const MOST_FIELDS: usize = 1024;
 
-/// A field as the header describes it.
+/// A field described by the header.
 #[derive(Debug, Clone)]
 struct PcdField {
     name: String,
-    /// `None` for a type that PCD does not know.
+    /// `None` for a type that PCD does not define.
     number: Option<Number>,
     size: usize,
     count: usize,
-    /// First byte in a record; first column in a row.
+    /// Offset of its first byte in a record; `column`: its first column in a row.
     at: usize,
     column: usize,
 }
@@ -43,9 +43,9 @@ struct PcdField {
 struct Header {
     fields: Vec<PcdField>,
     points: u64,
-    /// Width and height, where these make another number of points.
+    /// Width and height, if their product is another number of points.
     grid: Option<(u64, u64)>,
-    /// Another number of points that it may be.
+    /// Alternative number of points.
     other: u64,
     data: String,
     moved: bool,
@@ -53,7 +53,7 @@ struct Header {
 }
 
 impl Header {
-    /// Line and reason of what is wrong.
+    /// Parses a header; fails with the line number and the reason.
     fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut width, mut height, mut points, mut moved) = (None, 1u64, None, false);
@@ -164,7 +164,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         let points = header.points;
         let text = format!("the header states {points} points, but a width of {width} and a height of {height}");
         opening.findings.lose(text)?;
-        // Packed data say which of the two is right; of others all is read that one of the two speaks of.
+        // Compressed data show which of the two is right; otherwise, the larger number is read.
         let grid = width.saturating_mul(height);
         (header.points, header.other) = (points.max(grid), points.min(grid));
     }
@@ -249,7 +249,7 @@ struct Packed {
     len: u64,
     unpacked: u64,
     points: u64,
-    /// Of each needed column, bytes of a record before it; x, y, z, and classes if there are any.
+    /// Needed columns, with the bytes of a record before each: x, y, z, and classes if there are any.
     columns: Vec<Field>,
     values: Values,
 }
@@ -283,7 +283,7 @@ fn open_packed(
     } else {
         look_behind(opening, start + packed, stride, points)?;
     }
-    // A reference makes at most 264 bytes of three.
+    // A reference of three bytes unpacks to at most 264.
     if unpacked / 88 > packed + 1 {
         let reason = format!("{packed} compressed bytes cannot hold {unpacked} unpacked ones: it is damaged");
         return Err(opening.error(format!("byte {}", header.end), reason));
@@ -292,7 +292,7 @@ fn open_packed(
     Ok(Packed { start, len: packed, unpacked, points, columns, values })
 }
 
-/// A column as it is unpacked.
+/// A column that is being unpacked.
 type Unpacked<'a> = (Lzf<Window<'a>>, Field);
 
 fn damaged_data(error: io::Error, source: &Source) -> Error {
@@ -303,14 +303,14 @@ fn damaged_data(error: io::Error, source: &Source) -> Error {
 }
 
 impl Packed {
-    /// The columns of fields, each from the first point on, in the order of the file.
+    /// Returns a decoder for each field, at the first point of its column, in the order of the file.
     fn unpack<'a>(&self, mut fields: Vec<Field>, source: &'a Source) -> Result<Vec<Unpacked<'a>>> {
         fields.sort_by_key(|field| field.at);
         fields.dedup();
         let mut walk = Lzf::new(Window::new(source, self.start, self.len), self.unpacked);
         let mut at = 0;
         let columns = fields.into_iter().map(|field| {
-            // Columns of the whole cloud follow each other.
+            // Each column holds all points of the cloud.
             let begin = self.points * field.at as u64;
             walk.skip(begin - at).map_err(|error| damaged_data(error, source))?;
             at = begin;
@@ -320,7 +320,7 @@ impl Packed {
     }
 }
 
-/// The fields of values.
+/// Returns the fields of a value.
 fn fields_of(rgb: Option<Rgb>) -> Vec<Field> {
     match rgb {
         None => Vec::new(),
@@ -420,26 +420,27 @@ impl Cloud for Packed {
     }
 }
 
-/// Farthest that a reference of LZF reaches back, and bytes made at once.
+/// Maximum distance of an LZF reference, and number of bytes unpacked at once.
 const FARTHEST_BACK: usize = 1 << 13;
 const AT_ONCE: usize = 1 << 15;
 
-/// Unpacks LZF as a stream, with the last 8 KiB at hand.
+/// Unpacks LZF as a stream, keeping the last 8 KiB.
 ///
-/// A control byte below 32 is followed by so many bytes and one more, as they are; another by a reference: its upper three
-/// bits are the length less 2 (7: a byte follows that is added), its lower five and one more byte the distance less 1.
+/// A control byte `n` below 32 is followed by `n + 1` literal bytes. Any other control byte begins a reference: its
+/// upper three bits are the length less 2 (if 7, a byte follows that is added), its lower five bits and one more byte
+/// the distance less 1.
 #[derive(Clone)]
 struct Lzf<R> {
     packed: R,
-    /// Bytes made: some that were handed out, and from `next` on those to come.
+    /// Unpacked bytes: history before `next`, unread bytes from `next` on.
     made: Vec<u8>,
     next: usize,
-    /// Bytes that are still to be made.
+    /// Number of bytes still to be unpacked.
     left: u64,
 }
 
 impl<R: Read> Lzf<R> {
-    /// Unpacks to so many bytes.
+    /// Creates a decoder that unpacks to `bytes` bytes.
     fn new(packed: R, bytes: u64) -> Self {
         Self { packed, made: Vec::new(), next: 0, left: bytes }
     }
@@ -457,7 +458,7 @@ impl<R: Read> Lzf<R> {
         Ok(byte[0].into())
     }
 
-    /// Follows one control byte.
+    /// Unpacks one control byte and what belongs to it.
     #[inline]
     fn follow(&mut self) -> io::Result<()> {
         let (control, begin) = (self.byte()?, self.made.len());
@@ -478,7 +479,7 @@ impl<R: Read> Lzf<R> {
             if back >= len {
                 self.made.extend_from_within(from..from + len);
             } else {
-                // The bytes between are repeated.
+                // The reference overlaps its own output, which repeats.
                 let mut missing = len;
                 while missing > 0 {
                     let now = missing.min(self.made.len() - from);
@@ -492,7 +493,7 @@ impl<R: Read> Lzf<R> {
         Ok(())
     }
 
-    /// Bytes that come next, at least one.
+    /// Returns the unread bytes, at least one.
     fn ahead(&mut self) -> io::Result<&[u8]> {
         if self.next == self.made.len() {
             self.made.drain(..self.next.saturating_sub(FARTHEST_BACK));
@@ -507,7 +508,7 @@ impl<R: Read> Lzf<R> {
         Ok(&self.made[self.next..])
     }
 
-    /// Passes over bytes.
+    /// Skips bytes.
     fn skip(&mut self, mut count: u64) -> io::Result<()> {
         while count > 0 {
             let now = (self.ahead()?.len() as u64).min(count);
@@ -529,7 +530,7 @@ impl<R: Read> Lzf<R> {
         Ok(())
     }
 
-    /// Unpacks what is left; the packed bytes must end there.
+    /// Unpacks the rest; the packed bytes must end there.
     fn finish(&mut self) -> io::Result<()> {
         self.skip((self.made.len() - self.next) as u64 + self.left)?;
         match self.packed.read(&mut [0])? {
@@ -568,7 +569,7 @@ mod tests {
         let unpacked = unpack(&packed, FARTHEST_BACK + 3).unwrap();
         assert_eq!(unpacked[..FARTHEST_BACK], plain);
         assert_eq!(unpacked[FARTHEST_BACK..], plain[..3]);
-        // Also where what was handed out long ago is forgotten.
+        // Also after old history was dropped.
         let packed: Vec<u8> = packed.repeat(40).into_iter().collect();
         let unpacked = unpack(&packed, 40 * (FARTHEST_BACK + 3)).unwrap();
         assert!(

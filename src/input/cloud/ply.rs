@@ -1,8 +1,8 @@
 //! PLY without faces: points, as text or binary of either byte order.
 //!
-//! Only the element `vertex` counts; the others are passed over, also those behind it: what follows them would be points that
-//! the header does not state. Its properties may come in any order and of any type, but for lists. Memory: the header, at
-//! most 1 MiB.
+//! Only the element `vertex` is read; other elements are skipped, including those after it: anything behind them would
+//! be points that the header does not state. Its properties may come in any order and of any type except lists. Memory:
+//! the header, at most 1 MiB.
 
 use super::body::{self, Body, Form, RgbPlaces};
 use super::records::{Field, MOST_BYTES, Records, Rgb, Values, kind_of};
@@ -16,17 +16,17 @@ use crate::{Error, Result};
 use std::io::Read;
 use std::path::Path;
 
-/// Most numbers in a list.
+/// Maximum number of values in a list.
 const MOST_IN_LIST: f64 = 65_536.0;
 
-/// A header, and the first byte of the body.
+/// A header, and the offset of the body.
 struct Start {
     header: Header,
     end: u64,
 }
 
 impl Start {
-    /// From the first bytes of a file; else the line and what is wrong with it.
+    /// Parses the start of a file; fails with the line number and what is wrong with the line.
     fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
         let mark = if start.starts_with(BYTE_ORDER_MARK) { BYTE_ORDER_MARK.len() } else { 0 };
         let (mut reader, mut at, mut number) = (HeaderReader::default(), mark, 0);
@@ -44,7 +44,7 @@ impl Start {
         }
     }
 
-    /// Whether it names what only splats have.
+    /// Returns whether it has properties that only splats have.
     fn is_splat(&self) -> bool {
         let named = |element: &Element| {
             element.properties.iter().any(|p| p.name == "packed_position" || p.name == "f_dc_0" || p.name == "rot_0")
@@ -52,15 +52,15 @@ impl Start {
         self.header.elements.iter().filter(|element| element.name == "vertex").any(named)
     }
 
-    /// Whether it has surfaces.
+    /// Returns whether it has surfaces.
     fn has_faces(&self) -> bool {
         let is_face = |name: &str| name == "face" || name == "tristrips";
         self.header.elements.iter().any(|element| element.count > 0 && is_face(&element.name))
     }
 }
 
-/// Whether the PLY at `path` is to be read here and not as a mesh: it has no faces, or is a splat. What cannot be read is
-/// left to the mesh reader, which says why.
+/// Returns whether the PLY at `path` is read here rather than as a mesh: it has no faces, or is a splat. Unreadable
+/// files are left to the mesh reader, which reports why.
 pub(in crate::input) fn is_point_cloud(path: &Path) -> bool {
     let Ok((input, stamp)) = Input::open(path) else { return false };
     let mut start = vec![0; stamp.len().min(MOST_HEADER as u64) as usize];
@@ -156,7 +156,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     }))
 }
 
-/// First byte behind an element of a binary body.
+/// Returns the offset of the first byte after an element of a binary body.
 fn skip(opening: &Opening<'_, '_>, element: &Element, start: u64, big: bool) -> Result<u64> {
     let cut = |opening: &Opening<'_, '_>| {
         opening.error("body", format!("the file ends within the element {}", shown(element.name.as_bytes())))
@@ -166,7 +166,7 @@ fn skip(opening: &Opening<'_, '_>, element: &Element, start: u64, big: bool) -> 
         let end = element.count.checked_mul(fixed).and_then(|bytes| bytes.checked_add(start));
         return end.filter(|&end| end <= opening.bytes).ok_or_else(|| cut(opening));
     }
-    // Lists: number by number, each of which takes bytes of the file.
+    // Lists are skipped number by number; each takes bytes of the file, which bounds the loop.
     let mut window = super::super::source::Window::new(opening.source, start, opening.bytes.saturating_sub(start));
     let mut value = [0; 8];
     for instance in 0..element.count {

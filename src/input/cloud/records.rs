@@ -1,4 +1,4 @@
-//! Binary records of one length: PLY and PCD.
+//! Binary records of fixed length: PLY and PCD.
 
 use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, bytes_of};
 use super::{Cloud, Depth, Opening, Piece, Source, Taker};
@@ -6,30 +6,30 @@ use crate::Result;
 use crate::colour::ColourSource;
 use crate::input::number::Number;
 
-/// Points of a piece.
+/// Points per piece.
 const PIECE_POINTS: u64 = 1 << 17;
-/// Bytes read at once, or one record.
+/// Bytes read at once, unless a single record is longer.
 const SLAB_BYTES: usize = 1 << 20;
-/// Longest record (bytes).
+/// Maximum record length (bytes).
 pub(super) const MOST_BYTES: usize = 1 << 16;
 
-/// A number within a record.
+/// A number in a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Field {
     pub at: usize,
     pub number: Number,
 }
 
-/// Red, green and blue within a record.
+/// Red, green and blue in a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rgb {
-    /// A number each.
+    /// One number each.
     Fields([Field; 3]),
-    /// The bytes of a number, blue lowest.
+    /// Bytes of a single number, blue lowest.
     Bytes(Field),
 }
 
-/// What a format says of numbers of these types.
+/// Returns the kind of a channel stored in these number types.
 pub(super) fn kind_of(numbers: &[Number]) -> Kind {
     match numbers {
         _ if numbers.iter().all(|number| number.bytes() == 1) => Kind::Bytes,
@@ -38,7 +38,7 @@ pub(super) fn kind_of(numbers: &[Number]) -> Kind {
     }
 }
 
-/// Values for colours within a record.
+/// Colour values in a record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Values {
     rgb: Option<Rgb>,
@@ -56,7 +56,7 @@ impl Values {
         Self { rgb, intensity, channels }
     }
 
-    /// The fields that a source needs: one, or three.
+    /// Returns the fields that a source needs: one, or three.
     pub fn fields(&self, source: ColourSource) -> Option<Rgb> {
         match source {
             ColourSource::Rgb => self.rgb,
@@ -65,7 +65,7 @@ impl Values {
         }
     }
 
-    /// The value of the numbers that `number` reads from fields.
+    /// Returns the value of a record for `source`: `read` reads a field as a number, `bits` as packed colours.
     #[inline]
     pub fn of(
         &self,
@@ -82,7 +82,7 @@ impl Values {
         })
     }
 
-    /// Adds to a sample the numbers that `read` reads from fields.
+    /// Adds the numbers of `source` that `read` reads from a record to a sample.
     pub fn look(&self, source: ColourSource, read: impl Fn(Field) -> f64, sample: &mut Sample) {
         match (source, self.rgb) {
             (ColourSource::Intensity, _) => self.intensity.into_iter().for_each(|field| sample.add(read(field))),
@@ -92,19 +92,19 @@ impl Values {
     }
 }
 
-/// The 32 bits of a field that is so long.
+/// Reads the 32 bits of a 4-byte field.
 #[inline]
 pub(super) fn bits_of(at: &[u8], big: bool) -> u32 {
     let bytes = [at[0], at[1], at[2], at[3]];
     if big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
 }
 
-/// Where the records lie, and the coordinates in them.
+/// Location of the records, and of the coordinates in them.
 #[derive(Debug)]
 pub(super) struct Records {
     pub format: &'static str,
     pub start: u64,
-    /// Bytes of a record [1..=MOST_BYTES]; fields lie inside.
+    /// Record length (bytes) [1..=MOST_BYTES]; all fields lie inside.
     pub stride: usize,
     pub stated: u64,
     pub points: u64,
@@ -115,7 +115,7 @@ pub(super) struct Records {
 }
 
 impl Records {
-    /// As many of the `stated` records from byte `start` on as the file holds; fewer are a loss.
+    /// Returns how many of the `stated` records from byte `start` on the file holds; fewer are a loss.
     pub fn held(opening: &mut Opening<'_, '_>, start: u64, stride: usize, stated: u64) -> Result<u64> {
         let room = opening.bytes.saturating_sub(start) / stride as u64;
         if room < stated {
@@ -189,7 +189,7 @@ impl Cloud for Records {
             }
             next += got as u64;
             if got * self.stride < want {
-                break; // the file became shorter since it was opened
+                break; // the file was truncated since it was opened
             }
         }
         Ok(piece.end - next)

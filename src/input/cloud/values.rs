@@ -1,26 +1,26 @@
-//! Values of points for colours: how the numbers of a file become 16 bits.
+//! Colour values of points: conversion of the numbers in a file to 16 bits.
 //!
-//! Where the format states what white is (a type of 8 bits, the limits of an E57), that holds. Where it does not, a sample of
-//! the file decides: the same rows of the same file on each machine, whatever else is converted.
+//! If the format states what white is (an 8-bit type, the limits of an E57), that holds. Otherwise a sample of the file
+//! decides: the same rows of the same file on every machine, whatever else is converted.
 
 use crate::colour::ColourSource;
 
-/// Points of a sample at one place of the file, and places.
+/// Points sampled at each of `SAMPLE_PLACES` places in the file.
 pub(super) const SAMPLE_POINTS: usize = 256;
 pub(super) const SAMPLE_PLACES: u64 = 16;
 
-/// What the red, green and blue of a file reach up to.
+/// Maximum of the red, green and blue of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Depth {
     /// 255.
     Eight,
     /// 65,535.
     Sixteen,
-    /// One of the two: whole numbers of which the greatest decides.
+    /// One of the two: whole numbers whose maximum decides.
     Unstated,
 }
 
-/// From a number of the file to a value: 0 at `low`, `by` for each unit above, up to `most`; NaN becomes 0.
+/// Maps a number in the file to a value: 0 at `low`, `by` for each unit above, up to `most`; NaN becomes 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scale {
     low: f64,
@@ -29,18 +29,18 @@ pub(super) struct Scale {
 }
 
 impl Scale {
-    /// Whole numbers as they are.
+    /// Whole numbers, unchanged.
     pub const WHOLE: Self = Self { low: 0.0, by: 1.0, most: 65_535.0 };
-    /// The same, of 8 bits.
+    /// Whole numbers of 8 bits, unchanged.
     pub const BYTES: Self = Self { low: 0.0, by: 1.0, most: 255.0 };
     /// 0 to 1.
     const UNIT: Self = Self { low: 0.0, by: 65_535.0, most: 65_535.0 };
-    /// -2048 to 2047, as Cyclone writes intensities.
+    /// -2048 to 2047, the range of intensities written by Cyclone.
     const TWELVE_BITS: Self = Self { low: -2048.0, by: 16.0, most: 65_535.0 };
-    /// Numbers of 16 bits with a sign.
+    /// Signed 16-bit numbers.
     const SIGNED: Self = Self { low: -32_768.0, by: 1.0, most: 65_535.0 };
 
-    /// Numbers between these, which may not be apart, over all 16 bits.
+    /// Maps `low` to `high` onto all 16 bits; `None` if the two leave no usable range.
     pub fn between(low: f64, high: f64) -> Option<Self> {
         let by = 65_535.0 / (high - low);
         (high > low && by.is_finite() && by > 0.0).then_some(Self { low, by, most: 65_535.0 })
@@ -52,20 +52,20 @@ impl Scale {
     }
 }
 
-/// What a format says of the numbers of a channel.
+/// Storage of the numbers of a channel, as far as the format states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     /// 8 bits.
     Bytes,
-    /// 8 bits by custom; a sample may say otherwise.
+    /// 8 bits by convention; a sample may show otherwise.
     Custom,
     /// Whole numbers of more than 8 bits.
     Whole,
-    /// Nothing: floating point, or text.
+    /// Nothing stated: floating point, or text.
     Any,
 }
 
-/// The channels of a file of records or rows.
+/// Colour channels of a file of records or rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Channels {
     rgb: Option<Kind>,
@@ -74,7 +74,7 @@ pub(super) struct Channels {
     depth: Depth,
 }
 
-/// What the numbers of a sample look like.
+/// Range of the numbers in a sample.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
     least: f64,
@@ -84,7 +84,7 @@ pub(super) struct Sample {
 impl Sample {
     pub const NOTHING: Self = Self { least: f64::INFINITY, most: f64::NEG_INFINITY };
 
-    /// Adds a number; NaN counts for nothing.
+    /// Adds a number; NaN is ignored.
     pub fn add(&mut self, value: f64) {
         self.least = self.least.min(value);
         self.most = self.most.max(value);
@@ -94,7 +94,7 @@ impl Sample {
         self.least >= 0.0 && self.most > 0.0 && self.most <= 1.0
     }
 
-    /// Of intensities.
+    /// Returns the scale for intensities in this range.
     pub fn intensity(&self) -> Scale {
         match self {
             _ if self.is_unit() => Scale::UNIT,
@@ -106,7 +106,7 @@ impl Sample {
 }
 
 impl Channels {
-    /// Before a sample.
+    /// Creates channels before any sample.
     pub fn new(rgb: Option<Kind>, intensity: Option<Kind>) -> Self {
         let (scale, depth) = match rgb {
             Some(Kind::Bytes | Kind::Custom) => (Scale::BYTES, Depth::Eight),
@@ -123,7 +123,7 @@ impl Channels {
         }
     }
 
-    /// Whether a sample is needed to tell what numbers mean.
+    /// Returns whether a sample is needed to interpret the numbers of `source`.
     pub fn is_open(&self, source: ColourSource) -> bool {
         let kind = match source {
             ColourSource::Rgb => self.rgb,
@@ -133,7 +133,7 @@ impl Channels {
         matches!(kind, Some(Kind::Custom | Kind::Any)) || source == ColourSource::Intensity && kind == Some(Kind::Whole)
     }
 
-    /// Says what the numbers of `source` mean, by a sample of them.
+    /// Chooses how to interpret the numbers of `source`, given a sample of them.
     pub fn settle(&mut self, source: ColourSource, sample: &Sample) {
         match source {
             ColourSource::Intensity if self.intensity == Some(Kind::Bytes) => self.scale = Scale::BYTES,
@@ -154,7 +154,7 @@ impl Channels {
         }
     }
 
-    /// How the numbers of the channel that was settled last become values.
+    /// Returns the scale of the channel that was settled last.
     pub fn scale(&self) -> Scale {
         self.scale
     }
@@ -164,7 +164,7 @@ impl Channels {
     }
 }
 
-/// Red, green and blue in the bytes of a number, blue lowest, as PCD holds them.
+/// Splits a number into red, green and blue bytes, blue lowest, as in PCD.
 #[inline]
 pub(super) fn bytes_of(packed: u32) -> [u16; 3] {
     [16, 8, 0].map(|shift| (packed >> shift & 0xFF) as u16)

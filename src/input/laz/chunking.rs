@@ -1,8 +1,8 @@
-//! Where the chunks of a LAZ file lie, and how many points each holds.
+//! Location of the chunks of a LAZ file, and their numbers of points.
 //!
-//! In: a checked header, the chunk table, the heads of layered chunks. Out: a [`Chunking`], whose counts are those of the header; where
-//! they are not, points are lost. Without its table, layered chunks are found by their heads, others by decoding them one after the
-//! other.
+//! Input: a checked header, the chunk table, the heads of layered chunks. Output: a [`Chunking`] whose counts match the
+//! header; otherwise, points are lost. If the table is missing, layered chunks are found by their heads, others by
+//! decoding them in sequence.
 
 use super::coder::MOST_STEP_BYTES;
 use super::items::LaszipRecord;
@@ -13,24 +13,25 @@ use crate::input::losses::Findings;
 use crate::input::source::Source;
 use crate::{Error, Result};
 
-/// Size and points of one chunk.
+/// Size and number of points of one chunk.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::input) struct Chunk {
     pub bytes: u32,
     pub points: u32,
 }
 
-/// How the points of a LAZ file turn out to be cut.
+/// Division of the points of a LAZ file.
 #[derive(Debug)]
 pub(in crate::input) enum Chunking {
-    /// Chunks one after the other from byte `start` on.
+    /// Consecutive chunks from byte `start` on.
     Chunks { start: u64, chunks: Vec<Chunk> },
     /// Chunks of unknown length in the `len` bytes from `start` on.
     Stream {
         start: u64,
         len: u64,
         points: u64,
-        /// Where the chunk table should lie by what the file says, right or wrong; none if the points are one chunk without a table.
+        /// Offset of the chunk table stated by the file, right or wrong; `None` if the points are one chunk without a
+        /// table.
         table_at: Option<u64>,
     },
 }
@@ -39,7 +40,7 @@ impl Chunking {
     const NOTHING: Self = Self::Stream { start: 0, len: 0, points: 0, table_at: None };
 }
 
-/// Why a chunk table cannot be used, and where it should lie.
+/// Reason why a chunk table cannot be used, and its stated offset.
 struct Lost {
     reason: String,
     table_at: u64,
@@ -52,13 +53,13 @@ pub(super) struct Head {
     pub bytes: u64,
     /// Bytes of each layer.
     pub sizes: Vec<u64>,
-    /// The first point, and what follows it before the layers.
+    /// The first point, and the rest of the head.
     pub first: Vec<u8>,
 }
 
 impl Packing {
-    /// Finds the chunks. Falls back from a lost or wrong chunk table to the heads of the chunks (formats 6 to 10) or to one
-    /// sequence. `most_chunks` bounds the index.
+    /// Finds the chunks. If the chunk table is missing or wrong, uses the heads of the chunks (formats 6 to 10) or one
+    /// sequence. `most_chunks` limits the index.
     pub(in crate::input) fn body(
         &self,
         source: &Source,
@@ -123,7 +124,8 @@ impl Packing {
         Ok(Chunking::Chunks { start, chunks })
     }
 
-    /// Whether the points of so many chunks may end at byte `at`: there the file does, or its chunk table begins.
+    /// Returns whether the points of `chunks` chunks may end at byte `at`: the file ends or its chunk table begins
+    /// there.
     pub(super) fn may_end(
         &self,
         source: &Source,
@@ -139,7 +141,7 @@ impl Packing {
         Ok(at == table_at || head.is_some_and(is_table))
     }
 
-    /// Reads the chunk table. The inner error says why it cannot be used.
+    /// Reads the chunk table. The inner error is the reason why it cannot be used.
     fn table(
         &self,
         source: &Source,
@@ -151,7 +153,7 @@ impl Packing {
         let place = |bytes: Option<Vec<u8>>| bytes.map_or(0, |b| u64_at(&b, 0));
         let mut table_at = place(source.bytes_at(data_at, 8)?);
         if table_at == u64::MAX || table_at <= data_at {
-            // Written to a pipe: the place of the table stands at the very end.
+            // Written to a pipe: the offset of the table is at the very end.
             table_at = place(source.bytes_at(file_bytes.saturating_sub(8), 8)?);
             if table_at < start || table_at > file_bytes.saturating_sub(16) {
                 return Ok(Err(Lost { reason: "it has no chunk table".into(), table_at: 0 }));
@@ -164,7 +166,7 @@ impl Packing {
         let Some(head) = source.bytes_at(table_at, 8)? else { return lost("its chunk table is cut".into()) };
         let (version, count) = (u32_at(&head, 0), u64::from(u32_at(&head, 4)));
         let data_bytes = table_at - start;
-        // Even a chunk without points takes a few bytes, but for one in a file that has none at all.
+        // Even a chunk without points takes a few bytes, except in a file without any points.
         if version != 0 || count > 1 + data_bytes / EMPTY_CODE_BYTES {
             return lost(format!("its chunk table (version {version}, {count} chunks) is damaged"));
         }
@@ -179,7 +181,8 @@ impl Packing {
         Ok(Ok(chunks))
     }
 
-    /// The `count` entries of a chunk table in the `len` bytes from `start` on, each as a difference from the last; none if it is cut.
+    /// Reads the `count` entries of a chunk table in the `len` bytes from `start` on, each stored as a difference from
+    /// the last; `None` if the table is cut.
     fn entries(&self, source: &Source, start: u64, len: u64, count: u64) -> Result<Option<Vec<Chunk>>> {
         const POINTS: usize = 0;
         const BYTES: usize = 1;
@@ -200,14 +203,14 @@ impl Packing {
             }
             let state = coder.state();
             packed.keep(state);
-            // Its numbers have 32 bits without a sign.
+            // The numbers are unsigned 32-bit.
             chunks.push(Chunk { bytes: bytes as u32, points: points as u32 });
         }
         Ok(Some(chunks))
     }
 
-    /// Settles the points of chunks of equal length, and notes where they are not as many as `stated`; `None` when only the header
-    /// could tell how many the last one has, and it says 0.
+    /// Determines the points of chunks of equal length, and notes if they differ from `stated`. Returns `None` if only
+    /// the header could state the size of the last chunk, and it states 0.
     fn with_counts(
         &self,
         source: &Source,
@@ -218,7 +221,7 @@ impl Packing {
     ) -> Result<Option<Vec<Chunk>>> {
         let size = self.record.chunk_points;
         if size != LaszipRecord::VARIABLE {
-            // Those behind the last point are empty.
+            // Chunks after the last point are empty.
             let filled = chunks.iter().rposition(|c| u64::from(c.bytes) > EMPTY_CODE_BYTES).map_or(0, |last| last + 1);
             let before = filled.saturating_sub(1);
             chunks[..before].iter_mut().for_each(|chunk| chunk.points = size);
@@ -227,7 +230,7 @@ impl Packing {
             if let Some(last) = chunks[..filled].last_mut() {
                 let rest = stated.checked_sub(before).filter(|rest| (1..=u64::from(size)).contains(rest));
                 last.points = match rest {
-                    // The chunk knows better than the header.
+                    // The chunk is more reliable than the header.
                     _ if self.layered => {
                         self.head(source, at, u64::from(last.bytes))?.map_or(0, |head| head.points).min(size)
                     }
@@ -253,7 +256,7 @@ impl Packing {
         Ok(Some(chunks))
     }
 
-    /// Finds layered chunks by their heads alone, up to so many points (0: all) or the end.
+    /// Finds layered chunks by their heads alone, up to `stated` points (0: all) or the end.
     fn walk(&self, source: &Source, start: u64, end: u64, stated: u64, most_chunks: u64) -> Result<Vec<Chunk>> {
         let (mut at, mut points) = (start, 0);
         let mut chunks = Vec::new();
@@ -270,7 +273,7 @@ impl Packing {
         Ok(chunks)
     }
 
-    /// Head of the layered chunk at `at`: one plain record, the number of points, the sizes of the layers.
+    /// Reads the head of the layered chunk at `at`: one plain record, the number of points, the sizes of the layers.
     pub(super) fn head(&self, source: &Source, at: u64, room: u64) -> Result<Option<Head>> {
         let len = self.record_bytes + 4 + 4 * self.layers;
         if room < len as u64 {

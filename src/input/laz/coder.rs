@@ -1,27 +1,28 @@
-//! The arithmetic decoder of LASzip, its adaptive models, and whole numbers as differences from expected ones.
+//! The arithmetic decoder of LASzip, its adaptive models, and integers coded as differences from expected ones.
 //!
-//! In: compressed bytes. Out: the symbols that LASzip and the crate `laz` find in them, at two thirds of the time of the latter: a
-//! decoder's state stays in registers, a model is one piece of memory with bounds and counts of 16 bits, and its table has
-//! a place for every 128th of the range. Sources: A. Said, *Introduction to Arithmetic Coding: Theory and Practice*
-//! (HPL-2004-76); M. Isenburg, *LASzip: lossless compression of LiDAR data* (PE&RS 79(2), 2013).
+//! Input: compressed bytes. Output: the symbols that LASzip and the crate `laz` decode, in two thirds of the time of
+//! the latter: the decoder state stays in registers, a model is one block of memory with 16-bit bounds and counts, and
+//! its table has an entry per 128 parts of the range. Sources: A. Said, *Introduction to Arithmetic Coding: Theory and
+//! Practice* (HPL-2004-76); M. Isenburg, *LASzip: lossless compression of LiDAR data* (PE&RS 79(2), 2013).
 //!
-//! Bytes that no encoder wrote give other symbols, never a panic; they show where the data end ([`Coder::is_at_end`]).
+//! Bytes that no encoder wrote yield other symbols, never a panic; they show at the end of the data
+//! ([`Coder::is_at_end`]).
 
 use std::hint::select_unpredictable;
 
-/// Below this length of the range further bytes are taken in.
+/// Further bytes are read once the range is shorter than this (bits).
 const MIN_LENGTH_BITS: u32 = 24;
-/// Models divide the range into so many parts, as a power of two.
+/// Number of parts into which models divide the range, as a power of two.
 const MODEL_BITS: u32 = 15;
-/// The same for models of one bit.
+/// Number of parts for models of one bit, as a power of two.
 const BIT_MODEL_BITS: u32 = 13;
-/// Parts of the range that share a place in a model's table, as a power of two.
+/// Number of parts per place in a model's table, as a power of two.
 const PLACE_BITS: u32 = MODEL_BITS - 8;
 
-/// Most bytes that one symbol, bit or number of bits takes.
+/// Maximum number of bytes consumed by one symbol, bit or number of bits.
 pub(super) const MOST_STEP_BYTES: usize = (MIN_LENGTH_BITS / 8) as usize;
 
-/// A decoder at work on `bytes`. Behind their end it reads zeros; its position tells that it did.
+/// Decoder of `bytes`. Past their end it reads zeros, which its position shows.
 #[derive(Clone, Copy)]
 pub(super) struct Coder<'a> {
     bytes: &'a [u8],
@@ -29,7 +30,7 @@ pub(super) struct Coder<'a> {
     range: Range,
 }
 
-/// Where a decoder is between the bytes it has taken and those to come.
+/// State of a decoder between the bytes consumed and those to come.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Range {
     value: u32,
@@ -37,7 +38,7 @@ pub(super) struct Range {
 }
 
 impl<'a> Coder<'a> {
-    /// A decoder of what begins at `bytes[position]`.
+    /// Creates a decoder that begins at `bytes[position]`.
     pub fn begin(bytes: &'a [u8], position: usize) -> Self {
         let mut coder = Self { bytes, position, range: Range { value: 0, length: u32::MAX } };
         coder.range.value = coder.next_four();
@@ -45,7 +46,7 @@ impl<'a> Coder<'a> {
         coder
     }
 
-    /// A decoder that goes on at `bytes[position]`.
+    /// Creates a decoder that continues at `bytes[position]`.
     pub fn resume(bytes: &'a [u8], position: usize, range: Range) -> Self {
         Self { bytes, position, range }
     }
@@ -54,19 +55,20 @@ impl<'a> Coder<'a> {
         self.position
     }
 
-    /// Where to [`resume`](Self::resume).
+    /// Returns the state for [`resume`](Self::resume).
     pub fn state(&self) -> (usize, Range) {
         (self.position, self.range)
     }
 
-    /// Bytes were taken that there are not.
+    /// Returns whether it read past the end of the bytes.
     #[inline(always)]
     pub fn is_beyond(&self) -> bool {
         self.position > self.bytes.len()
     }
 
-    /// Whether an encoder that wrote these symbols ends here. It adds a 256th or a 512th of the greatest range to where its own
-    /// begins, writes the upper one or two bytes of that, and zeros until the decoder has taken as many bytes as it wrote.
+    /// Returns whether an encoder that wrote these symbols ends here. It adds a 256th or a 512th of the maximum range
+    /// to the start of its own range, writes the upper one or two bytes of that, and zeros until it has written as many
+    /// bytes as the decoder has consumed.
     pub fn is_at_end(&self) -> bool {
         let Range { value, length } = self.range;
         let (most, written, zeros) = match length {
@@ -92,7 +94,7 @@ impl<'a> Coder<'a> {
         (0..4).fold(0, |four, at| four << 8 | byte(at))
     }
 
-    /// Narrows the range to `length` from `low` on, and takes in bytes until it is long enough.
+    /// Narrows the range to `length` from `low` on, and reads bytes until it is long enough.
     #[inline(always)]
     fn narrow(&mut self, low: u32, length: u32) {
         let taken = length.leading_zeros() / 8;
@@ -101,11 +103,11 @@ impl<'a> Coder<'a> {
         self.position += taken as usize;
     }
 
-    /// A symbol of `model`.
+    /// Decodes a symbol with `model`.
     #[inline(always)]
     pub fn symbol<const N: usize, T: Place>(&mut self, model: &mut Model<N, T>) -> u32 {
         let part = self.range.length >> MODEL_BITS;
-        // The last symbol also has what the division leaves over.
+        // The last symbol also covers the remainder of the division.
         let parts = (self.range.value / part).min((1 << MODEL_BITS) - 1);
         let mut symbol: usize = model.places[(parts >> PLACE_BITS) as usize].into();
         while model.bounds.get(symbol + 1).is_some_and(|&bound| u32::from(bound) <= parts) {
@@ -126,7 +128,7 @@ impl<'a> Coder<'a> {
         symbol as u32
     }
 
-    /// A bit of `model`.
+    /// Decodes a bit with `model`.
     #[inline(always)]
     pub fn bit(&mut self, model: &mut BitModel) -> bool {
         let zero = model.zero * (self.range.length >> BIT_MODEL_BITS);
@@ -145,7 +147,7 @@ impl<'a> Coder<'a> {
         bit
     }
 
-    /// A number of `count` [1..=19] bits, each as likely as the other.
+    /// Decodes a number of `count` [1..=19] equally likely bits.
     #[inline(always)]
     fn short(&mut self, count: u32) -> u32 {
         let part = self.range.length >> count;
@@ -154,7 +156,7 @@ impl<'a> Coder<'a> {
         number
     }
 
-    /// A number of `count` [1..=32] bits.
+    /// Decodes a number of `count` [1..=32] bits.
     #[inline(always)]
     pub fn bits(&mut self, count: u32) -> u32 {
         if count <= 19 {
@@ -165,28 +167,28 @@ impl<'a> Coder<'a> {
     }
 }
 
-/// Kind of number in which a model's table names symbols.
+/// Integer type of symbols in a model's table.
 pub(super) trait Place: Copy + Default + Into<usize> + TryFrom<usize> {}
 impl Place for u8 {}
 impl Place for u16 {}
 
-/// How often each of up to `N` symbols is met; learns.
+/// Adaptive frequencies of up to `N` symbols.
 #[derive(Debug, Clone)]
 pub(super) struct Model<const N: usize, T = u8> {
-    /// Per place the last symbol that does not begin above where the place does.
+    /// For each place, the last symbol that begins no later than the place.
     places: [T; 1 << (MODEL_BITS - PLACE_BITS)],
-    /// Where each symbol begins, in parts of the range; beyond its end for symbols that there are not.
+    /// Start of each symbol, in parts of the range; symbols that do not exist start past its end.
     bounds: [u16; N],
     counts: [u16; N],
     symbols: u32,
     total: u32,
-    /// Symbols from one update to the next, and until the next.
+    /// Symbols from one update to the next; `left`: symbols until the next update.
     cycle: u32,
     left: u32,
 }
 
 impl<const N: usize, T: Place> Model<N, T> {
-    /// A model of so many `symbols` [2..=N], all as likely.
+    /// Creates a model of `symbols` [2..=N] equally likely symbols.
     pub fn new(symbols: usize) -> Self {
         let mut model = Self {
             places: [T::default(); _],
@@ -216,7 +218,7 @@ impl<const N: usize, T: Place> Model<N, T> {
         for (symbol, (bound, &count)) in self.bounds.iter_mut().zip(&*counts).enumerate() {
             *bound = ((scale * sum) >> (31 - MODEL_BITS)) as u16;
             sum += u32::from(count);
-            // Places that begin below it are the symbol's before.
+            // Places that begin below this symbol belong to the one before.
             let end = usize::from(bound.div_ceil(1 << PLACE_BITS));
             if end > places {
                 self.places[places..end].fill(T::try_from(symbol - 1).unwrap_or_default());
@@ -229,10 +231,10 @@ impl<const N: usize, T: Place> Model<N, T> {
     }
 }
 
-/// How often a bit is 0; learns.
+/// Adaptive frequency of a bit being 0.
 #[derive(Debug, Clone)]
 pub(super) struct BitModel {
-    /// Where 1 begins, in parts of the range.
+    /// Start of 1, in parts of the range.
     zero: u32,
     zeros: u32,
     total: u32,
@@ -258,28 +260,28 @@ impl BitModel {
     }
 }
 
-/// Sizes of differences whose value is one symbol (bits); of larger ones the upper bits are.
+/// Maximum size of differences coded as one symbol (bits); of larger ones, the upper bits are.
 const SYMBOL_BITS: u32 = 8;
 
-/// Whole numbers as differences from expected ones: first the size of the difference in bits, by context, then its value among
-/// those of that size.
+/// Integers coded as differences from expected ones: first the size of the difference in bits, by context, then its
+/// value among those of that size.
 #[derive(Debug, Clone)]
 pub(super) struct Numbers {
     sizes: Box<[Model<33>]>,
-    /// Difference 0 or 1.
+    /// Whether the difference is 0 or 1.
     small: BitModel,
     /// Differences of 1, 2, … bits.
     values: Box<[Model<256>]>,
-    /// Numbers are counted modulo this; 0 for 2³².
+    /// Numbers wrap around at this value; 0 for 2³².
     modulus: u32,
     size: u32,
 }
 
 impl Numbers {
-    /// Most steps that a number takes.
+    /// Maximum number of decoding steps per number.
     pub const MOST_STEPS: usize = 4;
 
-    /// Numbers of so many `bits`, 16 or 32.
+    /// Creates a decoder for numbers of `bits` bits: 8, 16 or 32.
     pub fn new(bits: u32, contexts: usize) -> Self {
         Self {
             sizes: (0..contexts).map(|_| Model::new(bits as usize + 1)).collect(),
@@ -290,12 +292,12 @@ impl Numbers {
         }
     }
 
-    /// Size of the last difference (bits).
+    /// Returns the size of the last difference (bits).
     pub fn size(&self) -> u32 {
         self.size
     }
 
-    /// The next number.
+    /// Decodes the next number.
     #[inline(always)]
     pub fn next(&mut self, coder: &mut Coder, context: usize, expected: i32) -> i32 {
         self.size = coder.symbol(&mut self.sizes[context]);
@@ -308,7 +310,7 @@ impl Numbers {
                     let lower = size - SYMBOL_BITS;
                     value = value << lower | coder.bits(lower);
                 }
-                // The upper half are the positive differences of this size, 0 and 1 are of size 0.
+                // The upper half are the positive differences of this size; 0 and 1 have size 0.
                 let half = 1 << (size - 1);
                 let (above, below) = (value.wrapping_add(1), value.wrapping_sub(2 * half - 1));
                 select_unpredictable(value >= half, above, below) as i32
@@ -324,11 +326,11 @@ impl Numbers {
     }
 }
 
-/// Median of five of the last numbers: of those that the least and the greatest, in turn, gave way to.
+/// Median of five recent numbers; each new number replaces the least or the greatest.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Median {
     sorted: [i32; 5],
-    /// The least gives way to the next number, not the greatest.
+    /// True if the next number replaces the least, false for the greatest.
     least: bool,
 }
 
@@ -337,7 +339,7 @@ impl Median {
         self.sorted[2]
     }
 
-    /// Without branches: which place a number takes cannot be foreseen.
+    /// Adds a number, without branches because its rank cannot be predicted.
     #[inline(always)]
     pub fn add(&mut self, number: i32) {
         let all = self.sorted;

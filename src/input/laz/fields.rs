@@ -1,12 +1,12 @@
-//! Fields that points of all formats pack alike: coordinates, bytes by the last ones, colours, times.
+//! Fields that points of all formats pack alike: coordinates, bytes in the context of earlier ones, colours, times.
 
 use super::coder::{Coder, Median, Model, Numbers};
 
-/// Bytes of a time and of a colour.
+/// Bytes of a time; below, of a colour.
 pub(super) const TIME_BYTES: usize = 8;
 pub(super) const COLOUR_BYTES: usize = 6;
 
-/// Coordinates: x and y as steps from the last point's, z as a difference from an expected height.
+/// Coordinates: x and y as steps from the last point, z as a difference from an expected height.
 pub(super) struct Coordinates {
     x: i32,
     y: i32,
@@ -19,7 +19,7 @@ pub(super) struct Coordinates {
 impl Coordinates {
     pub const MOST_STEPS: usize = 3 * Numbers::MOST_STEPS;
 
-    /// Those after the `first` record's.
+    /// Creates the state after the `first` record.
     pub fn new(first: &[u8]) -> Self {
         let number = |at: usize| first[at..].first_chunk().map_or(0, |&four| i32::from_le_bytes(four));
         let [dx, dy, dz] = [2, 22, 20].map(|contexts| Numbers::new(32, contexts));
@@ -30,7 +30,7 @@ impl Coordinates {
         self.z
     }
 
-    /// The next x and y, by the last `steps` alike; `single` if the pulse has one return.
+    /// Decodes the next x and y, predicted from the last `steps` of the same kind; `single`: the pulse has one return.
     #[inline(always)]
     pub fn next_xy(&mut self, coder: &mut Coder, [step_x, step_y]: &mut [Median; 2], single: bool) {
         let dx = self.dx.next(coder, usize::from(single), step_x.get());
@@ -42,7 +42,7 @@ impl Coordinates {
         self.y = self.y.wrapping_add(dy);
     }
 
-    /// The next z, behind x and y; it is expected to be the last `height` alike, and becomes that.
+    /// Decodes the next z, after x and y. It is predicted to be the last `height` of the same kind, and replaces that.
     #[inline(always)]
     pub fn next_z(&mut self, coder: &mut Coder, height: &mut i32, single: bool) {
         let context = (((self.dx.size() + self.dy.size()) / 2) & !1).min(18) as usize + usize::from(single);
@@ -58,19 +58,19 @@ impl Coordinates {
     }
 }
 
-/// Models by what was met before, made when that is met.
+/// Models by context, each created when its context first occurs.
 pub(super) struct Lazily {
     models: Box<[Option<Box<Model<256>>>]>,
     symbols: usize,
 }
 
 impl Lazily {
-    /// So many models of so many symbols.
+    /// Creates `models` contexts for models of `symbols` symbols.
     pub fn new(models: usize, symbols: usize) -> Self {
         Self { models: (0..models).map(|_| None).collect(), symbols }
     }
 
-    /// The next byte.
+    /// Decodes the next byte in the context `before`.
     #[inline(always)]
     pub fn next(&mut self, coder: &mut Coder, before: usize) -> u8 {
         let model = self.models[before].get_or_insert_with(|| Box::new(Model::new(self.symbols)));
@@ -78,7 +78,7 @@ impl Lazily {
     }
 }
 
-/// Colours: of red, green and blue the lower, then the upper byte.
+/// Colours: the lower, then the upper byte of red, green and blue.
 pub(super) struct Colours {
     changes: Model<128>,
     bytes: [Model<256>; COLOUR_BYTES],
@@ -91,7 +91,7 @@ impl Colours {
         Self { changes: Model::new(128), bytes: std::array::from_fn(|_| Model::new(256)) }
     }
 
-    /// The colour after `last`.
+    /// Decodes the colour after `last`.
     #[inline(always)]
     pub fn next(&mut self, coder: &mut Coder, last: [u8; COLOUR_BYTES]) -> [u8; COLOUR_BYTES] {
         let changes = coder.symbol(&mut self.changes);
@@ -108,7 +108,7 @@ impl Colours {
             return [lower, upper, lower, upper, lower, upper];
         }
         for red in 0..2 {
-            // What red changed by, green and blue are expected to.
+            // Green and blue are expected to change as red did.
             let (green, blue) = (red + 2, red + 4);
             let change = |at: usize, now: u8| i32::from(now) - i32::from(last[at]);
             let with = |at: usize, by: i32| (i32::from(last[at]) + by).clamp(0, 255) as u8;
@@ -121,22 +121,22 @@ impl Colours {
     }
 }
 
-/// Multiples of the last difference of times that have a symbol of their own: up to the first number, down to the second.
+/// Largest multiple of the last time difference with a symbol of its own; below, the least one.
 const MOST_MULTIPLE: i32 = 500;
 const LEAST_MULTIPLE: i32 = -10;
 const UNCHANGED: i32 = MOST_MULTIPLE - LEAST_MULTIPLE + 1;
 const ANEW: i32 = UNCHANGED + 1;
-/// Sequences of times that alternate.
+/// Number of time sequences that alternate.
 const SEQUENCES: usize = 4;
 
-/// Times as the integers that their bits are.
+/// Times as the integers of their bit patterns.
 pub(super) struct Times {
     sequences: [TimeSequence; SEQUENCES],
     last: usize,
     newest: usize,
     repeats: bool,
     multiples: Model<516, u16>,
-    /// Where the last difference is 0.
+    /// Used if the last difference is 0.
     still: Model<6>,
     numbers: Numbers,
 }
@@ -146,14 +146,14 @@ pub(super) struct Times {
 struct TimeSequence {
     time: i64,
     difference: i32,
-    /// How often in a row the difference was far from a multiple of the last one.
+    /// Number of consecutive differences far from a multiple of the last one.
     misses: u32,
 }
 
 impl Times {
     pub const MOST_STEPS: usize = SEQUENCES + 1 + Numbers::MOST_STEPS + 2;
 
-    /// Times from `first` on; whether one that is the last one has symbols of its own.
+    /// Creates times that follow `first`; `repeats`: a time equal to the last one has a symbol of its own.
     pub fn new(first: i64, repeats: bool) -> Self {
         let mut sequences = [TimeSequence::default(); SEQUENCES];
         sequences[0].time = first;
@@ -172,7 +172,7 @@ impl Times {
         self.sequences[self.last].time
     }
 
-    /// The next time; whether its bytes are those of a writer, who changes to another sequence once.
+    /// Decodes the next time; returns whether a writer can have written its bytes: it changes to another sequence once.
     #[inline(never)]
     pub fn next<'a>(&mut self, mut coder: Coder<'a>) -> (Coder<'a>, bool) {
         let no_repeats = i32::from(!self.repeats);

@@ -1,6 +1,6 @@
-//! The LASzip record: what a packed point consists of, and how.
+//! The LASzip record: the items of a packed point, and their packing.
 //!
-//! In: the bytes of the record. Out: its items, each of a known type and size.
+//! Input: the bytes of the record. Output: its items, each of a known type and size.
 
 use crate::input::header::{u16_at, u32_at};
 
@@ -20,7 +20,7 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    /// The type of this number, and the bytes that its items have (none: any).
+    /// Returns the type with this number, and the bytes of its items (`None`: any).
     fn of(number: u16) -> Option<(Self, Option<u16>)> {
         Some(match number {
             0 => (Self::Byte, None),
@@ -37,7 +37,7 @@ impl Kind {
         })
     }
 
-    /// Whether it belongs to formats 6 to 10, each field of which has a layer of its own.
+    /// Returns whether it belongs to formats 6 to 10, in which each field has a layer of its own.
     pub fn is_layered(self) -> bool {
         matches!(self, Self::Point14 | Self::RGB14 | Self::RGBNIR14 | Self::WavePacket14 | Self::Byte14)
     }
@@ -52,7 +52,7 @@ pub(super) struct Item {
 }
 
 impl Item {
-    /// Layers of it in formats 6 to 10.
+    /// Returns the number of its layers in formats 6 to 10.
     pub fn layers(&self) -> usize {
         match self.kind {
             Kind::Point14 => 9,
@@ -68,18 +68,18 @@ impl Item {
 pub(super) struct LaszipRecord {
     /// 1: the whole file is one sequence; 2: chunks; 3: chunks of layers.
     pub compressor: u16,
-    /// Points of a chunk; [`VARIABLE`](Self::VARIABLE) where the chunk table has them.
+    /// Points per chunk; [`VARIABLE`](Self::VARIABLE) if the chunk table states them.
     pub chunk_points: u32,
     pub items: Vec<Item>,
 }
 
 impl LaszipRecord {
-    /// Points of a chunk where chunks differ.
+    /// Value of `chunk_points` if chunks differ.
     pub const VARIABLE: u32 = u32::MAX;
     const HEAD_BYTES: usize = 34;
     const ITEM_BYTES: usize = 6;
 
-    /// Reads the record `body`; or why it cannot be one.
+    /// Parses the record `body`; fails with the reason why it is invalid.
     pub fn read(body: &[u8]) -> Result<Self, String> {
         if body.len() < Self::HEAD_BYTES {
             return Err(format!("{} bytes long, expected {} or more", body.len(), Self::HEAD_BYTES));

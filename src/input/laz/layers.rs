@@ -1,8 +1,9 @@
-//! Points of formats 6 to 10, whose fields lie in layers that are decoded beside each other: only those that are wanted. All
-//! other fields keep what the first point of the chunk has.
+//! Points of formats 6 to 10, whose fields lie in separate layers: only wanted layers are decoded. All other fields
+//! keep the values of the first point of the chunk.
 //!
-//! In: the first point of a chunk and its layers, read as a whole. Out: records. Source: the items `POINT14` and `RGB14` of
-//! LASzip, versions 2 (a draft of 3), 3 and 4, which differ in the colour that is expected where the scanner's channel changes.
+//! Input: the first point of a chunk and its layers, read as a whole. Output: records. Source: the items `POINT14` and
+//! `RGB14` of LASzip, versions 2 (a draft of 3), 3 and 4, which differ in the colour expected after a change of the
+//! scanner channel.
 
 use std::ops::Range as Places;
 
@@ -13,7 +14,7 @@ use super::{Flaw, Wanted};
 /// Bytes of the point's own fields.
 pub(super) const POINT_BYTES: usize = 30;
 
-/// Layers that may be wanted, in the order in which they lie in a chunk.
+/// Number of layers that may be wanted; below, their indices, in the order of a chunk.
 pub(super) const WANTED: usize = 8;
 const XY: usize = 0;
 const Z: usize = 1;
@@ -24,37 +25,37 @@ const SOURCE_IDS: usize = 5;
 const TIMES: usize = 6;
 const COLOURS: usize = 7;
 
-/// Whether there is a decoder of items of this version.
+/// Returns whether there is a decoder for items of this version.
 pub(super) fn exist(version: u16) -> bool {
     matches!(version, 2..=4)
 }
 
-/// Whether the layer of a chunk whose points it does not tell apart is whole: it is empty, or an encoder without symbols wrote it.
+/// Returns whether a layer that never changes its field is sound: it is empty, or an encoder without symbols wrote it.
 pub(super) fn is_still(layer: &[u8]) -> bool {
     layer.is_empty() || layer.len() == Coder::begin(layer, 0).position() && Coder::begin(layer, 0).is_at_end()
 }
 
-/// Places among all layers of those that are `wanted`; `colour` is that of the colours.
+/// Returns the indices of the `wanted` layers among all layers; `colour` is that of the colours.
 pub(super) fn places(wanted: Wanted, colour: usize) -> [Option<usize>; WANTED] {
     let Wanted { classes, intensity, rgb, source_ids, times } = wanted;
-    // Those of scan angle (5) and user data (6) never are.
+    // Scan angle (5) and user data (6) are never wanted.
     [(true, 0), (true, 1), (classes, 2), (true, 3), (intensity, 4), (source_ids, 7), (times, 8), (rgb, colour)]
         .map(|(wanted, place)| wanted.then_some(place))
 }
 
-/// Decodes one chunk.
+/// Decoder of one chunk.
 pub(super) struct Layers {
     bytes: Vec<u8>,
-    /// Where each layer lies in `bytes`; nowhere if it is not wanted or no point changes what is in it.
+    /// Range of each layer in `bytes`; empty if the layer is not wanted or no point changes its field.
     places: [Places<usize>; WANTED],
-    /// How far each is decoded.
+    /// Decoder state of each layer.
     reached: [(usize, Range); WANTED],
     points: Points,
 }
 
 impl Layers {
-    /// A decoder of the points after the `first`, whose layers lie behind each other in `bytes` and are of these `sizes` (bytes);
-    /// `colour` is where a record has its colour, and the version in which that is packed.
+    /// Creates a decoder of the points after the `first`. Their layers of these `sizes` (bytes) follow one another in
+    /// `bytes`; `colour` is the offset of the colour in a record and the version of its packing.
     pub fn new(
         first: &[u8],
         bytes: Vec<u8>,
@@ -73,7 +74,7 @@ impl Layers {
         Self { bytes, places, reached, points: Points::new(first, version, colour) }
     }
 
-    /// Fills `records`, each of so many bytes, and counts those that are whole in `filled`.
+    /// Fills `records`, each of `record_bytes` bytes, and counts those that are whole in `filled`.
     pub fn next(&mut self, records: &mut [u8], record_bytes: usize, filled: &mut usize) -> Result<(), Flaw> {
         let Self { bytes, places, reached, points } = self;
         let layer = |layer: usize| &bytes[places[layer].clone()];
@@ -92,7 +93,7 @@ impl Layers {
         Ok(())
     }
 
-    /// Whether each layer ends behind the points decoded so far.
+    /// Returns whether each layer ends after the points already decoded.
     pub fn are_at_end(&self) -> bool {
         self.places.iter().zip(self.reached).enumerate().all(|(n, (place, (position, range)))| {
             let coder = Coder::resume(&self.bytes[place.clone()], position, range);
@@ -101,8 +102,8 @@ impl Layers {
     }
 }
 
-/// Places in a record: intensity, numbers of the return (low) and of returns, flags (of the class, channel of the scanner, direction
-/// and edge of the scan), class, source id, time.
+/// Offsets in a record: intensity, number of the return (low) and of returns, flags (of the class, channel of the
+/// scanner, direction and edge of the scan), class, source id, time.
 const INTENSITY: usize = 12;
 const RETURNS: usize = 14;
 const FLAG: usize = 15;
@@ -110,13 +111,13 @@ const CLASS: usize = 16;
 const SOURCE_ID: usize = 20;
 const TIME: usize = 22;
 
-/// Channels of a scanner.
+/// Number of channels of a scanner.
 const CHANNELS: usize = 4;
 
-/// Points of all channels, each expected to follow the last one of its channel.
+/// Points of all channels, each predicted from the last one of its channel.
 struct Points {
     channels: [Option<Box<Channel>>; CHANNELS],
-    /// The last point's.
+    /// Channel of the last point.
     channel: usize,
     colours: Option<ColoursByChannel>,
     version: u16,
@@ -135,7 +136,7 @@ impl Points {
         Self { channels, channel, colours, version }
     }
 
-    /// The next record; whether its bytes are those of a writer.
+    /// Decodes the next record; returns whether a writer can have written its bytes.
     #[inline(always)]
     fn next(&mut self, coders: &mut [Coder; WANTED], present: &[bool; WANTED], record: &mut [u8]) -> bool {
         let [xy, z, classes, flags, intensities, source_ids, times, colours] = coders;
@@ -205,7 +206,7 @@ impl Points {
         channel.coordinates.write(last);
         record[..POINT_BYTES].copy_from_slice(last);
         if let Some(by_channel) = &mut self.colours {
-            // Before version 4 a point whose channel is the one before's has colours as in channel 0.
+            // Before version 4, a point in the same channel as the one before has the colour context of channel 0.
             let channel = if changed || self.version == 4 { self.channel } else { 0 };
             by_channel.next(present[COLOURS].then_some(colours), channel, record);
         }
@@ -217,10 +218,10 @@ impl Points {
 struct Channel {
     last: [u8; POINT_BYTES],
     coordinates: Coordinates,
-    /// Context of what changes: whether the last return was the first, and the last, of its pulse, and had a new time.
+    /// Context of `changes`: whether the last return was the first, and the last, of its pulse, and had a new time.
     before: usize,
-    /// Last heights, by level of the return; last intensities, by place in the pulse and whether the time is new; medians of the last
-    /// differences in x and y, by kind of return and whether the time is new.
+    /// Last heights by level of the return; `intensities`: last ones by position in the pulse and whether the time is
+    /// new; `steps`: medians of the last differences in x and y by kind of return and whether the time is new.
     heights: [i32; 8],
     intensities: [u16; 8],
     steps: [[Median; 2]; 12],
@@ -237,7 +238,7 @@ struct Channel {
 }
 
 impl Channel {
-    /// What is expected after `last`, whichever channel it is of.
+    /// Creates a channel whose predictions follow `last`, whichever channel that is in.
     fn new(last: [u8; POINT_BYTES]) -> Self {
         let coordinates = Coordinates::new(&last);
         let time = last[TIME..].first_chunk().map_or(0, |&eight| i64::from_le_bytes(eight));
@@ -263,7 +264,7 @@ impl Channel {
     }
 }
 
-/// Kinds of returns, by their count and number in the pulse.
+/// Kinds of returns by their count and number in the pulse.
 const RETURN_KINDS: [[u8; 16]; 16] = [
     [0, 1, 2, 3, 4, 5, 3, 4, 4, 5, 5, 5, 5, 5, 5, 5],
     [1, 0, 1, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3],
@@ -285,7 +286,7 @@ const RETURN_KINDS: [[u8; 16]; 16] = [
 
 /// Colours of all channels.
 struct ColoursByChannel {
-    /// Where a record has its colour.
+    /// Offset of the colour in a record.
     at: usize,
     version: u16,
     channels: [Option<Box<Colours>>; CHANNELS],
@@ -302,7 +303,7 @@ impl ColoursByChannel {
         all
     }
 
-    /// The colour of the next point; without a coder none changes.
+    /// Decodes the colour of the next point; without a coder, the colour does not change.
     fn next(&mut self, coder: Option<&mut Coder>, channel: usize, record: &mut [u8]) {
         let before = std::mem::replace(&mut self.channel, channel);
         let is_new = self.channels[channel].is_none();
@@ -310,7 +311,7 @@ impl ColoursByChannel {
         if is_new {
             self.last[channel] = self.last[before];
         }
-        // Before version 4 it goes on from the channel before if both were met: so do the writers.
+        // Before version 4, prediction continues from the channel before if both occurred: the writers do the same.
         let expected = if self.version != 4 && !is_new { before } else { channel };
         let last = &mut self.last[expected];
         if let Some(coder) = coder {

@@ -1,17 +1,18 @@
-//! LAZ: where its chunks lie, and their decoding in bounded memory.
+//! LAZ: location of its chunks, and their decoding in bounded memory.
 //!
-//! In: a checked header and the LASzip record. Out: a [`Chunking`], whose chunks can be decoded in any order, and whole
-//! point records. Source: M. Isenburg, *LASzip: lossless compression of LiDAR data* (PE&RS 79(2), 2013), and what the program LASzip
-//! and the crate `laz` write: versions 1 and 2 of the items of formats 0 to 5, versions 2 to 4 of those of formats 6 to 10. All of
-//! formats 0 to 5 is decoded; near infrared, wave packets and extra bytes of formats 6 to 10 lie in layers of their own, never are.
+//! Input: a checked header and the LASzip record. Output: a [`Chunking`], whose chunks can be decoded in any order, and
+//! whole point records. Source: M. Isenburg, *LASzip: lossless compression of LiDAR data* (PE&RS 79(2), 2013), and what
+//! the program LASzip and the crate `laz` write: versions 1 and 2 of the items of formats 0 to 5, versions 2 to 4 of
+//! those of formats 6 to 10. Formats 0 to 5 are decoded in full. Near infrared, wave packets and extra bytes of formats
+//! 6 to 10 lie in layers of their own, which are never decoded.
 //!
-//! LAZ has no checksums, but an encoder ends each chunk, and each of its layers, in a state of its own. So all that is decoded must end
-//! there and where its length says, the layers must fill the chunk, the chunks the file up to their table, and their points must be as
-//! many as the header states.
+//! LAZ has no checksums, but an encoder ends each chunk, and each of its layers, in a state that can be recognised. So
+//! decoding must end in that state and where the stated length does, the layers must fill the chunk, the chunks must
+//! fill the file up to their table, and their points must add up to the count in the header.
 //!
-//! Memory of one decoder: one slab of records, one piece of [`PackedBytes`](packed::PackedBytes), and for formats 6
-//! to 10 the compressed layers of one chunk that are needed (x, y, z, flags; class, intensity, RGB, point source id and GPS
-//! time only when they are wanted); more than the budget is an error.
+//! Memory of one decoder: one slab of records, one piece of [`PackedBytes`](packed::PackedBytes), and for formats 6 to
+//! 10 the needed compressed layers of one chunk (x, y, z, flags; class, intensity, RGB, point source id and GPS time
+//! only if wanted). Exceeding the budget is an error.
 
 mod chunking;
 mod coder;
@@ -40,23 +41,23 @@ use crate::{Error, Parameter, Result};
 
 pub(super) use self::chunking::{Chunk, Chunking};
 
-/// How the points of one LAZ file are packed.
+/// Packing of the points of one LAZ file.
 #[derive(Debug, Clone)]
 pub(super) struct Packing {
     record: LaszipRecord,
     layered: bool,
-    /// The whole file is one sequence without chunks or chunk table (compressor 1).
+    /// True if the whole file is one sequence without chunks or chunk table (compressor 1).
     whole: bool,
-    /// What a record of formats 0 to 5 consists of.
+    /// Items of a record of formats 0 to 5.
     items: Option<Items>,
-    /// Bytes of an unpacked record, by the items; a few writers state another length in the header.
+    /// Bytes of an unpacked record according to the items; a few writers state another length in the header.
     record_bytes: usize,
     pub layout: Layout,
-    /// Numbers of layer sizes at the head of a layered chunk.
+    /// Number of layer sizes in the head of a layered chunk.
     layers: usize,
     /// Version of the point's own item.
     version: u16,
-    /// Where RGB lies in an unpacked record, and the number of its layer in a layered chunk.
+    /// Offset of RGB in an unpacked record; `rgb_layer`: index of its layer in a layered chunk.
     pub rgb_at: Option<usize>,
     rgb_layer: usize,
     /// Version of the item of RGB.
@@ -64,7 +65,7 @@ pub(super) struct Packing {
 }
 
 impl Packing {
-    /// Checks the LASzip record `body`; `memory_bytes` bounds what the models of extra bytes may take.
+    /// Checks the LASzip record `body`; `memory_bytes` limits the models of extra bytes.
     pub(super) fn read(source: &Source, body: &[u8], memory_bytes: u64) -> Result<Self> {
         let record = LaszipRecord::read(body).map_err(|reason| Error::input(source.path(), "LASzip record", reason))?;
         let version = record.items[0].version;
@@ -82,7 +83,7 @@ impl Packing {
             record_bytes += item.bytes;
             layers += item.layers();
         }
-        // Each extra byte has adaptive models of 256 symbols: about 3 KiB, and as much again while they grow.
+        // Each extra byte has adaptive models of 256 symbols: about 3 KiB, and the same again while they grow.
         if extra * (12 << 10) > memory_bytes {
             let what = format!("models of {extra} extra bytes a point (bytes)");
             return Err(too_much(source, &what, extra * (12 << 10), memory_bytes));
@@ -115,7 +116,7 @@ impl Packing {
         })
     }
 
-    /// Notes where the header states records of another length.
+    /// Adds a note if the header states records of another length.
     pub(super) fn check_record_bytes(&self, header: &LasHeader, findings: &mut Findings) {
         if self.record_bytes != usize::from(header.record_bytes) {
             findings.note(format!(
@@ -125,32 +126,33 @@ impl Packing {
         }
     }
 
-    /// Bytes of a decoded record: of layered ones, the fields behind the point's own are decoded for RGB only.
+    /// Returns the bytes of a decoded record. In layered records, the fields after the point's own are decoded only for
+    /// RGB.
     pub(super) fn decoded_bytes(&self, rgb: bool) -> usize {
         if self.layered && !rgb { POINT_BYTES } else { self.record_bytes }
     }
 }
 
-/// More of a file than the memory budget holds.
+/// Creates an error for a part of a file that exceeds the memory budget.
 fn too_much(source: &Source, what: &str, found: u64, most: u64) -> Error {
     Error::limit(format!("{}: {what}", source.path().display()), found, most).with_way_out(Parameter::Memory)
 }
 
-/// Bytes that the arithmetic coder writes for no symbol.
+/// Bytes that the arithmetic coder writes for zero symbols.
 const EMPTY_CODE_BYTES: u64 = 4;
 
-/// What is needed of points beside their places and flags.
+/// Fields needed besides coordinates and flags.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Wanted {
     pub classes: bool,
     pub intensity: bool,
-    /// The file has RGB, and it is needed.
+    /// True if RGB is needed and the file has it.
     pub rgb: bool,
     pub source_ids: bool,
     pub times: bool,
 }
 
-/// Why decoding cannot go on, or should not be believed.
+/// Reason why decoding fails or cannot be trusted.
 #[derive(Debug)]
 pub(super) enum Flaw {
     Short,
@@ -165,14 +167,14 @@ impl From<io::Error> for Flaw {
     }
 }
 
-/// The packed points of a chunk or a stream, and what decoding them needs to know.
+/// Packed points of a chunk or a stream, and what decoding them requires.
 pub(super) struct PackedPoints<'a> {
     pub source: &'a Source,
     pub packing: &'a Packing,
     pub start: u64,
     pub len: u64,
     pub points: u64,
-    /// Of a stream, where the chunk table should lie by what the file says, if it has one.
+    /// `Some` for a stream: holds the offset of the chunk table stated by the file, if it has one.
     pub stream: Option<Option<u64>>,
     pub wanted: Wanted,
     pub memory_bytes: u64,
@@ -180,14 +182,15 @@ pub(super) struct PackedPoints<'a> {
     pub name: String,
 }
 
-/// Takes whole records.
+/// Receives whole records.
 type Sink<'a> = &'a mut dyn FnMut(&[u8]) -> Result<()>;
 
 impl PackedPoints<'_> {
-    /// Decodes into `slab`, calling `sink` with whole records; fails unless all points are there and end where they should.
+    /// Decodes into `slab` and calls `sink` with whole records; fails unless all points are present and end where they
+    /// should.
     ///
-    /// If `only_whole`, `sink` gets the points of whole chunks alone. Cost: all is decoded twice, for a chunk is known to be whole at
-    /// its end; meanwhile `sink` is called with nothing, so that it can end the work.
+    /// If `only_whole`, `sink` gets only the points of whole chunks. Cost: everything is decoded twice, because a chunk
+    /// is known to be whole only at its end. Meanwhile `sink` is called with no records, so that it can cancel.
     pub(super) fn decode(&self, only_whole: bool, slab: &mut [u8], sink: Sink) -> Result<()> {
         if only_whole {
             let mut whole = 0;
@@ -197,7 +200,7 @@ impl PackedPoints<'_> {
             }
             return found;
         }
-        // What cannot be taken may be the fault of damage that shows at the end only.
+        // If the sink cannot accept a record, the cause may be damage that only shows at the end.
         let mut refusal = None;
         let mut take = |records: &[u8]| match refusal.is_none().then(|| sink(records)) {
             Some(Err(error @ (Error::Input { .. } | Error::Limit { .. }))) => {
@@ -210,7 +213,7 @@ impl PackedPoints<'_> {
         refusal.map_or(Ok(()), Err)
     }
 
-    /// Decodes the first `points`; counts in `whole` those of chunks that are known to be whole.
+    /// Decodes the first `points`; sets `whole` to the number of points in chunks known to be whole.
     fn run(&self, points: u64, slab: &mut [u8], sink: Sink, whole: &mut u64) -> Result<()> {
         if self.packing.layered {
             return self.run_layers(slab, sink, whole);
@@ -225,7 +228,7 @@ impl PackedPoints<'_> {
         *whole = sequence.whole();
         done?;
         if points == 0 && self.len > 0 {
-            // A chunk without points holds the end of an encoder.
+            // A chunk without points consists of the end of an encoder.
             let bytes = self.source.bytes_at(self.start, EMPTY_CODE_BYTES as usize)?.unwrap_or_default();
             let is_empty = self.len == EMPTY_CODE_BYTES && layers::is_still(&bytes);
             return if is_empty { Ok(()) } else { Err(self.damaged(0, "it holds more than its points")) };
@@ -284,7 +287,7 @@ impl PackedPoints<'_> {
         if head.points > 0 {
             sink(&head.first[..record_bytes])?;
         }
-        // To begin layers is the dearest part of decoding.
+        // Setting up layers is the most expensive part of decoding.
         let are_at_end = match head.points {
             0 | 1 => are_still,
             _ => {
@@ -301,8 +304,8 @@ impl PackedPoints<'_> {
         Ok(())
     }
 
-    /// Fills `slab` with records by `next`, which counts those that are decoded, and hands them to `sink`: `points`, of which so
-    /// many are `done`.
+    /// Decodes records `done..points`: fills `slab` by `next`, which counts the decoded records, and passes them to
+    /// `sink`.
     fn fill(
         &self,
         (mut done, points): (u64, u64),

@@ -1,21 +1,21 @@
-//! The packed bytes at some place of a file, read piece by piece while they are decoded.
+//! Packed bytes of a part of a file, read piece by piece during decoding.
 
 use std::io;
 
 use super::coder::{Coder, Range};
 use crate::input::source::{Source, WINDOW_BYTES};
 
-/// Bytes before the position that stay: an encoder's last ones are looked at again.
+/// Bytes before the position that are kept: the end of an encoder is examined again.
 const LAST_BYTES: usize = 4;
 
-/// Bytes of a file, of which a piece around the position is held.
+/// Bytes of a file, with a piece around the position in memory.
 pub(super) struct PackedBytes<'a> {
     source: &'a Source,
-    /// Place in the file of the first byte that is not held, and how many follow.
+    /// Offset in the file of the first byte not held; `left`: bytes from there on.
     next: u64,
     left: u64,
     held: Vec<u8>,
-    /// Bytes before those that are held.
+    /// Number of bytes before those in `held`.
     before: u64,
     /// Position in `held`.
     position: usize,
@@ -23,18 +23,18 @@ pub(super) struct PackedBytes<'a> {
 }
 
 impl<'a> PackedBytes<'a> {
-    /// The `len` bytes from `start` on.
+    /// Creates a reader of the `len` bytes from `start` on.
     pub fn new(source: &'a Source, start: u64, len: u64) -> Self {
         let (held, range) = (Vec::new(), Range::default());
         Self { source, next: start, left: len, held, before: 0, position: 0, range }
     }
 
-    /// Bytes taken.
+    /// Returns the number of bytes consumed.
     pub fn position(&self) -> u64 {
         self.before + self.position as u64
     }
 
-    /// Holds at least `most` bytes from the position on, or all that there are.
+    /// Makes sure that at least `most` bytes from the position on are held, or all that exist.
     #[inline(always)]
     pub fn hold(&mut self, most: usize) -> io::Result<()> {
         match self.left > 0 && self.position + most > self.held.len() {
@@ -53,7 +53,7 @@ impl<'a> PackedBytes<'a> {
             let kept = self.held.len();
             self.held.resize(kept + self.left.min(WINDOW_BYTES as u64) as usize, 0);
             let read = self.source.fill(&mut self.held[kept..], self.next)?;
-            // A file that became shorter ends here.
+            // If the file was truncated, it ends here.
             self.left = if kept + read < self.held.len() { 0 } else { self.left - read as u64 };
             self.held.truncate(kept + read);
             self.next += read as u64;
@@ -61,27 +61,27 @@ impl<'a> PackedBytes<'a> {
         Ok(())
     }
 
-    /// The `len` bytes at the position, if they are held.
+    /// Returns the `len` bytes at the position, if they are held.
     pub fn bytes(&self, len: usize) -> Option<&[u8]> {
         self.held.get(self.position..self.position + len)
     }
 
-    /// A decoder that begins so many bytes behind the position.
+    /// Returns a decoder that begins `behind` bytes after the position.
     pub fn begin(&self, behind: usize) -> Coder<'_> {
         Coder::begin(&self.held, self.position + behind)
     }
 
-    /// The decoder that was kept.
+    /// Returns the decoder whose state was kept.
     pub fn coder(&self) -> Coder<'_> {
         Coder::resume(&self.held, self.position, self.range)
     }
 
-    /// Last position from which on a decoder finds `most` bytes, or all that there are.
+    /// Returns the last position at which a decoder has `most` bytes ahead, or all that exist.
     pub fn reach(&self, most: usize) -> usize {
         if self.left > 0 { self.held.len() - most } else { self.held.len() }
     }
 
-    /// Keeps where a decoder of these bytes is.
+    /// Keeps the state of a decoder of these bytes.
     #[inline(always)]
     pub fn keep(&mut self, (position, range): (usize, Range)) {
         (self.position, self.range) = (position, range);

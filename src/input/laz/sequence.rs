@@ -1,7 +1,7 @@
-//! Points of formats 0 to 5, whose fields lie in one compressed sequence: all are decoded to get at any.
+//! Points of formats 0 to 5, whose fields lie in one compressed sequence: reading any field requires decoding all.
 //!
-//! In: the bytes of a chunk or of a whole file. Out: whole records. Source: the items `POINT10`, `GPSTIME11`, `RGB12`, `BYTE` (each of
-//! version 2; those of version 1 are in [`version_one`]) and `WAVEPACKET13` of LASzip.
+//! Input: the bytes of a chunk or of a whole file. Output: whole records. Source: the items `POINT10`, `GPSTIME11`,
+//! `RGB12`, `BYTE` (each of version 2; those of version 1 are in [`version_one`]) and `WAVEPACKET13` of LASzip.
 
 use super::coder::{Coder, MOST_STEP_BYTES, Median, Model, Numbers};
 use super::fields::{COLOUR_BYTES, Colours, Coordinates, Lazily, TIME_BYTES, Times};
@@ -14,10 +14,10 @@ use crate::input::source::Source;
 /// Bytes of the point's own fields.
 pub(super) const POINT_BYTES: usize = 20;
 
-/// What a record consists of, in this order: the point, then what else there is.
+/// Items of a record, in this order: the point, then the optional ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Items {
-    /// All but wave packets are of LASzip's first version, not of the second.
+    /// True if all items but wave packets are of version 1, false for version 2.
     version_one: bool,
     time: bool,
     colour: bool,
@@ -26,7 +26,7 @@ pub(super) struct Items {
 }
 
 impl Items {
-    /// What `items` say, if there is a decoder of all of them together.
+    /// Returns the items listed in `items`, or `None` if there is no decoder for the combination.
     pub fn of(items: &[items::Item]) -> Option<Self> {
         let version = items.first()?.version;
         let mut next = items.iter().peekable();
@@ -47,7 +47,7 @@ impl Items {
         POINT_BYTES + others.sum::<usize>() + self.extra
     }
 
-    /// Most bytes that a record takes, packed, with a chunk's beginning.
+    /// Returns the maximum packed size of a record, or of the beginning of a chunk (bytes).
     fn most_packed_bytes(self) -> usize {
         let extra = Numbers::MOST_STEPS * self.extra;
         let steps = Point::MOST_STEPS + Times::MOST_STEPS + Colours::MOST_STEPS + WavePackets::MOST_STEPS + extra;
@@ -57,31 +57,32 @@ impl Items {
 
 /// Decoder of one item of each record.
 pub(super) trait Item {
-    /// What is expected after `first`.
+    /// Creates a decoder whose predictions follow `first`.
     fn new(first: &[u8]) -> Self;
 
-    /// The next `field`; whether its bytes are those of a writer.
+    /// Decodes the next `field`; returns whether a writer can have written its bytes.
     fn next(&mut self, coder: &mut Coder, field: &mut [u8]) -> bool;
 }
 
-/// Decoder of the points at some place of a file, as one chunk or as several behind each other.
+/// Decoder of the points in a part of a file, as one chunk or several consecutive ones.
 pub(super) struct Sequence<'a> {
     bytes: PackedBytes<'a>,
     items: Items,
-    /// Made for the second point of each chunk: to begin them is dear.
+    /// Created at the second point of each chunk, because they are expensive to set up.
     fields: Option<Fields>,
-    /// Points of a chunk, of all chunks, and those of both that are left.
+    /// Points per chunk and of all chunks; `left_of_chunk` and `left`: points still to decode.
     chunk_points: u64,
     points: u64,
     left_of_chunk: u64,
     left: u64,
     first: Vec<u8>,
-    /// Points of chunks that ended where they should.
+    /// Number of points in chunks that ended where they should.
     whole: u64,
 }
 
 impl<'a> Sequence<'a> {
-    /// A decoder of so many `points` in the `len` bytes from `start` on: chunks of `chunk_points`, the last of which may have fewer.
+    /// Creates a decoder of `points` points in the `len` bytes from `start` on: chunks of `chunk_points`, the last of
+    /// which may have fewer.
     pub fn new(source: &'a Source, items: Items, (start, len): (u64, u64), points: u64, chunk_points: u64) -> Self {
         Self {
             bytes: PackedBytes::new(source, start, len),
@@ -96,17 +97,17 @@ impl<'a> Sequence<'a> {
         }
     }
 
-    /// Bytes taken.
+    /// Returns the number of bytes consumed.
     pub fn position(&self) -> u64 {
         self.bytes.position()
     }
 
-    /// Points of chunks that ended where they should.
+    /// Returns the number of points in chunks that ended where they should.
     pub fn whole(&self) -> u64 {
         self.whole
     }
 
-    /// Fills `records`, no more than are left, and counts those that are decoded in `filled`.
+    /// Fills `records`, at most as many as are left, and counts those that are decoded in `filled`.
     pub fn next(&mut self, records: &mut [u8], filled: &mut usize) -> Result<(), Flaw> {
         let mut records = records.chunks_exact_mut(self.items.record_bytes());
         let most = self.items.most_packed_bytes();
@@ -138,7 +139,7 @@ impl<'a> Sequence<'a> {
         Ok(())
     }
 
-    /// The first point of a chunk lies there as it is.
+    /// Reads the first point of a chunk, which is stored uncompressed.
     fn first(&mut self, record: &mut [u8]) -> Result<(), Flaw> {
         let first = self.bytes.bytes(record.len() + 4).ok_or(Flaw::Short)?;
         record.copy_from_slice(&first[..record.len()]);
@@ -160,7 +161,7 @@ impl<'a> Sequence<'a> {
     }
 }
 
-/// Decoders of the fields of all records of a chunk.
+/// Decoders of the fields of all records of a chunk, by version.
 enum Fields {
     One(Box<FieldsOf<version_one::Point, version_one::Times, version_one::Colours, version_one::ExtraBytes>>),
     Two(Box<FieldsOf<Point, Times, LastColour, ExtraBytes>>),
@@ -222,7 +223,7 @@ impl<P: Item, T: Item, C: Item, E: Item> FieldsOf<P, T, C, E> {
         Ok(())
     }
 
-    /// The next record; whether its bytes are those of a writer.
+    /// Decodes the next record; returns whether a writer can have written its bytes.
     #[inline(always)]
     fn next(&mut self, coder: &mut Coder, record: &mut [u8]) -> bool {
         let (point, mut rest) = record.split_at_mut(POINT_BYTES);
@@ -278,7 +279,7 @@ impl Item for LastColour {
     }
 }
 
-/// Each byte by its difference from the last one.
+/// Extra bytes: each as a difference from the last one.
 struct ExtraBytes(Vec<(u8, Model<256>)>);
 
 impl Item for ExtraBytes {
@@ -296,8 +297,8 @@ impl Item for ExtraBytes {
     }
 }
 
-/// Places in a point's own fields: intensity, flags (number and count of returns, direction and edge of the scan), class,
-/// angle, user data, source id.
+/// Offsets in a point's own fields: intensity, flags (number and count of returns, direction and edge of the scan),
+/// class, angle, user data, source id.
 pub(super) const INTENSITY: usize = 12;
 pub(super) const FLAGS: usize = 14;
 pub(super) const CLASS: usize = 15;
@@ -309,9 +310,9 @@ struct Point {
     /// All fields but the coordinates.
     last: [u8; POINT_BYTES],
     coordinates: Coordinates,
-    /// Last heights, by level of the return.
+    /// Last heights by level of the return.
     heights: [i32; 8],
-    /// Last intensities, medians of the last differences in x and y, by kind of return.
+    /// Last intensities by kind of return; `steps`: medians of the last differences in x and y by kind of return.
     intensities: [u16; 16],
     steps: [[Median; 2]; 16],
     changes: Model<64>,
@@ -320,14 +321,14 @@ struct Point {
     flags: Lazily,
     class: Lazily,
     user: Lazily,
-    /// By direction of the scan.
+    /// Models of the angle by direction of the scan.
     angle: [Model<256>; 2],
 }
 
 impl Item for Point {
     fn new(first: &[u8]) -> Self {
         let mut last: [u8; POINT_BYTES] = first.first_chunk().copied().unwrap_or_default();
-        // So do LASzip's writers: the intensity of the first point is nowhere expected.
+        // LASzip's writers do the same: they never predict from the intensity of the first point.
         last[INTENSITY..INTENSITY + 2].fill(0);
         Self {
             last,
@@ -373,10 +374,11 @@ impl Item for Point {
 }
 
 impl Point {
-    /// Those of version 1 take no more.
+    /// Maximum number of decoding steps per point; those of version 1 take no more.
     const MOST_STEPS: usize = 5 + Coordinates::MOST_STEPS + 3 * Numbers::MOST_STEPS;
 
-    /// Apart from what most points need, with a decoder of its own, so that the other stays in registers.
+    /// Decodes fields that few points change. Not inlined, and with a decoder of its own, so that the caller's stays in
+    /// registers.
     #[inline(never)]
     fn seldom<'a>(&mut self, mut coder: Coder<'a>, changes: u32) -> Coder<'a> {
         let last = &mut self.last;
@@ -399,7 +401,7 @@ impl Point {
     }
 }
 
-/// Kinds of returns, by their count and number in the pulse.
+/// Kinds of returns by their count and number in the pulse.
 const RETURN_KINDS: [[u8; 8]; 8] = [
     [15, 14, 13, 12, 11, 10, 9, 8],
     [14, 0, 1, 3, 6, 10, 10, 9],

@@ -1,4 +1,4 @@
-//! Our decoders against those of the crate `laz`: the same records from the same bytes, whole, cut and damaged.
+//! Compares the decoders with those of the crate `laz`: same records from the same bytes, whole, cut and damaged.
 
 use std::io::{Cursor, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -21,13 +21,13 @@ use super::sequence::{Items, Sequence};
 use crate::input::header::u32_at;
 use crate::input::source::Source;
 
-/// How a field of a record follows that of the one before.
+/// Change of a field from one record to the next.
 #[derive(Debug, Clone, Copy)]
 enum Change {
     Stays,
-    /// By a few, as neighbours differ.
+    /// A small difference, as between neighbours.
     By(i8),
-    /// By as much as the last time, times this.
+    /// This multiple of the last difference.
     Times(i16),
     Becomes(u64),
 }
@@ -42,7 +42,7 @@ fn change() -> impl Strategy<Value = Change> {
     ]
 }
 
-/// Bytes of each field of a record.
+/// Returns the bytes of each field of a record.
 fn fields(items: &[LazItem]) -> Vec<usize> {
     let of = |item: &LazItem| match item.item_type() {
         LazItemType::Point10 => vec![4, 4, 4, 2, 1, 1, 1, 1, 2],
@@ -56,7 +56,7 @@ fn fields(items: &[LazItem]) -> Vec<usize> {
     items.iter().flat_map(of).collect()
 }
 
-/// Records whose fields follow each other by the `changes`, a row for each record, in turns where there are too few.
+/// Creates a record for each row of `changes`, which apply to its fields; a row that is too short repeats.
 fn records(items: &[LazItem], changes: &[Vec<Change>]) -> Vec<u8> {
     let fields = fields(items);
     let mut last = vec![(0u64, 0u64); fields.len()];
@@ -69,7 +69,7 @@ fn records(items: &[LazItem], changes: &[Vec<Change>]) -> Vec<u8> {
                 Change::Times(times) => value.wrapping_add(step.wrapping_mul(i64::from(times) as u64)),
                 Change::Becomes(next) => next,
             };
-            // The compressor of `laz` takes differences of times as if none overflowed.
+            // The compressor of `laz` assumes that time differences do not overflow.
             let next = if *bytes == 8 { next >> 2 } else { next };
             if next != *value {
                 (*value, *step) = (next, next.wrapping_sub(*value));
@@ -84,7 +84,7 @@ fn record_bytes(items: &[LazItem]) -> usize {
     items.iter().map(|item| usize::from(item.size())).sum()
 }
 
-/// A LASzip record of `items`, as a program of that version of each would write it.
+/// Creates a LASzip record of `items`, as a program of that version of each would write it.
 fn laszip_record(compressor: u8, items: &[(LazItemType, u16)]) -> Vec<u8> {
     let mut record = vec![0; 34];
     record[0] = compressor;
@@ -98,7 +98,7 @@ fn laszip_record(compressor: u8, items: &[(LazItemType, u16)]) -> Vec<u8> {
     record
 }
 
-/// The items as ours reads them.
+/// Returns the items as Slicewalk reads them.
 fn own(items: &[LazItem]) -> Vec<Item> {
     let items: Vec<_> = items.iter().map(|item| (item.item_type(), item.version())).collect();
     let compressor = if items[0].0 == LazItemType::Point14 { 3 } else { 2 };
@@ -123,7 +123,7 @@ fn old_items(time: bool, colour: bool, packet: bool, extra: u16) -> Vec<LazItem>
     builder.build()
 }
 
-/// Chunks of so many points, one behind the other.
+/// Packs consecutive chunks of `chunk_points` points.
 fn pack(items: &[LazItem], records: &[u8], chunk_points: usize) -> Vec<u8> {
     let mut packed = Vec::new();
     for chunk in records.chunks(record_bytes(items) * chunk_points) {
@@ -136,19 +136,19 @@ fn pack(items: &[LazItem], records: &[u8], chunk_points: usize) -> Vec<u8> {
     packed
 }
 
-/// A file of `bytes`; the other value removes it when it is dropped.
+/// Creates a file of `bytes`; dropping the second value removes it.
 fn source(bytes: &[u8]) -> (Source, tempfile::NamedTempFile) {
     let mut file = tempfile::NamedTempFile::new().unwrap();
     file.write_all(bytes).unwrap();
     (Source::open(file.path(), None).unwrap(), file)
 }
 
-/// So many records by a decoder of `laz`, up to the first that it cannot decode.
+/// Decodes up to `points` records by a decoder of `laz`, until the first that fails.
 fn whole_by_laz<R>(decoder: &mut impl RecordDecompressor<R>, items: &[LazItem], points: usize) -> Vec<u8> {
     let mut records = vec![0; points * record_bytes(items)];
     let mut whole = 0;
     for record in records.chunks_exact_mut(record_bytes(items)) {
-        // Damage makes it panic.
+        // `laz` panics on damage.
         if !matches!(catch_unwind(AssertUnwindSafe(|| decoder.decompress_next(record))), Ok(Ok(()))) {
             break;
         }
@@ -158,7 +158,7 @@ fn whole_by_laz<R>(decoder: &mut impl RecordDecompressor<R>, items: &[LazItem], 
     records
 }
 
-/// Whole records that `laz` finds, one chunk, and the bytes it took for them if all are whole.
+/// Returns the whole records that `laz` decodes from one chunk, and the bytes consumed if all are whole.
 fn by_laz(packed: &[u8], items: &[LazItem], points: usize) -> (Vec<u8>, Option<u64>) {
     let mut decoder = SequentialPointRecordDecompressor::new(Cursor::new(packed));
     decoder.set_fields_from(&items.to_vec()).unwrap();
@@ -167,7 +167,7 @@ fn by_laz(packed: &[u8], items: &[LazItem], points: usize) -> (Vec<u8>, Option<u
     (records, all.then(|| decoder.get().position()))
 }
 
-/// Records that ours finds, asked for so many at a time, and the bytes it took for them if all chunks are whole.
+/// Returns the records that Slicewalk decodes, `at_a_time` per call, and the bytes consumed if all chunks are whole.
 fn by_ours(
     source: &Source,
     items: &[LazItem],
@@ -227,7 +227,8 @@ proptest! {
         let len = ((1.0 - cut * cut) * packed.len() as f64) as u64;
         let (ours, taken) = by_ours(&source, &items, len, changes.len(), changes.len() as u64, usize::MAX / 100);
         let (theirs, taken_by_laz) = by_laz(&packed[..len as usize], &items, changes.len());
-        // Where damage makes `laz` panic, ours goes on; nobody writes a time by more than four changes of its sequence.
+        // Slicewalk continues where `laz` panics on damage; no writer changes the sequence of a time more than four
+        // times.
         let shared = ours.len().min(theirs.len());
         prop_assert!(ours[..shared] == theirs[..shared]);
         if flips.is_empty() || !time {
@@ -240,7 +241,7 @@ proptest! {
     }
 }
 
-/// More bytes than are held at once, chunks that end amid them.
+/// More bytes than are held at once, and chunks that end within them.
 #[test]
 fn a_long_sequence_is_read_piece_by_piece() {
     let items = old_items(true, true, true, 1);
@@ -261,11 +262,11 @@ fn a_long_sequence_is_read_piece_by_piece() {
     assert_eq!(taken, Some(len));
 }
 
-/// Points in layers, with RGB, or RGB and near infrared.
+/// Returns items of points in layers, optionally with RGB, or RGB and near infrared.
 fn new_items(version: u16, colour: Option<(LazItemType, u16)>, extra: u16) -> Vec<LazItem> {
     let extra = (extra > 0).then_some((LazItemType::Byte14(extra), version));
     let items: Vec<_> = [(LazItemType::Point14, version)].into_iter().chain(colour).chain(extra).collect();
-    // Builders know version 3 only.
+    // The builders only know version 3.
     LazVlr::from_buffer(laszip_record(3, &items)).unwrap().items().clone()
 }
 
@@ -277,13 +278,13 @@ fn pack_layers(items: &[LazItem], records: &[u8]) -> Vec<u8> {
     compressor.into_inner().into_inner()
 }
 
-/// Which fields are wanted, bit by bit.
+/// Returns the wanted fields, one per bit.
 fn wanted(bits: u8) -> Wanted {
     let bit = |n: u8| bits >> n & 1 == 1;
     Wanted { classes: bit(0), intensity: bit(1), rgb: bit(2), source_ids: bit(3), times: bit(4) }
 }
 
-/// The whole records that `laz` finds with these fields decoded.
+/// Returns the whole records that `laz` decodes, limited to these fields.
 fn layers_by_laz(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize) -> Vec<u8> {
     let add = |all: DecompressionSelection, wanted, with: fn(DecompressionSelection) -> DecompressionSelection| {
         match wanted {
@@ -303,7 +304,7 @@ fn layers_by_laz(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize
     whole_by_laz(&mut decoder, items, points)
 }
 
-/// The whole records that ours finds, and whether all layers end behind the last.
+/// Returns the whole records that Slicewalk decodes, and whether all layers end after the last one.
 fn layers_by_ours(
     packed: &[u8],
     items: &[LazItem],
@@ -320,14 +321,14 @@ fn layers_by_ours(
     for (place, to) in places.iter().zip(&mut sizes) {
         let Some(place) = place.filter(|place| *place < layers) else { continue };
         let at = 4 + 4 * layers + (0..place).map(size).sum::<usize>();
-        // What is cut off is not there.
+        // Data that were cut off are missing.
         let layer = &rest[at.min(rest.len())..(at + size(place)).min(rest.len())];
         bytes.extend(layer);
         *to = layer.len();
     }
     let colour = colour.filter(|_| wanted.rgb).map(|item| (POINT_BYTES, item.version()));
     let mut decoder = Layers::new(first, bytes, sizes, items[0].version(), colour);
-    // Of other fields nothing is decoded.
+    // All other fields stay as in the first record.
     let mut records = first.repeat(points);
     let mut whole = first.len();
     for slab in records[first.len()..].chunks_mut(at_a_time * first.len()) {
@@ -347,7 +348,7 @@ fn colour() -> impl Strategy<Value = Option<(LazItemType, u16)>> {
     proptest::option::of((item, 3u16..=4))
 }
 
-/// Of each record the point and, if wanted, its colour.
+/// Returns the point of each record and, if wanted, its colour.
 fn shown(records: &[u8], items: &[LazItem], wanted: Wanted) -> Vec<u8> {
     let colour = usize::from(wanted.rgb && items.len() > 1) * 6;
     records
@@ -394,7 +395,7 @@ proptest! {
     }
 }
 
-/// LASzip forgets the first point's intensity: one of 0 after it is no change.
+/// LASzip drops the intensity of the first point, so an intensity of 0 after it counts as unchanged.
 #[test]
 fn an_intensity_of_nothing_may_follow_the_first() {
     let items = old_items(false, false, false, 0);
@@ -407,7 +408,8 @@ fn an_intensity_of_nothing_may_follow_the_first() {
     assert_eq!(by_ours(&source, &items, packed.len() as u64, 5, 5, 5).0, records);
 }
 
-/// Points and times of version 1 by `laz`; its colours and extra bytes of that version are not LASzip's, so these are packed here.
+/// Packs points and times of version 1 by `laz`. Its colours and extra bytes of that version differ from LASzip's, so
+/// these are packed here.
 fn pack_version_one(records: &[u8], time: bool, colour: bool, extra: usize) -> Vec<u8> {
     let len = 20 + 8 * usize::from(time) + 6 * usize::from(colour) + extra;
     let (point_bytes, extra_at) = (20 + 8 * usize::from(time), len - extra);
@@ -457,7 +459,7 @@ proptest! {
         let listed: Vec<_> = kinds.filter(|(is_there, _)| *is_there).map(|(_, kind)| (kind, 1)).collect();
         let items = LazVlr::from_buffer(laszip_record(2, &listed)).unwrap().items().clone();
         let changes = vec![changes; repeats].concat();
-        // `laz` takes differences of coordinates, and small multiples of those of times, as if none overflowed.
+        // `laz` assumes that differences of coordinates, and small multiples of time differences, do not overflow.
         let mut records = records(&items, &changes);
         for record in records.chunks_exact_mut(record_bytes(&items)) {
             record[..12].chunks_exact_mut(4).for_each(|number| number[3] &= 0x3F);

@@ -1,14 +1,14 @@
-//! The items of LASzip's first years (version 1: `POINT10`, `GPSTIME11`, `RGB12`, `BYTE`), each of a simpler coding than those that
-//! followed.
+//! The earliest items of LASzip (version 1: `POINT10`, `GPSTIME11`, `RGB12`, `BYTE`), with simpler coding than later
+//! versions.
 
 use super::coder::{Coder, Model, Numbers};
 use super::fields::{COLOUR_BYTES, Lazily};
 use super::sequence::{ANGLE, CLASS, FLAGS, INTENSITY, Item, POINT_BYTES, SOURCE_ID, USER};
 
-/// A point: x and y as steps like the last three, z like the last; then which other fields change, and these.
+/// A point: x and y as steps like the last three, z like the last; then which other fields change, and their values.
 pub(super) struct Point {
     last: [u8; POINT_BYTES],
-    /// The last three steps in x and y, and which of them is the oldest.
+    /// The last three steps in x and y; `oldest`: index of the oldest one.
     steps: [[i32; 3]; 2],
     oldest: usize,
     x: Numbers,
@@ -28,7 +28,7 @@ impl Point {
         u16::from_le_bytes([self.last[at], self.last[at + 1]]).into()
     }
 
-    /// The median of the last three steps along an axis.
+    /// Returns the median of the last three steps along an axis.
     fn step(&self, axis: usize) -> i32 {
         let [a, b, c] = self.steps[axis];
         a.min(b).max(a.max(b).min(c))
@@ -99,18 +99,18 @@ impl Item for Point {
     }
 }
 
-/// Multiples of the last difference of times that have a symbol of their own; the two symbols behind them are a time anew, and none.
+/// Largest multiple of the last time difference with a symbol of its own; then follow an absolute time and no change.
 const MOST_MULTIPLE: u32 = 509;
 const ANEW: u32 = 510;
 
-/// Times as the integers that their bits are, each by its difference from the one before.
+/// Times as the integers of their bit patterns, coded as differences from the one before.
 pub(super) struct Times {
     time: i64,
     difference: i32,
-    /// How often in a row the difference was far from a multiple of the last one.
+    /// Number of consecutive differences far from a multiple of the last one.
     misses: u32,
     multiples: Model<512, u16>,
-    /// Where the last difference is 0: no other time, one by a difference, one anew.
+    /// Used if the last difference is 0: no change, a difference, an absolute time.
     still: Model<3>,
     numbers: Numbers,
 }
@@ -197,7 +197,7 @@ impl Item for Colours {
     }
 }
 
-/// Extra bytes: the difference of each from the last one.
+/// Extra bytes: each as a difference from the last one.
 pub(super) struct ExtraBytes {
     last: Vec<u8>,
     bytes: Numbers,

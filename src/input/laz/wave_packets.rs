@@ -1,16 +1,16 @@
-//! Descriptions of waveforms (item `WAVEPACKET13` of LASzip), which lie in one sequence with the fields of points of formats 4 and 5.
+//! Waveform descriptions (item `WAVEPACKET13` of LASzip), in one sequence with the fields of points of formats 4 and 5.
 
 use super::coder::{Coder, Model, Numbers};
 use super::sequence::Item;
 
-/// Bytes of a description: number of the packet's kind, place, size, place of the return, direction.
+/// Bytes of a description: number of the packet's kind, offset, size, location of the return, direction.
 pub(super) const PACKET_BYTES: usize = 29;
 const PLACE: usize = 1;
 const SIZE: usize = 9;
 const RETURN: usize = 13;
 const DIRECTION: usize = 17;
 
-/// The next packet's place: where the last one's was, behind that, a number of bytes away, anywhere.
+/// Offset of the next packet: the same, after the last packet, a number of bytes away, or (any other symbol) absolute.
 const SAME: u32 = 0;
 const BEHIND: u32 = 1;
 const AWAY: u32 = 2;
@@ -18,7 +18,7 @@ const AWAY: u32 = 2;
 pub(super) struct WavePackets {
     last: [u8; PACKET_BYTES],
     kind: Model<256>,
-    /// How the place follows the last one's, by how that followed.
+    /// How the offset follows the last one; context: how that followed the one before.
     follows: [Model<4>; 4],
     followed: u32,
     difference: i32,

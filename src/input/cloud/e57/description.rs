@@ -1,17 +1,17 @@
 //! The XML part of an E57: its clouds, their columns and poses.
 //!
-//! Read as a tree by `roxmltree`, which takes no document types and so no entities of its own; length, nodes and
-//! attributes are bounded before.
+//! Parsed as a tree by `roxmltree`, which rejects document types and thus custom entities. Length, nodes and attributes
+//! are limited beforehand.
 
 use super::super::values::Scale;
 use super::super::{Pose, shown};
 use roxmltree::{Document, Node, ParsingOptions};
 
-/// Longest text (bytes), most nodes and most attributes: about 64 MiB as a tree.
+/// Limits on the text (bytes), its nodes and its attributes: about 64 MiB as a tree.
 pub(super) const MOST_BYTES: u64 = 16 << 20;
 const MOST_NODES: u32 = 400_000;
 const MOST_ATTRIBUTES: usize = 400_000;
-/// Most columns of a cloud.
+/// Maximum number of columns per cloud.
 const MOST_COLUMNS: usize = 1024;
 
 /// A column of the points of a cloud.
@@ -19,16 +19,16 @@ const MOST_COLUMNS: usize = 1024;
 pub(super) struct Column {
     pub name: String,
     pub kind: Kind,
-    /// Least and greatest value of a column of floats, where it states them.
+    /// Minimum and maximum of a column of floats, if stated.
     range: Option<(f64, f64)>,
 }
 
-/// How its values are stored.
+/// Storage type of the values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Kind {
     Single,
     Double,
-    /// Whole numbers from `min` on; the value is such a number times `scale` plus `offset`.
+    /// Whole numbers from `min` on; the value is the number times `scale` plus `offset`.
     Integer {
         min: i64,
         max: i64,
@@ -38,7 +38,7 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    /// Bits of a value [0..=64].
+    /// Returns the bits per value [0..=64].
     pub fn bits(&self) -> u32 {
         match self {
             Self::Single => 32,
@@ -48,36 +48,36 @@ impl Kind {
     }
 }
 
-/// A cloud as the file describes it.
+/// A cloud as described by the file.
 #[derive(Debug)]
 pub(super) struct Description {
     pub name: String,
-    /// Physical place of its points.
+    /// Physical offset of its points.
     pub at: u64,
     pub records: u64,
     pub columns: Vec<Column>,
-    /// `None` where it is the identity.
+    /// `None` for the identity.
     pub pose: Option<Pose>,
-    /// Where the scanner stood: the origin of its own coordinates. `None` where no pose is stated.
+    /// Scanner position: the origin of its own coordinates. `None` if no pose is stated.
     pub station: Option<[f64; 3]>,
-    /// Limits of red, green, blue and intensity, where it states some.
+    /// Stated limits of red, green, blue and intensity.
     limits: [Option<(f64, f64)>; 4],
 }
 
-/// Columns of values, in the order of the limits.
+/// Names of the value columns, in the order of the limits.
 pub(super) const CHANNELS: [&str; 4] = ["colorRed", "colorGreen", "colorBlue", "intensity"];
 
-/// What the limits of a channel say.
+/// Limits of a channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Limits {
     /// Black is 0, white is 255.
     Bytes,
     Between(Scale),
-    /// None that make sense.
+    /// No usable limits.
     Unstated,
 }
 
-/// What the XML says.
+/// Content of the XML.
 #[derive(Default)]
 pub(super) struct Contents {
     pub clouds: Vec<Result<Description, Undescribed>>,
@@ -86,17 +86,17 @@ pub(super) struct Contents {
     pub system: Option<String>,
 }
 
-/// A cloud that is not described so that it could be read, and the points that it states.
+/// A cloud with an unusable description, and the number of points it states.
 pub(super) struct Undescribed {
     pub wrong: Wrong,
     pub points: u64,
 }
 
-/// What is wrong.
+/// Fault of a description.
 pub(super) enum Wrong {
-    /// With the file, and where.
+    /// Damage: location and reason.
     Damaged(String, String),
-    /// A thing of the standard, or beyond it, that is not read.
+    /// A feature, within the standard or beyond, that is not supported.
     Unsupported(String),
 }
 
@@ -124,7 +124,7 @@ impl Contents {
         if count(b'=') > MOST_ATTRIBUTES {
             return damaged("XML", format!("more than {MOST_ATTRIBUTES} attributes"));
         }
-        // The parser makes room for a node at each of them before it looks at its limit; elements have up to two.
+        // The parser reserves a node for each of them before it checks its limit; elements have up to two.
         if count(b'<') > 2 * MOST_NODES as usize {
             return damaged("XML", format!("more than {MOST_NODES} nodes"));
         }
@@ -196,8 +196,8 @@ impl Description {
         Ok(Self { name, at, records, columns, pose, station, limits })
     }
 
-    /// What black and white of a channel are, which is the number `column` of the columns: by the limits of the cloud, else by
-    /// those of the column.
+    /// Returns black and white of a channel, which is stored in column `column`: the limits of the cloud, else those of
+    /// the column.
     pub fn limits(&self, channel: usize, column: usize) -> Limits {
         let column = &self.columns[column];
         let of_column = match column.kind {
@@ -215,7 +215,7 @@ impl Description {
     }
 }
 
-/// The number of an element, which may be a scaled one; `None` if it is none.
+/// Reads the number of an element, which may be scaled; `None` if it is not a number.
 fn scaled(node: Node<'_, '_>) -> Option<f64> {
     let value = number(Some(node))?.ok()?;
     if node.attribute("type") != Some("ScaledInteger") {
@@ -228,7 +228,7 @@ fn scaled(node: Node<'_, '_>) -> Option<f64> {
 impl Column {
     fn read(cloud: &str, node: Node<'_, '_>) -> Result<Self, Wrong> {
         let name = node.tag_name().name();
-        // Names of extensions are other names.
+        // Columns of extensions are not columns of the standard, even with the same name.
         let root = node.document().root_element().tag_name().namespace();
         let is_of_standard = node.tag_name().namespace().is_none_or(|space| Some(space) == root);
         let wrong = |what: &str| damaged(cloud, format!("column {}: {what}", shown(name.as_bytes())));
@@ -262,18 +262,18 @@ impl Column {
             }
         };
         let name = if is_of_standard { name.to_owned() } else { format!("extension:{name}") };
-        // Those of floats are the range of their type by default.
+        // Floats default to the range of their type, which says nothing.
         let end = |of: &str| attribute(of)?.parse::<f64>().ok().filter(|v| v.abs() < 1e30);
         let range = end("minimum").zip(end("maximum"));
         Ok(Self { name, kind, range })
     }
 }
 
-/// Rotation as a quaternion, then translation.
+/// Reads a pose: rotation as a quaternion, then translation.
 fn read_pose(node: Node<'_, '_>) -> Result<Pose, String> {
     let read = |of: Option<Node<'_, '_>>, names: &[&str], default: &[f64]| {
         let values = names.iter().zip(default).map(|(name, &default)| match of {
-            // What a structure leaves out has no value that could be meant.
+            // A component missing from a stated structure has no safe default.
             Some(of) => number(child(of, name)).unwrap_or_else(|| Err(format!("its pose has no {name}"))),
             None => Ok(default),
         });
@@ -281,13 +281,13 @@ fn read_pose(node: Node<'_, '_>) -> Result<Pose, String> {
     };
     let q = read(child(node, "rotation"), &["w", "x", "y", "z"], &[1.0, 0.0, 0.0, 0.0])?;
     let t = read(child(node, "translation"), &["x", "y", "z"], &[0.0; 3])?;
-    // Some write zeros for no rotation.
+    // Some writers store zeros for no rotation.
     let q = if q == [0.0; 4] { vec![1.0, 0.0, 0.0, 0.0] } else { q };
     let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
     if !(1e-3..=1e3).contains(&length) {
         return Err(format!("its pose has a quaternion of length {length}; expected 1"));
     }
-    // One that is a unit but for rounding is used as it is.
+    // A quaternion of unit length up to rounding is used unchanged.
     let by = if (length - 1.0).abs() < 1e-6 { 1.0 } else { length };
     let (w, x, y, z) = (q[0] / by, q[1] / by, q[2] / by, q[3] / by);
     let pose = Pose([

@@ -1,16 +1,16 @@
 //! E57 (ASTM E2807): any number of clouds, cartesian or spherical, each with a pose.
 //!
-//! Points lie in packets of up to 64 KiB, each with a piece of every column; a column is one row of bits through all
-//! packets. Opening walks over the heads of the packets and notes where every 65,536th point begins ([`Mark`]), so any
-//! number of threads decode one cloud. Every page that is read is checked by its checksum.
+//! Points lie in packets of up to 64 KiB, each with a part of every column; a column is one bit stream across all
+//! packets. Opening visits the packet headers and records where every 65,536th point begins ([`Mark`]), so any number
+//! of threads can decode one cloud. The checksum of every page that is read is verified.
 //!
-//! Not by the crate `e57`: it decodes a cloud from its first packet on only, holds a column without bound where another
-//! lags behind, and a value of a column takes 16 bytes. It is the oracle and the writer of the tests.
+//! The crate `e57` is not used: it decodes a cloud only from its first packet on, buffers a column without bound if
+//! another lags behind, and takes 16 bytes per value of a column. The tests use it as oracle and writer.
 //!
-//! Memory of a piece: the bits of its points in the needed columns, at most 2 MiB, and a packet; of a file: its XML (up to
-//! 16 MiB, while it is opened) and 96 bytes for 65,536 points.
+//! Memory per piece: the bits of its points in the needed columns, at most 2 MiB, and a packet. Memory per file: its
+//! XML (up to 16 MiB, while it is opened) and 96 bytes per 65,536 points.
 //!
-//! Source: ASTM E2807-11, and libE57Format where it is silent.
+//! Source: ASTM E2807-11, and libE57Format where the standard is silent.
 
 mod description;
 mod pages;
@@ -25,23 +25,23 @@ use crate::{Error, Parameter, Result};
 use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Undescribed, Wrong};
 use pages::{PAGE, Pages, logical, physical};
 
-/// Points of a piece.
+/// Points per piece.
 const PIECE_POINTS: u64 = 1 << 16;
-/// Most columns that are needed: three coordinates, their state, and one that counts points.
+/// Maximum number of columns for positions: three coordinates, their state, and one that counts points.
 const NEEDED: usize = 5;
-/// The same with those of values: four, and two that say which of these are invalid.
+/// Maximum including those for values: four, and two that mark these as invalid.
 const ALL: usize = NEEDED + 6;
 
-/// A column that is needed.
+/// A needed column.
 #[derive(Debug, Clone, Copy)]
 struct Needed {
-    /// Its number among the columns.
+    /// Index among all columns.
     number: usize,
     kind: Kind,
     bits: u64,
 }
 
-/// Where a piece begins: its first packet (logical), and bytes of each needed column before that.
+/// Start of a piece: its first packet (logical offset), and the bytes of each needed column before that packet.
 #[derive(Debug, Clone, Copy)]
 struct Mark {
     packet: u64,
@@ -54,7 +54,7 @@ struct Scan {
     name: String,
     records: u64,
     columns: usize,
-    /// First those that make the place.
+    /// Needed columns; the first `of_place` of them give the position.
     needed: Vec<Needed>,
     of_place: usize,
     rgb: Option<Values<3>>,
@@ -66,7 +66,7 @@ struct Scan {
     marks: Vec<Mark>,
 }
 
-/// Columns of values among those that are needed, how they become values, and the column that says which are invalid.
+/// Columns of values, as indices into the needed ones; their limits; and the column that marks invalid values.
 #[derive(Debug, Clone, Copy)]
 struct Values<const N: usize> {
     at: [usize; N],
@@ -81,7 +81,7 @@ struct E57 {
     depth: Depth,
 }
 
-/// How a scan's values of one source are read, of the columns that [`Scan::gather`] gives.
+/// How to read the values of one source from the columns returned by [`Scan::gather`].
 struct Channel {
     at: Vec<(usize, Scale)>,
     invalid: Option<usize>,
@@ -135,7 +135,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         return Err(Error::limit(format!("bytes of the XML of {}", path.display()), xml_len, MOST_BYTES));
     }
     let mut pages = Pages::new(opening.source, bytes);
-    // The first page too: the header is part of it.
+    // Verifies the first page, too: the header is part of it.
     pages.read(&mut [0; 48], 0, false)?;
     let xml_at = logical(xml_at).filter(|at| at.checked_add(xml_len).is_some_and(|end| end <= pages.len()));
     let Some(xml_at) = xml_at else {
@@ -196,7 +196,7 @@ fn unsupported(path: &std::path::Path, what: String) -> Error {
     }
 }
 
-/// The head of a packet: its length, and whether it holds points.
+/// Header of a packet: its length, and whether it holds points.
 struct Packet {
     len: u64,
     is_data: bool,
@@ -241,7 +241,7 @@ impl Scan {
             |number: usize| Needed { number, kind: columns[number].kind, bits: columns[number].kind.bits().into() };
         scan.needed = axes.into_iter().chain(state).map(need).collect();
         if scan.needed.iter().all(|column| column.bits == 0) {
-            // Values that take no bits say nothing of their number; another column has to.
+            // Columns without bits do not show the number of points; another column has to.
             let Some(counting) = (0..columns.len()).map(need).find(|column| column.bits > 0) else {
                 return Err(opening.error(scan.name, format!("none of its columns has any bits for {records} points")));
             };
@@ -274,7 +274,7 @@ impl Scan {
         Error::input(source.path(), format!("{}, byte {}", self.name, physical(at)), reason)
     }
 
-    /// Walks over the packets and notes where pieces begin. `per_point`: bits of a point in all columns.
+    /// Visits the packets and records where pieces begin. `per_point`: bits per point in all columns.
     fn index(
         &mut self,
         at: u64,
@@ -296,18 +296,18 @@ impl Scan {
             let reason = format!("expected a section of points (1), found {}, or its data lie outside", head[0]);
             return Err(self.error(source, section, reason));
         };
-        // Some writers leave the length of the section open.
+        // Some writers do not fill in the length of the section.
         let end = match u64_at(&head, 8) {
             0..=32 => pages.len(),
             len => section.saturating_add(len).clamp(data, pages.len()),
         };
-        // Columns of the same points lie at most so far apart in a sound file.
+        // In a sound file, the columns of the same points are at most this far apart.
         let apart = (PIECE_POINTS * per_point / 8 + (4 << 20)) * 2;
         let (mut packet, mut before) = (data, [0u64; ALL]);
         let mut open = 0;
         let mut number = 0u64;
         let mut lens = Vec::new();
-        // Points whose columns all have come.
+        // Number of points for which all columns have been seen.
         let mut held = 0;
         let mut damage = String::new();
         while held < records && packet < end {
@@ -317,7 +317,7 @@ impl Scan {
             number += 1;
             let Packet { len, is_data } = match self.head(pages, source, packet, &mut lens) {
                 Ok(packet) => packet,
-                // The points before the damage are whole.
+                // The points before the damage are complete.
                 Err(error @ Error::Input { .. }) if held > 0 && opening.findings.allow_incomplete => {
                     damage = format!("; {}", without_path(error));
                     break;
@@ -329,7 +329,7 @@ impl Scan {
                 for (after, column) in after.iter_mut().zip(&self.needed) {
                     *after += u64::from(lens[column.number]);
                 }
-                // A piece begins where the first byte of its first point does.
+                // A piece begins in the packet with the first byte of its first point.
                 loop {
                     let first = self.marks.len() as u64 * PIECE_POINTS;
                     let begins = |(column, &after): (&Needed, &u64)| {
@@ -378,7 +378,8 @@ impl Scan {
         Ok(())
     }
 
-    /// The head of the packet at a logical place; of one with points `lens` gets the bytes of each column.
+    /// Reads the header of the packet at a logical offset; for a packet with points, fills `lens` with the bytes per
+    /// column.
     fn head(&self, pages: &mut Pages<'_>, source: &Source, at: u64, lens: &mut Vec<u16>) -> Result<Packet> {
         let mut head = [0; 6];
         pages.read(&mut head[..4], at, false)?;
@@ -413,7 +414,7 @@ impl Scan {
         Ok(Packet { len, is_data: true })
     }
 
-    /// What of the needed columns holds the values of `source`, and how they become values; `None` where the cloud has none.
+    /// Returns which needed columns hold values of `source`, and how to convert them; `None` if the cloud has none.
     fn channel(&self, source: ColourSource, depth: Depth) -> Option<(Vec<usize>, Channel)> {
         let (at, limits, invalid) = match source {
             ColourSource::Rgb => self.rgb.map(|v| (v.at.to_vec(), v.limits.to_vec(), v.invalid)),
@@ -431,14 +432,14 @@ impl Scan {
         Some((at.into_iter().chain(invalid).collect(), channel))
     }
 
-    /// Reads a few points to see what intensities without limits are.
+    /// Samples points to find the range of intensities without limits.
     fn look(&mut self, source: &Source) -> Result<()> {
         let Some(Values { at: [at], limits: [Limits::Unstated], .. }) = self.intensity else { return Ok(()) };
         let end = self.records.min(16 * SAMPLE_POINTS as u64);
         let piece = Piece { points: end, part: 0, first: 0, end };
         let mut pages = Pages::new(source, source.stamp().len());
         let mut sample = Sample::NOTHING;
-        // What is damaged is told where it is read in full.
+        // Damage is reported when the points are read in full.
         let columns = match self.gather(&piece, &[at], &mut pages, source) {
             Err(Error::Input { .. }) => Vec::new(),
             columns => columns?,
@@ -452,8 +453,8 @@ impl Scan {
         Ok(())
     }
 
-    /// The bits of points `first..end` in the columns of the place and those that `wanted` names among the needed ones, in this
-    /// order, and which bit of the first byte each begins with.
+    /// Collects the bits of the points in `piece` for the columns of the position, followed by the needed columns with
+    /// the indices `wanted`.
     fn gather(&self, piece: &Piece, wanted: &[usize], pages: &mut Pages<'_>, source: &Source) -> Result<Vec<Bits>> {
         let Some(mark) = self.marks.get((piece.first / PIECE_POINTS) as usize) else { return Ok(Vec::new()) };
         let chosen: Vec<usize> = (0..self.of_place).chain(wanted.iter().copied()).collect();
@@ -464,7 +465,7 @@ impl Scan {
         let (mut lens, mut content) = (Vec::new(), Vec::new());
         while bits.iter().any(|bits| !bits.is_full()) {
             let Packet { len, is_data } = self.head(pages, source, at, &mut lens)?;
-            // All of a packet is read in order, for its checksums.
+            // Packets are read whole and in order, so that their checksums are verified.
             content.resize(len as usize, 0);
             pages.read(&mut content, at, true)?;
             if is_data {
@@ -482,22 +483,22 @@ impl Scan {
     }
 }
 
-/// The bits of one column in one piece.
+/// Bits of one column in one piece.
 struct Bits {
     kind: Kind,
     bits: usize,
-    /// Bytes of the column that are wanted.
+    /// Wanted bytes, as a range in the column.
     wanted: std::ops::Range<u64>,
-    /// These bytes; behind them so many zeros that any value can be read as two words.
+    /// The wanted bytes, followed by enough zeros to read any value as two words.
     bytes: Vec<u8>,
     held: usize,
-    /// First bit of the first value.
+    /// Offset of the first value in the first byte (bits).
     shift: usize,
 }
 
 impl Bits {
     fn of(column: &Needed, piece: &Piece) -> Self {
-        // No overflow: the column has as many bits in the file.
+        // No overflow: the file holds as many bits of this column.
         let (first, end) = (piece.first * column.bits, piece.end * column.bits);
         let wanted = first / 8..end.div_ceil(8);
         let len = (wanted.end - wanted.start) as usize;
@@ -515,7 +516,7 @@ impl Bits {
         self.held as u64 == self.wanted.end - self.wanted.start
     }
 
-    /// Takes what is wanted of a piece of the column that begins at byte `at` of it.
+    /// Copies the wanted bytes from a part of the column that begins at its byte `at`.
     fn take(&mut self, piece: &[u8], at: u64) {
         let begin = self.wanted.start + self.held as u64;
         let end = self.wanted.end.min(at + piece.len() as u64);

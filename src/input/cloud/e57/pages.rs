@@ -1,33 +1,33 @@
-//! Pages of an E57: 1,024 bytes, of which the last four are a checksum (CRC-32C, the most significant byte first).
+//! Pages of an E57: 1,024 bytes, the last four of which are a checksum (CRC-32C, most significant byte first).
 //!
-//! A place in the file is *physical*, a place among the bytes without checksums *logical*. Every page that is read is
-//! checked.
+//! *Physical* offsets count all bytes of the file, *logical* offsets leave out the checksums. The checksum of every
+//! page that is read is verified.
 
 use crate::input::source::Source;
 use crate::{Error, Result};
 
-/// Bytes of a page, and of its content.
+/// Page size (bytes); `CONTENT`: without the checksum.
 pub(super) const PAGE: u64 = 1024;
 const CONTENT: u64 = PAGE - 4;
 /// Pages read at once.
 const AT_ONCE: u64 = 64;
 
-/// Logical place of a physical one; `None` within a checksum.
+/// Converts a physical offset to a logical one; `None` within a checksum.
 pub(super) fn logical(physical: u64) -> Option<u64> {
     (physical % PAGE < CONTENT).then(|| physical / PAGE * CONTENT + physical % PAGE)
 }
 
-/// Physical place of a logical one.
+/// Converts a logical offset to a physical one.
 pub(super) fn physical(logical: u64) -> u64 {
     (logical / CONTENT).saturating_mul(PAGE).saturating_add(logical % CONTENT)
 }
 
-/// The content of the pages of a file.
+/// Content of the pages of a file.
 pub(super) struct Pages<'a> {
     source: &'a Source,
-    /// Whole pages of the file.
+    /// Number of whole pages in the file.
     count: u64,
-    /// Pages at hand: the number of the first, and their content.
+    /// Number of the first loaded page; `held`: content of the loaded pages.
     first: u64,
     held: Vec<u8>,
     raw: Vec<u8>,
@@ -38,12 +38,12 @@ impl<'a> Pages<'a> {
         Self { source, count: file_bytes / PAGE, first: 0, held: Vec::new(), raw: Vec::new() }
     }
 
-    /// Logical length of the file.
+    /// Returns the logical length of the file.
     pub fn len(&self) -> u64 {
         self.count * CONTENT
     }
 
-    /// Fills `out` with the content from a logical place on; `ahead`: more of it is needed soon.
+    /// Fills `out` with the content from a logical offset on; `ahead`: the bytes after it are needed soon.
     pub fn read(&mut self, out: &mut [u8], at: u64, ahead: bool) -> Result<()> {
         let mut filled = 0;
         while filled < out.len() {
@@ -77,7 +77,7 @@ impl<'a> Pages<'a> {
             let found = crc32c::crc32c(content);
             if stated != found.to_be_bytes() {
                 if number > 0 {
-                    // Pages before it may be all that is needed.
+                    // The pages before it may suffice.
                     break;
                 }
                 let stated = stated.iter().fold(0u32, |sum, &byte| sum << 8 | u32::from(byte));

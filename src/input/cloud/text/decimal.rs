@@ -1,19 +1,19 @@
-//! Decimal numbers as scanners write them: short ones, fast.
+//! Fast parsing of short decimal numbers, as scanners write them.
 //!
-//! Numbers of up to 19 digits that make a whole number of up to 2⁵³ are this number divided by a power of ten that is exact
-//! too, so one division rounds as it should (W. D. Clinger, "How to read floating point numbers accurately", 1990). All
-//! others are left to the standard library, which gives the same for these.
+//! If up to 19 digits form a whole number of at most 2⁵³, the value is this number divided by a power of ten that is
+//! exact too, so a single division rounds correctly (W. D. Clinger, "How to read floating point numbers accurately",
+//! 1990). All other numbers are left to the standard library, which gives the same result for these.
 
-/// Powers of ten that are exact.
+/// Powers of ten that `f64` represents exactly.
 const POWERS: [f64; 23] = [
     1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
     1e21, 1e22,
 ];
-/// Digits that a word of 64 bits always holds.
+/// Number of digits that always fit in 64 bits.
 const MOST_DIGITS: usize = 19;
 
-/// The number that `text` begins with, and its length, if it is short: a sign, digits, and maybe `point` and more digits. What
-/// follows may make it another number; that is for the caller to see.
+/// Parses the short number at the start of `text`: a sign, digits, and optionally `point` and more digits. Returns it
+/// and its length. What follows may turn it into another number; the caller must check.
 #[inline]
 pub(in crate::input::cloud) fn short(text: &[u8], point: u8) -> Option<(f64, usize)> {
     let signed = matches!(text.first(), Some(b'-' | b'+'));
@@ -21,7 +21,7 @@ pub(in crate::input::cloud) fn short(text: &[u8], point: u8) -> Option<(f64, usi
     let (mut whole, mut at) = (0u64, 0);
     let mut take = |at: &mut usize| {
         while let Some(digit) = digits.get(*at).map(|byte| byte.wrapping_sub(b'0')).filter(|&digit| digit < 10) {
-            // Wraps beyond 19 digits, which are refused below.
+            // Wraps beyond 19 digits; such numbers are refused below.
             whole = whole.wrapping_mul(10).wrapping_add(digit.into());
             *at += 1;
         }

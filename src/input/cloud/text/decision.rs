@@ -1,32 +1,33 @@
-//! The one decision how a table of text is laid out, made on its header and its first rows.
+//! Decides the layout of a table once, from its header and first rows.
 //!
-//! - The separator is the first of semicolon, tab, comma and blanks by which more than half of the rows have three numbers.
-//!   Tabs are blanks where they only line up columns: where rows have a different number of them but the same number of words,
-//!   or a column is always empty and has no name.
-//! - The number of cells of a row is that of most rows. Each row must have it; empty cells at its end do not count.
-//! - Names come from the line before the rows that is none, else from the comment nearest to the rows that names x, y and z.
-//!   They fit if there are as many as cells. One fewer fits if the first column holds names of rows (it is in quotes, or text or
-//!   a number that counts up before the first coordinate), or if a blank parts dates from times.
-//!   More fit, where blanks separate them, if they can be joined in one way only: `Point ID X Y Z`. A comment may have other
-//!   words before and behind. Anything else is refused, but a comment whose first names are x, y and z, which says what holds
-//!   without one.
-//! - [`heading`](super::heading) ranks names. Without names, x, y and z stand first, unless the first column is in quotes or
-//!   counts up and three columns with decimals follow: then it numbers the points, which is refused.
-//! - Coordinates of most rows must be numbers or words for none. Decimal commas are told by the coordinates, else by values.
+//! - The separator is the first of semicolon, tab, comma and blanks with which more than half of the rows have three
+//!   numbers. Tabs count as blanks if they merely align columns: if the number of tabs varies between rows but the
+//!   number of words does not, or if a column is always empty and has no name.
+//! - The number of cells is that of most rows. Every row must have it; empty cells at its end do not count.
+//! - Names come from the line before the rows that is not a row, else from the last comment before the rows that names
+//!   x, y and z. They fit if there are as many as cells. One fewer fits if the first column holds row names (quoted, or
+//!   text or a number that counts up before the first coordinate), or if a blank separates dates from times. More fit,
+//!   with blanks as separators, if they can be joined in only one way: `Point ID X Y Z`. A comment may have other words
+//!   before and after the names. Anything else is refused, except a comment whose first names are x, y and z: it states
+//!   the default.
+//! - [`heading`](super::heading) ranks names. Without names, x, y and z come first. Tables without names are refused if
+//!   the first column is quoted, or if it counts up before three columns with decimals and so may number the points.
+//! - In most rows, coordinates must be numbers or words for a missing number. Coordinates decide whether there are
+//!   decimal commas, or else values.
 //!
-//! Whatever is refused can be named by `--columns`, which decides all but the separator.
+//! Whatever is refused can be read with `--columns`, which decides everything but the separator.
 
 use super::super::shown;
 use super::heading::{NameUnit, NoAxes, axes, is_neutral, places, unit_of};
 use super::layout::{Cell, Places, RgbPlaces, RowLayout, Separator, unquoted};
 use crate::input::Columns;
 
-/// Most names of a header that are looked at, most words that are joined to names, and by how much fewer.
+/// Limits on the names examined in a header, on the words joined to names, and on the surplus of words.
 const MOST_NAMES: usize = 4096;
 const MOST_WORDS: usize = 256;
 const MOST_JOINED: usize = 16;
 
-/// What columns hold that no header names.
+/// Content of columns without a header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Custom {
     /// Coordinates.
@@ -35,7 +36,7 @@ pub(super) enum Custom {
     XyzRgb,
     /// Coordinates, then the intensity, colours, or both.
     Pts,
-    /// Coordinates, the intensity, and maybe colours.
+    /// Coordinates, intensity, and optionally colours.
     Ptx,
 }
 
@@ -51,33 +52,33 @@ impl Custom {
     }
 }
 
-/// The beginning of a table.
+/// Beginning of a table.
 pub(super) struct Beginning<'a> {
     /// Comments before the rows.
     pub comments: &'a [Vec<u8>],
-    /// The line before the rows that is none.
+    /// Line before the rows that is not a row.
     pub header: Option<&'a [u8]>,
     /// The first rows, at least one.
     pub rows: &'a [Vec<u8>],
 }
 
-/// How a table is laid out.
+/// Layout of a table.
 #[derive(Debug)]
 pub(super) struct Decision {
     pub layout: RowLayout,
     pub places: Places,
-    /// Cells of each row, if they are counted.
+    /// Number of cells per row, if it is fixed.
     pub cells: Option<usize>,
-    /// Names of the columns, as far as there are some.
+    /// Names of the columns, as far as known.
     pub names: Vec<String>,
     /// Units of the coordinates, as far as names state them.
     pub units: [Option<NameUnit>; 3],
 }
 
-/// Why it is not clear how a table is laid out.
+/// Reason why the layout of a table is unclear.
 #[derive(Debug)]
 pub(super) struct Refusal {
-    /// Whether the header is at fault, or the rows.
+    /// True if the header is at fault, false if the rows are.
     pub is_of_header: bool,
     pub reason: String,
 }
@@ -94,25 +95,25 @@ impl Refusal {
 
 type Result<T> = std::result::Result<T, Refusal>;
 
-/// Whether a line holds at least three numbers, whatever separates them, or nothing but separators: then it is a row.
+/// Returns whether a line is a row: it holds three numbers, whatever separates them, or only separators.
 pub(super) fn is_row(line: &[u8]) -> bool {
-    // What stands in quotes may be a number with a comma.
+    // Quotes may enclose a number with a comma.
     let words = line.split(|byte| matches!(byte, b';' | b'\t' | b',' | b' ' | b'"'));
     let numbers = words.filter(|word| !word.is_empty() && Cell::of(word, false) != Cell::Text).take(3).count();
     numbers == 3 || !line.iter().any(|byte| byte.is_ascii_alphanumeric() || !byte.is_ascii())
 }
 
-/// Whether a line names x, y and z, whatever separates the names.
+/// Returns whether a line names x, y and z, whatever separates the names.
 pub(super) fn is_header(line: &[u8]) -> bool {
     let separators = [Separator::Byte(b';'), Separator::Byte(b'\t'), Separator::Byte(b','), Separator::Blanks];
     separators.into_iter().any(|separator| !matches!(axes(&names(line, separator)), Err(NoAxes::Missing)))
 }
 
-/// Names in a header, without the empty ones at its end.
+/// Returns the names in a header, without empty ones at its end.
 fn names(header: &[u8], separator: Separator) -> Vec<String> {
     let mut begin = header;
     while let [b'#' | b'/' | b'%' | b'!', behind @ ..] = begin {
-        // Only a blank parts a mark from names: a tab behind it is an empty name.
+        // Only one blank between mark and names is skipped: a tab there is an empty name.
         begin = behind.strip_prefix(b" ").unwrap_or(behind);
     }
     // Older programs write Latin-1.
@@ -138,19 +139,19 @@ fn names(header: &[u8], separator: Separator) -> Vec<String> {
     names
 }
 
-/// The rows of a beginning, by what separates their cells.
+/// Rows at the beginning of a table, split at a separator.
 struct Table<'a> {
     separator: Separator,
-    /// Cells of rows that have the most frequent number of them.
+    /// Cells of the rows with the most frequent number of cells.
     rows: Vec<Vec<&'a [u8]>>,
-    /// Least and greatest number of cells that they may be said to have: empty ones may end them.
+    /// Minimum and maximum number of cells these rows may count as having, since cells at the end may be empty.
     least: usize,
     most: usize,
 }
 
-/// Numbers in a row.
+/// Returns how many cells of a row are numbers.
 fn numbers(cells: &[&[u8]], separator: Separator) -> usize {
-    // Commas that separate columns are part of a number in quotes only.
+    // Where commas separate columns, a comma is part of a number only in quotes.
     let is_number = |cell: &&&[u8]| {
         let may_have_comma = separator != Separator::Byte(b',') || cell.starts_with(b"\"");
         let is_filled = !unquoted(cell).is_empty();
@@ -160,7 +161,7 @@ fn numbers(cells: &[&[u8]], separator: Separator) -> usize {
     cells.iter().filter(is_number).count()
 }
 
-/// The value that most rows have, the first of several.
+/// Returns the most frequent value, the first of several.
 fn most_frequent(values: impl Iterator<Item = usize> + Clone) -> usize {
     let count = |value: usize| values.clone().filter(|other| *other == value).count();
     let counts: Vec<(usize, usize)> = values.clone().map(|value| (count(value), value)).collect();
@@ -179,7 +180,7 @@ impl<'a> Table<'a> {
             let count = |rows: &Vec<Vec<&[u8]>>| rows.iter().filter(|row| numbers(row, separator) >= 3).count();
             (count(&rows), rows)
         };
-        // Rows without a return at all say nothing.
+        // Rows without any return do not show the separator.
         let filled = beginning.rows.iter().filter(|row| row.iter().any(u8::is_ascii_alphanumeric)).count().max(1);
         let tried = candidates.map(|separator| (separator, fitting(separator)));
         let majority = tried.iter().position(|(_, (count, _))| 2 * count > filled);
@@ -198,7 +199,7 @@ impl<'a> Table<'a> {
         Ok(Self { separator: *separator, rows, least, most: all })
     }
 
-    /// Whether tabs only line up words.
+    /// Returns whether tabs merely align words.
     fn lines_up(tabs: &[Vec<&[u8]>], blanks: &[Vec<&[u8]>], rows: usize, header: Option<&[u8]>) -> bool {
         let is_constant = |rows: &[Vec<&[u8]>]| rows.windows(2).all(|pair| pair[0].len() == pair[1].len());
         let enough = blanks.len() == rows && blanks.iter().all(|row| row.len() >= 3);
@@ -208,12 +209,12 @@ impl<'a> Table<'a> {
         let named = header.map(|header| names(header, Separator::Byte(b'\t'))).unwrap_or_default();
         let has_name = |column: usize| named.get(column).is_some_and(|name| !name.is_empty());
         let is_empty = |column: usize| tabs.iter().all(|row| row.get(column).is_some_and(|cell| cell.is_empty()));
-        // An empty column at the end is none.
+        // An empty column at the end does not count.
         let width = tabs.iter().map(|row| row.iter().rposition(|cell| !cell.is_empty()).unwrap_or(0)).max();
         !is_constant(tabs) || (0..width.unwrap_or(0)).any(|column| is_empty(column) && !has_name(column))
     }
 
-    /// Whether more than half of the rows have a cell there of which this holds.
+    /// Returns whether `holds` is true for this column's cell in more than half of the rows.
     fn mostly(&self, column: usize, holds: impl Fn(&[u8]) -> bool) -> bool {
         2 * self.rows.iter().filter(|row| row.get(column).is_some_and(|cell| holds(cell))).count() > self.rows.len()
     }
@@ -223,7 +224,7 @@ impl<'a> Table<'a> {
         self.mostly(column, |cell| !is_number(cell))
     }
 
-    /// Whether a date stands there and a time behind it, parted by a blank.
+    /// Returns whether the column holds dates and the next one times, separated by a blank.
     fn is_time(&self, column: usize) -> bool {
         let has =
             |cell: &[u8], byte| cell.iter().filter(|other| **other == byte).count() >= 1 && cell[0].is_ascii_digit();
@@ -232,13 +233,13 @@ impl<'a> Table<'a> {
         self.separator == Separator::Blanks && is_date && self.mostly(column + 1, |cell| has(cell, b':'))
     }
 
-    /// Whether this column alone stands in quotes.
+    /// Returns whether this column is quoted and the next one is not.
     fn is_quoted(&self, column: usize) -> bool {
         let is_quoted = |column| self.mostly(column, |cell| cell.starts_with(b"\""));
         is_quoted(column) && !is_quoted(column + 1)
     }
 
-    /// Whether the first column counts up from 0 or 1, row by row.
+    /// Returns whether the first column counts up from 0 or 1, row by row.
     fn counts_up(&self) -> bool {
         let numbers = self.rows.iter().map(|row| {
             let cell = row.first().map(|cell| unquoted(cell)).filter(|cell| cell.iter().all(u8::is_ascii_digit))?;
@@ -248,13 +249,13 @@ impl<'a> Table<'a> {
         numbers.len() >= 3 && numbers[0] <= 1 && numbers.windows(2).all(|pair| pair[1] == pair[0].saturating_add(1))
     }
 
-    /// Whether three columns with decimals follow the first, which has none.
+    /// Returns whether the first column counts up and three columns with decimals follow.
     fn numbers_points(&self) -> bool {
         let has_decimals = |cell: &[u8]| cell.contains(&b'.') || cell.contains(&b',');
         self.least >= 4 && self.counts_up() && (1..4).all(|column| self.mostly(column, has_decimals))
     }
 
-    /// Names of all cells, where `names` fit them.
+    /// Returns names for all cells, if `names` fit them.
     fn fit(&self, names: &[String], separator: Separator, is_comment: bool) -> Option<Vec<String>> {
         let has_axes = |names: &[String]| axes(names).is_ok();
         if (self.least..=self.most).contains(&names.len()) && has_axes(names) {
@@ -286,7 +287,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// What a line says of the columns: their names; nothing; or a refusal.
+    /// Returns the column names in a line, `None` if it has none, or a refusal.
     fn named_by(&self, line: &[u8], is_comment: bool) -> Result<Option<Vec<String>>> {
         let mut separators = vec![
             self.separator,
@@ -297,7 +298,7 @@ impl<'a> Table<'a> {
         ];
         separators.dedup();
         let mut refusal = None;
-        // What stands behind a colon: `columns: x y z`.
+        // In comments, names may follow a colon: `columns: x y z`.
         let behind = line.iter().rposition(|&byte| byte == b':').filter(|_| is_comment).map(|at| &line[at + 1..]);
         for (line, separator) in Some(line)
             .into_iter()
@@ -334,7 +335,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Places without those of class, colours and intensity that hold text: names of classes are no numbers.
+    /// Drops the places of class, colours and intensity that hold text: names of classes are not numbers.
     fn without_text(&self, places: Places) -> Places {
         let is_number = |column: &usize| !self.is_text(*column);
         let each = |rgb: &RgbPlaces| matches!(rgb, RgbPlaces::Each(each) if each.iter().all(is_number));
@@ -342,7 +343,7 @@ impl<'a> Table<'a> {
         Places { class, intensity, rgb: places.rgb.filter(each), ..places }
     }
 
-    /// Whether numbers in these columns have decimal commas; the coordinates must agree.
+    /// Returns whether numbers in these columns have decimal commas; the coordinates must agree.
     fn decimal_comma(&self, places: &Places) -> Result<bool> {
         let has = |column: usize, byte: u8| {
             let is = |cell: &&[u8]| cell.contains(&byte) && Cell::of(cell, byte == b',') != Cell::Text;
@@ -366,12 +367,12 @@ impl<'a> Table<'a> {
     }
 }
 
-/// Names of `width` columns, made of more words by joining neighbours, where that can be done in one way only.
+/// Joins neighbouring `words` to the names of `width` columns, if that is possible in only one way.
 fn joined(words: &[String], width: usize) -> Option<Vec<String>> {
     if let Some(names) = joined_between(words, width) {
         return Some(names);
     }
-    // `X coordinate Y coordinate Z coordinate`, `Local X Local Y Local Z`.
+    // Words may qualify a neighbour: `X coordinate Y coordinate Z coordinate`, `Local X Local Y Local Z`.
     let found = axes(words).ok()?;
     let merged = |is_before: bool| {
         let mut names: Vec<String> = Vec::new();
@@ -392,7 +393,7 @@ fn joined(words: &[String], width: usize) -> Option<Vec<String>> {
     merged(false).or_else(|| merged(true))
 }
 
-/// As [`joined`], where words that are no coordinates are joined among themselves.
+/// Like [`joined`], but joins only words that are not coordinates with one another.
 fn joined_between(words: &[String], width: usize) -> Option<Vec<String>> {
     let found = axes(words).ok()?;
     let mut ends = found;
@@ -417,7 +418,7 @@ fn joined_between(words: &[String], width: usize) -> Option<Vec<String>> {
     for (number, (run, fewer)) in runs.iter().zip(fewer).enumerate() {
         match run.len() - fewer {
             _ if fewer == 0 => names.extend_from_slice(run),
-            // Which of them belong together does not matter.
+            // One name takes all words of the run, the others stay empty: how they are joined is irrelevant.
             left => {
                 names.push(run.join(" "));
                 names.resize(names.len() + left - 1, String::new());
@@ -428,7 +429,7 @@ fn joined_between(words: &[String], width: usize) -> Option<Vec<String>> {
     Some(names)
 }
 
-/// Refuses rows in which commas stand both within numbers and between them.
+/// Refuses rows with commas both within numbers and between them.
 fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
     let has = |byte: u8| rows.iter().any(|row| row.contains(&byte));
     if has(b';') || has(b'.') || has(b'"') || !has(b',') {
@@ -449,7 +450,7 @@ fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
     Ok(())
 }
 
-/// Decides how a table is laid out; the `columns` come from the user.
+/// Decides the layout of a table; `columns` come from the user.
 pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom: Custom) -> Result<Decision> {
     let table = Table::of(beginning)?;
     let mut named = Vec::new();
@@ -502,7 +503,7 @@ pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom
 mod tests {
     use super::*;
 
-    /// Decides on a text with an optional header line, comments, and rows.
+    /// Decides the layout of a text with an optional header line, comments, and rows.
     fn decided(text: &str, columns: Option<&str>) -> Result<Decision> {
         let lines: Vec<Vec<u8>> = text.lines().map(|line| line.as_bytes().to_vec()).collect();
         let (comments, lines): (Vec<_>, Vec<_>) =
@@ -513,7 +514,7 @@ mod tests {
         decide(&beginning, columns.map(|columns| columns.parse().unwrap()), Custom::Xyz)
     }
 
-    /// The point of the last row.
+    /// Returns the point of the last row.
     fn point(text: &str, columns: Option<&str>) -> [f64; 3] {
         let found = decided(text, columns).unwrap_or_else(|refusal| panic!("{text}: {}", refusal.reason));
         let row = text.lines().last().unwrap();
@@ -564,7 +565,7 @@ mod tests {
             "x,y,z\n,,\n1,2.5,-3",
             "X [m] Y [m] Z [m]\n1 2.5 -3",
             "ring,azimuth,elevation,distance,x,y,z\n0,0,0.1,5,1,2.5,-3",
-            // More or fewer names than cells, in one way only.
+            // More or fewer names than cells, with only one way to fit.
             "Point ID X Y Z Intensity\n0 1 2.5 -3 77",
             "\"Point ID\" X Y Z Scan Angle\n0 1 2.5 -3 77",
             "X coordinate Y coordinate Z coordinate\n1 2.5 -3",

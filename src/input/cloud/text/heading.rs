@@ -1,22 +1,23 @@
-//! What the names of a header mean.
+//! Interpretation of the column names in a header.
 //!
-//! A name is taken apart into words; brackets hold a unit. It names an axis if one of its words does and the others say
-//! nothing else ([`NEUTRAL`]): `Z_ellipsoidal` and `Easting [m]` do, `z_std` and `elev angle deg` do not. x and y come from one
-//! pair of names ([`PLANS`]), and z from the first of its names ([`HEIGHTS`]) that is there; a name of one word goes before one
-//! with others. Two columns of the same rank are refused, as is an elevation beside an azimuth, which may be an angle.
+//! A name is split into words; brackets hold a unit. It names an axis if one of its words does and the others are
+//! neutral ([`NEUTRAL`]): `Z_ellipsoidal` and `Easting [m]` do, `z_std` and `elev angle deg` do not. x and y come from
+//! one pair of names ([`PLANS`]), and z from the first of its names ([`HEIGHTS`]) that is present; a name of one word
+//! takes precedence over one with more. Two columns of the same rank are refused, as is an elevation beside an azimuth,
+//! because it may be an angle.
 
 use super::super::shown;
 use super::layout::{Places, RgbPlaces};
 use crate::unit::{FOOT_M, US_SURVEY_FOOT_M};
 
-/// Names of x and y by rank, the best first.
+/// Names of x and y by rank, best first.
 const PLANS: [[&[&str]; 2]; 4] = [
     [&["x", "xcoord", "coordx", "xpos", "posx"], &["y", "ycoord", "coordy", "ypos", "posy"]],
     [&["easting", "east"], &["northing", "north"]],
     [&["rechtswert", "rechts", "ost", "este", "est"], &["hochwert", "hoch", "nord", "norte"]],
     [&["e"], &["n"]],
 ];
-/// Names of z by rank, the best first.
+/// Names of z by rank, best first.
 const HEIGHTS: [&[&str]; 6] = [
     &["z", "zcoord", "coordz", "zpos", "posz"],
     &["height"],
@@ -25,11 +26,11 @@ const HEIGHTS: [&[&str]; 6] = [
     &["höhe", "hoehe", "hohe", "hauteur", "altura", "cota", "quota", "kote"],
     &["h"],
 ];
-/// Rank of an elevation among them.
+/// Rank of an elevation in `HEIGHTS`.
 const ELEVATION: usize = 2;
-/// Names of angles and the like that stand beside an elevation angle.
+/// Names of angles that accompany an elevation angle.
 const ANGLES: [&str; 5] = ["azimuth", "azi", "bearing", "zenith", "inclination"];
-/// Words beside the name of an axis that change nothing.
+/// Words that do not change the meaning of an axis name.
 const NEUTRAL: [&str; 43] = [
     "coord",
     "coords",
@@ -76,26 +77,26 @@ const NEUTRAL: [&str; 43] = [
     "absolute",
 ];
 
-/// Names of systems that a number follows.
+/// Names of systems that may be followed by a number.
 const SYSTEMS: [&str; 9] = ["utm", "etrs", "wgs", "lv", "epsg", "navd", "dhhn", "nad", "osgb"];
 
-/// A unit that a name states.
+/// A unit stated by a name.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum NameUnit {
     Metres(f64),
     Angle,
 }
 
-/// Why names give no axes.
+/// Reason why names give no axes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum NoAxes {
-    /// Some axis has no name.
+    /// An axis has no name.
     Missing,
-    /// It is not clear which column one of them is.
+    /// An axis could be more than one column.
     Unclear(String),
 }
 
-/// A name in words of lower case, and the unit in its brackets.
+/// A name split into lower-case words, and the unit in its brackets.
 struct Name {
     words: Vec<String>,
     bracket: Option<String>,
@@ -113,7 +114,7 @@ impl Name {
                 ')' | ']' | '}' => depth -= 1,
                 c if depth > 0 => bracket.extend(c.to_lowercase().filter(|c| c.is_alphanumeric() || *c == '°')),
                 c if c.is_alphanumeric() => {
-                    // PointX, XCoord, and POINT as one.
+                    // Splits PointX and XCoord, but keeps POINT whole.
                     let begins = c.is_uppercase() && (before.is_lowercase() || before.is_uppercase() && next_is_lower);
                     if begins && !word.is_empty() {
                         words.push(std::mem::take(&mut word));
@@ -131,7 +132,7 @@ impl Name {
         Self { words, bracket: Some(bracket).filter(|bracket| !bracket.is_empty()) }
     }
 
-    /// Whether it is one of `wanted`, and if so, whether other words stand beside it.
+    /// Returns whether the name has further words, or `None` if it is not in `wanted`.
     fn is_one_of(&self, wanted: &[&str]) -> Option<bool> {
         let is_wanted = |word: &&String| wanted.contains(&word.as_str());
         let others = |word: &&String| !is_neutral_word(word);
@@ -164,24 +165,24 @@ impl Name {
     }
 }
 
-/// The unit that a name states.
+/// Returns the unit stated by a name.
 pub(super) fn unit_of(name: &str) -> Option<NameUnit> {
     Name::of(name).unit()
 }
 
-/// Whether a word says nothing but what another names, as `coordinate` and `[m]` do.
+/// Returns whether a word only qualifies another one, as `coordinate` and `[m]` do.
 pub(super) fn is_neutral(word: &str) -> bool {
     let name = Name::of(word);
     name.words.iter().all(|word| is_neutral_word(word))
 }
 
-/// Whether a word says nothing of what a column holds; systems have numbers, as `utm32` does.
+/// Returns whether a word says nothing about the content of a column; systems may have numbers, as in `utm32`.
 fn is_neutral_word(word: &str) -> bool {
     let system = word.trim_end_matches(|c: char| c.is_ascii_digit());
     NEUTRAL.contains(&word) || system.len() < word.len() && SYSTEMS.contains(&system)
 }
 
-/// The column of these names that is one of `wanted`; `None` if none is.
+/// Returns the column with one of the names `wanted`, or `None`; fails if two columns qualify equally.
 fn column(names: &[(String, Name)], wanted: &[&str], axis: &str) -> Result<Option<usize>, NoAxes> {
     for with_others in [false, true] {
         let found = |(_, (_, name)): &(usize, &(String, Name))| name.is_one_of(wanted) == Some(with_others);
@@ -199,7 +200,7 @@ fn column(names: &[(String, Name)], wanted: &[&str], axis: &str) -> Result<Optio
     Ok(None)
 }
 
-/// The columns of x, y and z by their names.
+/// Returns the columns of x, y and z by their names.
 pub(super) fn axes(names: &[String]) -> Result<[usize; 3], NoAxes> {
     let names: Vec<(String, Name)> = names.iter().map(|name| (name.clone(), Name::of(name))).collect();
     let has = |wanted: &[&str]| names.iter().any(|(_, name)| name.is_one_of(wanted).is_some());
@@ -217,7 +218,7 @@ pub(super) fn axes(names: &[String]) -> Result<[usize; 3], NoAxes> {
     Ok(found)
 }
 
-/// What columns with these names hold, beside these axes.
+/// Returns the places of all known columns by their names, given those of the axes.
 pub(super) fn places(names: &[String], axes: [usize; 3]) -> Places {
     let find = |wanted: &[&str]| {
         let is_wanted = |name: &String| {

@@ -1,7 +1,7 @@
-//! How a row of text is read: its cells, which of them are coordinates, and the numbers in them.
+//! Parsing of text rows: their cells, the roles of the columns, and the numbers in them.
 //!
-//! A cell may stand in quotes, which may hold the separator; a quote inside is doubled. A coordinate that is empty, or a word
-//! for no number ([`is_missing`]), is NaN: the row has no return.
+//! A cell may be quoted; quotes may enclose the separator, and a quote inside is doubled. A coordinate that is empty or
+//! a word for a missing number ([`is_missing`]) is NaN: the row has no return.
 
 use super::super::shown;
 use super::super::values::{Sample, Scale};
@@ -11,17 +11,17 @@ use crate::colour::ColourSource;
 use crate::input::Columns;
 use crate::text::quoted_len;
 
-/// What stands between two columns.
+/// Separator of columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::input::cloud) enum Separator {
-    /// Blanks and tabs, one or more.
+    /// One or more blanks and tabs.
     Blanks,
-    /// This byte, with blanks around it that mean nothing.
+    /// This byte, optionally with blanks around it.
     Byte(u8),
 }
 
 impl Separator {
-    /// As people call it.
+    /// Returns its name for messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Blanks => "blanks",
@@ -31,7 +31,7 @@ impl Separator {
         }
     }
 
-    /// Whether a byte beside a cell means nothing.
+    /// Returns whether a byte beside a cell is insignificant.
     #[inline(always)]
     fn is_gap(self, byte: u8) -> bool {
         match self {
@@ -40,7 +40,7 @@ impl Separator {
         }
     }
 
-    /// `text` without gaps at its beginning.
+    /// Returns `text` without gaps at its start.
     #[inline(always)]
     fn trim_start(self, text: &[u8]) -> &[u8] {
         let mut rest = text;
@@ -52,7 +52,7 @@ impl Separator {
         rest
     }
 
-    /// Length of the cell that `rest` begins with.
+    /// Returns the length of the cell at the start of `rest`.
     #[inline]
     fn cell_len(self, rest: &[u8]) -> Result<usize, Fault> {
         if rest.first() == Some(&b'"') {
@@ -81,7 +81,7 @@ impl Separator {
         }
     }
 
-    /// The cells of a row, without the gaps around them.
+    /// Splits a row into cells, without the gaps around them.
     pub fn cells(self, row: &[u8]) -> Result<Vec<&[u8]>, Fault> {
         let (mut cells, mut rest) = (Vec::new(), self.trim_start(row));
         if self == Self::Blanks && rest.is_empty() {
@@ -99,23 +99,23 @@ impl Separator {
     }
 }
 
-/// A cell without its quotes.
+/// Returns a cell without its quotes.
 pub(super) fn unquoted(cell: &[u8]) -> &[u8] {
     let cell = cell.trim_ascii();
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).map_or(cell, <[u8]>::trim_ascii)
 }
 
-/// What a cell holds.
+/// Content of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Cell {
     Number(f64),
-    /// Nothing, or a word for no number.
+    /// Empty, or a word for a missing number.
     Missing,
     Text,
 }
 
 impl Cell {
-    /// What a cell holds, quoted or not, with points or commas in its numbers.
+    /// Parses a cell, quoted or not, with decimal points or commas.
     #[inline(never)]
     pub fn of(cell: &[u8], decimal_comma: bool) -> Self {
         let cell = unquoted(cell);
@@ -125,7 +125,7 @@ impl Cell {
         let mut points = [0; 64];
         let cell = match (decimal_comma, points.get_mut(..cell.len())) {
             (false, _) => cell,
-            // A point among numbers with commas parts thousands.
+            // Beside decimal commas, a point separates thousands.
             (true, Some(points)) if !cell.contains(&b'.') => {
                 points.copy_from_slice(cell);
                 points.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
@@ -140,26 +140,26 @@ impl Cell {
     }
 }
 
-/// Whether a cell is empty or a word for no number: `nan` or `inf` as C libraries write them, and what databases and statistics
-/// programs write for no value.
+/// Returns whether a cell is empty or a word for a missing number: `nan` or `inf` as C libraries write them, and the
+/// words of databases and statistics programs for a missing value.
 fn is_missing(cell: &[u8]) -> bool {
     const WORDS: [&str; 14] =
         ["nan", "nanq", "nans", "qnan", "snan", "inf", "infinity", "na", "n/a", "#n/a", "<na>", "null", "none", "nil"];
     let word = cell.strip_prefix(b"-").or(cell.strip_prefix(b"+")).unwrap_or(cell);
     match word {
         [] => cell.is_empty(),
-        // Of Microsoft's C: 1.#QNAN, 1.#IND00, 1.#J, 1.$.
+        // Microsoft's C library: 1.#QNAN, 1.#IND00, 1.#J, 1.$.
         [b'1', b'.' | b',', b'#' | b'$', ..] => true,
         [b'n' | b'N', b'a' | b'A', b'n' | b'N', b'(', .., b')'] => true,
         _ => WORDS.iter().any(|other| word.eq_ignore_ascii_case(other.as_bytes())),
     }
 }
 
-/// What is wrong with a row.
+/// Fault of a row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::input::cloud) struct Fault {
     pub reason: String,
-    /// Its number of cells, and not a cell.
+    /// True if the number of cells is wrong, false if the content of a cell is.
     pub is_width: bool,
 }
 
@@ -169,7 +169,7 @@ impl Fault {
         Self { reason, is_width: false }
     }
 
-    /// A row that no buffer holds.
+    /// Returns the fault of a line that is too long for a row.
     pub fn too_long() -> Self {
         Self::cell(format!("a line of more than {MOST_LINE} bytes: this is no text, or damaged"))
     }
@@ -180,27 +180,27 @@ impl Fault {
     }
 }
 
-/// What a column holds: coordinates from 0 on, then these; other columns are passed over.
+/// Roles of columns: 0 to 2 for coordinates, then these; `OTHER` columns are skipped.
 const OTHER: u8 = u8::MAX;
 const CLASS: usize = 3;
 const INTENSITY: usize = 4;
 const RED: usize = 5;
 const ROLES: usize = 8;
 
-/// Numbers of a row by their roles.
+/// Numbers of a row by role.
 pub(in crate::input::cloud) type Row = [f64; ROLES];
 
-/// Coordinates, class and value of a row; else what is wrong with it.
+/// Coordinates, class and value of a row, or its fault.
 pub(in crate::input::cloud) type Parsed<V> = Result<([f64; 3], Option<f64>, Option<V>), Fault>;
 
-/// Where red, green and blue stand.
+/// Location of red, green and blue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::input::cloud) enum RgbPlaces {
-    /// In a column each.
+    /// In one column each.
     Each([usize; 3]),
 }
 
-/// Columns of a row, from 0 on, no two of them the same.
+/// Columns of a row, from 0, all different.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::input::cloud) struct Places {
     pub axes: [usize; 3],
@@ -210,23 +210,23 @@ pub(in crate::input::cloud) struct Places {
 }
 
 impl Places {
-    /// Coordinates alone.
+    /// Returns places for coordinates alone.
     pub fn of(axes: [usize; 3]) -> Self {
         Self { axes, class: None, rgb: None, intensity: None }
     }
 }
 
-/// How rows are read.
+/// Layout for parsing rows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::input::cloud) struct RowLayout {
     separator: Separator,
     decimal_comma: bool,
     places: Places,
-    /// Of each column, up to the last that is needed for the place and the class.
+    /// Role of each column, up to the last that position and class need.
     roles: Vec<u8>,
 }
 
-/// How rows are read with their values for colours.
+/// Layout for parsing rows with their colour values.
 #[derive(Debug)]
 pub(in crate::input::cloud) struct ValueLayout<'a> {
     layout: &'a RowLayout,
@@ -234,7 +234,7 @@ pub(in crate::input::cloud) struct ValueLayout<'a> {
     source: ColourSource,
 }
 
-/// Puts a role at a place.
+/// Sets the role of a column.
 fn put(roles: &mut Vec<u8>, place: usize, role: usize) {
     if roles.len() <= place {
         roles.resize(place + 1, OTHER);
@@ -262,7 +262,7 @@ impl RowLayout {
         self.places.class.is_some()
     }
 
-    /// With the values of `source`, if rows have them.
+    /// Returns the layout with values of `source`, if rows have them.
     pub fn with_values(&self, source: ColourSource) -> Option<ValueLayout<'_>> {
         let mut roles = self.roles.clone();
         match (source, self.places.rgb, self.places.intensity) {
@@ -275,7 +275,7 @@ impl RowLayout {
         Some(ValueLayout { layout: self, roles, source })
     }
 
-    /// The coordinates of a row of so many cells, if they are counted, and its class if there is one; else what is wrong with it.
+    /// Parses the coordinates of a row, and its class if there is one. Checks the number of `cells`, if given.
     #[inline]
     pub fn parse(&self, row: &[u8], cells: Option<usize>) -> Result<([f64; 3], Option<f64>), Fault> {
         let mut found = [0.0; ROLES];
@@ -287,10 +287,11 @@ impl RowLayout {
         ([found[0], found[1], found[2]], self.places.class.map(|_| found[CLASS]))
     }
 
-    /// Puts numbers by their roles into `found`; whether all values are there. Columns of place and class must be.
+    /// Stores numbers by role in `found`; returns whether all values are present. Columns of position and class must
+    /// be.
     #[inline(always)]
     fn scan(&self, row: &[u8], cells: Option<usize>, roles: &[u8], found: &mut Row) -> Result<bool, Fault> {
-        // Commas between columns are none of numbers, but where these stand in quotes.
+        // Where commas separate columns, they are part of numbers only in quotes.
         let point = if self.decimal_comma && self.separator != Separator::Byte(b',') { b',' } else { b'.' };
         let (mut rest, mut is_whole) = (row, true);
         for (column, &role) in roles.iter().enumerate() {
@@ -345,7 +346,7 @@ impl RowLayout {
         Ok(is_whole)
     }
 
-    /// Whether a cell ends behind `len` bytes; if so, goes on to what separates it from the next.
+    /// Returns whether a cell ends after `len` bytes; if so, advances `rest` to the separator.
     #[inline]
     fn ends_cell(&self, rest: &mut &[u8], len: usize) -> bool {
         let behind = &rest[len..];
@@ -359,7 +360,8 @@ impl RowLayout {
         ended.inspect(|behind| *rest = behind).is_some()
     }
 
-    /// Checks that `rest`, behind so many columns, ends with cell number `cells`; empty cells behind that do not count.
+    /// Checks that the row has `cells` cells, given `rest` after the first `columns`; empty cells at the end do not
+    /// count.
     #[inline]
     fn check_width(&self, rest: &[u8], columns: usize, cells: usize, row: &[u8]) -> Result<(), Fault> {
         let (mut all, mut filled) = (columns, columns);
@@ -420,7 +422,7 @@ impl RowLayout {
 }
 
 impl ValueLayout<'_> {
-    /// As [`RowLayout::parse`], and the numbers of the row's value; `None` where it has none.
+    /// Like [`RowLayout::parse`], but also returns the numbers of the row's value; `None` if it has none.
     pub fn parse(&self, row: &[u8], cells: Option<usize>) -> Parsed<Row> {
         let mut found = [0.0; ROLES];
         let whole = self.layout.scan(row, cells, &self.roles, &mut found)?;
@@ -428,7 +430,7 @@ impl ValueLayout<'_> {
         Ok((at, class, whole.then_some(found)))
     }
 
-    /// The value of such numbers.
+    /// Converts these numbers to a value.
     #[inline]
     pub fn value(&self, row: &Row, scale: &Scale) -> [u16; 3] {
         match self.source {
@@ -437,7 +439,7 @@ impl ValueLayout<'_> {
         }
     }
 
-    /// Adds them to a sample.
+    /// Adds these numbers to a sample.
     pub fn look(&self, row: &Row, sample: &mut Sample) {
         let numbers = if self.source == ColourSource::Rgb { RED..ROLES } else { INTENSITY..RED };
         row[numbers].iter().for_each(|&value| sample.add(value));

@@ -1,7 +1,8 @@
-//! Lines of a text, from any byte on, as it is or compressed.
+//! Lines of plain or compressed text, from any byte on.
 //!
-//! A line ends with a line feed, a carriage return, or both. A byte order mark of UTF-8 is passed over, plain and packed;
-//! UTF-16 is refused. Memory: a block of 256 KiB and one line; of compressed text the window of its decoder, at most 8 MiB.
+//! A line ends with a line feed, a carriage return, or both. A UTF-8 byte order mark is skipped, in plain and
+//! compressed text; UTF-16 is refused. Memory: a block of 256 KiB and one line; for compressed text also the window of
+//! its decoder, at most 8 MiB.
 
 use super::super::shown;
 use super::layout::Fault;
@@ -15,15 +16,15 @@ use std::path::Path;
 const BLOCK_BYTES: usize = 1 << 18;
 /// Longest line (bytes).
 pub(super) const MOST_LINE: usize = 1 << 16;
-/// Largest window of zstd, as a power of two: what its levels use, but for `--ultra` and `--long`.
+/// Largest zstd window, as a power of two: enough for all levels without `--ultra` and `--long`.
 const MOST_WINDOW_LOG: u32 = 23;
-/// Beyond this many bytes an error names the byte and not the line.
+/// Beyond this offset, an error names the byte instead of the line.
 const COUNTED: u64 = 1 << 28;
 
 /// Bytes without a row after which a reader may stop.
 const PAUSE_BYTES: u64 = 1 << 20;
 
-/// How a text is compressed.
+/// Compression of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::input::cloud) enum Packing {
     Plain,
@@ -32,7 +33,7 @@ pub(in crate::input::cloud) enum Packing {
 }
 
 impl Packing {
-    /// By the first bytes of the file.
+    /// Detects the compression by the first bytes of the file.
     pub fn of(source: &Source) -> Result<Self> {
         let mut magic = [0; 4];
         let got = source.read_at(&mut magic, 0)?;
@@ -44,7 +45,7 @@ impl Packing {
     }
 }
 
-/// Name of a file without the ending of its compression.
+/// Returns the name of a file without the extension of its compression.
 pub(in crate::input) fn unpacked_name(path: &Path) -> &Path {
     let is_packed = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gz") || e.eq_ignore_ascii_case("zst"));
     path.file_stem().filter(|_| is_packed).map_or(path, Path::new)
@@ -55,40 +56,40 @@ enum Input<'a> {
     Packed(Box<dyn Read + 'a>),
 }
 
-/// What comes next where a text is read for its rows.
+/// Next item when a text is read for its rows.
 pub(in crate::input::cloud) enum Step {
-    /// A row: its place in the text, and where it lies in the block.
+    /// A row: its offset in the text, and its range in the block.
     Row(u64, Range<usize>),
-    /// A line at this place that is too long for a row.
+    /// A line at this offset that is too long for a row.
     TooLong(u64),
-    /// No row for a while.
+    /// No row for some time.
     Pause,
 }
 
-/// A line: its place in the text, and its bytes; `None` in place of too many.
+/// A line: its offset in the text, and its bytes; `None` if they are too many.
 type Line<'a> = (u64, Option<&'a [u8]>);
 
-/// Hands out line after line.
+/// Reads a text line by line.
 pub(in crate::input::cloud) struct Lines<'a> {
     source: &'a Source,
     input: Input<'a>,
-    /// Asked with each block whether to stop.
+    /// Asked for cancellation with each block.
     monitor: Option<&'a dyn Monitor>,
     block: Vec<u8>,
-    /// What of the block comes next.
+    /// Position of the next line in the block.
     next: usize,
-    /// Place of the block in the text.
+    /// Offset of the block in the text.
     at: u64,
     ended: bool,
-    /// The line handed out last was too long; its rest comes next.
+    /// The last line returned was too long; its rest must be skipped.
     is_within: bool,
-    /// Where reading began, and lines since.
+    /// Offset where reading began; `number`: lines since.
     start: u64,
     number: u64,
 }
 
 impl<'a> Lines<'a> {
-    /// The lines of a plain text from a byte on.
+    /// Reads the lines of a plain text from a byte on.
     pub fn begin(source: &'a Source, start: u64) -> Self {
         Self {
             source,
@@ -104,14 +105,14 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The lines of a plain text that begin behind byte `start`, or at some place behind `until`.
+    /// Reads the lines of a plain text that begin after byte `start`, or from some offset beyond `until`.
     pub fn begin_behind(source: &'a Source, start: u64, until: u64) -> Result<Self> {
         let mut lines = Self { number: 1, ..Self::begin(source, start) };
         lines.pass_line(until)?;
         Ok(lines)
     }
 
-    /// All lines of a text of `bytes` bytes as it is stored, behind its byte order mark; fails for UTF-16.
+    /// Reads all lines of a file of `bytes` bytes, after its byte order mark; fails for UTF-16.
     pub fn open(source: &'a Source, bytes: u64, packing: Packing, monitor: Option<&'a dyn Monitor>) -> Result<Self> {
         let window = Window::new(source, 0, bytes);
         let failed = |e| Error::io(source.path(), "unpack it", e);
@@ -128,7 +129,7 @@ impl<'a> Lines<'a> {
         lines.fill()?;
         match lines.block[..] {
             [0xEF, 0xBB, 0xBF, ..] => lines.next = 3,
-            // With a mark, or a character of ASCII without one.
+            // A byte order mark, or an ASCII character in UTF-16 without one.
             [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] | [0, _, ..] | [_, 0, ..] => {
                 return Err(Error::input(source.path(), "byte 0", "text in UTF-16; save it as UTF-8"));
             }
@@ -137,12 +138,12 @@ impl<'a> Lines<'a> {
         Ok(lines)
     }
 
-    /// Number of the line handed out last, from 1 on.
+    /// Returns the number of the last line returned, from 1.
     pub fn number(&self) -> u64 {
         self.number
     }
 
-    /// Place in the text of the next line.
+    /// Returns the offset of the next line in the text.
     pub fn position(&self) -> u64 {
         self.at + self.next as u64
     }
@@ -157,7 +158,7 @@ impl<'a> Lines<'a> {
         let held = self.block.len();
         let at = self.at + held as u64;
         let room = match self.input {
-            // A short file needs no long block.
+            // A short file needs no full block.
             Input::Plain => self.source.stamp().len().saturating_sub(at).min(BLOCK_BYTES as u64) as usize,
             Input::Packed(_) => BLOCK_BYTES,
         };
@@ -181,7 +182,7 @@ impl<'a> Lines<'a> {
         Ok(())
     }
 
-    /// Where the next line lies in the block, and whether it is whole; what follows it comes next.
+    /// Returns the range of the next line in the block, and whether it is whole, and advances past it.
     fn find_any(&mut self) -> Result<Option<(Range<usize>, bool)>> {
         if self.is_within {
             self.pass_line(u64::MAX)?;
@@ -189,7 +190,7 @@ impl<'a> Lines<'a> {
         let mut searched = self.next;
         loop {
             let found = memchr::memchr2(b'\n', b'\r', &self.block[searched..]).map(|len| searched + len);
-            // Whether a line feed belongs to a return shows the byte behind.
+            // The byte after a carriage return shows whether a line feed belongs to it.
             let is_open = |end: usize| self.block[end] == b'\r' && end + 1 == self.block.len() && !self.ended;
             let end = match found {
                 Some(end) if !is_open(end) => end,
@@ -212,7 +213,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Where the next line lies in the block; what follows it comes next.
+    /// Returns the range of the next line in the block and advances past it; fails if the line is too long.
     fn find(&mut self) -> Result<Option<Range<usize>>> {
         match self.find_any()? {
             Some((_, false)) => Err(self.error(Fault::too_long().reason)),
@@ -220,7 +221,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Goes behind the next end of a line, however far away, or to some place behind `until`.
+    /// Advances past the next line end, however far away, or to some offset beyond `until`.
     fn pass_line(&mut self, until: u64) -> Result<()> {
         self.is_within = false;
         loop {
@@ -240,13 +241,13 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Goes to the next line.
+    /// Returns the next line.
     pub fn next(&mut self) -> Result<Option<Line<'_>>> {
         let Some((line, is_whole)) = self.find_any()? else { return Ok(None) };
         Ok(Some((self.at + line.start as u64, is_whole.then_some(&self.block[line]))))
     }
 
-    /// Goes to the next line that is neither empty nor a comment.
+    /// Returns the next line that is neither empty nor a comment.
     pub fn next_row(&mut self) -> Result<Option<(u64, &[u8])>> {
         loop {
             let Some(line) = self.find()? else { return Ok(None) };
@@ -256,8 +257,8 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// As [`next_row`](Self::next_row), but goes on behind lines that are too long, and pauses where long no row comes;
-    /// [`at`](Self::at) has the bytes of the row.
+    /// Like [`next_row`](Self::next_row), but continues after lines that are too long, and returns `Pause` if no row
+    /// comes for long. [`at`](Self::at) returns the bytes of the row.
     pub fn step(&mut self) -> Result<Option<Step>> {
         let from = self.position();
         loop {
@@ -275,17 +276,17 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// The bytes of the line handed out last.
+    /// Returns the bytes of the line returned last.
     pub fn at(&self, line: Range<usize>) -> &[u8] {
         &self.block[line]
     }
 
-    /// The next row, as a line of its own.
+    /// Returns a copy of the next row.
     pub fn row(&mut self) -> Result<Option<Vec<u8>>> {
         Ok(self.next_row()?.map(|(_, line)| line.to_vec()))
     }
 
-    /// The first row behind a place, without going there.
+    /// Returns a copy of the next row without advancing; `None` for compressed text.
     pub fn peek(&self) -> Result<Option<Vec<u8>>> {
         match self.input {
             Input::Plain => Self::begin(self.source, self.position()).row(),
@@ -293,12 +294,12 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Passes over up to `most` rows and, if asked for, stops before one of a single word; returns how many there were.
+    /// Skips up to `most` rows and returns how many there were; if requested, stops before a row of a single word.
     pub fn count_rows(&mut self, most: u64, stop_at_word: bool, monitor: &dyn Monitor) -> Result<u64> {
         self.keep_rows(most, stop_at_word, 0, monitor).map(|(rows, _)| rows)
     }
 
-    /// As [`count_rows`](Self::count_rows), and keeps so many of the first rows.
+    /// Like [`count_rows`](Self::count_rows), but also returns the first `keep` rows.
     pub fn keep_rows(
         &mut self,
         most: u64,
@@ -312,7 +313,7 @@ impl<'a> Lines<'a> {
             if self.number.is_multiple_of(1 << 16) && monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
-            // What is too long is a row as any other, and refused where it is read.
+            // A line that is too long counts as a row and is refused when it is read.
             let Some((line, is_whole)) = self.find_any()? else { break };
             let text = &self.block[line.clone()];
             if !is_row(text) {
@@ -331,7 +332,7 @@ impl<'a> Lines<'a> {
         Ok((rows, kept))
     }
 
-    /// An error at the line handed out last.
+    /// Creates an error about the line returned last.
     pub fn error(&self, reason: impl Into<String>) -> Error {
         let before = match self.input {
             Input::Plain if self.start > 0 && self.start <= COUNTED => self.lines_before().ok(),
@@ -348,7 +349,7 @@ impl<'a> Lines<'a> {
     fn lines_before(&self) -> Result<u64> {
         let (mut at, mut lines, mut block) = (0, 0, vec![0; BLOCK_BYTES]);
         let mut is_behind_return = false;
-        // One byte more: a line feed there belongs to the return before.
+        // One byte more: a line feed there belongs to the carriage return before.
         while at <= self.start {
             let want = (self.start - at + 1).min(BLOCK_BYTES as u64) as usize;
             let got = self.source.read_at(&mut block[..want], at)?;
@@ -371,13 +372,13 @@ impl<'a> Lines<'a> {
         Ok(lines)
     }
 
-    /// An error: a row should hold something else.
+    /// Creates an error about a row with unexpected content.
     pub fn expected(&self, what: &str, line: &[u8]) -> Error {
         self.error(format!("expected {what}, found {}", shown(line.trim_ascii())))
     }
 }
 
-/// The line of a text in which a byte lies, in words.
+/// Describes the line of a text that contains byte `at`.
 pub(super) fn number_at(source: &Source, packing: Packing, at: u64) -> Result<String> {
     match packing {
         Packing::Plain if at <= COUNTED => {
@@ -388,7 +389,7 @@ pub(super) fn number_at(source: &Source, packing: Packing, at: u64) -> Result<St
     }
 }
 
-/// Whether a line is neither empty nor a comment.
+/// Returns whether a line is neither empty nor a comment.
 fn is_row(line: &[u8]) -> bool {
     match line {
         [b'#', ..] | [b'/', b'/', ..] | [] => false,
@@ -400,9 +401,9 @@ fn is_row(line: &[u8]) -> bool {
     }
 }
 
-/// Whether a row is one word.
+/// Returns whether a row is a single word.
 pub(super) fn is_word(line: &[u8]) -> bool {
-    // Longer than any number of points.
+    // No number of points is longer.
     line.len() < 32 && {
         let text = line.trim_ascii();
         !text.iter().any(|byte| byte.is_ascii_whitespace() || matches!(byte, b',' | b';'))
@@ -468,7 +469,7 @@ mod tests {
 
     #[test]
     fn lines_end_with_feeds_returns_or_both() {
-        // Also where a pair lies on both sides of the end of a block.
+        // Also with a pair split across the end of a block.
         for before in [0, BLOCK_BYTES - 3, BLOCK_BYTES - 2, BLOCK_BYTES - 1, BLOCK_BYTES, 2 * BLOCK_BYTES - 4] {
             let comments = "#\n".repeat(before / 2) + &"\n".repeat(before % 2);
             let text = format!("{comments}ab\r\ncd\ref\n\r\ngh\r");
@@ -478,7 +479,7 @@ mod tests {
             while let Some(row) = lines.row().unwrap() {
                 let place = lines.error("x").to_string();
                 found.push(String::from_utf8(row).unwrap());
-                // The same line, counted from its own beginning and from within the pair before.
+                // Its line number must be the same when reading begins within the pair before it.
                 let at = lines.position() - 1;
                 assert_eq!(Lines::begin_behind(&source, at, u64::MAX).unwrap().error("x").to_string(), place);
             }

@@ -1,12 +1,12 @@
 //! Clouds as text: XYZ, CSV, PTS, PTX.
 //!
 //! A [`Rows`] is a list of segments of rows. Plain text is cut into pieces of 4 MiB at line ends, which any number of
-//! threads parse; compressed text (gzip, zstd) is read by one. PTX states how many rows belong to a cloud and is read
-//! through once, to count lines, when it is opened. Tables (XYZ, CSV, PTS) are not: [`decision`] looks at their first
-//! rows, and what their first line states is checked when all pieces are read ([`Tally`]).
+//! threads parse; compressed text (gzip, zstd) is read by one thread. PTX states how many rows belong to a cloud, so
+//! its lines are counted when it is opened. Tables (XYZ, CSV, PTS) are not read through: [`decision`] examines their
+//! first rows, and the count in their first line is checked after all pieces are read ([`Tally`]).
 //!
-//! Sources: "Leica PTX / PTS format" as Cyclone writes it. PTX: columns, rows, four lines about the scanner, four rows of a
-//! matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means no return.
+//! Sources: "Leica PTX / PTS format" as Cyclone writes it. PTX: columns, rows, four lines about the scanner, four rows
+//! of a matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means no return.
 
 mod decimal;
 mod decision;
@@ -35,41 +35,41 @@ pub(super) use lines::Lines;
 pub(super) use lines::Packing;
 pub(in crate::input) use lines::unpacked_name;
 
-/// Bytes of a piece of plain text.
+/// Bytes per piece of plain text.
 const PIECE_BYTES: u64 = 4 << 20;
-/// Most clouds of one file.
+/// Maximum number of clouds per file.
 const MOST_CLOUDS: usize = 1 << 16;
-/// Rows that are looked at to recognise a text.
+/// Number of rows examined to recognise a text.
 const LOOKED_AT: usize = 256;
-/// Comments before them.
+/// Number of comments kept from before them.
 const MOST_COMMENTS: usize = 64;
-/// Name of the format of tables whose columns a user may name.
+/// Format name of tables whose columns a user may name.
 const TABLE: &str = "text";
-/// Points that people are shown.
+/// Number of points shown to people.
 const SHOWN_POINTS: usize = 3;
 
 /// Rows that belong together.
 #[derive(Debug, Clone)]
 struct Segment {
-    /// Place in the text of the first row, and behind the last.
+    /// Offset of the first row in the text; `end`: offset after the last.
     start: u64,
     end: u64,
-    /// About how many.
+    /// Approximate number of rows.
     rows: u64,
-    /// Cells of each row, if they are counted.
+    /// Number of cells per row, if it is fixed.
     cells: Option<usize>,
     pose: Option<Pose>,
     station: Option<[f64; 3]>,
 }
 
 impl Segment {
-    /// Rows between two places, without a pose.
+    /// Returns the rows between two offsets, without a pose.
     fn plain(start: u64, end: u64, rows: u64) -> Self {
         Self { start, end, rows, cells: None, pose: None, station: None }
     }
 }
 
-/// Rows of text with a point each.
+/// Rows of text with one point each.
 #[derive(Debug)]
 pub(super) struct Rows {
     format: &'static str,
@@ -80,21 +80,21 @@ pub(super) struct Rows {
     /// `0 0 0` means no return.
     zero_is_absent: bool,
     stated: u64,
-    /// Number of points in the first line, which only reading can check.
+    /// Number of points stated by the first line, which can only be checked by reading.
     count: Option<Count>,
-    /// What was found in pieces, by their first byte.
+    /// Tallies of pieces by their first byte.
     found: Mutex<BTreeMap<u64, Tally>>,
 }
 
-/// What comes next in a piece.
+/// Next item in a piece.
 enum Next<'a> {
     Row(&'a [u8]),
     TooLong,
-    /// No row for a while.
+    /// No row for some time.
     Pause,
 }
 
-/// How rows are read with what is asked for.
+/// How to parse rows, with the requested values.
 struct Reading<'a> {
     layout: &'a RowLayout,
     values: Option<ValueLayout<'a>>,
@@ -115,8 +115,9 @@ impl Reading<'_> {
 }
 
 impl Rows {
-    /// Cells of a row that begins a cloud in a file of several, where their columns may differ: x, y, z; these with intensity; or with
-    /// intensity, red, green and blue. Six columns have the colours elsewhere, so they go with three alone.
+    /// Returns the number of cells of a row that begins a cloud. In a file of several, clouds may differ: x, y, z;
+    /// these with intensity; or with intensity, red, green and blue. Rows of six have the colours elsewhere, so they
+    /// mix only with rows of three.
     fn other_width(&self, segment: &Segment, row: &[u8]) -> Option<usize> {
         let found = self.layout.separator().cells(row).ok()?.len();
         let fits =
@@ -125,7 +126,7 @@ impl Rows {
         Some(found)
     }
 
-    /// No rows.
+    /// Creates a cloud without rows.
     fn empty(format: &'static str, packing: Packing, layout: RowLayout, channels: Channels) -> Self {
         Self {
             format,
@@ -140,7 +141,7 @@ impl Rows {
         }
     }
 
-    /// The point of a row, if that has a return, in the coordinates of the file; its class and its value.
+    /// Returns the point of a row in the coordinates of the file, its class and its value; `None` if it has no return.
     #[inline]
     fn point<V>(
         &self,
@@ -153,7 +154,7 @@ impl Rows {
         Some((of.pose.map_or(at, |pose| pose.apply(at)), class, value))
     }
 
-    /// An error at the row that `lines` handed out last.
+    /// Creates an error about the row that `lines` returned last.
     #[cold]
     fn row_error(&self, fault: Fault, lines: &Lines<'_>) -> Error {
         match fault.is_width && self.format == TABLE {
@@ -164,12 +165,12 @@ impl Rows {
         }
     }
 
-    /// Whether a row states a number of points, as a PTS may do before each cloud.
+    /// Returns the number of points in a row that states one, as a PTS may do before each cloud.
     fn count_in(&self, row: &[u8]) -> Option<u64> {
         if self.count.is_some_and(|count| count.may_repeat) { whole_word(row) } else { None }
     }
 
-    /// Hands what is in a piece to `take`, each with its place and the number of its segment, as long as that asks for more.
+    /// Passes the items of a piece, each with its offset and segment number, to `take` until it returns false.
     fn each_row(
         &self,
         piece: &Piece,
@@ -202,7 +203,7 @@ impl Rows {
             if at >= end {
                 break;
             }
-            // Rows of the next cloud follow behind its header.
+            // Rows of the next cloud follow after its header.
             while is_packed && self.segments.get(part).is_some_and(|segment| at >= segment.end) {
                 part += 1;
             }
@@ -214,7 +215,7 @@ impl Rows {
         Ok(())
     }
 
-    /// Counts the rows of a piece, without looking into them.
+    /// Counts the rows of a piece without parsing them.
     fn count_rows(&self, piece: &Piece, source: &Source, monitor: &dyn Monitor) -> Result<Tally> {
         let (mut tally, mut rows) = (Tally::default(), 0u64);
         self.each_row(piece, source, |_, _, next, _| {
@@ -273,7 +274,7 @@ impl Cloud for Rows {
         let mut sample = Sample::NOTHING;
         if let Some(values) = self.layout.with_values(source).filter(|_| self.channels.is_open(source)) {
             let pieces = self.pieces().count() as u64;
-            // Of packed text, only the beginning is at hand.
+            // Of compressed text, only the beginning is accessible.
             let places = SAMPLE_PLACES.min(pieces);
             let rows = SAMPLE_POINTS as u64 * (SAMPLE_PLACES / places.max(1));
             let at = |place: u64| (place * (pieces - 1) / (places - 1).max(1)) as usize;
@@ -281,7 +282,7 @@ impl Cloud for Rows {
             for (_, piece) in self.pieces().enumerate().filter(|(number, _)| wanted.next_if_eq(number).is_some()) {
                 let mut left = rows;
                 self.each_row(&piece, file, |_, part, next, _| {
-                    // What is no row of numbers is refused where it is read in full.
+                    // Invalid rows are refused when they are read in full.
                     let Next::Row(row) = next else { return Ok(false) };
                     if let Ok((_, _, Some(numbers))) = values.parse(row, self.segments[part].cells) {
                         values.look(&numbers, &mut sample);
@@ -303,7 +304,7 @@ impl Cloud for Rows {
         let (layout, scale) = (&self.layout, self.channels.scale());
         let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
         let mut tally = Tally::default();
-        // Cells of each row of the cloud at hand, if other than those of the first, and whether none of its rows is known.
+        // Cells per row of the current cloud, if not those of the first; and whether none of its rows has been read.
         let (mut width, mut is_first) = (None, self.count.is_some());
         let done = self.each_row(piece, source, |at, part, next, lines| {
             taker.begin_cloud(part)?;
@@ -346,7 +347,7 @@ impl Cloud for Rows {
                     },
                 },
                 Next::TooLong => Fault::too_long(),
-                // So that whoever takes the points may end the work.
+                // Lets the sink cancel the work.
                 Next::Pause => return taker.flush().map(|()| true),
             };
             tally.add_row();
@@ -356,7 +357,7 @@ impl Cloud for Rows {
             tally.add_fault(at, fault.reason);
             Ok(true)
         });
-        // Also of what comes before damage.
+        // Recorded even if damage ended the piece.
         self.found.lock().unwrap_or_else(PoisonError::into_inner).insert(piece.first, tally);
         done.map(|()| 0)
     }
@@ -364,7 +365,7 @@ impl Cloud for Rows {
     fn check(&self, findings: &mut Findings<'_>, monitor: &dyn Monitor) -> Result<()> {
         let mut found = std::mem::take(&mut *self.found.lock().unwrap_or_else(PoisonError::into_inner));
         let source = || Source::open(findings.path, None);
-        // An earlier run may have read a piece, but not whether there are as many as the first line states.
+        // Pieces decoded by an earlier run have no tally; their rows are counted now.
         let missing = self.pieces().filter(|piece| self.count.is_some() && !found.contains_key(&piece.first));
         for piece in missing.collect::<Vec<_>>() {
             found.insert(piece.first, self.count_rows(&piece, &source()?, monitor)?);
@@ -407,24 +408,24 @@ impl Cloud for Rows {
     }
 }
 
-/// The lines of a text, behind its byte order mark.
+/// Opens the lines of a text, after its byte order mark.
 fn begin<'a>(opening: &Opening<'a, '_>) -> Result<(Lines<'a>, Packing)> {
     let packing = Packing::of(opening.source)?;
     Ok((Lines::open(opening.source, opening.bytes, packing, Some(opening.monitor))?, packing))
 }
 
-/// XYZ, CSV and other text in rows.
+/// Opens XYZ, CSV and other text in rows.
 pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let custom = if is_xyzrgb(opening.source.path()) { Custom::XyzRgb } else { Custom::Xyz };
     open_table(opening, custom)
 }
 
-/// PTS: the number of points, then so many rows; maybe again.
+/// Opens PTS: the number of points, then that many rows; possibly repeated.
 pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     open_table(opening, Custom::Pts)
 }
 
-/// Whether the name says that red, green and blue follow the coordinates.
+/// Returns whether the name indicates that red, green and blue follow the coordinates.
 fn is_xyzrgb(path: &Path) -> bool {
     unpacked_name(path).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xyzrgb"))
 }
@@ -433,22 +434,22 @@ fn parse_whole(text: &[u8]) -> Option<u64> {
     std::str::from_utf8(text.trim_ascii()).ok()?.parse().ok()
 }
 
-/// The whole number that is the only word of a row.
+/// Returns the whole number that is the only word of a row.
 fn whole_word(row: &[u8]) -> Option<u64> {
     if is_word(row) { parse_whole(row) } else { None }
 }
 
-/// What stands before the rows of a table, and the first of them.
+/// Lines before the rows of a table, and the first rows.
 #[derive(Default)]
 struct Start {
     comments: Vec<Vec<u8>>,
-    /// The line that names columns, and its number.
+    /// Line that names the columns, and its number.
     header: Option<(Vec<u8>, u64)>,
     count: Option<u64>,
-    /// Place of the first row, and the number of its line.
+    /// Offset of the first row, and its line number.
     first: Option<(u64, u64)>,
     rows: Vec<Vec<u8>>,
-    /// Whether these are all.
+    /// True if these are all rows.
     is_whole: bool,
 }
 
@@ -461,7 +462,7 @@ impl Start {
                 break;
             };
             let Some(line) = line else {
-                // Behind the first row it is a bad row as any other.
+                // After the first row, it is a bad row like any other.
                 if start.first.is_none() {
                     return Err(lines.error(Fault::too_long().reason));
                 }
@@ -504,7 +505,7 @@ impl Start {
     }
 }
 
-/// A table, whose rows may be preceded by their number and by names of columns.
+/// Opens a table, whose rows may follow their count and the names of the columns.
 fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     let (mut lines, packing) = begin(opening)?;
     let Start { comments, header, count, first, rows, is_whole } = Start::read(&mut lines, custom)?;
@@ -520,7 +521,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
         let layout = RowLayout::new(Places::of([0, 1, 2]), Separator::Blanks, false);
         return Ok(Opened::new(Rows::empty(format, packing, layout, Channels::new(None, None))));
     };
-    // What a user names is a table of any kind.
+    // A user names columns of tables; a PTS has a layout of its own.
     let columns = opening.columns.filter(|_| custom != Custom::Pts);
     let beginning =
         Beginning { comments: &comments, header: header.as_ref().map(|(header, _)| &header[..]), rows: &rows };
@@ -541,7 +542,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
     let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
     let guess = if is_whole { rows.len() as u64 } else { opening.bytes / mean.max(1) };
-    // Of packed text and of several clouds, the first line or the guess may be far off.
+    // In compressed text and with several clouds, the first line or the guess may be far off.
     let near = count.filter(|count| (guess / 2..=guess.saturating_mul(2)).contains(count));
     let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess).max(1)) };
     let text = text_layout(&layout, &places, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
@@ -566,7 +567,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     Ok(opened)
 }
 
-/// What people are shown of a layout: its columns and the first points.
+/// Returns the description of a layout for people: its columns and the first points.
 fn text_layout(
     layout: &RowLayout,
     places: &Places,
@@ -604,16 +605,16 @@ fn check_clouds(clouds: usize, opening: &Opening<'_, '_>) -> Result<()> {
     Ok(())
 }
 
-/// The header of a cloud of a PTX.
+/// Header of a cloud in a PTX.
 struct PtxHead {
     points: u64,
     pose: Pose,
     station: Option<[f64; 3]>,
-    /// Its numbers have decimal commas.
+    /// True if its numbers have decimal commas.
     decimal_comma: bool,
 }
 
-/// Columns and rows of the next cloud of a PTX; goes on to it, if what comes next is none and that is allowed.
+/// Reads the columns and rows of the next cloud in a PTX; if `may_seek`, skips lines until they come.
 fn ptx_size(lines: &mut Lines<'_>, may_seek: bool) -> Result<Option<[u64; 2]>> {
     let mut columns = None;
     while let Some(line) = lines.row()? {
@@ -653,7 +654,7 @@ fn ptx_head(lines: &mut Lines<'_>, [columns, rows]: [u64; 2]) -> Result<PtxHead>
     Ok(PtxHead { points: columns.saturating_mul(rows), pose, station, decimal_comma })
 }
 
-/// PTX: clouds with a header of ten lines each.
+/// Opens PTX: clouds with a header of ten lines each.
 pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let (mut lines, packing) = begin(opening)?;
     let (mut segments, mut stated, mut sample, mut decimal_comma) = (Vec::new(), 0u64, Vec::new(), false);
@@ -709,7 +710,7 @@ pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         let decimal_comma = decided.layout.decimal_comma() || decimal_comma && !has_points;
         layout = RowLayout::new(decided.places, decided.layout.separator(), decimal_comma);
     }
-    // Intensity alone, or colours too; clouds may differ in that.
+    // Intensity alone or with colours; clouds may differ in that.
     let cells = |row: Option<Vec<u8>>| {
         let cells = row.and_then(|row| layout.separator().cells(&row).ok().map(|cells| cells.len()));
         cells.filter(|cells| [4, 7].contains(cells))
@@ -732,8 +733,8 @@ pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     Ok(opened)
 }
 
-/// Where the scanner of a PTX stood: its position, which is where the matrix moves the origin to. Programs that write only one of
-/// the two leave the other 0; `None` where both are there and differ.
+/// Returns the scanner position of a PTX cloud: the stated position, which should be where the matrix moves the origin.
+/// Programs that write only one of the two leave the other 0; `None` if both are present and differ.
 fn station(position: &[f64], pose: &Pose) -> Option<[f64; 3]> {
     let stated: [f64; 3] = std::array::from_fn(|axis| position[axis]);
     let moved = pose.apply([0.0; 3]);
@@ -743,18 +744,18 @@ fn station(position: &[f64], pose: &Pose) -> Option<[f64; 3]> {
     }
     match (stated == [0.0; 3], moved == [0.0; 3]) {
         (true, _) => Some(moved),
-        // Points in common coordinates already.
+        // The points are in common coordinates already.
         (_, true) => Some(stated).filter(|_| *pose == Pose::IDENTITY),
         _ => (0..3).all(|axis| near(stated[axis], moved[axis])).then_some(moved),
     }
 }
 
-/// The numbers of the next row, at least `least` of them, and whether they have decimal commas.
+/// Parses the numbers of the next row, at least `least` of them; also returns whether they have decimal commas.
 fn numbers(lines: &mut Lines<'_>, least: usize) -> Result<(Vec<f64>, bool)> {
     let line = lines.row()?.unwrap_or_default();
     let text = String::from_utf8_lossy(&line);
     let words: Vec<&str> = text.split_ascii_whitespace().collect();
-    // As many words with a comma each as numbers are expected: these are decimal.
+    // As many words as numbers expected, some with a comma inside: these are decimal commas.
     let has_comma = |word: &&str| word.contains(',');
     let is_decimal = words.len() == least
         && words.iter().any(has_comma)

@@ -1,36 +1,36 @@
-//! What reading a piece of rows finds out that only all pieces together tell: whether there are as many rows as a line before them
-//! states, and which rows were left out.
+//! Checks of a table that need all of its pieces: whether there are as many rows as the line before them states, and
+//! which rows were left out.
 
 use crate::Result;
 use crate::input::losses::Findings;
 
-/// The number of points in the first line of a table.
+/// Number of points in the first line of a table.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Count {
-    /// None if the rows begin without one.
+    /// `None` if the rows begin without a count.
     pub stated: Option<u64>,
-    /// Whether more clouds may follow, each behind its number of points.
+    /// True if more clouds may follow, each after a count of its own.
     pub may_repeat: bool,
 }
 
-/// What was found in a piece. Its size does not depend on that of the piece.
+/// Counts collected in one piece; their size does not depend on that of the piece.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Tally {
-    /// Rows before the first number of points in the piece.
+    /// Rows before the first count in the piece.
     before: u64,
-    /// Such numbers, the last of them, and rows behind that.
+    /// Number of counts; `last`: the last count; `behind`: rows after it.
     counts: u64,
     last: u64,
     behind: u64,
-    /// Clouds that begin and end within the piece with fewer rows than stated, and with more: the first of each.
+    /// First cloud within the piece with fewer rows than stated; `more`: the first with more.
     fewer: Option<Uneven>,
     more: Option<Uneven>,
-    /// Rows that were left out; place of the first, and what is wrong with it.
+    /// Number of rows left out; `first`: offset and fault of the first.
     faults: u64,
     first: Option<(u64, String)>,
 }
 
-/// A cloud with other rows than stated: its number among those of the piece.
+/// A cloud whose number of rows differs from the stated one, with its index among the clouds of the piece.
 #[derive(Debug, Clone, Copy)]
 struct Uneven {
     cloud: u64,
@@ -54,7 +54,7 @@ impl Tally {
         *(if self.counts == 0 { &mut self.before } else { &mut self.behind }) += 1;
     }
 
-    /// A number of points stands between rows.
+    /// Adds a count found between rows.
     pub fn add_count(&mut self, stated: u64) {
         if self.counts > 0 {
             self.end_cloud();
@@ -76,7 +76,7 @@ impl Tally {
         self.first.get_or_insert((at, reason));
     }
 
-    /// Adds what the piece behind holds.
+    /// Appends the tally of the next piece.
     fn join(&mut self, next: &Self) {
         if next.counts == 0 {
             *(if self.counts == 0 { &mut self.before } else { &mut self.behind }) += next.before;
@@ -97,14 +97,14 @@ impl Tally {
     }
 }
 
-/// Compares the rows of all pieces, in order, with their numbers in the text.
+/// Compares the rows of all pieces, in order, with the counts in the text.
 pub(super) fn check_count<'a>(
     count: Count,
     pieces: impl Iterator<Item = &'a Tally>,
     findings: &mut Findings<'_>,
 ) -> Result<()> {
     let mut all = Tally::default();
-    // What begins without a number is a cloud, too.
+    // Rows without a count before them are a cloud, too.
     all.add_count(count.stated.unwrap_or(0));
     pieces.for_each(|piece| all.join(piece));
     all.end_cloud();
@@ -119,7 +119,7 @@ pub(super) fn check_count<'a>(
     }
 }
 
-/// Rows that were left out of all pieces; place and fault of the first.
+/// Returns the number of rows left out of all pieces, with the offset and fault of the first.
 pub(super) fn faults<'a>(pieces: impl Iterator<Item = &'a Tally>) -> (u64, Option<(u64, String)>) {
     let (mut count, mut first) = (0, None);
     for piece in pieces {
@@ -134,7 +134,7 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// A piece: rows, and numbers of points where they are given.
+    /// Creates a piece from rows, each part with a count before it if given.
     fn piece(parts: &[(Option<u64>, u64)]) -> Tally {
         let mut tally = Tally::default();
         for &(count, rows) in parts {
