@@ -4,8 +4,8 @@
 //! or part changes it. Values of the input become 16-bit sRGB by one [`ColourScale`] for the whole input: RGB unchanged
 //! (8 or 16 bits), intensity stretched between two of its quantiles, classes by a palette.
 //!
-//! Differences are CIE 1976 ΔE*ab under D65. Everything is computed in integers, or in `f32` and `f64` with only `+ − ×
-//! ÷` and square roots, which IEEE 754 rounds alike everywhere. Other roots come from Newton's iteration, so that the
+//! Differences are CIE 1976 ΔE*ab under D65. Everything is computed in integers, or in `f32` and `f64` with only
+//! `+ − × ÷` and square roots, which IEEE 754 rounds alike everywhere. Other roots come from Newton's iteration, so that the
 //! same points give the same bytes on every platform. Sources: IEC 61966-2-1 (sRGB), CIE 15:2004 (CIELAB).
 
 use std::sync::OnceLock;
@@ -337,7 +337,7 @@ mod tests {
                 (0..3).for_each(|channel| sum.sum[channel] += u64::from(value[channel]));
             }
             let mean = sum.mean(255).unwrap();
-            // The same mean from wider sums.
+            // Wider sums give the same mean.
             let far = 1 << 40;
             let wide = ColourSum { n: sum.n * far, sum: sum.sum.map(|sum| sum * far) };
             prop_assert_eq!(wide.mean(255).unwrap(), mean);

@@ -32,7 +32,7 @@ pub enum Error {
         path: PathBuf,
         /// Position in the file: "header, byte 96", "point 1064", "LAZ chunk 3".
         at: String,
-        /// What was expected and found, and what to do.
+        /// Expected and found values, and what to do.
         reason: String,
         /// Parameter that would help if changed.
         way_out: Option<Parameter>,
@@ -71,7 +71,7 @@ pub enum Error {
         what: String,
         /// Version of this crate.
         version: &'static str,
-        /// What the user can do.
+        /// Advice for the user.
         way_out: String,
     },
     /// A parameter has an invalid value.

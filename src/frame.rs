@@ -1,8 +1,8 @@
 //! Integer grid: the only place where world coordinates are rounded.
 //!
 //! The grid is anchored at the coordinate origin of the scan, never at the corner of its data, so that the same place
-//! always falls into the same voxel, whatever else is scanned around it. Pixels are half open: pixel `i` holds `i ≤
-//! x·(1/t) < i + 1`. Heights are counted in quanta of `σ/255`; slice `s` holds the quanta `255·s .. 255·(s+1)`.
+//! always falls into the same voxel, whatever else is scanned around it. Pixels are half open: pixel `i` holds
+//! `i ≤ x·(1/t) < i + 1`. Heights are counted in quanta of `σ/255`; slice `s` holds the quanta `255·s .. 255·(s+1)`.
 //!
 //! Every function from world to grid is one correctly rounded multiplication and one rounding to an integer, and
 //! therefore monotone: `a ≤ b` in the world implies `pixel_of(a) ≤ pixel_of(b)`. Guarantee G1 (no missed point) depends

@@ -224,7 +224,7 @@ impl Layers {
     }
 }
 
-/// Bottoms or tops in a tile, for the fit of a plane: pixel and height (quanta).
+/// Bottoms or tops in a tile, to which a plane is fitted: pixel and height (quanta).
 type Heights = Vec<[f64; 3]>;
 
 /// Counter of the needs of a page's tiles; reuses its scratch memory.

@@ -45,7 +45,7 @@ impl<S> SlowSource<S> {
         Self { source, latency, reads: AtomicU64::new(0), bytes: AtomicU64::new(0) }
     }
 
-    /// Returns the number of reads so far, and of the bytes they asked for.
+    /// Returns the number of reads, and of the bytes they requested.
     pub fn counts(&self) -> (u64, u64) {
         (self.reads.load(Relaxed), self.bytes.load(Relaxed))
     }

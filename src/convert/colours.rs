@@ -119,7 +119,7 @@ impl Found {
     }
 }
 
-/// Looks for values of `source` in the points and triangles of the input; `None` if there are none.
+/// Looks for values of `source` in the points and triangles of the input; returns `None` if it has no such values.
 fn look(
     Inputs { scans, meshes, .. }: &mut Inputs,
     source: ColourSource,

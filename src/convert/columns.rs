@@ -275,7 +275,7 @@ impl<'a> Patches<'a> {
         }
     }
 
-    /// Returns the points of a column removed so far, sorted.
+    /// Returns the removed points of a column, sorted.
     fn removed_of(&self, key: ColumnKey) -> Vec<Record> {
         let own = self.removed.iter().rev().take_while(|removed| removed.0 == key);
         let mut own: Vec<Record> = own.map(|removed| removed.1).collect();

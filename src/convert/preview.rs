@@ -44,7 +44,7 @@ pub struct PreviewInput {
     pub bytes: u64,
     /// Stated number of points; `None` for a mesh.
     pub points: Option<u64>,
-    /// Interpretation of the columns, for a scan in text.
+    /// Interpretation of the columns; text scans only.
     pub text: Option<TextLayout>,
 }
 

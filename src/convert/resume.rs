@@ -535,7 +535,7 @@ mod tests {
     use crate::input::InputOptions;
     use scangen::{WriteSpec, write_las};
 
-    /// A piece of a file's only chunk, with no bytes read.
+    /// Encodes one piece of a file's only chunk, with no bytes read.
     fn piece(from: u64, end: u64, result: Option<&[u8]>) -> Vec<u8> {
         let mut out = Vec::new();
         [0, from, end - from, 24].into_iter().for_each(|number| put_varint(&mut out, number));

@@ -89,7 +89,7 @@ enum Named {
     ByTime(Vec<(f64, Place)>),
 }
 
-/// Stations found so far, with their numbers.
+/// Known stations, with their numbers.
 #[derive(Debug, Default)]
 struct Known {
     stations: Vec<Station>,

@@ -3,7 +3,7 @@
 use crate::bytes::spawn_in;
 use crate::{Error, Result};
 
-/// Runs `work` on `threads` threads and returns the results, or the most telling error. If the system starts fewer
+/// Runs `work` on `threads` threads and returns the results, or the most informative error. If the system starts fewer
 /// threads, these find all the work; if it starts none, the calling thread does it.
 pub(super) fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
     let results: Vec<Result<T>> = std::thread::scope(|scope| {

@@ -132,7 +132,7 @@ impl PointWriter {
         Ok(())
     }
 
-    /// Returns the number of points added so far, including those left out.
+    /// Returns the number of points added, including those left out.
     pub fn points(&self) -> u64 {
         self.read.own.kept + self.read.own.left_out.read
     }

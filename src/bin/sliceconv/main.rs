@@ -114,7 +114,7 @@ struct Arguments {
     /// the archive marks inferred floor. Takes one more pass, and temporary data of about the archive's size
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     fill_holes: Option<f64>,
-    /// Axis of the input that points up (glTF files state theirs)
+    /// Axis of the input that points up (glTF files state it)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
     /// Unit of the input: `auto` takes it from the CRS; else metres, feet, US survey feet, or metres per unit

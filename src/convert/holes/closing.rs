@@ -186,7 +186,7 @@ pub(in crate::convert) struct Closer {
     floor: Bits,
     /// Floors in window order: number of the quarter climb that holds the top, pixel.
     floors: Vec<(i64, u16)>,
-    /// Top of each pixel's highest fill so far.
+    /// Top of each pixel's highest fill.
     highest: Vec<Option<i64>>,
     scratch: [Bits; 3],
 }

@@ -1,4 +1,4 @@
-//! The same floaters are found in memory and on disk, in columns that fit and in columns cut into areas.
+//! Floaters found in memory equal those found on disk, in columns that fit and in columns cut into areas.
 
 use super::*;
 
