@@ -1,16 +1,16 @@
-//! Colours of voxels: where they come from, exact sums, sRGB and CIELAB.
+//! Colours of voxels: their sources, exact sums, sRGB and CIELAB.
 //!
-//! A colour is the mean of the values of a voxel's points, by exact integer sums, so that no order, thread or part changes it.
-//! Values of the input become 16-bit sRGB by one [`ColourScale`] for the whole input: RGB as it stands (8 or 16 bits), intensity
-//! stretched between two of its quantiles, classes by a palette.
+//! A colour is the mean of the values of a voxel's points, computed from exact integer sums, so that no order, thread
+//! or part changes it. Values of the input become 16-bit sRGB by one [`ColourScale`] for the whole input: RGB unchanged
+//! (8 or 16 bits), intensity stretched between two of its quantiles, classes by a palette.
 //!
-//! Differences are CIE 1976 ΔE*ab under D65. All of it is integers, or `f32` and `f64` with `+ − × ÷` and square roots alone,
-//! which IEEE 754 rounds alike everywhere: roots come from Newton's iteration, so that the same points give the same bytes on every
-//! platform. Sources: IEC 61966-2-1 (sRGB), CIE 15:2004 (CIELAB).
+//! Differences are CIE 1976 ΔE*ab under D65. Everything is computed in integers, or in `f32` and `f64` with only
+//! `+ − × ÷` and square roots, which IEEE 754 rounds alike everywhere. Other roots come from Newton's iteration, so that the
+//! same points give the same bytes on every platform. Sources: IEC 61966-2-1 (sRGB), CIE 15:2004 (CIELAB).
 
 use std::sync::OnceLock;
 
-/// What a colour was made of. The numbers are those of the archive.
+/// Source of colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ColourSource {
@@ -26,7 +26,7 @@ impl ColourSource {
     /// All sources, in the order of their codes in the archive, which begin with 1.
     pub const ALL: [Self; 3] = [Self::Rgb, Self::Intensity, Self::Class];
 
-    /// Name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rgb => "rgb",
@@ -36,28 +36,29 @@ impl ColourSource {
     }
 }
 
-/// How values of points become colours, the same for a whole input.
+/// Mapping from values of points to colours, the same for a whole input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourScale {
-    /// What the values are.
+    /// Source of the values.
     pub source: ColourSource,
-    /// Value that becomes black, and all below it.
+    /// Value that becomes black, as do all smaller ones.
     pub low: u16,
-    /// Value that becomes white, and all above it; more than `low`.
+    /// Value that becomes white, as do all greater ones; more than `low`.
     pub high: u16,
 }
 
 impl ColourScale {
-    /// Classes by the palette.
+    /// Scale of classes, which use the palette.
     pub const CLASS: Self = Self { source: ColourSource::Class, low: 0, high: u8::MAX as u16 };
 
-    /// RGB of which `greatest` is the greatest value: 8 bits if that fits, else 16.
+    /// Returns the scale of RGB whose greatest value is `greatest`: 8 bits if that fits, else 16.
     pub fn of_rgb(greatest: u16) -> Self {
         let high = if greatest <= u16::from(u8::MAX) { u16::from(u8::MAX) } else { u16::MAX };
         Self { source: ColourSource::Rgb, low: 0, high }
     }
 
-    /// Intensities between the hundredth of the points with the least and the hundredth with the greatest ones.
+    /// Returns the scale of intensities, given the number of points of each: the lowest and the highest hundredth of
+    /// the points become black and white.
     pub fn of_intensity(counts: &[u64]) -> Self {
         let all: u64 = counts.iter().sum();
         let rank = all / 100;
@@ -73,12 +74,12 @@ impl ColourScale {
             passed > rank
         };
         let high = counts.iter().rposition(|&count| is_quantile(count)).unwrap_or(0) as u16;
-        // Of one value alone, everything is white.
+        // If all points have the same value, they become white.
         let low = if high > low { low } else { high.saturating_sub(1) };
         Self { source: ColourSource::Intensity, low, high: high.max(1) }
     }
 
-    /// The value of a point as 16-bit grey.
+    /// Returns the value of a point as 16-bit grey.
     #[inline]
     pub fn stretch(&self, value: u16) -> u16 {
         let (low, width) = (u32::from(self.low), u32::from(self.high.max(self.low + 1) - self.low));
@@ -87,16 +88,16 @@ impl ColourScale {
     }
 }
 
-/// What the head of an archive says of its colours.
+/// Colour settings in the head of an archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourPlan {
-    /// How they were made.
+    /// Scale that made the colours.
     pub scale: ColourScale,
-    /// Greatest mean difference from the exact colours in a page (thousandths of ΔE*ab); 0: exact to 8 bits.
+    /// Greatest mean difference from the exact colours in a page (thousandths of ΔE*ab); 0 is exact to 8 bits.
     pub error_milli: u16,
 }
 
-/// Palette of LAS classes (ASPRS LAS 1.4, table 17), in the colours that viewers commonly give them.
+/// Palette of LAS classes (ASPRS LAS 1.4, table 17), in the colours that viewers commonly use.
 const PALETTE: [[u8; 3]; 19] = [
     [170, 170, 170], // never classified
     [170, 170, 170], // unclassified
@@ -119,10 +120,10 @@ const PALETTE: [[u8; 3]; 19] = [
     [255, 0, 120],   // high noise
 ];
 
-/// Colour of a LAS class (sRGB).
+/// Returns the colour of a LAS class (sRGB).
 pub fn class_colour(class: u8) -> [u8; 3] {
     PALETTE.get(usize::from(class)).copied().unwrap_or_else(|| {
-        // Classes without a meaning of their own: apart from each other, and the same everywhere.
+        // Classes without a standard meaning get different colours, the same everywhere.
         let hash = u32::from(class).wrapping_mul(0x9E37_79B1);
         [24, 16, 8].map(|shift| 64 + ((hash >> shift) as u8 & 0x7F))
     })
@@ -131,21 +132,21 @@ pub fn class_colour(class: u8) -> [u8; 3] {
 /// Exact sums of the colours of a voxel's points.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ColourSum {
-    /// Points.
+    /// Number of points.
     pub n: u64,
     /// Sums of red, green and blue.
     pub sum: [u64; 3],
 }
 
 impl ColourSum {
-    /// Mean of values up to `high` as 16-bit sRGB, rounded to the nearest; `None` without points.
+    /// Returns the mean of values up to `high` as 16-bit sRGB, rounded to nearest; `None` without points.
     #[inline]
     pub fn mean(&self, high: u16) -> Option<[u16; 3]> {
         let [r, g, b] = self.sum;
         let greatest = r.max(g).max(b);
         match (self.n, high) {
             (0, _) | (_, 0) => None,
-            // 8 or 16 bits of one point, as in most voxels of sparse scans: nothing is rounded.
+            // One point with 8 or 16 bits, as in most voxels of sparse scans, needs no rounding.
             (1, 0xFF | 0xFFFF) if greatest <= u64::from(high) => Some(self.sum.map(|sum| sum as u16 * (0xFFFF / high))),
             (n, _) if n < 1 << 30 && greatest < 1 << 46 => {
                 let whole = n * u64::from(high);
@@ -160,32 +161,32 @@ impl ColourSum {
     }
 }
 
-/// The nearest 8-bit value of a 16-bit one.
+/// Returns the nearest 8-bit value of a 16-bit one.
 #[inline]
 pub fn to_8_bits(value: u16) -> u8 {
     ((u32::from(value) + 128) / 257) as u8
 }
 
-/// A colour in CIELAB.
+/// Colour in CIELAB.
 pub type Lab = [f32; 3];
 
-/// ΔE*ab.
+/// Returns ΔE*ab.
 #[inline]
 pub fn difference(a: Lab, b: Lab) -> f32 {
     let [l, m, n] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     (l * l + m * m + n * n).sqrt()
 }
 
-/// CIELAB of sRGB colours, by tables.
+/// Table for the conversion of sRGB colours to CIELAB.
 #[derive(Debug)]
 pub struct LabTable {
     /// Linear light of each 8-bit value.
     linear: [f32; 257],
-    /// The function `f` of CIELAB over 0..=1, at steps of 1/4096.
+    /// The function `f` of CIELAB over 0..=1, in steps of 1/4096.
     f: Box<[f32; LabTable::LEN]>,
 }
 
-/// Root of degree `n` of a positive number, by Newton's iteration from above.
+/// Returns the root of degree `n` of a positive number, by Newton's iteration from above.
 fn root(value: f64, n: i32) -> f64 {
     if value <= 0.0 {
         return 0.0;
@@ -194,7 +195,7 @@ fn root(value: f64, n: i32) -> f64 {
     let mut y = value.max(1.0);
     loop {
         let next = y - (power(y, n) - value) / (f64::from(n) * power(y, n - 1));
-        // From above each step goes down, until rounding stops it.
+        // From above, each step decreases until rounding stops it.
         if next >= y {
             return y;
         }
@@ -204,10 +205,10 @@ fn root(value: f64, n: i32) -> f64 {
 
 impl LabTable {
     const STEPS: usize = 4096;
-    /// A power of two that is more than the steps, so that no place in the table needs a check.
+    /// A power of two greater than the number of steps, so that indices into the table need no check.
     const LEN: usize = 2 * Self::STEPS;
 
-    /// The table. Cost: 33 KiB, made once.
+    /// Returns the table. Cost: 33 KiB, made once.
     pub fn get() -> &'static Self {
         static TABLE: OnceLock<LabTable> = OnceLock::new();
         TABLE.get_or_init(|| {
@@ -217,11 +218,11 @@ impl LabTable {
                     return (u / 12.92) as f32;
                 }
                 let x = (u + 0.055) / 1.055;
-                // The power 12/5.
+                // To the power of 12/5.
                 (x * x * root(x * x, 5)) as f32
             };
             let f = |step: usize| {
-                // One entry more than steps, so that interpolation never looks beyond.
+                // One more entry than steps, so that interpolation stays within the table.
                 if step > Self::STEPS + 1 {
                     return 0.0;
                 }
@@ -237,7 +238,7 @@ impl LabTable {
     #[inline]
     fn f(&self, t: f32) -> f32 {
         let at = t.clamp(0.0, 1.0) * Self::STEPS as f32;
-        // From 0 to the steps: the smaller type converts faster.
+        // Between 0 and the number of steps, so `i32` suffices; it converts faster.
         let step = at as i32;
         let (low, high) = (self.f[step as usize & (Self::LEN - 1)], self.f[(step as usize + 1) & (Self::LEN - 1)]);
         low + (high - low) * (at - step as f32)
@@ -245,20 +246,20 @@ impl LabTable {
 
     #[inline]
     fn of_linear(&self, [r, g, b]: [f32; 3]) -> Lab {
-        // Rows of the matrix of sRGB, each divided by the white point of D65.
+        // Rows of the sRGB matrix, each divided by the white point of D65.
         let x = self.f(r * 0.433_953 + g * 0.376_219 + b * 0.189_828);
         let y = self.f(r * 0.212_671 + g * 0.715_160 + b * 0.072_169);
         let z = self.f(r * 0.017_758 + g * 0.109_477 + b * 0.872_766);
         [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
     }
 
-    /// Of an 8-bit colour.
+    /// Converts an 8-bit colour.
     #[inline]
     pub fn of_8_bits(&self, rgb: [u8; 3]) -> Lab {
         self.of_linear(rgb.map(|value| self.linear[usize::from(value)]))
     }
 
-    /// Of a 16-bit colour.
+    /// Converts a 16-bit colour.
     #[inline]
     pub fn of_16_bits(&self, rgb: [u16; 3]) -> Lab {
         self.of_linear(rgb.map(|value| {
@@ -269,7 +270,7 @@ impl LabTable {
     }
 }
 
-/// The 8-bit sRGB value of linear light (0..=1), the nearest in light.
+/// Returns the 8-bit sRGB value nearest to linear light (0..=1), measured in light.
 pub fn from_linear(light: f32) -> u8 {
     let linear = &LabTable::get().linear[..256];
     let above = linear.partition_point(|&value| value < light).min(255);
@@ -277,7 +278,7 @@ pub fn from_linear(light: f32) -> u8 {
     if light - linear[below] < linear[above] - light { below as u8 } else { above as u8 }
 }
 
-/// The product of two sRGB colours in linear light.
+/// Returns the product of two sRGB colours in linear light.
 pub fn multiplied(a: [u8; 3], b: [u8; 3]) -> [u8; 3] {
     let linear = |value: u8| LabTable::get().linear[usize::from(value)];
     [0, 1, 2].map(|channel| from_linear(linear(a[channel]) * linear(b[channel])))
@@ -298,7 +299,7 @@ mod tests {
         assert_eq!(multiplied([255, 128, 0], [188; 3]), [188, 93, 0]);
     }
 
-    /// By the formulas, with the functions of the system.
+    /// Reference: the formulas, with the functions of the system.
     fn by_definition(rgb: [f64; 3]) -> [f64; 3] {
         let linear = |u: f64| if u <= 0.04045 { u / 12.92 } else { ((u + 0.055) / 1.055).powf(2.4) };
         let [r, g, b] = rgb.map(linear);
@@ -336,7 +337,7 @@ mod tests {
                 (0..3).for_each(|channel| sum.sum[channel] += u64::from(value[channel]));
             }
             let mean = sum.mean(255).unwrap();
-            // The same by numbers of any width.
+            // Wider sums give the same mean.
             let far = 1 << 40;
             let wide = ColourSum { n: sum.n * far, sum: sum.sum.map(|sum| sum * far) };
             prop_assert_eq!(wide.mean(255).unwrap(), mean);

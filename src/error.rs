@@ -1,4 +1,5 @@
-//! Errors: one enum; every text says what, where, expected and found, and the way out where there is one.
+//! Errors: one enum. Every message says what is wrong and where, what was expected and found, and what to do if
+//! anything helps.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -6,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// Result of every fallible operation of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong. New variants may be added.
+/// Error of this crate. New variants may be added.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -16,11 +17,11 @@ pub enum Error {
     Io {
         /// File or folder acted on.
         path: PathBuf,
-        /// What was tried, as a verb phrase: "open", "read 512 bytes at 4096".
+        /// Attempted action, as a verb phrase: "open", "read 512 bytes at 4096".
         action: String,
-        /// The operating system's own reason.
+        /// Reason given by the operating system.
         source: io::Error,
-        /// What would help, if set otherwise.
+        /// Parameter that would help if changed.
         way_out: Option<Parameter>,
     },
     /// An input file (scan or mesh) cannot be used.
@@ -29,11 +30,11 @@ pub enum Error {
     Input {
         /// The file.
         path: PathBuf,
-        /// Where in it: "header, byte 96", "point 1064", "LAZ chunk 3".
+        /// Position in the file: "header, byte 96", "point 1064", "LAZ chunk 3".
         at: String,
-        /// What was expected and found, and the way out.
+        /// Expected and found values, and what to do.
         reason: String,
-        /// What would help, if set otherwise.
+        /// Parameter that would help if changed.
         way_out: Option<Parameter>,
     },
     /// An archive breaks a rule of `spec/slice-archive.md`.
@@ -45,55 +46,55 @@ pub enum Error {
         part: String,
         /// Byte offset of the part in the archive.
         offset: u64,
-        /// What the rule asks for.
+        /// Requirement of the rule.
         expected: String,
-        /// What the bytes say.
+        /// Content of the bytes.
         found: String,
     },
     /// A value lies beyond a stated limit.
     #[error("{what}: {value} is beyond the limit of {max}{advice}", advice = advice(way_out))]
     #[non_exhaustive]
     Limit {
-        /// The limited thing, with the way out.
+        /// Limited quantity, with what to do.
         what: String,
         /// Value found.
         value: String,
         /// Greatest (or least) value allowed.
         max: String,
-        /// What would help, if set otherwise.
+        /// Parameter that would help if changed.
         way_out: Option<Parameter>,
     },
-    /// A valid file uses something that this version does not read.
+    /// A valid file uses a feature that this version does not read.
     #[error("{what}: not supported by this version ({version}); {way_out}")]
     Unsupported {
-        /// What the file asks for.
+        /// Feature that the file uses.
         what: String,
         /// Version of this crate.
         version: &'static str,
-        /// What the user can do.
+        /// Advice for the user.
         way_out: String,
     },
-    /// A parameter makes no sense.
+    /// A parameter has an invalid value.
     #[error("{what}: {reason}")]
     Parameter {
         /// The parameter.
         what: Parameter,
-        /// Why it is refused and what is allowed.
+        /// Reason for the refusal, and allowed values.
         reason: String,
     },
-    /// A file must not be written under this name; what is there stays.
+    /// A file must not be written under this name; the existing file stays.
     #[error("{path}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
     #[non_exhaustive]
     Output {
-        /// The name as it was given.
+        /// Name as given by the user.
         path: PathBuf,
-        /// Why not, and the way out.
+        /// Reason for the refusal, and what to do.
         reason: String,
-        /// What would help, if set otherwise.
+        /// Parameter that would help if changed.
         way_out: Option<Parameter>,
     },
-    /// A file is complete under its name, but its folder could not be synced: after a power failure the folder may be as
-    /// it was before.
+    /// A file is complete under its name, but its folder could not be synced: a power failure may restore the previous
+    /// state of the folder.
     #[error(
         "{path}: complete under this name, but its folder could not be synced: {source}; a power failure may undo that",
         path = path.display()
@@ -101,83 +102,83 @@ pub enum Error {
     NotDurable {
         /// The complete file.
         path: PathBuf,
-        /// The operating system's own reason.
+        /// Reason given by the operating system.
         source: io::Error,
     },
     /// The user or the calling program asked to stop; nothing was published.
     #[error("interrupted: nothing was written")]
     Interrupted,
-    /// A conversion failed and left temporary data from which another one can go on (`ConvertOptions::resume`).
+    /// A conversion failed and left temporary data from which another run can continue (`ConvertOptions::resume`).
     #[error(
         "{source}; resuming goes on from {points} points, {bytes} bytes of temporary data in {path}",
         path = path.display()
     )]
     Resumable {
-        /// Why it failed.
+        /// Reason of the failure.
         source: Box<Error>,
-        /// The temporary data.
+        /// Path of the temporary data.
         path: PathBuf,
-        /// Their length.
+        /// Length of the data (bytes).
         bytes: u64,
         /// Points of the input that need not be read again.
         points: u64,
     },
 }
 
-/// What an [`Error::Parameter`] is about, or what would help in another error ([`Error::way_out`]). A program that has an
-/// option of its own for it names that option instead ([`Error::told`]).
+/// Subject of an [`Error::Parameter`], or a parameter that would help in another error ([`Error::way_out`]). A program
+/// that has its own option for the parameter names that option instead ([`Error::told`]).
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Parameter {
-    /// The edge of a pixel.
+    /// Edge of a pixel.
     PixelSize,
-    /// The pixel size that was to follow from the input.
+    /// Pixel size that should have followed from the input.
     AutomaticPixelSize,
-    /// The height of a slice.
+    /// Height of a slice.
     SliceHeight,
-    /// The steepest slope that can be stood on.
+    /// Steepest slope that can be stood on.
     MaxSlope,
-    /// How far heights may be coarsened.
+    /// Tolerance to which heights may be coarsened.
     Tolerance,
-    /// The least number of points in a voxel.
+    /// Least number of points in a voxel.
     MinPoints,
-    /// The widest holes in floors that are closed.
+    /// Widest holes in floors that are closed.
     FillHoles,
-    /// What colours are made of.
+    /// Source of colours.
     Colour,
-    /// How far colours may differ.
+    /// Greatest difference of colours.
     ColourError,
-    /// The memory budget of a conversion.
+    /// Memory budget of a conversion.
     Memory,
-    /// The number of worker threads.
+    /// Number of worker threads.
     Threads,
-    /// The folder for temporary data.
+    /// Folder for temporary data.
     TempDir,
-    /// The memory budget of pages that are streamed.
+    /// Memory budget of streamed pages.
     Cache,
-    /// Whether input that can be read in part only is taken so.
+    /// Permission to convert the readable part of incomplete input.
     Incomplete,
-    /// Whether a file that is there may be replaced.
+    /// Permission to replace an existing file.
     Overwrite,
-    /// The unit of the input.
+    /// Unit of the input.
     Units,
-    /// Which columns of text hold the coordinates.
+    /// Columns of text that hold the coordinates.
     Columns,
-    /// Which part of a conversion is asked for.
+    /// Part of a conversion.
     Shard,
-    /// Whether a conversion goes on from what an earlier one left.
+    /// Resuming from the data of an earlier conversion.
     Resume,
-    /// Where scanners stood.
+    /// Positions of scanners.
     Stations,
     /// Names of scans and meshes.
     Input,
-    /// The plan of a conversion or of a recovery.
+    /// Plan of a conversion or of a recovery.
     Plan,
-    /// The region to cut out of an archive.
+    /// Region to cut out of an archive.
     Bounds,
-    /// A parameter of a pawn or of its walk, by name: its speed, its climb height.
+    /// Parameter of a pawn or of its walk, by name: its speed, its climb height.
     Pawn(&'static str),
-    /// Anything else, by name.
+    /// Any other parameter, by name.
     Other(String),
 }
 
@@ -214,7 +215,7 @@ impl std::fmt::Display for Parameter {
 }
 
 impl Parameter {
-    /// How a library's caller helps by it, as the end of a sentence.
+    /// Returns the advice for a caller of the library, as the end of a sentence.
     pub(crate) fn advice(&self) -> String {
         match self {
             Self::PixelSize => "give a larger pixel size, or the unit of the input".into(),
@@ -232,7 +233,7 @@ impl Parameter {
     }
 }
 
-/// How a message goes on that has this way out.
+/// Returns the end of a message with this way out.
 fn advice(way_out: &Option<Parameter>) -> String {
     way_out.as_ref().map_or_else(String::new, |parameter| format!("; {}", parameter.advice()))
 }
@@ -244,27 +245,27 @@ impl<T: Into<String>> From<T> for Parameter {
 }
 
 impl Error {
-    /// An [`Error::Io`] for `path`.
+    /// Makes an [`Error::Io`] for `path`.
     pub fn io(path: impl AsRef<Path>, action: impl Into<String>, source: io::Error) -> Self {
         Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source, way_out: None }
     }
 
-    /// An [`Error::Input`] for `path`.
+    /// Makes an [`Error::Input`] for `path`.
     pub fn input(path: impl AsRef<Path>, at: impl Into<String>, reason: impl Into<String>) -> Self {
         Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into(), way_out: None }
     }
 
-    /// An [`Error::Output`] for `path`.
+    /// Makes an [`Error::Output`] for `path`.
     pub fn output(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
         Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into(), way_out: None }
     }
 
-    /// An [`Error::Limit`].
+    /// Makes an [`Error::Limit`].
     pub fn limit(what: impl Into<String>, value: impl ToString, max: impl ToString) -> Self {
         Self::Limit { what: what.into(), value: value.to_string(), max: max.to_string(), way_out: None }
     }
 
-    /// The same, which another value of `parameter` would help. Errors without a place for that stay as they are.
+    /// Adds the parameter that would help if changed. Variants without a field for it stay unchanged.
     pub fn with_way_out(mut self, parameter: Parameter) -> Self {
         if let Self::Io { way_out, .. }
         | Self::Input { way_out, .. }
@@ -276,7 +277,7 @@ impl Error {
         self
     }
 
-    /// The parameter that would help, set otherwise.
+    /// Returns the parameter that would help if changed.
     pub fn way_out(&self) -> Option<&Parameter> {
         match self {
             Self::Io { way_out, .. }
@@ -287,7 +288,7 @@ impl Error {
         }
     }
 
-    /// The message with the way out as a program says it: `say` names its option, or gives `None` if it has none.
+    /// Returns the message with a program's own advice: `say` names its option, or returns `None` if it has none.
     pub fn told(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
         let text = self.to_string();
         let said = self.way_out().and_then(|parameter| Some((parameter, say(parameter)?)));
@@ -297,7 +298,7 @@ impl Error {
         }
     }
 
-    /// An [`Error::Format`]; `rule` is the id in the specification.
+    /// Makes an [`Error::Format`]; `rule` is the id in the specification.
     pub fn format(
         rule: &'static str,
         part: impl Into<String>,
@@ -308,7 +309,7 @@ impl Error {
         Self::Format { rule, part: part.into(), offset, expected: expected.to_string(), found: found.to_string() }
     }
 
-    /// An [`Error::Parameter`].
+    /// Makes an [`Error::Parameter`].
     pub fn parameter(what: impl Into<Parameter>, reason: impl Into<String>) -> Self {
         Self::Parameter { what: what.into(), reason: reason.into() }
     }

@@ -1,17 +1,17 @@
-//! The integer grid: the one place where world coordinates are rounded.
+//! Integer grid: the only place where world coordinates are rounded.
 //!
 //! The grid is anchored at the coordinate origin of the scan, never at the corner of its data, so that the same place
-//! always falls into the same voxel whatever else is scanned around it. Pixels are half open: pixel `i` holds
+//! always falls into the same voxel, whatever else is scanned around it. Pixels are half open: pixel `i` holds
 //! `i ≤ x·(1/t) < i + 1`. Heights are counted in quanta of `σ/255`; slice `s` holds the quanta `255·s .. 255·(s+1)`.
 //!
-//! Every function from world to grid is one correctly rounded multiplication and one rounding to an integer, hence
-//! monotone: `a ≤ b` in the world implies `pixel_of(a) ≤ pixel_of(b)`. Guarantee G1 (no missed point) rests on that
-//! alone and so holds at any coordinate, whatever the rounding error.
+//! Every function from world to grid is one correctly rounded multiplication and one rounding to an integer, and
+//! therefore monotone: `a ≤ b` in the world implies `pixel_of(a) ≤ pixel_of(b)`. Guarantee G1 (no missed point) depends
+//! only on that, so it holds at any coordinate, whatever the rounding error.
 
 use crate::text::number;
 use crate::{Error, Parameter, Result};
 
-/// Edge of a tile and of a page in pixels; one row of a tile is one `u64`.
+/// Edge of a tile and of a page (pixels); one row of a tile is one `u64`.
 pub const TILE_PIXELS: i64 = 64;
 /// Slices in one page.
 pub const PAGE_SLICES: i64 = 64;
@@ -19,13 +19,13 @@ pub const PAGE_SLICES: i64 = 64;
 pub const SLICE_QUANTA: i64 = 255;
 /// Height quanta in one page.
 pub const PAGE_QUANTA: i64 = PAGE_SLICES * SLICE_QUANTA;
-/// Greatest pixel or slice index in magnitude, so that tile and layer indices fit `i32`.
+/// Greatest magnitude of a pixel or slice index, so that tile and layer indices fit `i32`.
 pub const MAX_INDEX: i64 = (1 << 36) - 1;
 
 /// Greatest pixel size and slice height (m).
 pub const MAX_CELL_M: f64 = 1e6;
 
-/// Pixel size `t` and slice height `σ` of one archive, with the conversions between world and grid.
+/// Pixel size `t` and slice height `σ` of an archive, with the conversions between world and grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
     pixel_m: f64,
@@ -35,7 +35,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A grid of pixels of `pixel_m` [m, 1e-6..=1e6] and slices of `slice_m` [m, 1e-6..=1e6].
+    /// Creates a grid with pixels of `pixel_m` and slices of `slice_m` (m, each 1e-6..=1e6).
     pub fn new(pixel_m: f64, slice_m: f64) -> Result<Self> {
         for (what, value) in [(Parameter::PixelSize, pixel_m), (Parameter::SliceHeight, slice_m)] {
             if !(1e-6..=MAX_CELL_M).contains(&value) {
@@ -45,77 +45,80 @@ impl Frame {
         Ok(Self { pixel_m, slice_m, pixels_per_m: 1.0 / pixel_m, quanta_per_m: SLICE_QUANTA as f64 / slice_m })
     }
 
-    /// The grid of overview level `number`: pixels and slices 4 to that power as large. `None` beyond the limits.
+    /// Returns the grid of overview level `number`: pixels and slices are larger by 4 to that power. `None` beyond the
+    /// limits.
     ///
-    /// Every index of it is that of this grid, divided by that power and rounded down: the sizes differ by a power of two.
+    /// Each of its indices is that of this grid, divided by that power and rounded down, because the sizes differ by a
+    /// power of two.
     pub fn coarser(&self, number: u32) -> Option<Self> {
         let factor = 1u64.checked_shl(2 * number)? as f64;
         Self::new(self.pixel_m * factor, self.slice_m * factor).ok()
     }
 
-    /// Pixel size `t` (m).
+    /// Returns the pixel size `t` (m).
     pub fn pixel_m(&self) -> f64 {
         self.pixel_m
     }
 
-    /// Slice height `σ` (m).
+    /// Returns the slice height `σ` (m).
     pub fn slice_m(&self) -> f64 {
         self.slice_m
     }
 
-    /// Height quantum `σ/255` (m).
+    /// Returns the height quantum `σ/255` (m).
     pub fn quantum_m(&self) -> f64 {
         self.slice_m / SLICE_QUANTA as f64
     }
 
-    /// Fractional pixel coordinate of `x` (or `y`) (pixels).
+    /// Returns the fractional pixel coordinate of `x` (or `y`) (pixels).
     #[inline]
     pub fn pixels(&self, x: f64) -> f64 {
         x * self.pixels_per_m
     }
 
-    /// Fractional height of `z` (quanta).
+    /// Returns the fractional height of `z` (quanta).
     #[inline]
     pub fn quanta(&self, z: f64) -> f64 {
         z * self.quanta_per_m
     }
 
-    /// Index of the pixel that holds `x` (or `y`); saturates far outside [`MAX_INDEX`], 0 for NaN.
+    /// Returns the index of the pixel that holds `x` (or `y`); saturates far outside [`MAX_INDEX`], 0 for NaN.
     #[inline]
     pub fn pixel_of(&self, x: f64) -> i64 {
         floor_index(self.pixels(x))
     }
 
-    /// Greatest quantum at or below `z`.
+    /// Returns the greatest quantum at or below `z`.
     #[inline]
     pub fn quantum_floor(&self, z: f64) -> i64 {
         floor_index(self.quanta(z))
     }
 
-    /// Least quantum at or above `z`.
+    /// Returns the least quantum at or above `z`.
     #[inline]
     pub fn quantum_ceil(&self, z: f64) -> i64 {
         -floor_index(-self.quanta(z))
     }
 
-    /// Index of the slice that holds `z`.
+    /// Returns the index of the slice that holds `z`.
     #[inline]
     pub fn slice_of(&self, z: f64) -> i64 {
         self.quantum_floor(z).div_euclid(SLICE_QUANTA)
     }
 
-    /// World coordinate of the lower edge of pixel `i` (m), rounded to nearest.
+    /// Returns the world coordinate of the lower edge of pixel `i` (m), rounded to nearest.
     pub fn edge_of_pixel(&self, i: i64) -> f64 {
         i as f64 * self.pixel_m
     }
 
-    /// World height of the bottom of slice `s` (m), rounded to nearest.
+    /// Returns the world height of the bottom of slice `s` (m), rounded to nearest.
     pub fn bottom_of_slice(&self, s: i64) -> f64 {
         s as f64 * self.slice_m
     }
 
-    /// A top of `quantum` as a world height (m): not below any point whose [`quantum_ceil`](Self::quantum_ceil) is
-    /// `quantum`, and less than a few units in the last place above the exact value.
+    /// Returns the world height of a top at `quantum` (m): not below any point whose
+    /// [`quantum_ceil`](Self::quantum_ceil) is `quantum`, and less than a few units in the last place above the exact
+    /// value.
     pub fn top_height(&self, quantum: i64) -> f64 {
         let mut height = quantum as f64 / self.quanta_per_m;
         while self.quanta(height) > quantum as f64 {
@@ -127,14 +130,14 @@ impl Frame {
         height
     }
 
-    /// A bottom of `quantum` as a world height (m): not above any point whose
+    /// Returns the world height of a bottom at `quantum` (m): not above any point whose
     /// [`quantum_floor`](Self::quantum_floor) is `quantum`.
     pub fn bottom_height(&self, quantum: i64) -> f64 {
         -self.top_height(-quantum)
     }
 }
 
-/// Greatest integer at or below `v`; saturates at ±2⁵⁰, 0 for NaN.
+/// Returns the greatest integer at or below `v`; saturates at ±2⁵⁰, 0 for NaN.
 #[inline]
 pub(crate) fn floor_index(v: f64) -> i64 {
     const LIMIT: f64 = (1u64 << 50) as f64;
@@ -143,10 +146,11 @@ pub(crate) fn floor_index(v: f64) -> i64 {
     floor_small(if v > -LIMIT { v } else { -LIMIT })
 }
 
-/// Greatest integer at or below `v`, for magnitudes up to 2⁵⁰.
+/// Returns the greatest integer at or below `v`, for magnitudes up to 2⁵⁰.
 ///
-/// Without SSE 4.1 `f64::floor` is a call, and a checked conversion several branches; a query needs six. Adding 1.5 · 2⁵²
-/// rounds to the nearest integer and leaves that in the low bits (Hacker's Delight, section 17-2), and it vectorises.
+/// Without SSE 4.1, `f64::floor` is a call and a checked conversion takes several branches; a query needs six
+/// conversions. Adding 1.5 · 2⁵² rounds to the nearest integer and leaves it in the low bits (Hacker's Delight, section
+/// 17-2). This also vectorises.
 #[inline]
 pub(crate) fn floor_small(v: f64) -> i64 {
     const SHIFT: f64 = (3u64 << 51) as f64;
@@ -155,9 +159,9 @@ pub(crate) fn floor_small(v: f64) -> i64 {
     (nearest.to_bits() as i64).wrapping_sub(SHIFT.to_bits() as i64) - i64::from(too_high)
 }
 
-/// Names a page: a tile column in xy and one layer of [`PAGE_SLICES`] slices in it.
+/// Key of a page: a tile column in xy and one layer of [`PAGE_SLICES`] slices in it.
 ///
-/// Keys are ordered as pages lie in the archive: tile columns along the Morton curve, the layer innermost.
+/// Keys have the order of pages in the archive: tile columns along the Morton curve, the layer innermost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct PageKey {
     /// Tile index along x: pixels `64·tx .. 64·(tx+1)`.
@@ -169,12 +173,13 @@ pub struct PageKey {
 }
 
 impl PageKey {
-    /// Place of the tile column on the Morton curve: bits of `tx` and `ty` (each plus 2³¹) interleaved, `tx` lowest.
+    /// Returns the position of the tile column on the Morton curve: bits of `tx` and `ty` (each plus 2³¹) interleaved,
+    /// `tx` lowest.
     pub fn column(&self) -> u64 {
         morton(self.tx, self.ty)
     }
 
-    /// The key with this [`column`](Self::column) and layer.
+    /// Returns the key with this [`column`](Self::column) and layer.
     pub fn from_column(column: u64, layer: i32) -> Self {
         let half = |bits: u64| (gather_even_bits(bits) ^ (1 << 31)) as i32;
         Self { tx: half(column), ty: half(column >> 1), layer }
@@ -199,7 +204,7 @@ impl std::fmt::Display for PageKey {
     }
 }
 
-/// Place of tile `(tx, ty)` on the Morton curve (see [`PageKey::column`]).
+/// Returns the position of tile `(tx, ty)` on the Morton curve (see [`PageKey::column`]).
 pub fn morton(tx: i32, ty: i32) -> u64 {
     let half = |v: i32| spread_bits(v as u32 ^ (1 << 31));
     half(tx) | half(ty) << 1
@@ -252,7 +257,7 @@ mod tests {
         assert!(Frame::new(1e-6, 1e6).is_ok() && Frame::new(1e6, 1e-6).is_ok());
         let frame = Frame::new(0.1, 0.3).unwrap();
         assert_eq!(frame.coarser(0), Some(frame));
-        // 0.3 m times 4 to the power of 10 is 314,573 m, once more is too much.
+        // 0.3 m times 4 to the power of 10 is 314,573 m; another factor of 4 is too much.
         assert!(frame.coarser(10).is_some() && frame.coarser(11).is_none());
         assert_eq!([31, 32, 1 << 30].map(|number| frame.coarser(number)), [None; 3]);
         let fine = Frame::new(1e-6, 1e-6).unwrap();
@@ -264,7 +269,7 @@ mod tests {
         assert_eq!(PageKey { tx: -3, ty: 40, layer: 7 }.to_string(), "(-3, 40, 7)");
     }
 
-    /// Bit by bit: where the column lies on the curve.
+    /// Reference: the column's position on the curve, bit by bit.
     fn interleaved(tx: i32, ty: i32) -> u64 {
         let bit = |v: i32, bit: u32| u64::from((v as u32 ^ 1 << 31) >> bit & 1);
         (0..32).fold(0, |sum, at| sum | bit(tx, at) << (2 * at) | bit(ty, at) << (2 * at + 1))
@@ -283,7 +288,7 @@ mod tests {
             prop_assert_eq!(a.partial_cmp(&b), Some(a.cmp(&b)));
         }
 
-        /// With sizes that are powers of two no edge is rounded: edges are the least places of what they bound.
+        /// If sizes are powers of two, edges are exact: each edge is the least coordinate of its pixel or slice.
         #[test]
         fn edges_are_where_pixels_and_slices_begin(index in -MAX_INDEX / 8..MAX_INDEX / 8, power in -8i32..4) {
             let size = 2f64.powi(power);

@@ -1,4 +1,4 @@
-//! What an archive says of itself, as JSON: the one place that names the keys.
+//! Facts of an archive as JSON: the only place that names the keys.
 
 use crate::Result;
 use crate::archive::{Archive, Header, Shard};
@@ -8,11 +8,11 @@ use crate::text::{counted, number, rounded};
 use crate::unit::{LengthUnit, unit_name};
 use serde_json::{Value, json};
 
-/// To what coordinates of inputs are rounded before they meet the grid (m): to nothing. Integers with scale and offset, floats and
-/// decimals become the nearest `f64`.
+/// Quantum to which input coordinates are rounded before they reach the grid (m); 0 means none. Integers with scale and
+/// offset, floats and decimals become the nearest `f64`.
 pub const INPUT_QUANTUM_M: f64 = 0.0;
 
-/// Facts of an archive under the keys of the command-line contract.
+/// Returns the facts of an archive under the keys of the command-line contract.
 pub fn info(archive: &Archive) -> Result<Value> {
     let mut facts = header_info(archive.header(), &archive.crs()?, &archive.units()?);
     if let Some(noise) = archive.noise()? {
@@ -24,7 +24,7 @@ pub fn info(archive: &Archive) -> Result<Value> {
     Ok(facts)
 }
 
-/// As [`info`], from a header, the text of the coordinate reference system, and the units of the inputs.
+/// Like [`info`], but from a header, the text of the coordinate reference system, and the units of the inputs.
 pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
     let bounds = header.bounds.map(|(min, max)| json!({ "min": min, "max": max }));
     let facts = json!({
@@ -78,7 +78,7 @@ pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
     all
 }
 
-/// How colours were made, in words.
+/// Describes how colours were made.
 pub fn colour_words(plan: &ColourPlan) -> String {
     let source = match plan.scale.source {
         ColourSource::Rgb if plan.scale.high <= u16::from(u8::MAX) => "RGB (8-bit values)".to_owned(),
@@ -92,7 +92,7 @@ pub fn colour_words(plan: &ColourPlan) -> String {
     }
 }
 
-/// Grid and options.
+/// Returns grid and options.
 pub fn plan_info(plan: &Plan) -> Value {
     let mut facts = json!({
         "pixel_size": plan.frame.pixel_m(),
@@ -120,12 +120,12 @@ pub fn plan_info(plan: &Plan) -> Value {
     facts
 }
 
-/// By which noise an automatic tolerance was chosen.
+/// Returns the noise from which an automatic tolerance was chosen.
 pub fn noise_info(noise: &Noise) -> Value {
     json!({ "noise": noise.noise_m, "regions": noise.regions, "region_size": noise.region_m })
 }
 
-/// The same in words.
+/// Describes the noise of a scan.
 pub fn noise_in_words(noise: &Noise) -> String {
     match noise.regions {
         0 => "too little is flat to measure the noise of the scan".into(),
@@ -136,7 +136,8 @@ pub fn noise_in_words(noise: &Noise) -> String {
     }
 }
 
-/// Name of a reference system, whose text may be long: the first name in it, or its beginning. `None` if it is empty.
+/// Returns the name of a reference system, whose text may be long: the first name in it, or its beginning. `None` if it
+/// is empty.
 pub fn crs_name(crs: &str) -> Option<String> {
     const MOST: usize = 60;
     let name = crs.split('"').nth(1).unwrap_or(crs);
@@ -145,7 +146,7 @@ pub fn crs_name(crs: &str) -> Option<String> {
     (!crs.is_empty()).then(|| short + more)
 }
 
-/// Name and factor (m) of the unit in which the inputs came: null if unknown, `mixed` if there are several.
+/// Returns name and factor (m) of the unit of the inputs: null if unknown, `mixed` if there are several.
 pub fn unit_info(units: &[LengthUnit]) -> Value {
     let one = |factor: f64| json!({ "name": unit_name(factor), "factor": factor });
     let whole = |unit: &LengthUnit| {
@@ -162,7 +163,7 @@ pub fn unit_info(units: &[LengthUnit]) -> Value {
     }
 }
 
-/// The units of the inputs in words.
+/// Describes the units of the inputs.
 pub fn units_in_words(units: &[LengthUnit]) -> String {
     let one = |factor: f64| match unit_name(factor) {
         "m" => "metres".to_owned(),
@@ -180,7 +181,7 @@ pub fn units_in_words(units: &[LengthUnit]) -> String {
     }
 }
 
-/// Facts of a part of a conversion.
+/// Returns the facts of a part of a conversion.
 pub fn shard_info(shard: &Shard) -> Value {
     json!({
         "index": shard.index,
@@ -191,7 +192,7 @@ pub fn shard_info(shard: &Shard) -> Value {
     })
 }
 
-/// Number of slices from the lowest to the highest with matter.
+/// Returns the number of slices from the lowest to the highest occupied one.
 pub fn slice_count(header: &Header) -> i64 {
     header.slices.map_or(0, |(lowest, highest)| highest - lowest + 1)
 }

@@ -1,14 +1,15 @@
 //! Walk in laser scans that are too large for memory.
 //!
-//! Slicewalk converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, PCD, PLY) of any size, and meshes, into one compact *slice archive*: for every pixel of the
-//! ground plan the bottom, the top and an obstacle flag of each vertical run of matter (a *span*). Programs open the
-//! archive, keep the pages around a moving body in memory, and ask exact collision questions that never wait for the disk.
-//! The method is that of R. K. dos Anjos, *Image Based Collision Detection* (IST Lisbon, 2011), and its future work.
+//! Slicewalk converts scans of any size (LAS, LAZ, E57, PTX, PTS, XYZ, PCD, PLY) and meshes into one compact *slice
+//! archive*. For every pixel of the ground plan, the archive holds the bottom, the top and an obstacle flag of each
+//! vertical solid run (a *span*). A program opens the archive, keeps the pages around a moving body in memory, and asks
+//! exact collision queries that never wait for the disk. The method comes from R. K. dos Anjos, *Image Based Collision
+//! Detection* (IST Lisbon, 2011), and its future work.
 //!
 //! # Convert
 //!
-//! [`convert`](convert::convert) reads points and triangles in any order, in bounded memory, and publishes the archive when
-//! it is complete. The same points always give the same bytes.
+//! [`convert`](convert::convert) reads points and triangles in any order, in bounded memory, and publishes the archive
+//! when it is complete. The same points always give the same bytes.
 #![cfg_attr(
     feature = "convert",
     doc = r#"
@@ -25,11 +26,11 @@ println!("{} voxels", report.header.voxels.occupied);
 "#
 )]
 //!
-//! # Open and ask
+//! # Open and query
 //!
 //! [`Archive`](archive::Archive) reads an archive from a file, from memory or from any
-//! [`ByteSource`](bytes::ByteSource). [`Store`](store::Store) holds all its pages; [`query`] has the questions. An answer
-//! errs towards "hit" only, and by less than a pixel and a slice.
+//! [`ByteSource`](bytes::ByteSource). [`Store`](store::Store) keeps all of its pages in memory, and [`query`] holds the
+//! queries. An answer errs only towards "hit", and by less than a pixel and a slice.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -45,7 +46,8 @@ println!("{} voxels", report.header.voxels.occupied);
 //!
 //! # Walk
 //!
-//! A [`Walker`](walk::Walker) is a pawn with gravity, stairs and walls. Its path does not depend on the frame rate.
+//! A [`Walker`](walk::Walker) is a pawn that falls, climbs stairs and is blocked by walls. Its path does not depend on
+//! the frame rate.
 //!
 //! ```no_run
 //! # use slicewalk::archive::Archive;
@@ -64,9 +66,9 @@ println!("{} voxels", report.header.voxels.occupied);
 //!
 //! # Stream
 //!
-//! Where the archive is larger than memory, a [`Stream`](store::Stream) holds the pages around moving bodies under a byte
-//! budget and loads them before they are needed. Queries run on a [`View`](store::View) of it: they take no lock, do no
-//! I/O and allocate nothing. A page that is not in memory makes the answer "not loaded", never "free".
+//! If the archive is larger than memory, a [`Stream`](store::Stream) keeps the pages around moving bodies within a byte
+//! budget and loads them before they are needed. Queries run on a [`View`](store::View), a snapshot of the stream: they
+//! take no lock, do no I/O and allocate nothing. If a page is not in memory, the answer is "not loaded", never "free".
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -88,20 +90,20 @@ println!("{} voxels", report.header.voxels.occupied);
 //! # Ok::<(), slicewalk::Error>(())
 //! ```
 //!
-//! # Map of the modules
+//! # Modules
 //!
-//! | to | module |
+//! | task | module |
 //! |---|---|
 //! | convert scans and meshes, whole or in parts | [`convert`](mod@convert), [`input`], [`mesh`], [`plan`] |
 //! | read, check, merge, recover and cut archives | [`archive`], [`stats`] |
-//! | bring bytes from elsewhere | [`bytes`] |
+//! | read bytes from other sources | [`bytes`] |
 //! | keep pages in memory | [`store`], [`slice`](mod@slice) |
-//! | ask | [`query`], [`object`] |
+//! | query | [`query`], [`object`] |
 //! | walk | [`walk`] |
-//! | find out where one can walk, and the way | [`reach`] |
+//! | find where a pawn can walk, and routes | [`reach`] |
 //! | the grid, errors, progress, numbers as text | [`frame`], [`error`], [`monitor`], [`text`] |
 //!
-//! Without default features the crate only reads: no conversion, and nothing that a browser does not have.
+//! Without default features the crate only reads: it has no conversion and needs nothing that a browser lacks.
 
 pub mod error;
 pub mod monitor;
@@ -141,7 +143,7 @@ pub mod stats;
 #[cfg(feature = "convert")]
 pub mod convert;
 
-// What the programs of this workspace share.
+// Modules shared by the programs of this workspace.
 #[cfg(feature = "convert")]
 #[doc(hidden)]
 pub mod info;
@@ -170,7 +172,7 @@ pub use error::{Error, Parameter, Result};
 pub use monitor::{Monitor, NoMonitor, Warning};
 pub use nalgebra;
 
-/// Compiles the examples of the pages.
+/// Compiles the examples in Markdown pages.
 #[cfg(all(doctest, feature = "convert"))]
 mod pages {
     #[doc = include_str!("../README.md")]

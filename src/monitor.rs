@@ -1,25 +1,25 @@
-//! How long work reports progress, warnings and the wish to stop.
+//! Progress, warnings and cancellation of long work.
 
 use crate::Parameter;
 
-/// Receives progress and warnings; may ask to stop. All methods may be called from several threads at once.
+/// Receiver of progress and warnings, which may also cancel. All methods may be called from several threads at once.
 pub trait Monitor: Sync {
-    /// A stage begins. `total` is an estimate (zero when unknown) in `unit`.
+    /// Begins a stage. `total` is an estimate (zero if unknown) in `unit`.
     fn stage(&self, _name: &str, _total: u64, _unit: &str) {}
 
-    /// `amount` more units of the current stage are done.
+    /// Reports that `amount` more units of the current stage are done.
     fn advance(&self, _amount: u64) {}
 
-    /// Work goes on, but the user should know of this.
+    /// Reports a warning; the work continues.
     fn warn(&self, _warning: &Warning) {}
 
-    /// Whether the work should stop as soon as it can with [`Error::Interrupted`](crate::Error::Interrupted).
+    /// Returns whether the work should stop as soon as it can with [`Error::Interrupted`](crate::Error::Interrupted).
     fn cancelled(&self) -> bool {
         false
     }
 }
 
-/// What the user of long work should know although it goes on. As text, one line without a newline at its end.
+/// Warning to the user while the work continues. Its text is one line without a newline at its end.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
     text: String,
@@ -33,17 +33,17 @@ impl<T: Into<String>> From<T> for Warning {
 }
 
 impl Warning {
-    /// The same, with the parameter that would help if set otherwise.
+    /// Adds the parameter that would help if changed.
     pub fn with_way_out(self, parameter: Parameter) -> Self {
         Self { way_out: Some(parameter), ..self }
     }
 
-    /// What would help, if set otherwise.
+    /// Returns the parameter that would help if changed.
     pub fn way_out(&self) -> Option<&Parameter> {
         self.way_out.as_ref()
     }
 
-    /// The text with the way out as a program words it: `say` names its option, or gives `None` if it has none.
+    /// Returns the text with a program's own advice: `say` names its option, or returns `None` if it has none.
     pub fn told(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
         match self.way_out().map(|parameter| (parameter, say(parameter))) {
             Some((_, Some(said))) => format!("{}; {said}", self.text),
@@ -59,7 +59,7 @@ impl std::fmt::Display for Warning {
     }
 }
 
-/// Ignores everything and never stops.
+/// Monitor that ignores everything and never cancels.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct NoMonitor;
 

@@ -1,4 +1,4 @@
-//! The plan of an archive: grid and options that decide its content. Archives of one plan can be compared and merged.
+//! Plan of an archive: grid and options that decide its content. Archives of one plan can be compared and merged.
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::text::number;
@@ -10,18 +10,19 @@ use xxhash_rust::xxh3::xxh3_128;
 /// Length of [`Plan::to_bytes`].
 pub(crate) const PLAN_BYTES: usize = 72;
 
-/// How floors and obstacles are told apart.
+/// Rule that distinguishes floors from obstacles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Classifier {
-    /// Vertical runs of matter in a pixel longer than the slope limit allows are obstacles. No slope up to the limit is
-    /// one, but for its noise; how much steeper it must be depends on its heading and on the density of points.
+    /// Vertical solid runs in a pixel that are longer than the slope limit allows are obstacles. No slope up to the
+    /// limit is one, apart from noise; how much steeper an obstacle must be depends on its heading and on the density
+    /// of points.
     Span,
-    /// The thesis' rule (algorithm 3.3) made independent of the order of points: two points of a voxel that differ
-    /// by more than a third of the slice height make it an obstacle. It promises no angle.
+    /// The thesis' rule (algorithm 3.3), made independent of the order of points: two points of a voxel that differ by
+    /// more than a third of the slice height make it an obstacle. It promises no angle.
     Thesis,
-    /// Slope of a plane fitted to the points of 3 × 3 pixels. Where a pixel edge holds two points or more, the verdict flips
-    /// at the slope limit ± 3°, for limits up to 60°, at any heading and slice height. Walls are obstacles.
+    /// Slope of a plane fitted to the points of 3 × 3 pixels. Where a pixel edge holds two points or more, the class
+    /// switches at the slope limit ± 3°, for limits up to 60°, at any heading and slice height. Walls are obstacles.
     Plane,
 }
 
@@ -29,7 +30,7 @@ impl Classifier {
     /// All classifiers, in the order of their codes in the archive.
     pub const ALL: [Self; 3] = [Self::Span, Self::Thesis, Self::Plane];
 
-    /// Name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Span => "span",
@@ -39,10 +40,10 @@ impl Classifier {
     }
 }
 
-/// Which axis of the input points up.
+/// Axis of the input that points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Up {
-    /// z is up: coordinates are taken as they are.
+    /// z is up: coordinates stay unchanged.
     #[default]
     Z,
     /// y is up: (x, y, z) becomes (x, −z, y).
@@ -50,7 +51,7 @@ pub enum Up {
 }
 
 impl Up {
-    /// A point of the input with z up.
+    /// Turns a point of the input so that z is up.
     pub fn turn(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self {
             Self::Z => [x, y, z],
@@ -58,7 +59,7 @@ impl Up {
         }
     }
 
-    /// Name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Z => "z",
@@ -67,13 +68,13 @@ impl Up {
     }
 }
 
-/// A set of LAS classes (0 to 255), one bit a class.
-// Of 32 bits, as `bitvec` has no wider words where pointers have 32.
+/// Set of LAS classes (0 to 255), one bit per class.
+// Words of 32 bits, because `bitvec` has no wider words where pointers have 32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ClassSet(BitArray<[u32; 8], Lsb0>);
 
 impl ClassSet {
-    /// The set whose class `c` is bit `c % 64` of word `c / 64`: its form in an archive's head.
+    /// Creates the set in which class `c` is bit `c % 64` of word `c / 64`: its form in an archive's head.
     pub const fn from_words(words: [u64; 4]) -> Self {
         let (mut data, mut at) = ([0; 8], 0);
         while at < 8 {
@@ -83,7 +84,7 @@ impl ClassSet {
         Self(BitArray { _ord: std::marker::PhantomData, data })
     }
 
-    /// The words of [`from_words`](Self::from_words).
+    /// Returns the words of [`from_words`](Self::from_words).
     pub fn words(&self) -> [u64; 4] {
         std::array::from_fn(|at| u64::from(self.0.data[2 * at]) | u64::from(self.0.data[2 * at + 1]) << 32)
     }
@@ -93,18 +94,18 @@ impl ClassSet {
         self.0.set(usize::from(class), true);
     }
 
-    /// Whether the set has this class.
+    /// Returns whether the set contains this class.
     #[inline]
     pub fn contains(&self, class: u8) -> bool {
         self.0[usize::from(class)]
     }
 
-    /// Whether the set has no class.
+    /// Returns whether the set is empty.
     pub fn is_empty(&self) -> bool {
         self.0.not_any()
     }
 
-    /// The classes, ascending.
+    /// Returns the classes in ascending order.
     pub fn iter(&self) -> impl Iterator<Item = u8> + '_ {
         self.0.iter_ones().map(|class| class as u8)
     }
@@ -118,26 +119,26 @@ impl FromIterator<u8> for ClassSet {
     }
 }
 
-/// Rise over run of a slope of `deg` degrees, 0..=90. The same on every platform, whose own tangents differ in the last bit:
-/// verdicts, and so the bytes of archives, hang on it.
+/// Returns rise over run of a slope of `deg` degrees, 0..=90. The result is the same on every platform, unlike the
+/// platforms' own tangents, because classes, and so the bytes of archives, depend on it.
 pub(crate) fn rise_of(deg: f64) -> f64 {
     if deg >= 90.0 { f64::INFINITY } else { libm::tan(deg.to_radians()) }
 }
 
-/// The noise of a scan's heights, by which an automatic tolerance is chosen.
+/// Noise of a scan's heights, from which an automatic tolerance is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Noise {
-    /// Standard deviation of heights from planes fitted to what is flat (m): the lower quartile of all regions. 0 where too few
-    /// were found to tell.
+    /// Standard deviation of heights from planes fitted to flat regions (m): the lower quartile of all regions. 0 if
+    /// there are too few regions.
     pub noise_m: f64,
-    /// Flat regions that were found; 0 where they were too few.
+    /// Number of flat regions found; 0 if there are too few.
     pub regions: u64,
     /// Edge of a region (m).
     pub region_m: f64,
 }
 
 impl Noise {
-    /// The tolerance that hides in the noise (m): two digits of it, rounded down.
+    /// Returns the tolerance that the noise hides (m): its first two digits, rounded down.
     pub fn tolerance_m(&self) -> f64 {
         let text = format!("{:.15e}", self.noise_m);
         let digits = text.split_once('e').map(|(digits, exponent)| format!("{}e{exponent}", &digits[..3]));
@@ -148,39 +149,39 @@ impl Noise {
 /// Grid and options that decide an archive's content.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// The grid.
+    /// Grid.
     pub frame: Frame,
-    /// Everything else.
+    /// All other options.
     pub options: PlanOptions,
 }
 
-/// What decides an archive's content beside the grid.
+/// Options other than the grid that decide an archive's content.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanOptions {
     /// Steepest slope that can be stood on (degrees, 0 to 90).
     pub max_slope_deg: f64,
-    /// How far heights may be coarsened, always outwards (m, at least 0).
+    /// Tolerance to which heights may be coarsened, always outwards (m, at least 0).
     pub tolerance_m: f64,
-    /// How obstacles are found.
+    /// Rule that finds obstacles.
     pub classifier: Classifier,
-    /// Voxels with fewer points are dropped, unless a triangle of a mesh is in them (points, at least 1).
+    /// Voxels with fewer points are dropped, unless they hold a triangle of a mesh (points, at least 1).
     pub min_points: u32,
-    /// Connected matter of at most this many voxels is dropped; voxels are connected where they share a face, an edge or a
-    /// corner. 0 drops nothing, 1 isolated voxels.
+    /// Connected components of at most this many voxels are dropped; voxels are connected if they share a face, an edge
+    /// or a corner. 0 drops nothing, 1 drops isolated voxels.
     pub drop_floaters: u16,
-    /// Whether points are removed that other stations of the scan saw through.
+    /// True if points that other stations of the scan saw through are removed.
     pub remove_moving: bool,
-    /// Holes in floors of up to so many pixels are closed by inferred floor (at most [`MOST_FILL_PIXELS`](Self::MOST_FILL_PIXELS)); 0
-    /// closes none.
+    /// Greatest width of the holes in floors that are closed by inferred floor (pixels, at most
+    /// [`MOST_FILL_PIXELS`](Self::MOST_FILL_PIXELS)); 0 closes none.
     pub fill_holes: u8,
-    /// Up axis of the input, where its format does not fix it.
+    /// Up axis of the input, unless its format fixes it.
     pub up: Up,
     /// Points of these LAS classes are left out.
     pub exclude_classes: ClassSet,
 }
 
 impl Default for PlanOptions {
-    /// The options that `sliceconv` has by default.
+    /// Returns the defaults of `sliceconv`.
     fn default() -> Self {
         Self {
             max_slope_deg: 45.0,
@@ -197,20 +198,21 @@ impl Default for PlanOptions {
 }
 
 impl Plan {
-    /// The plan of an archive on this grid with the default options.
+    /// Creates the plan of an archive on this grid with the default options.
     pub fn new(frame: Frame) -> Self {
         Self { frame, options: PlanOptions::default() }
     }
 
-    /// How far heights may be moved outwards (quanta): what the tolerance holds of whole quanta, at most a slice.
+    /// Returns how far heights may move outwards (quanta): the tolerance rounded down to whole quanta, at most a slice.
     pub fn tolerance_quanta(&self) -> u32 {
         (self.options.tolerance_m / self.frame.quantum_m()).floor().clamp(0.0, SLICE_QUANTA as f64) as u32
     }
 
-    /// The canonical bytes that identify the plan, which are also its bytes in an archive's head (spec, chapter 3).
+    /// Returns the canonical bytes that identify the plan, which are also its bytes in an archive's head (spec, chapter
+    /// 3).
     pub(crate) fn to_bytes(&self) -> [u8; PLAN_BYTES] {
         let mut bytes = [0; PLAN_BYTES];
-        // Adding zero turns -0 into 0: equal plans have equal bytes.
+        // Adding zero turns -0 into 0, so that equal plans have equal bytes.
         let sizes = [
             self.frame.pixel_m(),
             self.frame.slice_m(),
@@ -232,14 +234,16 @@ impl Plan {
         bytes
     }
 
-    /// Identity of the plan: XXH3-128 of its canonical bytes. Archives of one plan can be compared and merged.
+    /// Returns the identity of the plan: XXH3-128 of its canonical bytes. Archives of one plan can be compared and
+    /// merged.
     pub fn hash(&self) -> u128 {
         xxh3_128(&self.to_bytes())
     }
 }
 
 impl PlanOptions {
-    /// Widest holes that can be closed (pixels): whether one is follows from the tile columns around it.
+    /// Widest holes that can be closed (pixels); up to this width, the adjacent tile columns decide whether a hole is
+    /// closed.
     pub const MOST_FILL_PIXELS: u8 = 45;
 
     /// Refuses values outside the limits stated at the fields.

@@ -1,7 +1,7 @@
-//! Sizes in bytes as command lines take them.
+//! Sizes in bytes, as command lines take them.
 
-/// Bytes of a text such as `512MiB`, `16m` or `1e6`; units B, KiB, MiB, GiB, TiB (also K, M, G, T) and KB, MB, GB, in any
-/// case. The error says what was expected.
+/// Parses a number of bytes such as `512MiB`, `16m` or `1e6`; units B, KiB, MiB, GiB, TiB (also K, M, G, T) and KB, MB,
+/// GB, in any case. The error says what was expected.
 pub fn parse_size(text: &str) -> Result<u64, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit: u64 = match text[digits.len()..].to_ascii_lowercase().as_str() {

@@ -1,7 +1,7 @@
-//! What a scene needed: the parts of an archive, and its tiles by the simplest model that tells them.
+//! Statistics of an archive: its parts, and its tiles by the simplest model that describes them.
 //!
-//! Pages hold spans, so a tile (one slice of a page) is not stored by itself; what it adds to its page is what its
-//! [`Need`] says. Tiles in which no span begins or ends add nothing: they are like the slice below.
+//! Pages hold spans, so a tile (one slice of a page) is not stored separately; its [`Need`] says what it adds to its
+//! page. Tiles in which no span begins or ends add nothing: they are like the slice below.
 
 use crate::archive::{Archive, PageEntry, PageReader, Storage};
 use crate::frame::{PAGE_SLICES, SLICE_QUANTA};
@@ -9,20 +9,20 @@ use crate::slice::{Inferred, Page};
 use crate::{Error, Result};
 use std::collections::HashMap;
 
-/// How much a tile takes, least first.
+/// Storage need of a tile, least first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Need {
-    /// Its page is one span in all pixels: an entry of the directory.
+    /// The page is one span in all pixels: an entry of the directory.
     Uniform,
-    /// Its page has the bytes of an earlier one: an entry of the directory.
+    /// The page has the bytes of an earlier one: an entry of the directory.
     Shared,
-    /// All its matter goes on from the slice below into the slice above: nothing.
+    /// Everything solid continues from the slice below into the slice above: nothing.
     LikeBelow,
-    /// All bottoms that lie in it are at one height, and all tops: one number each.
+    /// All bottoms in the tile have one height, and all tops: one number each.
     Level,
     /// All bottoms lie in one plane, and all tops.
     Plane,
-    /// Heights of their own.
+    /// Individual heights.
     Heights,
 }
 
@@ -30,7 +30,7 @@ impl Need {
     /// All needs, least first.
     pub const ALL: [Self; 6] = [Self::Uniform, Self::Shared, Self::LikeBelow, Self::Level, Self::Plane, Self::Heights];
 
-    /// Its name, as `slicetool stats` prints it.
+    /// Returns the name that `slicetool stats` prints.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -42,7 +42,7 @@ impl Need {
         }
     }
 
-    /// Whether the tile costs neither bytes nor a read of its own.
+    /// Returns whether the tile costs neither bytes nor a read of its own.
     pub fn is_free(self) -> bool {
         self <= Self::LikeBelow
     }
@@ -52,31 +52,31 @@ impl Need {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Stats {
-    /// Pages stored, shared and uniform.
+    /// Stored, shared and uniform pages.
     pub pages: [u64; 3],
-    /// Tiles in these.
+    /// Tiles in stored, shared and uniform pages.
     pub tiles: [u64; 3],
     /// Tiles by need, in the order of [`Need::ALL`].
     pub needs: [u64; 6],
-    /// Of these, tiles with an obstacle in them.
+    /// Tiles by need that hold an obstacle.
     pub wall_needs: [u64; 6],
-    /// Slices of which some tile is not like the one below.
+    /// Slices in which some tile is not like the one below.
     pub distinct_slices: u64,
-    /// Pixels of pages with matter.
+    /// Pixels of pages that hold a span.
     pub columns: u64,
-    /// These by their number of spans: 1, 2, 3, 4, more.
+    /// Such pixels by their number of spans: 1, 2, 3, 4, more.
     pub columns_by_spans: [u64; 5],
     /// Spans.
     pub spans: u64,
-    /// Of these, obstacles.
+    /// Obstacle spans.
     pub obstacle_spans: u64,
-    /// Voxels with matter.
+    /// Occupied voxels.
     pub voxels: u64,
-    /// Of these, with an obstacle.
+    /// Voxels with an obstacle.
     pub obstacle_voxels: u64,
-    /// Of the spans, inferred ones: floor that closes holes of the scan.
+    /// Inferred spans: floor that closes holes of the scan.
     pub inferred_spans: u64,
-    /// Of the voxels, those whose matter is inferred alone.
+    /// Voxels with inferred spans only.
     pub inferred_voxels: u64,
     /// Voxels inside a span, where no height is stored.
     pub inner_voxels: u64,
@@ -84,12 +84,12 @@ pub struct Stats {
     pub memory_bytes: u64,
 }
 
-/// Contents of which the counts are kept, in case that they come again.
+/// Most page contents whose counts are cached, in case the content repeats.
 const KEPT: usize = 1 << 12;
 
 impl Stats {
-    /// Reads and counts all pages of `archive`. Cost: one pass over the file, and 16 bytes for each layer of 64 slices
-    /// with matter, of which 2²⁰ are the most.
+    /// Reads and counts all pages of `archive`. Cost: one pass over the file. Memory: 16 bytes for each occupied layer
+    /// of 64 slices, of which there may be at most 2²⁰.
     pub fn of(archive: &Archive) -> Result<Self> {
         let mut stats = Self::default();
         let mut pages = PageReader::new(archive);
@@ -98,7 +98,7 @@ impl Stats {
         let mut known = HashMap::new();
         for entry in archive.entries() {
             let entry = entry?;
-            // A page of its own tells more of its tiles than those that share its bytes.
+            // A stored page has other needs than the pages that share its bytes, so its counts are not cached.
             let again = (!matches!(entry.storage, Storage::Stored(_))).then(|| entry.content());
             let page = match again.and_then(|content| known.get(&content)) {
                 Some(page) => *page,
@@ -141,18 +141,18 @@ impl Stats {
     }
 }
 
-/// What one page adds.
+/// Counts of one page.
 #[derive(Debug, Clone, Copy, Default)]
 struct PageStats {
     needs: [u64; 6],
     wall_needs: [u64; 6],
-    /// Slices that are not like the one below.
+    /// Slices that are not like the one below, one bit each.
     own_slices: u64,
     columns_by_spans: [u64; 5],
     spans: u64,
     obstacle_spans: u64,
     voxels: (u64, u64),
-    /// Spans and voxels.
+    /// Inferred spans and voxels.
     inferred: (u64, u64),
     inner_voxels: u64,
     memory_bytes: u64,
@@ -181,12 +181,12 @@ impl PageStats {
     }
 }
 
-/// Slices in a set, by layers of 64.
+/// Set of slices, by layers of 64.
 #[derive(Debug, Default)]
 struct Layers(Vec<(i32, u64)>);
 
 impl Layers {
-    /// Most layers that are counted.
+    /// Most layers in the set.
     const MOST: usize = 1 << 20;
 
     fn add(&mut self, layer: i32, slices: u64) -> Result<()> {
@@ -202,7 +202,7 @@ impl Layers {
         Ok(())
     }
 
-    /// Makes one of all entries of each layer.
+    /// Merges the entries of each layer.
     fn join(&mut self) -> Result<()> {
         self.0.sort_unstable_by_key(|&(layer, _)| layer);
         self.0.dedup_by(|other, kept| {
@@ -217,19 +217,19 @@ impl Layers {
         Ok(())
     }
 
-    /// Number of slices.
+    /// Returns the number of slices.
     fn slices(mut self) -> Result<u64> {
         self.join()?;
         Ok(self.0.iter().map(|(_, slices)| u64::from(slices.count_ones())).sum())
     }
 }
 
-/// Heights of one kind that lie in a tile, for a fit of a plane: pixel and height (quanta).
+/// Bottoms or tops in a tile, to which a plane is fitted: pixel and height (quanta).
 type Heights = Vec<[f64; 3]>;
 
-/// Finds the needs of a page's tiles; keeps its scratch.
+/// Counter of the needs of a page's tiles; reuses its scratch memory.
 struct TileCounter {
-    /// How far heights may lie off a plane (quanta): their rounding, and the tolerance.
+    /// Greatest distance of heights from a plane (quanta): their rounding, and the tolerance.
     off: f64,
     bottoms: Vec<Heights>,
     tops: Vec<Heights>,
@@ -241,7 +241,7 @@ impl TileCounter {
         Self { off, bottoms: vec![Vec::new(); PAGE_SLICES as usize], tops: vec![Vec::new(); PAGE_SLICES as usize] }
     }
 
-    /// Slice in the page, need, and whether there is an obstacle, of all tiles of `page`.
+    /// Returns for each tile of `page` its slice in the page, its need, and whether it holds an obstacle.
     fn count(&mut self, entry: &PageEntry, page: &Page) -> Vec<(u32, Need, bool)> {
         self.bottoms.iter_mut().chain(&mut self.tops).for_each(Vec::clear);
         let mut walls = 0u64;
@@ -251,7 +251,7 @@ impl TileCounter {
                 let (first, last) = span.slices();
                 walls |= if span.is_obstacle() { span.slice_mask() } else { 0 };
                 let at = |height: u32| [f64::from(px), f64::from(py), f64::from(height)];
-                // Ends at the page's own floor and ceiling are cuts: the matter may go on in the next page.
+                // Ends at the page's own floor and ceiling are cuts: the span may continue in the next page.
                 if span.bottom() > 0 {
                     self.bottoms[first as usize].push(at(span.bottom()));
                 }
@@ -286,7 +286,7 @@ fn is_level(heights: &[[f64; 3]], off: f64) -> bool {
     high - low <= 2.0 * off
 }
 
-/// Whether a least-squares plane passes all heights within `off`.
+/// Returns whether the least-squares plane lies within `off` of all heights.
 fn is_plane(heights: &[[f64; 3]], off: f64) -> bool {
     let n = heights.len() as f64;
     let mean = [0, 1, 2].map(|axis| heights.iter().map(|h| h[axis]).sum::<f64>() / n.max(1.0));
@@ -296,7 +296,7 @@ fn is_plane(heights: &[[f64; 3]], off: f64) -> bool {
     let (dx, dy) = if determinant.abs() > 1e-9 * (xx * yy).max(1.0) {
         ((xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant)
     } else if xx + yy > 0.0 {
-        // All on one line: any plane through the line's fit.
+        // All pixels on one line: any plane through the line's fit.
         let slope = (xz + yz) / (xx + 2.0 * xy + yy).max(f64::MIN_POSITIVE);
         (slope, slope)
     } else {
@@ -315,7 +315,7 @@ mod tests {
         for layer in (-3..5).chain([4, 4, -3, 1 << 30]) {
             layers.add(layer, 1 << (layer & 63) | 1 << 63).unwrap();
         }
-        // Of layer −1 both are slice 63.
+        // In layer −1, both are slice 63.
         assert_eq!(layers.slices().unwrap(), 9 * 2 - 1);
         let mut layers = Layers::default();
         for round in 0..3 {

@@ -1,4 +1,4 @@
-//! What a terminal shows of long work: progress, warnings, messages.
+//! Terminal output of long work: progress, warnings, messages.
 
 use crate::text::{grouped, one_line};
 use crate::{Monitor, Parameter, Warning};
@@ -7,27 +7,27 @@ use std::io::Write as _;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
+/// Prints a line on standard error. Unlike `eprintln!`, it does not panic if the reader is gone.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{}", one_line(line));
 }
 
-/// Shows progress where standard error is a terminal, and prints warnings there in any case. Progress vanishes when this is
-/// dropped.
+/// Monitor that shows progress if standard error is a terminal, and always prints warnings there. The progress display
+/// vanishes when this is dropped.
 #[derive(Debug)]
 pub struct Terminal {
     program: &'static str,
     quiet: bool,
-    /// Names the program's option for a parameter.
+    /// Returns the program's option for a parameter.
     option: fn(&Parameter) -> Option<&'static str>,
-    /// The signal that asked to stop, 0 if none did.
+    /// Signal that asked to stop, or 0.
     signal: Arc<AtomicUsize>,
     bar: Mutex<ProgressBar>,
 }
 
 impl Terminal {
-    /// For `program`, whose name begins every line and whose `option` for a parameter warnings name. Work stops when `signal`
-    /// is set to the number of a signal.
+    /// Creates a monitor for `program`, whose name begins every line. `option` returns the option that warnings name
+    /// for a parameter. Setting `signal` to the number of a signal stops the work.
     pub fn new(
         program: &'static str,
         quiet: bool,
@@ -77,7 +77,7 @@ impl Monitor for Terminal {
     }
 }
 
-/// `reading ━━━━━   1,234,567/20,000,000 points, 3,123,456/s, 1s passed, 6s left`
+/// Style of the progress line: `reading ━━━━━   1,234,567/20,000,000 points, 3,123,456/s, 1s passed, 6s left`
 fn style(total: u64, unit: &str) -> Option<ProgressStyle> {
     let template = match total {
         0 => format!("{{msg}} {{spinner}} {{human_pos}} {unit}, {{rate}}/s, {{elapsed}} passed"),
@@ -98,7 +98,7 @@ mod tests {
     use std::fmt::Write as _;
     use std::io;
 
-    /// A terminal 120 columns wide that remembers what was written to it.
+    /// Terminal, 120 columns wide, that records what is written to it.
     #[derive(Debug, Clone, Default)]
     struct Paper(Arc<Mutex<String>>);
 

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::fmt::Display;
 use std::str::FromStr;
 
-/// A whole number with its digits in groups of three: `1,234,567`.
+/// Formats a whole number with its digits in groups of three: `1,234,567`.
 pub fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::with_capacity(digits.len() * 4 / 3);
@@ -17,17 +17,17 @@ pub fn grouped(number: u64) -> String {
     text
 }
 
-/// So many things: `1 voxel`, `1,200 voxels`.
+/// Formats a number of things: `1 voxel`, `1,200 voxels`.
 pub fn counted(number: u64, thing: &str) -> String {
     format!("{} {thing}{}", grouped(number), if number == 1 { "" } else { "s" })
 }
 
-/// Length of a file in decimal units and three digits: `912 bytes`, `176 kB`, `20.4 GB`.
+/// Formats the length of a file in decimal units with three digits: `912 bytes`, `176 kB`, `20.4 GB`.
 pub fn file_size(bytes: u64) -> String {
     scaled(bytes, 1000.0, ["kB", "MB", "GB", "TB", "PB", "EB"])
 }
 
-/// An amount of memory in the binary units of options: `512 MiB`.
+/// Formats an amount of memory in the binary units of options: `512 MiB`.
 pub fn memory_size(bytes: u64) -> String {
     scaled(bytes, 1024.0, ["KiB", "MiB", "GiB", "TiB", "PiB", "EiB"])
 }
@@ -37,7 +37,7 @@ fn scaled(bytes: u64, step: f64, units: [&str; 6]) -> String {
         return counted(bytes, "byte");
     }
     let (mut value, mut unit) = (bytes as f64 / step, 0);
-    // What would be rounded up to the next unit is written in that.
+    // A value that would be rounded up to the next unit is written in that unit.
     while value >= step - 0.5 && unit + 1 < units.len() {
         value /= step;
         unit += 1;
@@ -53,18 +53,18 @@ fn scaled(bytes: u64, step: f64, units: [&str; 6]) -> String {
     format!("{} {}", without_zeros(&text), units[unit])
 }
 
-/// A number as short as it can be without losing a bit, in powers of ten where it is far from 1: `0.25`, `1e300`.
+/// Formats a number as short as possible without losing a bit, in powers of ten if it is far from 1: `0.25`, `1e300`.
 pub fn number(value: f64) -> String {
     let text = format!("{value:?}");
     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
 }
 
-/// A place: `(1, 2.5, 1e300)`.
+/// Formats a position: `(1, 2.5, 1e300)`.
 pub fn place(coordinates: [f64; 3]) -> String {
     format!("({})", coordinates.map(number).join(", "))
 }
 
-/// The shortest decimal within half a `quantum` of `value`.
+/// Returns the shortest decimal within half a `quantum` of `value`.
 pub fn rounded(value: f64, quantum: f64) -> String {
     if value.abs() < 1e16 {
         for decimals in 0..=17 {
@@ -82,7 +82,7 @@ fn without_zeros(text: &str) -> &str {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
 }
 
-/// Edges of a box with as many decimals as `step` has: `4.62 × 4.53 × 3.7 m` for 0.05 m.
+/// Formats the edges of a box with as many decimals as `step` has: `4.62 × 4.53 × 3.7 m` for 0.05 m.
 pub fn extent(min: [f64; 3], max: [f64; 3], step: f64) -> String {
     let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
     let edges = [0, 1, 2].map(|axis| match max[axis] - min[axis] {
@@ -92,7 +92,8 @@ pub fn extent(min: [f64; 3], max: [f64; 3], step: f64) -> String {
     format!("{} m", edges.join(" × "))
 }
 
-/// Whole numbers, ascending, in one short line: runs as ranges, after `most` runs only how many more there are.
+/// Formats ascending whole numbers in one short line: runs as ranges, and after `most` runs only the number of those
+/// left.
 pub fn ranges(numbers: impl IntoIterator<Item = u32>, most: usize) -> String {
     let mut runs: Vec<(u32, u32)> = Vec::new();
     for number in numbers {
@@ -111,13 +112,14 @@ pub fn ranges(numbers: impl IntoIterator<Item = u32>, most: usize) -> String {
     shown.join(", ") + &more
 }
 
-/// `text` for one line of a terminal: control characters, line ends and marks that turn the direction of writing become
-/// escapes such as `\u001b`, as in JSON. Names of files and texts in files can hold them, and a terminal obeys them.
+/// Escapes `text` for one line of a terminal: control characters, line ends and marks that change the direction of
+/// writing become escapes such as `\u001b`, as in JSON. File names and texts in files may hold such characters, and a
+/// terminal obeys them.
 pub fn one_line(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_harmful(c) || c == '\n')
 }
 
-/// As [`one_line`], but lines stay apart. JSON stays the same JSON.
+/// Like [`one_line`], but keeps line ends. JSON stays equivalent.
 pub fn lines(text: &str) -> Cow<'_, str> {
     escaped(text, is_harmful)
 }
@@ -142,7 +144,7 @@ fn escaped(text: &str, harmful: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Reads whole numbers from `least` to `most`; the error says what was expected.
+/// Returns a parser of whole numbers from `least` to `most`; its error says what was expected.
 pub fn whole_number<T>(least: T, most: T) -> impl Fn(&str) -> Result<T, String> + Clone
 where
     T: FromStr + PartialOrd + Display + Copy,
@@ -153,12 +155,13 @@ where
     }
 }
 
-/// Reads a finite number; the error says what was expected.
+/// Parses a finite number; the error says what was expected.
 pub fn finite_number(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| "expected a number".into())
 }
 
-/// Length of the quoted text that `text` begins with, its quotes included; a quote inside is doubled. `None`: it does not end.
+/// Returns the length of the quoted text at the beginning of `text`, including its quotes; a quote inside is doubled.
+/// `None` if the text does not end.
 #[cfg(feature = "convert")]
 pub(crate) fn quoted_len(text: &[u8]) -> Option<usize> {
     let mut at = 1;
@@ -171,7 +174,7 @@ pub(crate) fn quoted_len(text: &[u8]) -> Option<usize> {
     }
 }
 
-/// A word of a file for an error message: short, on one line.
+/// Formats a word of a file for an error message: short, on one line.
 #[cfg(feature = "convert")]
 pub(crate) fn shown(word: &[u8]) -> String {
     let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();

@@ -1,5 +1,5 @@
-//! CRC-32C. Processors compute it in one instruction; for WebAssembly the table is made at the first use, because one that is
-//! compiled in adds its 8 kB to every download.
+//! CRC-32C. Processors have an instruction for it. On WebAssembly the table is computed on first use, because a
+//! compiled-in table would add 8 kB to every download.
 
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) use ::crc32c::{crc32c, crc32c_append};
@@ -10,12 +10,12 @@ pub(crate) use soft::{crc32c, crc32c_append};
 mod soft {
     use std::sync::OnceLock;
 
-    /// The polynomial with its bits reversed.
+    /// Polynomial with its bits reversed.
     const POLYNOMIAL: u32 = 0x82F6_3B78;
 
     type Tables = [[u32; 256]; 8];
 
-    /// The remainder of a byte that is followed by 0 to 7 zero bytes.
+    /// Returns the remainders of a byte followed by 0 to 7 zero bytes.
     fn tables() -> &'static Tables {
         static TABLES: OnceLock<Box<Tables>> = OnceLock::new();
         TABLES.get_or_init(|| {
@@ -41,7 +41,7 @@ mod soft {
         crc32c_append(0, bytes)
     }
 
-    /// The checksum of what `crc` is of, followed by `bytes`.
+    /// Continues the checksum `crc` with `bytes`.
     pub fn crc32c_append(crc: u32, bytes: &[u8]) -> u32 {
         let tables = tables();
         let (eights, rest) = bytes.as_chunks::<8>();

@@ -1,8 +1,8 @@
-//! Which file it is, whatever it is called.
+//! Identity of a file, independent of its name.
 
 use std::path::Path;
 
-/// Identity of a file among all that the machine sees: device and inode, on Windows volume and index.
+/// Identity of a file among all files visible to the machine: device and inode, or volume and index on Windows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FileId {
     volume: u64,
@@ -10,16 +10,16 @@ pub struct FileId {
 }
 
 impl FileId {
-    /// An object by its address and version.
+    /// Identifies an object by its address and version.
     #[cfg(feature = "remote")]
     pub(super) fn of_object(address: u64, version: u64) -> Self {
         Self { volume: address, index: version }
     }
 
-    /// The file at `path`, links followed; `None` if there is none, or the system cannot tell.
+    /// Identifies the file at `path`, following links; `None` if there is no file or the system cannot identify it.
     #[cfg_attr(not(any(unix, windows)), allow(unused_variables, reason = "a browser has no files"))]
     pub fn at(path: &Path) -> Option<Self> {
-        // Asked by name: opening a pipe would wait.
+        // Query by name: opening a pipe would block.
         #[cfg(unix)]
         return Some(Self::of_metadata(&std::fs::metadata(path).ok()?));
         #[cfg(windows)]
@@ -28,7 +28,7 @@ impl FileId {
         return None;
     }
 
-    /// The file that is open as `file`.
+    /// Identifies the open `file`.
     #[cfg_attr(not(any(unix, windows)), allow(unused_variables, reason = "a browser has no files"))]
     pub fn of(file: &std::fs::File) -> Option<Self> {
         #[cfg(unix)]

@@ -1,18 +1,18 @@
-//! The wish to stop, as reads that wait for a server hear it: it belongs to a thread, because a source may serve many at once.
+//! Cancellation of reads that wait for a server. It is set per thread, because a source may serve many threads at once.
 
 use std::cell::RefCell;
 use std::io;
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
 
-/// Says whether a thread should stop waiting.
+/// Function that returns whether a thread should stop waiting.
 pub type Stop = Arc<dyn Fn() -> bool + Send + Sync>;
 
 thread_local! {
     static STOP: RefCell<Option<Stop>> = const { RefCell::new(None) };
 }
 
-/// Does `work`; while `stop` says `true`, reads of remote objects on this thread fail within a moment with
+/// Runs `work`. While `stop` returns `true`, reads of remote objects on this thread fail within a moment with
 /// [`Error::Interrupted`](crate::Error::Interrupted) instead of waiting for their server.
 pub fn interruptible<T>(stop: Option<Stop>, work: impl FnOnce() -> T) -> T {
     struct Restore(Option<Stop>);
@@ -25,12 +25,12 @@ pub fn interruptible<T>(stop: Option<Stop>, work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// The wish to stop of this thread.
+/// Returns the `stop` function of this thread.
 pub fn stop_of_thread() -> Option<Stop> {
     STOP.with_borrow(Clone::clone)
 }
 
-/// Starts a thread of `scope` that hears the wish of this one, if the system has one.
+/// Starts a thread of `scope` that inherits this thread's `stop` function; the system may refuse it.
 pub(crate) fn spawn_in<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     work: impl FnOnce() -> T + Send + 'scope,

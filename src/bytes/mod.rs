@@ -1,7 +1,7 @@
-//! The one seam for bytes: a file read by position, a file mapped into memory, bytes in memory, or your own.
+//! Sources of bytes: a file read by position, a file mapped into memory, bytes in memory, or a source of your own.
 //!
-//! In: an offset and a length. Out: bytes, or an error. Memory: none of its own. Everything above asks here, so a test
-//! that counts, delays, cuts or damages reads needs to know nothing else.
+//! Input: an offset and a length. Output: bytes, or an error. Memory: none of its own. The rest of the library reads
+//! only through this trait, so a test that counts, delays, cuts or damages reads needs nothing else.
 
 pub(crate) mod crc;
 mod file_id;
@@ -32,20 +32,20 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Bytes of fixed length that can be read anywhere, by several threads at once.
+/// Bytes of fixed length that several threads can read at any offset at once.
 pub trait ByteSource: Send + Sync {
-    /// Number of bytes, as it was when the source was opened.
+    /// Returns the number of bytes at the time the source was opened.
     fn len(&self) -> u64;
 
-    /// Whether there is no byte at all.
+    /// Returns whether the source holds no bytes.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Fills `buf` with the bytes from `offset` on. Fewer bytes than that are an error.
+    /// Fills `buf` with the bytes at `offset`; fails if there are fewer.
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()>;
 
-    /// The file that the bytes come from, if it is one: no output may replace it.
+    /// Returns the file that the bytes come from, if any: no output may replace it.
     fn file_id(&self) -> Option<FileId> {
         None
     }
@@ -65,7 +65,7 @@ impl<S: ByteSource + ?Sized> ByteSource for std::sync::Arc<S> {
     }
 }
 
-/// A file read by position. A file cut while it is open gives an error, never a crash.
+/// File read by position. If the file is cut while it is open, reads return an error and never crash.
 #[derive(Debug)]
 pub struct FileSource {
     file: File,
@@ -96,9 +96,9 @@ impl ByteSource for FileSource {
     }
 }
 
-/// A file mapped into memory: the fastest source while nobody changes the file.
+/// File mapped into memory: the fastest source if the file does not change.
 ///
-/// Condition: the file must not be written to or cut while the map lives. A cut file ends the process with a signal
+/// Condition: the file must not be written to or cut while the map lives. Cutting it ends the process with a signal
 /// instead of an error. Archives are published by rename and never changed in place, so replacing one is safe; where
 /// others may truncate files, use [`FileSource`].
 #[derive(Debug)]
@@ -109,7 +109,7 @@ pub struct MapSource {
 }
 
 impl MapSource {
-    /// Maps the file at `path`; see the type's condition.
+    /// Maps the file at `path`; see the condition of the type.
     #[allow(unsafe_code)]
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
@@ -144,12 +144,12 @@ pub struct MemorySource {
 }
 
 impl MemorySource {
-    /// The source of `bytes`.
+    /// Creates a source of `bytes`.
     pub fn new(bytes: impl Into<std::sync::Arc<[u8]>>) -> Self {
         Self::part(0, bytes)
     }
 
-    /// A source of which only `bytes` are there, from offset `start` to its end. Reads before them fail.
+    /// Creates a source that has only `bytes`, from offset `start` to its end. Reads before `start` fail.
     pub fn part(start: u64, bytes: impl Into<std::sync::Arc<[u8]>>) -> Self {
         Self { start, bytes: bytes.into() }
     }

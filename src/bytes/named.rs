@@ -1,4 +1,4 @@
-//! Inputs by their names: regular files, and with the feature `remote` objects by their addresses.
+//! Inputs by name: regular files and, with the feature `remote`, objects by address.
 
 #[cfg(feature = "remote")]
 use super::remote::RemoteSource;
@@ -9,7 +9,7 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The address that `path` is, if it is one: `s3://bucket/key`, `https://host/path`.
+/// Returns `path` as an address, if it is one: `s3://bucket/key`, `https://host/path`.
 pub(crate) fn address(path: &Path) -> Option<&str> {
     let text = path.to_str()?;
     let (scheme, _) = text.split_once("://")?;
@@ -17,7 +17,7 @@ pub(crate) fn address(path: &Path) -> Option<&str> {
     is_scheme.then_some(text)
 }
 
-/// The path that a `file://` address names.
+/// Returns the path that a `file://` address names.
 pub(crate) fn local(path: &Path) -> Option<std::path::PathBuf> {
     let rest = address(path)?.strip_prefix("file://")?;
     let at = rest.find('/')?;
@@ -26,14 +26,14 @@ pub(crate) fn local(path: &Path) -> Option<std::path::PathBuf> {
         let rest = percent_encoding::percent_decode_str(&rest[at..]).decode_utf8_lossy().into_owned();
         #[cfg(not(feature = "remote"))]
         let rest = rest[at..].to_owned();
-        // The slash before a drive is no part of its path: `file:///C:/scans/a.laz`.
+        // The slash before a drive is not part of the path: `file:///C:/scans/a.laz`.
         let is_drive =
             cfg!(windows) && rest.as_bytes().get(1..3).is_some_and(|at| at[0].is_ascii_alphabetic() && at[1] == b':');
         if is_drive { rest[1..].into() } else { rest.into() }
     })
 }
 
-/// Opens the file or object called `path`.
+/// Opens the file or object `path`.
 pub(crate) fn open_named(path: &Path) -> Result<Box<dyn ByteSource>> {
     let file = local(path);
     let path = file.as_deref().unwrap_or(path);
@@ -58,7 +58,7 @@ pub(crate) fn without_feature(path: &Path) -> Error {
     )
 }
 
-/// Conversions take hours: a server gets a minute for each request, and ten for a read.
+/// Returns the options for conversions, which take hours: a minute for each request, and ten for a read.
 #[cfg(feature = "remote")]
 pub(super) fn patient() -> super::RemoteOptions {
     use std::time::Duration;
@@ -66,22 +66,22 @@ pub(super) fn patient() -> super::RemoteOptions {
     super::RemoteOptions { timeout, patience, ..super::RemoteOptions::default() }
 }
 
-/// An input that is read by position, and noticed to change.
+/// Input read by position, whose changes are detected.
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
 #[derive(Debug)]
 pub(crate) enum Input {
     /// A regular file.
     File(File),
-    /// What a test holds.
+    /// Bytes held by a test.
     Held(Arc<[u8]>),
-    /// An object; every answer is of the version that was opened.
+    /// An object; every answer belongs to the version that was opened.
     #[cfg(feature = "remote")]
     Object(Box<Ahead>),
 }
 
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
 impl Input {
-    /// Opens what `path` names, and its state.
+    /// Opens the input `path`; returns it with its state.
     pub fn open(path: &Path) -> Result<(Self, Stamp)> {
         let file = local(path);
         let path = file.as_deref().unwrap_or(path);
@@ -106,7 +106,7 @@ impl Input {
         }
     }
 
-    /// Fills `buf` from `offset` on; returns fewer bytes only where the input ends.
+    /// Fills `buf` with the bytes at `offset`; returns fewer only at the end of the input.
     pub fn read_up_to(&self, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::File(file) => read_up_to(file, offset, buf),
@@ -128,15 +128,15 @@ impl Input {
     }
 }
 
-/// An object of which more is read than was asked for, where reads follow one another: so a scan or an archive that is
-/// read from its beginning takes a request for a megabyte, and not one for every page.
+/// Object with read-ahead for sequential reads: reading a scan or an archive from its beginning takes one request per
+/// megabyte instead of one per page.
 ///
-/// Memory: two stretches of at most [`Ahead::MOST`].
+/// Memory: two stretches of at most [`Ahead::MOST`] bytes.
 #[cfg(feature = "remote")]
 #[derive(Debug)]
 pub(crate) struct Ahead {
     source: RemoteSource,
-    /// The one used last is the last.
+    /// The last one was used most recently.
     held: std::sync::Mutex<[Stretch; 2]>,
 }
 
@@ -151,7 +151,7 @@ struct Stretch {
 impl Ahead {
     /// Longest stretch (bytes).
     const MOST: usize = 1 << 20;
-    /// Shortest that is read ahead, and how far behind the last stretch a read still follows it.
+    /// Shortest stretch read ahead, and the largest gap behind a stretch after which a read still continues it (bytes).
     const LEAST: usize = 64 << 10;
 
     pub fn new(source: RemoteSource) -> Self {
@@ -184,7 +184,7 @@ impl ByteSource for Ahead {
             held[which.unwrap_or(0)..].rotate_left(1);
             let count = (self.len() - offset).min(ahead.max(buf.len()) as u64) as usize;
             let last = &mut held[1];
-            // Nothing of it counts unless all of it comes.
+            // A failed read leaves nothing of the stretch.
             last.bytes.clear();
             let mut bytes = std::mem::take(&mut last.bytes);
             bytes.resize(count, 0);
@@ -233,7 +233,7 @@ mod tests {
         let mut buf = [0; 5];
         open_named(held).unwrap().read_at(95, &mut buf).unwrap();
         assert_eq!(buf, [95, 96, 97, 98, 99]);
-        // Other threads see the files.
+        // Other threads see the files, not the held bytes.
         std::thread::spawn(|| assert!(Input::open(Path::new("held.xyz")).is_err())).join().unwrap();
     }
 

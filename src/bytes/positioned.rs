@@ -1,9 +1,9 @@
-//! Reading and writing files by position, the same on every system: no shared cursor moves.
+//! Positioned reads and writes of files, the same on every system: no shared cursor moves.
 
 use std::fs::File;
 use std::io;
 
-/// Fills `buf` with the bytes from `offset` on; fewer are an error.
+/// Fills `buf` with the bytes at `offset`; fails if there are fewer.
 pub(crate) fn read_exact_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<()> {
     match read_up_to(file, offset, buf)? == buf.len() {
         true => Ok(()),
@@ -11,8 +11,8 @@ pub(crate) fn read_exact_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Res
     }
 }
 
-/// Fills `buf` with the bytes from `offset` on; returns fewer than it holds only where the file ends. Interrupted calls
-/// are repeated.
+/// Fills `buf` with the bytes at `offset`; returns their number, which is less than the length of `buf` only at the end
+/// of the file. Repeats interrupted calls.
 pub(crate) fn read_up_to(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
     let mut done = 0;
     while done < buf.len() {
@@ -46,7 +46,7 @@ pub(crate) fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usi
     std::os::windows::fs::FileExt::seek_write(file, bytes, offset)
 }
 
-// Systems without files by position, a browser's wasm above all: bytes come by other sources there.
+// Systems without positioned files, above all WebAssembly in a browser, use other sources.
 #[cfg(not(any(unix, windows)))]
 pub(crate) fn read_at(_: &File, _: u64, _: &mut [u8]) -> io::Result<usize> {
     Err(io::ErrorKind::Unsupported.into())

@@ -1,4 +1,4 @@
-//! Regular files and nothing else: to open a pipe may wait for ever, and to read a device may never end.
+//! Regular files only: opening a pipe may wait forever, and reading a device may never end.
 
 use super::{FileId, testing};
 use std::fs::{File, Metadata};
@@ -7,9 +7,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
 
-/// Opens the file at `path` to be read; pipes, devices and folders are refused.
+/// Opens the file at `path` for reading; refuses pipes, devices and folders.
 pub(crate) fn open_regular(path: &Path) -> io::Result<(File, Metadata)> {
-    // Asked by name first: opening a pipe that nobody writes to would wait.
+    // Check by name first: opening a pipe without a writer would block.
     check(&std::fs::metadata(path)?)?;
     let file = File::open(path)?;
     let about = file.metadata()?;
@@ -25,17 +25,17 @@ fn check(about: &Metadata) -> io::Result<()> {
     }
 }
 
-/// A regular file that is read from front to back.
+/// Regular file read from front to back.
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only meshes are read so"))]
 pub(crate) enum Regular {
     File(File),
-    /// What a test holds in its place.
+    /// Bytes held by a test.
     Held(Cursor<Arc<[u8]>>),
 }
 
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only meshes are read so"))]
 impl Regular {
-    /// Opens the file at `path`, and its state.
+    /// Opens the file at `path`; returns it with its state.
     pub fn open(path: &Path) -> io::Result<(Self, Stamp)> {
         if let Some(bytes) = testing::held(path) {
             let stamp = Stamp::of_held(bytes.len() as u64);
@@ -65,7 +65,7 @@ impl Seek for Regular {
     }
 }
 
-/// The state of a file: another one means that it was written to, cut or replaced.
+/// State of a file; if it differs later, the file was written to, cut or replaced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
 pub(crate) struct Stamp {
@@ -76,28 +76,28 @@ pub(crate) struct Stamp {
 
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
 impl Stamp {
-    /// The state of the open `file`, which `about` describes.
+    /// Returns the state of the open `file`, which `about` describes.
     pub fn of(file: &File, about: &Metadata) -> Self {
         Self { len: about.len(), modified: about.modified().ok(), id: FileId::of(file) }
     }
 
-    /// The state of bytes in memory.
+    /// Returns the state of bytes in memory.
     pub(super) fn of_held(len: u64) -> Self {
         Self { len, modified: None, id: None }
     }
 
-    /// The state of an object.
+    /// Returns the state of an object.
     #[cfg(feature = "remote")]
     pub(super) fn of_object(len: u64, modified: Option<SystemTime>, id: FileId) -> Self {
         Self { len, modified, id: Some(id) }
     }
 
-    /// Length of the file (bytes).
+    /// Returns the length of the file (bytes).
     pub fn len(&self) -> u64 {
         self.len
     }
 
-    /// When the file was changed last, where that is known (nanoseconds since 1970).
+    /// Returns the modification time, if known (nanoseconds since 1970).
     pub fn modified_ns(&self) -> Option<i128> {
         let since = |time: SystemTime| match time.duration_since(SystemTime::UNIX_EPOCH) {
             Ok(after) => after.as_nanos() as i128,
@@ -106,7 +106,7 @@ impl Stamp {
         self.modified.map(since)
     }
 
-    /// Whether the file at `path` is in this state.
+    /// Returns whether the file at `path` is in this state.
     pub fn is_of(&self, path: &Path) -> bool {
         if let Some(bytes) = testing::held(path) {
             return *self == Self::of_held(bytes.len() as u64);

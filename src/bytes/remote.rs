@@ -1,10 +1,10 @@
 //! Archives on web servers and in object stores, read by ranges.
 //!
-//! The first request fetches the first 16 KiB, and with them length and version (ETag) of the object; opening an archive
-//! then takes one more, for its footer. All later requests ask for that very version, so an object that is replaced
-//! while it is open gives an error, never a mixture; what a server says about the version is checked besides.
+//! The first request fetches the first 16 KiB together with length and version (ETag) of the object; opening an archive
+//! then takes one more, for its footer. All later requests ask for exactly that version, so an object that is replaced
+//! while it is open gives an error, never a mixture. The version in each answer is checked as well.
 //!
-//! Errors name the address without user, password and query, and print of an answer its status and one line.
+//! Messages name the address without user, password and query; of an answer they print the status and one line.
 
 mod connect;
 #[cfg(feature = "convert")]
@@ -34,40 +34,40 @@ use tokio::runtime::Handle;
 use transport::Refusal;
 use url::Url;
 
-/// Bytes that come with the first request: the longest head of an archive.
+/// Bytes fetched by the first request: the longest head of an archive.
 const FIRST: u64 = 16 << 10;
 
-/// Time between two looks at the clock and at the wish to stop.
+/// Interval between checks of the time limits and of cancellation.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// The wait before the first repetition of a request; it doubles up to 64 times this.
+/// Wait before the first retry of a request; it doubles up to 64 times this.
 const WAIT: Duration = Duration::from_millis(50);
 
-/// How to reach an object.
+/// Options for access to an object.
 #[derive(Clone, PartialEq, Eq)]
 pub struct RemoteOptions {
-    /// Longest time that a request waits for the next bytes (s), connecting included, and longest wait that a server may ask for
-    /// (`Retry-After`) before the request is repeated; if it asks for more, the read fails at once.
+    /// Longest time a request waits for the next bytes, connecting included, and longest wait (`Retry-After`) that a
+    /// server may ask for before the request is retried. If the server asks for more, the read fails at once.
     pub timeout: Duration,
-    /// Longest time that a read waits for the next bytes, its repetitions included (s). A request that timed out is repeated if this
+    /// Longest time a read waits for the next bytes, retries included. A request that timed out is retried only if this
     /// is longer than `timeout`.
     pub patience: Duration,
-    /// How often a request is repeated that failed for a reason which may pass: a lost connection, an error of the server.
+    /// Retries of a request that failed for a possibly temporary reason: a lost connection, an error of the server.
     pub retries: usize,
-    /// Settings of the object store by name, for example `("aws_endpoint", ...)`; these come on top of the environment's
-    /// `AWS_*`, `GOOGLE_*` or `AZURE_*`. If neither holds credentials, requests are not signed.
+    /// Settings of the object store by name, for example `("aws_endpoint", ...)`, in addition to `AWS_*`, `GOOGLE_*` or
+    /// `AZURE_*` from the environment. If neither holds credentials, requests are not signed.
     pub settings: Vec<(String, String)>,
 }
 
 impl Default for RemoteOptions {
-    /// 10 s for a request and for a read, eight repetitions, no settings.
+    /// 10 s for a request and for a read, eight retries, no settings.
     fn default() -> Self {
         let wait = Duration::from_secs(10);
         Self { timeout: wait, patience: wait, retries: 8, settings: Vec::new() }
     }
 }
 
-/// Names of the settings only: values may be secret.
+/// Shows only the names of the settings, because values may be secret.
 impl std::fmt::Debug for RemoteOptions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let names: Vec<&str> = self.settings.iter().map(|(name, _)| &name[..]).collect();
@@ -81,15 +81,15 @@ impl std::fmt::Debug for RemoteOptions {
     }
 }
 
-/// An object on a web server or in an object store.
+/// Object on a web server or in an object store.
 ///
-/// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the waiting, or make the
-/// thread [`interruptible`](super::interruptible).
-/// All objects of a server or bucket that are opened with the same options share one client: as many connections as there are
-/// reads at the same time, which stay open for the next ones. Memory: 16 KiB, and the connection's.
+/// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the
+/// waiting, or make the thread [`interruptible`](super::interruptible). All objects of a server or bucket that are
+/// opened with the same options share one client, with as many connections as there are concurrent reads; connections
+/// stay open for later reads. Memory: 16 KiB, and the connection's.
 pub struct RemoteSource {
     connected: Connected,
-    /// For messages: no password, no query.
+    /// Address for messages, without password and query.
     name: String,
     options: RemoteOptions,
     first: Vec<u8>,
@@ -97,18 +97,19 @@ pub struct RemoteSource {
 }
 
 impl RemoteSource {
-    /// Opens the object at `url`: `https://`, `http://`, `s3://bucket/key` (and addresses of Amazon S3 and Cloudflare R2),
-    /// `gs://bucket/key`, `az://container/key`, or `file://`. One request. Addresses of web servers are used as they are: a query (a signed address) is part of every
-    /// request, `user:password@` is sent as basic authentication; no message prints either.
+    /// Opens the object at `url`: `https://`, `http://`, `s3://bucket/key` (and addresses of Amazon S3 and Cloudflare
+    /// R2), `gs://bucket/key`, `az://container/key`, or `file://`. Cost: one request. Addresses of web servers are used
+    /// unchanged: a query (a signed address) is part of every request, and `user:password@` is sent as basic
+    /// authentication; no message prints either.
     pub fn open(url: &str) -> Result<Self> {
         Self::with(url, &RemoteOptions::default())
     }
 
-    /// As [`open`](Self::open), with options.
+    /// Like [`open`](Self::open), with options.
     ///
-    /// Fails if the address is not understood, the object is not there, the server does not give ranges, or the calling
-    /// thread belongs to an asynchronous runtime (reads block; use a thread of your own). After a `fork`, open it again: the
-    /// connections belong to the process that opened it, and reads fail in another.
+    /// Fails if the address is not understood, the object does not exist, the server does not support ranges, or the
+    /// calling thread belongs to an asynchronous runtime (reads block; use a thread of your own). After a `fork`, open
+    /// it again: the connections belong to the process that opened it, and reads fail in another.
     pub fn with(url: &str, options: &RemoteOptions) -> Result<Self> {
         let refused = |reason: String| Error::parameter("address of a remote archive", reason);
         let url = Url::parse(url).map_err(|error| refused(error.to_string()))?;
@@ -128,24 +129,24 @@ impl RemoteSource {
         Ok(source)
     }
 
-    /// The version that was opened.
+    /// Returns the version that was opened.
     #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
     pub(super) fn stamp(&self) -> Stamp {
         let ObjectMeta { size, last_modified, e_tag, version, .. } = &self.meta;
         let hash = |bytes: &[u8]| xxhash_rust::xxh3::xxh3_64(bytes);
         let version = format!("{e_tag:?} {version:?}");
         let id = FileId::of_object(hash(self.name.as_bytes()), hash(version.as_bytes()));
-        // A server that does not say gives the beginning of time.
+        // Without a time from the server, this is the epoch.
         let modified = (last_modified.timestamp() > 0).then(|| (*last_modified).into());
         Stamp::of_object(*size, modified, id)
     }
 
-    /// Whether all bytes before `end` came with the first request.
+    /// Returns whether the first request fetched all bytes before `end`.
     pub(super) fn holds(&self, end: u64) -> bool {
         end <= self.first.len() as u64
     }
 
-    /// The bytes of `range` that the object has, of the version `known`, or of any.
+    /// Fetches the bytes of `range` that the object has, in the version `known`, or in any version.
     fn get(&self, range: Range<u64>, known: Option<&ObjectMeta>) -> Result<(ObjectMeta, Vec<u8>)> {
         refuse_tasks(&self.name)?;
         let (mut meta, mut bytes) = (known.cloned(), Vec::with_capacity((range.end - range.start) as usize));
@@ -176,7 +177,7 @@ impl RemoteSource {
         }
     }
 
-    /// A request, unless its thread is asked to stop or nothing is heard for too long.
+    /// Awaits a request, unless its thread is cancelled or no bytes arrive for too long.
     async fn within_time<T>(
         &self,
         heard: &Cell<Instant>,
@@ -200,7 +201,7 @@ impl RemoteSource {
         }
     }
 
-    /// One request for what `bytes` lacks of `range`; `meta` becomes known with the first answer.
+    /// Sends one request for the part of `range` missing in `bytes`; sets `meta` with the first answer.
     async fn ask(
         &self,
         range: &Range<u64>,
@@ -209,7 +210,7 @@ impl RemoteSource {
         heard: &Cell<Instant>,
     ) -> Result<ObjectMeta, Failure> {
         let mut options = meta.as_ref().map_or(GetOptions::default(), same_version);
-        // A read that broke off is taken up where it did if that version can be asked for; else it begins again.
+        // Resume an aborted read where it stopped if that version can be requested; else start again.
         if options.if_match.is_none() && options.if_unmodified_since.is_none() {
             bytes.clear();
         }
@@ -227,7 +228,7 @@ impl RemoteSource {
         while let Some(part) = stream.next().await {
             let part = part?;
             heard.set(Instant::now());
-            // More than was asked for is not kept.
+            // Discard bytes beyond the range.
             let left = (end - range.start) as usize - bytes.len();
             bytes.extend_from_slice(&part[..part.len().min(left)]);
             if part.len() > left {
@@ -265,22 +266,22 @@ impl std::fmt::Debug for RemoteSource {
     }
 }
 
-/// Why a read failed.
+/// Reason why a read failed.
 enum Failure {
     Replaced,
-    /// An answer that ended well, but too early.
+    /// The answer ended regularly, but too early.
     Short {
         missing: u64,
     },
-    /// Nothing came for so long.
+    /// No bytes arrived for this long.
     Silent(Duration),
-    /// The thread was asked to stop.
+    /// The thread was cancelled.
     Stopped,
     Store(object_store::Error),
 }
 
 impl Failure {
-    /// How long to wait before the request is repeated, after so many failures; `None` if that is of no use.
+    /// Returns how long to wait before a retry after `failures` failures; `None` if a retry is of no use.
     fn wait(&self, failures: usize, longest: Duration) -> Option<Duration> {
         let own = WAIT * (1 << failures.min(6));
         let error = match self {
@@ -297,7 +298,7 @@ impl Failure {
         }
     }
 
-    /// Whether the server answered, if only by a refusal.
+    /// Returns whether the server answered, even if only with a refusal.
     fn is_answer(&self) -> bool {
         matches!(self, Self::Store(error) if cause::<Refusal>(error).is_some())
     }
@@ -311,7 +312,7 @@ impl From<object_store::Error> for Failure {
     }
 }
 
-/// As text alone: the errors of the store hold addresses.
+/// Keeps only the text, because errors of the store hold addresses.
 impl From<Failure> for io::Error {
     fn from(failure: Failure) -> Self {
         let error = match failure {
@@ -348,7 +349,7 @@ impl From<Failure> for io::Error {
     }
 }
 
-/// Lets time pass, unless this thread is asked to stop.
+/// Sleeps, unless this thread is cancelled.
 fn sleep(time: Duration) -> Result<()> {
     let (until, stop) = (Instant::now() + time, stop_of_thread());
     loop {
@@ -367,7 +368,7 @@ fn reading(range: &Range<u64>) -> String {
     format!("read {} bytes at {}", range.end - range.start, range.start)
 }
 
-/// Threads of an asynchronous runtime must not block.
+/// Refuses threads of an asynchronous runtime, which must not block.
 fn refuse_tasks(name: &str) -> Result<()> {
     if Handle::try_current().is_err() {
         return Ok(());
@@ -376,9 +377,9 @@ fn refuse_tasks(name: &str) -> Result<()> {
     Err(Error::parameter(name, reason))
 }
 
-/// Asks for the version of `meta`, if the server can be asked that.
+/// Requests the version of `meta`, if the server supports that.
 fn same_version(meta: &ObjectMeta) -> GetOptions {
-    // A weak tag never matches; then the time of the last change has to do, if the server tells it.
+    // A weak tag never matches; then the modification time is used, if the server states it.
     let strong = meta.e_tag.clone().filter(|tag| !tag.starts_with("W/"));
     let time = Some(meta.last_modified).filter(|time| strong.is_none() && time.timestamp() > 0);
     GetOptions { if_match: strong, if_unmodified_since: time, ..GetOptions::default() }

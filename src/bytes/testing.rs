@@ -1,4 +1,4 @@
-//! Byte sources for tests: they count, take their time, fail, or wait at a gate; and inputs in memory.
+//! Byte sources for tests: they count, delay, fail, or wait at a gate. Also inputs in memory.
 
 use super::ByteSource;
 use crate::{Error, Result};
@@ -11,26 +11,26 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Whether some thread has inputs in memory.
+/// True once a thread holds inputs in memory.
 static HOLDS: AtomicBool = AtomicBool::new(false);
 
 thread_local! {
     static HELD: RefCell<HashMap<PathBuf, Arc<[u8]>>> = RefCell::default();
 }
 
-/// From now on, this thread reads `bytes` where a scan, a mesh or a plan file called `path` is asked for, whatever files there are: tests of
-/// millions of inputs would spend their time with the system's files.
+/// Makes this thread read `bytes` for a scan, mesh or plan file called `path`, whatever files exist. Tests of millions
+/// of inputs would otherwise spend their time in the file system.
 pub fn hold(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) {
     HOLDS.store(true, Relaxed);
     HELD.with_borrow_mut(|held| held.insert(path.into(), bytes.into()));
 }
 
-/// The bytes that this thread holds under this name.
+/// Returns the bytes that this thread holds under this name.
 pub(crate) fn held(path: &Path) -> Option<Arc<[u8]>> {
     if HOLDS.load(Relaxed) { HELD.with_borrow(|held| held.get(path).cloned()) } else { None }
 }
 
-/// Counts reads and bytes, and sleeps before each read.
+/// Source that counts reads and bytes, and sleeps before each read.
 #[derive(Debug)]
 pub struct SlowSource<S> {
     source: S,
@@ -40,12 +40,12 @@ pub struct SlowSource<S> {
 }
 
 impl<S> SlowSource<S> {
-    /// `source`, whose every read takes `latency` longer; with none, it only counts.
+    /// Wraps `source` so that every read takes `latency` longer; with zero it only counts.
     pub fn new(source: S, latency: Duration) -> Self {
         Self { source, latency, reads: AtomicU64::new(0), bytes: AtomicU64::new(0) }
     }
 
-    /// Reads so far, and the bytes that they asked for.
+    /// Returns the number of reads, and of the bytes they requested.
     pub fn counts(&self) -> (u64, u64) {
         (self.reads.load(Relaxed), self.bytes.load(Relaxed))
     }
@@ -66,18 +66,18 @@ impl<S: ByteSource> ByteSource for SlowSource<S> {
     }
 }
 
-/// What a [`FaultySource`] does to the bytes it was told of.
+/// Effect of a [`FaultySource`] on reads that touch its range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// Nothing.
+    /// No effect.
     None,
-    /// Reads that touch them fail.
+    /// Such reads fail.
     Fail,
-    /// Reads that touch them give other bytes.
+    /// Such reads return wrong bytes.
     Flip,
 }
 
-/// Fails, or lies, about one stretch of bytes, as long as told to.
+/// Source that can be set to fail, or to return wrong bytes, for one range.
 #[derive(Debug)]
 pub struct FaultySource<S> {
     source: S,
@@ -85,12 +85,12 @@ pub struct FaultySource<S> {
 }
 
 impl<S> FaultySource<S> {
-    /// `source`, without a fault so far.
+    /// Wraps `source`, without a fault at first.
     pub fn new(source: S) -> Self {
         Self { source, fault: Mutex::new((Fault::None, 0..0)) }
     }
 
-    /// From now on does `fault` to reads that touch `bytes`.
+    /// Applies `fault` to all later reads that touch `bytes`.
     pub fn set(&self, fault: Fault, bytes: std::ops::Range<u64>) {
         *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = (fault, bytes);
     }
@@ -121,7 +121,7 @@ impl<S: ByteSource> ByteSource for FaultySource<S> {
     }
 }
 
-/// Lets reads pass as long as its gate is open, and holds them at it while it is closed.
+/// Source whose reads pass while its gate is open and block while it is closed.
 #[derive(Debug)]
 pub struct GatedSource<S> {
     source: S,
@@ -131,7 +131,7 @@ pub struct GatedSource<S> {
 }
 
 impl<S> GatedSource<S> {
-    /// `source` behind an open gate.
+    /// Wraps `source` behind an open gate.
     pub fn new(source: S) -> Self {
         Self { source, open: Mutex::new(true), changed: Condvar::new(), waiting: AtomicBool::new(false) }
     }
@@ -142,7 +142,7 @@ impl<S> GatedSource<S> {
         self.changed.notify_all();
     }
 
-    /// Whether a read has come to the closed gate.
+    /// Returns whether a read is waiting at the closed gate.
     pub fn is_waiting(&self) -> bool {
         self.waiting.load(Relaxed)
     }

@@ -1,9 +1,9 @@
-//! Which inputs a part of a plan opens: those that its columns meet. Names and lengths tell the others; so a part of a plan of
-//! 100,000 tiles opens some tens of them.
+//! Choice of the inputs that a part of a plan opens: those that meet its columns. Names and lengths identify the
+//! others, so a part of a plan of 100,000 tiles opens only some tens of them.
 //!
-//! What the header of a part says of all inputs, their reference system and units, comes from the plan. Every input that is
-//! opened is known again by its fingerprint; whatever was exchanged among the others is noticed by the parts that read it. An
-//! input whose name and length are those of no file of the plan, or of several, is opened.
+//! The plan states what the headers of all inputs say together: reference system and units. Every opened input is
+//! checked by its fingerprint; if another input was exchanged, the parts that read it notice. An input whose name and
+//! length match no file of the plan, or several, is opened.
 
 use super::facts::name_of;
 use super::options::ConvertOptions;
@@ -19,21 +19,21 @@ use std::path::PathBuf;
 #[derive(Debug)]
 pub(crate) struct Chosen {
     pub shard: Shard,
-    /// Those to be opened, in order of their paths.
+    /// Inputs to open, in order of their paths.
     pub opened: Vec<PathBuf>,
-    /// The others.
+    /// All other inputs.
     pub closed: Vec<PathBuf>,
-    /// Whether a file of the plan is among the others, by its number in the plan.
+    /// True for each file of the plan, by its number, that is not opened.
     pub is_closed: Vec<bool>,
     pub stated: Stated,
 }
 
 impl Chosen {
-    /// Of a part whose plan says enough; `None` where all inputs are to be opened: without a plan, with one of an earlier build,
-    /// with colours (what values mean may follow from all files), where stations see through all files, and where incomplete
-    /// input is allowed.
+    /// Chooses the inputs of a part whose plan states enough. Returns `None` if all inputs are to be opened: without a
+    /// plan, with the plan of an earlier build, with colours (the meaning of values may depend on all files), where
+    /// stations see through all files, and where incomplete input is allowed.
     ///
-    /// Cost: the names and lengths of all inputs. Memory: the list of paths and 10 bytes a file of the plan.
+    /// Cost: the names and lengths of all inputs. Memory: the list of paths and 10 bytes per file of the plan.
     pub fn of(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<Self>> {
         let (Some(wanted), Some(file)) = (options.shard, &options.plan_file) else { return Ok(None) };
         let Some(stated) = &file.stated else { return Ok(None) };
@@ -49,7 +49,7 @@ impl Chosen {
         order.sort_unstable_by(|a, b| key(a).cmp(&key(b)));
         let find = |path: &PathBuf| {
             let name = name_of(path);
-            // Asking a store for the length takes a request, and tells no more than opening does later.
+            // Asking a store for the length takes a request and shows no more than opening the file does later.
             let bytes = match address(path) {
                 Some(_) => (0, u64::MAX),
                 None => std::fs::metadata(path).ok().map(|about| (about.len(), about.len()))?,
@@ -81,7 +81,7 @@ impl Chosen {
         Ok(Some(Self { shard, opened, closed, is_closed, stated: stated.clone() }))
     }
 
-    /// Refuses what the plan says of all inputs if those that were opened say something else: a person has changed it.
+    /// Refuses the plan if the opened inputs contradict what it states of all inputs, as after an edit by hand.
     pub fn check_stated(&self, set: &InputSet) -> Result<()> {
         let Stated { crs, units } = &self.stated;
         let refused = |what: &str| {

@@ -1,15 +1,15 @@
-//! Colours of a conversion: which values of the points they are made of, and how these become colours.
+//! Colours of a conversion: which values of the points they come from, and how values become colours.
 //!
-//! Triangles have colours of 8 bits a channel, which count as RGB and become as wide as those of points are.
+//! Triangles have 8-bit colours, which count as RGB and become as wide as those of points.
 //!
-//! Whether the points have values is decided before anything is converted, by the first value that is not 0; so a file whose
-//! RGB is zero throughout counts as one without, and costs a pass. How values become colours (8 or 16 bits, the range of
-//! intensities) follows from all kept points of the whole input: a conversion of the whole learns it in its first pass. A
-//! part does not see all points, so it takes it from the plan file, or reads the whole input once before it begins.
-//! Parts of a plan therefore make the colours of a single run, and each voxel lies in one part.
+//! The decision whether the points have values is made before anything is converted, by the first value that is not 0;
+//! so a file whose RGB is zero throughout counts as one without, and costs a pass. How values become colours (8 or 16
+//! bits, the range of intensities) follows from all kept points of the whole input. A conversion of the whole learns it
+//! in its first pass. A part does not see all points, so it takes it from the plan file, or reads the whole input once
+//! before it begins. Parts of a plan therefore make the same colours as a single run, and each voxel lies in one part.
 //!
-//! Where files of 8 bits come with files of 16, those of 8 are made wider. LAS does not say which it has: beside files that do,
-//! its values are read once more, up to the first that needs more than 8 bits.
+//! If some files have 8 bits and others 16, the 8-bit values are widened. LAS does not state which it has: next to
+//! files that do, its values are read once more, up to the first that needs more than 8 bits.
 
 use super::Inputs;
 use super::options::{ColourMode, ConvertOptions};
@@ -23,17 +23,17 @@ use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// What is known of the values of all points; the same in any order.
+/// Statistics of the values of all points, independent of their order.
 #[derive(Debug, Clone)]
 pub(super) struct Values {
     source: ColourSource,
     greatest: u16,
-    /// Points of each intensity.
+    /// Number of points for each intensity.
     counts: Vec<u64>,
 }
 
 impl Values {
-    /// Of no points.
+    /// Creates the statistics of no points.
     pub fn new(source: ColourSource) -> Self {
         let counts = if source == ColourSource::Intensity { vec![0; 1 << 16] } else { Vec::new() };
         Self { source, greatest: 0, counts }
@@ -49,7 +49,7 @@ impl Values {
         }
     }
 
-    /// Adds those of points whose records these are, as far as the scale needs them.
+    /// Adds the values that `records` hold, as far as the scale needs them.
     pub fn add_records(&mut self, records: impl Iterator<Item = Record>) {
         for record in records {
             match ValueFact::of(record.value()) {
@@ -64,19 +64,19 @@ impl Values {
         }
     }
 
-    /// Forgets all.
+    /// Clears the statistics.
     pub fn clear(&mut self) {
         self.greatest = 0;
         self.counts.fill(0);
     }
 
-    /// Adds those of other points.
+    /// Adds the statistics of other points.
     pub fn merge(&mut self, other: &Self) {
         self.greatest = self.greatest.max(other.greatest);
         self.counts.iter_mut().zip(&other.counts).for_each(|(count, more)| *count += more);
     }
 
-    /// How they become colours.
+    /// Returns how the values become colours.
     pub fn scale(&self) -> ColourScale {
         match self.source {
             ColourSource::Rgb => ColourScale::of_rgb(self.greatest),
@@ -87,7 +87,7 @@ impl Values {
 }
 
 impl ConvertOptions {
-    /// Refuses colours that cannot be made.
+    /// Refuses a colour error out of range.
     pub(super) fn check_colour(&self) -> Result<()> {
         let most = f64::from(u16::MAX) / 1000.0;
         if !(0.0..=most).contains(&self.colour_error) {
@@ -97,29 +97,29 @@ impl ConvertOptions {
         Ok(())
     }
 
-    /// The plan of colours of this scale.
+    /// Returns the colour plan with this scale.
     pub(super) fn colour_plan(&self, scale: ColourScale) -> ColourPlan {
         ColourPlan { scale, error_milli: (self.colour_error * 1000.0).round() as u16 }
     }
 }
 
-/// What colours are made of.
+/// Source of the colours of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Found {
     pub source: ColourSource,
-    /// Whether points have it.
+    /// True if points have it.
     points: bool,
 }
 
 impl Found {
-    /// Reads what is found, from now on.
+    /// Sets which values the inputs read from now on.
     fn set(found: Option<Self>, Inputs { scans, meshes, .. }: &mut Inputs) {
         scans.set_colour(found.filter(|found| found.points).map(|found| found.source));
         meshes.set_colours(found.is_some_and(|found| found.source == ColourSource::Rgb));
     }
 }
 
-/// What of an input has values of `source`: points, triangles, or nothing.
+/// Looks for values of `source` in the points and triangles of the input; returns `None` if it has no such values.
 fn look(
     Inputs { scans, meshes, .. }: &mut Inputs,
     source: ColourSource,
@@ -135,8 +135,8 @@ fn look(
     Ok(is_found.then_some(Found { source, points }))
 }
 
-/// The values that colours are made of, if there are to be colours. Cost: mostly a piece of the input; where values are zero
-/// throughout, a pass over it.
+/// Returns the source of the colours, if there are to be any. Cost: usually one piece of the input; where values are
+/// zero throughout, a pass over it.
 pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: &dyn Monitor) -> Result<Option<Found>> {
     let wanted: &[ColourSource] = match options.colour {
         ColourMode::Off => &[],
@@ -154,7 +154,7 @@ pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: 
     if found.is_some() {
         return Ok(found);
     }
-    // Whoever wanted colours is told why meshes have none, when they are read.
+    // If colours are wanted, reading the meshes then reports why they have none.
     inputs.meshes.set_colours(wanted.contains(&ColourSource::Rgb));
     match options.colour {
         ColourMode::Off => Ok(None),
@@ -184,7 +184,7 @@ pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: 
     }
 }
 
-/// As [`source_of`], for a part of a plan that made `source` of all its inputs.
+/// Like [`source_of`], but for a part of a plan that chose `source` for all its inputs.
 pub(super) fn source_of_plan(
     source: Option<ColourSource>,
     options: &ConvertOptions,
@@ -203,7 +203,7 @@ pub(super) fn source_of_plan(
     Ok(found)
 }
 
-/// Finds out what values of `source` mean in each file, where only the points tell that.
+/// Finds out what values of `source` mean in each file for which only the points show it.
 fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<()> {
     set.prepare_values(source)?;
     if source != ColourSource::Rgb {
@@ -235,8 +235,8 @@ fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &d
     Ok(())
 }
 
-/// Whether some kept point has a value other than 0: of the first piece, which mostly tells, by one thread, so that no more than
-/// needed is decoded; else of all.
+/// Returns whether some kept point has a value other than 0. One thread looks at the first piece, which usually
+/// decides, so that no more than needed is decoded; then all threads look at everything.
 fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<bool> {
     let found = AtomicBool::new(false);
     let is_first = AtomicBool::new(true);
@@ -256,7 +256,7 @@ fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: 
     Ok(false)
 }
 
-/// What is known of the values of all points: a pass over the input.
+/// Measures how the values of all points become colours. Cost: a pass over the input.
 pub(super) fn measure(
     set: &mut InputSet,
     Found { source, points }: Found,
@@ -279,7 +279,7 @@ pub(super) fn measure(
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).scale())
 }
 
-/// Gives `take` the points of the `wanted` files, and the number of the file, until it has enough.
+/// Passes the points of the `wanted` files to `take`, with the number of the file, until `take` returns false.
 fn read_values(
     set: &mut InputSet,
     source: ColourSource,
@@ -307,7 +307,7 @@ fn read_values(
                 Ok(())
             });
             match done {
-                // Stopped because there is no need to go on.
+                // Stopped because `take` has enough.
                 Err(Error::Interrupted) if enough.load(Ordering::Relaxed) && !monitor.cancelled() => return Ok(()),
                 done => drop(done?),
             }
@@ -315,6 +315,6 @@ fn read_values(
         Ok(())
     };
     on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-    // Where losses are allowed, they come up again in the pass that counts, and are told then.
+    // With `--allow-incomplete`, the main pass reports losses.
     set.check_complete(&NoMonitor)
 }

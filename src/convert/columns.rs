@@ -1,4 +1,5 @@
-//! Tile columns out of the runs, folded to voxels by several threads, and what these make of them in archive order.
+//! Second-pass work by tile column: several threads accumulate the runs' records to voxels, and the results come in
+//! archive order.
 
 use super::hand_over::{Closed, HandOver};
 use crate::plan::Plan;
@@ -11,51 +12,52 @@ use crate::voxel::views::{CHUNK, Views};
 use crate::{Error, Monitor, Parameter, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
-/// verdicts and the place of its sums) and span that it may become.
+/// Memory of a worker per record of a column (bytes): the record as read, two more copies while sorting, and the voxel
+/// (with its classes and the place of its sums) and span that it may become.
 const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 8 + 16;
-/// The same where values are wanted: two of them, and the sum and the mean of a voxel.
+/// Further memory per record if values are wanted (bytes): two copies of the value, and the sum and the mean of a
+/// voxel.
 const VALUE_BYTES_PER_RECORD: u64 = 2 * size_of::<Record>() as u64 + 32 + 16;
-/// Records of a job; patches count in 32 bits.
+/// Most records of a job; patches count in 32 bits.
 const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
-/// Records of a job of several columns where all are in memory: few enough that what a worker does last is a small part of the whole.
-/// From runs on disk so few would be read piece by piece.
+/// Records of a job of several columns if all runs are in memory: few, so that the last jobs of the workers are a small
+/// part of the whole. From runs on disk, so few records would mean small reads.
 const JOB_RECORDS: u64 = 1 << 16;
-/// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
+/// Memory of one voxel in a column that is accumulated piece by piece (bytes): before and after a piece, and in the
+/// patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
-/// Strips of rows in which a column is worked on. More would look at their halo, and at records that are in no order, for longer than it
-/// takes to fold all piece by piece.
+/// Most strips of rows into which a column is cut. More strips would spend longer on their halos, and on unsorted
+/// records, than it takes to accumulate the whole column piece by piece.
 const MOST_STRIPS: u64 = 16;
 
-/// What one worker does with a job.
+/// Work of one worker on jobs.
 pub(super) trait ColumnWork {
-    /// What comes of it.
+    /// Result of a job.
     type Done: Send;
 
-    /// Does it.
+    /// Does one job.
     fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Self::Done>;
 }
 
 /// A pass over all tile columns.
 pub(super) struct Columns<'a> {
     pub merge: &'a Merge<'a>,
-    /// The budget of the conversion; a quarter of it is for columns at work.
+    /// Budget of the conversion (bytes); a quarter of it is for columns being processed.
     pub memory_bytes: u64,
     pub threads: usize,
     /// See [`HandOver`].
     pub ahead: usize,
     /// Most columns of a job.
     pub max_columns: u64,
-    /// What stations saw, where points that others saw through are to be removed.
+    /// Views of the stations, if points that other stations saw through are to be removed.
     pub views: Option<&'a Views>,
-    /// Whether the values of points are wanted.
+    /// True if the values of points are wanted.
     pub values: bool,
     pub monitor: &'a dyn Monitor,
 }
 
 impl Columns<'_> {
-    /// Gives `take` what workers, made by `worker` for the patches of the columns, make of one job after the other, in
-    /// archive order.
+    /// Passes the result of each job to `take`, in archive order. `worker` makes each worker from the patches it uses.
     pub fn work_in_order<'w, W: ColumnWork + Send>(
         &'w self,
         plan: &Plan,
@@ -90,33 +92,33 @@ impl Columns<'_> {
     }
 }
 
-/// What the workers share for columns that do not fit.
+/// State shared by the workers for columns that do not fit into memory.
 struct Dense {
     /// Held by the one worker that may use as much memory as all workers together.
     one_at_a_time: Mutex<()>,
-    /// Voxels that it may then hold.
+    /// Most voxels that this worker may then hold.
     max_voxels: u64,
 }
 
-/// Gives records to its argument, piece by piece.
+/// Function that passes records to its argument, piece by piece.
 pub(super) type EachRecords<'a> = dyn FnMut(&mut dyn FnMut(&[Record])) -> Result<()> + 'a;
 
-/// What is made of the voxels of tile columns, area by area.
+/// Consumer of the voxels of tile columns, area by area.
 pub(super) trait TakeAreas {
-    /// The voxels of an area of a column with its halo, and their sums; returns how many it dropped.
+    /// Takes the voxels of an area of a column with its halo, and their sums; returns how many it dropped.
     fn area(&mut self, column: ColumnKey, area: Area, patch: &mut Patch, sums: &mut Sums) -> u64;
 
-    /// The values of the points of an area, whose voxels are those of `patch` now: `each` gives them to its argument, piece by piece,
-    /// with others that lie elsewhere. Called after [`area`](Self::area), where values are wanted.
+    /// Takes the values of the points of an area, whose voxels `patch` holds: `each` passes them to its argument piece
+    /// by piece, mixed with values from elsewhere. Called after [`area`](Self::area), if values are wanted.
     fn values(&mut self, _patch: &Patch, _area: Area, _each: &mut EachRecords<'_>) -> Result<()> {
         Ok(())
     }
 
-    /// All areas of the column have come.
+    /// Ends a column after all its areas.
     fn end(&mut self, column: ColumnKey) -> Result<()>;
 }
 
-/// Folds the records of tile columns to voxels: scratch of one worker.
+/// Accumulator of the records of tile columns to voxels, with the scratch memory of one worker.
 pub(super) struct Patches<'a> {
     dense: Arc<Dense>,
     views: Option<&'a Views>,
@@ -128,15 +130,15 @@ pub(super) struct Patches<'a> {
     sums: Sums,
     folder: PieceFolder,
     records: Vec<Record>,
-    /// Points removed as moving since they were taken out last, without the copies in halos.
+    /// Points removed as moving since this list was last emptied, without the copies in halos.
     pub removed: Vec<(ColumnKey, Record)>,
     staying: Vec<Record>,
-    /// Whether the values of points are wanted, and those of a job.
+    /// True if the values of points are wanted; `values` holds those of a job.
     wants_values: bool,
     values: Vec<Record>,
 }
 
-/// Removes the points of an area and its halo that are taken for moving, and notes those of the area.
+/// Removes the points of an area and its halo that are classified as moving, and adds those of the area to `removed`.
 fn remove_moving(
     views: &Views,
     key: ColumnKey,
@@ -161,10 +163,11 @@ fn remove_moving(
     records.truncate(kept);
 }
 
-/// Memory of a worker per record of a column.
+/// Returns the memory of a worker per record of a column (bytes).
 fn job_bytes_per_record(views: Option<&Views>, values: bool) -> u64 {
     let removed = size_of::<Record>() + size_of::<(ColumnKey, Record)>();
-    // Values of these follow the records of their points, and are copied without those of removed points, which are sorted for that.
+    // With stations, values follow the records of their points; they are copied without those of removed points, which
+    // are sorted for that.
     let of_values = if values { 4 * size_of::<Record>() as u64 } else { 0 };
     let removed = if views.is_some() { removed as u64 + of_values } else { 0 };
     JOB_BYTES_PER_RECORD + removed + if values { VALUE_BYTES_PER_RECORD } else { 0 }
@@ -197,7 +200,7 @@ impl<'a> Patches<'a> {
         }
     }
 
-    /// Gives `take` the voxels of those columns of a job that are `wanted`; returns how many were dropped.
+    /// Passes the voxels of the `wanted` columns of a job to `take`; returns how many were dropped.
     pub fn take(
         &mut self,
         merge: &Merge<'_>,
@@ -230,7 +233,7 @@ impl<'a> Patches<'a> {
                 if self.wants_values {
                     let sifted = self.views.map(|_| {
                         let (removed, mut sifted) = (self.removed_of(key), Vec::new());
-                        // Of one run after the other, and each is whole.
+                        // The values come run by run, and each run is complete.
                         ValueSieve::default().sift(
                             own_values,
                             |point| removed.binary_search(&point).is_ok(),
@@ -251,7 +254,8 @@ impl<'a> Patches<'a> {
         Ok(dropped)
     }
 
-    /// Folds the records of an area and its halo, without those that are taken for moving; returns how many voxels were dropped.
+    /// Accumulates the records of an area and its halo, except points classified as moving; returns how many voxels
+    /// were dropped.
     fn fold(&mut self, key: ColumnKey, area: Area, own: &impl RecordPieces) -> u64 {
         if self.views.is_none() {
             return self.patch.fold(own, self.min_points, area, &mut self.sums);
@@ -271,7 +275,7 @@ impl<'a> Patches<'a> {
         }
     }
 
-    /// The points of a column that were removed so far, in order.
+    /// Returns the removed points of a column, sorted.
     fn removed_of(&self, key: ColumnKey) -> Vec<Record> {
         let own = self.removed.iter().rev().take_while(|removed| removed.0 == key);
         let mut own: Vec<Record> = own.map(|removed| removed.1).collect();
@@ -279,11 +283,12 @@ impl<'a> Patches<'a> {
         own
     }
 
-    /// Works on a column of more records than memory holds: in a few strips of rows that have few enough. Where there would be many, one
-    /// pass folds all records piece by piece if they make few voxels; else the column is cut into areas of few enough
-    /// records, with one pass for each.
+    /// Processes a column with more records than fit into memory, in a few strips of rows that do fit. If that takes
+    /// too many strips, one pass accumulates all records piece by piece, provided that they make few voxels; else the
+    /// column is cut into areas that fit, with one pass for each.
     ///
-    /// Cost: one to three passes over the column's records, then for each strip or area its rows, and all records that are in no order.
+    /// Cost: one to three passes over the column's records, then for each strip or area its rows and all unsorted
+    /// records.
     fn dense_column(&mut self, merge: &Merge<'_>, job: &ColumnJob, take: &mut impl TakeAreas) -> Result<u64> {
         let key = job.columns[0].0;
         let mut dropped = 0;
@@ -321,7 +326,7 @@ impl<'a> Patches<'a> {
                 self.stream_values(merge, job, area, take)?;
                 self.records = own;
             } else if let Some([low, high]) = area.halves() {
-                // The last is taken first, and spans are to come in order of pixels where they can.
+                // The stack is popped from its end, and spans should come in pixel order where possible.
                 open.extend([high, low]);
             } else {
                 let dense = self.dense.clone();
@@ -338,7 +343,7 @@ impl<'a> Patches<'a> {
         Ok(dropped)
     }
 
-    /// How many records of a job's only column each patch pixel has.
+    /// Counts the records of a job's only column for each patch pixel.
     fn counts(&self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Vec<u64>> {
         let mut counts = vec![0; PATCH_AREA];
         self.stream(merge, job, Area::TILE, |records| {
@@ -348,8 +353,9 @@ impl<'a> Patches<'a> {
         Ok(counts)
     }
 
-    /// A column with so many records in each patch pixel as strips of as many whole rows as may be at work at once with their halo;
-    /// `None` where a row has too many, or where the strips would be.
+    /// Cuts a column, given the number of records of each patch pixel, into strips of whole rows, each as high as
+    /// memory allows with its halo. Returns `None` if a single row does not fit, or if there would be more than
+    /// [`MOST_STRIPS`].
     fn strips(&self, counts: &[u64]) -> Option<Vec<Area>> {
         let rows: Vec<u64> = counts.chunks(PATCH_PIXELS).map(|row| row.iter().sum()).collect();
         let mut strips = Vec::new();
@@ -363,12 +369,12 @@ impl<'a> Patches<'a> {
         (strips.len() as u64 <= MOST_STRIPS).then_some(strips)
     }
 
-    /// Voxels with sums that fit where `max_records` records do.
+    /// Returns how many voxels with sums take the memory of `max_records` records.
     fn max_voxels(&self) -> u64 {
         self.max_records * JOB_BYTES_PER_RECORD / DENSE_BYTES_PER_VOXEL
     }
 
-    /// Folds the records of `area` piece by piece; `None` if they make more than `max_voxels`.
+    /// Accumulates the records of `area` piece by piece; returns `None` if they make more than `max_voxels`.
     fn fold_piecemeal(
         &mut self,
         merge: &Merge<'_>,
@@ -403,13 +409,13 @@ impl<'a> Patches<'a> {
         Ok(Some(dropped))
     }
 
-    /// Gives `take` the values of the points of a column in `area`.
+    /// Passes the values of the points of a column in `area` to `take`.
     fn stream_values(&self, merge: &Merge<'_>, job: &ColumnJob, area: Area, take: &mut impl TakeAreas) -> Result<()> {
         if !self.wants_values {
             return Ok(());
         }
         let chunk = (self.max_records / 4).max(1 << 12) as usize;
-        // Rows of a patch begin with the halo.
+        // The first row of a patch is the halo.
         let rows = (area.y.0 + 1, area.y.1 + 1);
         let removed = self.removed_of(job.columns[0].0);
         take.values(&self.patch, area, &mut |give| {
@@ -431,8 +437,8 @@ impl<'a> Patches<'a> {
         })
     }
 
-    /// The records of a column in `area` and its halo, and others, piece by piece, until `take` has enough; whether it
-    /// saw all.
+    /// Passes the records of a column in `area` and its halo, mixed with others, to `take` piece by piece until it
+    /// returns false. Returns whether `take` saw all of them.
     fn stream(
         &self,
         merge: &Merge<'_>,

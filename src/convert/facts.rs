@@ -1,4 +1,4 @@
-//! What a plan remembers of each input: enough to know it again on another machine, and to give it to parts.
+//! Facts about each input that a plan stores: enough to recognise it on another machine and to assign it to parts.
 
 use super::points::bounds;
 use super::work::on_threads;
@@ -10,28 +10,29 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
 
-/// Blocks of a file by which it is known again, beside its length: the first, the last, and some evenly between.
+/// Blocks of a file in its fingerprint, besides its length: the first, the last, and others evenly between.
 const BLOCKS: u64 = 8;
 /// Length of a block (bytes).
 const BLOCK_BYTES: u64 = 4096;
 
-/// An input file as a plan remembers it.
+/// Facts about an input file in a plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InputFacts {
-    /// Its name without folders, for the reader of the plan only.
+    /// File name without folders; only for people who read the plan.
     pub name: String,
-    /// Its length (bytes).
+    /// Length (bytes).
     pub bytes: u64,
-    /// Points that its header states.
+    /// Number of points stated by the header.
     pub points: u64,
-    /// XXH3-128 of its length and of eight blocks of 4096 bytes: tells whether another machine has the same file.
+    /// XXH3-128 of the length and of eight blocks of 4096 bytes; shows whether another machine has the same file.
     pub fingerprint: u128,
-    /// Bounds that its header states (m); parts that these do not meet leave the file out. `None`: all parts read it.
+    /// Bounds stated by the header (m); parts that do not meet them leave the file out. `None`: all parts read it.
     pub bounds: Option<StatedBounds>,
 }
 
 impl InputFacts {
-    /// Of all scans of `set`, then of its meshes. Cost: eight small reads a file, by so many threads.
+    /// Collects the facts of all scans of `set`, then of its meshes. Cost: eight small reads per file, by `threads`
+    /// threads.
     pub(super) fn of(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
         let scans = set.files().iter().map(|file| (file.path(), Some(file)));
         let all: Vec<_> = scans.chain(set.meshes().iter().map(|path| (path.as_path(), None))).collect();
@@ -41,7 +42,7 @@ impl InputFacts {
             }
             let (bytes, fingerprint) = fingerprint(path)?;
             let name = name_of(path);
-            // Meshes have no headers that tell bounds: every part reads them.
+            // Meshes have no header with bounds: every part reads them.
             let (points, bounds) = scan.map_or((0, None), |scan| (scan.points_stated(), scan.bounds_with_slack()));
             Ok(Self { name, bytes, points, fingerprint, bounds })
         };
@@ -61,8 +62,8 @@ impl InputFacts {
         Ok(found.into_iter().map(|(_, facts)| facts).collect())
     }
 
-    /// The same, with the number and bounds of the kept points of scans whose headers do not state them. Cost: these scans
-    /// are read once.
+    /// Like [`of`](Self::of), but with the number and bounds of the kept points for scans whose headers do not state
+    /// them. Cost: one pass over these scans.
     pub(super) fn measured(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
         let mut facts = Self::of(set, threads, monitor)?;
         let is_open = |file: usize| !set.files()[file].has_header();
@@ -98,7 +99,7 @@ impl InputFacts {
             }
         };
         on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-        // Where losses are allowed, they come up again in the pass that counts, and are told then.
+        // With `--allow-incomplete`, the main pass reports losses.
         set.check_complete(&NoMonitor)?;
         let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         for (number, (points, bounds)) in found.into_iter().enumerate().filter(|&(number, _)| is_open(number)) {
@@ -108,19 +109,19 @@ impl InputFacts {
     }
 }
 
-/// Bounds around both.
+/// Returns the bounds around both.
 fn around(one: Option<StatedBounds>, other: StatedBounds) -> Option<StatedBounds> {
     let Some(one) = one else { return Some(other) };
     let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
     Some(StatedBounds { min: axes(f64::min, one.min, other.min), max: axes(f64::max, one.max, other.max) })
 }
 
-/// Name of a file without folders.
+/// Returns the name of a file without folders.
 pub(super) fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Length of the file at `path`, and XXH3-128 of the length and the blocks.
+/// Returns the length of the file at `path`, and the XXH3-128 of the length and the blocks.
 fn fingerprint(path: &Path) -> Result<(u64, u128)> {
     let source = open_named(path)?;
     let len = source.len();

@@ -1,41 +1,44 @@
-//! Jobs from one thread to several workers, and what they make of them to the calling thread, in the order of the jobs.
+//! Ordered hand-over between threads: jobs from one thread to several workers, and their results to the calling thread,
+//! in the order of the jobs.
 //!
-//! At most `ahead` jobs wait for an earlier one: a job is given out against a token, and its token comes back when what came of
-//! it is taken. Whoever fails or stops drops its ends of the channels, which wakes the others. `tests/schedules.rs` runs this
-//! file in schedules of its own choice.
+//! At most `ahead` jobs wait for an earlier one: each job needs a token, which comes back when its result is taken. A
+//! thread that fails or stops drops its ends of the channels, which wakes the others. `tests/schedules.rs` runs this
+//! file under schedules of its own choice.
 
 use super::sync::{Receiver, Sender, bounded, scope, start};
 use std::collections::BTreeMap;
 
-/// Nobody wants further jobs; whoever takes what came of them knows why.
+/// Error of a job given after the results are no longer taken; the caller of [`HandOver::run`] has the reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Closed;
 
-/// What the calling thread is told.
+/// Message to the calling thread.
 enum Message<D, E> {
-    /// What came of the job with this number.
+    /// Result of the job with this number.
     Done(u64, D),
     Failed(E),
-    /// A worker panicked; its job never comes.
+    /// A worker panicked; the result of its job never comes.
     Panicked,
 }
 
-/// How jobs are handed over.
+/// Settings of a hand-over.
 #[derive(Debug, Clone, Copy)]
 pub struct HandOver {
-    /// Workers; as many as the system starts, at least one.
+    /// Workers wanted. If the system starts fewer, but at least one, these do all the work.
     pub threads: usize,
     /// Jobs that may be finished before the oldest unfinished one.
     pub ahead: usize,
 }
 
 impl HandOver {
-    /// Has the jobs that `give` hands to its argument done by workers that `worker` makes, and gives `take` what came of one after
-    /// the other. `check` is asked whenever a job is finished; `no_thread` says what it means that the system starts none.
+    /// Runs the jobs that `give` passes to its argument on workers made by `worker`, and passes their results to `take`
+    /// in the order of the jobs. Calls `check` whenever a job is finished; `no_thread` makes the error if the system
+    /// starts no thread.
     ///
     /// # Errors
     ///
-    /// The first that any of them returned; what came of earlier jobs may have been taken, and nothing is taken after it.
+    /// The first error that any of them returned. Results of earlier jobs may have been taken; nothing is taken after
+    /// it.
     pub fn run<J: Send, D: Send, E: Send, W: FnMut(J) -> Result<D, E> + Send>(
         self,
         give: impl FnOnce(&mut dyn FnMut(J) -> Result<(), Closed>) -> Result<(), E> + Send,
@@ -57,7 +60,7 @@ impl HandOver {
                 match start(scope, move || work(worker, &jobs, &done)) {
                     Ok(()) => {}
                     Err(error) if number == 0 => return Err(no_thread(error)),
-                    // Fewer do the same.
+                    // Fewer workers do the same work.
                     Err(_) => break,
                 }
             }
@@ -78,7 +81,7 @@ impl HandOver {
                 Ok(()) => take_in_order(take, check, &done_out, &token_in),
                 Err(error) => Err(no_thread(error)),
             };
-            // Both ends must go before the scope waits for the threads that may be blocked on them.
+            // Drop both ends before the scope waits for threads that may be blocked on them.
             drop((done_out, token_in));
             taken
         })
@@ -98,7 +101,7 @@ fn take_in_order<D, E>(
         match message {
             Message::Done(number, what) => waiting.insert(number, what),
             Message::Failed(error) => return Err(error),
-            // The scope hands the panic on.
+            // The scope propagates the panic.
             Message::Panicked => return Ok(()),
         };
         while let Some(what) = waiting.remove(&next) {
@@ -121,7 +124,7 @@ fn work<J, D, E>(mut worker: impl FnMut(J) -> Result<D, E>, jobs: &Receiver<(u64
     }
 }
 
-/// Wakes the taking thread if a worker panics; it would else wait for ever for that worker's job.
+/// Wakes the calling thread if a worker panics; otherwise it would wait forever for that worker's job.
 struct Alarm<'a, D, E>(&'a Sender<Message<D, E>>);
 
 impl<D, E> Drop for Alarm<'_, D, E> {

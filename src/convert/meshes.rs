@@ -1,4 +1,4 @@
-//! First pass over meshes: what triangles fill of voxels, or points on them, into runs.
+//! First pass over meshes: writes the voxels that triangles fill, or points sampled on them, into runs.
 
 use super::ConvertOptions;
 use super::points::{Own, Read, out_of_reach};
@@ -16,21 +16,21 @@ use crate::{Error, Monitor, Result};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What the first pass finds in meshes.
+/// Result of the first pass over meshes.
 pub(super) struct MeshRead<'a> {
-    /// Triangles as if they were points, with the bounds of their corners.
+    /// Triangles counted as if they were points, with the bounds of their corners.
     pub read: Read,
     pub triangles: MeshCounts,
     pub points_made: u64,
     /// Files with their bounds.
     pub scenes: Vec<Scene<'a>>,
-    /// Hashes of what was read of each file.
+    /// Content hashes of the files, as read.
     pub hashes: Vec<u128>,
     pub complete: bool,
 }
 
 impl<'a> MeshRead<'a> {
-    /// What `feed` handed out.
+    /// Takes the counts, files and hashes of `feed`, with no triangles read yet.
     fn of(feed: &MeshFeed<'a>) -> Self {
         Self {
             read: Read::NOTHING,
@@ -43,15 +43,15 @@ impl<'a> MeshRead<'a> {
     }
 }
 
-/// How triangles get colours.
+/// Settings for the colours of triangles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Colouring {
     pub scale: ColourScale,
-    /// Whether values follow the records of what they belong to.
+    /// True if values follow the records that they belong to.
     pub with_points: bool,
 }
 
-/// How the first pass works.
+/// Settings of the first pass.
 #[derive(Clone, Copy)]
 pub(super) struct MeshReading<'a> {
     /// Memory of one worker's run under construction.
@@ -60,7 +60,7 @@ pub(super) struct MeshReading<'a> {
     pub colouring: Option<Colouring>,
 }
 
-/// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
+/// First pass: writes all triangles into runs. One worker at a time reads; all of them rasterise triangles.
 pub(super) fn read_meshes<'a>(
     set: &'a MeshSet,
     options: &ConvertOptions,
@@ -92,7 +92,7 @@ pub(super) fn read_meshes<'a>(
         }
         let (mut read, mut batch) = (Read::NOTHING, MeshBatch::default());
         let next = |batch: &mut MeshBatch| {
-            // Its textures are not to wait for another worker.
+            // Free this batch's textures first, so that they do not wait while another worker reads.
             batch.clear();
             feed.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next_painted(batch, monitor)
         };

@@ -1,12 +1,13 @@
-//! Conversion: scans and meshes in, one archive out.
+//! Conversion of scans and meshes into one archive.
 //!
-//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points, and what
-//! triangles fill of voxels, into runs by tile column. Then tile columns come out of the merged runs in archive order;
-//! workers fold them to voxels, judge floors and obstacles, form spans, and encode pages, and one thread writes these in
-//! order.
+//! Two passes in bounded memory. First, all workers read pieces of the input and sort their points, and the voxels that
+//! triangles fill, into runs by tile column. Then the merged runs yield tile columns in archive order: workers
+//! accumulate them to voxels, classify floors and obstacles, form spans and encode pages, and one thread writes the
+//! pages in order.
 //!
-//! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
-//! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
+//! Memory for a budget of `M`: `M/2` for runs kept in memory; `M/4` for runs under construction and afterwards for
+//! columns being processed; `M/8` each for pieces of the input and for encoded pages. Nothing is sized by what a header
+//! states.
 
 mod chosen;
 mod colours;
@@ -67,42 +68,42 @@ use stations::Stations;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// Least memory budget (bytes).
+/// Smallest memory budget (bytes).
 pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
-/// Pixel size chosen automatically, in units of the scan's point spacing.
+/// Automatic pixel size, in units of the scan's point spacing.
 pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
-/// Pixels along the longer side of meshes whose pixel size is chosen automatically (thesis, equation 3.3 with the sides
-/// of the images in place of the printed ones, at the larger of its two resolutions).
+/// Pixels along the longer side of meshes if the pixel size is chosen automatically (thesis, equation 3.3 with the
+/// sides of the images in place of the printed ones, at the larger of its two resolutions).
 pub const AUTO_PIXELS: f64 = 700.0;
-/// Disk per point in the temporary file: its record, copies in the halo of other tile columns, and the index. Points that
-/// lie closer together than tiles do may have up to three copies, which no header tells.
+/// Temporary disk space per point (bytes): its record, its copies in the halos of other tile columns, and the index.
+/// Points that lie closer together than tiles may have up to three copies each, which no header shows.
 const TEMP_BYTES_PER_POINT: u64 = 9;
-/// The same for the values of a point, twice for RGB of 16 bits.
+/// Temporary disk space per value of a point (bytes); 16-bit RGB takes twice as much.
 const VALUE_BYTES_PER_POINT: u64 = 8;
 
-/// The files of a conversion.
+/// Input files of a conversion.
 pub(crate) struct Inputs {
     pub scans: InputSet,
     pub meshes: MeshSet,
-    /// If they are not all: of a part that need not open the others.
+    /// Choice of inputs of a part that need not open all of them.
     pub chosen: Option<Chosen>,
 }
 
 impl Inputs {
-    /// Those that the command reads, opened or not.
+    /// Returns the paths of all inputs that the command reads, opened or not.
     fn paths(&self) -> impl Iterator<Item = &Path> {
         let opened = self.scans.files().iter().map(ScanFile::path);
         let closed = self.chosen.iter().flat_map(|chosen| &chosen.closed);
         opened.chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path))
     }
 
-    /// Their different units.
+    /// Returns the distinct units of the inputs.
     fn length_units(&self) -> Vec<LengthUnit> {
         LengthUnit::distinct(self.scans.length_units().chain(self.meshes.length_unit()))
     }
 }
 
-/// What textures of meshes may take (bytes): a part of what runs may have otherwise, and what encoded pages have later.
+/// Memory for the textures of meshes (bytes), taken from the share of runs and from the later share of encoded pages.
 fn texture_bytes(options: &ConvertOptions) -> u64 {
     options.memory_bytes / 8 * 3
 }
@@ -112,7 +113,7 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
     open_chosen(options, None, monitor)
 }
 
-/// Opens the `chosen` inputs of a conversion, or all.
+/// Opens the `chosen` inputs of a conversion, or all of them.
 fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn Monitor) -> Result<Inputs> {
     options.check()?;
     let input_options = InputOptions {
@@ -122,10 +123,10 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
         up: options.plan.up,
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads as u64,
-        // Known later, and not needed for an automatic pixel size.
+        // Set later, and not needed for an automatic pixel size.
         colour: None,
         allow_incomplete: options.allow_incomplete,
-        // Only what the points of the archive are read from counts, not the pass for an automatic pixel size.
+        // Hash only the pass that reads the points of the archive, not the pass for an automatic pixel size.
         hash: false,
         threads: options.threads,
     };
@@ -145,7 +146,7 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
         temp_dir: options.temp_dir.clone(),
         allow_incomplete: options.allow_incomplete,
         hash: options.shard.is_some(),
-        // Known later.
+        // Set later.
         colours: false,
         texture_bytes: texture_bytes(options),
     };
@@ -154,17 +155,17 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
     Ok(Inputs { scans, meshes, chosen })
 }
 
-/// What automatic options follow from; `None` where they were given.
+/// Measurements from which automatic options follow; `None` where the options were given.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Surveyed {
-    /// For the pixel size.
+    /// Source of the pixel size.
     pub spacing: Option<Spacing>,
-    /// For the tolerance.
+    /// Source of the tolerance.
     pub noise: Option<Noise>,
 }
 
 impl Surveyed {
-    /// Reads the scans once, if something is to follow from them that is not `known` from an earlier run.
+    /// Reads the scans once, if an option follows from them and the result is not `known` from an earlier run.
     fn of(options: &ConvertOptions, set: &InputSet, known: Option<Self>, monitor: &dyn Monitor) -> Result<Self> {
         if let Some(known) = known {
             return Ok(known);
@@ -176,13 +177,14 @@ impl Surveyed {
         }
         let survey = Survey::read(set, options.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
         let spacing = auto_pixel.then(|| survey.spacing()).transpose()?;
-        // Where losses are allowed, they come up again in the pass that counts, and are told then.
+        // With `--allow-incomplete`, the main pass reports losses.
         set.check_complete(&NoMonitor)?;
         Ok(Self { spacing, noise: no_noise.map(|none| survey.noise().unwrap_or(none)) })
     }
 }
 
-/// The plan of a conversion of `inputs`, and what it follows from, which may be `known` from an earlier run.
+/// Returns the plan of a conversion of `inputs` and the measurements it follows from, which may be `known` from an
+/// earlier run.
 pub(crate) fn plan(
     options: &ConvertOptions,
     Inputs { scans: set, meshes, .. }: &Inputs,
@@ -211,17 +213,17 @@ pub(crate) fn plan(
 }
 
 impl ConvertOptions {
-    /// The plan for pixels of this size (m).
+    /// Returns the plan for this pixel size (m).
     fn plan_of(&self, pixel_m: f64) -> Result<Plan> {
         let slice_m = self.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M));
         let fill_holes = self.fill_holes_pixels(pixel_m)?;
         Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: PlanOptions { fill_holes, ..self.plan.clone() } })
     }
 
-    /// Widest holes that are closed (pixels of this size, m).
+    /// Returns the width of the widest holes to close (pixels of this size, m).
     pub fn fill_holes_pixels(&self, pixel_m: f64) -> Result<u8> {
         let Some(widest_m) = self.fill_holes_m else { return Ok(self.plan.fill_holes) };
-        // A little more, so that three pixels of 0.1 m make 0.3 m.
+        // Slightly more, so that three pixels of 0.1 m make 0.3 m.
         let pixels = (widest_m / pixel_m * (1.0 + 1e-9)).floor();
         let (pixel, most) = (number(pixel_m), PlanOptions::MOST_FILL_PIXELS);
         let reason = match pixels {
@@ -260,51 +262,53 @@ impl ConvertOptions {
     }
 }
 
-/// What decides when runs are spilled.
+/// Memory limits that decide when runs are spilled.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Limits {
-    /// Bytes of runs that stay in memory.
+    /// Bytes of runs kept in memory.
     retain_bytes: u64,
-    /// Memory of one worker's run under construction.
+    /// Memory for one worker's run under construction (bytes).
     build_bytes: u64,
-    /// Bytes of what stations saw.
+    /// Memory for the views of the stations (bytes).
     views_bytes: u64,
 }
 
 impl Limits {
-    /// Memory of all runs under construction: beyond this a kill would cost more than it saves time.
+    /// Most memory for all runs under construction (bytes): with more, a kill would lose more work than larger runs
+    /// save.
     const MOST_BUILD_BYTES: u64 = 240 << 20;
 
     fn of(options: &ConvertOptions) -> Self {
-        // Runs of values take a half where there are some.
+        // Runs of values take half of it, if there are any.
         let builders = options.threads as u64 * if options.colour == ColourMode::Off { 1 } else { 2 };
         let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / builders;
-        // What stations saw takes a half of what runs have otherwise.
+        // The views of stations take half of what runs have otherwise.
         let views_bytes = if options.plan.remove_moving { options.memory_bytes / 4 } else { 0 };
         Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
     }
 
-    /// Those beside textures of meshes: runs kept make room for them.
+    /// Returns the limits for meshes with textures: half as much for runs kept in memory.
     fn with_textures(self) -> Self {
         Self { retain_bytes: self.retain_bytes / 2, ..self }
     }
 }
 
-/// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
+/// Converts `options.inputs` into the archive `options.output`, which appears either complete or not at all.
 ///
-/// Cost: time linear in the points, memory at most the budget plus a constant. Where the points do not fit the budget, disk:
-/// about 9 bytes a point, and up to 36 for points that all lie in the corners of tiles; 8 or 16 more with colours. Errors: unusable input or options,
-/// full disk, interruption by `monitor`. With [`ConvertOptions::resume`] an error may leave temporary data, from which a
-/// later call goes on: [`Error::Resumable`] says where.
+/// Cost: time linear in the number of points; memory of at most the budget plus a constant. If the points do not fit
+/// into the budget, disk: about 9 bytes per point, up to 36 for points that all lie in the corners of tiles, and 8 or
+/// 16 more with colours. Errors: unusable input or options, full disk, interruption by `monitor`. With
+/// [`ConvertOptions::resume`] an error may leave temporary data from which a later call continues; [`Error::Resumable`]
+/// says where.
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
     options.check()?;
     convert_within(options, Limits::of(options), monitor)
 }
 
-/// As [`convert`], with limits of its own.
+/// Like [`convert`], but with other limits.
 pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: &dyn Monitor) -> Result<Report> {
     let mut inputs = open_chosen(options, Chosen::of(options, monitor)?, monitor)?;
-    // Begun first, so that a file that must not be replaced is found before the work and not after it.
+    // Create the output first, so that a file that must not be replaced is reported before the work.
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
     let output = Output::create_by(&options.output, kind, inputs.paths().collect(), &options.temp_dir)?;
     let mut removed = match &options.removed {
@@ -357,7 +361,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let spilled = earlier.as_ref().map_or(0, Earlier::bytes);
     let (_, expected) = temp_bytes(options, &set, limits.retain_bytes);
     check_free_space(options, &files, expected.saturating_sub(spilled))?;
-    // What will not be spilled need not be known again, and hashes take time.
+    // Hashes take time and only serve to recognise spilled data later.
     let notes = options.resume || expected > 0;
     if notes || shard.is_some() {
         set.start_hashing();
@@ -399,8 +403,8 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
 }
 
-/// What colours are made of, and their plan where it must be known before points are read: in a part, which does not see
-/// all of them.
+/// Returns the source of the colours, and their plan if it must be known before points are read, as in a part, which
+/// does not see all points.
 fn colours_of(
     options: &ConvertOptions,
     inputs: &mut Inputs,
@@ -415,11 +419,11 @@ fn colours_of(
     let part = found.filter(|_| options.shard.is_some());
     let set = &mut inputs.scans;
     let scale = part.map(|found| colours::measure(set, found, options.threads, monitor)).transpose()?;
-    // Reading their range, all points were asked for.
     Ok((found.map(|found| found.source), scale.map(|scale| options.colour_plan(scale))))
 }
 
-/// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' plan file.
+/// Returns the part that the options ask for, or `None` for the whole; refuses inputs that are not those of the plan
+/// file.
 fn scope(
     options: &ConvertOptions,
     set: &InputSet,
@@ -438,7 +442,7 @@ fn scope(
     Ok(None)
 }
 
-/// Why an archive of a scan with points is empty.
+/// Explains why the archive of a scan with points is empty.
 fn nothing_kept(header: &Header, voxels_dropped: u64, points_moving: u64) -> String {
     let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
     let why = match points_kept {
@@ -455,9 +459,9 @@ fn nothing_kept(header: &Header, voxels_dropped: u64, points_moving: u64) -> Str
     format!("nothing is kept: {why}; the archive is empty")
 }
 
-/// Keeps what is spilled after an error, if that was asked for and helps.
+/// Keeps the spilled data after an error, if `resume` is set and the data is of use.
 fn keep(options: &ConvertOptions, store: &mut RunStore, error: Error) -> Error {
-    // Of these the archive is complete, under its name or another.
+    // After these errors the archive is complete, under its own name or another.
     let is_complete = matches!(error, Error::NotDurable { .. } | Error::Output { .. });
     let points = store.points_on_disk();
     if !options.resume || is_complete || points == 0 {
@@ -470,7 +474,7 @@ fn keep(options: &ConvertOptions, store: &mut RunStore, error: Error) -> Error {
     }
 }
 
-/// A conversion whose plan and inputs are known.
+/// Conversion whose plan and inputs are known.
 struct Conversion<'a> {
     options: &'a ConvertOptions,
     limits: Limits,
@@ -484,7 +488,7 @@ struct Conversion<'a> {
     noise: Option<Noise>,
     seeing: Option<&'a Seeing>,
     source: Option<ColourSource>,
-    /// Plan of colours, where it does not follow from the points that are read.
+    /// Colour plan, if it does not follow from the points that are read.
     colours: Option<ColourPlan>,
     monitor: &'a dyn Monitor,
 }
@@ -521,7 +525,7 @@ impl Conversion<'_> {
         if let Some(colours) = colours {
             writer.set_colours(colours);
         }
-        // A part that leaves files out cannot say of the whole that nothing in it can be used.
+        // A part that leaves files out cannot conclude that nothing in the whole is usable.
         let whole = scope.is_none_or(ShardScope::reads_all);
         if whole {
             refuse_unusable(set, &read.counts)?;
@@ -589,18 +593,18 @@ impl Conversion<'_> {
     }
 }
 
-/// Scans in text and how their columns were understood.
+/// Returns the scans in text, and how their columns were understood.
 fn texts(set: &InputSet) -> Vec<(PathBuf, TextLayout)> {
     let of_file = |file: &ScanFile| Some((file.path().to_path_buf(), file.text_layout()?.clone()));
     set.files().iter().filter_map(of_file).collect()
 }
 
-/// `value` to so many significant decimal digits.
+/// Rounds `value` to `digits` significant decimal digits.
 fn round_to_digits(value: f64, digits: usize) -> f64 {
     format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
 }
 
-/// Pixel size of meshes alone: their longer side in [`AUTO_PIXELS`] pixels.
+/// Returns the pixel size for meshes alone: their longer side has [`AUTO_PIXELS`] pixels.
 fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
     monitor.stage("extent", 0, "triangles");
     let longer = meshes.bounds(monitor)?.map_or(0.0, |(min, max)| (max[0] - min[0]).max(max[1] - min[1]));
@@ -614,11 +618,11 @@ fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
     }
 }
 
-/// Points that one run reads, and the temporary data that it then writes beyond `retain_bytes` (bytes), as far as headers
-/// tell. These may lie, so a count beyond one point per byte is not believed.
+/// Estimates from the headers how many points one run reads and how much temporary data it writes beyond `retain_bytes`
+/// (bytes). Headers may lie, so more than one point per byte is not believed.
 fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u64, u64) {
     let parts = options.shard.map_or(1, |shard| u64::from(shard.count.max(1)));
-    // A part need not have opened all of them.
+    // A part need not have opened all inputs.
     let points = match &options.plan_file {
         Some(file) if options.shard.is_some() => {
             file.inputs.iter().map(|input| input.points.min(input.bytes)).fold(0, u64::saturating_add)
@@ -630,12 +634,12 @@ fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u
         ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,
         _ => 2 * VALUE_BYTES_PER_POINT,
     };
-    // Where moving points are removed, each value follows the record of its point.
+    // If moving points are removed, each value follows the record of its point.
     let values = values + if options.plan.remove_moving && values > 0 { VALUE_BYTES_PER_POINT } else { 0 };
     (points, points.saturating_mul(TEMP_BYTES_PER_POINT + values).saturating_sub(retain_bytes))
 }
 
-/// Refuses to begin what the disk will not hold.
+/// Fails if the free disk space is too small for the temporary data.
 fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Result<()> {
     let dir = &options.temp_dir;
     let free = files.free_bytes(dir).map_err(|error| match error.kind() {
@@ -650,8 +654,8 @@ fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Res
     Ok(())
 }
 
-/// Refuses scans that state points of which none can be used: an empty archive in place of a good one helps nobody.
-/// Scans that state none, or whose points are all left out on purpose, make an empty archive.
+/// Refuses scans that state points of which none is usable: an empty archive in place of a good one helps no user.
+/// Scans that state no points, or whose points are all excluded on purpose, make an empty archive.
 fn refuse_unusable(set: &InputSet, counts: &PointCounts) -> Result<()> {
     let Some(first) = set.files().iter().find(|file| file.points_stated() > 0) else { return Ok(()) };
     if counts.read == 0 {

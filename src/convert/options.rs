@@ -1,4 +1,4 @@
-//! What to convert, and how.
+//! Options of a conversion.
 
 use super::plan_file::PlanFile;
 use crate::colour::ColourSource;
@@ -8,18 +8,18 @@ use crate::plan::PlanOptions;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// How the pixel size is chosen.
+/// Choice of the pixel size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum PixelSize {
-    /// From the scans' own point spacing, or the extent of the meshes where there is no scan (costs one more pass over
-    /// the input).
+    /// Follows from the scans' own point spacing, or from the extent of the meshes if there is no scan (costs one more
+    /// pass over the input).
     Auto,
-    /// This many metres.
+    /// Given in metres.
     Metres(f64),
 }
 
-/// As the command line takes it: `auto`, or metres.
+/// Parses the form of the command line: `auto`, or metres.
 impl FromStr for PixelSize {
     type Err = String;
 
@@ -32,17 +32,17 @@ impl FromStr for PixelSize {
     }
 }
 
-/// How far heights are coarsened.
+/// Choice of the tolerance to which heights are coarsened.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Tolerance {
-    /// By no more than the scan's own noise (costs one more pass over the input).
+    /// At most the scan's own noise (costs one more pass over the input).
     Auto,
-    /// This many metres.
+    /// Given in metres.
     Metres(f64),
 }
 
-/// As the command line takes it: `auto`, or metres.
+/// Parses the form of the command line: `auto`, or metres.
 impl FromStr for Tolerance {
     type Err = String;
 
@@ -55,21 +55,21 @@ impl FromStr for Tolerance {
     }
 }
 
-/// Which values of points become colours of voxels.
+/// Choice of the point values that become colours of voxels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ColourMode {
-    /// None: the archive has no colours.
+    /// The archive has no colours.
     #[default]
     Off,
-    /// RGB where the input has it, else intensity, else none. Values that are zero throughout count as none.
+    /// RGB where the input has it, else intensity, else no colours. Values that are zero throughout count as missing.
     Auto,
-    /// These; an input without them is refused.
+    /// This source; an input without it is refused.
     Of(ColourSource),
 }
 
 impl ColourMode {
-    /// Name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Off => "off",
@@ -79,7 +79,7 @@ impl ColourMode {
     }
 }
 
-/// As the command line takes it: `rgb`, `intensity`, `class`, `auto`, `off`.
+/// Parses the form of the command line: `rgb`, `intensity`, `class`, `auto` or `off`.
 impl FromStr for ColourMode {
     type Err = String;
 
@@ -90,7 +90,7 @@ impl FromStr for ColourMode {
     }
 }
 
-/// What to convert, and how. See the README for the command line that sets these.
+/// Options of a conversion. The README shows the command line that sets them.
 #[derive(Debug, Clone)]
 pub struct ConvertOptions {
     /// Files, folders and glob patterns.
@@ -101,56 +101,59 @@ pub struct ConvertOptions {
     pub pixel: PixelSize,
     /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
     pub slice_m: Option<f64>,
-    /// What else decides the content of the archive.
+    /// Other options that decide the content of the archive.
     pub plan: PlanOptions,
-    /// Whether the tolerance follows from the scan's own noise, in place of that of the plan (costs one more pass over the input,
-    /// the same as for an automatic pixel size).
+    /// True if the tolerance follows from the scan's own noise, overriding that of the plan (costs one more pass over
+    /// the input, shared with that for an automatic pixel size).
     pub tolerance_auto: bool,
-    /// Holes in floors of up to this width are closed by inferred floor (m; whole pixels of it, 1 to 45); `None`: as the plan
-    /// says, which by default closes none.
+    /// Width up to which holes in floors are closed by inferred floor (m; rounded down to whole pixels, 1 to 45).
+    /// `None` uses the value of the plan, which by default closes no holes.
     pub fill_holes_m: Option<f64>,
-    /// Memory budget [bytes, at least 64 MiB].
+    /// Memory budget (bytes, at least 64 MiB).
     pub memory_bytes: u64,
-    /// Worker threads (>= 1).
+    /// Worker threads (at least 1).
     pub threads: usize,
     /// Folder for temporary data.
     pub temp_dir: PathBuf,
     /// Unit of the input.
     pub units: Units,
-    /// EPSG code of the reference system of scans that state none; a scan that states another is refused.
+    /// EPSG code for scans that state no reference system; a scan that states another is refused.
     pub epsg: Option<u32>,
-    /// Columns of text without a header of their own; x, y and z come first by default.
+    /// Columns of text without a header of its own; x, y and z come first by default.
     pub columns: Option<Columns>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
-    /// Whether the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
+    /// True if the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
     pub levels: bool,
-    /// What colours of voxels are made of; off by default.
+    /// Source of the colours of voxels; off by default.
     pub colour: ColourMode,
-    /// Greatest mean difference of a page's colours from the means of the points (ΔE*ab of CIELAB, 0 to 65.535); 0: exact to 8 bits.
+    /// Greatest mean difference of a page's colours from the means of the points (ΔE*ab of CIELAB, 0 to 65.535); 0 is
+    /// exact to 8 bits.
     pub colour_error: f64,
-    /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
+    /// True if input that is only partly readable is converted with warnings instead of being refused.
     pub allow_incomplete: bool,
-    /// Where the scanners stood, a table with the columns `file,x,y,z` (also `source_id`, or `t` for ways by GPS time): needed where the
-    /// plan removes moving points, for scans that do not say it themselves as E57 and PTX do.
+    /// Table of scanner positions with the columns `file,x,y,z` (also `source_id`, or `t` for paths by GPS time).
+    /// Needed if the plan removes moving points and a scan does not state its station, as E57 and PTX do.
     pub stations: Option<PathBuf>,
-    /// Where the points that were removed as moving are written, as LAS.
+    /// File for the points that were removed as moving, as LAS.
     pub removed: Option<PathBuf>,
-    /// Whether an existing slice archive may be replaced; another file never is.
+    /// True if an existing slice archive may be replaced; any other file never is.
     pub overwrite: bool,
-    /// The plan file whose conversion this is, applied to these options ([`PlanFile::apply_to`]): other inputs than its own are refused.
+    /// Plan file of this conversion, already applied to these options ([`PlanFile::apply_to`]); inputs other than its
+    /// own are refused.
     pub plan_file: Option<PlanFile>,
-    /// Whether to go on from the temporary data that an earlier run of the same conversion left in
-    /// [`temp_dir`](Self::temp_dir), and to leave them if this run fails. Where there are none, the conversion begins anew.
+    /// True to continue from the temporary data that an earlier run of the same conversion left in
+    /// [`temp_dir`](Self::temp_dir), and to keep such data if this run fails. Without such data the conversion starts
+    /// from the beginning.
     pub resume: bool,
-    /// The part to convert; `None` for the whole.
+    /// Part to convert; `None` for the whole.
     pub shard: Option<ShardOptions>,
 }
 
 impl ConvertOptions {
-    /// Default of [`colour_error`](Self::colour_error): a difference that is seen side by side, if at all.
+    /// Default of [`colour_error`](Self::colour_error): a difference that is visible side by side, if at all.
     pub const DEFAULT_COLOUR_ERROR: f64 = 2.0;
-    /// Sets how far heights are coarsened.
+    /// Sets the tolerance to which heights are coarsened.
     pub fn set_tolerance(&mut self, tolerance: Tolerance) {
         (self.tolerance_auto, self.plan.tolerance_m) = match tolerance {
             Tolerance::Auto => (true, 0.0),
@@ -158,7 +161,7 @@ impl ConvertOptions {
         };
     }
 
-    /// Defaults of the command line for these inputs and this output.
+    /// Creates the defaults of the command line for these inputs and this output.
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
         Self {
             inputs,
@@ -189,12 +192,13 @@ impl ConvertOptions {
     }
 }
 
-/// Which part of a conversion. Without a [`plan_file`](ConvertOptions::plan_file) it is made from the inputs, the same in every part.
+/// Part of a conversion. Without a [`plan_file`](ConvertOptions::plan_file), every part computes the same plan from the
+/// inputs.
 #[derive(Debug, Clone, Copy)]
 pub struct ShardOptions {
-    /// Number of the part (1..=count).
+    /// Number of this part (1..=count).
     pub index: u32,
-    /// Number of all parts (1..=65536).
+    /// Number of parts (1..=65536).
     pub count: u32,
 }
 

@@ -1,4 +1,4 @@
-//! Second pass: tile columns out of the runs, into the archive.
+//! Second pass: writes the tile columns of the runs into the archive.
 
 use super::columns::{ColumnWork, Columns, EachRecords, Patches, TakeAreas};
 use super::holes::fill_holes;
@@ -20,31 +20,32 @@ use crate::voxel::views::Views;
 use crate::{Monitor, Result};
 use std::path::Path;
 
-/// Memory of a small page that waits to be written, beyond its bytes.
+/// Memory of a small page that waits to be written, besides its bytes.
 const PAGE_BYTES: u64 = 320;
-/// Jobs that may be finished before the oldest unfinished one: the small ones of records in memory, and those of runs on disk.
+/// Jobs per thread that may be finished before the oldest unfinished one: small jobs of records in memory, and jobs of
+/// runs on disk.
 const JOBS_AHEAD_PER_THREAD: (usize, usize) = (64, 8);
-/// The same where what is finished are pieces of matter.
+/// The corresponding limit for jobs that find components.
 const PIECES_AHEAD_PER_THREAD: usize = 2;
 
-/// Memory for the colours of a tile column, at least, and of each of its voxels.
+/// Least memory for the colours of a tile column, and memory per voxel with colour (bytes).
 const LEAST_COLOUR_BYTES: u64 = 4 << 20;
 const BYTES_PER_COLOUR: u64 = 16;
 
-/// How the second pass works.
+/// Settings of the second pass.
 #[derive(Clone, Copy)]
 pub(super) struct Writing<'a> {
     pub memory_bytes: u64,
     pub threads: usize,
-    /// First and last column of the archive, where the runs hold others too.
+    /// First and last column of the archive, if the runs hold others too.
     pub columns: Option<(u64, u64)>,
-    /// What stations saw, where points that others saw through are to be removed.
+    /// Views of the stations, if points that other stations saw through are to be removed.
     pub views: Option<&'a Views>,
     /// Folder for temporary data.
     pub temp_dir: &'a Path,
 }
 
-/// What was left out in the second pass.
+/// Counts of what the second pass left out.
 #[derive(Clone, Copy, Default)]
 pub(super) struct LeftOut {
     pub voxels: u64,
@@ -52,8 +53,8 @@ pub(super) struct LeftOut {
     pub moving: u64,
 }
 
-/// Second pass and, where holes are to be closed, a third: first the archive of what was scanned as temporary data, then with
-/// inferred floor.
+/// Runs the second pass and, if holes are to be closed, a third: first writes the archive of what was scanned as
+/// temporary data, then the archive with inferred floor.
 pub(super) fn write_archive(
     plan: &Plan,
     store: &RunStore,
@@ -65,7 +66,7 @@ pub(super) fn write_archive(
     if plan.options.fill_holes == 0 {
         return write_columns(plan, store, writing, writer, removed, monitor);
     }
-    // Heights are coarsened last, with those of inferred floor.
+    // Heights are coarsened last, together with those of inferred floor.
     let options = PlanOptions { fill_holes: 0, tolerance_m: 0.0, ..plan.options.clone() };
     let exact = Plan { frame: plan.frame, options };
     let output = writer.scratch(writing.temp_dir)?;
@@ -73,14 +74,15 @@ pub(super) fn write_archive(
     if let Some(colours) = writer.colours() {
         scanned.set_colours(ColourPlan { error_milli: 0, ..colours });
     }
-    // Of parts, the columns around theirs, too.
+    // A part also needs the columns around its own.
     let all = Writing { columns: None, ..writing };
     let left_out = write_columns(&exact, store, all, &mut scanned, removed, monitor)?;
     fill_holes(&scanned.read_back(Totals::default())?, plan, writing, writer, monitor)?;
     Ok(left_out)
 }
 
-/// Second pass: tile columns out of the runs, into the archive; the points that it removes as moving go to `removed`.
+/// Second pass: writes the tile columns of the runs into the archive, and the points that it removes as moving into
+/// `removed`.
 pub(super) fn write_columns(
     plan: &Plan,
     store: &RunStore,
@@ -120,9 +122,9 @@ pub(super) fn write_columns(
     Ok(left_out)
 }
 
-/// Finds the connected matter of few voxels and adds to `store` that it is dropped.
+/// Finds connected components of few voxels and adds records to `store` that mark them as dropped.
 ///
-/// Memory: what the second pass has for pages is shared by the border between what is done and what is not, and the runs made.
+/// Memory: the second pass's share for pages, half for the frontier of components not finished, half for the new runs.
 fn mark_floaters(
     plan: &Plan,
     store: &RunStore,
@@ -153,13 +155,13 @@ fn mark_floaters(
     runs.flush(store)
 }
 
-/// Finds the pieces of tile columns.
+/// Worker that finds the components of tile columns.
 struct PieceWorker<'a> {
     patches: Patches<'a>,
     finder: PieceFinder,
 }
 
-/// The pieces of a job's areas.
+/// Collector of the components of a job's areas.
 struct TakePieces<'a> {
     finder: &'a mut PieceFinder,
     found: Vec<Pieces>,
@@ -189,16 +191,16 @@ impl ColumnWork for PieceWorker<'_> {
 
 type KeyedPages = Vec<(PageKey, EncodedPage)>;
 
-/// What comes of a job.
+/// Result of a job.
 struct PagesDone {
     /// In archive order.
     pages: KeyedPages,
     voxels_dropped: u64,
-    /// Points removed, in order.
+    /// Removed points, in order.
     moving: Vec<(ColumnKey, Record)>,
 }
 
-/// Makes the pages of tile columns.
+/// Worker that makes the pages of tile columns.
 struct PageWorker<'a> {
     patches: Patches<'a>,
     pages: PageMaker,
@@ -218,20 +220,20 @@ impl ColumnWork for PageWorker<'_> {
     }
 }
 
-/// From the voxels of areas to pages; its scratch is reused.
+/// Maker of pages from the voxels of areas; reuses its scratch memory.
 struct PageMaker {
     judge: Judge,
     drop_isolated: bool,
     verdicts: Verdicts,
     columns: ColumnPages,
-    /// Whether heights may be coarsened.
+    /// True if heights may be coarsened.
     is_loose: bool,
     encoder: PageEncoder,
     colours: Option<PageColours>,
     done: KeyedPages,
 }
 
-/// Makes the colours of pages; its scratch is reused.
+/// Maker of the colours of pages; reuses its scratch memory.
 struct PageColours {
     plan: ColourPlan,
     column: ColumnColours,
@@ -241,7 +243,7 @@ struct PageColours {
 }
 
 impl PageColours {
-    /// Of up to `most` voxels a column, for an archive with `levels` or without.
+    /// Creates a maker for at most `most` voxels per column, for an archive with or without `levels`.
     fn new(plan: ColourPlan, most: u64, levels: bool) -> Self {
         let column = ColumnColours::new(plan.scale, usize::try_from(most).unwrap_or(usize::MAX));
         let (occupancy, encoder) = (Occupancy::default(), ColourEncoder::default().for_levels(levels));

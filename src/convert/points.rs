@@ -1,4 +1,4 @@
-//! First pass over scans: points into runs.
+//! First pass over scans: writes points into runs.
 
 use super::colours::Values;
 use super::resume::{Progress, put_reads, result_bytes};
@@ -21,7 +21,7 @@ use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What the first pass finds out; all of it independent of the order of points.
+/// Result of the first pass, independent of the order of points.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Read {
     /// All points read.
@@ -32,7 +32,7 @@ pub(super) struct Read {
     pub own: Own,
 }
 
-/// What was found in one file.
+/// Bounds and counts of one file.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OfFile {
     min: [f64; 3],
@@ -51,7 +51,7 @@ impl OfFile {
     }
 }
 
-/// The points that count in the archive: all, or in a part each point in one part.
+/// Points that count in the archive: all of them, or in a part those that count in no other part.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Own {
     pub kept: u64,
@@ -62,7 +62,7 @@ pub(super) struct Own {
 }
 
 impl Own {
-    /// What an archive of these points states.
+    /// Returns the totals that an archive of these points states.
     pub fn totals(&self, crs: &str, units: &[LengthUnit]) -> Totals {
         Totals {
             points_read: self.kept + self.left_out.read,
@@ -93,7 +93,7 @@ impl Read {
     }
 }
 
-/// Makes bounds reach around others.
+/// Extends bounds to contain others.
 fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
     for axis in 0..3 {
         min[axis] = min[axis].min(other.0[axis]);
@@ -101,24 +101,24 @@ fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
     }
 }
 
-/// How the first pass works.
+/// Settings of the first pass.
 #[derive(Clone, Copy)]
 pub(super) struct Reading<'a> {
-    /// Memory of one worker's run under construction.
+    /// Memory for one worker's run under construction (bytes).
     pub build_bytes: u64,
     pub threads: usize,
     pub scope: Option<&'a ShardScope>,
-    /// What runs stand for already.
+    /// Points that existing runs cover.
     pub progress: &'a Progress,
-    /// Whether runs say what they stand for.
+    /// True if runs record which input they cover.
     pub notes: bool,
-    /// What each station saw, to be filled.
+    /// Views of the stations, to be filled.
     pub seeing: Option<&'a Seeing>,
-    /// Values of points that become colours.
+    /// Source of the values that become colours.
     pub source: Option<ColourSource>,
 }
 
-/// What each station sees, and which station measured the points of each cloud of each file.
+/// Views of the stations, and the station that measured the points of each cloud of each file.
 pub(super) struct Seeing {
     pub views: Views,
     pub of_cloud: Vec<Vec<Measured>>,
@@ -133,7 +133,7 @@ impl Seeing {
         match &of_cloud[batch.cloud] {
             Measured::From(station) => add(*station, 0..batch.len()),
             by_tag => {
-                // Points of one station mostly follow each other.
+                // Points of one station usually follow each other.
                 let (mut begin, mut of_run) = (0, None);
                 for (number, &tag) in batch.tags.iter().enumerate().take(batch.len()) {
                     let station = by_tag.station(tag).map_err(|reason| Error::input(file.path(), "points", reason))?;
@@ -152,7 +152,8 @@ impl Seeing {
     }
 }
 
-/// First pass: all points, or those that a part needs, into runs; what it found in each file, and in the values of the points.
+/// First pass: writes all points, or those that a part needs, into runs. Also returns what each file holds, and the
+/// statistics of the values.
 pub(super) fn read_points(
     set: &InputSet,
     plan: &Plan,
@@ -167,17 +168,17 @@ pub(super) fn read_points(
     let is_needed = |chunk: &PointChunk, number: u64| {
         scope.is_none_or(|scope| scope.reads(chunk.file())) && !progress.is_done(number)
     };
-    // Stations see with all points, those too that other parts or runs have.
+    // Stations see with all points, including those of other parts or of earlier runs.
     let needed = set.chunks().zip(0u64..).filter(|(chunk, number)| seeing.is_some() || is_needed(chunk, *number));
     let chunks = Mutex::new(needed);
     let next_chunk = || chunks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
-    // What one worker cannot do ends the work of all, not only its own.
+    // An error of one worker stops all of them.
     let failed = AtomicBool::new(false);
     let of_files = Mutex::new(progress.of_files.clone());
     let work = || -> Result<(Read, Option<Values>)> {
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
-        // What is removed as moving takes its values along.
+        // With stations, each value follows its point's record, so that it is removed with the point.
         let of_values = || RunBuilder::of_values(recorder, build_bytes, seeing.is_some());
         let mut values = source.map(|source| (source, Values::new(source), of_values()));
         if let Some(scope) = scope {
@@ -207,7 +208,7 @@ pub(super) fn read_points(
             builder.begin_chunk(number);
             values.iter_mut().for_each(|(_, _, builder)| builder.begin_chunk(number));
             of_chunk.counts = decoder.decode(set, &chunk, &mut |batch| {
-                // A chunk may be a whole file, so one look per chunk would be too few.
+                // A chunk may be a whole file, so checking once per chunk would be too rare.
                 if is_stopped() {
                     return Err(Error::Interrupted);
                 }
@@ -266,7 +267,7 @@ pub(super) fn read_points(
                 of_chunk.own.left_out.read -= of_chunk.counts.kept();
             }
             monitor.advance(of_chunk.counts.read - of_chunk.counts.kept());
-            // What is lost of a chunk is told by whoever reads it.
+            // A chunk with losses gets no result, so that the run that reads it again reports them.
             let result = (notes && !decoder.has_lost()).then(|| result_bytes(&of_chunk, decoder.log().hash()));
             builder.end_chunk(result.as_deref());
             values.iter_mut().for_each(|(_, _, builder)| builder.end_chunk(None));
@@ -293,15 +294,15 @@ pub(super) fn read_points(
     Ok((all, of_files, values))
 }
 
-/// What of a batch is to be done.
+/// Section of a batch.
 enum Missing {
-    /// These points of it.
+    /// Points to add to runs.
     Points(Range<usize>),
-    /// So many points have other runs that stand for them.
+    /// Number of points that other runs cover already.
     Not(u64),
 }
 
-/// Gives `take` what of a batch with these numbers of points is not `covered`, and what is, in order.
+/// Passes the sections of a batch with these point numbers to `take` in order, split by what is `covered`.
 fn missing(numbers: Range<u64>, covered: &[(u64, u64)], mut take: impl FnMut(Missing) -> Result<()>) -> Result<()> {
     let Range { start: begin, end } = numbers;
     let mut next = begin;
@@ -315,16 +316,16 @@ fn missing(numbers: Range<u64>, covered: &[(u64, u64)], mut take: impl FnMut(Mis
     take(points(next, end))
 }
 
-/// The files that have points, with their bounds.
+/// Returns the files that have points, with their bounds.
 pub(super) fn scenes<'a>(set: &'a InputSet, of_files: &'a [OfFile]) -> impl Iterator<Item = Scene<'a>> {
     let files = set.files().iter().zip(of_files).filter(|(_, found)| found.kept > 0);
     files.map(|(file, found)| Scene { path: file.path(), min: found.min, max: found.max })
 }
 
-/// One warning if headers state other bounds than the points have: the archive's are those of the points, and a user
-/// who compares the two should know which is wrong.
+/// Warns once if headers state bounds that do not match the points: the archive has the bounds of the points, and a
+/// user who compares the two should know which ones are wrong.
 fn warn_of_bounds(set: &InputSet, of_files: &[OfFile], monitor: &dyn Monitor) {
-    // Points left out may be those at the corners; then the stated box may well be larger.
+    // The points left out may have been at the corners, so the stated box may be larger.
     let disagrees = |(file, found): &(&ScanFile, &OfFile)| {
         found.kept > 0 && file.bounds_disagree(found.min, found.max, found.left_out == 0)
     };
@@ -344,13 +345,13 @@ fn warn_of_bounds(set: &InputSet, of_files: &[OfFile], monitor: &dyn Monitor) {
     }
 }
 
-/// Least and greatest coordinates of points.
+/// Returns the least and greatest coordinates of points.
 pub(super) fn bounds(points: &PointBatch) -> ([f64; 3], [f64; 3]) {
     let along = [&points.x, &points.y, &points.z].map(|values| range(values));
     (along.map(|ends| ends.0), along.map(|ends| ends.1))
 }
 
-/// Least and greatest value, in lanes that compile to vector instructions.
+/// Returns the least and greatest value, in lanes that compile to vector instructions.
 fn range(values: &[f64]) -> (f64, f64) {
     let (mut min, mut max) = ([f64::INFINITY; 8], [f64::NEG_INFINITY; 8]);
     let (chunks, rest) = values.as_chunks::<8>();

@@ -1,4 +1,4 @@
-//! What a conversion would read and make, without converting.
+//! Preview of a conversion: what it would read and write.
 
 use super::options::ConvertOptions;
 use super::stations::Stations;
@@ -14,45 +14,45 @@ use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
 use std::path::PathBuf;
 
-/// What a conversion would read and make.
+/// Result of [`preview`].
 #[derive(Debug, Clone)]
 pub struct Preview {
     /// Grid and options.
     pub plan: Plan,
-    /// Point spacing found, if the pixel size follows from it.
+    /// Measured point spacing, if the pixel size follows from it.
     pub spacing: Option<Spacing>,
     /// Noise of the scan, if the tolerance follows from it.
     pub noise: Option<Noise>,
-    /// The files that would be read: scans, then meshes.
+    /// Files that would be read: scans, then meshes.
     pub inputs: Vec<PreviewInput>,
-    /// Bounds (m, z up): of scans as their headers state them, of meshes as their triangles have them.
+    /// Bounds (m, z up): of scans as stated by their headers, of meshes as measured from their triangles.
     pub bounds: Option<Bounds>,
     /// Text of the coordinate reference system; empty if unknown.
     pub crs: String,
-    /// Units in which the inputs come, each once.
+    /// Distinct units of the inputs.
     pub units: Vec<LengthUnit>,
-    /// Temporary data that would be written, an estimate from the stated points (bytes).
+    /// Temporary data that would be written (bytes), estimated from the stated points.
     pub temp_bytes: u64,
 }
 
-/// A file that a conversion would read.
+/// Input file of a conversion.
 #[derive(Debug, Clone)]
 pub struct PreviewInput {
-    /// Where it is.
+    /// Path of the file.
     pub path: PathBuf,
-    /// Its length (bytes).
+    /// Length (bytes).
     pub bytes: u64,
-    /// Points that it states; `None` for a mesh.
+    /// Stated number of points; `None` for a mesh.
     pub points: Option<u64>,
-    /// How its columns were understood, of a scan in text.
+    /// Interpretation of the columns; text scans only.
     pub text: Option<TextLayout>,
 }
 
-/// Finds out what [`convert`](super::convert()) would do with these options. Writes nothing, and fails where a conversion
-/// would fail before it reads points: unusable inputs or options, an output that must not be replaced, too small a disk. An
-/// empty output path is not looked at.
+/// Returns what [`convert`](super::convert()) would do with these options. Writes nothing, and fails where a conversion
+/// would fail before it reads points: unusable inputs or options, an output that must not be replaced, too little disk
+/// space. An empty output path is ignored.
 ///
-/// Cost: headers of scans; the triangles of meshes once; the points once if the pixel size follows from them.
+/// Cost: headers of scans; the triangles of meshes once; the points once if pixel size or tolerance follows from them.
 pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Preview> {
     let opened = open_inputs(options, monitor)?;
     if !options.output.as_os_str().is_empty() {

@@ -1,6 +1,6 @@
-//! Points that a conversion removed, as a LAS file to look at.
+//! Points that a conversion removed, as a LAS file for inspection.
 //!
-//! LAS 1.4, point format 6, in metres. Places have the precision of the voxel pass (1/128 pixel, 1/8160 slice).
+//! LAS 1.4, point format 6, in metres. Positions have the precision of the voxel pass (1/128 pixel, 1/8160 slice).
 
 use crate::Result;
 use crate::output::{Output, OutputKind, Protected};
@@ -8,10 +8,10 @@ use std::path::Path;
 
 const HEADER_BYTES: usize = 375;
 const RECORD_BYTES: usize = 30;
-/// Bytes that are written at once.
+/// Bytes written at once.
 const CHUNK_BYTES: usize = 1 << 18;
 
-/// The file while it is written.
+/// LAS file under construction.
 pub(super) struct RemovedPoints {
     output: Output,
     scale: f64,
@@ -24,7 +24,7 @@ pub(super) struct RemovedPoints {
 }
 
 impl RemovedPoints {
-    /// Begins the file, which replaces any but archives, plans and `protected` ones.
+    /// Creates the file, replacing any file except archives, plans and `protected` ones.
     pub fn create(path: &Path, protected: Protected) -> Result<Self> {
         Ok(Self {
             output: Output::create(path, OutputKind::Result, protected)?,
@@ -38,7 +38,7 @@ impl RemovedPoints {
         })
     }
 
-    /// Points will lie between these corners (m).
+    /// Sets the corners between which the points will lie (m).
     pub fn set_bounds(&mut self, min: [f64; 3], max: [f64; 3]) {
         let extent = (0..3).map(|axis| max[axis] - min[axis]).fold(0.0, f64::max);
         while extent > self.scale * f64::from(i32::MAX) {
@@ -57,7 +57,7 @@ impl RemovedPoints {
             self.max[axis] = self.max[axis].max(value);
             record[4 * axis..4 * axis + 4].copy_from_slice(&value.to_le_bytes());
         }
-        // The only return of its pulse, unclassified.
+        // Single return of its pulse, unclassified.
         (record[14], record[16]) = (0x11, 1);
         self.chunk.extend(record);
         self.count += 1;
@@ -77,7 +77,7 @@ impl RemovedPoints {
         let mut header = [0u8; HEADER_BYTES];
         let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
         put(0, b"LASF");
-        // Reference systems, if any, are well-known text: the rule for this point format.
+        // Reference systems, if any, are WKT, as this point format requires.
         put(6, &16u16.to_le_bytes());
         put(24, &[1, 4]);
         put(58, b"slicewalk");

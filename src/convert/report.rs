@@ -1,4 +1,4 @@
-//! What a conversion did, as a value and as JSON.
+//! Result of a conversion, as a value and as JSON.
 
 use super::Resumed;
 use crate::archive::{Header, Shard};
@@ -11,49 +11,49 @@ use crate::unit::LengthUnit;
 use serde_json::Value;
 use std::path::PathBuf;
 
-/// What a conversion did.
+/// Result of a conversion.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Report {
     /// Header of the archive.
     pub header: Header,
-    /// Which part it holds, if not the whole.
+    /// Part that the archive holds; `None` for the whole.
     pub shard: Option<Shard>,
-    /// Point spacing found, if the pixel size was chosen automatically.
+    /// Measured point spacing, if the pixel size was chosen automatically.
     pub spacing: Option<Spacing>,
-    /// Noise of the scan, if the tolerance was chosen by it.
+    /// Noise of the scan, if the tolerance was chosen from it.
     pub noise: Option<Noise>,
     /// Text of the coordinate reference system; empty if the input names none.
     pub crs: String,
-    /// Units in which the inputs came, each once.
+    /// Distinct units of the inputs.
     pub units: Vec<LengthUnit>,
-    /// Scans in text and how their columns were understood.
+    /// Scans in text, and how their columns were interpreted.
     pub texts: Vec<(PathBuf, TextLayout)>,
     /// Length of all input files (bytes).
     pub input_bytes: u64,
-    /// Bytes of temporary data written to disk.
+    /// Temporary data written to disk (bytes).
     pub temp_bytes: u64,
-    /// What was taken over of an earlier run.
+    /// Data reused from an earlier run.
     pub resumed: Option<Resumed>,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
-    /// Points that the input states and that could not be read: 0, unless incomplete input is allowed.
+    /// Points that the input states and that could not be read; 0 unless incomplete input is allowed.
     pub points_missing: u64,
-    /// Points removed because other stations of the scan saw through their places.
+    /// Points removed because other stations of the scan saw through their positions.
     pub points_moving: u64,
-    /// Whether all of the input was read: always so, unless incomplete input is allowed.
+    /// True if all of the input was read; always true unless incomplete input is allowed.
     pub complete: bool,
-    /// Triangles of meshes; they count as points in the header too.
+    /// Triangles of meshes; they also count as points in the header.
     pub triangles: MeshCounts,
-    /// Points made of them, if they were sampled.
+    /// Points sampled from the triangles, if they were sampled.
     pub points_made: u64,
-    /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
-    /// points: boxes that hold only such points are no hits (G1 holds for all other points).
+    /// Voxels dropped because they had too few points or were isolated. Their points are dropped with them: boxes that
+    /// hold only such points report no hit (G1 holds for all other points).
     pub voxels_dropped: u64,
 }
 
 impl Report {
-    /// Its facts under the keys of the command-line contract (`sliceconv --json`), but for the seconds.
+    /// Returns the facts under the keys of the command-line contract (`sliceconv --json`), except the seconds.
     pub fn info(&self) -> Value {
         let mut facts = header_info(&self.header, &self.crs, &self.units);
         facts["input_quantum"] = INPUT_QUANTUM_M.into();

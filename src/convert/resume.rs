@@ -1,15 +1,16 @@
-//! Going on from what an earlier run of the same conversion left on disk.
+//! Resuming from the data that an earlier run of the same conversion left on disk.
 //!
-//! A run that spills notes in its journal which chunks of the input its runs stand for, what was found in them, and which
-//! bytes were read for that, with their hash. Another run takes these runs over if it has the same plan and the same
-//! inputs: by path, length and time of each file, by what its header says of its chunks, and by reading again the bytes
-//! that were read and comparing their hash. It then reads the chunks that are missing. Of a chunk that is there in part
-//! it leaves out the points that are there; the decoder gives the same points in the same order.
+//! A run that spills records in its journal which chunks of the input its runs cover, what was found in them, and which
+//! bytes were read for them, with their hash. A later run reuses these runs if it has the same plan and the same
+//! inputs. Inputs are compared by path, length and modification time of each file, by what its header states of its
+//! chunks, and by hashing again the bytes that were read. The later run then reads the chunks that are missing. Of a
+//! chunk covered in part it skips the points that are covered, because the decoder gives the same points in the same
+//! order.
 //!
-//! Values for colours have runs of their own, which stand for points of their own; a chunk is done when both kinds are there.
-//! What the values of all points are follows from their records.
+//! Values for colours have their own runs, which cover points separately; a chunk is done when both kinds of runs cover
+//! it. The statistics of all values follow from their records.
 //!
-//! Meshes are read again. The second pass, from runs to pages, begins anew.
+//! Meshes are read again. The second pass, from runs to pages, starts from the beginning.
 
 use super::colours::Values;
 use super::points::{OfFile, Read};
@@ -30,21 +31,21 @@ use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// What a run took over of an earlier one.
+/// Data reused from an earlier run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Resumed {
-    /// Points that the runs taken over stand for.
+    /// Points that the reused runs cover.
     pub points: u64,
-    /// Bytes of these runs on disk.
+    /// Length of these runs on disk (bytes).
     pub bytes: u64,
 }
 
-/// What decides which records a run makes of which chunk.
+/// Everything that decides which records a run makes from a chunk.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Identity {
     version: String,
     plan: Vec<u8>,
-    /// What automatic options follow from.
+    /// Measurements from which automatic options follow.
     surveyed: Surveyed,
     /// Unit of the input, mode of meshes and source of colours, as numbers.
     numbers: [f64; 3],
@@ -52,12 +53,12 @@ pub(super) struct Identity {
     inputs: Vec<InputState>,
 }
 
-/// An input by hashes: there may be very many.
+/// State of an input, as hashes, because there may be very many inputs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct InputState {
-    /// Of its absolute path.
+    /// Hash of its absolute path.
     path: u64,
-    /// Of its length, the time when it was changed last, and what decides which chunks it has.
+    /// Hash of its length, its modification time, and what decides which chunks it has.
     state: u64,
 }
 
@@ -72,7 +73,7 @@ impl InputState {
 }
 
 impl Identity {
-    /// Of a conversion of `set`, which reads the values that become colours, if any do.
+    /// Creates the identity of a conversion of `set`, which already reads the values that become colours, if any.
     pub fn of(options: &ConvertOptions, plan: &Plan, surveyed: Surveyed, shard: Option<Shard>, set: &InputSet) -> Self {
         let unit = match options.units {
             Units::Auto => 0.0,
@@ -93,7 +94,7 @@ impl Identity {
         }
     }
 
-    /// The head of a journal: the target, then this.
+    /// Returns the head of a journal: the target, then this identity.
     pub fn head(&self, target: &Path) -> Vec<u8> {
         let mut out = Vec::new();
         let mut put = |bytes: &[u8]| {
@@ -122,7 +123,7 @@ impl Identity {
         out
     }
 
-    /// The target and the rest of a head.
+    /// Splits a head into the target and the other fields.
     fn split(head: &[u8]) -> Option<(&[u8], Vec<&[u8]>)> {
         let mut reader = ByteReader::new(head, "");
         let mut fields = Vec::new();
@@ -177,7 +178,7 @@ impl Identity {
         })
     }
 
-    /// Fails if a run of this identity, over `set`, cannot go on from what `earlier` left.
+    /// Fails if a run of this identity, over `set`, cannot continue from the data of `earlier`.
     fn check(&self, earlier: &Self, set: &InputSet) -> Result<()> {
         let again = "give the same again, or begin anew without resuming";
         let refuse = |reason: String| Err(Error::parameter(Parameter::Resume, reason));
@@ -213,21 +214,21 @@ fn changed_since(path: &Path) -> Error {
     Error::input(path, "content", reason)
 }
 
-/// What an earlier run left for this target.
+/// Data that an earlier run left for this target.
 pub(super) struct Earlier {
     leftover: Leftover,
     identity: Identity,
 }
 
 impl Earlier {
-    /// Finds what an earlier run left for the archive `target`, if it is to be resumed, and else removes it.
+    /// Finds the data that an earlier run left for the archive `target`. Removes the data if it is not to be resumed.
     pub fn find(options: &ConvertOptions, output: &Output, target: &Path) -> Result<Option<Self>> {
         let files = output.files();
         let name = target.file_name().unwrap_or_default();
         let found = match Leftover::find(files, &options.temp_dir, name, output.owner()) {
             Ok(found) => found,
             Err(error) if options.resume => return Err(error),
-            // Whoever cannot look there cannot write there either, and learns that then.
+            // A folder that cannot be read cannot be written to either, and writing reports that.
             Err(_) => return Ok(None),
         };
         let mut earlier: Option<Self> = None;
@@ -241,7 +242,7 @@ impl Earlier {
             }
             let is_there = files.about(leftover.path()).is_ok_and(|about| about.is_some());
             match Identity::from_fields(&fields).filter(|_| options.resume && is_there) {
-                // Of several, which only runs beside each other leave, the one with most.
+                // Only concurrent runs leave several: keep the largest.
                 Some(identity) => {
                     let this = Self { leftover, identity };
                     let (more, less) = match earlier.take() {
@@ -257,12 +258,12 @@ impl Earlier {
         Ok(earlier)
     }
 
-    /// Bytes that it holds on disk.
+    /// Returns the length of the data on disk (bytes).
     pub fn bytes(&self) -> u64 {
         self.leftover.bytes()
     }
 
-    /// What the automatic options of `options` follow from; `None` if that is not all known.
+    /// Returns the measurements from which the automatic options of `options` follow; `None` unless all are known.
     pub fn surveyed(&self, options: &ConvertOptions) -> Option<Surveyed> {
         let Surveyed { spacing, noise } = self.identity.surveyed;
         let (auto_pixel, auto_tolerance) = (options.pixel == PixelSize::Auto, options.tolerance_auto);
@@ -272,7 +273,7 @@ impl Earlier {
         Some(Surveyed { spacing: spacing.filter(|_| auto_pixel), noise: noise.filter(|_| auto_tolerance) })
     }
 
-    /// Goes on from it, for a run of `identity` that spills at `place`.
+    /// Takes over the data for a run of `identity` that spills at `place`.
     pub fn take_over(
         self,
         identity: &Identity,
@@ -289,7 +290,7 @@ impl Earlier {
         let (mut runs, mut begun) = (Vec::new(), BTreeMap::new());
         let mut progress = Progress::nothing(set.files().len());
         progress.wants_values = set.options().colour.is_some();
-        // Of the run at hand, and of those that were whole.
+        // `of_run` holds the values of the current run, `progress.values` those of all runs that proved whole.
         let of_run = set.options().colour.map(Values::new);
         progress.values = of_run.clone();
         let of_run = RefCell::new(of_run);
@@ -320,7 +321,7 @@ impl Earlier {
     }
 }
 
-/// The runs of an earlier run, and what they stand for.
+/// Runs of an earlier run, and the input they cover.
 pub(super) struct TakenOver {
     pub spill: Spill,
     pub runs: Vec<SpilledRun>,
@@ -328,41 +329,41 @@ pub(super) struct TakenOver {
     pub resumed: Resumed,
 }
 
-/// What of the input need not be read.
+/// Input that need not be read again.
 #[derive(Debug)]
 pub(super) struct Progress {
-    /// Chunks that are done: first and end of each row of them.
+    /// Chunks that are done, as ranges: first chunk and end.
     done: BTreeMap<u64, u64>,
-    /// Points of other chunks for which runs stand, those of matter and those of values: first and end, ascending.
+    /// Covered points of other chunks, by point runs and by value runs: first and end, ascending.
     partial: BTreeMap<u64, [Vec<(u64, u64)>; 2]>,
     points: u64,
-    /// Whether values are needed, and what is known of those that runs hold.
+    /// True if values are needed; `values` holds the statistics of those in runs.
     wants_values: bool,
     pub values: Option<Values>,
-    /// What was found in the chunks that are done.
+    /// Results of the chunks that are done.
     pub read: Read,
     pub of_files: Vec<OfFile>,
 }
 
-/// Points of a chunk for which runs stand: first and end, ascending.
+/// Points of a chunk that runs cover: first and end, ascending.
 #[derive(Clone, Copy)]
 pub(super) struct Covered<'a> {
     pub matter: &'a [(u64, u64)],
     pub values: &'a [(u64, u64)],
 }
 
-/// What is known of a chunk while the journal is read.
+/// State of a chunk while the journal is read.
 #[derive(Default)]
 struct Begun {
-    /// Of matter, and of values.
+    /// Covered by point runs, and by value runs.
     pieces: [Vec<(u64, u64)>; 2],
-    /// Number of its points, and what was found in it.
+    /// Number of its points, what was found in it, and the hash of what was read.
     result: Option<(u64, Read, u128)>,
     file: usize,
 }
 
 impl Progress {
-    /// Of files of which nothing was read.
+    /// Creates the progress of a conversion that has read nothing.
     pub fn nothing(files: usize) -> Self {
         let (read, of_files) = (Read::NOTHING, vec![OfFile::NOTHING; files]);
         let (done, partial) = (BTreeMap::new(), BTreeMap::new());
@@ -373,7 +374,7 @@ impl Progress {
         self.done.range(..=chunk).next_back().is_some_and(|(_, &end)| chunk < end)
     }
 
-    /// Points of a chunk for which runs stand.
+    /// Returns the points of a chunk that runs cover.
     pub fn of_chunk(&self, chunk: u64) -> Covered<'_> {
         let [matter, values] = match self.partial.get(&chunk) {
             Some(pieces) => pieces.each_ref().map(Vec::as_slice),
@@ -382,7 +383,8 @@ impl Progress {
         Covered { matter, values }
     }
 
-    /// Adds what a run, of values or of matter, stands for, which is compared with the files; `None` if it cannot be.
+    /// Adds what a point run or value run covers, after comparing it with the files; returns `None` if the journal
+    /// contradicts itself.
     fn add(
         &mut self,
         values: bool,
@@ -399,7 +401,7 @@ impl Progress {
             }
             let is_empty = piece.0 == piece.1;
             if self.is_done(chunk) {
-                // Whoever reads missing points or values of a chunk says again what was found in it.
+                // A run that reads missing points or values of a chunk repeats the chunk's result.
                 if is_empty {
                     continue;
                 }
@@ -426,7 +428,7 @@ impl Progress {
         Ok(Some(()))
     }
 
-    /// Moves a chunk to those that are done if all of it is there.
+    /// Moves a chunk to those that are done, if it is covered completely.
     fn finish(&mut self, chunk: u64, begun: &mut BTreeMap<u64, Begun>, set: &InputSet) {
         let Some(Begun { pieces, result: Some((points, read, hash)), file }) = begun.get(&chunk) else { return };
         let is_whole = |pieces: &Vec<(u64, u64)>| pieces.iter().map(|piece| piece.1 - piece.0).sum::<u64>() == *points;
@@ -450,7 +452,7 @@ impl Progress {
     }
 }
 
-/// What a decoder noted of its reading, as a piece holds it.
+/// Appends a decoder's log of its reads, in the form stored in a piece.
 pub(super) fn put_reads(log: &ReadLog, out: &mut Vec<u8>) {
     let (file, Reads { sum, pieces }) = log.reads();
     out.extend((file as u64).to_le_bytes());
@@ -460,7 +462,7 @@ pub(super) fn put_reads(log: &ReadLog, out: &mut Vec<u8>) {
 
 type Piece = (u64, (u64, u64), usize, Reads, Option<(Read, u128)>);
 
-/// Chunk, points, file, what was read, and the result of a piece.
+/// Parses a piece: chunk, points, file, what was read, and the result.
 fn parse_piece(reader: &mut ByteReader<'_>) -> Option<Piece> {
     let mut number = || reader.varint().ok();
     let (chunk, from, points) = (number()?, number()?, number()?);
@@ -479,7 +481,7 @@ fn parse_piece(reader: &mut ByteReader<'_>) -> Option<Piece> {
     Some((chunk, (from, from.checked_add(points)?), file, Reads { sum, pieces }, result))
 }
 
-/// What was found in a chunk, and the hash of what was read of it, as a piece holds it.
+/// Returns the result of a chunk, and the hash of what was read of it, in the form stored in a piece.
 pub(super) fn result_bytes(read: &Read, hash: u128) -> Vec<u8> {
     let counts = |counts: &PointCounts| {
         [counts.read, counts.withheld, counts.excluded, counts.not_finite, counts.missing]
@@ -533,7 +535,7 @@ mod tests {
     use crate::input::InputOptions;
     use scangen::{WriteSpec, write_las};
 
-    /// A piece of the only chunk of a file, of which nothing was read.
+    /// Encodes one piece of a file's only chunk, with no bytes read.
     fn piece(from: u64, end: u64, result: Option<&[u8]>) -> Vec<u8> {
         let mut out = Vec::new();
         [0, from, end - from, 24].into_iter().for_each(|number| put_varint(&mut out, number));
@@ -543,8 +545,8 @@ mod tests {
         out
     }
 
-    /// A run that stayed in memory is lost with its process, while the next one, which holds the end of its chunk and what was found
-    /// there, was on disk. Whoever reads the lost points says that again, behind a chunk that is whole by then.
+    /// A run kept in memory is lost with its process, while the next run, which holds the end of the chunk and its
+    /// result, was on disk. The run that reads the lost points repeats the result, after the chunk is complete.
     #[test]
     fn the_end_of_a_chunk_may_stand_before_its_beginning() {
         let folder = tempfile::tempdir().unwrap();
@@ -563,7 +565,7 @@ mod tests {
             if wants_values {
                 assert_eq!([add(true, &piece(60, 100, None)), add(true, &piece(0, 60, None))], [Some(()); 2]);
             }
-            // Points that are there already are a contradiction.
+            // Points that are already covered are a contradiction.
             assert_eq!(add(false, &piece(10, 20, None)), None);
             assert!(progress.is_done(0) && begun.is_empty());
             assert_eq!((progress.points, progress.read.counts), (100, found));

@@ -1,4 +1,4 @@
-//! One part of a conversion: which files it reads, and which points count in it.
+//! Scope of one part of a conversion: which files it reads, and which points count in it.
 
 use super::chosen::Chosen;
 use super::facts::{InputFacts, name_of};
@@ -18,34 +18,34 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_128;
 
-/// A part of a conversion and how it treats each file.
+/// Part of a conversion, and how it treats each file.
 pub(crate) struct ShardScope {
     pub shard: Shard,
-    /// By number in the set of inputs: scans, then meshes.
+    /// Roles by number in the set of inputs: scans, then meshes.
     roles: Vec<Role>,
-    /// Whether it reads all inputs of the plan.
+    /// True if the part reads all inputs of the plan.
     reads_all: bool,
     frame: Frame,
-    /// Pixels around the part's columns whose points it needs.
+    /// Distance around the part's columns within which it needs points (pixels).
     reach: i64,
 }
 
-/// How a part treats a file.
+/// Role of a file in a part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Role {
-    /// Points of the file may lie in the part's columns or beside them.
+    /// True if points of the file may lie in the part's columns or next to them.
     reads: bool,
-    /// Points that make no voxel count here.
+    /// True if the file's points that make no voxel count in this part.
     owns: bool,
-    /// Other parts read it too.
+    /// True if other parts also read the file.
     shared: bool,
-    /// Its number in the plan file; of equal files, that of the first.
+    /// Number in the plan file; for equal files, that of the first.
     number: u32,
     bounds: Option<StatedBounds>,
 }
 
 impl Role {
-    /// How the part `shard` of `file` treats one of its inputs.
+    /// Returns the role of `input` in the part `shard` of `file`.
     fn of(file: &PlanFile, shard: Shard, input: &InputFacts) -> Self {
         let reach = reach(&file.plan);
         let meets = |first, last| meets(&file.plan.frame, reach, input, first, last);
@@ -57,10 +57,9 @@ impl Role {
     }
 }
 
-/// How far from a pixel matter may lie that decides what becomes of it (pixels): connected matter that reaches farther than
-/// it has voxels to be dropped stays, whatever is behind.
-///
-/// And holes are closed by floors around them.
+/// Returns how far from a pixel anything solid may affect it (pixels). A component that reaches farther than the number
+/// of voxels up to which components are dropped is kept, whatever lies beyond; holes are closed by the floors around
+/// them.
 pub(super) fn reach(plan: &Plan) -> i64 {
     let holes = match plan.options.fill_holes {
         0 => 0,
@@ -72,7 +71,7 @@ pub(super) fn reach(plan: &Plan) -> i64 {
     }
 }
 
-/// Whether points of `input` may lie within `reach` pixels of the columns `first..=last`.
+/// Returns whether points of `input` may lie within `reach` pixels of the columns `first..=last`.
 pub(super) fn meets(frame: &Frame, reach: i64, input: &InputFacts, first: u64, last: u64) -> bool {
     match &input.bounds {
         Some(bounds) => QuadCell::WHOLE.meets(&tiles(frame, bounds, reach), first, last),
@@ -81,8 +80,8 @@ pub(super) fn meets(frame: &Frame, reach: i64, input: &InputFacts, first: u64, l
 }
 
 impl ShardScope {
-    /// The part that `options` ask for, of the inputs `set`, which must be those of its plan file; or, with `chosen` ones, some of
-    /// them.
+    /// Creates the part that `options` ask for. The inputs `set` must be those of its plan file, or the `chosen` ones
+    /// of them.
     pub fn new(
         shard: ShardOptions,
         set: &InputSet,
@@ -110,16 +109,16 @@ impl ShardScope {
             None => &here,
         };
         let shard = file.shard(shard.index, shard.count)?;
-        // Files of equal fingerprint may differ in the bounds that a person put into the plan.
+        // Files of equal fingerprint may have different bounds if the plan was edited by hand.
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
         file.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
         let role = |fingerprint: &u128| Some(Role::of(file, shard, inputs.get_mut(fingerprint).and_then(Vec::pop)?));
-        // All are there: the inputs are those of the plan file.
+        // Finds a role for every input, because the inputs are those of the plan file.
         let roles: Vec<Role> = fingerprints.iter().filter_map(role).collect();
         Self::with(file, shard, roles, true)
     }
 
-    /// Of inputs of which others than the `chosen` ones stay closed.
+    /// Creates the part if all inputs but the `chosen` ones stay closed.
     fn of_chosen(file: &PlanFile, chosen: &Chosen, facts: &[InputFacts]) -> Result<Self> {
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
         for (input, _) in file.inputs.iter().zip(&chosen.is_closed).filter(|(_, is_closed)| !**is_closed) {
@@ -146,19 +145,19 @@ impl ShardScope {
         Ok(Self { shard, roles, reads_all, frame: file.plan.frame, reach: reach(&file.plan) })
     }
 
-    /// Makes the part one of a conversion with these stations: it fits no part with others.
+    /// Ties the part to these stations, so that it cannot be merged with parts that used others.
     pub fn sees_from(&mut self, stations: &[Station]) {
         let bits = |station: &Station| [&station.at[..], &[station.within_m]].concat().into_iter().map(f64::to_bits);
         let hash = |station: &Station| xxh3_128(&bits(station).flat_map(u64::to_le_bytes).collect::<Vec<u8>>());
-        // In any order: it follows from where the files lie.
+        // Independent of the order, which depends on the paths of the files.
         let all = stations.iter().map(hash).fold(0, u128::wrapping_add);
         self.shard.plan_file = self.shard.plan_file.wrapping_add(all);
     }
 
-    /// Whether the part needs the records of a tile column: one of its own, or one within reach.
+    /// Returns a predicate: whether the part needs the records of a tile column, because it is its own or within reach.
     pub fn keeps(&self) -> impl Fn(ColumnIndex) -> bool + Send + 'static {
         let Shard { first, last, .. } = self.shard;
-        // A column has a halo of its own.
+        // A column already has a halo.
         let around = (self.reach - HALO_PIXELS + TILE_PIXELS - 1).div_euclid(TILE_PIXELS);
         move |ColumnIndex { tx, ty, .. }| {
             if around == 0 {
@@ -169,7 +168,7 @@ impl ShardScope {
         }
     }
 
-    /// What the part read of inputs that other parts read too, from the hashes of all its inputs.
+    /// Returns the hashes of the inputs that other parts read too, given the hashes of all inputs.
     pub fn inputs_read<'a>(&self, hashes: impl Iterator<Item = (&'a Path, u128)>) -> Vec<InputRead> {
         let mut read: BTreeMap<u32, InputRead> = BTreeMap::new();
         for (role, (path, hash)) in self.roles.iter().zip(hashes) {
@@ -182,30 +181,30 @@ impl ShardScope {
         read.into_values().collect()
     }
 
-    /// Whether the part needs a file.
+    /// Returns whether the part needs a file.
     pub fn reads(&self, file: usize) -> bool {
         self.roles[file].reads
     }
 
-    /// Whether points of a file that make no voxel count in this part.
+    /// Returns whether a file's points that make no voxel count in this part.
     pub fn owns(&self, file: usize) -> bool {
         self.roles[file].owns
     }
 
-    /// Whether the triangles of meshes count in this part.
+    /// Returns whether the triangles of meshes count in this part.
     pub fn owns_meshes(&self) -> bool {
         self.shard.index == 1
     }
 
-    /// Whether the part needs every file.
+    /// Returns whether the part needs every file.
     pub fn reads_all(&self) -> bool {
         self.reads_all
     }
 
-    /// Fails if points of a file that reach from `min` to `max` lie where other parts would not look for them.
+    /// Fails if points of a file, from `min` to `max`, lie where other parts would not look for them.
     pub fn check_bounds(&self, scan: &ScanFile, file: usize, min: [f64; 3], max: [f64; 3]) -> Result<()> {
         let Some(stated) = self.roles[file].bounds else { return Ok(()) };
-        // Heights do not decide which part needs a file.
+        // Heights do not decide which parts need a file.
         if (0..2).all(|axis| stated.min[axis] <= min[axis] && max[axis] <= stated.max[axis]) {
             return Ok(());
         }
@@ -216,14 +215,14 @@ impl ShardScope {
         Err(Error::input(scan.path(), "bounds", reason))
     }
 
-    /// How many points of `batch` lie in the part's columns, and their bounds.
+    /// Returns how many points of `batch` lie in the part's columns, and their bounds.
     pub fn own(&self, batch: &PointBatch) -> (u64, [f64; 3], [f64; 3]) {
         let (mut count, mut min, mut max) = (0, [f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         let columns = self.shard.columns();
         let mut last = None;
         for ((&x, &y), &z) in batch.x.iter().zip(&batch.y).zip(&batch.z) {
             let tile = [x, y].map(|v| self.frame.pixel_of(v).div_euclid(TILE_PIXELS) as i32);
-            // Points that follow each other mostly lie in the same tile.
+            // Consecutive points usually lie in the same tile.
             let own = match last {
                 Some((same, own)) if same == tile => own,
                 _ => columns.contains(&morton(tile[0], tile[1])),

@@ -1,10 +1,10 @@
-//! Cutting the grid into ranges of columns of about equal weight, and which areas such a range meets.
+//! Division of the grid into ranges of columns of about equal weight, and the test which areas such a range meets.
 
 use super::facts::InputFacts;
 use crate::frame::{Frame, TILE_PIXELS};
 use crate::input::StatedBounds;
 
-/// First columns of `count` parts that hold about as many points each, if headers tell the truth.
+/// Returns the first columns of `count` parts that hold about the same number of points each, if the headers are right.
 pub(super) fn split(frame: &Frame, inputs: &[InputFacts], count: u32) -> Vec<u64> {
     let areas = inputs.iter().filter_map(|input| Some((tiles(frame, &input.bounds?, 0), input.points as f64)));
     let mut areas: Vec<(TileRect, f64)> = areas.collect();
@@ -19,7 +19,7 @@ pub(super) fn split(frame: &Frame, inputs: &[InputFacts], count: u32) -> Vec<u64
     let mut firsts = vec![0u64];
     for index in 1..count {
         let least = firsts[firsts.len() - 1] + 1;
-        // Room for the parts that follow, each of which has a column.
+        // Leave a column for each of the following parts.
         let most = u64::MAX - u64::from(count - index);
         firsts.push(wanted[index as usize - 1].clamp(least, most));
     }
@@ -35,7 +35,7 @@ pub(super) struct TileRect {
 
 const GRID: (i64, i64) = (i32::MIN as i64, i32::MAX as i64);
 
-/// Tiles of the points within `bounds`, and of those up to `halo` pixels away.
+/// Returns the tiles of the points within `bounds` and up to `halo` pixels around them.
 pub(super) fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> TileRect {
     let along = |axis: usize| {
         let tile = |pixel: i64| pixel.div_euclid(TILE_PIXELS).clamp(GRID.0, GRID.1);
@@ -45,21 +45,21 @@ pub(super) fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> TileRect
 }
 
 impl TileRect {
-    /// Tiles in both (a float: there may be 2⁶⁴).
+    /// Returns the number of tiles in both (a float: there may be 2⁶⁴).
     pub fn common(&self, other: &Self) -> f64 {
         let along = |a: (i64, i64), b: (i64, i64)| (a.1.min(b.1) - a.0.max(b.0) + 1).max(0) as f64;
         along(self.x, other.x) * along(self.y, other.y)
     }
 }
 
-/// A square of tiles whose columns are consecutive: a node of the quadtree that the order of columns walks through.
+/// Square of tiles whose columns are consecutive: a node of the quadtree that the column order traverses.
 #[derive(Clone, Copy)]
 pub(super) struct QuadCell {
     x: i64,
     y: i64,
-    /// Its edge is `2^level` tiles.
+    /// The edge is `2^level` tiles long.
     level: u32,
-    /// Its first column.
+    /// First column.
     first: u64,
 }
 
@@ -75,7 +75,7 @@ impl QuadCell {
         self.first + ((1u128 << (2 * self.level)) - 1) as u64
     }
 
-    /// The four cells of which it consists, in the order of their columns; itself must be larger than a tile.
+    /// Returns the four quarters in column order; the cell must be larger than a tile.
     fn quarters(&self) -> [Self; 4] {
         let level = self.level - 1;
         [0u64, 1, 2, 3].map(|number| Self {
@@ -86,7 +86,7 @@ impl QuadCell {
         })
     }
 
-    /// Whether the cell has a tile of `area` whose column lies in `first..=last`.
+    /// Returns whether the cell has a tile of `area` whose column lies in `first..=last`.
     pub fn meets(&self, area: &TileRect, first: u64, last: u64) -> bool {
         if self.last() < first || self.first > last {
             return false;
@@ -98,10 +98,10 @@ impl QuadCell {
     }
 }
 
-/// The columns before which the `areas`, evenly filled with their weights, hold each of the ascending `targets`. Those areas that
-/// meet `cell` suffice, since others add nothing; `before` is what lies in columns before it.
+/// Finds the columns before which the `areas`, evenly filled with their weights, hold each of the ascending `targets`.
+/// Only areas that meet `cell` are needed, since others add nothing; `before` is the weight in columns before the cell.
 ///
-/// Cost: for each level of the quadtree, the areas that meet the cells in which targets lie; not areas times targets.
+/// Cost: per level of the quadtree, the areas that meet the cells with targets; not areas times targets.
 fn columns_at(cell: QuadCell, areas: &[(TileRect, f64)], mut before: f64, mut targets: &[f64], found: &mut Vec<u64>) {
     if cell.level == 0 {
         found.extend(targets.iter().map(|_| cell.first));
@@ -139,7 +139,7 @@ mod tests {
     use crate::frame::morton;
     use proptest::prelude::*;
 
-    /// One target at a time, with all areas.
+    /// Reference: one target at a time, with all areas.
     fn column_at(areas: &[(TileRect, f64)], target: f64) -> u64 {
         let mut cell = QuadCell::WHOLE;
         let mut before = 0.0;

@@ -1,7 +1,8 @@
-//! Where scanners stood: by a table of stations, else by what the scans say themselves.
+//! Positions of scanners, from a table of stations or else from the scans themselves.
 //!
-//! A table names files; its rows say where the scanner of a file stood, where it stood for the points of one point source id, or where it was
-//! at a GPS time. Between two times the scanner moves straight, unless that were too fast: then it stood. Such a way is cut into pieces of at most [`WITHIN_M`] about their first place,
+//! A table names files; its rows give the position of a file's scanner, its position for one point source id, or its
+//! position at a GPS time. Between two times the scanner moves in a straight line; a jump above [`FASTEST`] counts as
+//! standing still until the later time. Such a path is cut into pieces within [`WITHIN_M`] of their first position,
 //! each of them a station.
 
 use crate::bytes::open_regular;
@@ -13,42 +14,42 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;
 
-/// Longest table that is read (bytes).
+/// Greatest length of a table (bytes).
 const MOST_BYTES: u64 = 64 << 20;
-/// How far a scanner moves within one station (m).
+/// Distance within which a moving scanner counts as one station (m).
 const WITHIN_M: f64 = 0.1;
-/// Who would have moved faster (m/s) stood until the later time.
+/// Speed above which the scanner counts as standing still until the later time (m/s).
 const FASTEST: f64 = 100.0;
-/// Most pieces of all ways.
+/// Most pieces of all paths together.
 const MOST_PIECES: f64 = (1u64 << 20) as f64;
 
-/// A place (m, z up).
+/// Position (m, z up).
 type Place = [f64; 3];
 
-/// The stations of a set of scans.
+/// Stations of a set of scans.
 #[derive(Debug)]
 pub(super) struct Stations {
-    /// All of them, each once.
+    /// The stations, each once.
     pub stations: Vec<Station>,
-    /// Which of them measured the points of each cloud of each scan.
+    /// Source of the points of each cloud of each scan.
     pub of_cloud: Vec<Vec<Measured>>,
-    /// What of a point tells which.
+    /// Attribute of a point that identifies its station.
     pub tag: Option<Tag>,
 }
 
-/// Which station measured a point.
+/// Station or stations that measured the points of a cloud.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Measured {
-    /// This one.
+    /// One station.
     From(usize),
-    /// By point source id; any other id.
+    /// Station by point source id, and the one for any other id.
     BySource(BTreeMap<u16, usize>, Option<usize>),
-    /// By GPS time: from this time on this one, in order; and the last time.
+    /// Stations by the GPS time from which they apply, in order, and the last time.
     ByTime(Vec<(f64, usize)>, f64),
 }
 
 impl Measured {
-    /// The station of a point with this tag, or why it has none.
+    /// Returns the station of a point with this tag, or the reason why it has none.
     pub fn station(&self, tag: f64) -> std::result::Result<usize, String> {
         match self {
             Self::From(station) => Ok(*station),
@@ -74,21 +75,21 @@ impl Measured {
     }
 }
 
-/// What a table says of a file.
+/// Positions that a table gives for a file.
 #[derive(Debug, Clone, Default)]
 enum Named {
-    /// Nothing.
+    /// No position.
     #[default]
     Not,
-    /// The place of its scanner.
+    /// Position of its scanner.
     At(Place),
-    /// The places by point source id, and that of any other.
+    /// Positions by point source id, and the one for any other id.
     BySource(BTreeMap<u16, Place>, Option<Place>),
-    /// The places at times.
+    /// Positions at GPS times.
     ByTime(Vec<(f64, Place)>),
 }
 
-/// Stations that are known so far, each with its number.
+/// Known stations, with their numbers.
 #[derive(Debug, Default)]
 struct Known {
     stations: Vec<Station>,
@@ -96,8 +97,9 @@ struct Known {
 }
 
 impl Known {
-    /// The number of a station. Clouds of one place are one station: what is in one of them does not show through another. Pieces of
-    /// ways are so if they begin at the same `time`, too.
+    /// Returns the number of a station, adding it if it is new. Clouds at one position are one station, because what
+    /// one of them holds cannot be seen through in another. Pieces of paths are one station only if they also begin at
+    /// the same `time`.
     fn number(&mut self, at: Place, within_m: f64, time: f64) -> usize {
         let [x, y, z] = at.map(|v| (v + 0.0).to_bits());
         *self.numbers.entry([x, y, z, within_m.to_bits(), (time + 0.0).to_bits()]).or_insert_with(|| {
@@ -110,10 +112,10 @@ impl Known {
         self.number(at, 0.0, 0.0)
     }
 
-    /// The pieces of a way, each with the time at which it begins.
+    /// Returns the pieces of a path, each with the time at which it begins.
     fn way(&mut self, way: &[(f64, Place)]) -> Vec<(f64, usize)> {
         let mut pieces = Vec::new();
-        // The places on the way, half a piece apart at most.
+        // Positions along the path, at most half a piece apart.
         let mut places = way.windows(2).flat_map(|ends| {
             let [(t0, a), (t1, b)] = [ends[0], ends[1]];
             let steps = steps(ends);
@@ -129,7 +131,7 @@ impl Known {
             pieces.push((begin, station));
         };
         for (time, place, goes_on) in places {
-            // Who stands has sharp images: standing and moving do not mix.
+            // A scanner that stands has sharp images, so standing and moving are not mixed.
             let most_m = if moves { 0.5 * WITHIN_M } else { 0.0 };
             if distance(first, place) > most_m || goes_on != moves {
                 end_piece(begin, first, moves);
@@ -141,7 +143,7 @@ impl Known {
     }
 }
 
-/// The number of steps between two places of a way; 0 if the scanner stands.
+/// Returns the number of steps between two positions of a path; 0 if the scanner stands.
 fn steps(ends: &[(f64, Place)]) -> f64 {
     let far = distance(ends[0].1, ends[1].1);
     if far > FASTEST * (ends[1].0 - ends[0].0) { 0.0 } else { (far / (0.5 * WITHIN_M)).ceil() }
@@ -153,10 +155,10 @@ fn distance(a: Place, b: Place) -> f64 {
 }
 
 impl Stations {
-    /// The stations of `set`: for scans that the table at `table` names those of the table, for others the places that E57 (by
-    /// the pose of each cloud) and PTX state.
+    /// Finds the stations of `set`: from the table at `table` for the scans that it names, else from the positions that
+    /// E57 (by the pose of each cloud) and PTX state.
     ///
-    /// Fails for a table that is none, for stations of no scan, and for clouds with points whose station is not known.
+    /// Fails for an invalid table, for rows that match no scan, and for clouds with points whose station is unknown.
     pub fn find(table: Option<&Path>, set: &InputSet) -> Result<Self> {
         let files = set.files();
         let (named, tag) = match table {
@@ -166,11 +168,11 @@ impl Stations {
         Self::of(table, named, tag, files)
     }
 
-    /// `named`: what `table` says of each file.
+    /// Builds the stations from what `table` gives for each file (`named`) and from what the scans state.
     fn of(table: Option<&Path>, named: Vec<Named>, tag: Option<Tag>, files: &[ScanFile]) -> Result<Self> {
         let stated: Vec<Vec<Standpoint>> = files.iter().map(ScanFile::standpoints).collect();
         let unnamed = stated.iter().zip(&named).filter(|(_, named)| matches!(named, Named::Not));
-        // Programs that write points in common coordinates leave the pose of each cloud at that.
+        // Programs that write points in common coordinates leave the pose of each cloud at the origin.
         let at_origin = |stated: &&Standpoint| **stated == Standpoint::At([0.0; 3]);
         let at_origin = unnamed.flat_map(|(stated, _)| stated).filter(at_origin).count();
         let mut known = Known::default();
@@ -180,7 +182,7 @@ impl Stations {
             let of_file = match named {
                 Named::Not => None,
                 Named::At(place) => Some(Measured::From(known.stood(place))),
-                // Files whose points have no ids, too.
+                // Also for files whose points have no ids.
                 Named::BySource(of, Some(place)) if of.is_empty() => Some(Measured::From(known.stood(place))),
                 Named::BySource(of, any_other) => {
                     let of = of.into_iter().map(|(id, place)| (id, known.stood(place))).collect();
@@ -193,7 +195,7 @@ impl Stations {
             };
             for stated in stated {
                 let station = match (&of_file, stated) {
-                    // Without points.
+                    // A cloud without points.
                     (_, Standpoint::Needless) => Measured::From(0),
                     (Some(measured), _) => measured.clone(),
                     (None, Standpoint::At(at)) if at == [0.0; 3] && at_origin > 1 => {
@@ -214,12 +216,12 @@ impl Stations {
     }
 }
 
-/// Where a place in the coordinates of a file lies (m, z up); `None` beyond those of any point.
+/// Converts a position from a file's coordinates (m, z up); `None` if it lies farther out than any point may.
 fn place_of(file: &ScanFile, at: Place) -> Option<Place> {
     file.place_of(at).filter(|place| place.iter().all(|v| v.abs() <= FARTHEST_M))
 }
 
-/// The fields of a line, without the quotes around some of them, which may hold commas; else what is wrong with it.
+/// Splits a line into its fields, without quotes (quoted fields may hold commas), or returns what is wrong with it.
 fn fields(line: &str) -> std::result::Result<Vec<String>, String> {
     let (mut fields, mut rest) = (Vec::new(), line.trim());
     loop {
@@ -240,7 +242,7 @@ fn fields(line: &str) -> std::result::Result<Vec<String>, String> {
     }
 }
 
-/// The station of a file is not known.
+/// Makes the error for a file whose station is unknown.
 fn unknown(table: Option<&Path>, file: &ScanFile, reason: &str) -> Error {
     let path = file.path().display();
     match table {
@@ -252,7 +254,7 @@ fn unknown(table: Option<&Path>, file: &ScanFile, reason: &str) -> Error {
     }
 }
 
-/// Where the columns of a table are.
+/// Column numbers of a table.
 struct Columns {
     names: usize,
     file: usize,
@@ -281,9 +283,9 @@ impl Columns {
     }
 }
 
-/// Reads the table at `path`, with the columns `file,x,y,z` in any order, and `source_id` or `t` where it has one: of scans in `files` the name
-/// (with folders where the name alone is not unique) and the place of the scanner in the coordinates of the scan. Returns what it
-/// says of each file.
+/// Reads the table at `path`, with the columns `file,x,y,z` in any order, and optionally `source_id` or `t`. `file` is
+/// the name of a scan in `files`, with folders if the name alone is ambiguous; the position is in the coordinates of
+/// the scan. Returns what the table gives for each file.
 fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
     let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
     if about.len() > MOST_BYTES {
@@ -361,7 +363,7 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
 }
 
 impl Named {
-    /// Its places by source id; it is made such.
+    /// Returns the positions by source id, converting `self` to that variant if necessary.
     fn by_source(&mut self) -> (&mut BTreeMap<u16, Place>, &mut Option<Place>) {
         if !matches!(self, Self::BySource(..)) {
             *self = Self::BySource(BTreeMap::new(), None);
@@ -370,7 +372,7 @@ impl Named {
         (of, any_other)
     }
 
-    /// Its places by time; it is made such.
+    /// Returns the positions by time, converting `self` to that variant if necessary.
     fn by_time(&mut self) -> &mut Vec<(f64, Place)> {
         if !matches!(self, Self::ByTime(_)) {
             *self = Self::ByTime(Vec::new());
@@ -380,8 +382,8 @@ impl Named {
     }
 }
 
-/// Brings the places of each way into the order of their times; refuses ways of one place, two places at one time, and ways so long that their
-/// pieces are too many.
+/// Sorts the positions of each path by time. Refuses paths with a single position, two positions at one time, and paths
+/// with too many pieces.
 fn check_ways(path: &Path, files: &[ScanFile], named: &mut [Named]) -> Result<()> {
     let mut pieces = 0.0;
     for (file, named) in files.iter().zip(named) {
@@ -413,7 +415,7 @@ mod tests {
     #[test]
     fn ways_are_cut_into_short_pieces_and_leaps_are_none() {
         let mut known = Known::default();
-        // Stands, walks a metre along x, stands, is elsewhere at once, stands.
+        // Stands, walks a metre along x, stands, jumps, stands.
         let way = [
             (0.0, [0.0; 3]),
             (5.0, [0.0; 3]),

@@ -1,9 +1,9 @@
-//! What the hand-over of jobs is made of; `tests/schedules.rs` puts shuttle's types in place of these.
+//! Primitives of the job hand-over; `tests/schedules.rs` replaces them by shuttle's types.
 
 pub use crossbeam_channel::{Receiver, Sender, bounded};
 pub use std::thread::{Scope, scope};
 
-/// Starts a thread of `scope`, which the system may refuse.
+/// Starts a thread of `scope`; the system may refuse it.
 pub fn start<'scope, 'env>(
     scope: &'scope Scope<'scope, 'env>,
     work: impl FnOnce() + Send + 'scope,

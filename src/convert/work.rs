@@ -3,8 +3,8 @@
 use crate::bytes::spawn_in;
 use crate::{Error, Result};
 
-/// What `work` gives on each of so many threads, or the error that says most. Threads that the system does not start are
-/// done without: the others find all the work, and if there are none, the calling thread does it.
+/// Runs `work` on `threads` threads and returns the results, or the most informative error. If the system starts fewer
+/// threads, these find all the work; if it starts none, the calling thread does it.
 pub(super) fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
     let results: Vec<Result<T>> = std::thread::scope(|scope| {
         let start = |_| spawn_in(scope, &work).ok();
@@ -21,7 +21,7 @@ pub(super) fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> +
     for result in results {
         match result {
             Ok(result) => done.push(result),
-            // Stopped by another's error, which says more.
+            // Stopped by another thread's error, which says more.
             Err(Error::Interrupted) => stopped = true,
             Err(error) => return Err(error),
         }

@@ -1,4 +1,4 @@
-//! An archive of points that a program holds in memory, batch by batch.
+//! Writer for points that a program holds in memory: makes an archive batch by batch.
 
 use super::pages::{Writing, write_archive};
 use super::points::{Own, Read, bounds, out_of_reach};
@@ -15,12 +15,12 @@ use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::voxel::spill::SpillPlace;
 use crate::{Error, Monitor, Parameter, Result};
 
-/// Points of a batch that are looked at together.
+/// Points of a batch examined together.
 const PIECE: usize = 1 << 12;
 
-/// Converts points in metres from memory, in batches of any size and order; the archive appears when it is
-/// [finished](Self::finish). The same points give the same bytes as [`convert`](super::convert) gives for a file of
-/// them in metres.
+/// Converts points in metres from memory, in batches of any size and order; the archive appears on
+/// [`finish`](Self::finish). The result is byte for byte that of [`convert`](super::convert) for a file of the same
+/// points in metres.
 ///
 /// Memory: the budget of the options plus a constant, as for a conversion of files. Dropping the writer writes nothing.
 ///
@@ -49,10 +49,10 @@ pub struct PointWriter {
 }
 
 impl PointWriter {
-    /// Begins the archive `options.output` in the coordinate reference system `crs` (text as a scan would state it, or
-    /// empty). The options hold no inputs, no part and no unit, and the pixel size in metres.
+    /// Creates a writer of the archive `options.output` in the coordinate reference system `crs` (text as a scan would
+    /// state it, or empty). The options must hold no inputs, no part and no unit, and the pixel size in metres.
     ///
-    /// Fails for options that make no sense, and where the output may not be written.
+    /// Fails for invalid options, and if the output must not be written.
     pub fn create(options: &ConvertOptions, crs: &str) -> Result<Self> {
         options.check()?;
         if options.plan.remove_moving {
@@ -74,7 +74,7 @@ impl PointWriter {
         let plan = options.plan_of(pixel_m)?;
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
         let output = Output::create_by(&options.output, kind, Protected::default(), &options.temp_dir)?;
-        // What a program pushes cannot be resumed: without a head, the next run removes what a kill leaves.
+        // Pushed points cannot be resumed: without a head, the next run removes what a kill leaves.
         let name = output.beside().file_name().unwrap_or_default().to_owned();
         let place =
             SpillPlace { files: output.files().clone(), folder: options.temp_dir.clone(), name, head: Vec::new() };
@@ -83,7 +83,7 @@ impl PointWriter {
             output.set_levels();
         }
         let recorder = Recorder::new(plan.frame);
-        // One run is under construction at a time.
+        // Only one run is under construction at a time.
         let limits = Limits::of(&ConvertOptions { threads: 1, ..options.clone() });
         Ok(Self {
             runs: RunBuilder::new(recorder, limits.build_bytes),
@@ -98,10 +98,10 @@ impl PointWriter {
         })
     }
 
-    /// Adds points (m). Those with a coordinate that is not finite or beyond 10¹² m are left out and counted.
+    /// Adds points (m). Points with a coordinate that is not finite or beyond 10¹² m are left out and counted.
     ///
-    /// Fails if the lists differ in length, where a grid of this pixel size does not reach, and if the temporary data
-    /// cannot be written; what was added before stays, and more may be added.
+    /// Fails if the lists differ in length, if a point lies beyond the reach of a grid of this pixel size, or if the
+    /// temporary data cannot be written. Points added earlier stay, and more may be added.
     pub fn push(&mut self, x: &[f64], y: &[f64], z: &[f64]) -> Result<()> {
         if x.len() != y.len() || x.len() != z.len() {
             let reason = format!("{} x, {} y and {} z are no points", x.len(), y.len(), z.len());
@@ -132,7 +132,7 @@ impl PointWriter {
         Ok(())
     }
 
-    /// Points added so far, those left out included.
+    /// Returns the number of points added, including those left out.
     pub fn points(&self) -> u64 {
         self.read.own.kept + self.read.own.left_out.read
     }
@@ -188,7 +188,7 @@ mod tests {
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
             (state >> 33) % most
         };
-        // Whole millimetres: a file with such a step holds them exactly.
+        // Whole millimetres, which a file with such a step holds exactly.
         (0..count).map(|_| [below(9000), below(7000), below(3000)].map(|mm| f64::from(mm as u32) * 0.001)).collect()
     }
 

@@ -1,11 +1,12 @@
-//! The one seam through which the library changes files and names: outputs, spilled data, plans, merges, recoveries, exports.
+//! Access to the disk: the only place where the library changes files and names, for outputs, spilled data, plans,
+//! merges, recoveries and exports.
 //!
-//! [`Disk`] and [`DiskFile`] are the raw calls of an operating system: a signal may interrupt them, and a write may take
-//! fewer bytes than it was given. [`Files`] and [`OpenFile`] are what the code above uses: they repeat interrupted calls
-//! and finish short ones. Cost: one virtual call per call of the operating system.
+//! [`Disk`] and [`DiskFile`] are the raw calls of an operating system: a signal may interrupt them, and a write may
+//! take fewer bytes than it was given. [`Files`] and [`OpenFile`] are for the rest of the library: they repeat
+//! interrupted calls and finish short ones. Cost: one virtual call per call of the operating system.
 //!
-//! [`Files::current`] is the real disk. A test runs work on another one ([`tests`]) by [`with`]; whatever begins in that
-//! call keeps its disk, on all of its threads.
+//! [`Files::current`] is the real disk. A test runs work on another disk ([`tests`]) by [`with`]; work that begins in
+//! that call keeps its disk, on all of its threads.
 
 mod real;
 mod temporary;
@@ -24,13 +25,13 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What is at a path.
+/// Attributes of the file at a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct About {
     pub kind: FileKind,
     /// Length (bytes).
     pub len: u64,
-    /// Permissions, and the number of the owner, where the system has those of Unix.
+    /// Permissions and number of the owner, if the system has those of Unix.
     pub mode: Option<u32>,
     pub owner: Option<u32>,
     pub read_only: bool,
@@ -40,50 +41,50 @@ pub(crate) struct About {
 pub(crate) enum FileKind {
     File,
     Folder,
-    /// A pipe, a terminal, a socket, or a device that is no disk.
+    /// A pipe, a terminal, a socket, or a device other than a disk.
     Stream,
     Other,
 }
 
-/// Name of standard output where descriptors have names.
+/// Name of standard output on systems where descriptors have names.
 pub(crate) const STANDARD_OUTPUT: &str = "/dev/fd/1";
 
-/// What a file is opened for.
+/// Purpose for which a file is opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Access {
     Read,
-    /// To be read, written and locked.
+    /// For reading, writing and locking.
     Change,
-    /// To be written at its end: a pipe or a device.
+    /// For writing at the end of a pipe or device.
     Append,
 }
 
-/// Raw calls on names; see the module text.
+/// Raw calls on names; see the module documentation.
 pub(crate) trait Disk: Debug + Send + Sync {
-    /// Creates a file that did not exist, to be read and written, with permissions `mode` less the umask.
+    /// Creates a new file for reading and writing, with permissions `mode` less the umask. Fails if the file exists.
     fn create(&self, path: &Path, mode: Option<u32>) -> io::Result<Box<dyn DiskFile>>;
     /// Creates a file without a name, which vanishes with the process.
     #[cfg(feature = "convert")]
     fn create_unnamed(&self, folder: &Path) -> io::Result<Box<dyn DiskFile>>;
     fn open(&self, path: &Path, access: Access) -> io::Result<Box<dyn DiskFile>>;
-    /// What is at `path`, links followed.
+    /// Returns the attributes of the file at `path`, following links.
     fn about(&self, path: &Path) -> io::Result<About>;
-    /// Which file is at `path`, links followed.
+    /// Returns the identity of the file at `path`, following links.
     fn id(&self, path: &Path) -> Option<FileId>;
-    /// Where a symbolic link leads.
+    /// Returns where a symbolic link points.
     fn read_link(&self, path: &Path) -> io::Result<PathBuf>;
-    /// Gives a file another name, whatever has that name already.
+    /// Renames a file, replacing any file that has the new name.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Gives a file a name that nothing has; [`ErrorKind::Unsupported`] where one call cannot do that.
+    /// Renames a file to an unused name; [`ErrorKind::Unsupported`] if no single call can do that.
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Gives a file a second name.
+    /// Adds a second name to a file.
     fn link(&self, from: &Path, to: &Path) -> io::Result<()>;
     fn remove(&self, path: &Path) -> io::Result<()>;
-    /// Names of the regular files in `folder` that `wanted` accepts.
+    /// Lists the names of the regular files in `folder` that `wanted` accepts.
     fn list(&self, folder: &Path, wanted: &dyn Fn(&OsStr) -> bool) -> io::Result<Vec<OsString>>;
     /// Opens a folder, so that changed names in it can be made durable.
     fn open_folder(&self, path: &Path) -> io::Result<Box<dyn DiskFolder>>;
-    /// Free space for files in `folder` (bytes).
+    /// Returns the free space for files in `folder` (bytes).
     #[cfg(feature = "convert")]
     fn free_bytes(&self, folder: &Path) -> io::Result<u64>;
 }
@@ -94,16 +95,16 @@ pub(crate) trait DiskFile: Debug + Send + Sync {
     fn write_at(&self, bytes: &[u8], offset: u64) -> io::Result<usize>;
     /// Writes at the end of a pipe or device.
     fn append(&self, bytes: &[u8]) -> io::Result<usize>;
-    /// Length (bytes).
+    /// Returns the length (bytes).
     fn len(&self) -> io::Result<u64>;
     /// Makes the content durable.
     fn sync(&self) -> io::Result<()>;
-    /// Locks the file for its writer; `false` if somebody else holds the lock. [`ErrorKind::Unsupported`] where the file
-    /// system knows no locks.
+    /// Locks the file for its writer; `false` if another process holds the lock. [`ErrorKind::Unsupported`] if the file
+    /// system has no locks.
     fn try_lock(&self) -> io::Result<bool>;
 }
 
-/// An open folder.
+/// Open folder.
 pub(crate) trait DiskFolder: Debug + Send + Sync {
     /// Makes changed names durable.
     fn sync(&self) -> io::Result<()>;
@@ -113,7 +114,7 @@ thread_local! {
     static CURRENT: RefCell<Option<Files>> = const { RefCell::new(None) };
 }
 
-/// Runs `act` on another disk than the real one.
+/// Runs `act` on a disk other than the real one.
 #[cfg(test)]
 pub(crate) fn with<T>(disk: Arc<dyn Disk>, act: impl FnOnce() -> T) -> T {
     struct Back(Option<Files>);
@@ -126,7 +127,7 @@ pub(crate) fn with<T>(disk: Arc<dyn Disk>, act: impl FnOnce() -> T) -> T {
     act()
 }
 
-/// Repeats `act` for as long as signals interrupt it.
+/// Repeats `act` while signals interrupt it.
 fn repeat<T>(mut act: impl FnMut() -> io::Result<T>) -> io::Result<T> {
     loop {
         match act() {
@@ -136,17 +137,17 @@ fn repeat<T>(mut act: impl FnMut() -> io::Result<T>) -> io::Result<T> {
     }
 }
 
-/// A disk, as the code above uses it.
+/// Disk, as the rest of the library uses it.
 #[derive(Debug, Clone)]
 pub(crate) struct Files(Arc<dyn Disk>);
 
 impl Files {
-    /// The disk that work which begins now is done on.
+    /// Returns the disk for work that begins now.
     pub fn current() -> Self {
         CURRENT.with_borrow(|current| current.clone()).unwrap_or_else(|| Self(Arc::new(real::RealDisk)))
     }
 
-    /// Creates a file that did not exist, to be read and written, with permissions `mode` less the umask.
+    /// Creates a new file for reading and writing, with permissions `mode` less the umask. Fails if the file exists.
     pub fn create(&self, path: &Path, mode: Option<u32>) -> io::Result<OpenFile> {
         repeat(|| self.0.create(path, mode)).map(OpenFile)
     }
@@ -161,7 +162,7 @@ impl Files {
         repeat(|| self.0.open(path, access)).map(OpenFile)
     }
 
-    /// What is at `path`, links followed; `None` if nothing is.
+    /// Returns the attributes of the file at `path`, following links; `None` if there is no file.
     pub fn about(&self, path: &Path) -> io::Result<Option<About>> {
         match repeat(|| self.0.about(path)) {
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
@@ -177,15 +178,15 @@ impl Files {
         repeat(|| self.0.read_link(path))
     }
 
-    /// Gives a file another name, whatever has that name already.
+    /// Renames a file, replacing any file that has the new name.
     pub fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         repeat(|| self.0.rename(from, to))
     }
 
-    /// Gives a file a name that nothing has; fails with [`ErrorKind::AlreadyExists`] if something has it.
+    /// Renames a file to an unused name; fails with [`ErrorKind::AlreadyExists`] if the name is in use.
     ///
-    /// By one call where the system can (Linux, macOS), else by a hard link, else (no links, as on FAT) by an empty file
-    /// that takes the name and that the file then replaces: killed in between, the empty file stays.
+    /// Uses one call where the system has one (Linux, macOS), else a hard link. Where there are no links (FAT), an
+    /// empty file claims the name and the file then replaces it; a kill in between leaves the empty file.
     pub fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         match repeat(|| self.0.rename_new(from, to)) {
             Err(error) if error.kind() == ErrorKind::Unsupported => match self.rename_by_link(from, to) {
@@ -199,7 +200,7 @@ impl Files {
 
     fn rename_by_link(&self, from: &Path, to: &Path) -> io::Result<()> {
         repeat(|| self.0.link(from, to))?;
-        // If the old name stays, the next run removes it as a leftover; the file has the new one.
+        // If the old name stays, the next run removes it as a leftover; the file has its new name.
         let _ = self.remove(from);
         Ok(())
     }
@@ -215,7 +216,7 @@ impl Files {
         repeat(|| self.0.remove(path))
     }
 
-    /// Names of the regular files in `folder` that `wanted` accepts.
+    /// Lists the names of the regular files in `folder` that `wanted` accepts.
     pub fn list(&self, folder: &Path, wanted: impl Fn(&OsStr) -> bool) -> io::Result<Vec<OsString>> {
         repeat(|| self.0.list(folder, &wanted))
     }
@@ -228,19 +229,19 @@ impl Files {
         }
     }
 
-    /// Free space for files in `folder` (bytes).
+    /// Returns the free space for files in `folder` (bytes).
     #[cfg(feature = "convert")]
     pub fn free_bytes(&self, folder: &Path) -> io::Result<u64> {
         repeat(|| self.0.free_bytes(folder))
     }
 }
 
-/// An open file, as the code above uses it.
+/// Open file, as the rest of the library uses it.
 #[derive(Debug)]
 pub(crate) struct OpenFile(Box<dyn DiskFile>);
 
 impl OpenFile {
-    /// Fills `buf` with the bytes from `offset` on; fewer are an error.
+    /// Fills `buf` with the bytes at `offset`; fails if there are fewer.
     pub fn read_exact_at(&self, offset: u64, buf: &mut [u8]) -> io::Result<()> {
         match self.read_up_to(offset, buf)? == buf.len() {
             true => Ok(()),
@@ -248,7 +249,8 @@ impl OpenFile {
         }
     }
 
-    /// Fills `buf` with the bytes from `offset` on; returns fewer than it holds only where the file ends.
+    /// Fills `buf` with the bytes at `offset`; returns their number, which is less than the length of `buf` only at the
+    /// end of the file.
     pub fn read_up_to(&self, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
         let mut done = 0;
         while done < buf.len() {
@@ -260,7 +262,7 @@ impl OpenFile {
         Ok(done)
     }
 
-    /// Writes all of `bytes` from `offset` on.
+    /// Writes all of `bytes` at `offset`.
     pub fn write_at(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
         write_all(bytes, |done| self.0.write_at(&bytes[done..], offset + done as u64))
     }
@@ -270,18 +272,18 @@ impl OpenFile {
         write_all(bytes, |done| self.0.append(&bytes[done..]))
     }
 
-    /// Length (bytes).
+    /// Returns the length (bytes).
     pub fn len(&self) -> io::Result<u64> {
         repeat(|| self.0.len())
     }
 
-    /// Makes the content durable. A sync that failed is final: the file is given up, never synced again.
+    /// Makes the content durable. A failed sync is final: the file is abandoned, never synced again.
     pub fn sync(&self) -> io::Result<()> {
         repeat(|| self.0.sync())
     }
 
-    /// Locks the file for its writer; `false` if somebody else holds the lock. It ends with the file, and so with the
-    /// process.
+    /// Locks the file for its writer; `false` if another process holds the lock. The lock ends with the file, and so
+    /// with the process.
     pub fn try_lock(&self) -> io::Result<bool> {
         repeat(|| self.0.try_lock())
     }
@@ -298,7 +300,7 @@ fn write_all(bytes: &[u8], mut write: impl FnMut(usize) -> io::Result<usize>) ->
     Ok(())
 }
 
-/// An open folder, as the code above uses it.
+/// Open folder, as the rest of the library uses it.
 #[derive(Debug)]
 pub(crate) struct OpenFolder(Box<dyn DiskFolder>);
 
@@ -306,7 +308,7 @@ impl OpenFolder {
     /// Makes changed names durable.
     pub fn sync(&self) -> io::Result<()> {
         match repeat(|| self.0.sync()) {
-            // Some file systems cannot sync folders and keep names safe by themselves.
+            // Some file systems cannot sync folders and keep names safe without it.
             Err(error) if matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Ok(()),
             synced => synced,
         }

@@ -69,7 +69,7 @@ impl Disk for RealDisk {
         use rustix::fs::{CWD, RenameFlags, renameat_with};
         use rustix::io::Errno;
         match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-            // The kernel or the file system does not know the flag.
+            // The kernel or the file system does not support the flag.
             Err(Errno::NOSYS | Errno::INVAL | Errno::NOTSUP) => Err(ErrorKind::Unsupported.into()),
             done => Ok(done?),
         }
@@ -92,7 +92,7 @@ impl Disk for RealDisk {
         let mut names = Vec::new();
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
-            // A pipe of such a name would hold up whoever opens it.
+            // Opening a pipe of such a name would block.
             if wanted(&entry.file_name()) && entry.file_type().is_ok_and(|kind| kind.is_file()) {
                 names.push(entry.file_name());
             }
@@ -166,7 +166,7 @@ impl DiskFolder for Folder {
     }
 }
 
-/// Elsewhere folders cannot be synced.
+/// Folder on systems where folders cannot be synced.
 #[cfg(not(unix))]
 #[derive(Debug)]
 struct Folder;
@@ -209,7 +209,7 @@ fn is_stream(_: fs::FileType) -> bool {
     true
 }
 
-/// Standard output once more. By its name a socket could not be opened, and Windows has no such name.
+/// Duplicates standard output. Its name would not open a socket, and Windows has no such name.
 fn standard_output() -> io::Result<File> {
     #[cfg(unix)]
     return std::os::fd::AsFd::as_fd(&io::stdout()).try_clone_to_owned().map(File::from);

@@ -1,7 +1,7 @@
-//! Temporary files beside a target, or in a folder of their own.
+//! Temporary files next to a target, or in a folder of their own.
 //!
-//! The name is `.TARGET.slicewalk-<16 hex digits>` and an ending. The file stays locked while its writer lives; leftovers
-//! of writers that died are not, which is how the next run knows that it may remove them.
+//! The name is `.TARGET.slicewalk-<16 hex digits>` and an ending. The file stays locked while its writer lives.
+//! Leftovers of dead writers are not locked, so the next run knows that it may remove them.
 
 use super::{Access, Files, OpenFile};
 use crate::{Error, Result};
@@ -11,15 +11,15 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 const MARK: &str = ".slicewalk-";
-/// Ending of outputs in the making.
+/// Ending of outputs under construction.
 const PART: &str = ".part";
 const DIGITS: usize = 16;
-/// How often another random name is tried.
+/// Number of random names tried.
 const ATTEMPTS: usize = 100;
-/// Bytes of the target's name in the temporary one; file systems allow 255 in all.
+/// Bytes of the target's name in the temporary name; file systems allow 255 in all.
 const MOST_NAME: usize = 200;
 
-/// A temporary file; removed when dropped, unless it was renamed or kept.
+/// Temporary file; removed when dropped, unless it was renamed or kept.
 #[derive(Debug)]
 pub(crate) struct Temporary {
     files: Files,
@@ -29,8 +29,8 @@ pub(crate) struct Temporary {
 }
 
 impl Temporary {
-    /// Creates and locks a temporary file beside `target`. Others may do with it what they may do with the file that it
-    /// will replace, as far as the umask allows; the owner can read and write it.
+    /// Creates and locks a temporary file next to `target`. It gets the permissions of the file that it will replace,
+    /// as far as the umask allows; the owner can always read and write it.
     pub fn beside(files: &Files, target: &Path) -> Result<Self> {
         let (folder, name) = split(target)?;
         let replaces = files.about(target).ok().flatten();
@@ -52,10 +52,10 @@ impl Temporary {
             };
             let part = Self { files: files.clone(), file, path, stays: false };
             match part.file.try_lock() {
-                // Another run may take the file for a leftover before it is locked; then it is gone.
+                // Another run may remove the file as a leftover before it is locked.
                 Ok(true) if files.about(&part.path).is_ok_and(|there| there.is_some()) => return Ok(part),
                 Ok(_) => {}
-                // Some file systems know no locks: leftovers stay there until removed by hand.
+                // Some file systems have no locks: leftovers stay there until removed by hand.
                 Err(error) if error.kind() == io::ErrorKind::Unsupported => return Ok(part),
                 Err(error) => return Err(Error::io(&part.path, "lock", error)),
             }
@@ -80,12 +80,12 @@ impl Temporary {
         self.file.sync().map_err(|error| Error::io(&self.path, "sync", error))
     }
 
-    /// Length (bytes).
+    /// Returns the length (bytes).
     pub fn len(&self) -> Result<u64> {
         self.file.len().map_err(|error| Error::io(&self.path, "ask for the length", error))
     }
 
-    /// Renames the file to `to`, which it replaces if `replace` says so. If that fails, the file stays temporary.
+    /// Renames the file to `to`, replacing a file there if `replace` is true. If that fails, the file stays temporary.
     pub fn rename(&mut self, to: &Path, replace: bool) -> io::Result<()> {
         match replace {
             true => self.files.rename(&self.path, to),
@@ -95,7 +95,7 @@ impl Temporary {
         Ok(())
     }
 
-    /// A visible name of its own for the file, in the same folder, that tells where it comes from.
+    /// Returns a visible, unused name for the file in the same folder, derived from the name of `target`.
     pub fn visible_name(&self, target: &Path) -> PathBuf {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let digits = name.strip_suffix(PART).and_then(|name| name.rsplit_once(MARK)).map_or("", |(_, digits)| digits);
@@ -108,26 +108,26 @@ impl Temporary {
         target.with_file_name(visible)
     }
 
-    /// An error about the content of this file.
+    /// Makes an error about the content of this file.
     pub fn broken(&self, action: &str) -> Error {
         Error::io(&self.path, action, io::ErrorKind::InvalidData.into())
     }
 
-    /// Where it is.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 }
 
-/// What runs that are resumed need besides.
+/// Functions for runs that are resumed.
 #[cfg(feature = "convert")]
 impl Temporary {
-    /// The temporary file at `path`, which is open as `file`.
+    /// Takes over the temporary file at `path`, which is open as `file`.
     pub fn of(files: &Files, path: PathBuf, file: OpenFile) -> Self {
         Self { files: files.clone(), file, path, stays: false }
     }
 
-    /// Whether the file stays when this is dropped.
+    /// Sets whether the file stays when this is dropped.
     pub fn set_stays(&mut self, stays: bool) {
         self.stays = stays;
     }
@@ -136,7 +136,7 @@ impl Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if !self.stays {
-            // Nothing sensible is left to do if this fails: the next run removes the file.
+            // If this fails, the next run removes the file.
             let _ = self.files.remove(&self.path);
         }
     }
@@ -153,7 +153,7 @@ pub(crate) fn remove_leftovers(files: &Files, target: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Temporary files for the target called `name` in `folder`, of dead and living writers.
+/// Returns the temporary files for the target `name` in `folder`, of dead and living writers.
 pub(crate) fn leftovers(files: &Files, folder: &Path, name: &OsStr, ending: &str) -> Result<Vec<PathBuf>> {
     let prefix = prefix(name);
     let mut names =
@@ -162,7 +162,8 @@ pub(crate) fn leftovers(files: &Files, folder: &Path, name: &OsStr, ending: &str
     Ok(names.into_iter().map(|name| folder.join(name)).collect())
 }
 
-/// The temporary file at `path`, locked, if its writer is dead. A file that cannot be opened is somebody else's.
+/// Opens and locks the temporary file at `path`, if its writer is dead. A file that cannot be opened belongs to another
+/// user.
 pub(crate) fn lock(files: &Files, path: &Path) -> Option<OpenFile> {
     let file = files.open(path, Access::Change).ok()?;
     file.try_lock().is_ok_and(|free| free).then_some(file)
@@ -181,7 +182,7 @@ fn prefix(name: &OsStr) -> OsString {
     prefix
 }
 
-/// The beginning of a name too long to be a part of another one.
+/// Shortens a name that is too long to be part of another one.
 fn shortened(name: &OsStr) -> OsString {
     if name.len() <= MOST_NAME {
         return name.to_os_string();
@@ -191,10 +192,10 @@ fn shortened(name: &OsStr) -> OsString {
     name[..ends.take_while(|&end| end <= MOST_NAME).last().unwrap_or(0)].into()
 }
 
-/// Folder and name of a target.
+/// Splits a target into folder and name.
 pub(crate) fn split(target: &Path) -> Result<(&Path, &OsStr)> {
     let whole = target.as_os_str().as_encoded_bytes();
-    // Not the `a` of `a/` and `a/.`, either.
+    // In `a/` and `a/.`, `a` is not the name of a file.
     let name = target.file_name().filter(|name| whole.ends_with(name.as_encoded_bytes()));
     let name = name.ok_or_else(|| Error::output(target, "names no file; add a name"))?;
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -1,20 +1,22 @@
-//! Files that programs write: archives, plans, pictures, tables, exports. All are published in one way.
+//! Output files of programs: archives, plans, pictures, tables, exports. All are published in the same way.
 //!
-//! - *Complete, or not there.* The bytes go to a locked temporary file beside the target. [`Output::publish`] syncs that
-//!   file, renames it to the target and syncs the folder, which was opened before. Whatever fails up to the rename leaves
-//!   what was there as it was, and no temporary file; a killed run leaves one, which the next output of that name removes.
-//! - *[`OutputKind`] says what may be replaced.* It is judged when the output is created, before any work, and once more
-//!   directly before the rename. An output that may replace nothing is renamed by a call that fails if something has
-//!   appeared under the name. An archive or plan that cannot get its name is kept under another, which the error states.
-//! - *[`Protected`] files are never replaced*, under whatever name: they are known by device and inode (volume and index
-//!   on Windows), so hard links and symbolic links are seen through.
-//! - *Symbolic links stay.* The file that a link names is replaced, or made.
-//! - *Pipes, terminals and devices* take pictures, tables and exports: the complete bytes are written to them at the end.
-//!   They are never replaced or removed. Archives and plans are regular files, and no output goes to a disk's device. `-` is
-//!   standard output.
-//! - *Permissions.* A new file has those of any new file; one that replaces another is at most as open as that was.
+//! - *Complete or absent.* The bytes go to a locked temporary file next to the target. [`Output::publish`] syncs that
+//!   file, renames it to the target and syncs the folder, which was opened before. A failure up to the rename leaves
+//!   the old file unchanged and no temporary file; a killed run leaves one, which the next output of that name removes.
+//! - *[`OutputKind`] decides what may be replaced.* The check runs when the output is created, before any work, and
+//!   again directly before the rename. An output that may replace nothing is renamed by a call that fails if a file has
+//!   appeared under the name. If an archive or plan cannot be renamed to its target, it is kept under another name,
+//!   which the error states.
+//! - *[`Protected`] files are never replaced*, under any name: they are compared by device and inode (volume and index
+//!   on Windows), so hard links and symbolic links are recognised.
+//! - *Symbolic links stay.* The file that a link points to is replaced or created.
+//! - *Pipes, terminals and devices* take pictures, tables and exports: the complete bytes are written to them at the
+//!   end. They are never replaced or removed. Archives and plans must be regular files, and no output goes to a block
+//!   device. `-` is standard output.
+//! - *Permissions.* A new file gets the default permissions; one that replaces another is at most as open as that file
+//!   was.
 //!
-//! `target.rs` judges what is there and may be replaced.
+//! `target.rs` decides whether the existing file may be replaced.
 
 mod target;
 
@@ -32,40 +34,41 @@ use target::{Judged, Target};
 
 /// Bytes compared or copied at once.
 const CHUNK: usize = 1 << 20;
-/// How often an output that may replace files looks what has its name.
+/// Attempts to rename an output that may replace files.
 const LOOKS: usize = 3;
 
-/// A file in the making, which gets its name by [`publish`](Self::publish). Dropped without that, it leaves nothing.
+/// File under construction; [`publish`](Self::publish) gives it its name. Dropped without that, it leaves nothing.
 ///
-/// Bytes are written by place, or in a row through [`Write`] and [`Seek`] (unbuffered: wrap it in a
-/// [`BufWriter`](std::io::BufWriter)). After a write has failed it cannot be published.
+/// Bytes are written at an offset, or sequentially through [`Write`] and [`Seek`] (unbuffered: wrap it in a
+/// [`BufWriter`](std::io::BufWriter)). After a failed write it cannot be published.
 #[derive(Debug)]
 pub struct Output {
-    /// The target as the user names it.
+    /// Target as the user named it.
     name: PathBuf,
     kind: OutputKind,
     protected: Protected,
     files: Files,
     target: Target,
     temporary: Temporary,
-    /// Where [`Write`] goes on.
+    /// Position of the next [`Write`].
     position: u64,
     failed: bool,
 }
 
-/// Refuses what [`Output::create`] would refuse under this name, and makes nothing.
+/// Fails if [`Output::create`] would refuse this name; creates nothing.
 pub fn check(name: &Path, kind: OutputKind, protected: Protected) -> Result<()> {
     Target::find(&Files::current(), name, kind, &protected).map(drop)
 }
 
 impl Output {
-    /// Begins a file that will be called `name`. What it must not replace is refused here, before any work; temporary files
-    /// that dead writers of the same name left are removed. Opening a pipe waits for its reader.
+    /// Creates an output for the target `name`. Refuses a target that must not be replaced, before any work, and
+    /// removes temporary files that dead writers of the same name left. Opening a pipe waits for its reader.
     pub fn create(name: &Path, kind: OutputKind, protected: Protected) -> Result<Self> {
         Self::create_by(name, kind, protected, &std::env::temp_dir())
     }
 
-    /// As [`create`](Self::create); what cannot be made beside its target, such as an object, is made in the folder `temp_dir`.
+    /// Like [`create`](Self::create), but an output that cannot be made next to its target, such as an object, is made
+    /// in the folder `temp_dir`.
     pub(crate) fn create_by(name: &Path, kind: OutputKind, protected: Protected, temp_dir: &Path) -> Result<Self> {
         let files = Files::current();
         let target = Target::find(&files, name, kind, &protected)?;
@@ -79,7 +82,8 @@ impl Output {
         Ok(Self { name, kind, protected, files, target, temporary, position: 0, failed: false })
     }
 
-    /// A file beside `target` that never gets a name: it is written and read back, and gone when this is dropped.
+    /// Creates a file next to `target` that is never published: it is written and read back, and vanishes when this is
+    /// dropped.
     #[cfg(feature = "convert")]
     pub(crate) fn scratch(files: &Files, target: &Path) -> Result<Self> {
         remove_leftovers(files, target)?;
@@ -110,24 +114,24 @@ impl Output {
         self.temporary.read_at(offset, buf)
     }
 
-    /// The target as the user names it.
+    /// Returns the target as the user named it.
     #[cfg(feature = "convert")]
     pub(crate) fn name(&self) -> &Path {
         &self.name
     }
 
-    /// The disk that it is written to.
+    /// Returns the disk that the output is written to.
     pub(crate) fn files(&self) -> &Files {
         &self.files
     }
 
-    /// Number of the user who writes it, where the system has such.
+    /// Returns the number of the user who owns the output, if the system has such numbers.
     #[cfg(feature = "convert")]
     pub(crate) fn owner(&self) -> Option<u32> {
         self.files.about(self.temporary.path()).ok().flatten().and_then(|about| about.owner)
     }
 
-    /// Where other temporary files of the same work may lie: beside this path.
+    /// Returns the path next to which other temporary files of the same work may lie.
     pub(crate) fn beside(&self) -> &Path {
         match &self.target {
             Target::File { path, .. } => path,
@@ -136,12 +140,12 @@ impl Output {
         }
     }
 
-    /// Makes the file durable and renames it to its name. Returns whether it did; not if the target has the same bytes
-    /// already ([`Existing::KeepSame`]).
+    /// Makes the file durable and renames it to its target. Returns false if the target already holds the same bytes
+    /// ([`Existing::KeepSame`]), so that nothing was done.
     ///
-    /// Before the rename any error leaves what was there. If the rename itself fails, an archive or a plan is kept under
-    /// another name, which the error states. After the rename only the folder's sync can fail: then the new file stands
-    /// complete under its name, and the error is [`Error::NotDurable`].
+    /// Before the rename, any error leaves the old file unchanged. If the rename itself fails, an archive or a plan is
+    /// kept under another name, which the error states. After the rename only the sync of the folder can fail: then the
+    /// new file is complete under its name, and the error is [`Error::NotDurable`].
     pub fn publish(mut self) -> Result<bool> {
         if self.failed {
             return Err(Error::output(&self.name, "not all of it could be written, so it was not published"));
@@ -153,7 +157,7 @@ impl Output {
         let (path, existed) = match &self.target {
             Target::Stream(stream) => {
                 return match copy(&self.temporary, stream) {
-                    // Whoever closes a pipe early has read enough.
+                    // A reader that closes a pipe early has read enough.
                     Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Error::io(&self.name, "write", error)),
                     _ => Ok(true),
                 };
@@ -182,10 +186,10 @@ impl Output {
         }
     }
 
-    /// Renames the complete file to `path`, if what is there now may be replaced.
+    /// Renames the complete file to `path`, if the file there now may be replaced.
     fn rename(&mut self, path: &Path) -> Result<()> {
         let may_replace = self.kind.existing() == Existing::Replace;
-        // What appears between a look and the rename is looked at, too.
+        // A file that appears between the check and the rename is checked too.
         for _ in 0..if may_replace { LOOKS } else { 1 } {
             let judged = || target::judge(&self.files, &self.name, path, self.kind, &self.protected);
             let is_there = may_replace && judged()? == Judged::Replaceable;
@@ -198,7 +202,7 @@ impl Output {
         Err(Error::output(&self.name, "another file got this name while the new one was written, and stays"))
     }
 
-    /// The complete file cannot get its name: gives an archive or a plan, which may have taken hours, another one.
+    /// Keeps an archive or a plan, which may have taken hours, under another name after the rename failed.
     fn keep(&mut self, path: &Path, error: Error) -> Error {
         let visible = self.temporary.visible_name(path);
         if self.kind == OutputKind::Result || self.temporary.rename(&visible, false).is_err() {
@@ -214,10 +218,10 @@ impl Output {
     }
 }
 
-/// Uploads the archive in the file `from` to `address`, whole or not at all, and returns whether it did; not if `existing` is
-/// [`Existing::KeepSame`] and the object there has these bytes.
+/// Uploads the archive in the file `from` to `address`, whole or not at all. Returns false if `existing` is
+/// [`Existing::KeepSame`] and the object already has these bytes, so that nothing was done.
 ///
-/// As for an [`Output`] to that address, but without a copy on disk: `from` must not change meanwhile, and stays.
+/// Works like an [`Output`] to that address, but without a copy on disk: `from` must not change meanwhile, and stays.
 pub fn upload_archive(from: &Path, address: &Path, existing: Existing, monitor: &dyn Monitor) -> Result<bool> {
     let source = FileSource::open(from)?;
     let mut start = vec![0; ARCHIVE_MAGIC.len().min(source.len() as usize)];
@@ -241,10 +245,10 @@ pub fn upload_archive(from: &Path, address: &Path, existing: Existing, monitor: 
     })
 }
 
-/// Reads bytes of a complete file.
+/// Reader of bytes of a complete file.
 type BytesAt<'a> = &'a dyn Fn(u64, &mut [u8]) -> Result<()>;
 
-/// Writes the `len` bytes that `read` gives to the address `name`, if what is there now may be replaced.
+/// Writes `len` bytes from `read` to the address `name`, if the object there now may be replaced.
 #[cfg(feature = "remote")]
 fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: BytesAt<'_>) -> Result<bool> {
     if kind.existing() == Existing::KeepSame && existed {
@@ -258,7 +262,7 @@ fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: 
     let create = kind.existing() != Existing::Replace || judged == Judged::Free;
     match crate::bytes::upload(name, len, create, &mut |at, bytes| read(at, bytes)) {
         Err(Error::Interrupted) => Err(Error::Interrupted),
-        // Done, but the answer was lost, and the repetition found the object there.
+        // The upload succeeded, but the answer was lost, and the retry found the object there.
         Err(_) if is_at(name, len, read).unwrap_or(false) => Ok(true),
         done => done.map(|()| true),
     }
@@ -269,7 +273,7 @@ fn publish_object(name: &Path, _: OutputKind, _: bool, _: u64, _: BytesAt<'_>) -
     Err(crate::bytes::without_feature(name))
 }
 
-/// Whether the object called `name` has the `len` bytes that `read` gives.
+/// Returns whether the object `name` holds exactly the `len` bytes from `read`.
 #[cfg(feature = "remote")]
 fn is_at(name: &Path, len: u64, read: BytesAt<'_>) -> Result<bool> {
     let there = crate::bytes::open_named(name)?;
@@ -279,7 +283,7 @@ fn is_at(name: &Path, len: u64, read: BytesAt<'_>) -> Result<bool> {
     same_bytes(len, &|at, bytes| there.read_at(at, bytes), read)
 }
 
-/// Whether two files of `len` bytes hold the same.
+/// Returns whether two files of `len` bytes have the same content.
 fn same_bytes(len: u64, one: BytesAt<'_>, other: BytesAt<'_>) -> Result<bool> {
     let (mut one_bytes, mut other_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
     for at in (0..len).step_by(CHUNK) {
@@ -293,7 +297,7 @@ fn same_bytes(len: u64, one: BytesAt<'_>, other: BytesAt<'_>) -> Result<bool> {
     Ok(true)
 }
 
-/// Whether the file at `path` has the bytes of `new`.
+/// Returns whether the file at `path` has the content of `new`.
 fn is_there(files: &Files, new: &Temporary, path: &Path) -> Result<bool> {
     let failed = |error| Error::io(path, "compare with the new file", error);
     let Some(about) = files.about(path).map_err(failed)? else { return Ok(false) };
@@ -330,7 +334,7 @@ impl Write for Output {
     }
 }
 
-/// Reads back what was written, from where [`Write`] goes on.
+/// Reads back what was written, from the position of the next [`Write`].
 impl Read for Output {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let left = self.temporary.len().map_err(io::Error::other)?.saturating_sub(self.position);

@@ -1,4 +1,4 @@
-//! What has the target's name, and whether an output may replace it.
+//! Check of the file or object at an output's target: whether the output may replace it.
 
 #[cfg(not(feature = "remote"))]
 use crate::bytes::without_feature;
@@ -14,37 +14,37 @@ use std::path::{Path, PathBuf};
 pub(crate) const ARCHIVE_MAGIC: [u8; 8] = *b"\x89SLA\r\n\x1a\n";
 /// First bytes of an archive that an unreleased version wrote.
 pub(crate) const DRAFT_MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
-/// Key by which a plan file is known.
+/// JSON key that identifies a plan file.
 pub(crate) const PLAN_KEY: &str = "slicewalk_plan";
-/// Within so many bytes of its beginning.
+/// Length of a file's beginning within which the key must appear (bytes).
 const PLAN_START: usize = 4096;
-/// Longest chain of symbolic links.
+/// Longest chain of symbolic links followed.
 const MOST_LINKS: usize = 40;
 
-/// What an output is, which decides what it may replace.
+/// Kind of an output, which decides what it may replace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputKind {
-    /// A slice archive. It replaces slice archives and empty files alone.
+    /// A slice archive. It replaces only slice archives and empty files.
     Archive(Existing),
-    /// A plan. It replaces plans and empty files alone.
+    /// A plan. It replaces only plans and empty files.
     Plan(Existing),
-    /// A picture, a table or an export. It replaces any regular file that can be written to, but archives and plans.
+    /// A picture, a table or an export. It replaces any regular file that can be written to, except archives and plans.
     Result,
 }
 
-/// What becomes of a file that has the name already.
+/// Treatment of an existing file of that name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Existing {
-    /// It stays, and writing is refused.
+    /// The file stays, and writing is refused.
     Refuse,
-    /// It is replaced.
+    /// The file is replaced.
     Replace,
-    /// It stays if it has the very bytes of the output; else as for [`Refuse`](Self::Refuse).
+    /// The file stays if it has exactly the bytes of the output; otherwise as for [`Refuse`](Self::Refuse).
     KeepSame,
 }
 
 impl Existing {
-    /// Whether the user allows to replace.
+    /// Returns [`Replace`](Self::Replace) if the user allows it, else [`Refuse`](Self::Refuse).
     pub fn replaced_if(allowed: bool) -> Self {
         if allowed { Self::Replace } else { Self::Refuse }
     }
@@ -66,7 +66,7 @@ impl OutputKind {
         }
     }
 
-    /// Whether the output may take the place of `content`.
+    /// Returns whether the output may replace `content`.
     fn replaces(self, content: Content) -> bool {
         match self {
             Self::Archive(_) => matches!(content, Content::Archive | Content::Nothing),
@@ -84,7 +84,7 @@ pub struct Protected {
 }
 
 impl Protected {
-    /// Protects the file or object at `path`; nothing if there is no such file.
+    /// Protects the file or object at `path`; does nothing if there is no such file.
     pub fn add(&mut self, path: impl AsRef<Path>) {
         let file = local(path.as_ref());
         let path = file.as_deref().unwrap_or(path.as_ref());
@@ -94,7 +94,7 @@ impl Protected {
         }
     }
 
-    /// Protects the file that `source` reads, if it reads one.
+    /// Protects the file that `source` reads, if any.
     pub fn add_source(&mut self, source: &dyn ByteSource) {
         self.files.extend(source.file_id());
     }
@@ -108,7 +108,7 @@ impl Protected {
     }
 }
 
-/// One spelling of an address.
+/// Returns an address in one canonical spelling.
 fn same_address(address: &str) -> String {
     #[cfg(feature = "remote")]
     if let Ok(url) = url::Url::parse(address) {
@@ -126,19 +126,19 @@ impl<P: AsRef<Path>> FromIterator<P> for Protected {
     }
 }
 
-/// Where an output goes.
+/// Destination of an output.
 #[derive(Debug)]
 pub(super) enum Target {
-    /// A regular file, links followed: its path, its folder, and whether it was there.
+    /// Regular file, after following links: its path, its folder, and whether it existed.
     File { path: PathBuf, folder: OpenFolder, existed: bool },
-    /// A pipe, a terminal or a device.
+    /// Pipe, terminal or device.
     Stream(OpenFile),
-    /// An object at the address that is its name, and whether it was there.
+    /// Object at the address that is the output's name, and whether it existed.
     Object { existed: bool },
 }
 
 impl Target {
-    /// Follows the links of `name`, and refuses what may not be replaced.
+    /// Follows the links of `name`, and refuses a target that must not be replaced.
     pub fn find(files: &Files, name: &Path, kind: OutputKind, protected: &Protected) -> Result<Self> {
         let file = local(name);
         let name = file.as_deref().unwrap_or(name);
@@ -160,7 +160,7 @@ impl Target {
                 let reason = format!("is no regular file, as {} has to be; choose another name", kind.name());
                 return Err(Error::output(name, reason));
             }
-            // What a shell opened is not replaced, but it is written to.
+            // A file opened by the shell is written to, not replaced.
             if about.is_some_and(|about| about.kind == FileKind::File) && protected.holds(files, &path) {
                 return Err(is_read(name));
             }
@@ -174,12 +174,13 @@ impl Target {
     }
 }
 
-/// Whether `path` is `-`, which stands for standard output or standard input. A file of that name is `./-`.
+/// Returns whether `path` is `-`, which stands for standard output or standard input. A file of that name is `./-`.
 pub fn is_standard(path: &Path) -> bool {
     path == Path::new("-")
 }
 
-/// Where the symbolic links of `name` lead, and whether that is something that the process has open (`/dev/stdout`).
+/// Follows the symbolic links of `name`. Returns the target, and whether the process already has it open
+/// (`/dev/stdout`).
 fn follow(files: &Files, name: &Path) -> Result<(PathBuf, bool)> {
     if is_standard(name) {
         return Ok((STANDARD_OUTPUT.into(), true));
@@ -191,29 +192,29 @@ fn follow(files: &Files, name: &Path) -> Result<(PathBuf, bool)> {
         }
         match files.read_link(&path) {
             Ok(to) => path = path.parent().unwrap_or(Path::new("")).join(to),
-            // No link: what it is else, if anything, shows when it is used.
+            // Not a link; any other problem shows when the path is used.
             Err(_) => return Ok((path, false)),
         }
     }
     Err(Error::output(name, "is a link that leads to itself; choose another name"))
 }
 
-/// Whether `path` names a descriptor: `/dev/fd/1`, `/proc/self/fd/1`.
+/// Returns whether `path` names a descriptor: `/dev/fd/1`, `/proc/self/fd/1`.
 fn is_descriptor(path: &Path) -> bool {
     let folder = path.parent().unwrap_or(Path::new(""));
     folder == Path::new("/dev/fd") || folder.starts_with("/proc") && folder.ends_with("fd")
 }
 
-/// What [`judge`] found.
+/// Result of [`judge`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judged {
     /// Nothing has the name.
     Free,
-    /// What has it may be replaced, or compared.
+    /// The existing file may be replaced, or compared.
     Replaceable,
 }
 
-/// Refuses what an output of `kind` must not replace. `name` is what the user calls `path`.
+/// Fails if an output of `kind` must not replace the file at `path`. `name` is what the user calls it.
 pub(super) fn judge(
     files: &Files,
     name: &Path,
@@ -239,7 +240,7 @@ pub(super) fn judge(
     may_replace(name, kind, content, about.read_only)
 }
 
-/// Refuses what an object of `kind` must not replace at the address `name`.
+/// Fails if an object of `kind` must not replace the one at the address `name`.
 #[cfg(feature = "remote")]
 pub(super) fn judge_object(name: &Path, kind: OutputKind) -> Result<Judged> {
     check_upload(name)?;
@@ -258,7 +259,7 @@ pub(super) fn judge_object(name: &Path, _: OutputKind) -> Result<Judged> {
     Err(without_feature(name))
 }
 
-/// Refuses an output of `kind` where `content` is.
+/// Fails if an output of `kind` must not replace `content`.
 fn may_replace(name: &Path, kind: OutputKind, content: Content, read_only: bool) -> Result<Judged> {
     let refuse = |reason: String| Err(Error::output(name, reason));
     if !kind.replaces(content) {
@@ -284,7 +285,7 @@ fn is_read(name: &Path) -> Error {
     Error::output(name, "is a file that this command reads, maybe under another name; choose another output")
 }
 
-/// What a file holds, by its beginning.
+/// Content of a file, recognised by its beginning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Content {
     Nothing,

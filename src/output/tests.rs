@@ -18,7 +18,7 @@ fn plan(content: &str) -> Vec<u8> {
     format!("{{\n  \"{PLAN_KEY}\": 1, \"{content}\": 2}}").into_bytes()
 }
 
-/// Something of the sort that an output of `kind` may replace.
+/// Returns content that an output of `kind` may replace.
 fn sort(kind: OutputKind, content: &str) -> Vec<u8> {
     match kind {
         OutputKind::Archive(_) => archive(content),
@@ -37,12 +37,12 @@ fn publish_beside(target: &Path, kind: OutputKind, bytes: &[u8], protected: Prot
     output.publish()
 }
 
-/// Runs `act` on a disk whose calls fail if `hook` does.
+/// Runs `act` on a disk whose calls fail when `hook` fails.
 fn with_faults<T>(hook: impl FnMut(Call) -> io::Result<()> + Send + 'static, act: impl FnOnce() -> T) -> T {
     crate::disk::with(Hooked::real(hook), act)
 }
 
-/// A folder, and a target in it that holds `old`.
+/// Creates a folder, and a target in it that holds `old`.
 fn place(old: Option<&[u8]>) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("target.x");
@@ -70,7 +70,7 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
         let (mut refused, mut not_durable) = (0, 0);
         for fails in 0.. {
             let (folder, target) = place(old.as_deref());
-            // How many calls there were, which failed, and whether a sync passed.
+            // Number of calls, the one that failed, and whether a sync succeeded.
             let calls = Arc::new(Mutex::new((0, None, false)));
             let seen = calls.clone();
             let hook = move |call| {
@@ -98,13 +98,13 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
                     refused += 1;
                 }
             }
-            // What may have taken hours and is complete is kept, and nothing else.
+            // A complete output, which may have taken hours, is kept, and nothing else.
             let names = names(&folder);
             let kept: Vec<_> = names.iter().filter(|name| *name != "target.x").collect();
             let is_complete = synced && done.as_ref().is_err_and(|error| !matches!(error, Error::NotDurable { .. }));
             let is_kept = is_complete && kind != OutputKind::Result;
-            // Where no rename refuses to replace, a link gives the name, and the temporary name that cannot be removed then waits for
-            // the next output.
+            // Where no rename refuses to replace, a hard link gives the name; a temporary name that cannot be removed
+            // then stays until the next output.
             let is_twice = cfg!(windows) && done.is_ok() && call == Some(Call::Remove);
             assert_eq!(kept.len(), usize::from(is_kept || is_twice), "{kind:?}, {call:?}: {names:?}");
             if let ([kept], Err(error)) = (&kept[..], &done) {
@@ -136,7 +136,7 @@ fn signals_that_interrupt_every_call_change_nothing() {
     }
 }
 
-/// A hook that writes `bytes` to `target` when `at` is called first.
+/// Returns a hook that writes `bytes` to `target` at the first call of `at`.
 fn appears(at: Call, target: &Path, bytes: Vec<u8>) -> impl FnMut(Call) -> io::Result<()> + Send + 'static {
     let mut what = Some((target.to_path_buf(), bytes));
     move |call| match what.take_if(|_| call == at) {
@@ -203,14 +203,14 @@ fn each_kind_replaces_its_own_sort_only() {
             assert_eq!(done.is_ok(), replaced, "{kind:?}: {done:?}");
             assert_eq!(&fs::read(&target).unwrap(), if replaced { &new } else { content });
             assert_eq!(names(&folder), ["target.x"]);
-            // Where to allow it helps, that is said, and only there.
+            // The message suggests allowing a replacement if and only if that would help.
             let helps = matches!(kind, OutputKind::Archive(_) if content.starts_with(&ARCHIVE_MAGIC) || content.is_empty())
                 || matches!(kind, OutputKind::Plan(_) if content.starts_with(b"{") || content.is_empty());
             let said = done.map_or_else(|error| error.to_string(), |_| String::new());
             assert!(replaced || said.contains("allow it to be replaced") == helps, "{kind:?}: {said}");
         }
     }
-    // The very bytes count as written, and the file is left alone.
+    // If the file already has these bytes, it counts as written and is left alone.
     let (_folder, target) = place(Some(&archive("same")));
     let before = crate::bytes::FileId::at(&target);
     assert!(!publish(&target, MERGED, &archive("same")).unwrap());
@@ -382,7 +382,7 @@ mod on_unix {
             assert!(publish(&round, kind, b"new").unwrap_err().to_string().contains("leads to itself"));
             assert_eq!(names(&folder), ["link", "round", "sub", "target.x"]);
         }
-        // Without leave to replace, a link to an archive is an archive.
+        // Without permission to replace, a link to an archive is treated like an archive.
         let (folder, target) = place(Some(&archive("old")));
         let link = folder.path().join("link");
         symlink(&target, &link).unwrap();
@@ -419,7 +419,7 @@ mod on_unix {
                 let said = publish_beside(name, kind, b"new", protected).unwrap_err().to_string();
                 assert!(said.contains("this command reads"), "{said}");
             }
-            // A name that becomes one of a file that is read while the output is written.
+            // A name that becomes a link to a file being read while the output is written.
             let late = folder.path().join("late");
             let (from, to) = (target.clone(), late.clone());
             let mut links = Some(());

@@ -1,4 +1,5 @@
-//! Converts scans and meshes into one slice archive: arguments, one call, printing, exit code.
+//! Command-line program that converts scans and meshes into one slice archive: arguments, one library call, output,
+//! exit code.
 
 mod report;
 mod values;
@@ -24,14 +25,15 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use values::{classes, epsg, length, part};
 
-/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into one
+/// slice archive, in bounded memory.
 ///
-/// Lengths are in metres. The archive appears complete under its name, or not at all.
+/// Lengths are in metres. The archive appears under its name when it is complete, or not at all.
 ///
-/// A scan can be converted in parts, on several machines: `sliceconv INPUT... --write-plan plan.json` fixes grid and
-/// options, `sliceconv INPUT... --plan plan.json --shard 1/8 -o 1.slices` converts one part (name all inputs; it reads the
-/// files that the part needs), and `slicetool merge *.slices -o OUT.slices` joins the parts to the very bytes of a single
-/// run.
+/// A scan can be converted in parts, on several machines. `sliceconv INPUT... --write-plan plan.json` fixes grid and
+/// options. `sliceconv INPUT... --plan plan.json --shard 1/8 -o 1.slices` converts one part (name all inputs; it reads
+/// the files that the part needs). `slicetool merge *.slices -o OUT.slices` joins the parts; the result is byte for
+/// byte that of a single run.
 #[derive(Parser)]
 #[command(
     name = "sliceconv",
@@ -40,41 +42,42 @@ use values::{classes, epsg, length, part};
     override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]"
 )]
 struct Arguments {
-    /// Scans and meshes: files, folders of scans, or glob patterns in quotes. Folders and patterns do not find .txt and .csv
-    /// files, folders no .ply either; text may be compressed (.gz, .zst). Scans may also be at https:// addresses, or in object
-    /// stores: s3://bucket/key (gs://, az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with credentials from AWS_*
-    /// (GOOGLE_*, AZURE_*) in the environment
+    /// Scans and meshes: files, folders of scans, or glob patterns in quotes. Folders and patterns skip .txt and .csv
+    /// files, and folders also skip .ply; text may be compressed (.gz, .zst). Scans may also be at https:// addresses
+    /// or in object stores: s3://bucket/key (gs://, az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with
+    /// credentials from AWS_* (GOOGLE_*, AZURE_*) in the environment
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Archive to write: a file, or an address in an object store
     #[arg(short, long, required_unless_present_any = ["write_plan", "dry_run"], value_name = "OUT.slices")]
     output: Option<PathBuf>,
-    /// Convert nothing; write grid, options and inputs to a plan. Reads headers only, unless the pixel size is `auto`
+    /// Convert nothing; write grid, options and inputs to a plan. Reads only headers, unless the pixel size is `auto`
     #[arg(long, conflicts_with_all = ["output", "plan", "shard"], value_name = "PLAN.json")]
     write_plan: Option<PathBuf>,
-    /// Take grid and options from a plan; options that contradict it, and other inputs than its own, are refused
+    /// Take grid and options from a plan; contradicting options, and inputs other than the plan's, are refused
     #[arg(long, value_name = "PLAN.json")]
     plan: Option<PathBuf>,
-    /// Convert part I of N only; `slicetool merge` joins the parts
+    /// Convert only part I of N; `slicetool merge` joins the parts
     #[arg(long, value_name = "I/N", value_parser = part)]
     shard: Option<(u32, u32)>,
-    /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing; of meshes alone, a 700th of their extent
+    /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing, or for meshes alone a 700th of their
+    /// extent
     #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES")]
     pixel: PixelSize,
     /// Height of a slice in metres [default: three pixels]
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     slice: Option<f64>,
-    /// Steepest slope that can be stood on, in degrees
+    /// Steepest slope that a pawn can stand on, in degrees
     #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_name = "DEG", value_parser = finite_number)]
     max_slope: f64,
-    /// Coarsen heights by up to this much, always outwards, in metres; `auto`: by no more than the scan's own noise, which takes one
-    /// more pass over the input
+    /// Coarsen heights by up to this much, always outwards, in metres; `auto`: by at most the scan's own noise, which
+    /// takes one more pass over the input
     #[arg(long, default_value = "0", allow_negative_numbers = true, value_name = "auto|METRES")]
     tolerance: Tolerance,
-    /// How floors and obstacles are distinguished
+    /// Rule that distinguishes floors from obstacles
     #[arg(long, value_enum, default_value_t = Rule::Plane)]
     classifier: Rule,
-    /// Memory to use, at least 64MiB
+    /// Memory budget, at least 64MiB
     #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = parse_size)]
     memory: u64,
     /// Worker threads [default: all cores]
@@ -89,28 +92,29 @@ struct Arguments {
     /// Drop voxels with fewer points; queries may then miss these points
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = whole_number(1u32, u32::MAX))]
     min_points: u32,
-    /// Drop connected matter of up to this many voxels (sharing a face, an edge or a corner); queries may then miss its points
+    /// Drop connected components of up to this many voxels (sharing a face, an edge or a corner); queries may then miss
+    /// their points
     #[arg(long, value_name = "VOXELS", value_parser = whole_number(1u16, u16::MAX))]
     drop_floaters: Option<u16>,
-    /// Another name of `--drop-floaters 1`: drop voxels whose 26 neighbours are all empty
+    /// Short for `--drop-floaters 1`: drop voxels whose 26 neighbours are all empty
     #[arg(long, conflicts_with = "drop_floaters")]
     drop_isolated: bool,
-    /// Remove points that moved: those whose place other stations saw through
+    /// Remove points that moved: other stations saw through their positions
     #[arg(long)]
     remove_moving: bool,
-    /// Where the scanners stood: a table with the columns file,x,y,z in the scan's coordinates; with a column source_id a row is for the
-    /// points of that point source id, with a column t the rows are the scanner's way by GPS time (s). E57 with poses and PTX state it
-    /// themselves; the table comes first
+    /// Table of scanner positions with the columns file,x,y,z, in the scan's coordinates. With a column source_id, a
+    /// row applies to the points of that point source id; with a column t, the rows are the scanner's path by GPS time
+    /// (s). E57 with poses and PTX state the positions themselves; the table has precedence
     #[arg(long, requires = "remove_moving", value_name = "STATIONS.csv")]
     stations: Option<PathBuf>,
     /// Write the points that were removed as moving to a LAS file
     #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
     removed: Option<PathBuf>,
-    /// Close holes in floors of up to this width in metres (1 to 45 whole pixels) by the floor around them; the archive marks what is
-    /// inferred so. Takes one more pass, and temporary data of about the archive's size
+    /// Close holes in floors of up to this width in metres (1 to 45 whole pixels) with floor inferred from around them;
+    /// the archive marks inferred floor. Takes one more pass, and temporary data of about the archive's size
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     fill_holes: Option<f64>,
-    /// Axis of the input that points up (glTF files state theirs)
+    /// Axis of the input that points up (glTF files state it)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
     /// Unit of the input: `auto` takes it from the CRS; else metres, feet, US survey feet, or metres per unit
@@ -119,44 +123,46 @@ struct Arguments {
     /// Coordinate reference system of scans that state none; a scan that states another is refused
     #[arg(long, value_name = "EPSG:N", value_parser = epsg)]
     crs: Option<u32>,
-    /// Columns of XYZ, CSV and TXT files, from left to right: x, y, z, `i` for intensity, r, g, b for colours, `class` for LAS classes,
-    /// and any name for others [default: by the file's header, else x,y,z]
+    /// Columns of XYZ, CSV and TXT files, from left to right: x, y, z, `i` for intensity, r, g, b for colours, `class`
+    /// for LAS classes, and any other name for columns to skip [default: from the file's header, else x,y,z]
     #[arg(long, value_name = "x,y,z,...")]
     columns: Option<Columns>,
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
-    /// Overview levels for first looks and distant views: pixels and slices 4, 16, 64 ... times as large. They cost more bytes and
-    /// time, most on sparse scans
+    /// Add overview levels for first looks and distant views: pixels and slices 4, 16, 64 ... times as large. They cost
+    /// bytes and time, most on sparse scans
     #[arg(long, value_enum, default_value_t = Switch::Off)]
     levels: Switch,
-    /// Colour of each voxel, beside the geometry: red, green and blue of the points, their intensity as grey, their LAS class by a
-    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Meshes have RGB: colours of corners, materials
-    /// and textures
+    /// Source of a colour for each voxel: red, green and blue of the points, their intensity as grey, their LAS class
+    /// by a palette, `auto` (RGB where the input has it, else intensity, else no colours), or `off`. Meshes have RGB:
+    /// colours of corners, materials and textures
     #[arg(long, default_value = "off", value_name = "rgb|intensity|class|auto|off")]
     colour: ColourMode,
-    /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps these exactly, to 8 bits
+    /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps the means exactly,
+    /// to 8 bits
     #[arg(long, default_value_t = ConvertOptions::DEFAULT_COLOUR_ERROR, allow_negative_numbers = true, value_name = "E", value_parser = finite_number)]
     colour_error: f64,
-    /// Convert what can be read of incomplete input (cut or damaged files, files that cannot be read), with warnings, instead
-    /// of refusing it
+    /// Convert the readable part of incomplete input (cut, damaged or unreadable files) with warnings, instead of
+    /// refusing it
     #[arg(long)]
     allow_incomplete: bool,
-    /// Convert nothing; print what would be read, the grid, the memory and the temporary space. Reads headers and meshes only,
+    /// Convert nothing; print the inputs, the grid, the memory and the temporary space. Reads only headers and meshes,
     /// unless the pixel size is `auto`
     #[arg(long, conflicts_with = "write_plan")]
     dry_run: bool,
-    /// Go on from the temporary data of the same conversion that was killed, and leave them if this one ends early: on an
-    /// error, when it is interrupted, on a full disk. Without such data the conversion begins anew
+    /// Continue from the temporary data that an earlier, killed run of the same conversion left, and keep such data if
+    /// this run ends early: on an error, on an interruption, on a full disk. Without such data the conversion starts
+    /// from the beginning
     #[arg(long, conflicts_with = "write_plan")]
     resume: bool,
-    /// Replace an existing slice archive (or plan); nothing else is ever replaced
+    /// Replace an existing slice archive (or plan); no other file is ever replaced
     #[arg(long)]
     force: bool,
     /// Print no progress, no summary and no warnings
     #[arg(long, short)]
     quiet: bool,
-    /// Print what was done as JSON on standard output
+    /// Print the result as JSON on standard output
     #[arg(long)]
     json: bool,
     /// Print completions for a shell and exit
@@ -169,7 +175,8 @@ struct Arguments {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Rule {
-    /// Vertical extent of connected matter in a pixel: no slope up to the limit is an obstacle, but some steeper ones are floor
+    /// Vertical extent of the connected solid run in a pixel: no slope up to the limit is an obstacle, but some steeper
+    /// slopes are floor
     Span,
     /// Vertical extent within one voxel, as in the thesis: depends on the slice height and keeps no angle
     Thesis,
@@ -185,9 +192,9 @@ enum Switch {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Surfaces {
-    /// Every pixel that a triangle touches, its exact heights there, and its true slope
+    /// Every pixel that a triangle touches, with its exact heights there and its true slope
     Exact,
-    /// As points a pixel apart, as in the thesis; misses pixels
+    /// Points a pixel apart, as in the thesis; misses pixels
     Sampled,
 }
 
@@ -197,11 +204,11 @@ enum Axis {
     Y,
 }
 
-/// What was done.
+/// Result of a run.
 enum Done {
     Archive(Box<Report>),
     Plan(Box<PlanFile>),
-    /// Nothing: what would be done.
+    /// Nothing was done; describes what would be done.
     Preview(Box<Preview>),
 }
 
@@ -243,7 +250,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Writes completions or the manual page, if they are asked for.
+/// Writes completions or the manual page, if requested.
 fn describe_program(arguments: &Arguments) -> Option<ExitCode> {
     let mut text = Vec::new();
     match arguments.completions {
@@ -251,12 +258,12 @@ fn describe_program(arguments: &Arguments) -> Option<ExitCode> {
         None if arguments.man => clap_mangen::Man::new(Arguments::command()).render(&mut text).ok()?,
         None => return None,
     }
-    // A closed pipe is the reader's choice.
+    // A reader may close the pipe early.
     let _ = std::io::Write::write_all(&mut std::io::stdout(), &text);
     Some(ExitCode::SUCCESS)
 }
 
-/// Notes the signals that ask to stop. A second one ends the process at once: temporary data vanish with it or are
+/// Records the signals that ask to stop. A second signal ends the process at once: temporary data vanish with it or are
 /// removed by the next run.
 fn listen(signal: &Arc<AtomicUsize>) -> std::io::Result<()> {
     let again = Arc::new(AtomicBool::new(false));
@@ -274,9 +281,9 @@ fn listen(signal: &Arc<AtomicUsize>) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Why nothing was done.
+/// Reason why nothing was done.
 enum Failure {
-    /// The options contradict each other; one line.
+    /// The options contradict each other; holds one line.
     Usage(String),
     Failed(Error),
 }
@@ -287,7 +294,7 @@ impl From<Error> for Failure {
     }
 }
 
-/// The line and the exit code that a failure ends with.
+/// Returns the message and the exit code for a failure.
 fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
     let error = match failure {
         Failure::Usage(line) => return (line.clone(), ExitCode::from(2)),
@@ -303,7 +310,7 @@ fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
 
 fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
     match error {
-        // As the shell reports a program that a signal ended.
+        // Like the shell reports a program ended by a signal.
         Error::Interrupted => (error.to_string(), ExitCode::from(128 + u8::try_from(signal).unwrap_or(2))),
         // The input is at fault, not the option.
         Error::Parameter { what: Parameter::AutomaticPixelSize, reason } => {
@@ -317,7 +324,7 @@ fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
     }
 }
 
-/// How to help by an option.
+/// Returns the advice that names the option for a parameter.
 fn way_out(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
@@ -331,7 +338,7 @@ fn way_out(parameter: &Parameter) -> Option<&'static str> {
     })
 }
 
-/// The option whose value is wrong whatever the input holds.
+/// Returns the option for a parameter whose value is wrong regardless of the input.
 fn option_of(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "--pixel",
@@ -418,7 +425,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     Ok(Done::Archive(Box::new(convert(&options, monitor)?)))
 }
 
-/// Refuses options on the command line that say otherwise than the plan, whose options are `planned`.
+/// Refuses options on the command line that contradict the plan, whose options are `planned`.
 fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Failure> {
     let pixel_m = match planned.pixel {
         PixelSize::Metres(pixel_m) => pixel_m,
@@ -426,7 +433,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
     };
     let same_holes = wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes);
     let same_tolerance = planned.plan_file.as_ref().is_some_and(|file| file.has_tolerance_of(wanted));
-    // What `auto` finds is in the plan.
+    // The plan holds what `auto` found.
     let same_colour = wanted.colour == ColourMode::Auto || wanted.colour == planned.colour;
     let options = [
         ("pixel", "--pixel", wanted.pixel == planned.pixel),

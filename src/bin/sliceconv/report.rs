@@ -1,4 +1,4 @@
-//! What was done, or would be, in words and as JSON.
+//! Reports of what was done, or would be, as text and as JSON.
 
 use crate::Arguments;
 use serde_json::json;
@@ -16,12 +16,12 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::{BufWriter, Write};
 
-/// Files that a preview lists by name; there may be thousands.
+/// Most files that a preview lists by name; there may be thousands.
 const MOST_LISTED: usize = 10;
-/// What conversions may take beside `--memory` (bytes).
+/// Memory that a conversion may take in addition to `--memory` (bytes).
 const BESIDE_MEMORY: u64 = 64 << 20;
 
-/// Prints a result on standard output. The work is done: that nobody reads about it is no failure.
+/// Prints a result on standard output. A reader that is gone is not a failure, because the work is done.
 pub fn print(result: impl Display) {
     let _ = writeln!(std::io::stdout(), "{}", lines(&result.to_string()));
 }
@@ -38,13 +38,13 @@ pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
     }
 }
 
-/// Where an automatic pixel size comes from.
+/// Describes the source of an automatic pixel size.
 fn from_spacing(spacing: &Spacing) -> String {
     let Spacing { spacing_m, sampled, .. } = *spacing;
     format!("4 × the point spacing of {spacing_m:.4} m (median of {})", counted(sampled, "sampled point"))
 }
 
-/// What an automatic tolerance is, and why.
+/// Describes an automatic tolerance and its source.
 fn of_tolerance(plan: &Plan, noise: &Noise) -> String {
     let finer =
         if plan.tolerance_quanta() == 0 { ", finer than the steps of heights, which stay as they are" } else { "" };
@@ -61,7 +61,7 @@ pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
     }
 }
 
-/// A few lines for people.
+/// Prints a short summary.
 fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     let header = &report.header;
     let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;

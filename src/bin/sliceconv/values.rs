@@ -1,4 +1,4 @@
-//! Values of options: what was typed, and what was expected where it is wrong.
+//! Values of options, with messages for wrong ones.
 
 use std::ops::RangeInclusive;
 
@@ -9,7 +9,7 @@ pub fn length(text: &str) -> Result<f64, String> {
     }
 }
 
-/// One class or a range of them: `7`, `64-255`.
+/// Parses a class or a range of classes: `7`, `64-255`.
 pub fn classes(text: &str) -> Result<RangeInclusive<u8>, String> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     match (first.trim().parse(), last.trim().parse()) {
@@ -18,7 +18,7 @@ pub fn classes(text: &str) -> Result<RangeInclusive<u8>, String> {
     }
 }
 
-/// The number of an EPSG code.
+/// Parses the number of an EPSG code.
 pub fn epsg(text: &str) -> Result<u32, String> {
     let code = text.get(..5).filter(|start| start.eq_ignore_ascii_case("EPSG:")).and_then(|_| text[5..].parse().ok());
     code.filter(|code| (1..1_000_000).contains(code)).ok_or_else(|| "expected a code such as EPSG:25832".into())

@@ -1,4 +1,4 @@
-//! From an address to the store that serves it. Nothing is sent yet.
+//! Connection of an address to the store that serves it. Sends nothing yet.
 
 use super::RemoteOptions;
 use super::pool::{Bucket, Opened, bucket};
@@ -21,19 +21,19 @@ use std::sync::Arc;
 use tokio::runtime::Handle;
 use url::Url;
 
-/// A store, and the path of an object in it.
+/// Store, and the path of an object in it.
 pub(super) struct Connected {
     pub store: Arc<dyn ObjectStore>,
     pub path: Path,
-    /// Without credentials in settings or environment: requests are not signed.
+    /// True without credentials in settings or environment: requests are not signed.
     unsigned: bool,
     runtime: Handle,
-    /// The process whose thread drives the connections.
+    /// Process whose thread drives the connections.
     process: u32,
 }
 
 impl Connected {
-    /// The result of `work` on this store; the calling thread waits.
+    /// Waits for the result of `work` on this store; blocks the calling thread.
     pub fn wait_for<T>(&self, work: impl Future<Output = T>) -> io::Result<T> {
         if self.process != std::process::id() {
             return Err(io::Error::other("it was opened before a fork, in another process; open it again"));
@@ -41,7 +41,7 @@ impl Connected {
         Ok(self.runtime.block_on(work))
     }
 
-    /// `error` with the reason why the store may have refused a request that was not signed.
+    /// Adds to `error` the reason why the store may have refused an unsigned request.
     pub fn explained(&self, error: io::Error) -> io::Error {
         match error.kind() {
             io::ErrorKind::PermissionDenied if self.unsigned => {
@@ -52,15 +52,16 @@ impl Connected {
     }
 }
 
-/// How a connection is used.
+/// Use of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Use {
-    /// Repetitions by the store's client. For reading there are none: they are made here, where a server's wish to wait and the
-    /// version are known.
+    /// Retries by the store's client. Reads have none: this module retries them, because it knows the version and the
+    /// wait that the server asks for.
     pub retries: usize,
-    /// Uploads in parts are completed on the condition that no such object is there, where the store knows that condition.
+    /// True if an upload in parts is completed only if the object does not exist, where the store supports that
+    /// condition.
     pub creates: bool,
-    /// The client ends requests that take longer than the time-out. Reads watch their server themselves.
+    /// True if the client ends requests that take longer than the time-out. Reads watch the time themselves.
     pub timed: bool,
 }
 
@@ -69,7 +70,7 @@ impl Use {
     pub const LIST: Self = Self { timed: true, ..Self::READ };
 }
 
-/// What the builder of a store needs.
+/// Input of the builder of a store.
 struct Wanted<'a> {
     url: &'a Url,
     options: &'a RemoteOptions,
@@ -79,8 +80,8 @@ struct Wanted<'a> {
     bucket: &'a Arc<Bucket>,
 }
 
-/// Connects to the store that serves `url`. Without credentials requests go unsigned: no machine's metadata address is asked
-/// for them, unless the environment or a setting names it.
+/// Connects to the store that serves `url`. Without credentials, requests are not signed: no metadata service of the
+/// machine is asked for them, unless the environment or a setting names it.
 pub(super) fn connect(mut url: Url, options: &RemoteOptions, how: Use) -> Result<Connected, String> {
     let client = ClientOptions::new().with_connect_timeout(options.timeout);
     let client = if how.timed { client.with_timeout(options.timeout) } else { client.with_timeout_disabled() };
@@ -112,9 +113,9 @@ pub(super) fn connect(mut url: Url, options: &RemoteOptions, how: Use) -> Result
         _ if web => {
             let client = client.with_allow_http(url.scheme() == "http");
             url.set_fragment(None);
-            // The header says them.
+            // The header holds them.
             let _ = (url.set_username(""), url.set_password(None));
-            // With the whole address as the base, and nothing below it, no character of its path is decoded.
+            // With the whole address as the base and an empty path below it, no character of its path is decoded.
             let server = HttpBuilder::new().with_url(url).with_client_options(client).with_retry(retry);
             let server =
                 server.with_http_connector(Connector { bucket: bucket.clone(), authorization, creates: false });
@@ -133,7 +134,7 @@ fn text_of(error: object_store::Error) -> String {
     one_line(&error.to_string())
 }
 
-/// Variables of the environment that begin with `prefix`, as names of settings.
+/// Returns the variables of the environment that begin with `prefix`, as names of settings.
 fn environment(prefix: &'static str) -> impl Iterator<Item = (String, String)> {
     let text = |(name, value): (std::ffi::OsString, std::ffi::OsString)| {
         Some((name.to_str()?.to_owned(), value.to_str()?.to_owned()))
@@ -143,14 +144,15 @@ fn environment(prefix: &'static str) -> impl Iterator<Item = (String, String)> {
     std::env::vars_os().filter_map(text).filter_map(named)
 }
 
-/// Builds a store from the environment and the settings that are `$wanted`. `$value` gives a setting's value to the two
-/// expressions: whether there are credentials to sign requests with, and whether the last request of an upload in parts has
-/// the condition of [`Use::creates`]. The builders of the stores have the same methods, but no trait in common.
+/// Builds a store from the environment and the settings in `$wanted`. `$value` looks up a setting for the two
+/// expressions: `$signs`, whether there are credentials to sign requests with, and `$creates`, whether the last request
+/// of an upload in parts supports the condition of [`Use::creates`]. The builders of the stores have the same methods,
+/// but no common trait.
 macro_rules! built {
     ($builder:ident, $key:ident, $prefix:literal, $wanted:expr, |$value:ident| signs: $signs:expr, creates: $creates:expr) => {{
         let Wanted { url, options, how, client, retry, bucket } = $wanted;
         let mut builder = $builder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
-        // Options of the client in the environment, such as AWS_ALLOW_HTTP, which those above replaced.
+        // Options of the client in the environment, such as AWS_ALLOW_HTTP, which `with_client_options` replaced.
         for (name, value) in environment($prefix) {
             if let Ok(key @ $key::Client(_)) = name.parse() {
                 builder = builder.with_config(key, value);
@@ -188,7 +190,7 @@ fn s3(wanted: Wanted<'_>) -> Result<Opened, String> {
 #[cfg(feature = "clouds")]
 fn gs(wanted: Wanted<'_>) -> Result<Opened, String> {
     use GoogleConfigKey as Key;
-    // Where the programs of that cloud leave the credentials of whoever logged in.
+    // Path where the programs of that cloud store the credentials of the user who logged in.
     let (home, below) = match cfg!(windows) {
         true => ("APPDATA", "gcloud/application_default_credentials.json"),
         false => ("HOME", ".config/gcloud/application_default_credentials.json"),
@@ -212,7 +214,7 @@ fn az(wanted: Wanted<'_>) -> Result<Opened, String> {
         creates: false)
 }
 
-/// The header for user and password of an address, if it has them.
+/// Returns the header for user and password of an address, if it has them.
 fn basic_authorization(url: &Url) -> Option<HeaderValue> {
     if url.username().is_empty() && url.password().is_none() {
         return None;

@@ -1,4 +1,4 @@
-//! The objects of a store below a prefix.
+//! Listing of the objects of a store below a prefix.
 
 use super::{Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks, sleep};
 use crate::bytes::named::patient;
@@ -9,13 +9,14 @@ use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
 use std::io;
 use url::Url;
 
-/// What addresses may not hold as it is, and what object stores' paths write in another way.
+/// Characters that must be escaped in addresses, or that paths of object stores encode differently.
 const RESERVED: &AsciiSet = &CONTROLS.add(b' ').add(b'"').add(b'#').add(b'%').add(b'?').add(b'[').add(b']').add(b'\\');
 
-/// Addresses of all objects whose keys begin with the path of `address`, which ends in `/` or is that of a bucket, sorted: those
-/// directly in it, or, if `deep`, also those in what stores show as folders below it. Cost: a request for a thousand objects.
+/// Lists the addresses of all objects whose keys begin with the path of `address`, sorted. `address` ends in `/` or is
+/// a bucket. The list holds the objects directly in it and, if `deep`, also those in what stores show as folders below
+/// it. Cost: one request per thousand objects.
 ///
-/// Memory: the list. An object that the store lists, but does not have any more, shows when it is opened.
+/// Memory: the list. An object that is listed but no longer exists is reported when it is opened.
 pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
     let refused = |reason: String| Error::parameter("address of a folder", reason);
     let url = Url::parse(address).map_err(|error| refused(error.to_string()))?;
@@ -26,7 +27,7 @@ pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
     let connected = connect(url, &options, Use::LIST).map_err(refused)?;
     let mut failures = 0;
     let keys = loop {
-        // A list that breaks off begins again, so that it is of one piece.
+        // An aborted listing starts again, so that the list is consistent.
         let found = connected.wait_for(keys(&*connected.store, &connected.path, deep));
         let failed = match found.map_err(|error| Error::io(&name, "list", error))? {
             Ok(keys) => break keys,

@@ -1,9 +1,10 @@
-//! What the objects of one server or bucket share: a client with its open connections, and the store with its credentials.
+//! State shared by the objects of one server or bucket: a client with its open connections, and the store with its
+//! credentials.
 //!
-//! A thread of this module drives all connections until the process ends; whoever reads or writes waits on a thread of its
-//! own. So the thousands of tiles of a scan take as many connections as there are requests at the same time, and credentials
-//! that come from a service are asked for once. Memory: that of [`MOST`] clients, and some tens of KiB a connection; one
-//! that is idle for 90 s is closed.
+//! A thread of this module drives all connections until the process ends; callers that read or write wait on their own
+//! threads. So the thousands of tiles of a scan need as many connections as there are concurrent requests, and
+//! credentials from a service are requested once. Memory: that of [`MOST`] clients, and some tens of KiB per
+//! connection; a connection idle for 90 s is closed.
 
 use super::RemoteOptions;
 use super::connect::Use;
@@ -14,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::runtime::{Builder, Handle};
 use url::{Position, Url};
 
-/// Most servers and buckets that are kept while nothing of them is open.
+/// Most servers and buckets kept while no object of them is open.
 const MOST: usize = 16;
 
 static POOL: Mutex<Option<Pool>> = Mutex::new(None);
@@ -22,11 +23,12 @@ static POOL: Mutex<Option<Pool>> = Mutex::new(None);
 struct Pool {
     process: u32,
     runtime: Handle,
-    /// The one used last is the last.
+    /// The last one was used most recently.
     buckets: Vec<(Key, Arc<Bucket>)>,
 }
 
-/// What a client and a store are made from. The environment holds addresses, credentials and proxies; a program may change it.
+/// Everything that a client and a store are built from. The environment holds addresses, credentials and proxies; a
+/// program may change it.
 #[derive(PartialEq)]
 struct Key {
     place: String,
@@ -34,14 +36,14 @@ struct Key {
     environment: u128,
 }
 
-/// A store that objects share.
+/// Store shared by objects.
 #[derive(Clone)]
 pub(super) struct Opened {
     pub store: Arc<dyn ObjectStore>,
     pub unsigned: bool,
 }
 
-/// What the objects of one bucket share.
+/// State shared by the objects of one bucket.
 pub(super) struct Bucket {
     pub runtime: Handle,
     pub process: u32,
@@ -50,7 +52,7 @@ pub(super) struct Bucket {
 }
 
 impl Bucket {
-    /// The store for such a use, built at the first call.
+    /// Returns the store for this use, built on the first call.
     pub fn store(&self, how: Use, build: impl FnOnce() -> Result<Opened, String>) -> Result<Opened, String> {
         let mut stores = lock(&self.stores);
         if let Some((_, opened)) = stores.iter().find(|(known, _)| *known == how) {
@@ -61,7 +63,8 @@ impl Bucket {
         Ok(opened)
     }
 
-    /// The client with such options, made at the first call. Uploads, reads and requests for credentials share it.
+    /// Returns the client with these options, built on the first call. Uploads, reads and requests for credentials
+    /// share it.
     pub fn client(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
         let key = format!("{options:?}");
         let mut clients = lock(&self.clients);
@@ -74,20 +77,21 @@ impl Bucket {
     }
 }
 
-/// Stores, clients and keys may hold secrets.
+/// Shows nothing, because stores, clients and keys may hold secrets.
 impl std::fmt::Debug for Bucket {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Bucket").finish_non_exhaustive()
     }
 }
 
-/// What the objects share that lie where `url` does; `Err` says why it cannot be had.
+/// Returns the state shared by the objects at the server or bucket of `url`; `Err` holds the reason if it is
+/// unavailable.
 pub(super) fn bucket(url: &Url, options: &RemoteOptions) -> Result<Arc<Bucket>, String> {
     let key = Key { place: place(url), options: options.clone(), environment: environment() };
     let mut pool = lock(&POOL);
     let process = std::process::id();
     if let Some(strange) = pool.take_if(|pool| pool.process != process) {
-        // After a fork nothing drives these clients, and what they lock may stay locked.
+        // After a fork no thread drives these clients, and their locks may stay locked.
         let _ = ManuallyDrop::new(strange);
     }
     let pool = match &mut *pool {
@@ -119,7 +123,7 @@ fn start() -> std::io::Result<Handle> {
     Ok(handle)
 }
 
-/// The server, and the bucket where the path of a web address begins with it.
+/// Returns the server, and the bucket if the path of a web address begins with it.
 fn place(url: &Url) -> String {
     let server = format!("{}://{}", url.scheme(), &url[Position::BeforeHost..Position::AfterPort]);
     let segments = || url.path().split('/').filter(|segment| !segment.is_empty());
@@ -168,7 +172,7 @@ mod tests {
         assert!(!Arc::ptr_eq(&bucket, &of("https://s3.eu-west-1.amazonaws.com/two/a.laz", &options)));
         let bucket = of("https://one.s3.eu-west-1.amazonaws.com/a.laz", &options);
         assert!(Arc::ptr_eq(&bucket, &of("https://one.s3.eu-west-1.amazonaws.com/deep/b.laz", &options)));
-        // The oldest are forgotten.
+        // The oldest are dropped.
         (0..MOST).for_each(|number| drop(of(&format!("s3://many{number}/a"), &options)));
         assert!(!Arc::ptr_eq(&one, &of("s3://one/a.laz", &options)));
     }

@@ -1,19 +1,19 @@
-//! Texts of others in one line of ours, and addresses without their secrets.
+//! One-line forms of foreign text, and addresses without secrets.
 
 use object_store::client::HttpError;
 use std::error::Error;
 use url::{Position, Url};
 
-/// Characters of another's text that are printed.
+/// Most characters printed of a foreign text.
 const LONGEST: usize = 240;
 
-/// The address as messages print it: no user, no password, no query.
+/// Returns the address for messages: without user, password and query.
 pub(super) fn public_name(url: &Url) -> String {
     let query = if url.query().is_some() { "?…" } else { "" };
     format!("{}://{}{}{query}", url.scheme(), &url[Position::BeforeHost..Position::AfterPort], url.path())
 }
 
-/// The beginning of `text` in one line, without anything that a terminal would obey.
+/// Returns the beginning of `text` in one line, without anything that a terminal would execute.
 pub(super) fn one_line(text: &str) -> String {
     let mut line = String::new();
     let words = text.split_whitespace().flat_map(|word| [" ", word]).skip(1).flat_map(str::chars);
@@ -30,12 +30,12 @@ pub(super) fn one_line(text: &str) -> String {
     line
 }
 
-/// The first cause of type `E` of an error, itself included.
+/// Returns the first cause of type `E` in the chain of an error, which includes the error.
 pub(super) fn cause<'a, E: Error + 'static>(error: &'a (dyn Error + 'static)) -> Option<&'a E> {
     std::iter::successors(Some(error), |&error| error.source()).find_map(|error| error.downcast_ref())
 }
 
-/// What went wrong with a connection: what was tried and the innermost reason. Neither names the address.
+/// Describes a connection error by what was tried and the innermost reason. Neither names the address.
 pub(super) fn connection(error: &HttpError) -> String {
     let causes: Vec<String> =
         std::iter::successors(error.source(), |&error| error.source()).map(|error| error.to_string()).collect();

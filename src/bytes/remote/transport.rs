@@ -1,5 +1,5 @@
-//! What goes over the wire: a client below `object_store` that bounds what it takes from a server that refuses, and keeps
-//! what the store above would lose: the status, the reason the server gives, and the wait it asks for.
+//! HTTP client below `object_store`. It limits what it reads from a server that refuses, and keeps what the store would
+//! lose: the status, the server's reason, and the wait it asks for.
 
 use super::pool::Bucket;
 use super::text::one_line;
@@ -13,7 +13,7 @@ use object_store::client::{
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Bytes of a refusal's body that are read.
+/// Most bytes read of a refusal's body.
 const SAID: usize = 1 << 10;
 
 const NOT_FOUND: u16 = 404;
@@ -23,7 +23,7 @@ const REPLACED: u16 = 412;
 const TOO_MANY: u16 = 429;
 const PARTIAL: u16 = 206;
 
-/// An answer other than the bytes that were asked for.
+/// Answer other than the requested bytes.
 #[derive(Debug, Clone, thiserror::Error)]
 #[error("HTTP status {name}{}{}", .wait.map_or(String::new(), |wait| format!(", retry after {} s", wait.as_secs())),
     if .said.is_empty() { String::new() } else { format!(": {}", .said) })]
@@ -31,24 +31,24 @@ pub(super) struct Refusal {
     status: u16,
     /// Number and name of the status.
     name: String,
-    /// The wait that the server asks for.
+    /// Wait that the server asks for.
     pub(super) wait: Option<Duration>,
-    /// The beginning of the body, as one line.
+    /// Beginning of the body, as one line.
     said: String,
 }
 
 impl Refusal {
-    /// Whether the version that was asked for is gone.
+    /// Returns whether the requested version is gone.
     pub(super) fn is_replaced(&self) -> bool {
         self.status == REPLACED
     }
 
-    /// Whether the same request may succeed later.
+    /// Returns whether the same request may succeed later.
     pub(super) fn may_pass(&self) -> bool {
         matches!(self.status, TIMED_OUT | TOO_MANY | 500..=599)
     }
 
-    /// The nearest kind of error.
+    /// Returns the nearest kind of error.
     pub(super) fn kind(&self) -> std::io::ErrorKind {
         match self.status {
             401 | 403 => std::io::ErrorKind::PermissionDenied,
@@ -58,20 +58,20 @@ impl Refusal {
     }
 }
 
-/// Makes what a store sends its requests by, on the connections that all objects of a bucket share.
+/// Builder of the HTTP client of a store, on the connections that all objects of a bucket share.
 #[derive(Debug)]
 pub(super) struct Connector {
     pub(super) bucket: Arc<Bucket>,
-    /// Goes with every request.
+    /// Header sent with every request.
     pub(super) authorization: Option<HeaderValue>,
-    /// Whether uploads in parts are completed only if no such object is there (`If-None-Match` of S3, which the signature need
-    /// not cover).
+    /// True if uploads in parts are completed only if the object does not exist (`If-None-Match` of S3, which the
+    /// signature need not cover).
     pub(super) creates: bool,
 }
 
 impl HttpConnector for Connector {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
-        // Fails where the program has chosen its own, which then stays.
+        // Fails if the program has chosen its own provider, which then stays.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let client = self.bucket.client(options)?;
         Ok(HttpClient::new(Transport { client, authorization: self.authorization.clone(), creates: self.creates }))
@@ -96,7 +96,7 @@ impl HttpService for Transport {
         if self.creates && completes {
             request.headers_mut().insert("if-none-match", HeaderValue::from_static("*"));
         }
-        // Others than these two are the store's own, for credentials and uploads; it judges their answers itself.
+        // Other requests are the store's own, for credentials and uploads; the store checks their answers.
         let reads = request.headers().contains_key("range");
         let lists = request.method().as_str() == "GET"
             && request.uri().query().is_some_and(|query| query.contains("list-type=2") || query.contains("comp=list"));
@@ -121,7 +121,7 @@ impl HttpService for Transport {
     }
 }
 
-/// The beginning of a body, as far as it comes.
+/// Reads the beginning of a body, as far as it arrives.
 async fn beginning(body: HttpResponseBody) -> Vec<u8> {
     let (mut start, mut stream) = (Vec::new(), body.bytes_stream());
     while let Some(Ok(part)) = stream.next().await {
@@ -133,7 +133,7 @@ async fn beginning(body: HttpResponseBody) -> Vec<u8> {
     start
 }
 
-/// Answers sent in chunks state no length, which the store requires; `Content-Range` says the same.
+/// Adds the length that the store requires, from `Content-Range`, to answers sent in chunks, which state none.
 fn with_length(mut answer: HttpResponse) -> HttpResponse {
     let headers = answer.headers_mut();
     let range = headers.get("content-range").and_then(|value| value.to_str().ok());
@@ -145,7 +145,7 @@ fn with_length(mut answer: HttpResponse) -> HttpResponse {
     answer
 }
 
-/// Number of bytes in `bytes FIRST-LAST/SIZE`.
+/// Returns the number of bytes in `bytes FIRST-LAST/SIZE`.
 fn length_of(range: &str) -> Option<u64> {
     let (first, last) = range.trim().strip_prefix("bytes ")?.split_once('/')?.0.split_once('-')?;
     last.parse::<u64>().ok()?.checked_sub(first.parse().ok()?)?.checked_add(1)

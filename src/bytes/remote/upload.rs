@@ -1,4 +1,4 @@
-//! Writing an object: whole or not at all.
+//! Upload of an object: whole or not at all.
 
 use super::{Connected, Use, connect, one_line, public_name, refuse_tasks};
 use crate::bytes::named::patient;
@@ -12,19 +12,19 @@ use std::path::Path as FilePath;
 use std::time::Duration;
 use url::Url;
 
-/// Bytes of a part of an upload, unless there would be too many parts.
+/// Length of a part of an upload (bytes), unless there would be too many parts.
 const PART: u64 = 5 << 20;
 /// Most parts; stores allow 10,000.
 const MOST_PARTS: u64 = 9000;
-/// Bytes of the parts that are on their way at the same time, unless one has more.
+/// Bytes of the parts in flight at the same time, unless one part is longer.
 const ON_THEIR_WAY: u64 = 4 * PART;
 
-/// No upload is tried again after that wait.
+/// An upload is not retried once the wait before the retry reaches this.
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
-/// After a part has failed, how long the others that are on their way are waited for.
+/// How long to wait for the other parts in flight after a part has failed.
 const LATE: Duration = Duration::from_secs(20);
 
-/// What an upload failed by.
+/// Reason why an upload failed.
 enum Failed {
     Store(object_store::Error),
     Local(Error),
@@ -41,12 +41,12 @@ impl From<object_store::Error> for Failed {
     }
 }
 
-/// Whether the same upload may succeed later.
+/// Returns whether the same upload may succeed later.
 fn may_pass(error: &object_store::Error) -> bool {
     matches!(error, object_store::Error::Generic { .. } | object_store::Error::NotFound { .. })
 }
 
-/// Whether an object can be written at `address`; `Err` says why not.
+/// Fails with the reason if no object can be written at `address`.
 pub(crate) fn check_upload(address: &FilePath) -> Result<()> {
     checked(address).map(drop)
 }
@@ -68,13 +68,14 @@ fn checked(address: &FilePath) -> Result<Url> {
     }
 }
 
-/// Writes the `len` bytes that `read` gives to the object at `address`: in one request, or in parts that the last request
-/// joins, so that the object is there whole or not at all. Failed requests are repeated for some minutes. If `create`,
-/// an object that is there stays: the last request has that condition, where the store knows it, and a look comes just before it.
+/// Writes `len` bytes from `read` to the object at `address`, in one request, or in parts that the last request joins,
+/// so that the object appears whole or not at all. Retries failed requests for some minutes. If `create` is true, an
+/// existing object stays: the last request carries that condition where the store supports it, and an upload in parts
+/// checks directly before.
 ///
-/// Memory: 20 MiB, four parts on their way; beyond 44 GiB parts are longer, and beyond 176 GiB it is that of one part, a
-/// 9000th of the whole. If a part fails, the store is asked to throw the others away. What a killed upload leaves is
-/// invisible; a rule of the bucket removes it.
+/// Memory: 20 MiB for four parts in flight. Beyond 44 GiB parts are longer, and beyond 176 GiB the memory is that of
+/// one part, a 9000th of the whole. If a part fails, the store is asked to discard the others. Leftovers of a killed
+/// upload are invisible; a rule of the bucket removes them.
 pub(crate) fn upload(
     address: &FilePath,
     len: u64,
@@ -92,11 +93,11 @@ pub(crate) fn upload(
     let done = loop {
         let sent = connected.wait_for(put(&**store, path, len, create, together, read));
         match sent.map_err(|error| Error::io(&name, "write", error))? {
-            // The store's client repeats no request that could have been done before its answer was lost.
+            // The store's client does not retry a request that may have succeeded before its answer was lost.
             Err(Failed::Store(error)) if wait < LONGEST_WAIT && may_pass(&error) => {
                 std::thread::sleep(wait);
                 wait *= 4;
-                // Maybe the line is too slow for several parts.
+                // The connection may be too slow for several parts.
                 together = PART;
             }
             done => break done,
@@ -134,7 +135,7 @@ async fn put(
         let payload = bytes_at(0)?;
         let mode = if create { PutMode::Create } else { PutMode::Overwrite };
         match store.put_opts(path, payload.clone(), mode.into()).await {
-            // The store does not know the condition, or the environment switched it off.
+            // The store does not support the condition, or the environment switched it off.
             Err(object_store::Error::NotImplemented { .. }) if create => {
                 refuse_existing(store, path).await?;
                 store.put_opts(path, payload, PutMode::Overwrite.into()).await?;
@@ -152,7 +153,7 @@ async fn put(
             sent = upload.complete().await.map(drop).map_err(Failed::from);
         }
         if let Err(failed) = sent {
-            // If that fails too, its parts stay invisible.
+            // If that fails too, the parts stay invisible.
             let _ = upload.abort().await;
             return Err(failed);
         }
@@ -165,8 +166,8 @@ async fn put(
     }
 }
 
-/// Sends the parts that begin at `starts`, so many at the same time, or one. None is on its way any more when this returns: one
-/// that came after the upload was thrown away would stay.
+/// Sends the parts that begin at `starts`, at most `together` (at least one) at a time. No part is in flight when this
+/// returns: a part that arrived after the upload was discarded would stay.
 async fn send(
     upload: &mut dyn MultipartUpload,
     mut starts: impl Iterator<Item = u64>,

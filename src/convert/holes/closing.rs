@@ -1,61 +1,64 @@
-//! Which holes of a tile column are closed, and at which heights.
+//! Choice of the holes of a tile column to close, and of the heights of the inferred floor.
 //!
-//! Heights are cut into windows one climb high, four to a climb, so that floors within three quarters of a climb always share
-//! one and floors further apart than a climb never do. In each window, what is not floor is *void*. A disc of `k + 1` pixels
-//! across that fits into the void covers what is open; void that no such disc covers is narrower than that everywhere and is
-//! closed where
+//! For holes up to `k` pixels wide, heights are cut into windows one climb high, four to a climb, so that floors within
+//! three quarters of a climb always share a window and floors further apart than a climb never do. In each window,
+//! everything that is not floor is *void*. The void that a disc `k + 1` pixels across covers, wherever it fits into the
+//! void, is *open*. The remaining void is narrower than the disc everywhere. A pixel of it is closed if
 //!
-//! - it is not within a quarter of a disc of open void, along void: corners of wide holes stay open, as do the mouths of bays at
-//!   the edge of the scan;
-//! - along two or more of the four axes (rows, columns, diagonals) there is floor on both sides;
-//! - the pixel has no matter up to a climb above, and none below but a ceiling close under the floor: what was scanned through
-//!   a hole says that the hole is there.
+//! - it is more than a quarter of a disc away from open void, measured along void: corners of wide holes stay open, as
+//!   do the mouths of bays at the edge of the scan;
+//! - there is floor on both sides along at least two of the four axes (rows, columns, diagonals);
+//! - the pixel has nothing solid up to a climb above, and nothing below but a ceiling close under the floor: anything
+//!   scanned through a hole shows that the hole is real.
 //!
-//! The height is the mean of those interpolated along the axes. All of it follows from the spans within
-//! [`reach`](Closer::reach) pixels, in integers.
+//! The height is the mean of the heights interpolated along the axes. Everything follows from the spans within
+//! [`reach`](Closer::reach) pixels, in integer arithmetic.
 
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
 use crate::plan::PlanOptions;
 use crate::slice::Page;
 
-/// Floors may lie so far apart in height around a hole (m), or a pixel where that is more.
+/// Greatest height difference of floors around a hole (m), unless a pixel is larger.
 const CLIMB_M: f64 = 0.35;
-/// Windows of heights that begin within a climb.
+/// Windows of heights that begin within one climb.
 const WINDOWS: i64 = 4;
 /// Thickest ceiling that may lie under a hole (m).
 const CEILING_M: f64 = 0.6;
-/// Least height of the room below it (m).
+/// Least height of the room below that ceiling (m).
 const ROOM_M: f64 = 1.5;
-/// Bits behind the point of heights along an axis.
+/// Fractional bits of heights along an axis.
 const FRACTION: u32 = 10;
-/// Edge of the pixels that are looked at: a tile and its neighbours.
+/// Edge of the examined square of pixels: a tile and its neighbours.
 const EDGE: usize = 3 * TILE_PIXELS as usize;
-/// First pixel of the tile in the middle, and the pixel behind its last.
+/// First pixel of the tile in the middle, and the pixel after its last.
 const CORE: (usize, usize) = (TILE_PIXELS as usize, 2 * TILE_PIXELS as usize);
 
 const _: () = assert!(reach_of(PlanOptions::MOST_FILL_PIXELS as usize) <= TILE_PIXELS as usize);
 
-/// How far from a pixel lies what decides whether it is closed (pixels), for holes of up to `k` pixels.
+/// Returns how far the pixels that decide whether a pixel is closed lie from it (pixels), for holes up to `k` pixels
+/// wide.
 const fn reach_of(k: usize) -> usize {
     let (around, along) = (k + trim_of(k), ray_of(k));
     if around > along { around } else { along }
 }
 
-/// Steps along void from an open place within which nothing is closed: the corner of a square hole lies 0.21 discs from the disc.
+/// Returns the steps along void from an open place within which nothing is closed: the corner of a square hole lies
+/// 0.21 discs from the disc.
 const fn trim_of(k: usize) -> usize {
     (k + 1) / 4 + 1
 }
 
-/// Steps along an axis within which floor is looked for: a slot of `k` pixels is crossed by two axes within 1.415 of that.
+/// Returns the steps along an axis in which to look for floor: two axes cross a slot of `k` pixels within 1.415 of its
+/// width.
 const fn ray_of(k: usize) -> usize {
     k + k * 5 / 12 + 1
 }
 
-/// A span of scanned matter (quanta above the grid's origin).
+/// Scanned solid span (quanta above the grid's origin).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Scanned {
     bottom: i64,
-    /// Twice the thickness, and 1 for floor.
+    /// Twice the thickness, plus 1 for floor.
     thickness: u32,
 }
 
@@ -69,16 +72,16 @@ impl Scanned {
     }
 }
 
-/// The scanned spans of a tile column. Memory: 16 KiB, and 16 bytes a span.
+/// Scanned spans of a tile column. Memory: 16 KiB, and 16 bytes per span.
 #[derive(Debug)]
 pub(super) struct ScannedColumn {
-    /// Where each pixel's spans begin, and the end.
+    /// Index of each pixel's first span, then the number of spans.
     starts: Vec<u32>,
     spans: Vec<Scanned>,
 }
 
 impl ScannedColumn {
-    /// Of the pages of a column with their layers, lowest first.
+    /// Collects the spans of a column's pages with their layers, lowest first.
     pub fn of(pages: &[(i32, Page)]) -> Self {
         let (mut starts, mut spans) = (vec![0], Vec::<Scanned>::new());
         for pixel in 0..(TILE_PIXELS * TILE_PIXELS) as u32 {
@@ -89,7 +92,7 @@ impl ScannedColumn {
                     let (bottom, kind) = (floor + i64::from(span.bottom()), u32::from(!span.is_obstacle()));
                     let thickness = span.top() - span.bottom();
                     match spans[first..].last_mut() {
-                        // One span, cut between two pages.
+                        // One span that was cut between two pages.
                         Some(below)
                             if bottom == floor
                                 && below.top() == floor
@@ -113,24 +116,24 @@ impl ScannedColumn {
     }
 }
 
-/// A tile column and those around it, row by row; `None` where nothing was scanned.
+/// Tile column and its neighbours, row by row; `None` where nothing was scanned.
 pub(super) type Around<'a> = [Option<&'a ScannedColumn>; 9];
 
 fn spans_at<'a>(around: &Around<'a>, x: usize, y: usize) -> &'a [Scanned] {
     around[y / 64 * 3 + x / 64].map_or(&[], |column| column.pixel(x, y))
 }
 
-/// Inferred floor in a pixel of the column in the middle (quanta above the grid's origin).
+/// Inferred floor in a pixel of the middle column (quanta above the grid's origin).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Fill {
     /// `64·py + px`.
     pub pixel: u16,
     pub bottom: i64,
-    /// The bottom, or one more.
+    /// Equal to the bottom, or one more.
     pub top: i64,
 }
 
-/// A bit for each pixel of a tile and its neighbours, row by row.
+/// One bit for each pixel of a tile and its neighbours, row by row.
 type Bits = Box<[Row; EDGE]>;
 type Row = [u64; 3];
 
@@ -153,13 +156,14 @@ fn not(a: Row) -> Row {
     a.map(|word| !word)
 }
 
-/// Bit `x` of the result is bit `x + by` of `row`, and those of `beyond` at the end; `by` is less than 64.
+/// Shifts `row` down: bit `x` of the result is bit `x + by`, followed at the end by bits of `beyond`. `by` is less than
+/// 64.
 fn earlier(row: Row, by: usize, beyond: u64) -> Row {
     let next = [row[1], row[2], beyond];
     std::array::from_fn(|at| ((u128::from(next[at]) << 64 | u128::from(row[at])) >> by) as u64)
 }
 
-/// Bit `x` of the result is bit `x − by` of `row`, 0 before the first; `by` is less than 64.
+/// Shifts `row` up: bit `x` of the result is bit `x − by`, or 0 before the first. `by` is less than 64.
 fn later(row: Row, by: usize) -> Row {
     let before = [0, row[0], row[1]];
     std::array::from_fn(|at| (((u128::from(row[at]) << 64 | u128::from(before[at])) << by) >> 64) as u64)
@@ -169,26 +173,26 @@ fn has(bits: &[Row; EDGE], x: usize, y: usize) -> bool {
     bits[y][x / 64] >> (x % 64) & 1 == 1
 }
 
-/// Finds holes; keeps its scratch.
+/// Finder of holes, with its scratch memory.
 pub(in crate::convert) struct Closer {
     /// Widest hole (pixels).
     widest: usize,
-    /// Quarter of a climb, ceiling, room (quanta).
+    /// Quarter of a climb, thickest ceiling, lowest room (quanta).
     step: i64,
     ceiling: i64,
     room: i64,
     /// Rows of the disc: first pixel and number of pixels.
     disc: Vec<(usize, usize)>,
     floor: Bits,
-    /// Floors by window: number of the quarter in which the top lies, pixel.
+    /// Floors in window order: number of the quarter climb that holds the top, pixel.
     floors: Vec<(i64, u16)>,
-    /// Top of each pixel's highest fill so far.
+    /// Top of each pixel's highest fill.
     highest: Vec<Option<i64>>,
     scratch: [Bits; 3],
 }
 
 impl Closer {
-    /// For holes of up to `widest` pixels, 1 to [`PlanOptions::MOST_FILL_PIXELS`].
+    /// Creates a finder of holes up to `widest` pixels wide, 1 to [`PlanOptions::MOST_FILL_PIXELS`].
     pub(super) fn new(frame: &Frame, widest: u8) -> Self {
         let quanta = |metres: f64| (metres / frame.quantum_m()).round().clamp(1.0, 1e12) as i64;
         let widest = usize::from(widest.clamp(1, PlanOptions::MOST_FILL_PIXELS));
@@ -205,12 +209,13 @@ impl Closer {
         }
     }
 
-    /// How far from a pixel lies what decides whether it is closed (pixels), for holes of up to `widest` pixels.
+    /// Returns how far the pixels that decide whether a pixel is closed lie from it (pixels), for holes up to `widest`
+    /// pixels wide.
     pub(in crate::convert) fn reach(widest: u8) -> i64 {
         reach_of(usize::from(widest)) as i64
     }
 
-    /// The fills of the column in the middle, by pixel and height.
+    /// Returns the fills of the middle column, sorted by pixel and height.
     pub(super) fn close(&mut self, around: &Around<'_>) -> Vec<Fill> {
         let mut floors = std::mem::take(&mut self.floors);
         floors.clear();
@@ -227,7 +232,7 @@ impl Closer {
         let mut first = 0;
         let (mut last_window, mut last_range) = (None, 0..0);
         while first < floors.len() {
-            // The windows in which the lowest floor left lies; of those, the ones that were not looked at yet.
+            // Windows that hold the lowest floor left and were not examined yet.
             let quarter = floors[first].0;
             for window in quarter - WINDOWS + 1..=quarter {
                 if last_window.is_some_and(|last| window <= last) {
@@ -236,7 +241,7 @@ impl Closer {
                 last_window = Some(window);
                 let from = floors.partition_point(|floor| floor.0 < window);
                 let to = floors.partition_point(|floor| floor.0 < window + WINDOWS);
-                // The next window often holds the same floors, and says the same of them.
+                // The next window often holds the same floors, with the same result.
                 if std::mem::replace(&mut last_range, from..to) != (from..to) {
                     self.window(around, window, &floors[from..to], &mut fills);
                 }
@@ -248,7 +253,7 @@ impl Closer {
         fills
     }
 
-    /// Adds the fills among the `floors` of a window.
+    /// Adds the fills found among the `floors` of a window.
     fn window(&mut self, around: &Around<'_>, window: i64, floors: &[(i64, u16)], fills: &mut Vec<Fill>) {
         self.floor.fill(NONE);
         for &(_, pixel) in floors {
@@ -271,7 +276,7 @@ impl Closer {
                 left &= left - 1;
                 let pixel = ((y - CORE.0) << 6 | (x - CORE.0)) as u16;
                 let Some((bottom, top)) = self.height(around, (x, y), &heights) else { continue };
-                // Windows overlap, so most holes are closed in several: once is enough.
+                // Windows overlap, so most holes are closed in several of them: fill each once.
                 let again = self.highest[usize::from(pixel)].is_some_and(|below| bottom <= below + climb);
                 if !again && self.is_free(spans_at(around, x, y), bottom, top) {
                     fills.push(Fill { pixel, bottom, top });
@@ -281,14 +286,14 @@ impl Closer {
         }
     }
 
-    /// Sets the first scratch to the void that is narrow enough, and not next to what is open.
+    /// Sets the first scratch to the void that is narrow and not next to open void.
     fn narrow(&mut self) {
         let Self { floor, disc, scratch: [narrow, open, fits], widest, .. } = self;
-        // Where the disc fits, by its first pixel and row; beyond the edge all is void.
+        // Positions of the disc (first pixel and row) that lie in void; all is void beyond the edge.
         fits.fill(ONES);
         let mut run = bits(NONE);
         for (number, &(_, len)) in disc.iter().enumerate() {
-            // The rows of the disc are symmetric: the first of each length stands for all.
+            // The rows of the disc are symmetric: the first row of each length stands for all.
             if disc[..number].iter().any(|row| row.1 == len) {
                 continue;
             }
@@ -301,7 +306,7 @@ impl Closer {
                 }
             }
         }
-        // What the disc covers there.
+        // Pixels that the disc covers there.
         open.fill(NONE);
         for (number, &(_, len)) in disc.iter().enumerate() {
             if disc[..number].iter().any(|row| row.1 == len) {
@@ -333,7 +338,8 @@ impl Closer {
         }
     }
 
-    /// Mean height at a pixel, outwards, between floors with tops in `heights` on both sides of it.
+    /// Returns the mean height at a pixel, rounded down and up, between floors on both sides of it with tops in
+    /// `heights`. `None` if fewer than two axes have floor on both sides.
     fn height(
         &self,
         around: &Around<'_>,
@@ -353,7 +359,7 @@ impl Closer {
         let (mut axes, mut sum) = (0, 0);
         for (dx, dy) in [(1, 0), (0, 1), (1, 1), (1, -1)] {
             let (Some((a, top_a)), Some((b, top_b))) = (hit(dx, dy), hit(-dx, -dy)) else { continue };
-            // Above the window's floor, so that nothing overflows.
+            // Relative to the bottom of the window, so that nothing overflows.
             let weighted = (top_a - heights.start) * b + (top_b - heights.start) * a;
             axes += 1;
             sum += (weighted << FRACTION).div_euclid(a + b);
@@ -362,7 +368,7 @@ impl Closer {
         (axes >= 2).then(|| (mean(sum), mean(sum + (axes << FRACTION) - 1)))
     }
 
-    /// Whether floor from `bottom` to `top` may stand in a pixel of these spans, lowest first.
+    /// Returns whether floor from `bottom` to `top` fits into a pixel with these spans, lowest first.
     fn is_free(&self, spans: &[Scanned], bottom: i64, top: i64) -> bool {
         let below = spans.partition_point(|span| span.top() < bottom);
         if spans.get(below).is_some_and(|above| above.bottom <= top + WINDOWS * self.step) {
@@ -371,13 +377,13 @@ impl Closer {
         match &spans[..below] {
             [] => true,
             [.., room, ceiling] => bottom - ceiling.top() <= self.ceiling && ceiling.bottom - room.top() >= self.room,
-            // A floor that was seen through the hole.
+            // A floor seen through the hole.
             [_] => false,
         }
     }
 }
 
-/// Rows of a disc `across` pixels across: first pixel and number of pixels.
+/// Returns the rows of a disc `across` pixels across: first pixel and number of pixels.
 fn disc(across: usize) -> Vec<(usize, usize)> {
     let inside = |x: usize, y: usize| {
         let [x, y] = [x, y].map(|at| (2 * at + 1).abs_diff(across));
@@ -390,7 +396,7 @@ fn disc(across: usize) -> Vec<(usize, usize)> {
     (0..across).map(row).collect()
 }
 
-/// Where `len` pixels of `void` begin.
+/// Returns the pixels at which a run of `len` pixels of `void` begins.
 fn void_run(void: Row, len: usize) -> Row {
     let (mut run, mut have) = (void, 1);
     while have < len {
@@ -401,7 +407,7 @@ fn void_run(void: Row, len: usize) -> Row {
     run
 }
 
-/// The pixels of runs of `len` that begin at `starts`.
+/// Returns the pixels covered by runs of `len` pixels that begin at `starts`.
 fn covered_run(starts: Row, len: usize) -> Row {
     let (mut run, mut have) = (starts, 1);
     while have < len {

@@ -1,8 +1,9 @@
-//! Closing holes in floors: from an archive of what was scanned to one with inferred floor as well.
+//! Closing of holes in floors: from an archive of what was scanned to an archive that also has inferred floor.
 //!
-//! Whether a pixel is closed follows from the tile columns around its own (`closing.rs`), which come later or long before it in
-//! archive order. So the scanned archive is written whole first, as temporary data, and read again in squares of columns.
-//! Memory: a quarter of the budget for columns at work, an eighth for encoded pages; disk: that archive.
+//! Whether a pixel is closed depends on the tile columns around its own (`closing.rs`), which may come much earlier or
+//! later in archive order. So the scanned archive is first written whole, as temporary data, and then read in squares
+//! of columns. Memory: a quarter of the budget for columns being processed, an eighth for encoded pages. Disk: the
+//! scanned archive.
 
 mod closing;
 #[cfg(test)]
@@ -26,21 +27,21 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Columns of a job: bits of their number that differ, so a square of 8 × 8.
+/// Low bits in which the numbers of a job's columns differ, so a job is a square of 8 × 8 columns.
 const JOB_BITS: u32 = 6;
-/// Jobs of a round for each thread.
+/// Jobs in a round, per thread.
 const JOBS_PER_THREAD: usize = 2;
-/// Bytes of memory for each word of a page at work: the page, its spans, and as much for what is made of them.
+/// Memory per word of a page being processed (bytes): the page, its spans, and as much again for the results.
 const BYTES_PER_WORD: u64 = 32;
-/// The same for each tile column.
+/// Further memory per tile column (bytes).
 const BYTES_PER_COLUMN: u64 = 1 << 15;
-/// Directory entries that a worker keeps, of all leaves together, unless two leaves have more.
+/// Directory entries that a worker caches over all leaves; at least two leaves stay cached.
 const KEPT_ENTRIES: usize = 1 << 16;
 
-/// Most spans of a pixel in a page.
+/// Most spans of one pixel in a page.
 const MOST_SPANS: usize = 64;
 
-/// Tile columns that follow one another, with the entries of their pages.
+/// Consecutive tile columns, with the entries of their pages.
 struct Job {
     columns: Vec<(u64, Vec<PageEntry>)>,
     words: u64,
@@ -48,7 +49,8 @@ struct Job {
 
 type KeyedPages = Vec<(PageKey, EncodedPage)>;
 
-/// Puts the pages of `scanned` into `writer`, with inferred floor where holes are closed. The plan is that of the result.
+/// Writes the pages of `scanned` to `writer`, with inferred floor where holes are closed. `plan` is the plan of the
+/// result.
 pub(super) fn fill_holes(
     scanned: &Archive,
     plan: &Plan,
@@ -96,7 +98,7 @@ pub(super) fn fill_holes(
     }
 }
 
-/// The columns of an archive in jobs.
+/// Iterator over the columns of an archive, grouped into jobs.
 struct Jobs<I> {
     entries: I,
     next: Option<PageEntry>,
@@ -132,23 +134,23 @@ impl<I: Iterator<Item = Result<PageEntry>>> Iterator for Jobs<I> {
     }
 }
 
-/// Reads, closes and encodes columns.
+/// Worker that reads columns, closes their holes and encodes them.
 struct Worker<'a> {
     scanned: &'a Archive,
     memory_bytes: u64,
     leaves: VecDeque<(usize, Arc<Vec<PageEntry>>)>,
     decoder: PageDecoder,
     closer: Closer,
-    /// Whether heights may be coarsened.
+    /// True if heights may be coarsened.
     is_loose: bool,
     builder: PageBuilder,
     encoder: PageEncoder,
-    /// How colours are made, and those of what was scanned.
+    /// Colour plan of the result, and the colours of the scanned archive.
     colours: Option<(ColourPlan, ColourReader)>,
     colour_encoder: ColourEncoder,
 }
 
-/// A column that was read: its pages, where it is to be written, and its spans.
+/// Column that was read: its spans, and its pages if it is to be written.
 struct Read {
     pages: Vec<(i32, Page)>,
     spans: ScannedColumn,
@@ -170,7 +172,8 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// The pages of those columns of a job that lie in `wanted`. A job that takes more than `share` bytes is done alone.
+    /// Returns the pages of the columns of a job that lie in `wanted`. Only one job that needs more than `share` bytes
+    /// runs at a time.
     fn work(&mut self, job: &Job, wanted: Option<(u64, u64)>, share: u64, alone: &Mutex<()>) -> Result<KeyedPages> {
         let wanted = |column: u64| wanted.is_none_or(|(first, last)| (first..=last).contains(&column));
         let own: Vec<u64> = job.columns.iter().map(|column| column.0).filter(|&column| wanted(column)).collect();
@@ -187,7 +190,7 @@ impl<'a> Worker<'a> {
         let words: u64 = entries.values().flatten().map(|entry| u64::from(entry.size.words())).sum();
         let needed = words * BYTES_PER_WORD + entries.len() as u64 * BYTES_PER_COLUMN;
         if needed > self.memory_bytes && own.len() > 1 {
-            // Fewer columns have fewer around them.
+            // Single columns have fewer neighbours.
             let mut pages = KeyedPages::new();
             for (column, entries) in job.columns.iter().filter(|column| wanted(column.0)) {
                 let one = Job { columns: vec![(*column, entries.clone())], words: 0 };
@@ -224,7 +227,7 @@ impl<'a> Worker<'a> {
         Ok(done)
     }
 
-    /// The entries of a column of the archive; none where it has no matter.
+    /// Returns the directory entries of a column; empty if nothing was scanned there.
     fn entries_of(&mut self, column: u64) -> Result<Vec<PageEntry>> {
         let mut found = Vec::new();
         let first = PageKey::from_column(column, i32::MIN);
@@ -291,7 +294,7 @@ impl<'a> Worker<'a> {
         Ok(())
     }
 
-    /// Colours of a page that was made of the `scanned` one.
+    /// Returns the colours of `page`, which was made from the `scanned` page.
     fn colours_of(&mut self, key: PageKey, scanned: Option<&Page>, page: &Page) -> Result<EncodedColours> {
         let (Some((plan, reader)), Some(scanned)) = (&mut self.colours, scanned) else {
             return Ok(EncodedColours::default());
@@ -307,7 +310,7 @@ impl<'a> Worker<'a> {
     }
 }
 
-/// A page with fills, by pixel and height, among its spans, and which these are.
+/// Adds fills, in order of pixel and height, to the spans of a page; returns the new page and which spans are inferred.
 fn with_fills(page: Option<&Page>, layer: i32, fills: &[Fill], builder: &mut PageBuilder) -> (Page, Inferred) {
     builder.clear();
     let floor = i64::from(layer) * PAGE_QUANTA;
@@ -324,7 +327,7 @@ fn with_fills(page: Option<&Page>, layer: i32, fills: &[Fill], builder: &mut Pag
         }
         column.clear();
         column.extend(scanned.iter().map(|&span| (span, false)));
-        // A pixel that is full has no hole worth the name.
+        // A pixel that is already full has no hole worth closing.
         for fill in own.iter().take(MOST_SPANS - scanned.len()) {
             let span = Span::new((fill.bottom - floor) as u32, (fill.top - floor) as u32, false);
             column.extend(span.map(|span| (span, true)));
@@ -338,7 +341,7 @@ fn with_fills(page: Option<&Page>, layer: i32, fills: &[Fill], builder: &mut Pag
     (builder.build(), inferred)
 }
 
-/// The columns around one, row by row; `None` beyond the grid.
+/// Returns the columns around `column`, row by row; `None` beyond the grid.
 fn around(column: u64) -> [Option<u64>; 9] {
     let PageKey { tx, ty, .. } = PageKey::from_column(column, 0);
     std::array::from_fn(|at| {

@@ -1,4 +1,4 @@
-//! Holes by definition, pixel by pixel, and the shapes that are closed and that are not.
+//! Tests of holes: comparison with the definition pixel by pixel, and shapes that are or are not closed.
 
 use super::closing::{Closer, Fill, ScannedColumn};
 use crate::frame::Frame;
@@ -7,19 +7,19 @@ use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 type Pixel = (i64, i64);
-/// Spans of pixels: bottom, top, whether floor (quanta).
+/// Spans of pixels: bottom, top (quanta), floor or not.
 type World = BTreeMap<Pixel, Vec<(i64, i64, bool)>>;
 
 fn frame() -> Frame {
     Frame::new(0.1, 0.3).unwrap()
 }
 
-/// Quanta in so many metres, to nearest.
+/// Returns a length in quanta, rounded to nearest.
 fn quanta(metres: f64) -> i64 {
     (metres * 850.0).round() as i64
 }
 
-/// The fills of tile (0, 0).
+/// Returns the fills of tile (0, 0).
 fn closed(world: &World, widest: u8) -> BTreeSet<(Pixel, i64, i64)> {
     let columns: Vec<Option<ScannedColumn>> = (0..9i64)
         .map(|tile| {
@@ -31,7 +31,7 @@ fn closed(world: &World, widest: u8) -> BTreeSet<(Pixel, i64, i64)> {
                     continue;
                 }
                 for &(bottom, top, floor) in spans {
-                    // Cut between pages.
+                    // Cut at page boundaries.
                     for layer in bottom.div_euclid(16320)..=(top - 1).max(bottom).div_euclid(16320) {
                         let [low, high] = [bottom, top].map(|height| (height - layer * 16320).clamp(0, 16320) as u32);
                         let span = Span::new(low, high, !floor).unwrap();
@@ -59,7 +59,7 @@ fn closed(world: &World, widest: u8) -> BTreeSet<(Pixel, i64, i64)> {
         .collect()
 }
 
-/// The same by the definition.
+/// Computes the fills of tile (0, 0) by the definition.
 fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
     let step = quanta(0.35) / 4;
     let across = widest + 1;
@@ -84,7 +84,7 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
         if floor.is_empty() {
             continue;
         }
-        // As far around the tile as anything can matter.
+        // As far around the tile as any pixel can have an effect.
         const SIDE: i64 = 144;
         let place = |x: i64, y: i64| ((y + 40) * SIDE + x + 40) as usize;
         let mut is_floor = vec![false; (SIDE * SIDE) as usize];
@@ -144,7 +144,7 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
     found.into_iter().flat_map(|(at, fills)| fills.into_iter().map(move |(b, t)| (at, b, t))).collect()
 }
 
-/// Flat floor at a height in the tile and so far around it, where `holds` says so.
+/// Flat floor at `height` in the tile and 60 pixels around it, where `holds` returns true.
 fn flat(height: i64, holds: impl Fn(i64, i64) -> bool) -> World {
     let all = (-60..124).flat_map(|y| (-60..124).map(move |x| (x, y)));
     all.filter(|&(x, y)| holds(x, y)).map(|at| (at, vec![(height - 2, height, true)])).collect()
@@ -154,7 +154,7 @@ fn pixels(fills: &BTreeSet<(Pixel, i64, i64)>) -> HashSet<Pixel> {
     fills.iter().map(|fill| fill.0).collect()
 }
 
-/// Floors of two storeys with slope and noise, walls, holes of all kinds.
+/// Two storeys of floor with slope and noise, walls, and holes of all kinds.
 fn world() -> impl Strategy<Value = World> {
     let hole = (-20i64..80, -20i64..80, 1i64..24, 1i64..24, any::<bool>());
     let holes = proptest::collection::vec(hole, 1..12);
@@ -180,7 +180,7 @@ fn world() -> impl Strategy<Value = World> {
                 spans = vec![(floor - below(900), floor + below(2000), false)];
             }
             if storeys > 2 && below(9) > 0 {
-                // A ceiling and the floor of the next storey, some of them with a table.
+                // A ceiling and the floor of the next storey, in some pixels a table.
                 spans.push((floor + 2500, floor + 2501, true));
                 if !in_hole {
                     spans.push((floor + 2720, floor + 2722, true));
@@ -248,7 +248,7 @@ fn slots_at_any_angle_are_closed_up_to_the_width() {
                 let void = (0..64 * 64).map(|at| (at % 64, at / 64)).filter(|at| !world.contains_key(at)).count();
                 (pixels(&closed(&world, widest)).len(), void)
             };
-            // A pixel less is surely closed, two more are surely not.
+            // A slot one pixel narrower is always closed, one 2.5 pixels wider never.
             let (found, void) = slot(f64::from(widest) - 1.0);
             assert_eq!(found, void, "{widest} pixels at {degrees} degrees");
             assert_eq!(slot(f64::from(widest) + 2.5).0, 0, "{widest} pixels at {degrees} degrees");
@@ -258,7 +258,7 @@ fn slots_at_any_angle_are_closed_up_to_the_width() {
 
 #[test]
 fn heights_lie_between_those_on_both_sides() {
-    // A slope of 10 quanta a pixel along x, with a slot across it and a hole.
+    // Slope of 10 quanta per pixel along x, with a slot across it and a hole.
     let slope: World = flat(0, |x, y| !(20..26).contains(&x) && ((x - 45).pow(2) + (y - 30).pow(2) > 9))
         .into_keys()
         .map(|(x, y)| ((x, y), vec![(10 * x - 1, 10 * x, true)]))
@@ -292,7 +292,7 @@ fn nothing_is_closed_across_a_ledge_or_beyond_the_edge_of_the_scan_or_in_a_door_
         door.insert((41, y), vec![(-1, 2000, false)]);
     }
     assert!(closed(&door, 20).is_empty());
-    // A wall without a gap at its foot stays as it is; so does the void between two walls.
+    // A wall that meets the floor stays as it is; so does the void between two walls.
     door.extend(flat(0, |x, _| x > 41));
     let found = pixels(&closed(&door, 20));
     assert!(found.iter().all(|&(x, y)| (40..42).contains(&x) && (25..33).contains(&y)), "only the sill: {found:?}");

@@ -17,15 +17,15 @@ use std::fmt;
 use std::io::{self, BufReader, BufWriter, Write};
 use std::path::Path;
 
-/// Version of plan files that is written and read.
+/// Version of the plan files written and read.
 pub const VERSION: u64 = 2;
-/// Greatest length of a plan file that is read (bytes): half a million inputs.
+/// Greatest length of a plan file (bytes); enough for half a million inputs.
 const MAX_BYTES: u64 = 256 << 20;
-/// Bytes of a plan file that are read at once.
+/// Bytes read at once.
 const READ_BYTES: usize = 1 << 20;
 
 impl PlanFile {
-    /// The plan file as JSON, without its list of inputs, of which there may be many.
+    /// Returns the plan file as JSON, without the list of inputs, which may be long.
     pub fn facts(&self) -> Value {
         let plan = &self.plan;
         json!({
@@ -36,7 +36,7 @@ impl PlanFile {
             "tolerance": plan.options.tolerance_m,
             "classifier": plan.options.classifier.name(),
             "min_points": plan.options.min_points,
-            // For builds that know isolated voxels only; of other numbers they refuse the hash.
+            // For builds that know only isolated voxels; they refuse the hash of any other number.
             "drop_isolated": plan.options.drop_floaters == 1,
             "drop_floaters": plan.options.drop_floaters,
             "remove_moving": plan.options.remove_moving,
@@ -71,13 +71,13 @@ impl PlanFile {
         })
     }
 
-    /// Writes the plan file to `path`, all of it or nothing; an older plan is replaced if `overwrite` says so.
+    /// Writes the plan file to `path`, either all of it or nothing; replaces an older plan if `overwrite` is true.
     pub fn write(&self, path: &Path, overwrite: bool) -> Result<()> {
         self.write_to(Output::create(path, OutputKind::Plan(Existing::replaced_if(overwrite)), Protected::default())?)
     }
 
-    /// Writes the plan file to an output that was begun before the inputs were read, so that what must not be replaced was
-    /// refused then. Memory: one input at a time.
+    /// Writes the plan file to an output that was created before the inputs were read, so that a file that must not be
+    /// replaced was refused then. Memory: one input at a time.
     pub fn write_to(&self, output: Output) -> Result<()> {
         let path = output.name().to_path_buf();
         let mut text = BufWriter::new(output);
@@ -86,7 +86,7 @@ impl PlanFile {
         output.publish().map(drop)
     }
 
-    /// Writes the plan file as JSON in lines, input by input.
+    /// Writes the plan file as indented JSON, input by input.
     pub fn write_text(&self, text: &mut impl Write) -> io::Result<()> {
         // The list of inputs comes last.
         let facts = format!("{:#}", self.facts());
@@ -128,7 +128,7 @@ impl PlanFile {
     }
 }
 
-/// The text of a plan file, from `at` on.
+/// Reader of the text of a plan file, from `at`.
 struct Text<'a> {
     source: &'a dyn ByteSource,
     at: u64,
@@ -156,10 +156,10 @@ fn input_to_json(input: &InputFacts) -> Value {
     })
 }
 
-/// A plan file as it was read: inputs become facts one by one, since as JSON they would take a kilobyte and more each.
+/// Plan file as read. Each input becomes facts at once: as JSON, an input would take a kilobyte or more.
 struct Read {
     facts: Value,
-    /// `None` where there is no such list.
+    /// `None` without a list of inputs.
     inputs: Option<Result<Vec<InputFacts>, Wrong>>,
 }
 
@@ -190,7 +190,7 @@ impl<'de> Visitor<'de> for ReadVisitor {
     }
 }
 
-/// The list of inputs, if it is one.
+/// The inputs, or `None` if the value is not a list.
 struct Inputs(Option<Result<Vec<InputFacts>, Wrong>>);
 
 impl<'de> Deserialize<'de> for Inputs {
@@ -227,7 +227,7 @@ impl<'de> Visitor<'de> for InputsVisitor {
     }
 }
 
-/// What is wrong in a plan file.
+/// Error in a plan file.
 struct Wrong {
     at: String,
     expected: String,
@@ -239,7 +239,7 @@ impl Wrong {
     }
 }
 
-/// One field of an object, read as `read` does.
+/// Reads one field of an object with `read`.
 fn field<'a, T>(
     of: &'a Value,
     name: &str,
@@ -270,7 +270,7 @@ fn from_json(Read { facts, inputs }: Read) -> Result<PlanFile, Wrong> {
         let classes = v.as_array()?.iter();
         classes.map(|class| u8::try_from(class.as_u64()?).ok()).collect::<Option<ClassSet>>()
     };
-    // Plans of earlier builds have none.
+    // Missing in plans of earlier builds.
     let drop_floaters = match value.get("drop_floaters") {
         None => u16::from(field(value, "drop_isolated", "true or false", Value::as_bool)?),
         Some(_) => field(value, "drop_floaters", "a number of voxels", |v| u16::try_from(v.as_u64()?).ok())?,
@@ -306,7 +306,7 @@ fn from_json(Read { facts, inputs }: Read) -> Result<PlanFile, Wrong> {
         Some(factor) => Some(Units::Factor(factor)).filter(|_| factor.is_finite() && factor > 0.0),
         None => (v.as_str() == Some("auto")).then_some(Units::Auto),
     };
-    // Plans of earlier builds have none.
+    // Missing in plans of earlier builds.
     let epsg = match value.get("crs") {
         None | Some(Value::Null) => None,
         Some(text) => {
@@ -339,16 +339,16 @@ fn from_json(Read { facts, inputs }: Read) -> Result<PlanFile, Wrong> {
         epsg,
         columns,
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
-        // Plans of earlier builds do not say: their archives have none.
+        // Missing in plans of earlier builds, whose archives have no levels.
         levels: value.get("levels").map_or(Ok(false), |_| field(value, "levels", "true or false", Value::as_bool))?,
         colour,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
-        // Plans of earlier builds have none.
+        // Missing in plans of earlier builds.
         noise: match value.get("tolerance_auto") {
             None | Some(Value::Null) => None,
             Some(noise) => Some(noise_from_json(noise)?),
         },
-        // Plans of earlier builds have none.
+        // Missing in plans of earlier builds.
         stated: match value.get("stated") {
             None | Some(Value::Null) => None,
             Some(stated) => Some(stated_from_json(stated)?),

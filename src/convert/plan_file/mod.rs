@@ -1,18 +1,18 @@
-//! Converting a scan in parts, on several machines or one after the other.
+//! Conversion of a scan in parts, on several machines or in turn.
 //!
-//! A plan file fixes a conversion in advance: grid, options, unit and inputs. It is cut into parts by tile columns: part `k`
-//! of `n` has a range of columns in archive order, balanced by the bounds and point counts that headers state. What decides a
-//! voxel reaches one pixel beyond its column, and the voxel pass gives each column copies of the points there; so a part
-//! that keeps the records of its own columns, and no others, makes the very pages of a single run.
+//! A plan file fixes a conversion in advance: grid, options, unit and inputs. It is cut into parts by tile columns:
+//! part `k` of `n` has a range of columns in archive order, balanced by the bounds and point counts that headers state.
+//! A voxel depends on points up to one pixel beyond its column, and the first pass gives each column copies of those
+//! points. So a part that keeps the records of its own columns, and no others, makes the same pages as a single run.
 //!
-//! Each point counts in one part: by its column if it is kept, else in the part that *owns* its file, the first that
-//! needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie; so the owner, which reads its
-//! file whole, fails if a point lies outside of them: no point is lost unnoticed. Meshes are read by every part; their
-//! triangles count in the first, and their bounds in all.
+//! Each point counts in one part: a kept point in the part of its column, any other in the part that *owns* its file,
+//! the first that needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie, so the owner,
+//! which reads its file whole, fails if a point lies outside of them: no point is lost unnoticed. Every part reads the
+//! meshes; their triangles count in the first part, and their bounds in all.
 //!
-//! A file that changes between two parts would be in the whole in two versions. The plan knows files by samples of their
-//! bytes; beyond that each part records a hash of all that it read of files that other parts read too, made while they are
-//! decoded, and the merge compares them.
+//! A file that changes between two parts would be in the whole in two versions. The plan knows files by samples of
+//! their bytes. In addition, each part records a hash of all that it read of files that other parts read too, computed
+//! while decoding, and the merge compares these hashes.
 
 mod json;
 
@@ -31,45 +31,47 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use xxhash_rust::xxh3::xxh3_128;
 
-/// A conversion fixed before any point is converted. Machines that convert its parts read it from a file in JSON.
+/// Conversion fixed before any point is converted. The machines that convert its parts read it from a JSON file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanFile {
     /// Grid and options.
     pub plan: Plan,
     /// Unit of the input.
     pub units: Units,
-    /// EPSG code of the reference system of scans that state none.
+    /// EPSG code for scans that state no reference system.
     pub epsg: Option<u32>,
-    /// Columns of text without a header of their own.
+    /// Columns of text without a header of its own.
     pub columns: Option<Columns>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
-    /// Whether the parts and the whole get overview levels.
+    /// True if the parts and the whole get overview levels.
     pub levels: bool,
-    /// How colours are made, for all points of the inputs; `None` without.
+    /// Colour plan for all points of the inputs; `None` without colours.
     pub colour: Option<ColourPlan>,
-    /// Point spacing found, if the pixel size was chosen from it (m).
+    /// Measured point spacing, if the pixel size follows from it (m).
     pub spacing_m: Option<f64>,
-    /// Noise of the scan, if the tolerance was chosen by it.
+    /// Noise of the scan, if the tolerance follows from it.
     pub noise: Option<Noise>,
-    /// What the headers of all inputs say together; `None` in plans of earlier builds, whose parts open every input.
+    /// Statements of the headers of all inputs together; `None` in plans of earlier builds, whose parts open every
+    /// input.
     pub stated: Option<Stated>,
-    /// The inputs, in order of their fingerprints: the same on every machine.
+    /// Inputs in order of their fingerprints, which is the same on every machine.
     pub inputs: Vec<InputFacts>,
 }
 
-/// What the headers of all inputs say together.
+/// Statements of the headers of all inputs together.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Stated {
-    /// Their reference system, or the one of the options.
+    /// Reference system of the inputs, or that of the options.
     pub crs: Option<String>,
-    /// Their different units.
+    /// Distinct units of the inputs.
     pub units: Vec<LengthUnit>,
 }
 
 impl PlanFile {
-    /// The plan file that `options` describe: headers are read, and the points once if pixel size or tolerance is to follow from
-    /// them. Files whose headers state no bounds are read once for these, and all files once for the range of colours.
+    /// Makes the plan file for `options`. Cost: reads headers; reads all points once if pixel size or tolerance follows
+    /// from them, files whose headers state no bounds once more for these, and all files once more for the range of
+    /// colours.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let mut inputs = super::open_inputs(options, monitor)?;
         let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
@@ -92,17 +94,17 @@ impl PlanFile {
         file
     }
 
-    /// Number of the first input of this fingerprint.
+    /// Returns the number of the first input with this fingerprint.
     pub(super) fn number_of(&self, fingerprint: u128) -> usize {
         self.inputs.partition_point(|input| input.fingerprint < fingerprint)
     }
 
-    /// Puts the inputs into the order that does not depend on where they lie.
+    /// Sorts the inputs into the order that does not depend on their paths.
     pub fn sort_inputs(&mut self) {
         self.inputs.sort_by(|a, b| (a.fingerprint, &a.name).cmp(&(b.fingerprint, &b.name)));
     }
 
-    /// Identity of the plan file: of everything that decides what its parts hold.
+    /// Returns the identity of the plan file: a hash of everything that decides the content of its parts.
     pub fn hash(&self) -> u128 {
         let mut bytes = self.plan.hash().to_le_bytes().to_vec();
         let unit = match self.units {
@@ -148,7 +150,8 @@ impl PlanFile {
         }
     }
 
-    /// Whether the tolerance of the plan is the one that `wanted` asks for: as long, or chosen by the noise, too.
+    /// Returns whether the plan has the tolerance that `wanted` asks for: the same length, or likewise chosen by the
+    /// noise.
     pub fn has_tolerance_of(&self, wanted: &ConvertOptions) -> bool {
         match wanted.tolerance_auto {
             true => self.noise.is_some(),
@@ -156,7 +159,7 @@ impl PlanFile {
         }
     }
 
-    /// Part `index` of `count`.
+    /// Returns part `index` of `count`.
     pub fn shard(&self, index: u32, count: u32) -> Result<Shard> {
         if !(1..=MAX_SHARDS).contains(&count) || !(1..=count).contains(&index) {
             return Err(Error::parameter(
@@ -200,14 +203,14 @@ impl PlanFile {
         Self::refuse_other_options(*plan != self.plan || !same)
     }
 
-    /// An input that the plan does not know.
+    /// Makes the error for an input that is not in the plan.
     pub(super) fn stranger(name: &str) -> Error {
         let reason = "it is not among the files of the plan, or has changed since; write the plan again, and convert every \
                       part with it";
         Error::input(name, "content", reason)
     }
 
-    /// A file of the plan that is not there.
+    /// Makes the error for a file of the plan that is not among the inputs.
     pub(super) fn left_out(name: &str) -> Error {
         Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too")
     }
@@ -274,7 +277,7 @@ mod tests {
                 let met = |first, last| QuadCell::WHOLE.meets(&area, first, last);
                 let owners = parts.iter().filter(|p| met(p.first, p.last) && (p.first == 0 || !met(0, p.first - 1)));
                 prop_assert_eq!(owners.count(), 1);
-                // By brute force along the lower edge: each of its tiles lies in a part that needs the file.
+                // Brute force along the lower edge: each of its tiles lies in a part that needs the file.
                 for x in area.x.0..=area.x.1.min(area.x.0 + 300) {
                     let column = morton(x as i32, area.y.0 as i32);
                     let part = parts.iter().find(|part| part.columns().contains(&column)).unwrap();

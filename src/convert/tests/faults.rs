@@ -1,9 +1,9 @@
-//! Every call of the disk fails once, and from then on, in every way.
+//! Every disk call fails, once or from then on, in every way.
 //!
 //! | fault | allowed outcome |
 //! |---|---|
-//! | interrupted, short | none of it shows: the new archive |
-//! | full, broken, refused | the new archive; or a clear error and the old one; or, if the folder cannot be synced, [`Error::NotDurable`] and the new one; or, if the new one cannot get its name, the old one, and the new one under the name that the error states |
+//! | interrupted, short | the new archive, without a trace of the fault |
+//! | full, broken, refused | the new archive; or a clear error and the old one; or, if the folder cannot be synced, [`Error::NotDurable`] and the new one; or, if the rename fails, the old one, and the new one under the name that the error states |
 //!
 //! In each case another run, resuming or not, makes the new archive and leaves nothing else.
 
@@ -23,7 +23,7 @@ enum Fault {
 impl Fault {
     const ALL: [Self; 5] = [Self::Full, Self::Broken, Self::Interrupted, Self::Short, Self::Refused];
 
-    /// What becomes of a call; `None` if the fault cannot meet it.
+    /// Returns the effect on a call; `None` if the fault cannot occur in it.
     fn meets(self, call: Call) -> Option<Verdict> {
         use Call::*;
         Some(match self {
@@ -42,14 +42,15 @@ impl Fault {
     }
 }
 
-/// A disk on which call `strikes` of those that the fault can meet fails, and maybe all after it; how many there were.
+/// Returns a disk on which the `strikes`-th call that can have the fault fails, and all later ones if `lasts`; and the
+/// counter of such calls.
 fn faulty(disk: Arc<ModelDisk>, fault: Fault, strikes: u64, lasts: bool) -> (Arc<Hooked>, Arc<AtomicU64>) {
     let calls = Arc::new(AtomicU64::new(0));
     let counted = calls.clone();
     let hook = move |call| {
         let Some(verdict) = fault.meets(call) else { return Verdict::Done };
         let number = counted.fetch_add(1, Ordering::Relaxed);
-        // Signals do not end work: they come between its steps.
+        // Signals come between the steps of the work and do not end it.
         let again = lasts && (fault != Fault::Interrupted || (number - strikes.min(number)).is_multiple_of(2));
         if number == strikes || number > strikes && again { verdict } else { Verdict::Done }
     };
@@ -90,8 +91,8 @@ fn nor_is_anything_of_an_archive_with_colours() {
     assert!(strike(&job, &[(false, false), (true, false)]).0 > 50);
 }
 
-/// Lets each call fail once, or from then on where the fault lasts, with and without resuming; failures, and how many of these
-/// can be resumed.
+/// Lets each call fail, once or from then on, with and without resuming. Returns the number of faults, of failed runs,
+/// and of runs that can be resumed.
 fn strike(job: &Job, ways: &[(bool, bool)]) -> (u64, u64) {
     let (mut struck, mut failed, mut resumed) = (0, 0, 0);
     for fault in Fault::ALL {

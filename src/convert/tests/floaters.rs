@@ -1,15 +1,15 @@
-//! Floaters are found the same from memory and from disk, in columns that fit and in columns cut into areas.
+//! Floaters found in memory equal those found on disk, in columns that fit and in columns cut into areas.
 
 use super::*;
 
-/// A conversion of points about the corner of four tiles, most of them in small pieces.
+/// Conversion of points around the corner of four tiles, most of them in small components.
 fn options(folder: &Path, most: u16) -> ConvertOptions {
     let mut random = Random(11);
     let mut points: Vec<[f64; 3]> = Vec::new();
     for _ in 0..3_000 {
         let mut at = [random.below(120), random.below(120), random.below(400)].map(|v| v as i64 - 60);
         for _ in 0..random.below(9) {
-            // Several points a voxel, so that a column has many more records than voxels.
+            // Several points per voxel, so that a column has many more records than voxels.
             points.extend((0..3).map(|_| at.map(|v| v as f64 * 0.25 + 0.01 + random.below(200) as f64 / 1000.0)));
             at[random.below(3) as usize] += random.below(3) as i64 - 1;
         }
@@ -37,7 +37,7 @@ fn runs_on_disk_and_columns_in_areas_make_the_same_bytes() {
         let report = convert(&options, &NoMonitor).unwrap();
         assert!(report.voxels_dropped > 300 && report.header.voxels.occupied > 100, "{most}");
         let expected = fs::read(&options.output).unwrap();
-        // So many threads that the records of a column do not fit the share of one.
+        // With 300 threads, the records of a column do not fit the share of one.
         for threads in [1, 2, 300] {
             options.threads = threads;
             for limits in [Limits::of(&options), Limits { retain_bytes: 0, build_bytes: 0, views_bytes: 0 }] {

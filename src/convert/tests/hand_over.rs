@@ -1,4 +1,4 @@
-//! Jobs to threads and back (their schedules are those of `tests/schedules.rs`).
+//! Jobs passed to threads and back (`tests/schedules.rs` tests their schedules).
 
 use crate::convert::hand_over::{Closed, HandOver};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -15,7 +15,7 @@ fn jobs_come_back_in_order_and_few_run_ahead() {
             || {
                 |number: u64| {
                     done.fetch_add(1, Ordering::SeqCst);
-                    // Now and then one takes longer than those behind it.
+                    // Occasionally a job takes longer than those after it.
                     if number.is_multiple_of(97) {
                         std::thread::yield_now();
                     }

@@ -1,4 +1,4 @@
-//! Conversions on disks that fail and disks that forget, and conversions that go on from what another one left.
+//! Conversions on disks that fail or lose data, and conversions that resume from what another run left.
 
 mod faults;
 mod floaters;
@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 
-/// Numbers that look random and are the same everywhere (an LCG after Knuth).
+/// Deterministic pseudorandom numbers (an LCG after Knuth).
 struct Random(u64);
 
 impl Random {
@@ -30,11 +30,11 @@ impl Random {
     }
 }
 
-/// Two scans, a plain one and a compressed one in many chunks, and a conversion of them that spills.
+/// Conversion of two scans, a plain one and a compressed one in many chunks, that spills.
 struct Job {
     folder: TempDir,
     options: ConvertOptions,
-    /// The archive that the conversion replaces, and the one that it makes.
+    /// Archive that the conversion replaces; `new` is the one that it makes.
     old: Vec<u8>,
     new: Vec<u8>,
 }
@@ -47,7 +47,7 @@ impl Job {
         Self::with(ColourMode::Off)
     }
 
-    /// As [`new`](Self::new), of archives with colours.
+    /// Like [`new`](Self::new), but with colours.
     fn with(colour: ColourMode) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut random = Random(7);
@@ -79,12 +79,12 @@ impl Job {
         Self { folder, options, old, new }
     }
 
-    /// Runs of about 4,000 points, all of them on disk.
+    /// Limits that make runs of about 4,000 points, all of them on disk.
     fn limits() -> Limits {
         Limits { retain_bytes: 0, build_bytes: 0, views_bytes: 0 }
     }
 
-    /// A model of the folder before the conversion.
+    /// Returns a model of the folder before the conversion.
     fn content(&self) -> Content {
         let mut content = Content::default();
         content.put(&self.options.output, self.old.clone());
@@ -99,8 +99,8 @@ impl Job {
         crate::disk::with(disk, || self.convert(resume, &NoMonitor))
     }
 
-    /// What is wrong after another run on a disk that holds `content`: it must make the archive and leave nothing else, but
-    /// for the complete archives that may have been kept under other names.
+    /// Returns what is wrong after another run on a disk that holds `content`. The run must make the archive and leave
+    /// nothing else, except complete archives kept under other names.
     fn next_run_fails(&self, content: Content, resume: bool) -> Option<String> {
         let disk = ModelDisk::new(content);
         if let Err(error) = self.convert_on(disk.clone(), resume) {
@@ -116,7 +116,7 @@ impl Job {
     }
 }
 
-/// Counts points and asks to stop after so many.
+/// Monitor that counts points and cancels after `after` of them.
 struct Stops {
     after: u64,
     advanced: AtomicU64,

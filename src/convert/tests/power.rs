@@ -1,8 +1,8 @@
-//! Power fails at any moment: the old archive is there or the new one, and once the program has said that it is done, the
-//! new one; another run, resuming or not, makes the new one and leaves nothing else.
+//! Power failure at any moment leaves the old archive or the new one, and the new one once the program has reported
+//! success. Another run, resuming or not, makes the new archive and leaves nothing else.
 //!
-//! What a power loss may undo is told in [`model`](crate::disk::tests::model). `SLICEWALK_LOSSES` sets how many random losses
-//! are tried, `SLICEWALK_SEED` the first seed; both are printed.
+//! [`model`](crate::disk::tests::model) describes what a power loss may undo. `SLICEWALK_LOSSES` sets the number of
+//! random losses, `SLICEWALK_SEED` the first seed; both are printed.
 
 use super::*;
 use crate::disk::tests::model::{Fate, Recording, Step};
@@ -10,7 +10,7 @@ use std::collections::HashSet;
 
 const DONE: &str = "done";
 
-/// All that a conversion does to the disk.
+/// Records every step that a conversion takes on the disk.
 fn record(job: &Job) -> Recording {
     let disk = ModelDisk::new(job.content());
     job.convert_on(disk.clone(), false).unwrap();
@@ -18,7 +18,7 @@ fn record(job: &Job) -> Recording {
     disk.recording()
 }
 
-/// What is wrong with the archive that a power loss after `end` steps left.
+/// Returns what is wrong with the archive left by a power loss after `end` steps.
 fn archive_is_wrong(job: &Job, recording: &Recording, end: usize, left: &Content) -> Option<String> {
     match left.bytes(&job.options.output) {
         Some(bytes) if bytes == job.new => None,
@@ -29,8 +29,8 @@ fn archive_is_wrong(job: &Job, recording: &Recording, end: usize, left: &Content
     }
 }
 
-/// Calls `see` with each state of the families: after each step, nothing of what is not durable lost, all of it, each step
-/// alone, all but one, each in part; `without` a sync.
+/// Calls `see` with each state of these families, after each step: of the steps not yet durable, nothing is lost; all
+/// are lost, or lost in part; one alone is lost, or lost in part; all but one are lost. `without` omits a sync.
 fn families(recording: &Recording, without: Option<usize>, see: &mut dyn FnMut(usize, Content)) {
     for end in 0..=recording.steps.len() {
         let durable = recording.durable(end, without);
@@ -46,12 +46,12 @@ fn families(recording: &Recording, without: Option<usize>, see: &mut dyn FnMut(u
     }
 }
 
-/// Checks states, each once.
+/// Check of the states, each once.
 struct Survival<'a> {
     job: &'a Job,
     recording: &'a Recording,
     seen: HashSet<(u64, bool)>,
-    /// Of these, all but the runs on disk, which a run that does not resume never reads.
+    /// States without the runs on disk, which a run that does not resume never reads.
     seen_without_runs: HashSet<u64>,
     tried: u64,
 }
@@ -100,7 +100,7 @@ fn whatever_a_power_loss_takes_at_random_an_archive_is_whole_and_the_next_run_cl
         let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let end = random.below(recording.steps.len() as u64 + 1) as usize;
         let durable = recording.durable(end, None);
-        // One loss takes little, another one nearly all.
+        // Some losses take little, others nearly everything.
         let share = random.below(101);
         let left = recording.left(&durable, |_| match random.below(100) {
             chance if chance >= share => Fate::Kept,

@@ -1,4 +1,4 @@
-//! Going on from what another run left.
+//! Resuming from what another run left.
 
 use super::*;
 use std::time::SystemTime;
@@ -12,7 +12,7 @@ fn temporary(job: &Job) -> Vec<String> {
     entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
 }
 
-/// A conversion that was interrupted after so many points, resuming or not; how many it had read, and how many it kept.
+/// Interrupts a conversion with resuming after `points` points; returns how many points it read and how many it kept.
 fn interrupt(job: &Job, points: u64) -> (u64, u64) {
     let stops = Stops::after(points);
     match job.convert(true, &stops) {
@@ -30,11 +30,11 @@ fn interrupt(job: &Job, points: u64) -> (u64, u64) {
 fn a_conversion_goes_on_where_others_were_interrupted_and_makes_the_same_bytes() {
     let job = Job::new();
     let all = 2 * POINTS as u64;
-    // Interrupted again and again, each time a little later.
+    // Interrupt repeatedly, each time a little later.
     let mut kept_before = 0;
     for points in (1..=4).map(|fifths| fifths * all / 5) {
         let (read, kept) = interrupt(&job, points);
-        // A run in the making, and the batch at hand.
+        // A run under construction, and the current batch.
         assert!(read.saturating_sub(kept) <= 8192 + POINTS as u64, "{read} read, {kept} kept");
         assert!(kept >= kept_before);
         kept_before = kept;
@@ -47,7 +47,7 @@ fn a_conversion_goes_on_where_others_were_interrupted_and_makes_the_same_bytes()
     assert_eq!(report.header.points_kept, all);
 }
 
-/// Asks to stop in the second pass.
+/// Monitor that cancels in the second pass.
 struct InSecondPass(Stops);
 
 impl Monitor for InSecondPass {
@@ -77,7 +77,7 @@ fn with_nothing_to_resume_a_conversion_begins_anew_and_without_the_option_it_cle
     let report = job.convert(true, &NoMonitor).unwrap();
     assert!(report.resumed.is_none() && fs::read(&job.options.output).unwrap() == job.new);
     interrupt(&job, POINTS as u64 * 3 / 2);
-    // What belongs to an archive of the same name in another folder is somebody else's.
+    // Data for an archive of the same name in another folder belongs to another conversion.
     let mut other = job.options.clone();
     other.output = job.folder.path().join("other.d").join("a.slices");
     fs::create_dir(job.folder.path().join("other.d")).unwrap();
@@ -85,7 +85,7 @@ fn with_nothing_to_resume_a_conversion_begins_anew_and_without_the_option_it_cle
     assert_eq!(temporary(&job).len(), 2);
     let report = job.convert(false, &NoMonitor).unwrap();
     assert!(report.resumed.is_none() && temporary(&job).is_empty());
-    // An interrupted run that was not to be resumed leaves nothing.
+    // An interrupted run without `resume` leaves nothing.
     let error = job.convert(false, &Stops::after(POINTS as u64)).unwrap_err();
     assert!(matches!(error, Error::Interrupted) && temporary(&job).is_empty(), "{error}");
 }
@@ -93,7 +93,7 @@ fn with_nothing_to_resume_a_conversion_begins_anew_and_without_the_option_it_cle
 #[test]
 fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
     let job = Job::new();
-    // All was read of both scans.
+    // Both scans were read completely.
     assert!(job.convert(true, &InSecondPass(Stops::after(0))).is_err());
     let kept = 2 * POINTS as u64;
     let refused = |options: &ConvertOptions, with: &[&str]| {
@@ -111,7 +111,7 @@ fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
             fs::File::options().write(true).open(scan(name)).unwrap().set_modified(time).unwrap();
         };
         let time = about.modified().unwrap();
-        // A byte among the first points; the time of the file is as it was.
+        // Change a byte among the first points and keep the modification time.
         let mut changed = bytes.clone();
         changed[bytes.len() / 9] ^= 1;
         set(&changed, time);
@@ -134,7 +134,7 @@ fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
     fs::copy(scan("plain.las"), scan("more.las")).unwrap();
     options.inputs.push(scan("more.las"));
     refused(&options, &["resuming", "more.las"]);
-    // With all as it was, the conversion goes on.
+    // With everything restored, the conversion resumes.
     let report = job.convert(true, &NoMonitor).unwrap();
     assert_eq!(report.resumed.map(|resumed| resumed.points), Some(kept));
     assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
@@ -161,7 +161,7 @@ fn parts_of_a_conversion_go_on_and_merge_to_the_same_bytes() {
     for index in 1..=2 {
         job.options.shard = Some(ShardOptions { index, count: 2 });
         job.options.output = job.folder.path().join(format!("part{index}.slices"));
-        // Once while points are read, and once after that.
+        // Interrupt once while points are read, and once after that.
         assert!(job.convert(true, &Stops::after(POINTS as u64 / 2)).is_err());
         assert!(job.convert(true, &InSecondPass(Stops::after(0))).is_err());
         assert!(job.convert(true, &NoMonitor).unwrap().resumed.is_some_and(|resumed| resumed.points > 0));
@@ -172,7 +172,7 @@ fn parts_of_a_conversion_go_on_and_merge_to_the_same_bytes() {
     assert!(fs::read(&output).unwrap() == job.new);
 }
 
-/// Removes what moved, of a job with a station beside each scan.
+/// Removes moving points in a job with a station next to each scan.
 fn moving(job: &mut Job) {
     let table = job.folder.path().join("stations.csv");
     fs::write(&table, "file,x,y,z\nplain.las,2,2,1\npacked.laz,7,7,1\n").unwrap();
@@ -209,7 +209,7 @@ fn moving_points_are_removed_alike_by_runs_that_go_on_and_by_parts() {
     let output = job.folder.path().join("whole.slices");
     crate::archive::merge(&parts, &output, false, &NoMonitor).unwrap();
     assert!(fs::read(&output).unwrap() == job.new && moved > 20, "{moved}");
-    // A part with other stations fits no other.
+    // A part with other stations does not merge with the others.
     fs::write(job.options.stations.as_ref().unwrap(), "file,x,y,z\nplain.las,2,2,1\npacked.laz,7,7,2\n").unwrap();
     run(&job, &NoMonitor).unwrap();
     assert!(crate::archive::merge(&parts, &output, true, &NoMonitor).is_err());
@@ -307,14 +307,14 @@ fn colours_go_on_where_others_were_interrupted_and_make_the_same_bytes() {
         let report = job.convert(true, &NoMonitor).unwrap();
         assert_eq!(report.resumed.map(|resumed| resumed.points), Some(kept_before));
         assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty(), "{source:?}");
-        // All is there: nothing is read again but the values that say what colours are made of.
+        // With all runs present, only the values that decide the source of colours are read again.
         fs::write(&job.options.output, &job.old).unwrap();
         job.convert(true, &InSecondPass(Stops::after(0))).unwrap_err();
         let stops = Stops::after(u64::MAX);
         let report = job.convert(true, &stops).unwrap();
         assert_eq!((report.resumed.map(|resumed| resumed.points), stops.points()), (Some(all), all));
         assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty(), "{source:?}");
-        // Other colours, or none, are other options.
+        // Other colours, or none, count as other options.
         job.convert(true, &InSecondPass(Stops::after(0))).unwrap_err();
         for colour in [
             ColourMode::Off,

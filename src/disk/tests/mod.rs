@@ -1,4 +1,4 @@
-//! Disks for tests: one that lets calls fail ([`Hooked`]), and a model that forgets what was not synced ([`model`]).
+//! Disks for tests: one that makes calls fail ([`Hooked`]), and a model that loses what was not synced ([`model`]).
 
 pub(crate) mod model;
 
@@ -32,14 +32,14 @@ pub(crate) enum Call {
     Lock,
 }
 
-/// What becomes of a call.
+/// Effect on a call.
 #[derive(Debug)]
 pub(crate) enum Verdict {
     Done,
     Fails(io::Error),
-    /// A read or write of half the bytes; anything else is done.
+    /// Reads or writes half the bytes; any other call succeeds.
     Short,
-    /// A write of half the bytes that then fails; anything else fails.
+    /// Writes half the bytes and then fails; any other call fails.
     Torn(io::Error),
 }
 
@@ -51,7 +51,7 @@ impl From<io::Result<()>> for Verdict {
 
 type Hook = Arc<Mutex<dyn FnMut(Call) -> Verdict + Send>>;
 
-/// Another disk, with a hook that is asked before each call.
+/// Another disk, with a hook called before each call.
 pub(crate) struct Hooked {
     disk: Arc<dyn Disk>,
     hook: Hook,
@@ -62,7 +62,7 @@ impl Hooked {
         Arc::new(Self { disk, hook: Arc::new(Mutex::new(hook)) })
     }
 
-    /// The real disk, whose calls fail if `hook` does.
+    /// Creates the real disk, whose calls fail when `hook` fails.
     pub fn real(mut hook: impl FnMut(Call) -> io::Result<()> + Send + 'static) -> Arc<Self> {
         Self::new(Arc::new(RealDisk), move |call| hook(call).into())
     }
@@ -78,7 +78,7 @@ impl fmt::Debug for Hooked {
     }
 }
 
-/// Asks the hook about a call without bytes.
+/// Passes a call without bytes to the hook.
 fn meet(hook: &Hook, call: Call) -> io::Result<()> {
     match ask(hook, call) {
         Verdict::Done | Verdict::Short => Ok(()),

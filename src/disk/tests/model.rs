@@ -1,12 +1,12 @@
-//! A disk in memory that records every change, and what a power loss may leave of it.
+//! Disk in memory that records every change, and the states that a power loss may leave.
 //!
-//! | step | what a power loss may undo, until … |
+//! | step | what a power loss may undo, and until when |
 //! |---|---|
-//! | a write | any of its blocks of 4 KiB, which then hold what was there before, or zeros; the length alone may be there; until its file is synced |
-//! | a name (created, renamed, removed) | that change of the name alone, in any order; until its folder is synced |
-//! | what a program said | nothing: whoever read it relies on it |
+//! | a write | any of its blocks of 4 KiB, which then hold what was there before, or zeros; or all of it but the new length; until its file is synced |
+//! | a name (created, renamed, removed) | that change of the name, in any order; until its folder is synced |
+//! | a report of the program | nothing: its reader relies on it |
 //!
-//! A killed process undoes nothing: all that it wrote stays, and its locks are gone.
+//! A killed process undoes nothing: all its writes stay, and its locks are released.
 
 use crate::bytes::FileId;
 use crate::disk::{About, Access, Disk, DiskFile, DiskFolder, FileKind};
@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Bytes that reach a disk together or not at all.
 const BLOCK: usize = 4096;
 
-/// A change of the disk.
+/// Change of the disk.
 #[derive(Debug, Clone)]
 pub(crate) enum Step {
     Create {
@@ -46,7 +46,7 @@ pub(crate) enum Step {
     SyncFolder {
         folder: PathBuf,
     },
-    /// What the program reported when it was done.
+    /// Report of the program.
     Said(&'static str),
 }
 
@@ -73,12 +73,12 @@ impl Content {
         self.names.keys().map(PathBuf::as_path)
     }
 
-    /// The same for contents that no program can tell apart.
+    /// Returns the same hash for contents that no program can distinguish.
     pub fn hash(&self) -> u64 {
         self.hash_but(|_| false)
     }
 
-    /// As [`hash`](Self::hash), but for the bytes of some files.
+    /// Like [`hash`](Self::hash), but ignoring the bytes of some files.
     pub fn hash_but(&self, without: impl Fn(&Path) -> bool) -> u64 {
         let mut hasher = DefaultHasher::new();
         for (path, file) in &self.names {
@@ -104,7 +104,7 @@ impl Content {
             Step::Rename { from, to, file } => {
                 self.names.remove(from);
                 self.names.insert(to.clone(), *file);
-                // A name can be durable before anything of its file is.
+                // A name can be durable before any content of its file is.
                 self.files.entry(*file).or_default();
             }
             Step::Remove { path } => drop(self.names.remove(path)),
@@ -113,20 +113,20 @@ impl Content {
     }
 }
 
-/// What becomes of a step that was not durable.
+/// Fate of a step that was not durable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Fate {
     Kept,
     Lost,
     /// The file has its new length, and the bytes are zeros.
     LengthOnly,
-    /// The first half of its bytes came through.
+    /// The first half of its bytes arrived.
     Half,
-    /// Which of its blocks came through, by the bits of a number that repeats.
+    /// The blocks that arrived are given by the bits of this number, repeated.
     Blocks(u64),
 }
 
-/// What was recorded: the content at the beginning, and the steps.
+/// Recording of a disk: the initial content, and the steps.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Recording {
     pub begin: Content,
@@ -134,13 +134,13 @@ pub(crate) struct Recording {
 }
 
 impl Recording {
-    /// Numbers of the steps that sync.
+    /// Returns the numbers of the steps that sync.
     pub fn syncs(&self) -> Vec<usize> {
         let is_sync = |step: &Step| matches!(step, Step::Sync { .. } | Step::SyncFolder { .. });
         (0..self.steps.len()).filter(|&at| is_sync(&self.steps[at])).collect()
     }
 
-    /// Whether each of the first `end` steps is durable after them, if sync number `without` does nothing.
+    /// Returns for each of the first `end` steps whether it is durable after them, if step `without` does nothing.
     pub fn durable(&self, end: usize, without: Option<usize>) -> Vec<bool> {
         let mut durable = vec![false; end];
         for (at, step) in self.steps[..end].iter().enumerate() {
@@ -162,7 +162,7 @@ impl Recording {
         durable
     }
 
-    /// What a power loss after the first `end` steps leaves, given the fate of those that are not `durable`.
+    /// Returns what a power loss after the first steps leaves, given the fate of those that are not `durable`.
     pub fn left(&self, durable: &[bool], mut fate: impl FnMut(usize) -> Fate) -> Content {
         let mut content = self.begin.clone();
         for (at, (step, &durable)) in self.steps.iter().zip(durable).enumerate() {
@@ -186,7 +186,7 @@ impl Recording {
         content
     }
 
-    /// Whether the program said so in the first `end` steps.
+    /// Returns whether the program reported `text` in the first `end` steps.
     pub fn said(&self, end: usize, text: &str) -> bool {
         self.steps[..end].iter().any(|step| matches!(step, Step::Said(said) if *said == text))
     }
@@ -199,12 +199,12 @@ struct State {
     locked: Vec<u64>,
 }
 
-/// A disk in memory. Every folder exists.
+/// Disk in memory. Every folder exists.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ModelDisk(Arc<Mutex<State>>);
 
 impl ModelDisk {
-    /// A disk that holds `content`, all of it durable.
+    /// Creates a disk that holds `content`, all of it durable.
     pub fn new(content: Content) -> Arc<Self> {
         let recording = Recording { begin: content.clone(), steps: Vec::new() };
         Arc::new(Self(Arc::new(Mutex::new(State { content, recording, locked: Vec::new() }))))
@@ -218,7 +218,7 @@ impl ModelDisk {
         self.state().recording.clone()
     }
 
-    /// Notes what a program reported.
+    /// Records a report of the program.
     pub fn say(&self, text: &'static str) {
         self.state().recording.steps.push(Step::Said(text));
     }
