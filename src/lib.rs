@@ -177,6 +177,6 @@ pub use nalgebra;
 mod pages {
     #[doc = include_str!("../README.md")]
     struct Readme;
-    #[doc = include_str!("../docs/meshes.md")]
+    #[doc = include_str!("../docs/formats.md")]
     struct Meshes;
 }

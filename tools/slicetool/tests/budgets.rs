@@ -1,5 +1,5 @@
 //! Hostile archives and a large sound one under limits of the system: every command ends by itself, in a stated amount of memory, with
-//! an answer or one line. `docs/budgets.md` has the amounts.
+//! an answer or one line. `docs/convert.md` has the amounts.
 //!
 //! `SLICEWALK_BUDGET_TILES` sets how many tiles the sound one has along each side, of 4,096 voxels each.
 #![cfg(target_os = "linux")]

@@ -39,7 +39,7 @@ pub fn store(scan: &Path, pixel_m: f64) -> Result<Store> {
     Ok(Store::resident(&Archive::open(folder.path().join("scan.slices"))?, &NoMonitor)?)
 }
 
-/// The way up the stairs and back that `docs/walking.md` tells of.
+/// The way up the stairs and back that `docs/walk-and-routes.md` follows.
 pub fn route() -> Result<Vec<Point2<f64>>> {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/route-indoor.csv"))?;
     let place = |line: &str| {

@@ -2,7 +2,7 @@
 //!
 //! A cylinder rests on the highest surface under it that it climbs onto from the surface under its middle. It stands there if nothing is in it,
 //! and if what it rests on is floor: a surface up to 45° steep lies under it, at most 5 cm below its feet. A claim may take the surface under the
-//! middle within one pixel (`docs/reach.md`).
+//! middle within one pixel (`docs/walk-and-routes.md`).
 
 use scangen::{Scene, Truth};
 
