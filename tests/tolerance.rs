@@ -92,7 +92,7 @@ fn heights_move_outwards_within_the_tolerance_and_every_point_is_a_hit() {
         let bytes = facts["bytes"]["file"].as_u64().unwrap();
         assert!(bytes < least, "{bytes} and {least} bytes at {tolerance}");
         least = bytes;
-        assert_eq!(facts["format_version"], "1.5");
+        assert_eq!(facts["format_version"], "1.0");
         assert!(facts.get("tolerance_auto").is_none());
         verifies(&at.join("loose.slices"));
         let loose = Archive::open(at.join("loose.slices")).unwrap();

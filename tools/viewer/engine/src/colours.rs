@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn a_request_for_colours_is_given_up_while_a_pawn_waits() {
-        let bytes = include_bytes!("../../../../tests/golden/colours.slices");
+        let bytes = include_bytes!("../../../../spec/samples/colours.slices");
         assert_gives_up(bytes, [3.2, 3.2, 20.0], [16.0, -16.0, 97.0], false, &(0..u64::MAX));
     }
 
