@@ -322,7 +322,7 @@ fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
 /// Puts all pages of `part` into `writer`, which is of `plan`.
 fn copy(part: &OpenShard<'_>, plan: &Plan, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
-    let mut encoder = PageEncoder::of_plan(plan).for_levels(writer.has_levels());
+    let encoder = PageEncoder::of_plan(plan).for_levels(writer.has_levels());
     let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
     let mut colours = ColourReader::new(&archive).map_err(|error| named(part.path, error))?;
     let (mut coloured, mut pixels) = (0, PageDecoder::new());

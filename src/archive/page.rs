@@ -148,12 +148,7 @@ pub struct PageEncoder {
 impl PageEncoder {
     /// An encoder for pages of an archive with this grid and no tolerance, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
-        Self {
-            encoder: Encoder::new(frame, 0),
-            magic: MAGIC,
-            levels: true,
-            body: Vec::new(),
-        }
+        Self { encoder: Encoder::new(frame, 0), magic: MAGIC, levels: true, body: Vec::new() }
     }
 
     /// An encoder for pages of an archive of this plan.

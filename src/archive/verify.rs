@@ -343,7 +343,7 @@ impl Pass<'_> {
             return Some(spans.clone());
         }
         let page = self.archive.page_with(entry, &mut self.decoder).ok()?;
-        Some(self.keep_coarse(content, coarse(&page, self.archive.header().level_steps())))
+        Some(self.keep_coarse(content, coarse(&page)))
     }
 
     fn keep_coarse(&mut self, content: Content, spans: Vec<CoarseSpan>) -> Arc<[CoarseSpan]> {

@@ -283,8 +283,7 @@ pub fn with_inferred(
             if least > span.top() || most < span.bottom() {
                 continue;
             }
-            let lower =
-                grid.at_or_above(span.bottom() + 1).checked_sub(1).map(|step| grid.usual(step, End::Bottom));
+            let lower = grid.at_or_above(span.bottom() + 1).checked_sub(1).map(|step| grid.usual(step, End::Bottom));
             let upper = grid.usual(grid.at_or_above(span.top().saturating_sub(1)), End::Top);
             let within =
                 |height: i32, exact: u32| height as u32 + tolerance >= exact && height as u32 <= exact + tolerance;

@@ -48,8 +48,7 @@ impl HeightsOf {
     /// Returns whether `page` has an encoding. Every page of a scan has, at worst with every quantum as a step; heights of levels must
     /// lie on thirds of a slice.
     pub fn admits(&self, page: &Page) -> bool {
-        let on_step =
-            |span: &Span| span.bottom().is_multiple_of(LEVEL_STEP) && span.top().is_multiple_of(LEVEL_STEP);
+        let on_step = |span: &Span| span.bottom().is_multiple_of(LEVEL_STEP) && span.top().is_multiple_of(LEVEL_STEP);
         matches!(self, Self::Scan(_)) || page.spans_of_blocks().all(|spans| spans.iter().all(on_step))
     }
 }
@@ -147,10 +146,10 @@ impl StepGrid {
         heights: &[(u32, End)],
         phase: impl Fn(i64, i64, i64) -> i64,
     ) -> Option<Self> {
-        if let HeightsOf::Level = of {
+        let HeightsOf::Scan(frame) = of else {
             let step = if heights.is_empty() { SLICE_QUANTA as u32 } else { LEVEL_STEP };
             return Self::new(u64::from(step) << FRACTION_BITS, 0);
-        }
+        };
         if heights.len() < LEAST_HEIGHTS {
             return None;
         }
@@ -160,13 +159,7 @@ impl StepGrid {
             let step = grid.step as i64;
             Some(Self { phase: phase(step, low, high).rem_euclid(step) as u64, ..grid })
         };
-        if let Some(found) = steps.iter().find_map(|&step| with_step(step)) {
-            return Some(found);
-        }
-        match of {
-            HeightsOf::Scan(frame) => Self::steps_of_scans(frame).find_map(with_step),
-            HeightsOf::Level(steps) => with_step(u64::from(steps.quanta()) << FRACTION_BITS),
-        }
+        steps.iter().copied().chain(Self::steps_of_scans(frame)).find_map(with_step)
     }
 
     /// Steps that scans have on this grid (1/2³² quantum), coarse to fine; some are out of the limits of a grid.

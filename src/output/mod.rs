@@ -20,9 +20,9 @@
 
 mod target;
 
-pub(crate) use target::{ARCHIVE_MAGIC, DRAFT_MAGIC};
 #[cfg(feature = "convert")]
 pub(crate) use target::PLAN_KEY;
+pub(crate) use target::{ARCHIVE_MAGIC, DRAFT_MAGIC};
 pub use target::{Existing, OutputKind, Protected, is_standard};
 
 use crate::bytes::{ByteSource, FileSource, local};

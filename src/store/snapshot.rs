@@ -14,7 +14,6 @@ use super::table::{KeyBounds, SlotTable, TileTable};
 use super::{PageSet, PageSlot};
 use crate::archive::{PageEntry, Storage};
 use crate::frame::{Frame, PageKey};
-use crate::plan::Plan;
 use crate::slice::Page;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -73,7 +72,7 @@ impl Index {
     pub const LEAST_PAGE_BYTES: usize =
         size_of::<PageEntry>() + size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>();
 
-    pub fn new(Plan { frame, options }: &Plan, entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
+    pub fn new(frame: Frame, entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
         let contents = contents(&entries);
         let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();
         let entries = SlotTable::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
@@ -95,7 +94,6 @@ impl Index {
         }
         groups.push(first as u32);
         let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
-        let frame = *frame;
         Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), ignores_inferred }
     }
 

@@ -150,7 +150,7 @@ impl Start {
             return Ok(StartTurn::Wait(None));
         }
         let entries: Vec<PageEntry> = std::mem::take(&mut self.entries).into_values().flatten().collect();
-        let index = Index::new(&catalog.header().plan, entries, catalog.ignores_inferred());
+        let index = Index::new(catalog.header().plan.frame, entries, catalog.ignores_inferred());
         let (pages, bytes) = (index.len() as u64, index.weight_bytes());
         self.table = None;
         let table = account.take(bytes).ok_or_else(|| too_small(account, pages, bytes))?;

@@ -1,9 +1,7 @@
 //! Damaged and forged samples. Forged ones have right checksums and break the one rule that says so.
 
 use crate::common::forge::{Parts, put, word};
-use crate::common::{
-    archive, archive_in_colour, archive_of, archive_with_colours, key, page, plan, scene, two_pixels,
-};
+use crate::common::{archive, archive_in_colour, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
 use slicewalk::archive::{Archive, Totals};
 use slicewalk::codec::{Encoder, Packer};
 use slicewalk::colour::{ColourPlan, ColourScale};

@@ -2,8 +2,8 @@
 
 use crate::common::forge::{Parts, put};
 use crate::common::{
-    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, key, page, plan,
-    scene, two_pixels,
+    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, key, page, plan, scene,
+    two_pixels,
 };
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::colour::ColourScale;

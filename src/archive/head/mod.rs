@@ -12,13 +12,13 @@ pub use header::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub(super) use root::{Leaf, decode_root, leaf_entries};
 
 use super::colours::ColourHead;
+use crate::Error;
 use crate::Result;
 use crate::bytes::crc;
 use crate::codec::Violation;
 use crate::colour::{ColourScale, ColourSource};
-use crate::output::DRAFT_MAGIC;
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
-use crate::Error;
+use crate::output::DRAFT_MAGIC;
 
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
 pub(super) const MAX_HEAD: usize = 16_384;

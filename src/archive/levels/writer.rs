@@ -10,7 +10,7 @@ use super::super::spill::{Entries, Spool, write_leaves};
 use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
 use super::colours::{CoarseColour, VoxelSum, exact};
-use super::{LEVEL_STEPS, LevelRecord, Levels, encode_table};
+use super::{LevelRecord, Levels, encode_table};
 use crate::Result;
 use crate::bytes::crc;
 use crate::codec::ColourEncoder;

@@ -112,9 +112,6 @@ pub(super) struct Traversal<'a> {
     last_off: &'a mut [[u8; 1 << 14]; 2],
 }
 
-/// A height of a span: the quantum and the step.
-type Height = (u32, u32);
-
 impl Traversal<'_> {
     /// What a height of `end` would take (1/64 bit) near step `expected`, which steps of `context` code: a step, and how far
     /// the height lies off its usual one; or a slice boundary.
@@ -145,7 +142,11 @@ impl Traversal<'_> {
     fn blocks(&mut self, (occupied, full): (u64, u64)) {
         for block in 0..64 {
             let kind = |exists: bool, back: u32| {
-                if exists { (occupied >> (block - back) & 1) as usize + (full >> (block - back) & 1) as usize } else { 0 }
+                if exists {
+                    (occupied >> (block - back) & 1) as usize + (full >> (block - back) & 1) as usize
+                } else {
+                    0
+                }
             };
             let context = kind(block % 8 > 0, 1) * 3 + kind(block >= 8, 8);
             if self.coder.bit(&mut self.models.occupied[context], occupied >> block & 1 == 1) {
@@ -337,8 +338,7 @@ fn walk<'a>(
                 let candidates = candidates(spans, &mut around, below);
                 let span = given.chosen(span, (pixel, index), &candidates, &traversal);
                 let (bottom, top) = (span.bottom(), span.top());
-                let bottom_step =
-                    traversal.height(End::Bottom, candidates.bottom_context(), candidates.bottom, bottom);
+                let bottom_step = traversal.height(End::Bottom, candidates.bottom_context(), candidates.bottom, bottom);
                 let expected = bottom_step as i32 + candidates.thickness;
                 let top_step = traversal.height(End::Top, candidates.thickness_context(), expected, top);
                 let context = candidates.kind_context() * 2 + usize::from(top - bottom > SLICE / 4);
@@ -385,7 +385,9 @@ pub(super) fn choose<'a>(given: impl Given<'a>, tried: &mut Tried, scratch: &mut
 fn code_grid(coder: &mut RansEncoder, given: StepGrid) {
     if coder.raw(1, u32::from(!given.is_quanta())) == 1 {
         for number in [given.step, given.phase] {
-            (0..GRID_BITS / 10).rev().for_each(|at| drop(coder.raw(10, (number >> (10 * at) & 0x3FF) as u32)));
+            for at in (0..GRID_BITS / 10).rev() {
+                coder.raw(10, (number >> (10 * at) & 0x3FF) as u32);
+            }
         }
     }
 }

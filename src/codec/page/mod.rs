@@ -245,8 +245,7 @@ fn walk<C: Strands>(
     let rows = pixels::occupancy(&mut coder, models, page)?;
     taker.begin(&rows);
     let mut given = page.map(Rows::of);
-    let mut walk =
-        Walk { coder, grid, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
+    let mut walk = Walk { coder, grid, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
     **row_pair = [Row::EMPTY; 2];
     for (py, &row) in rows.iter().enumerate() {
         let [even, odd] = &mut **row_pair;
