@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
+/// Writes the scene's surfaces as triangles of three vertices each, in groups `g LABEL_INDEX`; returns their number.
 ///
 /// Curved surfaces are cut into steps of at most `step_m` `[m, > 0]`: polygons are exact, the vertices of others lie on
 /// the surface. No vertex is shared; coordinates are printed so that they read back to the same `f64`.
