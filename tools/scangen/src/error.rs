@@ -33,7 +33,7 @@ pub enum Error {
     Output {
         /// The file being written.
         path: PathBuf,
-        /// What does not fit, and what to do.
+        /// Part that does not fit, and what to do.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-// What is shown around the pawn: how far, in which colours, and between which heights.
+// Visible surroundings of the pawn: how far, in which colours, and between which heights.
 
 import type { Vec3 } from "slicewalk";
 import type { Mode } from "./address";
