@@ -80,8 +80,8 @@ fn a_fall_with_a_quarter_of_the_memory_still_misses_nothing_and_keeps_the_budget
     assert!(counters.peak_bytes <= BUDGET / 4 && counters.evicted > 0, "{counters:?}");
 }
 
-/// Falls through the tower as a walker, with the stream's own thread, on a clock that the test moves: a read takes 2
-/// ms, a frame 1/60 s. Returns frames, frames with a missing page, and the counters.
+/// Falls through the tower as a walker, with the stream's own thread, on a clock that the test moves: a read takes
+/// 2 ms, a frame 1/60 s. Returns frames, frames with a missing page, and the counters.
 fn fall_of_a_walker(prefetch: Prefetch, budget: usize) -> (u32, u32, Counters) {
     let source = Arc::new(ClockSource::new(MemorySource::new(&TOWER[..]), READ_S));
     let stream = Stream::open(open(source.clone()), options(budget, prefetch)).unwrap();

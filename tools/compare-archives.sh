@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Checks that two builds of sliceconv make the same bytes: runs the same conversions with both and compares the archives.
+# Checks that two builds of sliceconv make the same bytes: runs equal conversions with both and compares the archives.
 #
 #   tools/compare-archives.sh OLD/sliceconv NEW/sliceconv [SCANGEN]
 #

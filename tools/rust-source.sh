@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Prints, for `eval`, the variables of a Rust compiler with the source of its standard library, for targets that rustup has not
-# installed. Debian's packages are unpacked into FOLDER, never installed, so the system's cargo does not change.
+# Prints, for `eval`, the variables of a Rust compiler with the source of its standard library, for targets that rustup
+# has not installed. Debian's packages are unpacked into FOLDER, never installed, so the system's cargo does not change.
 #
 #   eval "$(tools/rust-source.sh FOLDER)"
 #   cargo build -Z build-std=std,panic_abort --target ...

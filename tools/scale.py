@@ -52,8 +52,8 @@ class Constants:
     read_again: float = 0.15
     """Fraction of the input that parts read in addition to their own: files cut by the border of a part."""
     requests_a_tile: float = 12.0
-    """Requests to inspect a tile: header, records, chunk table, eight samples. The plan sends them for all tiles, a part for
-    those that meet its columns."""
+    """Requests to inspect a tile: header, records, chunk table, eight samples. The plan sends them for all tiles, a
+    part for those that meet its columns."""
     tiles_a_list: float = 1000.0
     """Names per answer when a store lists a folder; every part lists its inputs."""
     plan_bytes_a_tile: float = 390.0
@@ -163,7 +163,7 @@ def depth(parts: int, fan_in: int) -> int:
 
 
 def simulate(survey: Survey, constants: Constants, cluster: Cluster, seed: int) -> dict[str, float]:
-    """Return seconds until all parts are done and until the whole is, busy fraction of the workers, and lost attempts."""
+    """Return seconds until all parts and until the whole are done, busy fraction of the workers, and lost attempts."""
     dice = random.Random(seed)
     mean = survey.points * (1 + constants.read_again) / constants.points_a_second / cluster.parts
     lengths = [mean * dice.lognormvariate(-(cluster.unequal**2) / 2, cluster.unequal) for _ in range(cluster.parts)]

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Prints, for `eval`, the variables of a toolchain that builds for x86_64-pc-windows-gnu and runs its programs under wine and, as
-# WINDOWS_FLAGS, the flags of cargo. Uses rustup's target if it is installed; otherwise `tools/rust-source.sh` unpacks a compiler
-# into FOLDER. Installs mingw-w64 and wine by apt-get if they are missing.
+# Prints, for `eval`, the variables of a toolchain that builds for x86_64-pc-windows-gnu and runs its programs under wine
+# and, as WINDOWS_FLAGS, the flags of cargo. Uses rustup's target if it is installed; otherwise `tools/rust-source.sh`
+# unpacks a compiler into FOLDER. Installs mingw-w64 and wine by apt-get if they are missing.
 #
 #   eval "$(tools/windows.sh FOLDER)"
 #   cargo test --target x86_64-pc-windows-gnu $WINDOWS_FLAGS ...

@@ -2,8 +2,8 @@
 # Builds the viewer: the engine as wasm, its package (tools/viewer/package/dist) and the page (tools/viewer/dist). `--engine` leaves
 # the page out.
 #
-# Needs Node.js 20.19 or newer with npm, clang, and a wasm toolchain (toolchain.sh gets one). SLICEWALK_WASM_TOOLCHAIN is the
-# folder of that toolchain; by default it is in the target folder.
+# Needs Node.js 20.19 or newer with npm, clang, and a wasm toolchain (toolchain.sh gets one). SLICEWALK_WASM_TOOLCHAIN is
+# the folder of that toolchain; by default it is in the target folder.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 target=${CARGO_TARGET_DIR:-$PWD/target}
@@ -29,8 +29,8 @@ variables=$("$viewer/toolchain.sh" "${SLICEWALK_WASM_TOOLCHAIN:-$target/wasm-too
 rm -rf "$viewer/package/src/wasm"
 "$target/viewer-bindgen/debug/viewer-bindgen" \
     "$target/wasm/wasm32-unknown-unknown/wasm/slicewalk_engine.wasm" "$viewer/package/src/wasm"
-# Removes what the compiler leaves: duplicate functions, unused parameters and stores. Passes that shrink the module by renaming and
-# reordering locals (-Os, -Oz) make its compressed form larger.
+# Removes what the compiler leaves: duplicate functions, unused parameters and stores. Passes that shrink the module by
+# renaming and reordering locals (-Os, -Oz) make its compressed form larger.
 (
     cd "$viewer/bindgen"
     npm ci --no-audit --no-fund --loglevel=error

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Prints, for `eval`, the variables of a toolchain for wasm32-unknown-unknown and, as WASM_FLAGS, the flags of cargo. Uses rustup's
-# target if it is installed; otherwise `tools/rust-source.sh` unpacks a compiler into FOLDER.
+# Prints, for `eval`, the variables of a toolchain for wasm32-unknown-unknown and, as WASM_FLAGS, the flags of cargo. Uses
+# rustup's target if it is installed; otherwise `tools/rust-source.sh` unpacks a compiler into FOLDER.
 #
 #   eval "$(tools/viewer/toolchain.sh FOLDER)"
 #   cargo build --target wasm32-unknown-unknown $WASM_FLAGS ...

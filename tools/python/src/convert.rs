@@ -99,7 +99,7 @@ pub fn convert<'py>(
     dictionary(py, &facts)
 }
 
-/// Writes a plan that fixes grid, options and inputs of a conversion. ``convert(..., plan=, shard=)`` converts its parts.
+/// Writes a plan that fixes grid, options and inputs of a conversion; ``convert(..., plan=, shard=)`` converts parts.
 ///
 /// Args:
 ///     inputs: as for :func:`convert`

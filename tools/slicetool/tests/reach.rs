@@ -29,8 +29,8 @@ fn to_archive(scan: PathBuf, folder: &Path) {
     convert(&options, &NoMonitor).unwrap();
 }
 
-/// A floor of 8 × 4 m at z = 1 within walls 2.5 m high, with a hole of 1 × 1 m around (6, 2) and a wall with a door 0.9
-/// m wide at x = 4.
+/// A floor of 8 × 4 m at z = 1 within walls 2.5 m high, with a hole of 1 × 1 m around (6, 2) and a wall with a door
+/// 0.9 m wide at x = 4.
 fn room() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = |n: i32| f64::from(n) * 0.025 + 0.0125;

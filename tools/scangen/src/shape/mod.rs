@@ -3,7 +3,7 @@
 //!
 //! | shape | distance to a box |
 //! |---|---|
-//! | [`Polygon`] planar, convex, any orientation | exact: separating axes, else the closest vertex, corner or edge pair |
+//! | [`Polygon`] planar, convex, any plane | exact: separating axes, else the closest vertex, corner or edge pair |
 //! | [`Cylinder`] vertical, lateral surface only | exact: circle against rectangle in plan, interval in height |
 //! | [`Disc`] horizontal | exact, like a cylinder |
 //! | [`Terrain`] height field, a sum of sines | numeric, error at most [`Terrain::TOLERANCE_M`] |

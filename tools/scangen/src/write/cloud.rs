@@ -37,8 +37,8 @@ impl CloudFormat {
 }
 
 /// Writes samples to `path`, replacing an existing file, with the scale and offset of `spec`. A new cloud begins after
-/// every `cloud_points` (> 0) points, except in XYZ. The same samples give the same bytes. Memory: 1 MiB, and a packet of
-/// E57.
+/// every `cloud_points` (> 0) points, except in XYZ. The same samples give the same bytes. Memory: 1 MiB, and an E57
+/// packet.
 ///
 /// Fails if a point does not fit into 32-bit coordinates at the spec's scale and offset; the file is then incomplete.
 pub fn write_clouds(

@@ -184,8 +184,8 @@ pub fn write_las(path: &Path, points: impl IntoIterator<Item = Vec3>, spec: &Wri
     )
 }
 
-/// Writes samples to `path`, replacing an existing file, in bounded memory (1 MiB, and a chunk for LAZ). The same samples
-/// and spec give the same bytes. Outliers and mixed pixels get class 7.
+/// Writes samples to `path`, replacing an existing file, in bounded memory (1 MiB, and a chunk for LAZ). The same
+/// samples and spec give the same bytes. Outliers and mixed pixels get class 7.
 ///
 /// Fails if a point does not fit into 32-bit coordinates at the spec's scale and offset; the file is then incomplete.
 pub fn write_samples(path: &Path, samples: impl IntoIterator<Item = Sample>, spec: &WriteSpec) -> Result<Written> {

@@ -18,8 +18,8 @@ const MOST_PIXELS: i64 = 1 << 28;
 /// Rows of a strip, which readers load as a unit.
 const STRIP: i64 = TILE_PIXELS;
 
-/// Writes the highest floor of each pixel, at most `highest` (m) if given; returns width and height. Samples have 32
-/// bits if these resolve a quantum of height, otherwise 64. Memory: a row of tiles, and an entry per page.
+/// Writes the highest floor of each pixel, at most `highest` (m) if given; returns width and height. Samples have
+/// 32 bits if these resolve a quantum of height, otherwise 64. Memory: a row of tiles, and an entry per page.
 pub fn tif(
     archive: &Archive,
     path: &Path,
