@@ -1,4 +1,4 @@
-//! Asks many boxes at once: the share of a storey in which a pawn of 0.5 × 0.5 × 1.8 m touches nothing.
+//! Queries many boxes at once: the fraction of a storey in which a pawn of 0.5 × 0.5 × 1.8 m touches nothing.
 //! `batches ARCHIVE.slices FEET_Z`
 
 use nalgebra::{Point3, Vector3};

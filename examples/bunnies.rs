@@ -1,7 +1,7 @@
-//! Bodies of a mesh fly about in a box, 60 frames a second, and turn back where they touch each other.
+//! Flies bodies of a mesh around in a box at 60 frames a second; they turn back where they touch each other.
 //!
-//! `cargo run --release --example bunnies -- bunny.ply [COUNT]`; the Stanford bunny is one such mesh. Prints how long a
-//! frame's collision takes. The first look at two bodies is their balls; [`touches`] decides.
+//! `cargo run --release --example bunnies -- bunny.ply [COUNT]`; the Stanford bunny is one such mesh. Prints the time
+//! of a frame's collision tests. Bounding spheres are compared first; [`touches`] decides.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use slicewalk::NoMonitor;
@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let model = Model::from_triangles(Frame::new(pixel, 3.0 * pixel)?, &triangles, false)?;
     println!("{} triangles, {} spans, {} kB", triangles.len(), model.span_count(), model.weight_bytes() / 1000);
 
-    // Side by side to begin with, then every which way.
+    // Start side by side, then move in random directions.
     let side = (count as f64).cbrt().ceil() as usize;
     let middle =
         |n: usize| Vector3::new((n % side) as f64, (n / side % side) as f64, (n / side / side) as f64) * size * 1.8;
@@ -79,7 +79,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         (worst, total) = (worst.max(micros), total + micros);
         for (a, b) in touched {
             contacts += 1;
-            // Back to where they did not touch, and away from each other.
+            // Move back to where the bodies did not touch, and away from each other.
             let apart = bodies[a].pose.translation.vector - bodies[b].pose.translation.vector;
             let away = apart.try_normalize(1e-12).unwrap_or(Vector3::x());
             for (n, sign) in [(a, 1.0), (b, -1.0)] {

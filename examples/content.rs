@@ -1,4 +1,5 @@
-//! Prints all content of an archive as JSON, as the second reader does: `spec/reader.py --twin` compares the two.
+//! Prints the whole content of an archive as JSON, like the second reader does: `spec/reader.py --twin` compares the
+//! two.
 
 #[path = "../tests/common/content.rs"]
 mod content;

@@ -1,4 +1,4 @@
-//! Converts scans or meshes into an archive, with progress on standard error: `convert INPUT... OUT.slices`.
+//! Converts scans or meshes to an archive, with progress on standard error: `convert INPUT... OUT.slices`.
 
 use slicewalk::convert::{ConvertOptions, convert};
 use slicewalk::{Monitor, Warning};

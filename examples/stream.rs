@@ -1,4 +1,4 @@
-//! Streams pages around a pawn that walks straight on for ten seconds: `stream ARCHIVE.slices X,Y,Z HEADING_DEG`.
+//! Streams pages around a pawn that walks straight ahead for ten seconds: `stream ARCHIVE.slices X,Y,Z HEADING_DEG`.
 
 use nalgebra::{Point3, Vector2};
 use slicewalk::archive::Archive;
@@ -21,12 +21,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let stream = Stream::open(Archive::open(path)?, StreamOptions::new(16 << 20))?;
     let mut body = stream.pawn();
     let mut pawn = Walker::new(Config::default(), Point3::new(x, y, z))?;
-    stream.load_around(&pawn.outlook(stream.archive().frame()))?; // blocks: a loading screen
+    stream.load_around(&pawn.outlook(stream.archive().frame()))?; // blocks, like a loading screen
     for frame in 0..600 {
         body.hint(&pawn.outlook(stream.archive().frame()));
         let report = pawn.step(&stream.view(), FRAME_S, Wish::Direction(ahead));
         if let Some(missing) = report.missing {
-            body.need(&missing); // the pawn waits in place until these pages are there
+            body.need(&missing); // the pawn waits in place until these pages are loaded
         }
         if frame % 60 == 0 {
             let at = pawn.feet();

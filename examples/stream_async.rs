@@ -1,5 +1,5 @@
-//! Walks in an archive on a web server or in an object store, without a thread of the library: fetches are tasks, and the
-//! loader says which. `cargo run --features remote --example stream_async -- https://host/scan.slices X,Y,Z`
+//! Walks in an archive on a web server or in an object store without a thread of the library: fetches are tasks, and
+//! the loader decides which. `cargo run --features remote --example stream_async -- https://host/scan.slices X,Y,Z`
 
 use nalgebra::{Point3, Vector2};
 use object_store::{GetOptions, GetRange, ObjectStore};
@@ -20,7 +20,7 @@ async fn walk() -> Result<(), Box<dyn std::error::Error>> {
     let [url, start] = &arguments[..] else { return Err("usage: stream_async URL X,Y,Z".into()) };
     let start = start.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>()?;
     let [x, y, z] = start[..] else { return Err("the start is X,Y,Z".into()) };
-    // Cryptography for TLS is the program's choice; its own features of `object_store` may bring one instead.
+    // The program chooses the cryptography for TLS; its own features of `object_store` may provide one instead.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let (store, path) = object_store::parse_url(&url::Url::parse(url)?)?;
     let store: Arc<dyn ObjectStore> = store.into();
@@ -30,7 +30,7 @@ async fn walk() -> Result<(), Box<dyn std::error::Error>> {
     let mut pawn = Walker::new(Config::default(), Point3::new(x, y, z))?;
     let (mut frames, mut next_frame) = (0, Duration::ZERO);
     while frames < 600 {
-        // All that is to be done now.
+        // Everything that is due now.
         let again = loop {
             match loader.poll(origin.elapsed())? {
                 Next::Fetch(fetch) => {
@@ -46,12 +46,12 @@ async fn walk() -> Result<(), Box<dyn std::error::Error>> {
                     });
                 }
                 Next::Report(page) => eprintln!("{}: {}", page.key, page.error),
-                // Its answer will be ignored.
+                // The answer will be ignored.
                 Next::Cancel(_) => {}
                 Next::Wait(again) => break again.unwrap_or(Duration::MAX).min(next_frame),
             }
         };
-        // An answer, or the next frame.
+        // Wait for an answer or the next frame.
         let pause = again.saturating_sub(origin.elapsed());
         let answer = match fetches.is_empty() {
             true => {

@@ -1,4 +1,4 @@
-//! A frame allocates nothing and frees nothing: queries, sweeps, walkers, crowds, views and hints, whatever they answer
+//! A frame allocates and frees nothing: queries, sweeps, walkers, crowds, views and hints, whatever they answer
 //! (guarantee G8).
 
 #[path = "common/random.rs"]
@@ -37,7 +37,7 @@ fn no_query_allocates() {
     assert!(not_loaded > 0, "some pages were missing");
 }
 
-/// Asks every kind of question about random boxes, allocating nothing; how many need a page that is not there.
+/// Runs every kind of query on random boxes, without allocation; returns how many need a missing page.
 fn ask_everything<S: PageSet>(store: &S, scene: &Scene, random: &mut scene::Random) -> usize {
     let boxes: Vec<Aabb> = (0..100).map(|_| scene.random_box(random)).collect();
     let mut answers = vec![Overlap::Clear; boxes.len()];
@@ -107,7 +107,7 @@ fn no_walker_and_no_crowd_allocates() {
     assert!(walkers_and_a_crowd(&empty.view()) > 0, "no page is there");
 }
 
-/// Walks all walkers, alone and as a crowd, allocating nothing; how often one had to wait.
+/// Walks all walkers, alone and as a crowd, without allocation; returns how often one had to wait.
 fn walkers_and_a_crowd<S: PageSet>(store: &S) -> u32 {
     let mut route = Waypoints::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
     let (mut walkers, mut waits) = (walkers(), 0);
@@ -122,7 +122,7 @@ fn walkers_and_a_crowd<S: PageSet>(store: &S) -> u32 {
     waits
 }
 
-/// While the prefetcher loads and evicts pages on its own thread.
+/// The prefetcher loads and evicts pages on its own thread meanwhile.
 #[test]
 fn no_frame_on_a_stream_allocates() {
     let options = StreamOptions { prefetch: Prefetch::Thread, ..StreamOptions::new(2 << 20) };
@@ -132,7 +132,7 @@ fn no_frame_on_a_stream_allocates() {
     let mut waits = 0;
     for frame in 0..600 {
         if frame % 60 == 0 {
-            // To where nothing is in memory.
+            // Moves to where nothing is in memory.
             let at = f64::from(frame / 60 % 4);
             walkers[0].place(Point3::new(1.5 - at, 3.0 - 2.0 * at, 3.1 * at + 0.1));
         }

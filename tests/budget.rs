@@ -1,4 +1,4 @@
-//! The budget of a loader is what it takes: the heap is counted, byte by byte (guarantee G5).
+//! A loader's memory stays within its budget: the heap is counted, byte by byte (guarantee G5).
 
 #[path = "common/random.rs"]
 mod random;
@@ -15,7 +15,7 @@ use slicewalk::store::{Loader, LoaderOptions, Next};
 use std::time::Duration;
 use tower::{Body, Random};
 
-/// The one test of this file: others would allocate beside it.
+/// The only test of this file, because others would allocate at the same time.
 #[test]
 fn the_heap_never_holds_more_than_the_budget() {
     let bytes = tower::tower(4.0, 60.0, 1);
@@ -24,7 +24,7 @@ fn the_heap_never_holds_more_than_the_budget() {
     }
 }
 
-/// Hints at places all over the tower, so that pages come and go.
+/// Hints at places all over the tower, so that pages are loaded and evicted.
 fn stays_within(bytes: &[u8], budget: usize, fetches: usize) {
     let source = MemorySource::new(bytes);
     let (counters, peak) = measured(|| {

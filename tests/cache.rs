@@ -1,4 +1,4 @@
-//! The cache of a stream: its budget, what views hold, shared pages, no allocation, many threads at once.
+//! The cache of a stream: its budget, pages held by views, shared pages, no allocation, many threads.
 
 mod common;
 #[path = "common/counting.rs"]
@@ -40,7 +40,7 @@ fn a_frame_of_queries_allocates_and_frees_nothing_while_pages_come_and_go() {
     let (start, mut frame) = (Instant::now(), 0);
     while frame < 2000 || stream.counters().evicted < 100 && start.elapsed() < Duration::from_secs(60) {
         frame += 1;
-        // Jumps all the time, so that the thread is always loading and evicting.
+        // Jumps constantly, so that the thread is always loading and evicting.
         let body = Body::at(random.between(-3.0, 3.0), random.between(-3.0, 3.0), random.between(0.0, 90.0));
         let (shape, motion) = (body.shape(), body.motion());
         let ray = Ray::new(body.feet, [1.0, 0.2, -0.3].into(), 4.0).unwrap();
@@ -68,7 +68,7 @@ fn a_frame_of_queries_allocates_and_frees_nothing_while_pages_come_and_go() {
 fn pages_that_a_view_sees_stay_and_count_until_it_is_dropped() {
     let (here, there) = (Body::at(0.9, 0.9, 10.0), Body::at(0.9, 0.9, 70.0));
     let needed = |body: &Body| stream(BUDGET, Prefetch::Off).load_around(&body.motion()).unwrap().needed_bytes;
-    // Enough for either place, not for both.
+    // Enough for either place, but not for both.
     let budget = needed(&here).max(needed(&there));
     let stream = stream(budget, Prefetch::Manual);
     let mut pawn = stream.pawn();
@@ -159,7 +159,7 @@ fn a_budget_too_small_for_a_page_loads_none_and_says_how_much_is_needed() {
     let table = stream(1 << 20, Prefetch::Off).counters().table_bytes;
     let motion = Body::at(0.9, 0.9, 10.0).motion();
     for prefetch in [Prefetch::Off, Prefetch::Manual] {
-        // The leaf was decoded in what is left for pages, but these are larger.
+        // The leaf was decoded in the space left for pages, but these are larger.
         let stream = stream(table * 195 / 100, prefetch);
         let report = stream.load_around(&motion).unwrap();
         assert!(report.loaded == 0 && report.left_out > 0);
@@ -211,7 +211,7 @@ fn a_file_that_is_cut_or_replaced_is_an_error_or_the_old_archive() {
         let pawn = stream.pawn();
         (stream, pawn)
     };
-    // Replaced by rename, as archives are published: the old one stays until it is closed.
+    // Replaced by a rename, as archives are published: the old file stays until it is closed.
     let (stream, mut pawn) = opened();
     std::fs::write(&other, &new).unwrap();
     std::fs::rename(&other, &path).unwrap();
@@ -219,7 +219,7 @@ fn a_file_that_is_cut_or_replaced_is_an_error_or_the_old_archive() {
     finish(&stream);
     assert!(stream.take_errors().is_empty());
     assert_eq!(overlaps(&stream.view(), &body.shape()), old_answer);
-    // Cut, or overwritten in place: errors, and no page of the other archive ever.
+    // Cut, or overwritten in place: errors, and never a page of the other archive.
     for damage in [&TOWER[..TOWER.len() / 2], &new[..], &[]] {
         let (stream, mut pawn) = opened();
         let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
@@ -234,8 +234,8 @@ fn a_file_that_is_cut_or_replaced_is_an_error_or_the_old_archive() {
     }
 }
 
-/// Four threads with bodies that walk, fall and jump in a small cache, against the resident store. A few seconds; ten
-/// minutes with `SLICEWALK_SOAK_SECONDS=600`.
+/// Four threads with bodies that walk, fall and jump in a small cache, compared with the resident store. Takes a few
+/// seconds; ten minutes with `SLICEWALK_SOAK_SECONDS=600`.
 #[test]
 fn soak_no_thread_ever_gets_a_wrong_answer() {
     let seconds = std::env::var("SLICEWALK_SOAK_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(4);

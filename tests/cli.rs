@@ -1,4 +1,4 @@
-//! The program `sliceconv` as a user meets it: exit codes, streams, one-line errors, names.
+//! The program `sliceconv` from a user's view: exit codes, streams, one-line errors, names.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -91,7 +91,7 @@ fn what_was_done_goes_to_standard_error_without_any_progress_in_a_pipe_and_quiet
     assert!(!said.contains(['\r', '\u{1b}', '█']), "{said:?}");
     let out = sliceconv(folder.path(), &with(&["scan.laz"], &["--force", "--quiet"]));
     assert!(out.status.success() && out.stdout.is_empty() && out.stderr.is_empty());
-    // Without --units, the missing unit is a warning; not so when quiet.
+    // Without --units, a missing unit is a warning, unless quiet.
     let said = converts(folder.path(), &["scan.las", "-o", "b.slices", "--pixel", "0.1"]);
     assert!(said.contains("sliceconv: warning: scan.las: no unit of length"), "{said}");
     let said = converts(folder.path(), &["scan.las", "-o", "b.slices", "--pixel", "0.1", "--force", "--quiet"]);
@@ -143,7 +143,7 @@ fn bounds_in_the_header_that_are_not_those_of_the_points_give_one_warning() {
     let at = folder.path();
     for name in ["wide.las", "narrow.las"] {
         let mut las = fs::read(at.join("scan.las")).unwrap();
-        // Greatest x, at byte 179 of the header.
+        // Largest x, at byte 179 of the header.
         las[179..187].copy_from_slice(&(if name == "wide.las" { 1e9f64 } else { 1.0 }).to_le_bytes());
         fs::write(at.join(name), las).unwrap();
     }
@@ -261,7 +261,7 @@ fn several_files_folders_and_patterns_with_spaces_and_foreign_letters_are_one_sc
 #[test]
 fn nobody_reading_the_output_is_no_failure_and_no_panic() {
     let folder = folder();
-    // The reader goes before the program writes: it is told so by an error, not by a signal.
+    // The reader leaves before the program writes, which an error reports instead of a signal.
     for (number, arguments) in [with(&["scan.las"], &["--json"]), with(&["scan.las"], &["--force"])].iter().enumerate()
     {
         let mut child =
@@ -325,7 +325,7 @@ fn a_dry_run_says_what_would_be_read_and_writes_nothing() {
     converts(at, &["scan.las", "-o", "auto.slices", "--units", "m"]);
     let archive = Archive::open(at.join("auto.slices")).unwrap();
     assert_eq!(facts["pixel_size"].as_f64(), Some(archive.frame().pixel_m()));
-    // It fails where the conversion would.
+    // Fails if the conversion would.
     let onto = ["scan.las", "--dry-run", "-o", "auto.slices", "--pixel", "0.1"];
     assert!(refuses(at, &onto, 1).contains("--force"));
     assert!(refuses(at, &["scan.las", "--dry-run", "-o", "scan.las", "--force"], 1).contains("scan.las"));

@@ -1,5 +1,5 @@
-//! Clouds in E57, PLY, PCD and text: each gives the archive of the same points as LAS, alone and mixed, in parts too; what
-//! is broken is refused in one line; real files hold the points that other readers find in them.
+//! Clouds in E57, PLY, PCD and text: each gives the archive of the same points as LAS, alone and mixed, also in parts.
+//! Damaged files are refused in one line; real files contain the points that other readers find in them.
 #![cfg(feature = "cli")]
 
 #[path = "cloud/boxes.rs"]
@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use write::{Cloud, E57, Pcd, Ply, Point, e57, pcd, ply, pts, ptx, rows};
 
-/// A step that floats of 32 bits, decimal text and LAS hold exactly.
+/// A step that 32-bit floats, decimal text and LAS represent exactly.
 const STEP: f64 = 1.0 / 1024.0;
 
 /// A floor, a wall and a few scattered points within ±30 m.
@@ -57,7 +57,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
-/// Keeps warnings.
+/// Collects warnings.
 #[derive(Default)]
 struct Listener(Mutex<Vec<String>>);
 
@@ -67,7 +67,7 @@ impl Monitor for Listener {
     }
 }
 
-/// All kept points of files, their counts, and what was said.
+/// All kept points of files, their counts, and the warnings.
 fn read(paths: &[PathBuf], options: InputOptions) -> Result<(Vec<Point>, PointCounts, Vec<String>), Error> {
     let listener = Listener::default();
     let set = InputSet::open(paths, options, &listener)?;
@@ -90,7 +90,7 @@ fn read_one(path: &Path) -> Result<(Vec<Point>, PointCounts), Error> {
 fn every_format_gives_the_archive_of_the_same_points_as_las() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    // More than two pieces of E57, and more than one of text.
+    // More than two blocks of E57, and more than one of text.
     let all = points(200_000, 3);
     las(&at("a.las"), &all);
     let expected = archive(folder.path(), &["a.las"], &[]);
@@ -182,7 +182,7 @@ fn formats_mix_in_one_run_in_folders_and_in_parts() {
     assert!(archive(folder.path(), &["scans/h.csv", "scans/*.ply", "scans/*"], &["--threads", "3"]) == expected);
     let said = refuses(folder.path(), &["scans/*.csv", "-o", "x.slices"], 1);
     assert!(said.contains("named one by one"), "{said}");
-    // The plan knows where every file lies, though most have no header that says so.
+    // The plan knows where every file lies, although most files have no header that states it.
     converts(folder.path(), &[&inputs[..], &["--write-plan", "plan.json", "--pixel", "0.25"]].concat());
     let plan: serde_json::Value = serde_json::from_str(&fs::read_to_string(at("plan.json")).unwrap()).unwrap();
     let listed = plan["inputs"].as_array().unwrap();
@@ -237,7 +237,7 @@ fn records_without_a_return_are_left_out_and_counted() {
         assert!(found == all, "{form:?}");
         assert_eq!((counts.read, counts.withheld), (1200, 200), "{form:?}");
     }
-    // What is infinite or farther than any scan is a loss.
+    // Infinite points, and those farther than any scan, count as losses.
     let mut far = all.clone();
     far[7][1] = f64::INFINITY;
     fs::write(at("far.ply"), ply(&far, Ply::Little)).unwrap();
@@ -263,7 +263,7 @@ fn classes_systems_and_layouts_of_text_are_understood_and_said() {
                 .contains("x is column 2, y is column 3, z is column 4, class is column 5, separated by blanks")),
         "{said:?}"
     );
-    // A number of points before rows of XYZ, and comments between them.
+    // A number of points before rows of XYZ, and comments between the rows.
     fs::write(at("c.xyz"), "2\n# two points\n1 2 3\n\n4 5 6\n").unwrap();
     assert_eq!(read_one(&at("c.xyz")).unwrap().0, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
     let wkt = "PROJCS[\"P\",GEOGCS[\"G\",UNIT[\"degree\",0.0174532925199433]],UNIT[\"metre\",1],AUTHORITY[\"EPSG\",\"25832\"]]";
@@ -370,7 +370,7 @@ fn what_is_broken_is_refused_in_one_line_that_names_the_place() {
         assert!(words.iter().all(|word| said.contains(word)) && said.contains(name), "{name}: {words:?}: {said}");
         fs::remove_file(at(name)).unwrap();
     }
-    // Cut text is read as far as it goes where that is allowed.
+    // A cut text is read up to the cut where that is allowed.
     fs::write(at("cut.ply"), &ascii.as_bytes()[..ascii.len() / 2]).unwrap();
     converts(folder.path(), &["cut.ply", "-o", "x.slices", "--pixel", "0.25", "--quiet", "--allow-incomplete"]);
     let mut line = rows(&all, " ");
@@ -383,7 +383,7 @@ fn what_is_broken_is_refused_in_one_line_that_names_the_place() {
     assert_eq!(Archive::open(at("x.slices")).unwrap().header().points_kept, 3000);
 }
 
-/// What the crate `e57` finds in a file.
+/// Points that the crate `e57` finds in a file.
 fn by_the_crate(path: &Path) -> Vec<Point> {
     let mut reader = E57Reader::from_file(path).unwrap();
     let mut found = Vec::new();
@@ -503,7 +503,7 @@ fn real_clouds_hold_what_other_readers_find() {
     for (name, words) in [
         ("e57/corrupt_crc.e57", "checksum"),
         ("e57/InvalidFileLength.e57", "states 2048 bytes, the file has 120"),
-        // The crate and libE57Format refuse it too.
+        // The crate and libE57Format refuse it as well.
         ("e57/synthetic-normals.e57", "whose length divides by 4, found type 1 and 213 bytes"),
         ("pcd/missingheader.pcd", "PCD header"),
         ("pcd/stereo_left.pcd", "expected the fields x, y and z, found \"rgba\""),

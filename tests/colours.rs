@@ -1,5 +1,6 @@
-//! `--colour`: each voxel has the mean colour of its points within the stated error, the geometry does not know of it, and no order,
-//! thread, budget or part changes a byte. Truth is a formula of the place ([`Texture`]), summed up here by brute force.
+//! `--colour`: each voxel has the mean colour of its points within the stated error, the geometry is not affected, and
+//! no order, thread, budget or part changes a byte. Truth is a formula of the position ([`Texture`]), summed by brute
+//! force.
 #![cfg(feature = "cli")]
 
 #[path = "cloud/coloured.rs"]
@@ -58,7 +59,8 @@ fn sums(points: &[[f64; 3]], frame: &Frame, of: impl Fn([f64; 3]) -> [u16; 3]) -
     sums
 }
 
-/// Mean difference from the exact means (ΔE*ab), and voxels compared. Every voxel with matter and points has a colour.
+/// Mean difference from the exact means (ΔE*ab), and number of voxels compared. Every occupied voxel with points has a
+/// colour.
 fn error_of(archive: &Archive, sums: &Sums, greatest: f64) -> (f64, usize) {
     let table = LabTable::get();
     let (mut sum, mut count) = (0.0, 0);
@@ -158,7 +160,7 @@ fn voxels_that_stations_saw_in_different_light_have_the_mean_of_what_they_saw() 
         let point = writing.rounded(sample.position).unwrap();
         let place = [frame.pixel_of(point[0]), frame.pixel_of(point[1]), frame.slice_of(point[2])];
         let (sum, n) = sums.entry(place).or_default();
-        // The formula once more: a share of what is there.
+        // The formula, with the fraction that the station records.
         let seen = texture.at(point).map(|value| (f64::from(value) * texture.share(sample.station)).round() as u64);
         seen.iter().zip(sum).for_each(|(value, sum)| *sum += value);
         *n += 1;
@@ -207,7 +209,7 @@ fn order_threads_budget_and_parts_change_no_byte() {
             assert!(fs::read(&merged).unwrap() == bytes, "{count} parts");
         }
     }
-    // By a plan, which says for all parts what colours are made of.
+    // With a plan, which fixes the source of colours for all parts.
     convert(at, &["half-a.laz", "half-b.las"], "whole.slices", &["--colour", "auto", "--colour-error", "4"]);
     let plan = ["half-a.laz", "half-b.las", "--write-plan", "plan.json", "--colour", "auto", "--colour-error", "4"];
     converts(at, &[&plan[..], &OPTIONS].concat());
@@ -219,7 +221,7 @@ fn order_threads_budget_and_parts_change_no_byte() {
     }
     merge(&parts, &at.join("merged.slices"), true, &NoMonitor).unwrap();
     assert!(fs::read(at.join("merged.slices")).unwrap() == fs::read(at.join("whole.slices")).unwrap());
-    // Parts whose colours were made in another way do not belong together.
+    // Parts whose colours were made differently do not belong together.
     convert(at, &["one.laz"], "1.slices", &["--colour", "intensity", "--shard", "1/2"]);
     convert(at, &["one.laz"], "2.slices", &["--colour", "rgb", "--shard", "2/2"]);
     assert!(merge(&[at.join("1.slices"), at.join("2.slices")], &at.join("merged.slices"), true, &NoMonitor).is_err());
@@ -242,7 +244,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
     let palette = [2u8, 6].map(slicewalk::colour::class_colour);
     let pure = colours(&class).values().flatten().filter(|colour| palette.contains(colour)).count();
     assert!(pure > 100, "{pure} voxels have points of one class alone");
-    // Without RGB, and with RGB of zeros alone.
+    // Without RGB, and with RGB of only zeros.
     write_las(&at.join("none.las"), points.iter().copied(), &WriteSpec::default()).unwrap();
     let mut bytes = fs::read(at.join("none.las")).unwrap();
     let auto = convert(at, &["none.las"], "a.slices", &["--colour", "auto"]);
@@ -289,7 +291,7 @@ fn damage_of_colours_is_named_and_leaves_the_geometry() {
             !rules.is_empty() && rules.iter().all(|(rule, part)| rule.starts_with('K') && part.contains("colour")),
             "{rules:?}"
         );
-        // Of the table, whose only leaf takes the last 12 bytes, its own checksum speaks before any number in it is believed.
+        // The table's only leaf takes its last 12 bytes; its checksum is checked before any number in it is used.
         let is_table = |(rule, part): &(&str, String)| *rule == "K2" && part == "table of colours";
         assert!(place < to - 12 || rules.iter().all(is_table), "{rules:?}");
         for entry in good.entries().map(Result::unwrap) {
@@ -332,7 +334,7 @@ fn recovery_and_extracts_keep_the_colours_that_are_sound() {
     let lost = left.iter().filter(|(place, colour)| **colour != all[*place]).count();
     assert!(lost > 0 && lost < all.len() / 2, "{lost} of {}", all.len());
     assert!(left.iter().all(|(place, colour)| colour.is_none() || *colour == all[place]));
-    // The table: all colours are lost, and nothing else.
+    // In the table: all colours are lost, and nothing else.
     let end = good.header().levels_offset() as usize;
     bytes[end - 1] ^= 1;
     fs::write(at.join("damaged.slices"), &bytes).unwrap();
@@ -348,7 +350,7 @@ fn recovery_and_extracts_keep_the_colours_that_are_sound() {
     let some = colours(&part);
     assert!(some.len() > 100 && some.len() < all.len());
     assert!(some.iter().all(|(place, colour)| *colour == all[place]));
-    // Not every system replaces a file that is open.
+    // Some systems cannot replace an open file.
     drop(part);
     extract(&good, &(min, max), &path, true, &NoMonitor).unwrap();
     assert_eq!(colours(&Archive::open(&path).unwrap()), all);
@@ -376,7 +378,7 @@ fn colours_go_with_filled_holes_floaters_and_tolerance() {
                 count += 1;
             }
         }
-        // Holes are closed from an archive of 8-bit colours.
+        // Holes are closed in an archive of 8-bit colours.
         assert!(count > 1000 && error / f64::from(count) <= 2.4, "{options:?}: {error} of {count}");
         if options[0] == "--fill-holes" {
             let inferred = archive.header().voxels.inferred;
@@ -408,10 +410,11 @@ fn real_scans_take_at_most_0_8_bytes_a_voxel() {
     }
 }
 
-/// A step that floats of 32 bits, decimal text and LAS hold exactly.
+/// A step that 32-bit floats, decimal text and LAS represent exactly.
 const STEP: f64 = 1.0 / 1024.0;
 
-/// Points of a floor and a wall, with colours up to `white` that follow the place and some noise, and intensities up to `most`.
+/// Points of a floor and a wall, with colours up to `white` that depend on the position plus noise, and intensities up
+/// to `most`.
 fn coloured(count: usize, white: u16, most: u16) -> Vec<Coloured> {
     let mut random = Random(11);
     (0..count)
@@ -434,14 +437,14 @@ fn bytes(at: &Path, inputs: &[&str], options: &[&str]) -> Vec<u8> {
     fs::read(at.join("out.slices")).unwrap()
 }
 
-/// What `verify` has to say, and the exact colours of all voxels.
+/// Checks that `verify` finds nothing; returns the exact colours of all voxels.
 fn exact(at: &Path, inputs: &[&str], source: &str) -> BTreeMap<[i64; 3], Option<[u8; 3]>> {
     bytes(at, inputs, &["--colour", source, "--colour-error", "0"]);
     verifies(&at.join("out.slices"));
     colours(&Archive::open(at.join("out.slices")).unwrap())
 }
 
-/// No channel differs by more than rounding twice.
+/// Checks that no channel differs by more than rounding twice.
 fn assert_near(
     found: &BTreeMap<[i64; 3], Option<[u8; 3]>>,
     expected: &BTreeMap<[i64; 3], Option<[u8; 3]>>,
@@ -501,7 +504,7 @@ fn every_format_gives_the_colours_of_the_same_points_as_las() {
     }
     assert!(bytes(at, &["named.csv"], &options("3")) == expected, "named columns");
     assert!(bytes(at, &["plain.xyz"], &[&options("2")[..], &columns].concat()) == expected, "--columns");
-    // Intensities as LAS holds them.
+    // Intensities in the range of LAS.
     let grey = bytes(at, &["narrow.las"], &["--colour", "intensity"]);
     for (name, more) in [
         ("text.ply", &[][..]),
@@ -582,11 +585,11 @@ fn formats_mix_by_what_is_white_in_each_and_points_without_a_value_colour_nothin
         merge(&parts, &at.join("merged.slices"), true, &NoMonitor).unwrap();
         assert!(fs::read(at.join("merged.slices")).unwrap() == wide, "with plan: {with_plan}");
     }
-    // Without the file of 16 bits, all are read as they are.
+    // Without the 16-bit file, all are read unchanged.
     let three = exact(at, &inputs[..3], "rgb");
     las(&at.join("three.las"), &all[..45_000], STEP);
     assert_eq!(three, exact(at, &["three.las"], "rgb"));
-    // The second cloud has no colours, and neither have points that are marked so.
+    // The second cloud has no colours, and neither have points marked so.
     let (coloured, bare) = all.split_at(30_000);
     put("two.ptx", coloured::ptx([coloured, bare]).as_bytes());
     las(&at.join("half.las"), coloured, STEP);
@@ -600,14 +603,14 @@ fn formats_mix_by_what_is_white_in_each_and_points_without_a_value_colour_nothin
     e57(&at.join("invalid.e57"), &[cloud(&all, Some(Numbers::Bytes), true)]);
     assert_eq!(exact(at, &["invalid.e57"], "rgb"), narrow);
     assert_eq!(exact(at, &["invalid.e57"], "intensity"), exact(at, &["narrow.las"], "intensity"));
-    // Limits that the file states are black and white: 12 bits of intensity become 16.
+    // The limits stated by the file mean black and white: 12 bits of intensity become 16.
     let unit = exact(at, &["two.ptx"], "intensity");
     assert_eq!(unit, exact(at, &["narrow.las"], "intensity"));
     put("signed.pts", coloured::pts(&all, true).as_bytes());
     assert_near(&exact(at, &["signed.pts"], "intensity"), &unit, "-2048 to 2047");
 }
 
-/// Mean colours of the points of a cloud, as another reader gives them (0 to 1), by pixel and slice.
+/// Mean colours of a cloud's points by pixel and slice, from another reader (0 to 1).
 fn means(frame: &Frame, points: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> BTreeMap<[i64; 3], [f64; 3]> {
     let mut sums: BTreeMap<[i64; 3], ([f64; 3], f64)> = BTreeMap::new();
     for (at, rgb) in points {
@@ -659,7 +662,7 @@ fn real_clouds_have_the_colours_that_other_readers_find() {
             check(name, least, &mut found.into_iter());
         }
     }
-    // Doubles, in this file followed by bytes of colours.
+    // Doubles, followed by bytes of colours in this file.
     let name = "formats/ply/fragment_002.ply";
     if let Some(path) = data::file(name) {
         let bytes = fs::read(path).unwrap();
@@ -670,7 +673,7 @@ fn real_clouds_have_the_colours_that_other_readers_find() {
         };
         check(name, 1000, &mut bytes[start..].as_chunks().0.iter().map(point));
     }
-    // Compressed by the Point Cloud Library; every voxel has a colour, and they differ.
+    // Compressed by the Point Cloud Library; every voxel has a colour, and the colours differ.
     for name in [
         "formats/pcd/milk_color.pcd",
         "formats/pcd/office1.pcd",

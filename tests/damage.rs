@@ -1,6 +1,6 @@
-//! Damage and forgery: every flipped, cut, added or zeroed byte is reported with the rule it breaks, or does no harm;
-//! and bytes whose checksums were put right again break the rule that protects against them. Nothing panics, nothing
-//! allocates more than the limits of the specification.
+//! Damage and forgery: every flipped, cut, added or zeroed byte is reported with the rule that it breaks, or does no
+//! harm; bytes with recomputed checksums break the rule that protects against them. Nothing panics or allocates more
+//! than the limits of the specification.
 
 mod common;
 
@@ -16,12 +16,12 @@ use slicewalk::{Error, NoMonitor};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Notes the largest allocation.
+/// Records the largest allocation.
 struct Noting;
 
 static LARGEST: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: passes every call on to the system's allocator unchanged.
+// SAFETY: passes every call to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Noting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
@@ -38,7 +38,7 @@ unsafe impl GlobalAlloc for Noting {
 #[global_allocator]
 static ALLOCATOR: Noting = Noting;
 
-/// Content of the largest leaf that the specification allows, in memory: 2²⁰ entries of 48 bytes.
+/// Memory of the largest leaf that the specification allows: 2²⁰ entries of 48 bytes.
 const LIMIT: usize = 48 << 20;
 
 /// Rules that `bytes` break: that of the error on opening, or those of all findings.
@@ -117,7 +117,7 @@ fn zeroed_ranges_are_reported_or_were_zero() {
     }
 }
 
-/// Counts that a head states: the bytes that they lie at, and what rule H8 allows at most.
+/// Counts stated by the head: the offset of each, and the largest value that rule H8 allows.
 #[test]
 fn counts_of_a_head_may_reach_their_limits_and_not_pass_them() {
     let [read, kept, withheld, excluded] = [128, 136, 144, 152];
@@ -125,7 +125,7 @@ fn counts_of_a_head_may_reach_their_limits_and_not_pass_them() {
     let [pages_stored, pages_shared, pages_uniform] = [264, 272, 280];
     let parts = Parts::of(&archive(&two_pixels()));
     let most = 1 << 29;
-    // Numbers at which the head is in order, and one of them that may not be one greater, or less.
+    // Numbers with which the head is valid; one of them must not be one greater, or smaller.
     type Counts<'a> = &'a [(usize, u64)];
     let cases: [(Counts<'_>, (usize, i64)); 10] = [
         (&[(read, 9), (kept, 2), (withheld, 3), (excluded, 4)], (kept, 1)),
@@ -168,7 +168,7 @@ fn counts_of_a_head_may_reach_their_limits_and_not_pass_them() {
             });
             rules(&bytes)
         };
-        // In order by itself: what does not fit the rest of the file is for other rules.
+        // Valid on its own; other rules cover contradictions with the rest of the file.
         assert!(!found(0).contains(&"H8"), "case {number}: {:?}", found(0));
         assert_eq!(found(by), ["H8"], "case {number}");
     }
@@ -183,7 +183,7 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
         head[40..56].copy_from_slice(&hash.to_le_bytes());
     };
     type Forge = fn(&mut Vec<u8>);
-    // Rule, whether the plan's hash is put right, what is wrong.
+    // Rule, whether the plan's hash is recomputed, what is wrong.
     let cases: [(&str, bool, Forge); 32] = [
         ("H1", false, |head| head[0] = b'S'),
         ("H2", false, |head| put(head, 12, 387, 4)),
@@ -288,7 +288,7 @@ fn totals_that_are_not_those_of_the_pages_are_found() {
         let bytes = parts.build(|head| {
             put(head, at, value, 8);
             if rule == "T1" {
-                // One shared page less, one uniform page more.
+                // One shared page fewer, one uniform page more.
                 put(head, 280, 2, 8);
             }
         });
@@ -300,7 +300,7 @@ fn totals_that_are_not_those_of_the_pages_are_found() {
 fn bounds_that_do_not_fit_the_matter_are_found() {
     let parts = Parts::of(&archive(&scene()));
     let with = |at: usize, value: f64| rules(&parts.build(|head| put(head, at, value.to_bits(), 8)));
-    // Faces that cut the matter, that end far outside it, and that are nowhere; then faces a little further out.
+    // Bounds that cut the solid, end far outside it, or are absurdly large; then bounds only slightly too wide.
     for (at, inside, far, near) in [
         (160, -6.25, -13.0, -12.7),
         (168, -19.0, -26.0, -25.5),
@@ -415,7 +415,7 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     assert_eq!(rules(&parts.build(|head| put(head, 384 + 20, 18, 4))), ["D2"]);
     assert_eq!(rules(&parts.build(|head| head[384 + 24] ^= 1)), ["D1"]);
 
-    // In the scene, page 5 in order shares the bytes of an earlier one: let it point between two pages.
+    // In the scene, page 5 in order shares the bytes of an earlier page; make it point between two pages.
     let parts = Parts::of(&archive(&scene()));
     let entries = Archive::from_bytes(archive(&scene())).unwrap().leaf(0).unwrap();
     let paged = entries.iter().filter(|entry| entry.extent().is_some()).count();
@@ -431,7 +431,7 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
 
 #[test]
 fn findings_beyond_the_first_are_counted() {
-    // A damaged page shows in all that share its bytes.
+    // A damaged page is reported for all pages that share its bytes.
     let mut bytes = common::sharing();
     let offset = Archive::from_bytes(bytes.clone()).unwrap().header().pages_offset() as usize;
     bytes[offset + 30] ^= 1;
@@ -478,7 +478,7 @@ fn metadata_with_right_checksums_and_wrong_records_are_found() {
         let numbers = [&index.to_le_bytes()[..], &count.to_le_bytes(), &first.to_le_bytes(), &last.to_le_bytes()];
         [b"SHRD\x28\0\0\0", &numbers.concat()[..], &[7; 16]].concat()
     };
-    // The one page lies in column 3 << 62.
+    // The only page lies in column 3 << 62.
     assert_eq!(with(&part(2, 3, 1, u64::MAX - 1)), [""; 0]);
     assert_eq!(with(&part(2, 3, (3 << 62) + 1, u64::MAX - 1)), ["T5"]);
     assert_eq!(with(&part(1, 2, 0, 9)), ["T5"]);

@@ -1,5 +1,4 @@
-//! The same points make the same bytes (guarantee G4), whatever their order, the files they lie in, the number of
-//! threads and the memory.
+//! Equal points give equal bytes (guarantee G4), whatever their order, files, number of threads and memory.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -43,7 +42,7 @@ fn order_files_formats_duplicates_scales_and_offsets_do_not_show() {
         write(&at("r.laz"), &all[31_000..]);
         same(&["p.laz", "q.las", "r.laz"], "three files");
         same(&["r.laz", "q.las", "p.laz", "q.las"], "three files in another order, one of them twice");
-        // A quarter of a millimetre is finer than 32 bits reach from an offset of 0 but not from one nearby; both
+        // A quarter of a millimetre is finer than 32 bits reach from an offset of 0, but not from a near one; both
         // steps are powers of two, so every coordinate is the same number in both.
         let coarse: Vec<[f64; 3]> = all.iter().map(|p| p.map(|v| (v * 512.0).round() / 512.0)).collect();
         write_as(&at("s.las"), &coarse, 1.0 / 512.0, [0.0; 3]);
@@ -76,7 +75,7 @@ fn the_same_points_at_four_steps_and_offsets_spacing_included() {
 fn threads_and_memory_do_not_show_even_where_points_go_to_disk_and_columns_are_cut() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    // Enough to spill at 64 MiB, and a single column of tiles that no worker can hold at once there.
+    // Enough to spill at 64 MiB, and a single column of tiles that no worker can hold at once with that budget.
     let mut random = Random(3);
     let mut all: Vec<[f64; 3]> = (0..5_000_000)
         .map(|number| {

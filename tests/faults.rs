@@ -1,7 +1,7 @@
-//! All or nothing (guarantee G6): killed, interrupted, without space, or with an input that goes away, the old archive
-//! stays whole and nothing is left behind.
+//! All or nothing (guarantee G6): after a kill, an interrupt, a full disk, or the loss of an input, the old archive is
+//! whole and nothing is left behind.
 //!
-//! `SLICEWALK_KILLS` sets how many conversions are killed, `SLICEWALK_KILLS_SEED` the numbers that their moments follow from, so that
+//! `SLICEWALK_KILLS` sets the number of conversions killed, `SLICEWALK_KILLS_SEED` the seed of the moments, so that
 //! runs by hand add up.
 #![cfg(all(feature = "cli", unix))]
 
@@ -44,12 +44,12 @@ impl Place {
         self.path().join("a.slices")
     }
 
-    /// The archive is the old one to the last byte.
+    /// Checks that the archive is the old one, byte for byte.
     fn is_old(&self) {
         assert!(fs::read(self.archive()).unwrap() == self.old, "the old archive is not what it was");
     }
 
-    /// Nothing lies in the folders but what belongs there.
+    /// Checks that the folders contain nothing unexpected.
     fn is_clean(&self) {
         assert_eq!(names(self.path()), ["a.slices", "scan.las", "small.las", "temp"]);
         assert_eq!(names(&self.path().join("temp")), [""; 0]);
@@ -63,12 +63,12 @@ impl Place {
     }
 }
 
-/// The program failed, did not panic, and said one line, which is returned.
+/// Checks that the program failed without a panic and with one line, which is returned.
 fn failed(status: ExitStatus, stderr: &[u8]) -> String {
     ended(status, stderr, 1)
 }
 
-/// As [`failed`], with this exit code.
+/// Like [`failed`], with this exit code.
 fn ended(status: ExitStatus, stderr: &[u8], code: i32) -> String {
     let said = String::from_utf8_lossy(stderr).into_owned();
     assert_eq!(status.code(), Some(code), "{said}");
@@ -95,7 +95,8 @@ fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
         child.kill().unwrap();
         let is_killed = child.wait().unwrap().code().is_none();
         killed += u32::from(is_killed);
-        // Machines are faster at times. So that the moments stay spread over a whole run, about one in twenty comes too late.
+        // The machine's speed varies. To keep the moments spread over a whole run, about one in twenty is meant to come
+        // too late.
         whole *= if is_killed { 1.0025 } else { 0.95 };
         let found = fs::read(place.archive()).unwrap();
         assert!(found == place.old || found == new, "neither the old archive nor the new one");
@@ -115,7 +116,7 @@ fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
 #[test]
 fn without_threads_of_its_own_it_fails_in_one_line_and_leaves_nothing() {
     let place = Place::new(20_000);
-    // No system has a stack as large as this to give.
+    // No system can provide a stack this large.
     let out = place.overwrite().env("RUST_MIN_STACK", (1u64 << 62).to_string()).output().unwrap();
     let said = failed(out.status, &out.stderr);
     assert!(said.contains("cannot start a thread"), "{said}");
@@ -130,7 +131,7 @@ fn interrupted_it_says_so_and_leaves_nothing() {
     for (number, (signal, code)) in [("INT", 130), ("TERM", 143), ("INT", 130), ("HUP", 129)].into_iter().enumerate() {
         fs::write(place.archive(), &place.old).unwrap();
         let child = place.overwrite().spawn().unwrap();
-        // Not before it listens: the temporary file beside the target shows that it is at work.
+        // Wait until it listens: the temporary file beside the target shows that it is running.
         while !names(place.path()).iter().any(|name| name.ends_with(".part")) {
             std::thread::yield_now();
         }
@@ -139,7 +140,7 @@ fn interrupted_it_says_so_and_leaves_nothing() {
         assert!(sent.success());
         let out = child.wait_with_output().unwrap();
         place.is_clean();
-        // One that was done before the signal came has done its work.
+        // A program that finished before the signal has succeeded.
         if !out.status.success() {
             assert!(ended(out.status, &out.stderr, code).contains("interrupted"));
             assert!(out.stdout.is_empty());
@@ -163,7 +164,7 @@ fn without_space_for_the_archive_or_the_temporary_data_the_old_archive_stays() {
     assert!(said.contains(".a.slices.slicewalk-") && said.contains("cannot write"), "{said}");
     place.is_old();
     place.is_clean();
-    // 64 MiB hold 32 MiB of runs; the temporary file meets the limit first.
+    // 64 MiB hold 32 MiB of runs; the temporary file reaches the limit first.
     let out = sliceconv(20_000, &["--memory", "64MiB"]);
     let said = failed(out.status, &out.stderr);
     assert!(said.contains("temp") && said.contains("--temp-dir"), "{said}");
@@ -183,7 +184,7 @@ fn on_a_full_disk_it_says_which_and_the_old_archive_stays() {
     assert!(said.contains("disk") && said.contains("No space left"), "{said}");
     assert!(fs::read(at.join("a.slices")).unwrap() == place.old);
     assert_eq!(names(&at), ["a.slices"]);
-    // Temporary data there would not fit, which is seen before the work.
+    // Temporary data would not fit there, which is detected before the work begins.
     let out = command(place.path()).args(fixed).args(["-o", "a.slices", "--temp-dir", "disk"]).output().unwrap();
     let said = failed(out.status, &out.stderr);
     assert!(said.contains("disk") && said.contains("--temp-dir"), "{said}");

@@ -1,4 +1,4 @@
-//! `--drop-floaters`: what is dropped are the small pieces and nothing else, whatever the order, files, threads and parts.
+//! `--drop-floaters` drops exactly the small components, whatever the order, files, threads and parts.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -12,7 +12,7 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Pixels of 0.1 m and slices of 0.3 m: with points in the middle of their voxels no rounding decides.
+/// Pixels of 0.1 m and slices of 0.3 m; points are in the middle of their voxels, so that rounding never decides.
 const GRID: [&str; 7] = ["--pixel", "0.1", "--units", "m", "--quiet", "--force", "--json"];
 
 type Cell = [i64; 3];
@@ -21,7 +21,7 @@ fn middle([i, j, s]: Cell) -> [f64; 3] {
     [0.1 * i as f64 + 0.05, 0.1 * j as f64 + 0.05, 0.3 * s as f64 + 0.15]
 }
 
-/// A floor, pieces of all sizes about the corner where four tiles meet, and a thin line across many tiles.
+/// A floor, components of all sizes around the corner of four tiles, and a thin line across many tiles.
 fn scene() -> Vec<Cell> {
     let mut random = Random(3);
     let mut cells = Vec::new();
@@ -39,7 +39,7 @@ fn scene() -> Vec<Cell> {
     cells
 }
 
-/// The cells of pieces of more than `most`, by the definition.
+/// The cells of components larger than `most`, by definition.
 fn stays(cells: &[Cell], most: usize) -> HashSet<Cell> {
     let all: HashSet<Cell> = cells.iter().copied().collect();
     let (mut seen, mut kept) = (HashSet::new(), HashSet::new());
@@ -64,7 +64,7 @@ fn stays(cells: &[Cell], most: usize) -> HashSet<Cell> {
     kept
 }
 
-/// Converts; the archive's bytes and what the program reports.
+/// Converts; returns the archive's bytes and the program's report.
 fn convert(at: &Path, inputs: &[&str], options: &[&str]) -> (Vec<u8>, serde_json::Value) {
     let out = sliceconv(at, &[inputs, &["-o", "out.slices"], &GRID, options].concat());
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -72,7 +72,7 @@ fn convert(at: &Path, inputs: &[&str], options: &[&str]) -> (Vec<u8>, serde_json
     (fs::read(at.join("out.slices")).unwrap(), serde_json::from_slice(&out.stdout).unwrap())
 }
 
-/// The pages of the archive at `path` as they are stored.
+/// The pages of the archive at `path` as stored.
 fn pages(path: &Path) -> Vec<u8> {
     let archive = Archive::open(path).unwrap();
     let (begin, len) = (archive.header().pages_offset() as usize, archive.header().bytes.pages as usize);
@@ -129,7 +129,7 @@ fn the_old_name_makes_the_same_bytes_and_order_files_and_threads_do_not_show() {
 fn parts_merge_to_the_bytes_of_one_run_although_pieces_cross_them() {
     let (folder, cells) = folder();
     let at = folder.path();
-    // One file a strip of 2 m: parts leave some out, but not those within reach of a piece.
+    // One file per strip of 2 m: parts leave some out, but none within reach of a component.
     let mut strips: HashMap<i64, Vec<[f64; 3]>> = HashMap::new();
     cells.iter().for_each(|cell| strips.entry(cell[0].div_euclid(20)).or_default().push(middle(*cell)));
     let names: Vec<String> = strips.keys().map(|strip| format!("strip{strip}.las")).collect();

@@ -1,5 +1,5 @@
-//! What PLY, PCD, E57, STL and glTF state about themselves is checked, sound files of every dialect are read, and of damaged ones
-//! the smallest unit is left out where that is allowed, with its points counted.
+//! Statements of PLY, PCD, E57, STL and glTF about themselves are checked, sound files of every dialect are read, and
+//! of damaged files the smallest unit is left out where allowed, with its points counted.
 #![cfg(feature = "cli")]
 
 #[path = "mesh/files.rs"]
@@ -19,7 +19,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use write::{Cloud, E57, Pcd, Ply, Point, e57, pcd, ply};
 
-/// Keeps warnings.
+/// Collects warnings.
 #[derive(Default)]
 struct Listener(Mutex<Vec<String>>);
 
@@ -29,7 +29,7 @@ impl Monitor for Listener {
     }
 }
 
-/// The kept points of a file, their counts, and what was said.
+/// The kept points of a file, their counts, and the warnings.
 fn read_with(path: &Path, allow_incomplete: bool) -> Result<(Vec<Point>, PointCounts, String), Error> {
     let listener = Listener::default();
     let options = InputOptions { allow_incomplete, ..InputOptions::default() };
@@ -49,7 +49,7 @@ fn read(path: &Path) -> Result<Vec<Point>, String> {
     read_with(path, false).map(|(points, _, _)| points).map_err(|error| error.to_string())
 }
 
-/// The triangles of a file, in its own coordinates, and what was said.
+/// The triangles of a file, in its own coordinates, and the warnings.
 fn mesh_with(path: &Path, allow_incomplete: bool) -> Result<(Vec<Triangle>, String), String> {
     let listener = Listener::default();
     let options = MeshOptions { units: Units::Factor(1.0), allow_incomplete, ..MeshOptions::default() };
@@ -69,13 +69,13 @@ fn points(count: usize) -> Vec<Point> {
     (0..count).map(|n| [n as f64 * 0.5, (n % 7) as f64, (n % 3) as f64 + 0.25]).collect()
 }
 
-/// The bytes with others in place of some of them.
+/// Replaces `from` by `to`.
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     let place = bytes.windows(from.len()).position(|of| of == from).unwrap();
     [&bytes[..place], to, &bytes[place + from.len()..]].concat()
 }
 
-/// A file, by its name.
+/// Name and content of a file.
 type Named = (String, Vec<u8>);
 
 const XYZ: &str = "property float x\nproperty float y\nproperty float z\n";
@@ -123,7 +123,7 @@ fn points_on_several_lines_are_the_points_that_a_person_sees() {
         fs::write(&path, text.replace("\t\r\n", "\r\n")).unwrap();
         let header_lines = text.replace('\t', " ");
         if name.contains("tabs") {
-            // Words of a header are separated by blanks of any kind too.
+            // Any kind of blank separates words of a header.
             assert!(header_lines.contains("element vertex 40"));
         }
         assert_eq!(read(&path).as_ref(), Ok(&all), "{name}");
@@ -141,7 +141,7 @@ fn rows_and_counts_other_than_stated_are_refused_and_the_others_kept_where_allow
     let little = ply(&all, Ply::Little);
     let more = |name: &str, bytes: Vec<u8>, extra: &[u8]| (name.to_owned(), [&bytes[..], extra].concat());
     let binary = pcd(&all, Pcd::Binary);
-    // Name and bytes; what is said; points that are left, and points that are missing.
+    // File, message, points left, points missing.
     let cases: [(Named, &str, usize, u64); 15] = [
         (("a.ply".into(), with(9, "1 2 3 0 0\n").into()), "line 20: expected 6 values, found 5", 299, 1),
         (("a.ply".into(), with(9, "1 2 3 0 0 1 7\n").into()), "line 20: expected 6 values, found 7", 299, 1),
@@ -210,12 +210,12 @@ fn rows_and_counts_other_than_stated_are_refused_and_the_others_kept_where_allow
         let said = converts(folder.path(), &[&[&name[..]], &options[..]].concat());
         assert_eq!(said.contains(" could not be read\n"), missing > 0, "{words}: {said}");
     }
-    // Padding is no point.
+    // Padding is not a point.
     for (name, bytes) in [("b.pcd", &binary), ("c.ply", &little)] {
         fs::write(at(name), [&bytes[..], &[0; 500], b"\r\n"].concat()).unwrap();
         assert_eq!(read(&at(name)).as_ref().map(Vec::len), Ok(300), "{name}");
     }
-    // Which of two is meant is not guessed.
+    // Ambiguous files are refused, not guessed.
     for (from, to, words) in [
         ("end_header", "element vertex 1\nproperty float x\nend_header", "\"vertex\" more than once"),
         ("property float nx", "property float X", "property x more than once"),
@@ -264,7 +264,7 @@ fn packed_columns_in_any_order_are_those_of_a_binary_file() {
     let packed = pcd(&all, Pcd::Packed);
     fs::write(at("b.pcd"), &packed).unwrap();
     assert_eq!(read(&at("b.pcd")), read(&at("a.pcd")));
-    // The fields named in another order: x and z change places, and lie behind each other as before.
+    // Fields named in another order: x and z change places, while their bytes stay in order.
     let place = packed.windows(18).position(|bytes| bytes == b"FIELDS x _ y rgb z").unwrap();
     let mut turned = packed.clone();
     turned[place..place + 18].copy_from_slice(b"FIELDS z _ y rgb x");
@@ -304,7 +304,7 @@ fn a_cloud_that_cannot_be_read_does_not_take_the_others_with_it() {
         let page = |page: &[u8]| [page, &crc32c::crc32c(page).to_be_bytes()].concat();
         fs::write(at("b.e57"), other.chunks(1020).flat_map(page).collect::<Vec<_>>()).unwrap();
     };
-    // The only pose is that of the second cloud; in the others, the last place of a word is in the last cloud.
+    // The only pose is that of the second cloud; otherwise, the last occurrence of a word is in the last cloud.
     let cases = [
         ("<z type=\"Float\">1</z>", "<z type=\"Float\">x</z>", "expected a finite number in z", 1, 800, 100),
         ("cartesianX", "cartesianU", "neither cartesian nor spherical", 2, 600, 300),
@@ -320,12 +320,12 @@ fn a_cloud_that_cannot_be_read_does_not_take_the_others_with_it() {
         let facts: serde_json::Value = serde_json::from_slice(&sliceconv(folder.path(), &options).stdout).unwrap();
         assert_eq!((&facts["points_missing"], &facts["complete"]), (&missing.into(), &false.into()));
     }
-    // Zeros for no turn: the points of the second cloud are moved only.
+    // Zeros mean no rotation: the points of the second cloud are only moved.
     with(&content, "<z type=\"Float\">1</z>", "<z type=\"Float\">0</z>", 1);
     let found = read(&at("b.e57")).unwrap();
     let expected: Vec<Point> = all[500..600].iter().map(|[x, y, z]| [4.0 - x, -8.0 - y, *z]).collect();
     assert_eq!((&found[..500], &found[500..600], &found[600..]), (&all[..500], &expected[..], &all[600..]));
-    // Where none is left, nothing is converted.
+    // If no points are left, nothing is converted.
     e57(&at("a.e57"), &[cloud(&all, false)], None);
     let whole = fs::read(at("a.e57")).unwrap();
     let content: Vec<u8> = whole.chunks(1024).flat_map(|page| &page[..1020]).copied().collect();
@@ -333,7 +333,7 @@ fn a_cloud_that_cannot_be_read_does_not_take_the_others_with_it() {
     assert!(read_with(&at("b.e57"), true).unwrap_err().to_string().contains("neither cartesian"));
 }
 
-/// Two steps of a stair, and the triangles that they are made of.
+/// Two steps of a stair, and their triangles.
 const CORNERS: [[f64; 3]; 6] =
     [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [2.0, 2.0, 0.0], [0.0, 2.0, 1.0], [2.0, 2.0, 1.0]];
 
@@ -427,12 +427,12 @@ fn all_faces_and_strips_of_a_ply_are_there() {
         check(&[("face", "uchar", "int", floor), ("tristrips", "int", "int", &[&[2, 3, 4, 5]])], &both);
         let both = [of(&[[2, 3, 4], [3, 4, 5]]), expected[..2].to_vec()].concat();
         check(&[("tristrips", "int", "int", &[&[2, 3, 4, 5]]), ("face", "uchar", "int", floor)], &both);
-        // One corner that is not there breaks two triangles of a strip of four, and is one fault.
+        // One missing corner breaks two triangles of a strip of four, and counts as one fault.
         fs::write(&path, ply_of(form, &[("tristrips", "int", "int", &[&[0, 1, 2, 3, 9, 2, 3, 4, 5]])])).unwrap();
         assert!(mesh(&path).unwrap_err().contains("there is no corner 9"));
         assert_eq!(mesh_with(&path, true).unwrap().0, strips);
     }
-    // A strip of more triangles than are read at once, and of more numbers than a list of a face may have.
+    // A strip of more triangles than are read at a time, and of more numbers than a face's list may have.
     let long: Vec<i64> = (0..100_000).map(|n| n % 6).collect();
     fs::write(&path, ply_of(Ply::Little, &[("tristrips", "int", "int", &[&long])])).unwrap();
     assert_eq!(mesh(&path).unwrap().len(), 99_998);
@@ -489,7 +489,7 @@ fn ends_of_meshes_are_where_their_counts_say() {
         fs::write(at(name), [&bytes[..], &[0; 99], b"\n"].concat()).unwrap();
         assert!(mesh(&at(name)).is_ok(), "{name}");
     }
-    // Elements on several lines, with lines that hold nothing between.
+    // Elements on several lines, with empty lines in between.
     let (head, body) = text.split_once("end_header\n").unwrap();
     fs::write(at("a.ply"), format!("{head}end_header\n{}", body.replace(' ', "\n"))).unwrap();
     assert_eq!(mesh(&at("a.ply")), Ok(of(&[[0, 1, 3], [0, 3, 2]])));
@@ -518,7 +518,7 @@ fn text_stl_is_text_in_any_case_and_with_any_name() {
         fs::write(&path, &bytes).unwrap();
         assert_eq!(mesh(&path).as_ref(), Ok(&expected), "{}", String::from_utf8_lossy(&bytes));
     }
-    // A binary file whose title looks like text, cut: its count is no text.
+    // A cut binary file whose title looks like text: its count is not text.
     let mut binary = b"SOLID no text".to_vec();
     binary.resize(80, b' ');
     binary.extend(2u32.to_le_bytes());
@@ -527,7 +527,7 @@ fn text_stl_is_text_in_any_case_and_with_any_name() {
     assert!(mesh(&path).unwrap_err().contains("states 2 triangles of 50 bytes"));
 }
 
-/// A structure with this in place of its first accessor, and these extensions.
+/// A structure with this in place of its first accessor, and with these extensions.
 fn gltf(accessor: &str, views: &str, bytes: usize, node: &str, extensions: &str) -> String {
     format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0{node}}}],{extensions}
@@ -571,7 +571,7 @@ fn extensions_of_gltf_that_move_nothing_are_no_hindrance_and_others_are_refused_
     }
     write_glb(&path, &with("extensionsUsed", "ACME_looks"), &buffer(&triangle));
     assert!(mesh(&path).is_ok());
-    // Compressed parts of a file that does not require the extension: with the plain values beside them, and without.
+    // Compressed parts of a file that does not require the extension, with and without plain values beside them.
     let draco = r#""attributes":{"POSITION":0},"extensions":{"KHR_draco_mesh_compression":{"bufferView":0}}"#;
     let draco = plain.replacen(r#""attributes":{"POSITION":0}"#, draco, 1);
     write_glb(&path, &draco, &buffer(&triangle));
@@ -608,14 +608,14 @@ fn quantized_sparse_and_repeated_parts_of_gltf_lie_where_they_should() {
         write_glb(&path, &gltf(&accessor, &view, bytes.len(), "", extension), &bytes);
         assert_eq!(mesh(&path), Ok(triangle(unit)), "{kind} {normalized}");
     }
-    // The least value is no further than -1.
+    // The least value maps to no less than -1.
     let bytes =
         [[0i8, 0, 0, 0], [-128, 0, 0, 0], [0, 127, 0, 0]].as_flattened().iter().map(|v| *v as u8).collect::<Vec<_>>();
     let accessor = r#"{"bufferView":0,"componentType":5120,"normalized":true,"count":3,"type":"VEC3"}"#;
     write_glb(&path, &gltf(accessor, r#"{"buffer":0,"byteLength":12,"byteStride":4}"#, 12, "", ""), &bytes);
     assert_eq!(mesh(&path), Ok(vec![[[0.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]]));
     let floats = |all: &[f32]| all.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
-    // Sparse: the second corner by an exception, on values and on nothing.
+    // Sparse: the second corner by an exception, on top of values and on top of nothing.
     let corners = [0.0, 0.0, 0.0, 9.0, 9.0, 9.0, 0.0, 2.0, 0.0];
     let mut bytes = floats(&corners);
     bytes.extend(floats(&[1.0, 0.0, 0.0, 0.0, 2.0, 0.0]));
@@ -635,7 +635,7 @@ fn quantized_sparse_and_repeated_parts_of_gltf_lie_where_they_should() {
         );
         assert!(mesh(&path).unwrap_err().contains("accessor 0"));
     }
-    // Instances: as nodes of their own with the same places, turns and sizes.
+    // Instances give the same result as nodes with the same translations, rotations and scales.
     let places = [[10.0f32, 20.0, 30.0], [-1.0, 0.5, 0.0]];
     let (turns, sizes) = ([[0.0f32, 0.6, 0.0, 0.8], [0.0, 0.0, 0.0, 1.0]], [[1.0f32, 2.0, 3.0], [-1.0, 1.0, 1.0]]);
     let mut bytes = floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
@@ -664,14 +664,14 @@ fn quantized_sparse_and_repeated_parts_of_gltf_lie_where_they_should() {
     write_glb(&path, &structure(3, "", &nodes, "[0]"), &bytes[..36]);
     let expected = mesh(&path).unwrap();
     assert_eq!((found.len(), &found), (2, &expected));
-    // Other numbers of places than of turns, and a number that names nothing.
+    // More translations than rotations or fewer, and an index that refers to nothing.
     for (attributes, words) in
         [(r#""TRANSLATION":1,"SCALE":0"#, "differ in number"), (r#""TRANSLATION":9"#, "accessor 9")]
     {
         write_glb(&path, &gltf(accessors, views, bytes.len(), &node(attributes), ""), &bytes);
         assert!(mesh(&path).unwrap_err().contains(words));
     }
-    // Negative sizes and strips, fans and gaps between corners are read as they are.
+    // Negative scales, and strips, fans and gaps between corners, are read as they are.
     let plain = structure(3, "", r#"[{"mesh":0,"scale":[-1,1,1]}]"#, "[0]");
     for mode in [5, 6] {
         write_glb(

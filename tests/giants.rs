@@ -1,4 +1,5 @@
-//! Small archives that hold millions of pages: what looks at all of them takes memory for few. The heap is counted.
+//! Small archives with millions of pages: code that visits all of them needs memory for only a few. The heap is
+//! counted.
 
 mod common;
 #[path = "common/heap.rs"]
@@ -12,7 +13,7 @@ use slicewalk::archive::{Archive, extract, recover};
 use slicewalk::stats::Stats;
 use std::fs;
 
-/// The one test of this file: others would allocate beside it.
+/// The only test of this file, because others would allocate at the same time.
 #[test]
 fn a_million_pages_in_a_thousand_bytes_take_memory_for_few() {
     let folder = tempfile::tempdir().unwrap();
@@ -22,7 +23,7 @@ fn a_million_pages_in_a_thousand_bytes_take_memory_for_few() {
     let pages = 2 << 20;
     fs::write(path("giant.slices"), &bytes).unwrap();
     let whole = Archive::open(path("giant.slices")).unwrap();
-    // A leaf of 2²⁰ entries has 7 MiB of columns, in memory once and once more while it is unpacked.
+    // A leaf of 2²⁰ entries has 7 MiB of columns, twice in memory while it is unpacked.
     const LEAF: usize = 16 << 20;
 
     let (summary, peak) = measured(|| whole.verify(&NoMonitor, &mut |finding| panic!("{finding}")).unwrap());
@@ -30,7 +31,7 @@ fn a_million_pages_in_a_thousand_bytes_take_memory_for_few() {
     assert!(peak < LEAF, "verify: {peak} bytes");
 
     let (refused, peak) = measured(|| Stats::of(&whole).unwrap_err().to_string());
-    // A table of layers that grows is there twice.
+    // A growing table of layers is in memory twice.
     assert!(refused.contains("extract") && peak < LEAF + (48 << 20), "{refused}, {peak} bytes");
     let half = Archive::from_bytes(giant(&bytes, 1)).unwrap();
     let (stats, peak) = measured(|| Stats::of(&half).unwrap());

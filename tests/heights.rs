@@ -1,4 +1,4 @@
-//! Guarantee G3: the ends of a span enclose its points and are off by at most one quantum, outwards.
+//! Guarantee G3: the ends of a span enclose its points and exceed them by at most one quantum.
 
 #[path = "heights/scan.rs"]
 mod scan;
@@ -55,7 +55,7 @@ fn spans_end_at_most_one_quantum_outside_their_extreme_points() {
     }
 }
 
-/// Where floor meets obstacle, a span ends on a slice boundary and not at a point; such spans are looked at together.
+/// Where floor meets obstacle, a span ends on a slice boundary and not at a point; such spans are checked together.
 fn check(frame: &Frame, heights: &[f64], spans: &[(i64, i64, bool)], shift: f64) {
     let mut runs: Vec<(i64, i64)> = Vec::new();
     for &(bottom, top, _) in spans {

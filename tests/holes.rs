@@ -1,4 +1,4 @@
-//! `--fill-holes`: holes in floors up to the width are closed, wider ones are not, what was scanned stays as it is, and what is
+//! `--fill-holes` closes holes in floors up to the given width and no wider ones, keeps everything scanned, and what is
 //! inferred can be ignored.
 #![cfg(feature = "cli")]
 
@@ -29,14 +29,14 @@ const FILL: [&str; 2] = ["--fill-holes", "0.4"];
 /// A hole in the floor of the hall.
 #[derive(Clone, Copy, Debug)]
 enum Hole {
-    /// Middle and diameter.
+    /// Centre and diameter.
     Disc([f64; 2], f64),
-    /// Least corner and size.
+    /// Lowest corner and size.
     Rect([f64; 2], [f64; 2]),
 }
 
 impl Hole {
-    /// How far inside a place lies (m); negative outside.
+    /// How far a place is inside the hole (m); negative outside.
     fn depth(&self, [x, y]: [f64; 2]) -> f64 {
         match *self {
             Self::Disc([cx, cy], diameter) => diameter / 2.0 - (x - cx).hypot(y - cy),
@@ -45,7 +45,7 @@ impl Hole {
     }
 }
 
-/// Up to the width, a slot across the small room among them; and wider.
+/// Up to the width, including a slot across the small room; then wider ones.
 const CLOSED: [Hole; 5] = [
     Hole::Disc([2.0, 4.0], 0.4),
     Hole::Disc([3.03, 5.08], 0.25),
@@ -56,7 +56,7 @@ const CLOSED: [Hole; 5] = [
 const OPEN: [Hole; 3] =
     [Hole::Disc([4.0, 1.5], 0.8), Hole::Rect([6.0, 4.0], [0.7, 0.7]), Hole::Rect([9.0, 5.5], [1.5, 0.65])];
 
-/// The hall without its floor in the holes, nor in the left-most half metre (the edge of what was scanned).
+/// The hall without the floor in the holes and in the leftmost half metre (the edge of the scan).
 fn points(seed: u64) -> Vec<[f64; 3]> {
     let params = Params::new().with("leaves", 0.0).with("clutter", 0.0);
     let scene = Scene::named("hall", &params).unwrap();
@@ -109,7 +109,7 @@ fn known<T>(answer: Answer<T>) -> T {
     }
 }
 
-/// Where a slim pawn gets to on foot from the middle of the hall (m²).
+/// Area that a slim pawn can reach on foot from the middle of the hall (m²).
 fn area(archive: &Archive) -> f64 {
     let store = Store::resident(archive, &NoMonitor).unwrap();
     let pawn = Pawn::new(Body::Cylinder { radius: 0.15, height: 1.7 });
@@ -120,7 +120,7 @@ fn area(archive: &Archive) -> f64 {
     flood.region(&standing).area_m2()
 }
 
-/// Whether a slim walker crosses the slot.
+/// Returns whether a slim walker crosses the slot.
 fn crosses(archive: &Archive) -> bool {
     let store = Store::resident(archive, &NoMonitor).unwrap();
     let config = Config { max_drop: Some(0.35), ..Config::new(Body::Cylinder { radius: 0.15, height: 1.7 }) };
@@ -146,7 +146,7 @@ fn every_hole_up_to_the_width_is_closed_and_none_wider_and_a_walker_crosses() {
     let on_floor: Vec<_> = found.iter().filter(|p| p[2] < 1.0).collect();
     for hole in CLOSED {
         let inside = (0..140 * 90).map(|n| [f64::from(n % 140), f64::from(n / 140)].map(|v| (v + 0.5) * PIXEL_M));
-        // Pixels that lie in the hole with all of their points.
+        // Pixels of which all points are in the hole.
         for place in inside.filter(|&place| hole.depth(place) > 0.75 * PIXEL_M && place[1] > 0.5 && place[1] < 8.5) {
             let near = |p: &&&[f64; 3]| (p[0] - place[0]).abs() < 1e-6 && (p[1] - place[1]).abs() < 1e-6;
             let fills: Vec<_> = on_floor.iter().filter(near).collect();
@@ -159,7 +159,7 @@ fn every_hole_up_to_the_width_is_closed_and_none_wider_and_a_walker_crosses() {
     }
     assert!(found.iter().all(|p| p[2] > 1.0 || p[0] > 0.45), "beyond the edge of what was scanned");
 
-    // What was scanned stays, to the last bit; what is inferred is counted and can be ignored.
+    // Everything scanned stays bit for bit; inferred floor is counted and can be ignored.
     let counts = filled.header().voxels;
     assert_eq!((counts.inferred, counts.obstacle), (found.len() as u64, plain.header().voxels.obstacle));
     assert_eq!(counts.occupied - counts.inferred, plain.header().voxels.occupied);
@@ -170,7 +170,7 @@ fn every_hole_up_to_the_width_is_closed_and_none_wider_and_a_walker_crosses() {
     let areas = [&plain, &scanned, &filled].map(area);
     assert!(areas[0] == areas[1] && areas[2] > areas[0] + 10.0, "{areas:?}");
 
-    // G1 with inferred matter, G2 without it, from memory and streamed.
+    // G1 with inferred floor, G2 without it, in memory and streamed.
     let store = Store::resident(&filled, &NoMonitor).unwrap();
     let stream =
         Stream::open(scanned, StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(64 << 20) }).unwrap();
@@ -240,7 +240,7 @@ fn order_threads_memory_and_parts_change_no_byte_and_marks_outlive_what_makes_ar
     let pushed = Archive::open(at.join("pushed.slices")).unwrap();
     assert!(pages(&pushed) == pages(&whole) && inferred(&pushed) == inferred(&whole));
 
-    // Parts, of a plan, whose borders run through the holes.
+    // Parts of a plan, whose borders run through the holes.
     converts(
         at,
         &[&["a.las", "b.las", "--quiet", "--pixel", "0.1", "--units", "m", "--write-plan", "plan.json"], &options[..]]
@@ -259,7 +259,7 @@ fn order_threads_memory_and_parts_change_no_byte_and_marks_outlive_what_makes_ar
     let merged = fs::read(at.join("merged.slices")).unwrap();
     assert!(merged == expected, "{} and {} bytes", merged.len(), expected.len());
 
-    // A region cut out, and an archive rebuilt from its pages.
+    // An extracted region, and an archive rebuilt from its pages.
     let bounds = ([1.0, 1.0, -0.5], [6.03, 6.2, 2.0]);
     extract(&whole, &bounds, &at.join("cut.slices"), false, &NoMonitor).unwrap();
     verifies(&at.join("cut.slices"));

@@ -1,4 +1,5 @@
-//! Clouds that lie about their size are refused in little memory: one test, as its allocator counts what is held.
+//! Clouds that lie about their size are refused in little memory. A single test, because its allocator counts all
+//! memory.
 #![cfg(feature = "cli")]
 
 #[path = "common/heap.rs"]
@@ -32,7 +33,7 @@ fn content_and_xml(good: &[u8]) -> (Vec<u8>, usize, String) {
     (content, xml_at as usize, xml)
 }
 
-/// Pages with an XML behind `content`, which begins with a header.
+/// Pages with an XML after `content`, which begins with a header.
 fn file_of(mut content: Vec<u8>, xml: &str) -> Vec<u8> {
     let xml_at = content.len() as u64;
     content.extend(xml.as_bytes());
@@ -45,7 +46,7 @@ fn file_of(mut content: Vec<u8>, xml: &str) -> Vec<u8> {
     content.chunks(1020).flat_map(page).collect()
 }
 
-/// A sound E57 with another XML of the same pages, and its checksums put right.
+/// A sound E57 with another XML of as many pages, and recomputed checksums.
 fn with_xml(good: &[u8], edit: impl Fn(&str) -> String) -> Vec<u8> {
     let (content, xml_at, xml) = content_and_xml(good);
     file_of(content[..xml_at].to_vec(), &edit(&xml))
@@ -56,13 +57,13 @@ fn with_packets(good: &[u8], packets: &[u8]) -> Vec<u8> {
     let (content, _, xml) = content_and_xml(good);
     let (before, offset) = xml.split_once("fileOffset=\"").unwrap();
     let behind = &offset[offset.find('"').unwrap()..];
-    // A section of points behind the header, and its packets behind the head of the section.
+    // A section of points after the header, and its packets after the head of the section.
     let section = [1, 32 + packets.len() as u64, 48 + 32, 0].map(u64::to_le_bytes);
     let content = [&content[..48], section.as_flattened(), packets].concat();
     file_of(content, &format!("{before}fileOffset=\"48{behind}"))
 }
 
-/// A packet of points with so many bytes in each column.
+/// A packet of points with this many bytes in each column.
 fn packet(columns: &[u16]) -> Vec<u8> {
     let sum: u16 = columns.iter().sum();
     let len = (6 + 2 * columns.len() as u16 + sum).next_multiple_of(4);
@@ -123,7 +124,7 @@ fn forged_counts_endless_lines_and_bombs_take_little_memory() {
             with_xml(&good, |xml| xml.replacen("fileOffset=\"", "fileOffset=\"9999999999", 1)),
             "beyond the file",
         ),
-        // Chains of packets without points, and of packets with points that never become whole.
+        // Chains of packets without points, and of packets whose points never become complete.
         ("chain.e57", with_packets(&good, &[0, 0, 3, 0].repeat(2_000_000)), "its packets hold 0 whole ones"),
         ("empty.e57", with_packets(&good, &packet(&[0; 9]).repeat(300_000)), "its packets hold 0 whole ones"),
         ("apart.e57", with_packets(&good, &packet(&lonely).repeat(500)), "bytes apart"),
@@ -177,7 +178,7 @@ fn forged_counts_endless_lines_and_bombs_take_little_memory() {
             Err(error) => assert!(!words.is_empty() && error.to_string().contains(words), "{name}: {error}"),
             Ok(points) => assert_eq!((words, points), ("", 0), "{name}"),
         }
-        // XML of 16 MiB at most, and its tree.
+        // XML of at most 16 MiB, and its tree.
         let most = if name.ends_with("e57") { 4 * MOST_BYTES } else { MOST_BYTES };
         assert!(peak < most, "{name}: {peak} bytes");
     }

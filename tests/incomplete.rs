@@ -1,6 +1,6 @@
-//! Input that can be read in part only is refused, and what was there stays; with `--allow-incomplete` the rest is
-//! converted, and a warning names what is missing. Input that changes while it is read, and parts that read two versions of
-//! an input, are noticed.
+//! Input that can be read only in part is refused, and existing files stay; with `--allow-incomplete` the rest is
+//! converted, and a warning names what is missing. Input that changes while it is read, and parts that read two
+//! versions of an input, are detected.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -31,8 +31,8 @@ fn points_kept(folder: &Path) -> u64 {
     Archive::open(folder.join("a.slices")).unwrap().header().points_kept
 }
 
-/// `inputs` are refused with `words` and the way out, and the archive stays; allowed, they convert to so many points, and
-/// the same words are a warning.
+/// Checks that `inputs` are refused with `words` and advice, and that the archive stays; with permission, `left` points
+/// are converted, and the same words are a warning.
 fn is_incomplete(folder: &Path, inputs: &[&str], words: &str, left: u64) {
     let before = fs::read(folder.join("a.slices")).unwrap();
     for pixel in ["0.1", "auto"] {
@@ -60,12 +60,12 @@ fn cut_and_damaged_scans() {
     fs::write(at.join("cut.las"), &las[..las.len() / 2]).unwrap();
     is_incomplete(at, &["cut.las"], "cut.las: ", 1494);
     is_incomplete(at, &["cut.las", "scan.las"], "the header states 3000 points, the file holds 1494 whole ones", 4494);
-    // The header counts too few: the others lie behind them.
+    // The header counts too few points: others follow.
     let mut few = las.clone();
     few[107..111].copy_from_slice(&1000u32.to_le_bytes());
     fs::write(at.join("few.las"), few).unwrap();
     is_incomplete(at, &["few.las"], "the header states 1000 points, but more records", 1000);
-    // Bytes that are no points may follow: padding, or records of another kind.
+    // Bytes that are not points may follow: padding, or other records.
     let padded: Vec<u8> = las.iter().copied().chain([0; 4096]).collect();
     fs::write(at.join("padded.las"), padded).unwrap();
     converts(at, &[&["padded.las"], &OPTIONS[..], &["--force"]].concat());
@@ -82,7 +82,7 @@ fn cut_and_damaged_scans() {
     assert_eq!(points_kept(at), 7_000);
 }
 
-/// Nothing of a damaged chunk is kept, so all ways to convert its file keep the same.
+/// No point of a damaged chunk is kept, so every way to convert its file keeps the same points.
 #[test]
 fn damaged_laz_in_parts_gives_what_one_run_gives() {
     for format in [1, 6] {
@@ -98,7 +98,7 @@ fn damaged_laz_in_parts_gives_what_one_run_gives() {
         options.pixel = PixelSize::Metres(0.1);
         options.overwrite = true;
         let good = fs::read(&scan).unwrap();
-        // Amid the coordinates of a chunk: what else lies in layers of formats 6 to 10 is not read.
+        // Among the coordinates of a chunk, because other layers of formats 6 to 10 are not read.
         let places =
             if format == 6 { [2, 8].map(|n| chunks(&good)[n] + 150) } else { [3, 4].map(|n| good.len() * n / 5) };
         for place in places {
@@ -109,7 +109,7 @@ fn damaged_laz_in_parts_gives_what_one_run_gives() {
             let file = PlanFile::new(&options, &NoMonitor).unwrap();
             let said = convert(&options, &NoMonitor).unwrap_err().to_string();
             assert!(said.contains(": damaged: "), "{said}");
-            // Each part that meets the damage says the same; nothing is said of bounds.
+            // Each part that meets the damage reports the same, and nothing about bounds.
             let refusals: Vec<_> = (1..=3).filter_map(|index| part(at, &input, index, &file).err()).collect();
             assert!(!refusals.is_empty() && refusals.iter().all(|error| error.to_string() == said), "{refusals:?}");
             options.allow_incomplete = true;
@@ -126,7 +126,7 @@ fn coordinates_that_cannot_be_kept() {
     let folder = folder();
     let at = folder.path();
     let mut las = fs::read(at.join("scan.las")).unwrap();
-    // Of steps of 10⁷ m, the outermost coordinates lie beyond 10¹² m.
+    // With steps of 10⁷ m, the outermost coordinates are beyond 10¹² m.
     las[131..139].copy_from_slice(&1e8f64.to_le_bytes());
     fs::write(at.join("far.las"), las).unwrap();
     let said = refuses(at, &["far.las", "-o", "b.slices", "--pixel", "1e5", "--units", "m"], 1);
@@ -150,7 +150,7 @@ fn files_that_cannot_be_read() {
         assert!(said.contains("warning: incomplete: left out: "), "{said}");
         assert_eq!(points_kept(at), 3000);
     }
-    // Where nothing is left, nothing is written.
+    // If nothing is left, nothing is written.
     for inputs in [&["tiles/b.las"][..], &["none.las"], &["none/*.las"]] {
         refuses(at, &[inputs, &OPTIONS, &["--force", "--allow-incomplete"]].concat(), 1);
         assert_eq!(points_kept(at), 3000);
@@ -186,7 +186,7 @@ fn broken_meshes() {
         fs::write(at.join(name), bytes).unwrap();
         is_incomplete(at, &[name], words, 1);
     }
-    // A triangle without area is no loss.
+    // A degenerate triangle is not a loss.
     fs::write(at.join("flat.obj"), format!("{corners}f 1 2 3\nf 1 2 2\n")).unwrap();
     let said = converts(at, &[&["flat.obj"], &OPTIONS[..], &["--force"]].concat());
     assert!(said.contains("1 of 2 triangles left out: they have no area"), "{said}");
@@ -208,7 +208,7 @@ fn names_of_any_bytes_count_in_patterns_too() {
     }
 }
 
-/// Ends within a minute, or it waits for something that never comes.
+/// Checks that it ends within a minute, rather than waiting forever.
 #[cfg(unix)]
 fn ends(folder: &Path, arguments: &[&str]) -> String {
     use std::process::Stdio;
@@ -269,7 +269,7 @@ fn buffers_outside_the_folder_of_a_gltf_file_are_not_followed() {
     }
 }
 
-/// Does something to files when a stage begins.
+/// Modifies files when a stage begins.
 struct Meddler<F: Fn()> {
     stage: &'static str,
     act: F,
@@ -310,7 +310,7 @@ fn files_that_change_while_they_are_read() {
         ("floor.obj", Box::new(|| fs::write(at.join("floor.obj"), "v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n").unwrap())),
     ];
     for (number, (name, act)) in acts.iter().enumerate() {
-        // Before the only pass, and between the two passes of a pixel size that follows from the points.
+        // Before the only pass, and between the two passes that determine the pixel size from the points.
         for (pixel, stage) in [
             (PixelSize::Metres(0.1), if *name == "floor.obj" { "reading meshes" } else { "reading points" }),
             (PixelSize::Auto, "reading points"),
@@ -323,7 +323,7 @@ fn files_that_change_while_they_are_read() {
                 options.pixel = pixel;
                 options.overwrite = true;
                 options.allow_incomplete = allow_incomplete;
-                // A file that is gone before it is opened for its points is refused even so.
+                // A file that disappears before its points are read is refused even so.
                 let done = convert(&options, &monitor);
                 if allow_incomplete && at.join(name).exists() {
                     assert!(done.as_ref().is_ok_and(|report| !report.complete), "{number}: {done:?}");
@@ -346,7 +346,7 @@ fn files_that_change_while_they_are_read() {
     }
 }
 
-/// Two scans side by side, of which the first reaches over both halves.
+/// Two adjacent scans, of which the first extends over both halves.
 fn two_scans(at: &Path, extension: &str) -> [PathBuf; 2] {
     let mut all = points(40_000);
     all.retain(|point| point.iter().all(|v| v.abs() < 100.0));
@@ -361,12 +361,13 @@ fn two_scans(at: &Path, extension: &str) -> [PathBuf; 2] {
     names
 }
 
-/// Whether a plan knows a file by this byte among others: eight blocks of 4096 bytes, evenly from first to last.
+/// Returns whether this byte belongs to the samples by which a plan identifies a file: eight blocks of 4096 bytes,
+/// evenly from first to last.
 fn is_sampled(at: usize, len: usize) -> bool {
     (0..8).map(|n| (len - 4096) * n / 7).any(|begin| (begin..begin + 4096).contains(&at))
 }
 
-/// Where the chunks of a LAZ file of format 6 begin: each has a point, the number of points, and nine sizes of layers.
+/// Offsets of the chunks of a LAZ file of format 6: each has a point, the number of points, and nine sizes of layers.
 fn chunks(file: &[u8]) -> Vec<usize> {
     let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
     let (mut at, mut starts) = (word(96) + 8, Vec::new());
@@ -421,13 +422,14 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
         options.output.clone_from(&whole);
         convert(&options, &NoMonitor).unwrap();
         assert!(fs::read(&whole).unwrap() == fs::read(&merged).unwrap());
-        // One byte between the samples that the plan knows a file by: the intensity of a point, or a corner of the mesh.
+        // One byte between the samples by which the plan identifies a file: the intensity of a point, or a corner of
+        // the mesh.
         for (name, changed) in [(&inputs[0], "a scan"), (&inputs[2], "a mesh")] {
             let before = fs::read(name).unwrap();
             let place = match (changed, extension) {
                 ("a mesh", _) => (before.len() / 5..).find(|&at| before[at] == b'3' && !is_sampled(at, before.len())),
                 (_, "las") => (375 + 12..).step_by(30).find(|&at| !is_sampled(at, before.len())),
-                // The first point of a chunk lies there as it is.
+                // The first point of a chunk is stored uncompressed.
                 _ => chunks(&before).into_iter().map(|at| at + 12).find(|&at| !is_sampled(at, before.len())),
             };
             let mut after = before.clone();
@@ -444,7 +446,8 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
                 "{changed}: {error}"
             );
             assert!(!at.join("bad.slices").exists());
-            // So it is where the parts meet in the last node of a tree only: joined parts keep what they read.
+            // Also detected if the parts meet only in the last node of a tree, because joined parts keep what they
+            // read.
             let node = |index: u32, from: &[PathBuf]| {
                 let name = at.join(format!("node{index}.slices"));
                 merge_run(from, (index, 2), &name, true, &NoMonitor).map(|_| name)
@@ -456,7 +459,7 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
             assert!(!at.join("bad.slices").exists());
             part(at, &inputs, 2, &file).unwrap();
         }
-        // A change of most of it shows in the samples, before any work is done.
+        // A change of most of the file shows in the samples, before the work begins.
         let mut after = fs::read(&inputs[0]).unwrap();
         let len = after.len();
         after[len / 10..len * 9 / 10].iter_mut().for_each(|byte| *byte ^= 1);

@@ -1,7 +1,7 @@
-//! Scan files as they are found in the world: what each of them gives, and what damage gives.
+//! Scan files as found in practice: the result of each of them, and of damage.
 //!
-//! Real files come from a folder that is not part of the repository; tests that need it say so and pass where it is
-//! missing. Damaged files are made here, out of a few lines of bytes.
+//! Real files come from a folder outside the repository; tests that need it say so and pass if it is missing. Damaged
+//! files are made here, from a few lines of bytes.
 #![cfg(feature = "convert")]
 
 #[path = "common/data.rs"]
@@ -18,7 +18,7 @@ use slicewalk::input::{BATCH_POINTS, InputOptions, InputSet, PointChunk, PointCo
 use slicewalk::plan::Up;
 use slicewalk::{Error, Monitor, NoMonitor, Result, Warning};
 
-/// Keeps warnings.
+/// Collects warnings.
 #[derive(Default)]
 struct Heard(Mutex<Vec<String>>);
 
@@ -30,7 +30,7 @@ impl Monitor for Heard {
     }
 }
 
-/// What a set of files gives.
+/// Result of reading a set of files.
 #[derive(Debug, Default, Clone, PartialEq)]
 struct Read {
     counts: PointCounts,
@@ -39,7 +39,7 @@ struct Read {
 }
 
 impl Read {
-    /// A sum over the bits of all coordinates in file order, as the reference script makes it from laspy's arrays.
+    /// A sum over the bits of all coordinates in file order, like the reference script computes from laspy's arrays.
     fn sums(&self) -> [u64; 3] {
         [0, 1, 2]
             .map(|axis| self.points.iter().fold(0u64, |sum, p| sum.wrapping_mul(31).wrapping_add(p[axis].to_bits())))
@@ -52,12 +52,12 @@ impl Read {
     }
 }
 
-/// As far as it can be read.
+/// Reads as much as possible.
 fn read(paths: &[PathBuf], options: InputOptions) -> Result<Read> {
     read_strictly(paths, InputOptions { allow_incomplete: true, ..options })
 }
 
-/// Whole, or not at all.
+/// Reads everything, or fails.
 fn read_strictly(paths: &[PathBuf], options: InputOptions) -> Result<Read> {
     let heard = Heard::default();
     let set = InputSet::open(paths, options, &heard)?;
@@ -90,7 +90,7 @@ fn refusal(path: &Path) -> String {
 
 // ---- real files -----------------------------------------------------------------------------------------------------
 
-/// Points read and of these withheld, and a word that the warnings hold.
+/// Points read, how many of these are withheld, and a word in the warnings.
 const READABLE: &[(&str, u64, u64, &str)] = &[
     ("indoor_two_storey_zup.laz", 808_042, 0, ""),
     ("indoor_two_storey_yup.laz", 808_042, 0, ""),
@@ -155,7 +155,7 @@ const REFUSED: &[(&str, &str)] = &[
     ("odd/text_pointer_autzen.laz", "found text: \"version https://"),
 ];
 
-/// [`Read::sums`] of the kept points as laspy 2.7 with lazrs 0.8 reads them, at one metre per unit.
+/// [`Read::sums`] of the kept points as read by laspy 2.7 with lazrs 0.8, at one metre per unit.
 const LASPY: &[(&str, [u64; 3])] = &include!("input/laspy_sums.in");
 
 #[test]
@@ -241,7 +241,7 @@ fn z_up_and_y_up_twins_agree() {
 #[test]
 fn spacings_are_near_those_in_the_data_table() {
     let Some(data) = data::folder() else { return };
-    // Medians over distinct points (scipy's k-d tree); the table's own are the same where no point occurs twice.
+    // Medians over distinct points (scipy's k-d tree); the table's own medians are the same if no point occurs twice.
     let table = [
         ("indoor_two_storey_zup.laz", 0.0141),
         ("room_single_station.laz", 0.027),
@@ -263,7 +263,7 @@ fn spacings_are_near_those_in_the_data_table() {
 
 // ---- files made here --------------------------------------------------------------------------------------------
 
-/// A scan to be written and then spoilt.
+/// A scan to be written and then damaged.
 #[derive(Clone)]
 struct Scan {
     version: u8,
@@ -369,7 +369,7 @@ impl Scan {
         }
     }
 
-    /// `chunk` points a chunk; 0 for chunks of 100, 300, 500 .. points.
+    /// LAZ with `chunk` points per chunk; 0 for chunks of 100, 300, 500 ... points.
     fn laz(&self, chunk: u32) -> Vec<u8> {
         let vlr = self.vlr(chunk);
         let mut body = Vec::new();
@@ -427,7 +427,7 @@ fn every_format_reads_back_plain_and_packed_in_fixed_and_variable_chunks() {
     }
 }
 
-/// How a field of a record follows that of the one before.
+/// Derives a field of a record from that of the previous one.
 fn next_field(random: &mut impl FnMut() -> u64, field: &mut [u8], most_bits: u32) {
     let mut eight = [0; 8];
     eight[..field.len()].copy_from_slice(field);
@@ -441,11 +441,11 @@ fn next_field(random: &mut impl FnMut() -> u64, field: &mut [u8], most_bits: u32
     field.copy_from_slice(&(now & ((1 << most_bits) - 1)).to_le_bytes()[..field.len()]);
 }
 
-/// Records of any kind: extra bytes, channels of the scanner, times that jump, returns 0 to 15.
+/// Random records: extra bytes, scanner channels, times that jump, return numbers 0 to 15.
 fn varied(format: u8, points: u32, extra: usize, random: &mut impl FnMut() -> u64) -> Scan {
     let mut scan = Scan::new(4, format, points);
     let bytes = RECORD_BYTES[usize::from(format)];
-    // Ends of the fields behind the coordinates, of which a time is the last.
+    // Ends of the fields after the coordinates, the last of which is a time.
     let (ends, time_at) = match format {
         0 | 2 => (vec![14, 15, 16, 17, 18, 20], None),
         0..6 => (vec![14, 15, 16, 17, 18, 20, 28], Some(20)),
@@ -456,13 +456,13 @@ fn varied(format: u8, points: u32, extra: usize, random: &mut impl FnMut() -> u6
         let place: [u8; 12] = record[..12].try_into().unwrap();
         let (mut from, known) = (12, *ends.last().unwrap());
         for to in ends.iter().copied().chain(known + 1..=bytes + extra) {
-            // `laz` takes differences of times as if none overflowed.
+            // `laz` computes differences of times as if they could not overflow.
             let bits = if time_at == Some(from) { 61 } else { 8 * (to - from) as u32 };
             next_field(random, &mut last[from..to], bits);
             from = to;
         }
         last[..12].copy_from_slice(&place);
-        // So does it differences of places of waveforms.
+        // The same holds for differences of waveform positions.
         if let Some(packet) = [(4, 28), (5, 34), (9, 30), (10, 38)].iter().find(|packet| packet.0 == format) {
             last[packet.1 + 8] &= 0x3F;
         }
@@ -498,7 +498,7 @@ fn the_same_records_plain_and_packed_give_the_same_archive() {
         if exclude {
             options.plan.exclude_classes = [3].into_iter().collect();
         }
-        // Where all values are 0, both are refused.
+        // If all values are 0, both are refused.
         match convert(&options, &NoMonitor) {
             Ok(_) => std::fs::read(&options.output).unwrap(),
             Err(error) => error.to_string().into_bytes(),
@@ -530,7 +530,7 @@ fn extra_bytes_are_stepped_over_and_bound_the_memory() {
             assert!(read_one(&path).unwrap().points == scan.expected());
             let options = InputOptions { memory_bytes: 1 << 20, ..InputOptions::default() };
             match read(&[path], options) {
-                // Of layered points nothing is decoded that is not needed.
+                // Of layered points, only needed layers are decoded.
                 Ok(found) => assert!((name == "a.las" || format == 7) && found.points.len() == 600),
                 Err(error) => {
                     assert!(matches!(error, Error::Limit { .. }) && error.to_string().contains("give more memory"))
@@ -591,7 +591,7 @@ fn a_cut_laz_gives_the_points_before_the_cut_or_one_line() {
             let path = folder.file("cut.laz", &whole[..len]);
             match read_one(&path) {
                 Ok(found) => {
-                    // Only whole chunks count: the last points before a cut cannot be checked.
+                    // Only whole chunks count, because the last points before a cut cannot be checked.
                     let n = found.points.len();
                     assert!(n <= 2400 && found.points[..] == expected[..n], "format {format}, {len} bytes");
                     assert!(chunk == 0 || n % chunk as usize == 0 || n == 2400, "format {format}, {len} bytes: {n}");
@@ -605,7 +605,7 @@ fn a_cut_laz_gives_the_points_before_the_cut_or_one_line() {
                 Err(error) => assert!(!error.to_string().contains('\n')),
             }
         }
-        // Chunks of varying length cannot be found in formats 0 to 5 once their table is lost.
+        // In formats 0 to 5, chunks of varying length cannot be found without their table.
         assert!(if (format, chunk) == (3, 0) { most == 0 } else { most > 1800 }, "format {format}: {most}");
     }
 }
@@ -626,7 +626,7 @@ fn a_lost_chunk_table_costs_nothing_where_chunks_can_be_found() {
             assert!(found.points == scan.expected(), "format {format}, {place}: {}", found.points.len());
             assert!(found.warnings.contains("chunk table"), "{}", found.warnings);
         }
-        // Written to a pipe: the place of the table stands at the end of the file.
+        // Written to a pipe: the position of the table is at the end of the file.
         let mut bytes = good.clone();
         bytes[at..at + 8].copy_from_slice(&(-1i64).to_le_bytes());
         bytes.extend(table.to_le_bytes());
@@ -731,13 +731,13 @@ fn counts_that_lie_are_survived() {
         let found = read_one(&folder.file("lie.las", &stating(&scan.las(), count))).unwrap();
         assert_eq!(found.points, expected[..(count as usize).min(1700)]);
         if count == 1701 {
-            // Cannot be told from damage in the last chunk, which is the likelier of the two.
+            // Indistinguishable from damage in the last chunk, which is more likely.
             let text = refusal(&folder.file("lie.laz", &stating(&scan.laz(500), count)));
             assert!(text.contains("LAZ chunk 3: damaged") && text.contains("of 201"), "{text}");
         }
         let path = folder.file("lie.laz", &stating(&scan.laz(500), count));
         refusal(&path);
-        // The last chunk goes: nothing tells how many points it holds.
+        // The last chunk is dropped: nothing states how many points it has.
         let found = read_one(&path).unwrap();
         assert!(found.points == expected[..1500], "{count}: {} points", found.points.len());
     }
@@ -745,7 +745,7 @@ fn counts_that_lie_are_survived() {
         let text = refusal(&folder.file("zero.laz", &stating(&bytes, 0)));
         assert!(text.contains("states 0 points") && text.contains("interrupted"), "{text}");
     }
-    // Layered chunks say themselves how many points they hold.
+    // Layered chunks state their number of points.
     let scan = Scan::new(4, 6, 1700);
     for count in [0u64, 1, 1500, 1699, 1701, u64::MAX] {
         let mut bytes = scan.laz(500);
@@ -760,7 +760,7 @@ fn counts_that_lie_are_survived() {
     }
 }
 
-/// Where the chunks of a file of `Scan::laz` begin, and where the last one ends.
+/// Offsets of the chunks in a file of `Scan::laz`, and the end of the last one.
 fn chunk_places(laz: &[u8], scan: &Scan, chunk: u32) -> Vec<usize> {
     let points_at = u64::from(u32::from_le_bytes(laz[96..100].try_into().unwrap()));
     let mut file = std::io::Cursor::new(laz);
@@ -774,7 +774,7 @@ fn chunk_places(laz: &[u8], scan: &Scan, chunk: u32) -> Vec<usize> {
     std::iter::once(points_at as usize + 8).chain(ends).collect()
 }
 
-/// The count in the head of the last chunk is not believed where the header says otherwise.
+/// The count in the head of the last chunk is not trusted if the header contradicts it.
 #[test]
 fn a_count_in_a_layered_chunk_that_lies_is_refused() {
     let folder = Folder::new();
@@ -790,15 +790,15 @@ fn a_count_in_a_layered_chunk_that_lies_is_refused() {
             bad[at..at + 4].copy_from_slice(&count.to_le_bytes());
             let path = folder.file("count.laz", &bad);
             refusal(&path);
-            // Of what is left, each point is one of the file.
+            // Every point that is left is one of the file.
             let found = read_one(&path).unwrap();
             assert!(found.points == scan.expected()[..(points - held) as usize], "format {format}, {count}");
         }
     }
 }
 
-/// How a chunk ends, or a layer of it, shows whether its points are those that were packed. The places of the first point are beyond
-/// this: they lie in a chunk as they are.
+/// The end of a chunk, or of a layer, shows whether its points are those that were packed. The first point's
+/// coordinates are not covered: a chunk stores them uncompressed.
 #[test]
 fn flipped_bits_of_packed_points_are_errors_or_change_nothing() {
     let folder = Folder::new();
@@ -822,10 +822,10 @@ fn flipped_bits_of_packed_points_are_errors_or_change_nothing() {
                     Err(error) => {
                         assert!(!error.to_string().contains('\n'), "{error}");
                         refused += 1;
-                        // What is allowed to be lost is a chunk, and no point is made up.
+                        // The allowed loss is a chunk, and no point is invented.
                         let left = read_one(&path).unwrap();
                         let lost = 450 - left.points.len();
-                        // Where the count of the last chunk is damaged, nothing tells how many those are.
+                        // If the count of the last chunk is damaged, the number lost is unknown.
                         let is_told = left.counts.missing == lost as u64 || format > 5;
                         assert!(lost <= 300 && left.counts.missing > 0 && is_told, "{lost} {:?}", left.counts);
                         let all = scan.expected();
@@ -836,20 +836,21 @@ fn flipped_bits_of_packed_points_are_errors_or_change_nothing() {
             }
         }
         println!("format {format}: {refused} of {tried} refused, {others} other points");
-        // By chance the last bytes of a layer may be those of other points; `flipped_bits_by_the_million` counts.
+        // By chance a layer's last bytes may be those of other points; `flipped_bits_by_the_million` counts these
+        // cases.
         assert!(others * 100 < tried, "format {format}: {others} of {tried}");
         assert!(refused * 3 > tried, "format {format}: {refused} of {tried}");
     }
 }
 
-/// So many flips as `SLICEWALK_FLIPS` says, of any bit from the points on, and what becomes of each. Other points than the file's are
-/// read where `laz` reads the same: then the bytes are those of other points. Beyond that, in fewer than one of a thousand, for layers
-/// that nobody asked for are not decoded, and what is wrong may show in these alone.
+/// Flips as many bits as `SLICEWALK_FLIPS` says, anywhere from the points on, and counts the results. Wrong points are
+/// read where `laz` reads the same: then the bytes encode those points. Apart from that, in fewer than one in a
+/// thousand, because layers that are not needed are not decoded, and the damage may show only in these.
 #[test]
 #[ignore = "counts: SLICEWALK_FLIPS=1000000 takes minutes"]
 fn flipped_bits_by_the_million() {
     let flips: u64 = std::env::var("SLICEWALK_FLIPS").map_or(20_000, |text| text.parse().unwrap());
-    // Held in memory, for files would take most of the time.
+    // Held in memory, because files would take most of the time.
     let path = PathBuf::from("/no folder/flip.laz");
     let read = |bytes: &[u8]| {
         slicewalk::bytes::testing::hold(&path, bytes);
@@ -905,7 +906,7 @@ fn flipped_bits_by_the_million() {
     }
 }
 
-/// Without a chunk table the points must end where the table begins, or the file.
+/// Without a chunk table, the points must end where the table begins, or at the end of the file.
 #[test]
 fn garbage_behind_points_without_a_chunk_table_is_refused() {
     let folder = Folder::new();
@@ -914,7 +915,7 @@ fn garbage_behind_points_without_a_chunk_table_is_refused() {
         let good = scan.laz(chunk);
         let place = u32::from_le_bytes(good[96..100].try_into().unwrap()) as usize;
         let table = *chunk_places(&good, &scan, chunk).last().unwrap();
-        // The table's place is lost, or its own count is.
+        // The table's offset is lost, or its count.
         let mut lost = good.clone();
         lost[place..place + 8].copy_from_slice(&(-1i64).to_le_bytes());
         let mut wrong = good.clone();
@@ -922,7 +923,7 @@ fn garbage_behind_points_without_a_chunk_table_is_refused() {
         for bytes in [&lost, &wrong] {
             let path = folder.file("table.laz", bytes);
             assert!(read_strictly(&[path], InputOptions::default()).unwrap().points == scan.expected());
-            // Of layers, within those of coordinates.
+            // Within layers of coordinates.
             let places = chunk_places(&good, &scan, chunk);
             let damaged = if format < 6 { [table - 40, table - 300] } else { [places[1] + 100, places[4] + 150] };
             for at in damaged {
@@ -930,7 +931,7 @@ fn garbage_behind_points_without_a_chunk_table_is_refused() {
                 bad[at..at + 16].iter_mut().enumerate().for_each(|(n, byte)| *byte ^= 0x5A + n as u8);
                 refusal(&folder.file("damaged.laz", &bad));
             }
-            // Other bytes than the table's where it should begin.
+            // Bytes other than the table's where it should begin.
             let mut bad = bytes.clone();
             bad.splice(table..table, [7; 100]);
             if bytes == &lost {
@@ -940,14 +941,14 @@ fn garbage_behind_points_without_a_chunk_table_is_refused() {
     }
 }
 
-/// Chunks of equal length that no table lists, as LASzip's first versions wrote them: one for the whole file.
+/// Chunks of equal length without a table, as LASzip's first versions wrote them: one for the whole file.
 #[test]
 fn a_file_of_one_sequence_reads_whole_or_not_at_all() {
     let folder = Folder::new();
     let scan = Scan::new(2, 3, 700);
     let chunked = scan.laz(50_000);
     let places = chunk_places(&chunked, &scan, 50_000);
-    // The place of the table goes, and the table; compressor 1.
+    // Remove the table's offset and the table; compressor 1.
     let mut whole = chunked[..places[0] - 8].to_vec();
     let record = 227 + 54;
     assert_eq!(whole[record], 2);
@@ -964,13 +965,13 @@ fn a_file_of_one_sequence_reads_whole_or_not_at_all() {
     for (number, bytes) in refused.iter().enumerate() {
         let path = folder.file("bad.laz", bytes);
         refusal(&path);
-        // All are there in front of bytes that nobody knows.
+        // All points before unknown bytes are read.
         let left = read_one(&path).unwrap().points.len();
         assert_eq!(left, if number == 2 { 700 } else { 0 });
     }
 }
 
-/// Chunks that hold nothing: one in a file without points, one behind the last.
+/// Empty chunks: one in a file without points, one after the last.
 #[test]
 fn empty_chunks_and_empty_files_are_sound() {
     let folder = Folder::new();
@@ -991,7 +992,7 @@ fn empty_chunks_and_empty_files_are_sound() {
                 table.write_to(&mut body, &vlr).unwrap();
                 body
             };
-            // As `laz` ends it, and with a chunk of nothing but an encoder's end, or of no byte.
+            // As `laz` ends it, with a chunk of only an encoder's end, and with an empty chunk.
             let mut file = std::io::Cursor::new(&good);
             file.set_position(places[0] as u64 - 8);
             let table = ChunkTable::read_from(&mut file, &vlr).unwrap();
@@ -1049,7 +1050,7 @@ fn hostile_headers_are_refused_in_one_line_and_size_nothing() {
     let soft: &[(usize, &[u8])] = &[
         (100, &[255; 4]),                 // records before the points
         (243, &[255; 4]),                 // records after them, at byte 0
-        (131, &(-0.01f64).to_le_bytes()), // a mirrored axis means what it says
+        (131, &(-0.01f64).to_le_bytes()), // a mirrored axis is meant that way
         (179, &f64::NAN.to_le_bytes()),   // bounds are never trusted
     ];
     for (at, bytes) in soft {
@@ -1069,7 +1070,7 @@ fn hostile_headers_are_refused_in_one_line_and_size_nothing() {
     }
 }
 
-/// An item that a layered record cannot have has no layer, so nothing may be read at its number.
+/// An item that a layered record cannot have has no layer, so nothing may be read at its index.
 #[test]
 fn items_of_other_point_formats_are_refused_in_one_line() {
     let folder = Folder::new();

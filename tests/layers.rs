@@ -1,13 +1,13 @@
 //! Dependencies between the modules of the library point one way: a module uses those listed above it, never those below.
 //!
-//! The order is that of the code map in docs/ARCHITECTURE.md. Every path counts that begins with `crate` or `super`, wherever it
-//! stands: in `use`, in expressions, inside macros. Comments and tests are free to look down.
+//! The order is that of the code map in docs/ARCHITECTURE.md. Every path that begins with `crate` or `super` counts: in
+//! `use`, in expressions, inside macros. Comments and tests may use lower modules.
 
 use proc_macro2::{Delimiter, Group, Ident, TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Where the names that `lib.rs` re-exports come from.
+/// Modules of the names that `lib.rs` re-exports.
 const RE_EXPORTS: [(&str, &str); 6] = [
     ("Error", "error"),
     ("Parameter", "error"),
@@ -17,7 +17,7 @@ const RE_EXPORTS: [(&str, &str); 6] = [
     ("Warning", "monitor"),
 ];
 
-/// Modules that each module uses, each with a file that does.
+/// Modules that each module uses, each with a file that uses it.
 type Uses = BTreeMap<String, BTreeMap<String, String>>;
 
 #[test]
@@ -40,7 +40,7 @@ fn paths_are_found_wherever_they_stand() {
     assert_eq!(broken_rules(&uses, &order), ["archive uses query, which lies below it (archive/reader.rs)"]);
 }
 
-/// Modules in the order in which the code map lists them.
+/// Modules in the order of the code map.
 fn order_in(map: &str) -> Vec<String> {
     let listed = map.lines().filter(|line| line.starts_with("src/"));
     let names =
@@ -83,7 +83,7 @@ fn uses_below(src: &Path) -> Uses {
             if module.last().is_some_and(|last| last == "mod") {
                 module.pop();
             }
-            // Programs and the crate's root see everything.
+            // Programs and the crate's root may use everything.
             if module[0] == "bin" || module[0] == "lib" || module.last().is_some_and(|last| last == "tests") {
                 continue;
             }
@@ -100,7 +100,7 @@ fn uses_below(src: &Path) -> Uses {
     uses
 }
 
-/// Adds the top-level modules that `tokens`, found in `module`, name.
+/// Adds the top-level modules named by `tokens`, found in `module`.
 fn collect(tokens: TokenStream, module: &mut Vec<String>, found: &mut BTreeSet<String>) {
     let tokens: Vec<TokenTree> = tokens.into_iter().collect();
     let ident = |at: usize| match tokens.get(at) {
@@ -110,7 +110,7 @@ fn collect(tokens: TokenStream, module: &mut Vec<String>, found: &mut BTreeSet<S
     let mut at = 0;
     while at < tokens.len() {
         match &tokens[at] {
-            // `mod name { … }`, left out where `#[cfg(test)]` stands before it.
+            // `mod name { … }`, skipped after `#[cfg(test)]`.
             TokenTree::Ident(word) if word == "mod" => {
                 if let (Some(name), Some(TokenTree::Group(body))) = (ident(at + 1), tokens.get(at + 2)) {
                     if name != "tests" {
@@ -133,7 +133,7 @@ fn collect(tokens: TokenStream, module: &mut Vec<String>, found: &mut BTreeSet<S
     }
 }
 
-/// Whether `word` begins a path of this crate, unlike the `crate` of `pub(crate)`.
+/// Returns whether `word` begins a path of this crate, unlike the `crate` of `pub(crate)`.
 fn starts_path(word: &Ident, at: usize, tokens: &[TokenTree]) -> bool {
     (word == "crate" || word == "super") && is_separator(tokens, at + 1)
 }
@@ -146,7 +146,7 @@ fn is_separator(tokens: &[TokenTree], at: usize) -> bool {
     tokens.get(at).is_some_and(is_colon) && tokens.get(at + 1).is_some_and(is_colon)
 }
 
-/// The module that the leading `crate` or `super`s at `at` stand for, and where the path goes on.
+/// Resolves the leading `crate` or `super`s at `at` to a module; also returns where the path continues.
 fn base_of(module: &[String], mut at: usize, tokens: &[TokenTree]) -> (Vec<String>, usize) {
     let mut base = module.to_vec();
     while let Some(TokenTree::Ident(word)) = tokens.get(at)
@@ -179,7 +179,7 @@ fn name_after(base: &[String], rest: &[TokenTree], found: &mut BTreeSet<String>)
     }
 }
 
-/// What the commas of `{a, b::c}` part.
+/// Splits `{a, b::c}` at its commas.
 fn branches(group: &Group) -> Vec<Vec<TokenTree>> {
     let tokens: Vec<TokenTree> = group.stream().into_iter().collect();
     let comma = |token: &TokenTree| matches!(token, TokenTree::Punct(punct) if punct.as_char() == ',');

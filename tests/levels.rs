@@ -1,5 +1,5 @@
-//! Overview levels: they hold all matter of the archive, come out the same whatever way the archive was made, and a change of
-//! them is found.
+//! Overview levels contain all solid of the archive, do not depend on how the archive was made, and changes of them are
+//! detected.
 
 mod common;
 
@@ -67,7 +67,7 @@ fn rules(bytes: Vec<u8>) -> Vec<&'static str> {
     rules
 }
 
-/// What `verify` says.
+/// Findings of `verify`.
 fn findings(bytes: Vec<u8>) -> Vec<String> {
     let mut said = Vec::new();
     Archive::from_bytes(bytes).unwrap().verify(&NoMonitor, &mut |finding| said.push(finding.expected)).unwrap();
@@ -96,7 +96,7 @@ fn levels_go_up_to_one_page_or_the_eight_around_the_origin() {
     }
 }
 
-/// Sixteen flat pages make one of their level, flat again, of which no bytes are stored.
+/// Sixteen flat pages become one of their level, which is flat again and stores no bytes.
 #[test]
 fn pages_of_levels_that_are_the_same_everywhere_are_only_listed() {
     let flat = page((0..4096).map(|at| ((at % 64, at / 64), vec![Span::new(255, 255, false).unwrap()])));
@@ -119,7 +119,7 @@ fn a_box_that_hits_in_the_archive_hits_in_every_level() {
     let mut between = |low: f64, high: f64| low + (high - low) * f64::from(random.below(1 << 20)) / f64::from(1 << 20);
     let keys: Vec<_> = archive.entries().map(|entry| entry.unwrap().key).collect();
     for number in 0..20_000 {
-        // In a page with matter: 64 pixels of 0.1 m, 64 slices of 0.3 m.
+        // In an occupied page: 64 pixels of 0.1 m, 64 slices of 0.3 m.
         let key = keys[number % keys.len()];
         let edges = [(key.tx, 6.4), (key.ty, 6.4), (key.layer, 19.2)];
         let corner: [f64; 3] = edges.map(|(index, edge)| f64::from(index) * edge + between(0.0, edge));
@@ -150,7 +150,7 @@ fn heights_of_levels_lie_on_thirds_of_slices_and_of_sparse_pages_on_slices() {
         let ends: BTreeSet<(u32, u32)> = spans.iter().map(|span| (span.bottom(), span.top())).collect();
         (spans.len(), ends)
     };
-    // Heights of the level are a fourth of those below: 100 to 104 there.
+    // Heights of the level are a quarter of those below: 100 to 104 there.
     assert_eq!(heights(1), (512, BTreeSet::from([(85, 170)])));
     // Every fourth pixel: four spans become one. Every fifth: fewer.
     assert_eq!(heights(4), (512, BTreeSet::from([(85, 170)])));
@@ -181,7 +181,7 @@ fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
     let bytes = with_levels(city());
     let archive = Archive::from_bytes(bytes.clone()).unwrap();
     let fetch = |range: std::ops::Range<u64>| bytes[range.start as usize..range.end as usize].to_vec();
-    // Head and footer, table, level: no other byte is looked at.
+    // Only head and footer, the table and the level are read.
     let mut opening = Opening::new(Some(bytes.len() as u64));
     let catalog = loop {
         match opening.next().unwrap() {
@@ -206,7 +206,7 @@ fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
         assert!(alone.levels().unwrap().is_empty() && alone.crs().unwrap().is_empty());
         assert!(Archive::of_level(level, fetch(range.start..range.end - 1)).is_err());
         assert!(alone.source().read_at(range.start - 1, &mut [0]).is_err());
-        // As a page in the browser loads it.
+        // As the viewer loads it.
         let mut loader = Loader::new(level.catalog().clone(), LoaderOptions::new(16 << 20)).unwrap();
         let keys: Vec<_> = pages_of(&alone).into_keys().collect();
         let request = loader.request(&keys, keys[0]);
@@ -272,7 +272,7 @@ fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let single = with_levels(city());
-    // The first part is in the coding of older versions.
+    // The first part uses the coding of older versions.
     let coded = |shard: Shard| if shard.index == 1 { common::plan() } else { plan() };
     let parts = written_parts(folder.path(), |part, shard| archive_with_levels(&coded(shard), part, Some(shard)));
     merge(&parts, &path("whole.slices"), false, &NoMonitor).unwrap();
@@ -290,7 +290,7 @@ fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
     let room = extract(&archive, &([0.0; 3], [20.0, 20.0, 9.0]), &path("room.slices"), false, &NoMonitor).unwrap();
     assert!(room.header.levels.is_some() && rules(fs::read(path("room.slices")).unwrap()).is_empty());
 
-    // A damaged level is made anew from the pages; a page of a level never passes for one of the archive.
+    // A damaged level is rebuilt from the pages; a level's page never counts as one of the archive.
     let level = archive.levels().unwrap()[0].bytes();
     let mut damaged = single.clone();
     damaged[level.start as usize + 40] ^= 1;
@@ -306,7 +306,7 @@ fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
     assert!(pages.header().levels.is_none());
 }
 
-/// Indices of a voxel on the whole grid of an archive or a level.
+/// Indices of a voxel in the whole grid of an archive or level.
 type Place = [i64; 3];
 
 /// All colours of an archive or a level.
@@ -355,10 +355,10 @@ fn voxels_of_levels_have_the_mean_colours_of_the_voxels_in_them() {
                 let mean = sum.map(|sum| (sum / n * 257.0).round() as u16);
                 apart += f64::from(difference(table.of_16_bits(mean), table.of_8_bits(*colour)));
             }
-            // Of each page, and so of all; 8 bits are as fine as it gets.
+            // Per page, and so overall; 8 bits are the finest.
             let (apart, most) = (apart / found.len() as f64, f64::from(error_milli.max(500)) / 1000.0);
             assert!(apart <= most, "level {number}: {apart} of {most}");
-            // The table tells where the colours lie, and they need no other byte.
+            // The table states where the colours are; reading them needs no other bytes.
             let catalog = level.catalog();
             assert!(catalog.colours_section().is_none());
             let table = catalog.level_colours_range().unwrap();
@@ -386,7 +386,7 @@ fn plain_archives_keep_their_bytes_and_what_comes_before_colours_of_levels_is_as
     };
     assert!(pages(&both[0]) == pages(&both[1]));
     assert_eq!(colours_of(&both[0]), colours_of(&both[1]));
-    // The levels are those of an archive without colours.
+    // The levels equal those of an archive without colours.
     let plain = Archive::from_bytes(with_levels(city())).unwrap();
     assert_eq!(plain.header().features_optional, 0b101);
     let levels = |archive: &Archive| {
@@ -394,7 +394,7 @@ fn plain_archives_keep_their_bytes_and_what_comes_before_colours_of_levels_is_as
         section(archive, header.levels_offset(), header.directory_offset())
     };
     assert!(levels(&plain) == levels(&both[0]));
-    // Who does not know of them reads the archive's colours and the levels, and finds a gap.
+    // A reader that does not know them reads the archive's colours and the levels, and finds a gap.
     let forged = Parts::of(&with).build(|head| put(head, 24, 0b111, 8));
     assert_eq!(rules(forged.clone()), ["K8"]);
     let forged = Archive::from_bytes(forged).unwrap();
@@ -421,14 +421,14 @@ fn parts_extracts_and_recovered_archives_have_the_coloured_levels_of_a_single_ru
     assert_eq!(rules(room.clone()), [""; 0]);
     assert!(!colours_of(&Archive::from_bytes(room).unwrap().level(1).unwrap()).is_empty());
 
-    // Damaged colours of a level are made anew.
+    // Damaged colours of a level are rebuilt.
     let mut damaged = single.clone();
     damaged[archive.header().colours_offset() as usize + 64 + 10] ^= 1;
     assert_eq!(rules(damaged.clone()), ["K4"]);
     fs::write(path("damaged.slices"), &damaged).unwrap();
     let recovered = recover(&path("damaged.slices"), None, &path("saved.slices"), false, &NoMonitor).unwrap();
     assert!(recovered.identical && fs::read(path("saved.slices")).unwrap() == single);
-    // Levels without colours get some.
+    // Levels without colours receive some.
     let forged = Parts::of(&single).build(|head| put(head, 24, 0b111, 8));
     fs::write(path("forged.slices"), forged).unwrap();
     recover(&path("forged.slices"), None, &path("coloured.slices"), false, &NoMonitor).unwrap();
@@ -482,7 +482,7 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
             }
         }
     }
-    // Sound checksums around wrong numbers.
+    // Valid checksums around wrong numbers.
     let forged = |change: &dyn Fn(&mut [u8])| {
         let mut parts = Parts::of(&bytes);
         let at = (start - parts.head.len() as u64) as usize;
@@ -493,7 +493,7 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
         rules(parts.build(|_| ()))
     };
     assert_eq!(forged(&|_| ()), [""; 0]);
-    // Voxels, length and checksum of level 2; a length beyond the section.
+    // Voxels, length and checksum of level 2; then a length beyond the section.
     assert_eq!(forged(&|table| table[28] ^= 1), ["K10"]);
     assert!(forged(&|table| table[36] ^= 1).contains(&"K2"));
     assert!(forged(&|table| put(table, 20, 3, 8)).contains(&"K11"));
@@ -511,13 +511,13 @@ fn heads_without_room_for_colours_of_levels_are_refused_and_verify_looks_at_ever
     assert!(said.contains("rule K1"), "{said}");
     let newer = parts.build(|head| (head[10], head[383]) = (head[10] + 1, 1));
     assert!(Archive::from_bytes(newer).is_ok());
-    // Every byte of a sound archive is looked at.
+    // Every byte of a sound archive is checked.
     let sound = parts.build(|_| ());
     let summary = Archive::from_bytes(sound.clone()).unwrap().verify(&NoMonitor, &mut |_| ()).unwrap();
     assert_eq!((summary.findings, summary.bytes), (0, sound.len() as u64));
 }
 
-/// The archive of `pages` with the levels of `others`, and right checksums.
+/// The archive of `pages` with the levels of `others`, and valid checksums.
 fn with_levels_of(pages: Pages, others: Pages) -> Vec<u8> {
     let [own, other] = [pages, others].map(|pages| Parts::of(&with_levels(pages)));
     let levels = |parts: &Parts| parts.pages.len() - word(&parts.head, 328);
@@ -527,7 +527,7 @@ fn with_levels_of(pages: Pages, others: Pages) -> Vec<u8> {
     Parts { head, pages, ..own }.build(|_| ())
 }
 
-/// The archive without its last level, and right checksums. Every level has one leaf.
+/// The archive without its last level, and valid checksums. Every level has one leaf.
 fn without_last_level(parts: &Parts) -> Vec<u8> {
     const RECORD: usize = 40 + 28;
     let [levels_len, table_len] = [328, 336].map(|at| word(&parts.head, at));
@@ -553,7 +553,7 @@ fn without_last_level(parts: &Parts) -> Vec<u8> {
 fn levels_that_are_not_those_of_the_pages_are_found() {
     assert_eq!(rules(with_levels_of(city(), city())), [""; 0]);
     let mut other = city();
-    // Matter that a level lacks, moves, or has too much of.
+    // Solid that a level lacks, moves, or has too much of.
     let (&last, _) = other.last_key_value().unwrap();
     other.remove(&last);
     assert!(rules(with_levels_of(city(), other.clone())).contains(&"L5"));
@@ -564,14 +564,14 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     far.insert(key(4000, 0, 0), far.values().next().unwrap().clone());
     assert!(rules(with_levels_of(city(), far.clone())).contains(&"L5"));
     assert!(rules(with_levels_of(far, city())).contains(&"L5"));
-    // A page too many behind all that level 1 has; the levels above follow from it.
+    // An extra page after all those of level 1; the levels above follow from it.
     let mut more = city();
     more.insert(key(3, 900, 0), more.values().next().unwrap().clone());
     let found = findings(with_levels_of(city(), more));
     assert!(found.iter().any(|said| said.contains("no more pages: none has matter below")), "{found:?}");
-    // The last one is missing, and nothing else is wrong.
+    // The last level is missing, and nothing else is wrong.
     assert_eq!(rules(without_last_level(&Parts::of(&with_levels(city())))), ["L5"]);
-    // Heights on other steps than the head says.
+    // Heights on other steps than the head states.
     let parts = Parts::of(&with_levels(city()));
     assert_eq!(word(&parts.head, 24), 0b101);
     assert!(rules(parts.build(|head| put(head, 24, 0b001, 8))).contains(&"P10"));

@@ -1,4 +1,4 @@
-//! The loader as a state machine: it opens an archive, streams it over any link, and says the same twice.
+//! The loader as a state machine: it opens an archive, streams it over any link, and repeats exactly.
 
 #[path = "common/random.rs"]
 mod random;
@@ -68,8 +68,8 @@ fn a_small_archive_of_unknown_length_opens_with_its_first_answer() {
     assert_eq!(link.requests(), 2, "the start, then the leaf: {:#?}", link.transcript);
 }
 
-/// An hour of walking over a link that loses one answer of twenty: nothing wrong, nothing beyond the budget, and the
-/// same transcript twice.
+/// An hour of walking over a link that loses one answer in twenty: no wrong page, the budget is kept, and a second run
+/// gives the same transcript.
 #[test]
 fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
     let all = resident(&TOWER);
@@ -113,7 +113,8 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
     assert_eq!((transcript, counters), walk());
 }
 
-/// Drivers that answer in any order, lose, and cannot cancel: once the bodies rest, exactly what they want is there.
+/// Drivers that answer in any order, lose answers, and cannot cancel: once the bodies rest, exactly the pages they need
+/// are loaded.
 #[test]
 fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
     let mut expected = None;
@@ -131,7 +132,7 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
             horizon_max: Duration::from_secs(1),
             ..LoaderOptions::new(BUDGET)
         };
-        // Opens over a good link: an answer lost before the directory is there is an error to the driver.
+        // Opened over a good link, because an answer lost before the directory is loaded is an error for the driver.
         let mut link = Link::new(&TOWER, Manners::GOOD, seed);
         let (mut loader, pawn) = opened(&TOWER, options);
         link.run(&mut loader, seconds(0.1)).unwrap();
@@ -149,7 +150,7 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
         let view = loader.view().unwrap();
         let answer = overlaps(&view, &body.shape());
         assert!(!matches!(answer, Overlap::NotLoaded(_)), "seed {seed}");
-        // All that the body wants, whatever else is there.
+        // All pages that the body needs, whatever else is loaded.
         let mut probe = loader.request(&[], PageKey { tx: 0, ty: 0, layer: 0 });
         link.poll(&mut loader).unwrap();
         assert_eq!(loader.outcome(probe).unwrap().unwrap().left_out, 0);
@@ -162,7 +163,7 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
     }
 }
 
-/// A budget in which these pages have room at once.
+/// A budget that fits these pages at the same time.
 fn needed_bytes(keys: &[PageKey]) -> usize {
     let (mut loader, _) = opened(&TOWER, LoaderOptions::new(16 * BUDGET));
     let mut link = Link::new(&TOWER, Manners::GOOD, 1);
@@ -204,7 +205,7 @@ fn a_request_waits_for_room_that_others_give_back() {
     assert_eq!((report.loaded, report.left_out), (wanted.len(), 0), "{report:?}");
 }
 
-/// Two requests and a body that rests, in the budget that the larger of the requests needs beside the body.
+/// Two requests and a resting body, with the budget that the larger request needs beside the body.
 #[test]
 fn requests_get_all_pages_one_after_the_other_in_the_budget_that_each_needs() {
     let places = [Body::at(0.9, 0.0, 31.0), Body::at(3.0, -3.0, 50.0), Body::at(-3.0, 3.0, 8.0)];
@@ -245,7 +246,7 @@ fn requests_get_all_pages_one_after_the_other_in_the_budget_that_each_needs() {
     }
 }
 
-/// A page comes slowly into what room there is; for the next one others must go, which a view still holds for a moment.
+/// A page arrives slowly in the free space; the next one requires an eviction, which a view still blocks for a moment.
 #[test]
 fn patience_with_views_begins_when_nothing_else_holds_room() {
     let wanted = keys_around(&Body::at(0.9, 0.0, 31.0));
@@ -280,7 +281,7 @@ fn polling_again_without_news_changes_nothing() {
     loader.forget(pawn);
 }
 
-/// The most urgent page first: what is fetched second is needed no sooner.
+/// The most urgent page first: a page fetched second is needed no sooner.
 #[test]
 fn the_most_urgent_fetch_comes_first_and_none_twice() {
     let mut link = Link::new(&TOWER, Manners::GOOD, 1);
@@ -404,7 +405,7 @@ fn a_cut_archive_of_unknown_length_and_a_budget_below_the_table_are_refused() {
     assert_eq!(link.requests(), 2, "no leaf is asked for: {:#?}", link.transcript);
 }
 
-/// A frame loop as a game has it, over a slow link: a walker never waits once it stands.
+/// A frame loop like a game's, over a slow link: a walker never waits once it stands.
 #[test]
 fn a_walker_on_a_slow_link_waits_at_the_start_only() {
     let manners = Manners { latency: Duration::from_millis(40), rate: 2.5e6, lost: 0, shuffled: false };

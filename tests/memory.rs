@@ -1,5 +1,5 @@
-//! Bounded memory (guarantee G5): the program's peak resident memory stays within its budget and 64 MiB more, on points
-//! that do not fit it, in any order and extent. `tools/measure-memory.sh` measures the same on gigabytes.
+//! Bounded memory (guarantee G5): the program's peak resident memory stays within its budget plus 64 MiB, for points
+//! that exceed it, in any order and extent. `tools/measure-memory.sh` measures the same on gigabytes.
 #![cfg(all(feature = "cli", target_os = "linux"))]
 
 #[path = "common/scans.rs"]
@@ -15,7 +15,7 @@ use tempfile::TempDir;
 const POINTS: usize = 5_000_000;
 const MOST_KIB: u64 = (64 + 64) << 10;
 
-/// Converts points at 64 MiB and returns the peak memory in KiB, as the system counts it, and the temporary bytes.
+/// Converts points at 64 MiB and returns the peak memory in KiB, as counted by the system, and the temporary bytes.
 fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Random) -> [f64; 3]) -> (u64, u64) {
     let folder = tempfile::tempdir().unwrap();
     let mut random = Random(6);
@@ -27,7 +27,7 @@ fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Ra
     (peak, temp)
 }
 
-/// Converts `file`, of so many points or triangles, at 64 MiB.
+/// Converts `file`, of `count` points or triangles, at 64 MiB.
 fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: usize, options: &[&str]) -> (u64, u64) {
     let report = folder.path().join("report.json");
     let mut child = command(folder.path())
@@ -40,7 +40,7 @@ fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: us
     let status = format!("/proc/{}/status", child.id());
     let mut peak = 0;
     let ended = loop {
-        // The mark only rises, so the last look before the end is all but the whole truth.
+        // The high-water mark never falls, so the last read before the end is close to the maximum.
         let text = fs::read_to_string(&status).unwrap_or_default();
         let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         peak = peak.max(line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0));
@@ -114,7 +114,7 @@ fn coincident_points_stay_within_the_budget() {
 
 #[test]
 fn clouds_of_scanners_stay_within_the_budget_and_go_to_disk() {
-    // Twice as many coordinates as the budget and what may come beyond it.
+    // Twice as many bytes of coordinates as the budget plus the allowed excess.
     for (name, format, count) in [("scan.e57", CloudFormat::E57, POINTS), ("scan.ptx", CloudFormat::Ptx, POINTS)] {
         let folder = tempfile::tempdir().unwrap();
         let mut random = Random(6);

@@ -1,5 +1,6 @@
-//! Colours of meshes: voxels get what corners, materials and textures say, within what a formula says; order, threads, memory and
-//! parts change no byte; textures that are not there, or are hostile, are warnings, and the geometry does not know of any of it.
+//! Colours of meshes: voxels get the colours of corners, materials and textures, within a bound of a formula's values;
+//! order, threads, memory and parts change no byte; missing or hostile textures are warnings and do not affect the
+//! geometry.
 #![cfg(feature = "cli")]
 
 #[path = "mesh/files.rs"]
@@ -23,7 +24,7 @@ const OPTIONS: [&str; 9] =
 /// Texels of the texture.
 const SIZE: [u32; 2] = [512, 384];
 
-/// The colour of a place of the texture, 0 to 1 from its upper left, before it is rounded.
+/// Colour at a position of the texture, 0 to 1 from its upper left, before rounding.
 fn formula([u, v]: [f64; 2]) -> [f64; 3] {
     [255.0 * u, 255.0 * v, 128.0 + 100.0 * (6.0 * u + 4.0 * v).sin()]
 }
@@ -46,12 +47,12 @@ fn png(width: u32, height: u32, rgb: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The place on the quad of a place of its texture: 6.4 × 4.8 m, tilted along both axes.
+/// Point on the quad for a position in its texture: 6.4 × 4.8 m, tilted along both axes.
 fn place([u, v]: [f64; 2]) -> [f64; 3] {
     [6.4 * u + 0.03, 4.8 * (1.0 - v) - 0.02, 1.5 * u + 2.2 * (1.0 - v) + 0.013]
 }
 
-/// The quad in `cut × cut` pieces of two triangles each, as places of the texture.
+/// The quad in `cut × cut` pieces of two triangles each, as positions in the texture.
 fn quad(cut: u32) -> Vec<[[f64; 2]; 3]> {
     let at = |n: u32| f64::from(n) / f64::from(cut);
     let pieces = (0..cut).flat_map(|y| (0..cut).map(move |x| (x, y)));
@@ -63,7 +64,7 @@ fn quad(cut: u32) -> Vec<[[f64; 2]; 3]> {
         .collect()
 }
 
-/// Mean colours of the voxels that the quad meets, by very many places on it.
+/// Mean colours of the voxels that the quad meets, from very many points on it.
 fn truth(frame: &Frame) -> BTreeMap<[i64; 3], ([f64; 3], u32)> {
     let mut sums: BTreeMap<[i64; 3], ([f64; 3], u32)> = BTreeMap::new();
     for y in 0..1500 {
@@ -86,19 +87,19 @@ fn convert(at: &Path, inputs: &[&str], output: &str, options: &[&str]) -> Archiv
     Archive::open(at.join(output)).unwrap()
 }
 
-/// Of a conversion of one file that says what it has to say.
+/// Arguments of the conversion of one file.
 fn arguments<'a>(input: &'a str, options: &[&'a str]) -> Vec<&'a str> {
     let own = [input, "-o", "a.slices", "--pixel", "0.1", "--units", "m", "--force", "--colour-error", "0"];
     [&own, options].concat()
 }
 
-/// Every voxel has a colour, near that of the truth.
+/// Checks that every voxel has a colour near the true one.
 fn assert_is_the_texture(archive: &Archive, mean_limit: f64, what: &str) {
     let truth = truth(archive.frame());
     let (mut sum, mut count, mut most) = (0.0, 0, 0.0f64);
     for (voxel, colour) in colours(archive) {
         let colour = colour.unwrap_or_else(|| panic!("{what}: {voxel:?} has no colour"));
-        // Slivers at the edge, where places are few, are left to the rest.
+        // Skips slivers at the edge, with few points.
         let Some((exact, n)) = truth.get(&voxel).filter(|(_, n)| *n > 50) else { continue };
         assert!(*n > 0);
         let apart = (0..3).map(|k| (exact[k] - f64::from(colour[k])).abs()).fold(0.0, f64::max);
@@ -116,7 +117,7 @@ fn write_obj(path: &Path, triangles: &[[[f64; 2]; 3]], materials: &str) {
     write_obj_with(path, triangles, materials, |place| place);
 }
 
-/// Corners name the places that `named` makes of those in the texture, from its lower left.
+/// `named` maps positions in the texture, from its lower left, to those that corners name.
 fn write_obj_with(path: &Path, triangles: &[[[f64; 2]; 3]], materials: &str, named: impl Fn([f64; 2]) -> [f64; 2]) {
     let mut out = format!("mtllib {materials}\nusemtl first\n");
     for corner in triangles.iter().flatten() {
@@ -146,12 +147,12 @@ fn write_ply(path: &Path, triangles: &[[[f64; 2]; 3]], colour: &str) {
     fs::write(path, out).unwrap();
 }
 
-/// A structure and a buffer of the quad: positions, places in the texture and the texture itself.
+/// A structure and a buffer of the quad: coordinates, positions in the texture, and the texture itself.
 fn gltf(triangles: &[[[f64; 2]; 3]], image: &[u8], uri: Option<&str>) -> (String, Vec<u8>) {
     gltf_with(triangles, image, uri, |place| place)
 }
 
-/// Corners name the places that `named` makes of those in the texture.
+/// `named` maps positions in the texture to those that corners name.
 fn gltf_with(
     triangles: &[[[f64; 2]; 3]],
     image: &[u8],
@@ -240,7 +241,7 @@ fn textures_lie_where_materials_move_scale_and_turn_them() {
     let write_mtl = |options: &str| fs::write(at.join("a.mtl"), format!("newmtl wood\nmap_Kd {options} a.png\n"));
     write_mtl("-s 2 -4 1 -o 0.25 0.5").unwrap();
     write_obj_with(&at.join("a.obj"), &quad(5), "a.mtl", |[u, v]| [(u - 0.25) / 2.0, (v - 0.5) / -4.0]);
-    // Back from what the extension makes of a place: moved, turned, scaled.
+    // Inverts the extension's transform of a position: moved, rotated, scaled.
     let ((sin, cos), offset, scale) = (0.7f64.sin_cos(), [0.3, -0.2], [2.0, 0.5]);
     let named = |[u, v]: [f64; 2]| {
         let (u, v) = (u - offset[0], v - offset[1]);
@@ -279,7 +280,7 @@ fn textures_in_jpeg_are_read_in_both_forms() {
         let archive = convert(at, &["a.glb"], "a.slices", &["--colour", "rgb"]);
         let mut seen = 0;
         for (voxel, colour) in colours(&archive) {
-            // The middle of the voxel, back in the texture of 64 × 48 texels whose colour at (x, y) is (4x, 5y, 128).
+            // The middle of the voxel, mapped to the texture of 64 × 48 texels whose colour at (x, y) is (4x, 5y, 128).
             let middle = |axis: usize| (voxel[axis] as f64 + 0.5) * 0.1;
             let (u, v) = ((middle(0) - 0.03) / 6.4, 1.0 - (middle(1) + 0.02) / 4.8);
             let [r, g, b] = colour.unwrap().map(f64::from);
@@ -307,7 +308,7 @@ fn order_threads_memory_and_parts_change_no_byte() {
     triangles.iter_mut().step_by(3).for_each(|triangle| triangle.reverse());
     write_obj(&at.join("b.obj"), &triangles[..3000], "a.mtl");
     write_obj(&at.join("c.obj"), &triangles[3000..], "a.mtl");
-    // A scan of 16 bits beside it: triangles become as wide as its values are.
+    // With a 16-bit scan beside it: triangles are scaled to its range of values.
     let spec = WriteSpec {
         format: 7,
         texture: Some(scangen::Texture { period_m: 1.0, eight_bits: false, exposure: 0.0 }),
@@ -348,7 +349,7 @@ fn order_threads_memory_and_parts_change_no_byte() {
     }
 }
 
-/// The one colour of an archive.
+/// The single colour of an archive.
 fn only_colour(archive: &Archive) -> Option<[u8; 3]> {
     let mut all: Vec<Option<[u8; 3]>> = colours(archive).into_values().collect();
     all.sort_unstable();
@@ -382,14 +383,14 @@ fn materials_factors_and_faces_colour_whole_triangles() {
         .replace(&format!(r#""byteLength":{start}}}]}}"#), &format!(r#""byteLength":{}}}]}}"#, buffer.len()));
     write_glb(&at.join("a.glb"), &corners, &buffer);
     assert_eq!(only_colour(&convert(at, &["a.glb"], "a.slices", &["--colour", "rgb"])), Some([188, 188, 0]));
-    // Corners with colours behind their coordinates, and a face with one.
+    // Corners with colours after their coordinates, and a face with one such corner.
     fs::write(at.join("a.obj"), "v 0 0 0 1 0.5 0\nv 4 0 0 1 0.5 0\nv 0 4 0 1 0.5 0\nf 1 2 3\n").unwrap();
     assert_eq!(only_colour(&convert(at, &["a.obj"], "a.slices", &["--colour", "rgb"])), Some([255, 128, 0]));
     let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
                   property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
     fs::write(at.join("a.ply"), format!("{header}0 0 0\n4 0 0\n0 4 0\n3 0 1 2 7 8 9\n")).unwrap();
     assert_eq!(only_colour(&convert(at, &["a.ply"], "a.slices", &["--colour", "rgb"])), Some([7, 8, 9]));
-    // Without any there is no section, or a refusal.
+    // Without any colours there is no section, or a refusal.
     fs::write(at.join("a.obj"), "v 0 0 0\nv 4 0 0\nv 0 4 0\nf 1 2 3\n").unwrap();
     let said = converts(at, &arguments("a.obj", &["--colour", "auto"]));
     assert!(said.contains("the archive has no colours"), "{said}");
@@ -409,7 +410,7 @@ fn textures_that_cannot_be_used_are_warnings_and_the_material_colours_in_their_p
     write_texture(&outer.join("secret.png"));
     let sound = fs::read(outer.join("secret.png")).unwrap();
     let huge = {
-        // A head that states more texels than are allowed, with its checksum.
+        // A head that states more texels than allowed, with a valid checksum.
         let mut bytes = png(2, 2, &[9; 12]);
         bytes[16..24].copy_from_slice(&[0, 0, 0xEA, 0x60, 0, 0, 0xEA, 0x60]);
         let sum = crc32(&bytes[12..29]);
@@ -448,14 +449,14 @@ fn textures_that_cannot_be_used_are_warnings_and_the_material_colours_in_their_p
         converts(at, &arguments("a.glb", &["--colour", "rgb"]));
         assert_eq!(only_colour(&Archive::open(at.join("a.slices")).unwrap()), Some([255; 3]), "{name}");
     }
-    // Materials that are not there, or have other names.
+    // Materials that are missing, or have other names.
     for (text, word) in [("", "there is none called"), ("newmtl other\nKd 1 1 1\n", "there is none called")] {
         fs::write(at.join("a.mtl"), text).unwrap();
         write_obj(&at.join("a.obj"), &quad(2), "../a.mtl a.mtl");
         let said = converts(at, &arguments("a.obj", &["--colour", "auto"]));
         assert!(said.contains(word) && said.contains("the archive has no colours"), "{said}");
     }
-    // A material that a part names and that is not there.
+    // A part names a material that does not exist.
     let (structure, buffer) = gltf(&quad(2), &sound, None);
     write_glb(&at.join("a.glb"), &structure.replace(r#""material":0"#, r#""material":7"#), &buffer);
     let said = converts(at, &arguments("a.glb", &["--colour", "auto"]));
@@ -477,7 +478,7 @@ fn a_texture_that_does_not_fit_the_memory_is_an_error_that_says_so() {
     assert_eq!(only_colour(&Archive::open(at.join("a.slices")).unwrap()), Some([200; 3]));
 }
 
-/// Checksum of a chunk of PNG, by its definition.
+/// CRC-32 of a PNG chunk, by definition.
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0, |sum, byte| {
         (0..8).fold(sum ^ u32::from(*byte), |sum, _| if sum & 1 == 1 { sum >> 1 ^ 0xEDB8_8320 } else { sum >> 1 })

@@ -1,5 +1,5 @@
 //! Meshes: every format gives the same archive, real meshes answer boxes without a miss (G1) or a phantom (G2), order,
-//! threads and memory do not show (G4), and bad files are refused in one line.
+//! threads and memory do not matter (G4), and bad files are refused in one line.
 #![cfg(feature = "cli")]
 
 #[path = "mesh/files.rs"]
@@ -99,7 +99,7 @@ fn order_threads_memory_and_files_do_not_show() {
 fn polygons_negative_numbers_and_continued_lines_are_understood() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    // An L as one face, and a face that comes before its corners.
+    // An L as one face, and a face that precedes its corners.
     fs::write(
         at("a.obj"),
         "v 0 0 0\nv 2 0 0\nv 2 1 0\nv 1 1 0\nv 1 2 0\nv 0 2 0\nf -6 -5 -4 \\\n -3 -2 -1 # an L\nf 7 8 9\nv 5 5 1 0.5 1 \
@@ -127,7 +127,7 @@ fn a_byte_order_mark_before_text_is_no_part_of_it() {
     for name in ["a.obj", "a.ply", "a.stl", "a.gltf"] {
         let mut bytes = fs::read(at(name)).unwrap();
         if name == "a.obj" {
-            // A line that counts stands first.
+            // A meaningful line comes first.
             bytes = bytes.splitn(4, |&byte| byte == b'\n').last().unwrap().to_vec();
             assert!(bytes.starts_with(b"v "));
             fs::write(at(name), &bytes).unwrap();
@@ -143,7 +143,7 @@ fn nodes_of_gltf_place_their_meshes_and_the_triangles_are_turned_to_z_up() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.glb");
     let triangle = [[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]];
-    // Scaled by 2, turned a quarter about y (x to −z), moved; then a child of that, moved along the parent's x.
+    // Scaled by 2, rotated a quarter turn about y (x to −z), moved; then a child of that, moved along the parent's x.
     let nodes = r#"[{"children":[1],"mesh":0,"translation":[10,20,30],"rotation":[0,0.70710678118,0,0.70710678118],
         "scale":[2,2,2]},{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,5,0,0,1]}]"#;
     write_glb(&path, &structure(3, "", nodes, "[0]"), &buffer(&triangle));
@@ -172,7 +172,7 @@ fn scans_and_meshes_mix_and_units_apply_to_both() {
     assert!(hit([0.5, 0.5, 0.5]) && hit([3.0, 3.0, 1.0]) && !hit([4.4, 4.4, 1.0]) && !hit([3.0, 3.0, 1.2]));
 }
 
-/// A square of 4 m from `x` on whose far edge lies higher by `rise`; upright if that is infinite.
+/// A square of 4 m from `x` on whose far edge is higher by `rise`; upright if that is infinite.
 fn slope(x: f64, rise: f64) -> [Triangle; 2] {
     let far = if rise.is_infinite() { (x, 4.0) } else { (x + 4.0, rise) };
     let [a, b, c, d] = [[x, 0.0, 0.0], [far.0, 0.0, far.1], [far.0, 4.0, far.1], [x, 4.0, 0.0]];
@@ -198,7 +198,7 @@ fn the_true_slope_makes_obstacles_whatever_the_classifier_and_scanned_points_do_
             archive(folder.path(), inputs, &["--classifier", rule, "--units", "m"]);
             let store = Store::resident(&Archive::open(at("out.slices")).unwrap(), &NoMonitor).unwrap();
             let found = |n: usize| {
-                // Half way up.
+                // Halfway up.
                 let start = 10.0 * n as f64;
                 let (x, z) = if rises[n].is_infinite() { (start, 2.0) } else { (start + 2.0, rises[n] / 2.0) };
                 let shape = Aabb::new([x, 1.0, z].into(), [x, 3.0, z].into()).unwrap();
@@ -234,7 +234,7 @@ fn store_of(path: &Path, up: Up, t: f64, mesh: MeshMode) -> Store {
 fn boxes_on_real_meshes_have_no_miss_and_no_phantom() {
     let folder = tempfile::tempdir().unwrap();
     for (path, up, t) in real_meshes() {
-        // Faces are often not flat, and which triangles they are cut into is the reader's choice; here it is the test's.
+        // Faces are often not flat, and each reader triangulates them differently; here the test decides.
         let triangles = files::read(&path);
         let cut = folder.path().join("cut.obj");
         write_obj(&cut, &triangles);
@@ -262,7 +262,7 @@ fn boxes_on_real_meshes_have_no_miss_and_no_phantom() {
     }
 }
 
-/// Pixels and slices with matter.
+/// Occupied voxels: pixels and slices.
 fn voxels(store: &Store) -> BTreeSet<(i64, i64, i64)> {
     truth::voxels(store)
 }
@@ -273,11 +273,11 @@ fn points_a_quarter_of_a_pixel_apart_fill_the_pixels_of_their_triangles_but_for_
         let exact = voxels(&store_of(&path, up, t, MeshMode::Exact));
         let sampled = voxels(&store_of(&path, up, t, MeshMode::Sampled { step_m: Some(t / 4.0) }));
         let name = path.display();
-        // A point is rounded, and may then lie beside its triangle, in the next pixel or slice by a rounding error.
+        // A rounded point may lie beside its triangle, in the next pixel or slice.
         let beyond = sampled.difference(&exact).count();
         assert!(beyond <= sampled.len() / 10_000, "{name}: {beyond} of {} beyond the triangles", sampled.len());
-        // Points miss what a triangle cuts off from a pixel's corner or a slice's end, less than a step wide: beside it
-        // there is a pixel that they do not miss.
+        // Points miss corners of a pixel or ends of a slice that a triangle cuts off within less than a step: beside it
+        // is a pixel that they do not miss.
         let missed: Vec<_> = exact.difference(&sampled).collect();
         assert!(missed.len() < exact.len() / 8, "{name}: {} of {} missed", missed.len(), exact.len());
         for &&(i, j, s) in &missed {
@@ -405,7 +405,7 @@ fn damage_anywhere_is_an_error_of_one_line_or_other_triangles() {
         let bad = at(&format!("bad-{name}"));
         for round in 0..300 {
             let mut bytes = whole.clone();
-            // Near the front as often as anywhere: that is where structure lies.
+            // As often near the front as anywhere, because the structure is there.
             let limit = if round % 2 == 0 { bytes.len() } else { bytes.len().min(700) };
             let place = random.below(limit);
             match round % 5 {
@@ -450,6 +450,6 @@ fn triangles_without_area_are_left_out_with_a_warning() {
     assert!(said.contains("metres are assumed"), "{said}");
     let header = Archive::open(folder.path().join("a.slices")).unwrap().header().clone();
     assert_eq!((header.points_read, header.points_kept), (4, 2));
-    // A 700th of the extent of a metre, to two digits.
+    // A 700th of an extent of one metre, to two digits.
     assert_eq!(header.plan.frame.pixel_m(), 0.0014);
 }

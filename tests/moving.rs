@@ -1,4 +1,5 @@
-//! `--remove-moving`: who walked through a scan goes, what stands stays, whatever the order, threads and memory.
+//! `--remove-moving` removes people who walked through a scan and keeps what stands still, whatever the order, threads
+//! and memory.
 #![cfg(feature = "cli")]
 
 #[path = "cloud/coloured.rs"]
@@ -24,7 +25,7 @@ use std::path::Path;
 const PIXEL_M: f64 = 0.05;
 const OPTIONS: [&str; 8] = ["--pixel", "0.05", "--units", "m", "--quiet", "--force", "--threads", "2"];
 
-/// Points of one station, rounded as the file has them.
+/// Points of one station, rounded as in the file.
 fn scan(scene: &Scene, at: [f64; 3], rays: u64, people: usize, seed: u64, path: &Path) -> Vec<Sample> {
     let scanner = ScannerSpec { stations: vec![at], people, clearance_m: 0.15, ..ScannerSpec::default() };
     let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(rays) }.with_noise(0.003);
@@ -40,7 +41,7 @@ fn table(folder: &Path, stations: &[([f64; 3], &str)]) {
     fs::write(folder.join("stations.csv"), format!("file,x,y,z\n{}", lines.concat())).unwrap();
 }
 
-/// Converts the scans of `names` without what moved; the archive, what was removed, and the report.
+/// Converts the scans of `names` without moving objects; returns the archive, the removed points, and the report.
 fn convert(at: &Path, names: &[&str], options: &[&str]) -> (Vec<u8>, Vec<u8>, serde_json::Value) {
     let moving =
         ["--remove-moving", "--stations", "stations.csv", "--removed", "gone.las", "--json", "-o", "out.slices"];
@@ -52,7 +53,7 @@ fn convert(at: &Path, names: &[&str], options: &[&str]) -> (Vec<u8>, Vec<u8>, se
 
 #[test]
 fn scanners_of_e57_and_ptx_need_no_table() {
-    /// What floats and LAS hold exactly.
+    /// A step that floats and LAS represent exactly.
     const STEP: f64 = 1.0 / 1024.0;
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -84,7 +85,7 @@ fn scanners_of_e57_and_ptx_need_no_table() {
         converts(at, &[inputs, &OPTIONS, &["--remove-moving", "-o", "out.slices"]].concat());
         assert!(fs::read(at.join("out.slices")).unwrap() == archive, "{inputs:?}");
     }
-    // A table is asked first, and need not name what states its own place.
+    // A table takes precedence, and need not name files that state their own position.
     table(at, &clouds[2..].iter().map(|cloud| cloud.0).zip(names[2..].iter().copied()).collect::<Vec<_>>());
     convert(at, &[&["two.e57"], &names[2..]].concat(), &[]);
     assert!(fs::read(at.join("out.slices")).unwrap() == archive);
@@ -132,7 +133,7 @@ fn read(path: &Path) -> Vec<[f64; 3]> {
     bytes[start..].chunks_exact(len).map(|record| [0, 1, 2].map(|at| axis(record, at))).collect()
 }
 
-/// Places of the points in a LAS file, as cells of 1/128 pixel and whole millimetres.
+/// Positions of the points in a LAS file, as cells of 1/128 pixel and whole millimetres.
 fn places_of(path: &Path) -> HashSet<[i64; 3]> {
     read(path).into_iter().map(cell).collect()
 }
@@ -187,7 +188,7 @@ fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
     assert_eq!(report["points_read"], samples.len(), "those that were removed were read");
     assert_eq!(report["remove_moving"], true);
 
-    // Another order, other threads, a small memory.
+    // Another order, other threads, a small memory budget.
     for name in &names {
         let mut own = read(&at.join(name));
         Random(5).shuffle(&mut own);
@@ -232,7 +233,8 @@ fn a_doorway_that_somebody_stood_in_opens() {
     assert!(is_open());
 }
 
-/// Writes samples in a point format with GPS times, 0.01 ms from one point to the next, and with these point source ids where the file is not packed.
+/// Writes samples in a point format with GPS times, 0.01 ms apart, and with these point source ids if the file is not
+/// compressed.
 fn write_tagged(path: &Path, format: u8, samples: &[Sample], id: impl Fn(usize) -> u16) {
     let spec = WriteSpec { format, ..WriteSpec::for_path(path) };
     write_samples(path, samples.iter().copied(), &spec).unwrap();
@@ -317,7 +319,7 @@ fn stations_by_source_id_and_by_time_do_what_files_of_their_own_do() {
         let (own, gone, _) = convert(at, &[name], &[]);
         assert!(own == archive && gone == removed, "{name}, format {format}");
     }
-    // Points of no station.
+    // Points without a station.
     let said = |table: &str, name: &str| {
         fs::write(at.join("stations.csv"), table).unwrap();
         let moving = ["--remove-moving", "--stations", "stations.csv", "-o", "x.slices"];
@@ -468,7 +470,7 @@ fn what_is_removed_takes_its_colours_along() {
     let mut all = Vec::new();
     for (number, (station, name)) in scene.stations().iter().zip(&names).enumerate() {
         let samples = scan(&scene, *station, 120_000, 2, number as u64 + 1, &at.join(name));
-        // Who moves is red.
+        // Moving people are red.
         let of = |sample: &Sample| coloured::Coloured {
             at: sample.position,
             rgb: [if sample.kind == Kind::Moving { 65_535 } else { 200 }, 10_000, 300],
@@ -507,7 +509,7 @@ fn what_is_removed_takes_its_colours_along() {
         }
     }
     println!("{compared} voxels, {wrong} wrong, {cleaner} without those who moved");
-    // Places of removed points are rounded.
+    // Positions of removed points are rounded.
     assert!(compared > 10_000 && wrong * 500 < compared && cleaner > 20, "{compared} {wrong} {cleaner}");
     for options in [["--threads", "1", "--memory", "100MiB"], ["--threads", "4", "--memory", "256MiB"]] {
         let options: Vec<&str> = OPTIONS[..6].iter().chain(&options).chain(&colour).copied().collect();

@@ -1,5 +1,5 @@
-//! Objects against objects, pawns, spheres and scenes: equal to a brute-force look at all pairs of pixels, and within a
-//! pixel of the triangles that they stand for.
+//! Objects against objects, pawns, spheres and scenes: equal to a brute-force comparison of all pairs of pixels, and
+//! within a pixel of the triangles that they represent.
 #![cfg(feature = "convert")]
 
 #[path = "mesh/bodies.rs"]
@@ -19,19 +19,19 @@ use std::collections::HashMap;
 
 const POSES: usize = 2_000;
 const BUNNY_POSES: usize = 10_000;
-/// Nearer to touching than this nobody is asked to tell.
+/// Distance from touching below which results are not compared.
 const SLACK: f64 = 1e-10;
 
 fn put<'a>(model: &'a Model, pose: Isometry3<f64>) -> Object<'a> {
     Object::new(model, pose).unwrap()
 }
 
-/// The boxes of a model in the world.
+/// The world-space boxes of a model.
 fn boxes(model: &Model, pose: &Isometry3<f64>) -> Vec<Oriented> {
     model.boxes().map(|(min, max)| Oriented::new(pose, min, max)).collect()
 }
 
-/// The least gap between boxes of one kind and another; found faster by balls around both.
+/// Smallest gap between two sets of boxes, accelerated by their bounding spheres.
 fn least_gap(a: &[Oriented], b: &[Oriented]) -> f64 {
     let pairs = a.iter().flat_map(|one| b.iter().map(move |other| (one, other)));
     pairs.filter(|(one, other)| one.is_near(other)).map(|(one, other)| one.gap(other)).fold(f64::INFINITY, f64::min)
@@ -118,7 +118,7 @@ fn pawns_and_spheres_touch_an_object_exactly_where_its_pixels_do() {
 fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_told() {
     let frame = Frame::new(0.1, 0.3).unwrap();
     let span = |bottom, top| Span::new(bottom, top, false).unwrap();
-    // A floor with posts, over four pages around the origin.
+    // A floor with posts, on four pages around the origin.
     let mut pages = Vec::new();
     for (tx, ty) in [(-1, -1), (0, -1), (-1, 0), (0, 0)] {
         let mut builder = PageBuilder::default();
@@ -148,7 +148,7 @@ fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_to
         }
         let expected = if gap < 0.0 { Overlap::Hit } else { Overlap::Clear };
         assert_eq!(touches_scene(&object, &store), expected, "{place:?}: {gap}");
-        // The scene as an object of its own says the same.
+        // The scene as an object gives the same answer.
         assert_eq!(touches(&object, &put(&scene, Isometry3::identity())), gap < 0.0, "{place:?}: {gap}");
         hits += usize::from(gap < 0.0);
     }
@@ -168,7 +168,7 @@ fn closed_meshes_may_be_solid() {
     assert!(touches(&solid, &at(1.0)) && !touches(&hollow, &at(1.0)), "inside the tube");
     assert!(!touches(&solid, &at(0.0)) && !touches(&solid, &at(2.0)), "outside of it");
     assert!(touches(&hollow, &at(1.4)) && touches(&solid, &at(1.4)), "on its surface");
-    // Every pixel of the solid agrees with the ring in closed form.
+    // Every solid pixel agrees with the ring in closed form.
     let mut columns: HashMap<(i64, i64), Vec<(f64, f64)>> = HashMap::new();
     for (min, max) in solid.model().boxes() {
         let middle = nalgebra::center(&min, &max);
@@ -184,7 +184,7 @@ fn closed_meshes_may_be_solid() {
     }
 }
 
-/// The faces of a box, outwards.
+/// The faces of a box, facing outwards.
 fn cuboid(min: [f64; 3], max: [f64; 3]) -> Vec<Triangle> {
     let corner = |bits: usize| [0, 1, 2].map(|axis| if bits >> axis & 1 == 1 { max[axis] } else { min[axis] });
     let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
@@ -215,7 +215,7 @@ fn what_bodies_enclose_together_is_solid_and_a_cavity_is_not() {
         let model = Model::from_triangles(frame, &bodies.concat(), true).unwrap();
         let object = put(&model, Isometry3::identity());
         let touched = |at: [f64; 3]| touches_sphere(&object, &Sphere::new(at.into(), 0.02).unwrap());
-        // Inside of the first body alone, and where another lies in it as well.
+        // Inside only the first body, and where another one overlaps it.
         assert!(touched([0.25, 0.25, 0.25]), "{what}");
         assert_eq!(touched([1.25, 1.25, 1.25]), is_full, "{what}");
         assert!(!touched([2.55, 0.55, 0.55]) && !touched([0.8, 0.8, 2.9]), "{what}: outside");
@@ -229,7 +229,7 @@ fn a_model_built_far_from_its_origin_misses_no_contact() {
     let block = |at: [f64; 3]| Model::from_triangles(frame, &cuboid(at, at.map(|v| v + 0.95)), false).unwrap();
     let far = [1e6, -2e6, 3e5];
     let (there, here) = (block(far.map(|v| v + 0.01)), block([0.01; 3]));
-    // Both hold whole pixels: one metre along x and y.
+    // Both contain whole pixels: one metre along x and y.
     let wide = |model: &Model| {
         let low = model.boxes().map(|(min, _)| min.x).fold(f64::INFINITY, f64::min);
         (low, model.boxes().map(|(_, max)| max.x).fold(f64::NEG_INFINITY, f64::max))
@@ -291,7 +291,7 @@ fn what_is_no_pose_and_no_triangle_is_refused() {
         let error = Object::new(&block, bad).unwrap_err().to_string();
         assert!(error.contains("pose"), "{bad:?}: {error}");
     }
-    // Drift of many turns is no fault.
+    // Rounding drift after many rotations is accepted.
     assert!(Object::new(&block, turned(nalgebra::Quaternion::new(1.0 + 1e-9, 0.0, 0.0, 0.0))).is_ok());
     for bad in [nan, f64::INFINITY, f64::NEG_INFINITY] {
         let mut triangles = grid(3);
@@ -301,7 +301,7 @@ fn what_is_no_pose_and_no_triangle_is_refused() {
             assert!(error.contains("triangle 1 of 2") && error.contains("finite"), "{error}");
         }
     }
-    // Each of these could be held, all together cannot: that is found before any of them is taken to the grid.
+    // Each fits, but not all together, which is detected before any of them is rasterised.
     let many: Vec<Triangle> = (0..200).flat_map(|_| grid(50)).collect();
     let error = Model::from_triangles(frame, &many, false).unwrap_err().to_string();
     assert!(error.contains("pixels of all triangles") && error.contains("200000000"), "{error}");

@@ -1,8 +1,7 @@
-//! Every scan at hand, and odd and damaged ones, through the program: a sound archive or one clear line, in bounded time
-//! and memory, and never a panic.
+//! Every available scan, and odd and damaged ones, through the program: a sound archive or one clear line, in bounded
+//! time and memory, and never a panic.
 //!
-//! Needs a folder of scans, which `SLICEWALK_DATA` names; without it the tests say so, and only the damage made here is
-//! tried.
+//! Needs a folder of scans in `SLICEWALK_DATA`; without it the tests say so, and only damage generated here is tried.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -14,10 +13,10 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-/// Far beyond what any of these files needs, on any machine.
+/// Far more than any of these files needs, on any machine.
 const MOST_TIME: Duration = Duration::from_secs(120);
 
-/// Converts `input`; whether that worked. Either way what is left is sound, and what is said is clear.
+/// Converts `input` and returns whether that succeeded. In either case, the files are sound and the message is clear.
 fn tried(folder: &Path, input: &Path, arguments: &[&str]) -> bool {
     let output = folder.join("odd.slices");
     let _ = fs::remove_file(&output);
@@ -56,7 +55,7 @@ fn tried(folder: &Path, input: &Path, arguments: &[&str]) -> bool {
     false
 }
 
-/// Greatest resident memory of a running process so far; 0 where the system does not tell.
+/// Peak resident memory of a running process so far; 0 if the system does not report it.
 fn peak_memory_kib(process: u32) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -109,7 +108,7 @@ fn damaged_scans_give_an_archive_or_one_clear_line() {
             let mut bytes = whole.clone();
             match round % 4 {
                 0 => bytes.truncate(random.below(whole.len())),
-                // The head is where damage does most.
+                // Damage to the head has the greatest effect.
                 1 => bytes[random.below(400)] = random.below(256) as u8,
                 2 => {
                     let first = random.below(whole.len() - 100);

@@ -1,4 +1,4 @@
-//! Queries against brute force: over the raw points (guarantees G1 and G2) and over the spans (equality).
+//! Queries compared with brute force: over the raw points (guarantees G1 and G2) and over the spans (equality).
 
 #[path = "common/random.rs"]
 mod random;
@@ -19,7 +19,7 @@ use slicewalk::frame::{Frame, PageKey};
 use slicewalk::query::*;
 use slicewalk::store::Store;
 
-/// The stated bound on phantoms of round shapes and rays at 10⁷ m, and room for the tests' own rounding (m).
+/// The stated bound on phantoms of round shapes and rays at 10⁷ m, plus the tests' own rounding (m).
 const SLACK: f64 = 4e-8;
 
 #[test]
@@ -63,7 +63,7 @@ fn cylinders_and_spheres_miss_no_point_and_hit_no_phantom() {
             let cylinder = is_hit(overlaps(&store, &Cylinder::new(c, r, h).unwrap()));
             let sphere = is_hit(overlaps(&store, &Sphere::new(c, r).unwrap()));
 
-            // Whether a point lies in the shape, grown along the axes and then outwards.
+            // Tests whether a point is in the shape, grown along the axes and then outwards.
             let beyond = |v: f64, grow: f64| (v.abs() - grow).max(0.0);
             let in_cylinder = |grow: f64, grow_z: f64, slack: f64| {
                 scene.points.iter().any(|p| {
@@ -85,7 +85,7 @@ fn cylinders_and_spheres_miss_no_point_and_hit_no_phantom() {
             assert!(sphere || !in_sphere(0.0, 0.0, 0.0), "G1: sphere {c} {r}");
             assert!(!sphere || in_sphere(t, s, SLACK), "G2: sphere {c} {r}");
 
-            // Against the spans: equal, but for matter that is within rounding errors of the rim.
+            // Compared with the spans: equal, except for solid within rounding errors of the rim.
             let heights = scene.quanta(c.z, c.z + h);
             let by_spans = |r: f64| scene.touches(scene.pixels_near(c.x, c.y, r), heights).0;
             assert!(cylinder || !by_spans(r - SLACK), "cylinder {c} {r} {h}");
@@ -150,7 +150,7 @@ fn rays_end_at_the_first_span() {
     }
 }
 
-/// Few pillars on hundreds of tiles, so that most rays cross many empty ones.
+/// A few pillars on hundreds of tiles, so that most rays cross many empty ones.
 #[test]
 fn rays_find_pillars_far_across_empty_tiles() {
     let frame = Frame::new(0.25, 0.5).unwrap();
@@ -207,7 +207,7 @@ fn a_ray_along_an_axis_through_a_point_hits() {
 fn shapes_beyond_all_bounds_are_answered_at_once() {
     let (scene, _) = Scene::all().nth(4).unwrap();
     let mut pages = scene.pages.clone();
-    // One outlier stretches the bounds to the end of the grid.
+    // One outlier extends the bounds to the end of the grid.
     let far = (1 << 30) - 1;
     pages.push((PageKey { tx: far, ty: -far, layer: far }, pages[0].1.clone()));
     let store = Store::from_pages(scene.frame, pages);

@@ -1,4 +1,4 @@
-//! What `sliceconv` writes never destroys what it should not: inputs, other files, archives of other runs.
+//! Outputs of `sliceconv` never destroy what they should not: inputs, other files, archives of other runs.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -115,7 +115,7 @@ fn an_archive_that_appears_meanwhile_stays_and_the_new_one_is_kept_beside_it() {
     let folder = folder();
     let at = folder.path();
     write(&at.join("large.las"), &points(400_000));
-    // Before the other begins: that one may be done soon.
+    // Before the other begins, because that one may finish soon.
     converts(at, &with(&["scan.las"], &["-o", "b.slices"]));
     let mut conversion = command(at);
     conversion.args(["large.las", "-o", "a.slices", "--pixel", "0.02", "--units", "m", "--quiet"]);
@@ -197,8 +197,8 @@ fn a_plan_that_cannot_be_written_is_refused_before_the_work_and_a_killed_one_lea
     }
 }
 
-/// The program under a tracer that lets a system call fail: `fault` is `call:error=E:when=N`. `None` (said on standard
-/// error) where there is no tracer.
+/// Runs the program under a tracer that makes a system call fail: `fault` is `call:error=E:when=N`. `None`, with a line
+/// on standard error, without a tracer.
 #[cfg(target_os = "linux")]
 fn with_failing_call(folder: &Path, fault: &str, arguments: &[&str]) -> Option<std::process::Output> {
     let strace = || std::process::Command::new("strace");

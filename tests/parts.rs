@@ -1,4 +1,4 @@
-//! Archives taken apart and put together again: merged, recovered and extracted ones, page by page, by brute force.
+//! Archives taken apart and reassembled: merged, recovered and extracted, compared page by page and by brute force.
 
 mod common;
 
@@ -61,7 +61,7 @@ fn pages() -> impl Strategy<Value = Pages> {
     contents.prop_map(|all| all.into_iter().map(|((tx, ty, layer), n)| (key(tx, ty, layer), content(n))).collect())
 }
 
-/// With the bounds of the matter.
+/// Totals with the bounds of the solid.
 fn totals(points: u64) -> Totals {
     let read = points + 3;
     Totals {
@@ -111,7 +111,7 @@ proptest! {
     ) {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
-        // Columns about the origin, where the pages lie.
+        // Columns around the origin, where the pages are.
         let middle = key(0, 0, 0).column();
         let firsts: Vec<u64> = std::iter::once(0).chain(cuts.iter().map(|cut| middle.wrapping_add_signed(*cut))).collect();
         let count = firsts.len();
@@ -119,7 +119,7 @@ proptest! {
             let last = firsts.get(index + 1).map_or(u64::MAX, |next| next - 1);
             let shard = Shard { index: index as u32 + 1, count: count as u32, first: firsts[index], last, plan_file: 7 };
             let name = path(&format!("{index}.slices"));
-            // Some parts may be in the coding of older versions.
+            // Some parts may use the coding of older versions.
             let plan = if index == old { common::plan() } else { plan() };
             write_coded(&plan, &name, &pages, totals(index as u64), Some(shard));
             name
@@ -158,7 +158,7 @@ proptest! {
     }
 }
 
-/// Recovers `bad`, which once was `good`; every page whose bytes are as they were must come back, and no other content.
+/// Recovers `bad`, a damaged `good`; checks that every page with intact bytes is recovered, and no other content.
 fn recovers(folder: &Path, good: &[u8], bad: &[u8]) -> Option<Recovered> {
     let (from, to) = (folder.join("bad.slices"), folder.join("recovered.slices"));
     fs::write(&from, bad).unwrap();
@@ -208,7 +208,7 @@ fn an_archive_cut_anywhere_gives_every_page_before_the_cut() {
     let whole = Archive::from_bytes(good.clone()).unwrap();
     let header = whole.header();
     let end = (header.metadata_offset() + header.bytes.metadata) as usize;
-    // Around every section's end byte by byte, elsewhere in steps: each recovery brings a file to disk.
+    // Byte by byte around every section's end, elsewhere in steps, because each recovery syncs a file.
     let near = |len: &usize| {
         let ends = [header.pages_offset(), header.directory_offset(), header.metadata_offset(), end as u64];
         len.is_multiple_of(7) || ends.iter().any(|end| end.abs_diff(*len as u64) < 3)
@@ -216,7 +216,7 @@ fn an_archive_cut_anywhere_gives_every_page_before_the_cut() {
     for len in (0..=good.len()).filter(near) {
         let recovered = recovers(folder.path(), &good, &good[..len]);
         let Some(recovered) = recovered else { continue };
-        // Without the footer alone nothing is lost.
+        // If only the footer is missing, nothing is lost.
         assert_eq!(recovered.is_complete(), len >= end, "{len}");
     }
 }
@@ -243,7 +243,7 @@ fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
     other.options.max_slope_deg = 30.0;
     let error = recover(&from, Some(&other), &to, false, &NoMonitor).unwrap_err().to_string();
     assert!(error.starts_with("plan: ") && error.contains("a.slices"), "{error}");
-    // Bytes put in between: the pages are found where they lie now.
+    // Inserted bytes: the pages are found at their new offsets.
     let at = Archive::from_bytes(good.clone()).unwrap().header().pages_offset() as usize;
     let shifted = [&good[..at], b"\x89PAG of no page", &good[at..]].concat();
     fs::write(&from, shifted).unwrap();
@@ -255,7 +255,7 @@ fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
     assert!(error.to_string().contains("no sound page"), "{error}");
 }
 
-/// Recovers `bytes` and says what came of it; what is written keeps every rule.
+/// Recovers `bytes` and returns the result; the written archive keeps every rule.
 fn recovered(folder: &Path, bytes: &[u8]) -> (Recovered, Pages) {
     let (from, to) = (folder.join("from.slices"), folder.join("to.slices"));
     fs::write(&from, bytes).unwrap();
@@ -263,7 +263,7 @@ fn recovered(folder: &Path, bytes: &[u8]) -> (Recovered, Pages) {
     (recovered, read_all(&verified(&to)).unwrap())
 }
 
-/// The scene with a page changed and its checksum put right.
+/// The scene with a changed page and its recomputed checksum.
 fn with_page(at: usize, change: impl FnOnce(&mut [u8])) -> Vec<u8> {
     let mut bytes = archive(&scene());
     let whole = Archive::from_bytes(bytes.clone()).unwrap();
@@ -286,11 +286,11 @@ fn a_page_with_a_wrong_key_costs_no_other() {
     for (at, tx) in (0..keys.len()).flat_map(|at| [(at, -(1 << 29)), (at, 1 << 29)]) {
         let bytes = with_page(at, |page| put(page, 4, tx as u64, 4));
         let (found, pages) = recovered(folder.path(), &bytes);
-        // Those that share its bytes are lost with it.
+        // Pages that share its bytes are lost with it.
         let alike = entries.iter().filter(|entry| entry.content() == stored[at].content()).count();
         assert_eq!((found.lost.unwrap().stored, pages.len()), (1, entries.len() - alike));
         assert!(!found.is_complete());
-        // Without a head only the order tells which page is in a wrong place.
+        // Without a head only the order reveals a misplaced page.
         let mut headless = bytes;
         headless[100] ^= 1;
         let (found, pages) = recovered(folder.path(), &headless);
@@ -312,7 +312,7 @@ fn pages_in_metadata_are_no_matter() {
     let good = parts.build(|_| ());
     let (found, pages) = recovered(folder.path(), &good);
     assert!(found.is_complete() && found.identical && pages == scene().0);
-    // Neither head nor directory tell where pages end, but what follows them is a leaf.
+    // Neither head nor directory state where pages end, but a leaf follows them.
     let mut headless = good.clone();
     headless[100] ^= 1;
     let stored: Pages =
@@ -359,7 +359,7 @@ fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
     let newer = parts.build(|head| put(head, 10, 7, 2));
     let (found, _) = recovered(folder.path(), &newer);
     assert!(!found.is_complete() && found.dropped == ["what format 1.7 adds to the head"], "{found:?}");
-    // Heights in centimetres, coded in quanta: the content is sound, its encoding is not the one.
+    // Heights in centimetres, coded in quanta: the content is sound, but its encoding is not canonical.
     let columns = (0..64).map(|px| ((px, 0), vec![Span::new(51 * px, 51 * px + 1, false).unwrap()]));
     let steps = page(columns);
     let parts = Parts::of(&archive(&(Pages::from([(key(0, 0, 0), steps.clone())]), Totals::default())));
@@ -379,7 +379,7 @@ fn what_is_made_of_an_older_coding_has_the_bytes_of_the_new_one() {
     let found = recover(&path("old.slices"), None, &path("recovered.slices"), false, &NoMonitor).unwrap();
     assert!(found.is_complete() && found.mended.is_empty() && !found.identical, "{found:?}");
     assert!(fs::read(path("recovered.slices")).unwrap() == new);
-    // Without a head each page says itself how it is coded.
+    // Without a head, each page states its own coding.
     let mut headless = old.clone();
     headless[100] ^= 1;
     fs::write(path("headless.slices"), &headless).unwrap();
@@ -401,7 +401,7 @@ fn what_is_made_of_an_older_coding_has_the_bytes_of_the_new_one() {
 fn an_extracted_region_has_one_slice_and_pixel_more_on_every_side() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("e.slices");
-    // Matter in the middle of each slice of seven by seven pixels.
+    // Solid in the middle of each slice of seven by seven pixels.
     let spans: Vec<_> = (5..16).map(|slice| Span::new(slice * 255 + 90, slice * 255 + 120, false).unwrap()).collect();
     let pages = [(key(0, 0, 0), page((0..49).map(|at| ((20 + at % 7, 30 + at / 7), spans.clone()))))];
     let whole = Archive::from_bytes(archive(&(pages.into(), Totals::default()))).unwrap();
@@ -435,7 +435,7 @@ fn unknown_metadata_is_copied_or_told_of() {
     let extracted = extract(&whole, &region, &path("e.slices"), false, &NoMonitor).unwrap();
     assert_eq!(extracted.dropped, ["metadata AAAA", "metadata zzzz"]);
     assert_eq!(verified(&path("e.slices")).crs().unwrap(), "a made-up place");
-    // Of parts, what all say alike is what the whole says.
+    // The whole states what all parts agree on.
     let middle = key(0, 0, 0).column();
     let names: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
         .map(|(index, first, last)| {
@@ -493,7 +493,7 @@ fn only_part(made: &(Pages, Totals)) -> Vec<u8> {
 fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     let folder = tempfile::tempdir().unwrap();
     let mut made = scene();
-    // Matter that ends exactly on slices and pixels, as the regions and boxes below do.
+    // Solid that ends exactly on slices and pixels, like the regions and boxes below.
     let span = |bottom, top, obstacle| vec![Span::new(bottom, top, obstacle).unwrap()];
     let steps = (0..4096u32).filter(|at| at % 3 > 0);
     let steps = steps.map(|at| ((at % 64, at / 64), span(255 * (at % 7), 255 * (at % 7 + at % 3), at % 3 == 2)));
@@ -502,7 +502,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     let whole = Archive::from_bytes(good.clone()).unwrap();
     let store = Store::resident(&whole, &NoMonitor).unwrap();
     let mut random = Random(3);
-    // Corners on pixel and slice boundaries as well as between them: tenths of the pixel of 0.1 m, slices of 0.3 m.
+    // Corners on and between pixel and slice boundaries: tenths of a pixel of 0.1 m, slices of 0.3 m.
     let mut between = |low: f64, high: f64| {
         let step = [0.1, 0.3, 0.013][random.below(3) as usize];
         ((low + (high - low) * f64::from(random.below(1 << 20)) / f64::from(1 << 20)) / step).round() * step
@@ -535,7 +535,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
                 panic!("all is in memory");
             };
             assert_eq!((a.hit, a.obstacle), (b.hit, b.obstacle), "{shape:?} in {bounds:?}");
-            // A floor may lie far below the box, outside the region.
+            // A floor may be far below the box, outside the region.
             if b.floor_z.is_some_and(|z| z >= bounds.0[2]) {
                 assert_eq!(a.floor_z, b.floor_z, "{shape:?} in {bounds:?}");
             }
@@ -588,7 +588,7 @@ fn shared_bytes_are_read_once() {
     });
     assert_eq!(verify, 4);
     let stats = reads(&mut || assert_eq!(Stats::of(&whole).unwrap().pages, [1, 4999, 0]));
-    // Leaves lie together: one read.
+    // Adjacent leaves take one read.
     assert_eq!(stats, 2);
     let folder = tempfile::tempdir().unwrap();
     let extracted = reads(&mut || {

@@ -1,4 +1,4 @@
-//! The prefetcher: nothing is missing when it is needed, nothing is waited for, and no answer changes.
+//! The prefetcher: no page is missing when it is needed, no frame waits, and no answer changes.
 
 #[path = "common/random.rs"]
 mod random;
@@ -27,22 +27,22 @@ fn options(budget: usize, prefetch: Prefetch) -> StreamOptions {
     StreamOptions { prefetch, ..StreamOptions::new(budget) }
 }
 
-/// Falls 150 m from rest at `speed` in virtual time: a frame passes while the loader reads for as long. Returns the
-/// number of frames, those with a missing page, and the counters.
+/// Falls 150 m from rest at `speed` in virtual time: during each frame the loader reads for the frame's duration.
+/// Returns the number of frames, those with a missing page, and the counters.
 fn fall(prefetch: Prefetch, speed: f64, budget: usize) -> (u32, u32, Counters) {
     let source = Arc::new(SlowSource::new(MemorySource::new(&TOWER[..]), Duration::ZERO));
     let stream = Stream::open(open(source.clone()), options(budget, prefetch)).unwrap();
     let mut pawn = stream.pawn();
     let mut body = Body::at(0.0, 0.0, 152.0);
     body.velocity.z = -speed;
-    // The first frame of a program: it waits for what it stands in, and for nothing else.
+    // A program's first frame waits for the pages around the body, and for no others.
     stream.load_around(&body.motion()).unwrap();
     let (mut frames, mut missing, mut read_s) = (0, 0, 0.0f64);
     while body.feet.z > 2.0 {
         pawn.hint(&body.motion());
         if let Overlap::NotLoaded(pages) = overlaps(&stream.view(), &body.shape()) {
             missing += 1;
-            // What a program without a prefetcher does: it stops until the pages are there.
+            // Like a program without a prefetcher: stop until the pages are loaded.
             stream.load_missing(&pages).unwrap();
         }
         frames += 1;
@@ -80,8 +80,8 @@ fn a_fall_with_a_quarter_of_the_memory_still_misses_nothing_and_keeps_the_budget
     assert!(counters.peak_bytes <= BUDGET / 4 && counters.evicted > 0, "{counters:?}");
 }
 
-/// Falls through the tower with the stream's own thread, as a walker, in the time of a clock that the test moves: a read
-/// takes 2 ms, a frame 1/60 s. Returns frames, frames with a missing page, and the counters.
+/// Falls through the tower as a walker, with the stream's own thread, on a clock that the test moves: a read takes
+/// 2 ms, a frame 1/60 s. Returns frames, frames with a missing page, and the counters.
 fn fall_of_a_walker(prefetch: Prefetch, budget: usize) -> (u32, u32, Counters) {
     let source = Arc::new(ClockSource::new(MemorySource::new(&TOWER[..]), READ_S));
     let stream = Stream::open(open(source.clone()), options(budget, prefetch)).unwrap();
@@ -128,7 +128,7 @@ fn pages_are_loaded_in_the_order_in_which_a_fall_needs_them() {
     body.velocity.z = -50.0;
     pawn.hint(&body.motion());
     let mut last = 153.0;
-    // As pages come in, the body can fall ever further without missing one.
+    // As pages arrive, the body can fall ever further without missing one.
     while let Step::Loaded(_) = stream.step() {
         let view = stream.view();
         let mut probe = body;
@@ -176,7 +176,7 @@ fn walk_and_compare(prefetch: Prefetch, budget: usize, seed: u64) -> (u32, u32) 
         let answer = cast(&view, &ray);
         same(matches!(answer, Answer::Known(_)), answer == cast(&all, &ray));
         drop(view);
-        // Sometimes the program insists.
+        // Sometimes the program loads what is missing.
         if random.below(4) == 0
             && let Overlap::NotLoaded(missing) = overlaps(&stream.view(), &box_)
         {
@@ -241,7 +241,7 @@ fn settling_waits_for_all_that_is_wanted_and_no_longer() {
         assert!(stream.settle(long), "nothing is wanted");
         for z in [100.0, 20.0] {
             let body = Body::at(0.0, 0.0, z);
-            // A hint may fall into the moment in which the last one is taken.
+            // A hint may coincide with the moment in which the previous one is taken.
             loop {
                 let dropped = stream.counters().hints_dropped;
                 pawn.hint(&body.motion());
@@ -261,7 +261,7 @@ fn settling_waits_for_all_that_is_wanted_and_no_longer() {
             source.set_open(true);
         }
         assert!(stream.settle(long));
-        // What finds no room never will.
+        // A page that does not fit never will.
         let table = stream.counters().table_bytes;
         let tiny = open(MemorySource::new(&TOWER[..]));
         let tiny = Stream::open(tiny, options(table * 195 / 100, prefetch)).unwrap();
@@ -318,7 +318,7 @@ fn errors_are_reported_and_their_pages_stay_not_loaded_until_they_can_be_read() 
     assert!(!errors.is_empty() && errors.iter().all(|error| error.error.to_string().contains("read")), "{errors:?}");
     assert!(matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_)));
     assert!(stream.load_around(&body.motion()).unwrap_err().to_string().contains("read"));
-    // When exactly they are tried again is a matter of the loader's own tests, whose time is theirs.
+    // The loader's own tests, with their own clock, check when exactly they are retried.
     source.set(Fault::None, 0..0);
     turn();
     let start = Instant::now();
@@ -348,7 +348,7 @@ fn one_damaged_page_of_a_run_is_an_error_and_the_others_are_loaded() {
         pawn.hint(&body.motion());
         while let Step::Loaded(_) = stream.step() {}
         let errors = stream.take_errors();
-        // On a busy machine the page is tried again meanwhile.
+        // On a busy machine, the page may be retried in the meantime.
         assert!(!errors.is_empty() && errors.iter().all(|error| error.key == key), "{errors:?}");
         assert!(errors[0].error.to_string().contains(text), "{}", errors[0].error);
         let view = stream.view();
@@ -389,7 +389,7 @@ fn hints_that_make_no_sense_are_counted_and_stale_ones_dropped() {
     body = Body::at(0.0, 0.0, 100.0);
     pawn.hint(&body.motion());
     assert!(matches!(stream.step(), Step::Loaded(_)));
-    // The body is elsewhere before all pages are loaded: the rest is not loaded any more.
+    // The body moves away before all pages are loaded: the rest is no longer loaded.
     let before = stream.counters().loaded;
     pawn.hint(&Body::at(1000.0, 0.0, 100.0).motion());
     assert_eq!(stream.step(), Step::Idle);

@@ -1,14 +1,15 @@
-//! The hand-over of snapshots to readers, in every interleaving of its steps (loom).
+//! Publication of snapshots to readers, in every interleaving of its steps (loom).
 //!
-//! Not on Windows: loom ends its coroutines by unwinding them, which wine cannot, and the interleavings are the same everywhere.
+//! Not on Windows: loom ends its coroutines by unwinding, which wine cannot do, and the interleavings are the same
+//! everywhere.
 #![cfg(not(windows))]
 
-/// What `publish.rs` finds beside it, of loom's making.
+/// Replaces the `sync` module of `publish.rs` by loom's.
 mod sync {
     pub use loom::sync::atomic::AtomicUsize;
     pub use loom::sync::{Arc, RwLock, RwLockReadGuard};
 
-    /// Lets other threads go on.
+    /// Lets other threads run.
     pub fn pause() {
         loom::thread::yield_now();
     }
@@ -39,7 +40,7 @@ impl Drop for Counted {
 
 fn readers_and_a_publisher(readers: usize, publications: usize) {
     let mut model = loom::model::Builder::new();
-    // Every interleaving with up to three switches of threads that could have gone on; without the bound it takes hours.
+    // Every interleaving with up to three preemptions; without the bound it takes hours.
     model.preemption_bound = Some(3);
     model.check(move || {
         let alive = Arc::new(AtomicUsize::new(0));
@@ -52,7 +53,7 @@ fn readers_and_a_publisher(readers: usize, publications: usize) {
                     let one = current.get();
                     let two = current.get();
                     assert!(one.0 <= two.0, "never back in time");
-                    // Both are alive as long as they are held, whatever the publisher does.
+                    // Both stay alive while they are held, whatever the publisher does.
                     assert!(one.1.load(Relaxed) >= 1);
                 })
             })

@@ -1,5 +1,5 @@
-//! Triangles on the grid: the pixels given are those that the closed triangle touches, with its exact heights, against
-//! separating axes in integers.
+//! Triangles on the grid: the reported pixels are those that the closed triangle touches, with its exact heights,
+//! compared with separating axes in integers.
 
 #[path = "mesh/sat.rs"]
 mod sat;
@@ -70,7 +70,7 @@ proptest! {
                 let (sky, ground) = (100 * FINE, -100 * FINE);
                 let given: Vec<_> = found.iter().filter(|p| (p.0, p.1) == (i, j)).collect();
                 prop_assert!(given.len() <= 1, "{given:?}");
-                // Half open: places on the upper borders belong to the next pixel.
+                // Half open: points on the upper borders belong to the next pixel.
                 let mut inner = pixel(0, ground, sky);
                 inner.max[0] -= 1;
                 inner.max[1] -= 1;
@@ -114,7 +114,7 @@ proptest! {
         for (p, q) in shares {
             let (p, q) = if p + q > 1.0 { (1.0 - p, 1.0 - q) } else { (p, q) };
             let place = at(p, q);
-            // The place is rounded, so it lies on the triangle only within a few units in the last place.
+            // The point is rounded, so it lies on the triangle only to within a few ulps.
             let near = |v: f64| 8.0 * f64::EPSILON * v.abs().max(1.0);
             let range = |k: usize| (frame.pixel_of(place[k] - near(place[k])), frame.pixel_of(place[k] + near(place[k])));
             let (x, y) = (range(0), range(1));
@@ -127,7 +127,7 @@ proptest! {
 
     #[test]
     fn triangles_that_share_an_edge_leave_no_pixel_between_them(corners in corners(), apex in [coordinate(), coordinate(), coordinate()]) {
-        // The edge alone, as a very thin triangle beside it, touches no pixel that both triangles leave out.
+        // The edge alone, as a very thin triangle beside it, touches no pixel that both triangles miss.
         let [a, b, c] = world(&corners);
         let apex = apex.map(|v| v as f64 / FINE as f64);
         let (one, other) = (touched(frame(), &[a, b, c]), touched(frame(), &[a, b, apex]));

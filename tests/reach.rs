@@ -1,4 +1,4 @@
-//! Where a pawn can stand and walk, beside brute force, closed forms, exact ways and the walker itself.
+//! Standing places and walking, compared with brute force, closed forms, exact routes and the walker itself.
 
 #[path = "reach/coarse.rs"]
 mod coarse;
@@ -31,7 +31,7 @@ use slicewalk::query::Answer;
 use slicewalk::reach::{Flood, Pawn, Region, Route, Search, Spot, StandingPlaces};
 use slicewalk::store::PageSet;
 
-/// The value of an answer of a set whose pages are all in memory.
+/// Unwraps the answer of a set whose pages are all in memory.
 fn known<T>(answer: Answer<T>) -> T {
     match answer {
         Answer::Known(value) => value,
@@ -44,7 +44,7 @@ fn grown<S: PageSet>(standing: &mut StandingPlaces, set: &S, mut flood: Flood) -
     flood.region(standing)
 }
 
-/// All that can be reached from a place.
+/// Everything reachable from a place.
 fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, Region) {
     let mut standing = StandingPlaces::new(set, pawn).unwrap();
     let start =

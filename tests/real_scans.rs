@@ -1,7 +1,7 @@
-//! Every real scan converts, verifies, and answers random boxes without a miss (G1) or a phantom (G2), against brute
-//! force over its points, which are read here without any code of this crate.
+//! Every real scan converts, verifies, and answers random boxes without a miss (G1) or a phantom (G2), compared with
+//! brute force over its points, which are read here without code of this crate.
 //!
-//! Needs a folder of scans, which `SLICEWALK_DATA` names; without it the tests say so and do nothing.
+//! Needs a folder of scans in `SLICEWALK_DATA`; without it the tests say so and do nothing.
 
 #[path = "common/data.rs"]
 mod data;
@@ -20,7 +20,7 @@ use std::path::Path;
 struct Quiet;
 impl Monitor for Quiet {}
 
-/// Points sorted into square cells in xy, to count those in a box without looking at all.
+/// Points sorted into square cells in xy, to count those in a box without visiting all of them.
 struct Truth {
     cell: f64,
     min: [f64; 3],
@@ -64,7 +64,7 @@ impl Truth {
         row * self.columns + column
     }
 
-    /// Whether some point lies in the closed box.
+    /// Returns whether a point is in the closed box.
     fn holds(&self, min: [f64; 3], max: [f64; 3]) -> bool {
         let (first, last) = (self.cell_of(min[0], min[1]), self.cell_of(max[0], max[1]));
         let (x0, x1) = (first % self.columns, last % self.columns);
@@ -86,7 +86,7 @@ fn check(name: &str, pixel: f64, metres_per_unit: f64) {
     options.pixel = PixelSize::Metres(pixel);
     options.memory_bytes = 64 << 20;
     options.temp_dir = dir.path().to_owned();
-    // None of the scans says its unit, though one is in feet.
+    // None of the scans states its unit, though one is in feet.
     options.units = Units::Factor(metres_per_unit);
     let report = convert(&options, &Quiet).unwrap();
 
@@ -104,7 +104,7 @@ fn check(name: &str, pixel: f64, metres_per_unit: f64) {
     let mut random = Random(1);
     let (mut hits, mut clear, mut between) = (0, 0, 0);
     for number in 0..10_000 {
-        // Half of the boxes near points, half anywhere; from less than a voxel to a room.
+        // Half of the boxes are near points, half anywhere; from less than a voxel to a room.
         let centre = if number % 2 == 0 {
             let point = truth.points[random.below(truth.points.len())];
             point.map(|value| value + (random.uniform() - 0.5) * 20.0 * pixel)

@@ -1,4 +1,4 @@
-//! Archives on a web server: few requests, and an error for whatever a server can do wrong.
+//! Archives on a web server: few requests, and an error for everything that a server can do wrong.
 
 #[path = "common/random.rs"]
 mod random;
@@ -18,42 +18,42 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tower::{Body, resident, tower};
 
-/// What the server does to requests.
+/// Behaviour of the server.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Manner {
     Good,
-    /// Gives everything with status 200.
+    /// Returns everything with status 200.
     Whole,
     /// Stops in the middle of the body and closes.
     Short,
-    /// Stops in the middle of the first body, and is good again.
+    /// Stops in the middle of the first body, then behaves.
     ShortOnce,
-    /// Says that the object has another version, and asks no questions.
+    /// States another version of the object, and ignores conditions.
     OtherTag,
     NotFound,
     Closes,
     Fails,
-    /// Gives other bytes than those asked for.
+    /// Returns other bytes than those requested.
     OtherRange,
-    /// Answers with this status line and these header lines, and with a body that tries to control a terminal.
+    /// Answers with this status line and these header lines, and with a body that contains terminal controls.
     Refuses(&'static str, &'static str),
-    /// Refuses once, and is good again.
+    /// Refuses once, then behaves.
     RefusesOnce(&'static str, &'static str),
     /// Refuses with a body of 64 MiB.
     RefusesAtLength,
-    /// Stops in the middle of the first body, and has no such version any more.
+    /// Stops in the middle of the first body, then no longer has that version.
     ShortThenReplaced,
     /// Sends the body in chunks, without a length.
     Chunked,
-    /// Takes the request and never answers.
+    /// Accepts the request and never answers.
     Silent,
-    /// Never answers the first request, and is good again.
+    /// Never answers the first request, then behaves.
     SilentOnce,
-    /// Sends a hundredth of the body at a time, and waits so many milliseconds after each.
+    /// Sends a hundredth of the body at a time, with this many milliseconds after each.
     Slow(u64),
 }
 
-/// A body that a terminal must never see as it is.
+/// A body that must never reach a terminal raw.
 const RUDE: &str = "<Error>\n\t<Code>\u{1b}[31mNo\u{7}</Code>\r\n</Error>";
 
 struct State {
@@ -62,7 +62,7 @@ struct State {
     manner: Manner,
     /// Header lines of all requests.
     requests: Vec<Vec<String>>,
-    /// When each request came.
+    /// Time of each request.
     times: Vec<Instant>,
     /// Bytes written as bodies of refusals.
     refused: usize,
@@ -111,12 +111,12 @@ impl Server {
         RemoteSource::with(&self.url, &options())
     }
 
-    /// The first line of the last request.
+    /// The request line of the last request.
     fn asked(&self) -> String {
         self.state.lock().unwrap().requests.last().unwrap()[0].clone()
     }
 
-    /// Whether the last request had this header line.
+    /// Returns whether the last request had this header line.
     fn was_told(&self, line: &str) -> bool {
         self.state.lock().unwrap().requests.last().unwrap().iter().any(|said| said.eq_ignore_ascii_case(line))
     }
@@ -230,7 +230,7 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     client.write_all(if short { &body[..length / 2] } else { body })
 }
 
-/// The error; without it no whole page is printed, as `expect_err` does.
+/// Returns the error; unlike `expect_err` it does not print a whole page on failure.
 fn error_of<T>(result: slicewalk::Result<T>) -> slicewalk::Error {
     result.err().unwrap_or_else(|| panic!("an error was expected"))
 }
@@ -275,7 +275,7 @@ fn all_pages_come_in_a_few_requests_and_are_those_of_the_file() {
     let here = resident(&bytes);
     println!("{} pages of {} bytes in {} requests", store.page_count(), bytes.len(), server.count());
     assert!(store.page_count() > 300);
-    // Head, footer, directory, and pages by the MiB.
+    // Head, footer, directory, and 1 MiB of pages per request.
     assert!(server.count() <= 4 + bytes.len().div_ceil(1 << 20), "{} requests", server.count());
     assert_eq!((store.page_count(), store.weight_bytes()), (here.page_count(), here.weight_bytes()));
     for number in 0..here.column_count() {
@@ -310,10 +310,10 @@ fn a_server_that_never_answers_is_left_after_the_time_and_one_that_is_slow_is_no
         assert!(text.contains("no answer within 0.5 s"), "{text}");
         assert!((0.5..2.0).contains(&seconds) && requests == 1, "{seconds} s, {requests} requests");
     }
-    // With more patience a request that stays without an answer is repeated.
+    // With more retries, an unanswered request is repeated.
     server.set(Manner::SilentOnce);
     let source = RemoteSource::with(&server.url, &waiting(0.3, 10.0)).unwrap();
-    // Three times as long as the time-out, but never silent for so long.
+    // Three times as long as the time-out, but never silent for that long.
     server.set(Manner::Slow(9));
     let mut all = vec![0; bytes.len()];
     let start = Instant::now();
@@ -333,7 +333,7 @@ fn a_thread_that_waits_for_a_server_can_be_stopped() {
         assert!(matches!(read, Err(slicewalk::Error::Interrupted)), "{manner:?}: {read:?}");
         assert!(start.elapsed() < Duration::from_secs(5), "{manner:?}");
     }
-    // A stream ends its own thread so.
+    // A stream ends its own thread in this way.
     server.set(Manner::Good);
     let archive =
         Archive::from_source(Box::new(RemoteSource::with(&server.url, &waiting(60.0, 60.0)).unwrap())).unwrap();
@@ -366,7 +366,7 @@ fn an_object_that_is_replaced_is_an_error_even_if_the_server_does_not_mind() {
             state.bytes = new.clone();
             state.tag = tag.map(|tag| tag.replace("one", "two"));
         }
-        // Without any tag it is the length or the checksum in the directory that tells.
+        // Without a tag, the length or the checksum in the directory reveals it.
         let error = error_of(archive.page(&entry)).to_string();
         assert!(["replaced", "rule P"].iter().any(|text| error.contains(text)), "{error}");
         *server.state.lock().unwrap() = State::new(old.clone(), tag);
@@ -437,7 +437,7 @@ fn the_body_of_a_refusal_is_read_to_a_bound_and_said_in_one_line() {
     server.set(Manner::RefusesAtLength);
     let text = error_of(server.source()).to_string();
     assert!(text.contains("403 Forbidden: <<<") && text.len() < 500, "{text}");
-    // What the sockets hold is written, whoever reads.
+    // The sockets' buffers are filled, even if nothing reads them.
     let refused = server.state.lock().unwrap().refused;
     assert!(refused < 32 << 20, "{refused} bytes were taken");
     server.set(Manner::Refuses("429 Too Many Requests", ""));
@@ -561,7 +561,7 @@ fn an_object_store_is_asked_as_a_server_is() {
         let settings = common.iter().chain(more).map(|(key, value)| (key.to_string(), value.to_string()));
         RemoteSource::with("s3://scans/a b/tower.slices", &RemoteOptions { settings: settings.collect(), ..options() })
     };
-    // Without either, the store would ask the cloud's own address for credentials.
+    // Without either, the store would request credentials from the cloud's own address.
     let unsigned = [("aws_skip_signature", "true")];
     let signed = [("aws_access_key_id", "anyone"), ("aws_secret_access_key", "hush")];
     for more in [&unsigned[..], &signed] {

@@ -1,7 +1,7 @@
-//! `--resume`: killed at any moment, interrupted or without space, a conversion goes on and makes the same bytes, having
-//! repeated at most 5 % of the points or 256 MiB of temporary data.
+//! `--resume`: killed at any moment, interrupted or out of space, a conversion resumes and makes the same bytes, and
+//! repeats at most 5 % of the points or 256 MiB of temporary data.
 //!
-//! `SLICEWALK_RESUME_POINTS` and `SLICEWALK_RESUME_KILLS` set how many points are converted and how often that is killed;
+//! `SLICEWALK_RESUME_POINTS` and `SLICEWALK_RESUME_KILLS` set the numbers of points and of kills;
 //! `SLICEWALK_RESUME_MEMORY` sets the budget.
 #![cfg(all(feature = "cli", target_os = "linux"))]
 
@@ -20,19 +20,19 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use tempfile::TempDir;
 
-/// Bytes of a temporary record of a point.
+/// Bytes of a point's temporary record.
 const RECORD_BYTES: u64 = 8;
 
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().map_or(default, |text| text.parse().unwrap())
 }
 
-/// A folder with a scan that does not fit the budget, an old archive, and the new one as one run makes it.
+/// A folder with a scan that exceeds the budget, an old archive, and the new one made by a single run.
 struct Place {
     folder: TempDir,
     points: u64,
     memory: String,
-    /// Bytes of a point in the scan.
+    /// Bytes per point in the scan.
     point_bytes: u64,
     options: &'static [&'static str],
     new: Vec<u8>,
@@ -44,7 +44,7 @@ impl Place {
         Self::with(points, 2_500.0, |_| true, &[])
     }
 
-    /// Points in a room up to `height` (mm), those that are wanted (m).
+    /// Points in a room up to `height` (mm), filtered by `wanted` (m).
     fn with(points: u64, height: f64, wanted: fn(&[f64; 3]) -> bool, options: &'static [&'static str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scan.las");
@@ -84,7 +84,7 @@ impl Place {
             .unwrap()
     }
 
-    /// A run that ends well, leaves nothing but the archive, and says what it did.
+    /// Runs to success; checks that only the archive is left, and returns the report.
     fn finishes(&self, more: &[&str]) -> Value {
         let out = self.starts(more).wait_with_output().unwrap();
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -93,7 +93,7 @@ impl Place {
         serde_json::from_slice(&out.stdout).unwrap()
     }
 
-    /// The file of this ending in the folder for temporary data, and its length.
+    /// The file with this extension in the folder for temporary data, and its length.
     fn temporary(&self, ending: &str) -> Option<(PathBuf, u64)> {
         let temp = self.path().join("temp");
         let name = names(&temp).into_iter().find(|name| name.ends_with(ending))?;
@@ -101,8 +101,8 @@ impl Place {
         Some((temp.join(name), len))
     }
 
-    /// Ends `child` by SIGKILL once its journal is `bytes` long, or it writes pages; returns how many bytes it had read and
-    /// how long its temporary data were.
+    /// Ends `child` by SIGKILL once its journal is `bytes` long, or it writes pages; returns the bytes it had read and
+    /// the length of its temporary data.
     fn kill(&self, mut child: Child, bytes: u64) -> Option<(u64, u64)> {
         loop {
             if child.try_wait().unwrap().is_some() {
@@ -113,7 +113,7 @@ impl Place {
             }
             std::thread::yield_now();
         }
-        // Stopped first, so that nothing is read between the count and the kill.
+        // Stop it first, so that nothing is read between the count and the kill.
         let signal = |name: &str| {
             assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
         };
@@ -157,7 +157,7 @@ fn killed_at_any_moment_a_conversion_with_colours_goes_on() {
 
 /// Kills conversions at random moments and resumes them.
 fn kills(place: &Place, kills: u64) {
-    // The journal of a whole run, to know where its moments are.
+    // The journal of a whole run, to place the moments.
     let mut child = place.starts(&[]);
     let mut longest = 0;
     while child.try_wait().unwrap().is_none() {
@@ -167,8 +167,8 @@ fn kills(place: &Place, kills: u64) {
     let mut random = Random(setting("SLICEWALK_RESUME_SEED", 3));
     let (mut killed, mut most_points, mut most_bytes) = (0, 0, 0);
     for number in 0..kills {
-        // Every other time, the run that resumes is killed, too.
-        // What each killed run read, and what the one before had left on disk (bytes).
+        // Every second time, the run that resumes is killed, too.
+        // Bytes that each killed run read, and bytes that the previous one had left on disk.
         let (mut killed_runs, mut left) = (Vec::new(), 0);
         for run in 0..=number % 2 {
             let more = if run == 0 { &[][..] } else { &["--resume"] };
@@ -183,11 +183,11 @@ fn kills(place: &Place, kills: u64) {
         place.is_new();
         let number = |key: &str| done[key].as_u64().unwrap();
         let (points, bytes) = (number("points_resumed"), number("temp_bytes_resumed"));
-        // To check what another run left, one reads that, and the points that it stands for.
+        // To check what another run left, a run reads it, and the points that it represents.
         let points_in = |left: u64| left * points / bytes.max(1);
         let of_points = |(read, left)| u64::saturating_sub(read, left + points_in(left) * place.point_bytes);
         let read = killed_runs.iter().copied().map(of_points).sum::<u64>() / place.point_bytes;
-        // What was read in the second pass, of the temporary data, is no point.
+        // Data read in the second pass are temporary data, not points.
         let repeated = read.min(place.points).saturating_sub(points);
         killed += killed_runs.len();
         most_points = most_points.max(repeated);
@@ -227,7 +227,7 @@ fn interrupted_or_without_space_a_run_to_be_resumed_says_what_it_keeps_and_where
         let spill = spill.file_name().unwrap().to_str().unwrap();
         assert!(said.contains("interrupted") && said.contains("--resume"), "{said}");
         assert!(said.contains(spill) && said.contains(&len.to_string()) && said.lines().count() == 1, "{said}");
-        // Another scan of the same name is refused, and what was kept stays.
+        // Another scan of the same name is refused, and the kept data stay.
         let scan = fs::read(place.path().join("scan.las")).unwrap();
         let mut other = scan.clone();
         other[1000] ^= 1;
@@ -236,10 +236,10 @@ fn interrupted_or_without_space_a_run_to_be_resumed_says_what_it_keeps_and_where
         assert!(said.contains("scan.las") && said.contains("changed"), "{said}");
         assert!(place.temporary(".spill").is_some());
         fs::write(place.path().join("scan.las"), scan).unwrap();
-        // The time of the file is another one now, so the conversion begins anew.
+        // The file's time has changed, so the conversion starts over.
         assert_eq!(place.finishes(&[])["points_resumed"], 0);
     }
-    // Without space for the temporary data.
+    // No space for the temporary data.
     let arguments = [&place.arguments()[..], &["--resume"]].concat();
     let out = with_little_space(env!("CARGO_BIN_EXE_sliceconv"), place.path(), 24_000, &arguments);
     let said = String::from_utf8(out.stderr).unwrap();

@@ -1,7 +1,7 @@
-//! The archives in `spec/samples/`, each with a JSON twin that says what it holds or which rule it breaks: material for
-//! readers of the format, ours and others (`spec/reader.py`).
+//! The archives in `spec/samples/`, each with a JSON twin that states its content or the rule that it breaks: material
+//! for readers of the format, such as `spec/reader.py`.
 //!
-//! `SLICEWALK_SAMPLES=write cargo test --test samples` makes them anew.
+//! `SLICEWALK_SAMPLES=write cargo test --test samples` regenerates them.
 
 mod common;
 mod samples {
@@ -17,7 +17,7 @@ use slicewalk::archive::Archive;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Every sample: its name, its bytes, and the rule it breaks.
+/// Every sample: its name, its bytes, and the rule that it breaks.
 fn all() -> Vec<(String, Vec<u8>, Option<&'static str>)> {
     let good = samples::good::all().into_iter().map(|(name, bytes)| (name.to_string(), bytes, None));
     let damaged = samples::damaged::all().into_iter();
@@ -28,7 +28,7 @@ fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/samples")
 }
 
-/// The JSON twin as it is stored: a page a line.
+/// The JSON twin as stored: one page per line.
 fn text(twin: &Value) -> String {
     let Some(pages) = twin["pages"].as_array() else { return format!("{twin}\n") };
     let pages: Vec<_> = pages.iter().map(Value::to_string).collect();
@@ -36,7 +36,7 @@ fn text(twin: &Value) -> String {
     format!("{{\"info\": {},\n\"pages\": [\n{}\n]{levels}}}\n", twin["info"], pages.join(",\n"))
 }
 
-/// Of a content with very many pages only some, by their numbers.
+/// Only some pages, by index, of a content with very many.
 fn short(mut content: Value) -> Value {
     let Some(pages) = content["pages"].as_array().filter(|pages| pages.len() > 1000) else { return content };
     let some = [0, 1, 2, 4095, 4096, pages.len() - 1];
@@ -78,7 +78,8 @@ fn every_sample_holds_what_its_twin_says() {
 fn every_changed_byte_of_a_good_sample_is_found() {
     for (name, good) in samples::good::all() {
         let pages = read_all(&Archive::from_bytes(good.clone()).unwrap()).unwrap();
-        // Of very many pages, spans or bytes it would take long; odd, so that all bits of bytes get their turn.
+        // A full check of very many pages, spans or bytes would take long; the step is odd, so that all bits of bytes
+        // get their turn.
         let step = match pages.values().map(|page| page.span_count()).sum::<usize>() {
             _ if pages.len() > 1000 => 293,
             spans if spans > 10_000 => 17,

@@ -1,9 +1,10 @@
-//! Streams, and a conversion's hand-over of jobs, in schedules of a test's choice: threads are switched wherever they meet (shuttle), so a lost wake-up is a deadlock
-//! that the test sees. `.ci/long schedules` builds and runs it; `SLICEWALK_SCHEDULES` sets how many random schedules each
-//! scene gets, and a failing one is printed to be run again.
+//! Streams, and a conversion's ordered hand-over of jobs, in schedules chosen by the test: threads are switched at
+//! every synchronisation (shuttle), so a lost wake-up becomes a deadlock that the test detects. `.ci/long schedules`
+//! builds and runs it; `SLICEWALK_SCHEDULES` sets the number of random schedules per scene, and a failing one is
+//! printed for a rerun.
 #![cfg(slicewalk_schedules)]
 
-/// What `hand_over.rs` finds beside it, of shuttle's making.
+/// Replaces the `sync` module of `hand_over.rs` by shuttle's.
 mod sync {
     use shuttle::sync::{Arc, Mutex, mpsc};
     pub use shuttle::thread::{Scope, scope};
@@ -69,7 +70,7 @@ use std::time::Duration;
 const PAGES: i32 = 4;
 const FOREVER: Duration = Duration::from_secs(1 << 20);
 
-/// A block of matter in each of the pages.
+/// A solid block in each of the pages.
 static BYTES: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
     let folder = tempfile::tempdir().unwrap();
@@ -91,14 +92,14 @@ fn stream(budget_bytes: usize) -> Stream {
     Stream::open(Archive::from_bytes(BYTES.clone()).unwrap(), options).unwrap()
 }
 
-/// What stands on the block of page `page`, and a body there.
+/// A box on the block of page `page`, and a body there.
 fn body(page: i32) -> (Aabb, Outlook) {
     let x = 3.2 * f64::from(page) + 0.5;
     let (min, max) = (Point3::new(x, 1.0, 0.0), Point3::new(x + 0.1, 1.1, 0.1));
     (Aabb::new(min, max).unwrap(), Outlook::walking(min, max, Vector3::zeros()))
 }
 
-/// Runs `scene` in random schedules, and in such with few switches at the worst places (PCT).
+/// Runs `scene` in random schedules, and in schedules with few switches at the worst places (PCT).
 fn schedules(scene: impl Fn() + Send + Sync + 'static) {
     let runs = std::env::var("SLICEWALK_SCHEDULES").map_or(2_000, |runs| runs.parse().unwrap());
     LazyLock::force(&BYTES);
@@ -115,7 +116,7 @@ fn what_a_hint_wants_comes_without_another_call() {
         let mut pawn = stream.pawn();
         let (shape, outlook) = body(1);
         pawn.hint(&outlook);
-        // In the moment in which the thread looks for hints, one is dropped and counted.
+        // If the thread is just reading hints, one is dropped and counted.
         while stream.counters().hints_dropped > 0 && overlaps(&stream.view(), &shape) != Overlap::Hit {
             pawn.hint(&outlook);
             assert!(stream.settle(FOREVER));
@@ -154,7 +155,7 @@ fn bodies_on_their_threads_get_their_pages_or_not_loaded_and_never_free() {
     });
 }
 
-/// Two requests at once, and a body that comes and goes, in the room that one page needs beside that of the body.
+/// Two concurrent requests, and a body that comes and goes, with room for one page beside that of the body.
 #[test]
 fn requests_at_once_get_their_pages_in_the_room_that_each_needs() {
     static BUDGET: OnceLock<usize> = OnceLock::new();
@@ -199,7 +200,7 @@ fn a_stream_that_is_dropped_ends_its_thread_whatever_it_does() {
     });
 }
 
-/// What fails in a hand-over of `JOBS` jobs, and at which.
+/// Failure in a hand-over of `JOBS` jobs, by the job at which it occurs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Fault {
     None,
@@ -211,7 +212,7 @@ enum Fault {
 
 const JOBS: u32 = 5;
 
-/// Hands jobs over once; what is taken must be the first jobs in order, all of them unless something fails.
+/// Hands jobs over once; checks that the first jobs are taken in order, and all of them unless something fails.
 fn hand_over(threads: usize, ahead: usize, fault: Fault) {
     let fails = |at: Fault| if at == fault { Err(fault) } else { Ok(()) };
     let mut taken = Vec::new();
@@ -260,7 +261,7 @@ fn jobs_come_back_in_order_whatever_fails() {
     }
 }
 
-/// Every schedule of a small hand-over, as far as so many go.
+/// Every schedule of a small hand-over, up to a limit.
 #[test]
 fn a_small_hand_over_ends_in_schedules_one_after_the_other() {
     for fault in [Fault::None, Fault::Work(0), Fault::Take(0)] {

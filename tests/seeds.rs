@@ -1,14 +1,14 @@
-//! The fuzz targets over seeds: as they are, and changed at random. No bytes make a decoder or a reader panic. A fault planted behind
-//! the checks of a target is found, so changes get there.
+//! The fuzz targets over seeds, unchanged and changed at random. No bytes make a decoder or reader panic. A fault
+//! planted behind a target's checks is found, which shows that changes get there.
 //!
-//! `tests/fuzz/seeds/TARGET/` holds seeds and what fuzzing found, small and committed; the samples of the format are seeds
-//! too. `SLICEWALK_FUZZ_RUNS` sets how many changed inputs each target gets, `SLICEWALK_FUZZ_SEED` where their numbers begin,
-//! `SLICEWALK_FUZZ_TARGETS` which targets run (names with commas between them; all by default).
+//! `tests/fuzz/seeds/TARGET/` holds seeds and findings of fuzzing, small and committed; the format's samples are seeds
+//! too. `SLICEWALK_FUZZ_RUNS` sets the number of changed inputs per target, `SLICEWALK_FUZZ_SEED` where their numbers
+//! begin, `SLICEWALK_FUZZ_TARGETS` the targets (names separated by commas; all by default).
 //!
-//! With `SLICEWALK_FUZZ_TOTALS`, a file, runs go on where those before ended: batches take turns until each target has had the inputs 1 to
-//! `SLICEWALK_FUZZ_RUNS`. The file has a line for each target, `NAME RUNS`, written after each batch, and one for each finding,
-//! `finding NAME INPUT`, which stays until somebody mends it and removes the line. `SLICEWALK_FUZZ_THREADS` is how many targets run at
-//! the same time, one by default.
+//! With `SLICEWALK_FUZZ_TOTALS`, a file, runs continue where earlier ones ended: batches alternate until each target
+//! has had the inputs 1 to `SLICEWALK_FUZZ_RUNS`. The file has a line for each target, `NAME RUNS`, written after each
+//! batch, and one for each finding, `finding NAME INPUT`, which stays until it is fixed and the line removed by hand.
+//! `SLICEWALK_FUZZ_THREADS` sets the number of targets run concurrently, one by default.
 #![cfg(feature = "cli")]
 
 #[path = "common/random.rs"]
@@ -23,11 +23,11 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use targets::{TARGETS, Target};
 
-/// Values at which checks of numbers end.
+/// Values at the limits of numeric checks.
 const EDGES: [u64; 8] = [0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFF_FFFF, u64::MAX];
 
-/// One to four changes of the kinds that break formats: bits, numbers at their edges, pieces cut, doubled or taken from
-/// another seed.
+/// Makes one to four changes of kinds that break formats: flipped bits, numbers at their limits, parts cut, doubled or
+/// taken from another seed.
 fn change(bytes: &mut Vec<u8>, others: &[Vec<u8>], random: &mut Random) {
     for _ in 0..=random.below(4) {
         let at = random.below(bytes.len());
@@ -72,7 +72,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     paths.iter().map(|path| std::fs::read(path).unwrap()).collect()
 }
 
-/// Longest archive that is changed (bytes): longer ones have no other parts, and take as long to read as a hundred short ones.
+/// Longest archive that is changed (bytes): longer ones have no other parts, and take a hundred times as long to read.
 const MOST_ARCHIVE: usize = 1200;
 
 /// The seeds of a target that are changed.
@@ -80,14 +80,14 @@ fn short_seeds(target: &str) -> Vec<Vec<u8>> {
     let mut seeds = seeds(target);
     if target == "archive" {
         seeds.retain(|seed| seed.len() <= MOST_ARCHIVE);
-        // The sound ones more often: most damage is seen at once.
+        // Sound seeds are chosen more often, because most damage is detected at once.
         let sound: Vec<_> = seeds.iter().filter(|seed| targets::archive(seed).is_some()).cloned().collect();
         seeds.extend([sound.clone(), sound].concat());
     }
     seeds
 }
 
-/// One of the seeds, changed by a number.
+/// One of the seeds, changed according to a number.
 fn changed(seeds: &[Vec<u8>], number: u64) -> Vec<u8> {
     let mut random = Random(number);
     let mut bytes = seeds[random.below(seeds.len())].clone();
@@ -129,12 +129,12 @@ fn seeds_and_changed_seeds_make_no_target_panic() {
     });
 }
 
-/// Inputs of a target between two writings of the totals.
+/// Inputs of a target between two updates of the totals.
 const BATCH: u64 = 10_000;
-/// How long an input may take without being named.
+/// Time after which an input is reported as slow.
 const SLOW: Duration = Duration::from_secs(1);
 
-/// What targets have run so far, as a file says it.
+/// Inputs run per target so far, stored in a file.
 struct Totals {
     path: PathBuf,
     state: Mutex<State>,
@@ -144,7 +144,7 @@ struct Totals {
 struct State {
     runs: BTreeMap<String, u64>,
     findings: BTreeSet<String>,
-    /// Targets that are at work.
+    /// Targets that are running.
     busy: BTreeSet<&'static str>,
 }
 
@@ -164,7 +164,7 @@ impl Totals {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The target that has run least of those that are idle and not done, and how often it has run.
+    /// Returns the idle and unfinished target that has run least, and its number of inputs.
     fn next(&self, targets: &[Target], goal: u64) -> Option<(Target, u64)> {
         let mut state = self.state();
         let runs = |name: &str| state.runs.get(name).copied().unwrap_or(0);
@@ -175,7 +175,7 @@ impl Totals {
         Some(next)
     }
 
-    /// Notes that a target has run so often. A kill while the file is written leaves the one before.
+    /// Records that a target has run `runs` inputs. A kill while the file is written leaves the previous one.
     fn done(&self, name: &'static str, runs: u64, findings: Vec<u64>) {
         let mut state = self.state();
         state.busy.remove(name);
@@ -216,7 +216,7 @@ fn go_on(totals: &Totals, targets: &[Target], goal: u64, threads: u64) {
     println!("runs: {:?}", state.runs);
 }
 
-/// The fault: a panic where something is read to its end that no seed says.
+/// The planted fault: a panic when something that no seed contains is read to its end.
 #[test]
 fn a_fault_behind_all_checks_of_a_target_is_found() {
     const INPUTS: u64 = 20_000;

@@ -1,5 +1,5 @@
-//! A scan converted in parts and merged has the bytes of a single run, and nothing else is taken for one: not parts of
-//! another plan or other inputs, not too few, not damaged ones.
+//! A scan converted in parts and merged has the bytes of a single run. Parts of another plan or other inputs, too few
+//! parts, and damaged parts are refused.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -84,7 +84,7 @@ fn parts_join_as_a_tree_to_the_bytes_of_one_run_and_a_wrong_tree_is_refused() {
         let output = at.join(name);
         merge_run(from, of, &output, true, &NoMonitor).map(|_| output)
     };
-    // Groups of unequal size, two levels of them; what a node holds is an archive and a part.
+    // Groups of unequal size, on two levels; each node is an archive and a part.
     let of_three = |at: [usize; 4]| -> Vec<PathBuf> {
         let group = |n: usize| run(&parts[at[n]..at[n + 1]], (n as u32 + 1, 3), format!("g{n}.slices")).unwrap();
         (0..3).map(group).collect()
@@ -107,7 +107,7 @@ fn parts_join_as_a_tree_to_the_bytes_of_one_run_and_a_wrong_tree_is_refused() {
     refused(run(&parts[3..6], (5, 4), "x".into()), "begins with part 1");
     refused(run(&[parts[3].clone(), parts[5].clone()], (2, 3), "x".into()), "missing of 9: 5");
     refused(run(&[], (2, 3), "x".into()), "no part was given");
-    // A cut with a gap, and one that overlaps.
+    // A cut with a gap, and one with an overlap.
     let groups = of_three([0, 3, 6, 9]);
     for middle in [&parts[4..6], &parts[2..6]] {
         let wrong = run(middle, (2, 3), "wrong".into()).unwrap();
@@ -121,7 +121,7 @@ fn parts_of_meshes_beside_a_scan_merge_to_the_bytes_of_one_run() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     scan(at, "house.laz", "house", 40_000);
-    // A floor, a ramp and a wall of large triangles across many tiles, and one that is left out.
+    // A floor, a ramp and a wall of large triangles across many tiles, and a triangle that is left out.
     let corners = "v -20 -20 1\nv 20 -20 1\nv 20 20 1\nv -20 20 6\nv 3 -15 0\nv 3 15 0\nv 3 15 3\n";
     fs::write(at.join("room.obj"), format!("{corners}f 1 2 3\nf 1 3 4\nf 5 6 7\nf 1 1 2\n")).unwrap();
     for (inputs, options) in [
@@ -156,7 +156,7 @@ fn parts_of_a_real_scan_merge_to_the_bytes_of_one_run() {
 fn a_file_is_read_for_the_points_beside_the_columns_of_a_part() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    // Tiles of 6.4 m meet at x = 0, and so do the files; the voxels beside the seam have no other neighbours.
+    // Tiles of 6.4 m and the files meet at x = 0; the voxels beside the seam have no other neighbours.
     let side = |sign: f64| (0..40).map(move |n| [sign * 0.05, 1.0 + 0.3 * f64::from(n % 16), 0.9 * f64::from(n / 16)]);
     write(&at.join("west.las"), &side(-1.0).collect::<Vec<_>>());
     write(&at.join("east.las"), &side(1.0).collect::<Vec<_>>());
@@ -169,12 +169,12 @@ fn a_file_is_read_for_the_points_beside_the_columns_of_a_part() {
     merges_to(&parts, &at.join("whole.slices"));
 }
 
-/// Three parts of two scans side by side, their plan, and the whole.
+/// Three parts of two adjacent scans, their plan, and the whole.
 fn job() -> (TempDir, Vec<PathBuf>) {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let mut all = points(20_000);
-    // Without its few far points, so that headers tell where the scans lie.
+    // Without the few far points, so that headers show where the scans are.
     all.retain(|point| point.iter().all(|v| v.abs() < 100.0));
     write(&at.join("west.las"), &all);
     let east: Vec<_> = all.iter().map(|[x, y, z]| [x + 40.0, *y, *z]).collect();
@@ -200,7 +200,7 @@ fn a_plan_makes_the_archive_of_the_same_options_and_parts_leave_files_out_that_t
     convert(at, &["west.las", "east.laz"], "direct.slices", &["--pixel", "0.1", "--units", "m"]);
     assert!(fs::read(at.join("direct.slices")).unwrap() == fs::read(at.join("whole.slices")).unwrap());
     merges_to(&parts, &at.join("whole.slices"));
-    // Where a file is not needed it is not read: damage in it goes unnoticed.
+    // Files that are not needed are not read: damage in them goes unnoticed.
     let again = |index: &str| {
         let inputs = ["west.las", "east.laz", "--plan", "plan.json", "--quiet", "--force"];
         scans::sliceconv(at, &[&inputs[..], &["--shard", index, "-o", "eighth.slices"]].concat())
@@ -238,7 +238,7 @@ fn a_part_opens_the_files_that_it_meets_and_those_whose_names_say_too_little() {
     let of_q = parts(at, &["a/tile.las", "c/one.laz"], 4, &["--plan", "q.json"]);
     convert(at, &["a/tile.las", "c/one.laz"], "q.slices", &["--plan", "q.json"]);
     merges_to(&of_q, &at.join("q.slices"));
-    // A part that does not need a file does without its content, but not without the file; another length is noticed.
+    // A part that does not need a file's content still needs the file; another length is detected.
     let run = |shard: &str, output: &str| {
         let shard = ["--plan", "plan.json", "--shard", shard, "-o", output, "--quiet", "--force"];
         scans::sliceconv(at, &[&["west.las", "east.laz"][..], &shard].concat())
@@ -253,7 +253,7 @@ fn a_part_opens_the_files_that_it_meets_and_those_whose_names_say_too_little() {
     fs::write(at.join("east.laz"), &east[..east.len() - 1]).unwrap();
     assert_eq!(run("1/8", "after.slices").status.code(), Some(1));
     fs::write(at.join("east.laz"), &east).unwrap();
-    // What the plan says of all inputs has to fit those that are opened; a plan without it opens all.
+    // The plan's data on all inputs must match those that are opened; without them all inputs are opened.
     let good = fs::read_to_string(at.join("plan.json")).unwrap();
     let change = |from: &str, to: &str| {
         assert!(good.contains(from), "{from}");
@@ -318,7 +318,7 @@ fn missing_foreign_overlapping_and_damaged_parts_are_refused_by_name() {
     refused(&with("west.slices"), &output, &["west.slices", "other inputs"]);
     convert(at, &inputs, "half.slices", &["--plan", "plan.json", "--shard", "1/2"]);
     refused(&with("half.slices"), &output, &["half.slices", "of 3"]);
-    // Another content under the same number: the head's count of points, with its checksums put right.
+    // Different content under the same number: the head's count of points, with recomputed checksums.
     let mut other = fs::read(&parts[0]).unwrap();
     other[128] ^= 64;
     let head_len = u32::from_le_bytes(other[12..16].try_into().unwrap()) as usize;
@@ -330,7 +330,7 @@ fn missing_foreign_overlapping_and_damaged_parts_are_refused_by_name() {
     other[footer + 12..footer + 16].copy_from_slice(&crc);
     fs::write(at.join("other.slices"), other).unwrap();
     refused(&[&parts[..], &[at.join("other.slices")]].concat(), &output, &["other.slices", "1-of-3.slices"]);
-    // Bytes of a part, flipped: refused with the part's name, whatever they hit. Its levels are never read.
+    // Flipped bytes of a part are refused with the part's name, wherever they are. Its levels are never read.
     let good = fs::read(&parts[0]).unwrap();
     let header = Archive::open(&parts[0]).unwrap().header().clone();
     let levels = header.levels_offset() as usize..header.directory_offset() as usize;
@@ -348,7 +348,7 @@ fn missing_foreign_overlapping_and_damaged_parts_are_refused_by_name() {
 fn bounds_in_a_header_that_are_wrong_are_noticed_by_the_part_that_owns_the_file() {
     let (folder, _) = job();
     let at = folder.path();
-    // The greatest and least x of the eastern scan, in its header: it claims to lie in the west.
+    // The largest and smallest x of the eastern scan, in its header: it claims to be in the west.
     let mut east = fs::read(at.join("east.laz")).unwrap();
     east[179..187].copy_from_slice(&10f64.to_le_bytes());
     east[187..195].copy_from_slice(&(-10f64).to_le_bytes());
@@ -360,7 +360,7 @@ fn bounds_in_a_header_that_are_wrong_are_noticed_by_the_part_that_owns_the_file(
     let said = refuses(at, &[&inputs[..], &shard].concat(), 1);
     assert!(said.contains("east.laz") && said.contains("null"), "{said}");
     assert!(!at.join("x.slices").exists());
-    // The way out that the error names.
+    // The solution that the error suggests.
     let plan = fs::read_to_string(at.join("p.json")).unwrap();
     let mut plan: serde_json::Value = serde_json::from_str(&plan).unwrap();
     for input in plan["inputs"].as_array_mut().unwrap() {

@@ -1,4 +1,4 @@
-//! Conversion from and to an object store: the bytes of local files, or an error of one line and nothing half visible,
+//! Conversion from and to an object store: the bytes of local files, or a one-line error and no partial object,
 //! whatever the store does wrong.
 //!
 //! `slicetool merge` has such tests in `tools/slicetool/tests/stores.rs`.
@@ -49,7 +49,7 @@ fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     let at = folder.path();
     server.done(at, &from_and_to("s3://bucket/out/whole.slices")).unwrap();
     assert!(server.get("out/whole.slices").unwrap() == whole);
-    // A scan of 700 kB takes few requests, and what is read ahead of it is not read twice.
+    // A scan of 700 kB takes few requests, and bytes read ahead are not read twice.
     let requests = server.store().requests.clone();
     assert!(requests.len() < 60, "{requests:#?}");
     assert!(requests.iter().any(|line| line == "PUT /bucket/out/whole.slices"));
@@ -65,7 +65,7 @@ fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     let (local, output) = (format!("{here}/west.laz"), format!("{here}/by%20name.slices"));
     server.done(at, &[&[&local[..], INPUTS[1], "-o", &output, "--quiet"], &OPTIONS[..]].concat()).unwrap();
     assert!(fs::read(at.join("by name.slices")).unwrap() == whole);
-    // A plan and its parts; what is there stays without --force, and a stranger stays with it.
+    // A plan and its parts; existing objects stay without --force, and foreign ones stay even with it.
     server.done(at, &[&INPUTS[..], &["--write-plan", "s3://bucket/plan.json", "--quiet"], &OPTIONS].concat()).unwrap();
     for shard in ["1/2", "2/2"] {
         let name = format!("s3://bucket/part{}.slices", &shard[..1]);
@@ -135,7 +135,7 @@ fn folders_and_patterns_name_the_scans_of_a_store_and_old_lists_are_noticed() {
     server.set(Fault::Refuses, When::Once(0));
     assert!(run(&["s3://bucket/tiles/"]).unwrap_err().contains("cannot list"));
     server.set(Fault::Refuses, When::Never);
-    // An old list names what is gone; and it lacks what is new, which the plan of another list notices.
+    // An old list names deleted objects, and lacks new ones, which a plan from another list detects.
     let now: Vec<String> = server.store().objects.keys().cloned().collect();
     server.store().listed = Some([&now[..], &["/bucket/tiles/gone.laz".to_owned()]].concat());
     assert!(
@@ -150,7 +150,8 @@ fn folders_and_patterns_name_the_scans_of_a_store_and_old_lists_are_noticed() {
     assert!(said.contains("is a file of the plan, but not among the inputs"), "{said}");
 }
 
-/// A square of so many tiles in the store, and `whole.slices`, their archive, on disk; the names of the tiles.
+/// A square of `side` × `side` tiles in the store, and their archive `whole.slices` on disk; returns the names of the
+/// tiles.
 fn tiles(at: &Path, side: usize) -> (Server, Vec<String>) {
     let (server, mut random) = (Server::new(SLICECONV), Random(9));
     let names: Vec<String> = (0..side * side).map(|number| format!("t{number:02}.laz")).collect();
@@ -213,7 +214,7 @@ fn a_part_asks_for_no_tile_that_its_columns_do_not_meet() {
     assert_eq!(all, names);
     let parts: Vec<_> = (1..=4).map(|index| at.join(format!("part{index}.slices"))).collect();
     merges_to(&parts, &at.join("whole.slices"));
-    // A tile that was replaced is noticed by the parts that read it, and by these alone.
+    // A replaced tile is detected by the parts that read it, and by no others.
     let foreign = names.iter().find(|name| !asked[0].contains(name)).unwrap();
     let tile = at.join(foreign);
     let mut bytes = fs::read(&tile).unwrap();
@@ -228,7 +229,7 @@ fn a_part_asks_for_no_tile_that_its_columns_do_not_meet() {
             false => done.unwrap(),
         }
     }
-    // One is gone, and one is there that the plan does not know.
+    // One is gone, and one is new to the plan.
     server.store().objects.remove(&format!("/bucket/tiles/{foreign}"));
     let said = part("1/4", "again.slices").unwrap_err();
     assert!(said.contains(foreign) && said.contains("is a file of the plan, but not among the inputs"), "{said}");
@@ -243,7 +244,7 @@ fn without_credentials_requests_go_unsigned_and_no_metadata_address_is_asked() {
     let at = folder.path();
     let run = |metadata: Option<&str>| {
         let mut program = server.stranger(at);
-        // Whoever asks another server shows here.
+        // A request to another server would show here.
         program.env("http_proxy", format!("http://{}", server.address)).env("no_proxy", "127.0.0.1");
         metadata.map(|address| program.env("AWS_METADATA_ENDPOINT", address));
         program.args(from_and_to("s3://bucket/out.slices")).output().unwrap()
@@ -280,13 +281,13 @@ fn whatever_a_store_does_wrong_the_bytes_are_right_or_nothing_is_there() {
         for number in (0..requests).step_by(5).chain([requests - 2, requests - 1]) {
             succeeded += usize::from(run(fault, When::Once(number)).is_ok());
         }
-        // One failure of a connection passes; a range that is not the one asked for does not.
+        // A single failed connection is retried; a wrong range is not accepted.
         if matches!(fault, Fault::Throttles | Fault::Closes) {
             assert_eq!(succeeded, requests.div_ceil(5) + 2, "{fault:?}");
         }
     }
     run(Fault::Throttles, When::Share(20)).unwrap();
-    // The last three look for the output, write it, and look again.
+    // The last three requests look up the output, write it, and look it up again.
     for (fault, at) in [(Fault::Refuses, 0), (Fault::Refuses, requests / 2), (Fault::Refuses, requests - 3)]
         .into_iter()
         .chain([0, requests / 2, requests - 5].map(|at| (Fault::Replaced, at)))
@@ -326,7 +327,7 @@ fn a_large_archive_appears_whole_by_parts_that_are_thrown_away_if_one_fails() {
     server.set(Fault::Throttles, When::Share(30));
     server.done(at, &arguments("s3://bucket/dust.slices")).unwrap();
     assert!(server.get("dust.slices").unwrap() == whole);
-    // Killed in the middle of the upload: nothing is visible, and the next run is not in its way.
+    // Killed in the middle of the upload: nothing is visible, and the next run is not affected.
     server.store().objects.clear();
     server.set(Fault::Throttles, When::Never);
     let mut program = server.program(at);
@@ -341,7 +342,7 @@ fn a_large_archive_appears_whole_by_parts_that_are_thrown_away_if_one_fails() {
     server.store().objects.clear();
     server.done(at, &arguments("s3://bucket/dust.slices")).unwrap();
     assert!(server.get("dust.slices").unwrap() == whole);
-    // Whoever is first stays, also if that is between the last look and the last request.
+    // The first writer wins, also between the last lookup and the last request.
     server.store().objects.clear();
     server.store().uploads.clear();
     server.store().rival = Some(b"first".to_vec());

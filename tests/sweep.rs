@@ -1,4 +1,5 @@
-//! Sweeps, clearance and ways out of matter, against brute force over the spans and against dense steps of `overlaps`.
+//! Sweeps, clearance and ways out of solid, compared with brute force over the spans and with dense steps of
+//! `overlaps`.
 
 #[path = "common/random.rs"]
 mod random;
@@ -42,7 +43,7 @@ fn brute_box(boxes: &[([f64; 3], [f64; 3])], shape: &Aabb, motion: Vector3<f64>,
     let hits = boxes.iter().filter_map(|(low, high)| {
         let (mut t0, mut t1) = (f64::NEG_INFINITY, f64::INFINITY);
         for a in 0..3 {
-            // The shape as a point, the box as much larger.
+            // The shape as a point, the box enlarged by its size.
             let (lo, hi) = (low[a] - grow - shape.max()[a], high[a] + grow - shape.min()[a]);
             if lo > hi {
                 return None;
@@ -61,7 +62,7 @@ fn brute_box(boxes: &[([f64; 3], [f64; 3])], shape: &Aabb, motion: Vector3<f64>,
     hits.min_by(f64::total_cmp)
 }
 
-/// Distance of a round shape moved by `way` to a box: negative inside.
+/// Distance from a round shape moved by `way` to a box; negative inside.
 fn gap(low: &[f64; 3], high: &[f64; 3], center: Point3<f64>, radius: f64, height: Option<f64>) -> f64 {
     let axis = |a: usize| (low[a] - center[a]).max(center[a] - high[a]).max(0.0);
     match height {
@@ -73,8 +74,8 @@ fn gap(low: &[f64; 3], high: &[f64; 3], center: Point3<f64>, radius: f64, height
     }
 }
 
-/// First time at which a round shape comes nearer than `near` to one of `boxes`: the gap is a convex function of time,
-/// so a search for its least value and then for its first root finds it.
+/// First time at which a round shape comes nearer than `near` to one of `boxes`. The gap is a convex function of time,
+/// so a search for its minimum and then for its first root finds it.
 fn brute_round(
     boxes: &[([f64; 3], [f64; 3])],
     center: Point3<f64>,
@@ -104,7 +105,7 @@ fn brute_round(
     hits.min_by(f64::total_cmp)
 }
 
-/// Motions of all kinds: along an axis, across, tiny, as long as the scene and far longer.
+/// Motions of all kinds: along an axis, diagonal, tiny, as long as the scene and far longer.
 fn random_motion(scene: &Scene, random: &mut Random) -> Vector3<f64> {
     let length = scene.frame.pixel_m() * [0.1, 2.0, 30.0, 3000.0][random.below(4)];
     let mut motion = Vector3::from_fn(|_, _| random.between(-length, length));
@@ -116,7 +117,7 @@ fn random_motion(scene: &Scene, random: &mut Random) -> Vector3<f64> {
     motion
 }
 
-/// A box of the size of a pawn or less, often with faces on edges of pixels and quanta.
+/// A box of at most a pawn's size, often with faces on edges of pixels and quanta.
 fn random_pawn(scene: &Scene, random: &mut Random) -> Aabb {
     let t = scene.frame.pixel_m();
     let a = scene.random_point(random);
@@ -125,7 +126,7 @@ fn random_pawn(scene: &Scene, random: &mut Random) -> Aabb {
     if random.chance(40) {
         size = size.map(|v| (v / t).round() * t);
     }
-    // Without height it could lie in the plane between two pages, or pass the plane that it lies in.
+    // Without height it could lie in the plane between two pages, or move across its own plane.
     size.z = size.z.max(1e-3 * t);
     Aabb::new(a, a + size).unwrap()
 }
@@ -224,7 +225,7 @@ fn after_a_contact_the_way_along_it_and_back_is_free() {
             let there = Aabb::new(shape.min() + by, shape.max() + by).unwrap();
             let again = |motion| sweep(&store, &there, motion).known().flatten();
             if let Some(back) = again(-by) {
-                // What was touched at the start may stop the last of the way back, by rounding errors.
+                // Rounding errors may let what was touched at the start stop the end of the way back.
                 assert!((1.0 - back.fraction) * by.norm() < SLACK, "{there:?} by {:?}: {back:?}", -by);
             }
             if motion.norm() > SLACK * 10.0 {
@@ -265,7 +266,7 @@ fn creeping_into_matter_never_gets_inside() {
 
 #[test]
 fn the_answer_does_not_depend_on_where_pages_begin() {
-    // The same scene, moved by parts of a tile: boundaries lie elsewhere, all else is the same to the last bit.
+    // The same scene, moved by parts of a tile: boundaries lie elsewhere, everything else is the same bit for bit.
     let (t, s) = (0.0625, 0.25);
     let frame = Frame::new(t, s).unwrap();
     let mut random = Random(7);
@@ -280,7 +281,7 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
         let store = |di: i64, dj: i64, ds: i64| {
             let mut columns = scene::Columns::new();
             for &((i, j), bottom, obstacle) in &matter {
-                // Within one slice, and one to a pixel.
+                // Within one slice, and one per pixel.
                 let base = bottom.div_euclid(255) * 255 + ds * 255;
                 let low = bottom + ds * 255;
                 columns.insert((i + di, j + dj), vec![(low, (low + 40).min(base + 250).max(low), obstacle)]);
@@ -310,7 +311,7 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
     }
 }
 
-/// Pixel, top (quanta) and kind of each span of each page: what goes on in another page ends with its own.
+/// Pixel, top (quanta) and kind of each span of each page; a span that continues in another page has a top there, too.
 fn tops(scene: &Scene) -> Vec<([i64; 2], i64, bool)> {
     let of_page = |(key, page): &(PageKey, Page)| -> Vec<_> {
         let place = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
@@ -541,7 +542,7 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
     }
 }
 
-/// Its bounding box meets the edge all the way, the sphere never.
+/// The bounding box meets the edge all the way, the sphere never.
 #[test]
 fn a_sphere_passes_along_an_edge_that_is_further_than_its_radius() {
     let frame = Frame::new(0.25, 255.0 / 256.0).unwrap();
@@ -550,14 +551,14 @@ fn a_sphere_passes_along_an_edge_that_is_further_than_its_radius() {
     for (aside, hits) in [(0.4, false), (0.3, true)] {
         for motion in [Vector3::x() * 3.0, Vector3::x() * -3.0] {
             let from = if motion.x > 0.0 { -1.0 } else { 6.0 };
-            // From the upper edge of the row, as far aside as above.
+            // From the upper edge of the row, as far to the side as above.
             let sphere = Sphere::new([from, 0.25 + aside, 1.0 + aside].into(), 0.5).unwrap();
             assert_eq!(sweep(&store, &sphere, motion).known().unwrap().is_some(), hits, "{aside} {motion:?}");
         }
     }
 }
 
-/// A body that comes down at the foot of a wall, or on an edge, lands: what it meets from above at the same moment counts.
+/// A body that comes down at the foot of a wall, or on an edge, lands: contact from above at the same moment counts.
 #[test]
 fn of_contacts_at_the_same_moment_landing_counts() {
     // Pixels of 1/4 m, quanta of 1/256 m: all ends are exact.

@@ -1,4 +1,4 @@
-//! What a scene's answers must not depend on: the order of its points, where it stands, and left and right.
+//! A scene's answers do not depend on the order of its points, on where it is, or on left and right.
 
 #[path = "heights/scan.rs"]
 mod scan;
@@ -8,7 +8,7 @@ use scan::{Columns, Random, Setting, columns, converted};
 use slicewalk::frame::SLICE_QUANTA;
 use slicewalk::plan::Classifier;
 
-/// A pixel size and a step of coordinates that binary numbers hold exactly, at any distance.
+/// A pixel size and a step of coordinates that are exact in binary at any distance.
 const T: f64 = 1.0 / 16.0;
 const STEP: f64 = 1.0 / 4096.0;
 
@@ -16,8 +16,8 @@ fn setting(classifier: Classifier, offset: [f64; 3]) -> Setting {
     Setting { pixel_m: T, slice_m: 3.0 * T, step: STEP, offset, classifier }
 }
 
-/// Slopes about the limit, steps, a wall and clutter around the corner of four tiles. Coordinates in x and y are odd
-/// multiples of the step: never on a border of a pixel nor of its 1/128 parts.
+/// Slopes around the limit, steps, a wall and clutter around the corner of four tiles. Coordinates in x and y are odd
+/// multiples of the step: never on a border of a pixel or of its 1/128 parts.
 fn scene(seed: u64, slope: f64) -> Vec<[f64; 3]> {
     let mut random = Random(seed);
     let edge = 14.0 * T;

@@ -1,5 +1,6 @@
-//! Tables of text, PTS and PTX: the points are those that a person sees in the file, whatever separates columns, ends lines,
-//! names columns or stands for no number; what cannot be explained is refused in one line, or skipped row by row where that is allowed.
+//! Text tables, PTS and PTX: the points are those that a person sees in the file, whatever separates columns, ends
+//! lines, names columns or marks missing numbers; ambiguous content is refused in one line, or skipped row by row where
+//! allowed.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -19,7 +20,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use write::{Point, pts, rows};
 
-/// Keeps warnings.
+/// Collects warnings.
 #[derive(Default)]
 struct Listener(Mutex<Vec<String>>);
 
@@ -47,7 +48,7 @@ fn read(path: &Path) -> Result<(Vec<Point>, PointCounts, Vec<String>), Error> {
     read_with(path, InputOptions::default())
 }
 
-/// What is readable, where that is allowed.
+/// Reads what is readable, as if incomplete input were allowed.
 fn read_rest(path: &Path) -> (Vec<Point>, PointCounts, String) {
     let options = InputOptions { allow_incomplete: true, ..InputOptions::default() };
     let (found, counts, said) = read_with(path, options).unwrap();
@@ -102,7 +103,7 @@ fn ends_of_lines_marks_and_packing_do_not_matter() {
                 }
             }
         }
-        // UTF-16 of both orders, with and without a mark, is named.
+        // UTF-16 in both byte orders, with and without a mark, is recognised.
         let units = |mark: &str| [mark, &text].concat().encode_utf16().collect::<Vec<u16>>();
         for mark in ["", "\u{feff}"] {
             let little: Vec<u8> = units(mark).into_iter().flat_map(u16::to_le_bytes).collect();
@@ -168,7 +169,7 @@ fn words_for_no_number_are_no_return_in_all_text() {
             ("a.ply", format!("{ply}{}", with(" ", word, ""))),
             ("a.pcd", format!("{pcd}{}", with(" ", word, ""))),
         ] {
-            // PLY and PCD know the spellings of NaN alone.
+            // PLY and PCD know only the spellings of NaN.
             let is_nan = ["nan", "1.#q", "1.#s", "1.#ind"].iter().any(|nan| word.to_ascii_lowercase().contains(nan));
             if !is_nan && (name.ends_with("ply") || name.ends_with("pcd")) {
                 continue;
@@ -180,7 +181,7 @@ fn words_for_no_number_are_no_return_in_all_text() {
             assert_eq!((counts.read, counts.withheld, counts.missing), (24, 4, 0), "{name}, {word}");
         }
     }
-    // Empty cells, where separators show them.
+    // Empty cells, where separators reveal them.
     for separator in [",", ";", "\t"] {
         let path = folder.path().join("empty.csv");
         fs::write(&path, format!("{}\n{}", ["x", "y", "z"].join(separator), with(separator, "", ""))).unwrap();
@@ -188,7 +189,7 @@ fn words_for_no_number_are_no_return_in_all_text() {
         let blank_rows = if separator == "\t" { 2 } else { 0 };
         assert_eq!((found == all, counts.withheld), (true, 4 - blank_rows), "{separator:?}");
     }
-    // A number that no scan reaches is a loss, not a word.
+    // A number beyond any scan is a loss, not a word.
     fs::write(folder.path().join("far.xyz"), "1 2 3\n1 2 1e400\n").unwrap();
     assert!(read(&folder.path().join("far.xyz")).unwrap_err().to_string().contains("not finite"));
 }
@@ -196,7 +197,7 @@ fn words_for_no_number_are_no_return_in_all_text() {
 #[test]
 fn one_bad_row_is_one_point_less() {
     let folder = tempfile::tempdir().unwrap();
-    // More than two pieces, with bad rows in each.
+    // More than two blocks, with bad rows in each.
     let all = points(400_000);
     let places = [2usize, 1000, 200_001, 399_000];
     let kept: Vec<Point> =
@@ -236,7 +237,7 @@ fn one_bad_row_is_one_point_less() {
             assert!(ending == ".gz" || said.contains(&format!("line {line}: expected ")), "{said}");
         }
     }
-    // The program says so, too, and an archive of the rest is made; its summary names the columns.
+    // The program reports it, too, and converts the rest; its summary names the columns.
     fs::write(folder.path().join("b.xyz"), "1 2 3\n4 5 six\n7 8 9\n").unwrap();
     let options = ["b.xyz", "-o", "b.slices", "--pixel", "0.5", "--units", "m"];
     let said = refuses(folder.path(), &options, 1);
@@ -293,7 +294,7 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
             }
         }
     }
-    // More than stated are read, with a word.
+    // Additional points are read, with a warning.
     for (name, text) in [("b.xyz", "2\n1 2 3\n4 5 6\n7 8 9\n"), ("b.pts", "2\n1 2 3\n4 5 6\n7 8 9\n")] {
         fs::write(at(name), text).unwrap();
         let (found, _, said) = read(&at(name)).unwrap();
@@ -301,7 +302,7 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
             found.len() == 3 && said.iter().any(|said| said.contains("states 2 points, 3 lines follow; all are read"))
         );
     }
-    // Clouds of a PTS across pieces.
+    // Clouds of a PTS across blocks.
     let (a, b) = all.split_at(130_000);
     for (first, second, words) in
         [(130_000, 120_000, ""), (130_000, 120_001, "cloud 2: "), (130_001, 120_000, "cloud 1: ")]
@@ -312,7 +313,7 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
             Err(error) => assert!(!words.is_empty() && error.to_string().contains(words), "{error}"),
         }
     }
-    // What is left of a packed text that is cut, and no more of a count that is 0.
+    // The rest of a cut compressed text is read; a count of 0 is ignored.
     let cut = gzip(format!("250000\n{text}").as_bytes());
     fs::write(at("cut.xyz.gz"), &cut[..cut.len() / 2]).unwrap();
     let (found, _, said) = read_rest(&at("cut.xyz.gz"));
@@ -325,7 +326,7 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
     assert!(found.len() == 1 && said.iter().any(|said| said.contains("states 0 points, 1 line follows")), "{said:?}");
     fs::write(at("none.xyz"), "5\n").unwrap();
     assert!(read(&at("none.xyz")).unwrap_err().to_string().contains("states 5 points, no lines follow"));
-    // A run that goes on from an earlier one checks all, too.
+    // A resumed run checks everything, too.
     fs::write(at("cut.pts"), format!("250001\n{text}")).unwrap();
     let options = ["cut.pts", "-o", "cut.slices", "--pixel", "0.5", "--memory", "64MiB", "--resume", "--temp-dir", "."];
     for _ in 0..2 {
@@ -338,7 +339,7 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
 fn headers_of_pts_and_commas_of_ptx_are_understood() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    // Named colours stand before the intensity, and the sample says that they are 0 to 1.
+    // Named colours precede the intensity, and the sample shows that they are 0 to 1.
     let header = "//X;Y;Z;Rf;Gf;Bf;Intensity;Nx;Ny;Nz\n";
     let row = |z: f64| format!("1.5;2.5;{z};0.25;0.5;1;0.75;0;0;1\n");
     fs::write(at("a.pts"), format!("{header}3\n{}{}{}", row(1.0), row(2.0), row(3.0))).unwrap();
@@ -403,7 +404,7 @@ fn a_bad_cloud_of_a_ptx_leaves_the_others() {
     }
 }
 
-/// Cancels at once when it is asked often enough.
+/// Cancels after a number of polls.
 struct Impatient(AtomicU64, u64);
 
 impl Monitor for Impatient {
@@ -420,7 +421,7 @@ fn packed_text_without_rows_can_be_interrupted() {
     let open = |monitor: &dyn Monitor| InputSet::open(std::slice::from_ref(&path), InputOptions::default(), monitor);
     fs::write(&path, gzip(&empty)).unwrap();
     assert!(matches!(open(&Impatient(AtomicU64::new(0), 20)), Err(Error::Interrupted)));
-    // Rows, and then none: whoever takes the points is asked at least once a MiB.
+    // Rows, then none: the reader polls for cancellation at least once per MiB.
     let rows: String = (0..300).map(|n| format!("{n} 2.5 3.5\n")).collect();
     fs::write(&path, gzip(&[rows.as_bytes(), &empty].concat())).unwrap();
     let set = open(&NoMonitor).unwrap();
@@ -480,7 +481,7 @@ fn units_of_headers_count() {
     assert_eq!(read(&path).unwrap().0, [[1.0, 2.0, 10.0 * 0.3048]]);
 }
 
-/// Files by hand whose right points are those that a person sees.
+/// Handmade files whose correct points are obvious to a person.
 #[test]
 fn odd_tables_hold_the_points_that_a_person_sees() {
     let Some(folder) = data::folder().map(|folder| folder.join("cases")).filter(|folder| folder.is_dir()) else {

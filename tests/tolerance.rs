@@ -1,5 +1,5 @@
-//! Coarsened heights: every point stays matter, heights move outwards by no more than the tolerance, and `--tolerance auto` finds the
-//! noise of the scan, the same whatever the order of points, threads, memory and parts.
+//! Coarsened heights: every point stays solid, heights move outwards by at most the tolerance, and `--tolerance auto`
+//! finds the noise of the scan, independent of the order of points, threads, memory and parts.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -43,14 +43,14 @@ fn write(path: &Path, points: &[[f64; 3]]) {
 const OPTIONS: [&str; 5] = ["--pixel", "0.1", "--units", "m", "--force"];
 const AUTO: [&str; 2] = ["--tolerance", "auto"];
 
-/// What `sliceconv --json` says.
+/// Report of `sliceconv --json`.
 fn json_of(folder: &Path, arguments: &[&str]) -> Value {
     let out = scans::sliceconv(folder, &[arguments, &OPTIONS, &["--json"]].concat());
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     serde_json::from_slice(&out.stdout).unwrap()
 }
 
-/// All spans of `loose` hold those of `exact`, and reach no further than `tolerance` (quanta) beyond them.
+/// Checks that the spans of `loose` contain those of `exact`, and exceed them by at most `tolerance` (quanta).
 fn is_within(exact: &Archive, loose: &Archive, tolerance: u32) {
     let pages = |archive: &Archive| -> BTreeMap<_, _> {
         archive.entries().map(|entry| entry.unwrap()).map(|entry| (entry.key, archive.page(&entry).unwrap())).collect()
@@ -124,7 +124,7 @@ fn the_noise_of_a_scan_is_found_said_and_kept() {
         let info = slicewalk::info::info(&archive).unwrap();
         assert_eq!((&info["tolerance"], &info["tolerance_auto"]), (&facts["tolerance"], &facts["tolerance_auto"]));
         verifies(&at.join("a.slices"));
-        // As with that tolerance, but for the record of the noise.
+        // Equals the archive of that explicit tolerance, except for the record of the noise.
         converts(at, &[&["room.las", "-o", "b.slices", "--tolerance", &tolerance.to_string()], &OPTIONS[..]].concat());
         let given = Archive::open(at.join("b.slices")).unwrap();
         let read = |archive: &Archive| {
@@ -133,7 +133,7 @@ fn the_noise_of_a_scan_is_found_said_and_kept() {
         };
         assert!(read(&given) == read(&archive));
         assert_eq!(given.noise().unwrap(), None);
-        // What makes archives of archives keeps it.
+        // Operations that derive archives keep it.
         let all = ([-9.0; 3], [9.0; 3]);
         extract(&archive, &all, &at.join("cut.slices"), true, &NoMonitor).unwrap();
         let _ = fs::remove_file(at.join("saved.slices"));
@@ -205,7 +205,7 @@ fn where_nothing_is_flat_heights_stay_and_what_makes_no_sense_is_refused() {
     assert!(matches!(refused, Err(Error::Parameter { what: Parameter::Tolerance, .. })));
 }
 
-/// Bytes of real scans at a quarter of a pixel, relative to those without a tolerance, and a little more.
+/// Bytes of real scans at a quarter of a pixel, relative to those without a tolerance, with a margin.
 #[test]
 fn real_scans_take_no_more_than_was_promised() {
     let folder = tempfile::tempdir().unwrap();

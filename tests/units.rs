@@ -1,4 +1,4 @@
-//! Units and reference systems of inputs: what archives record of them, and what the program says when they do not fit.
+//! Units and reference systems of inputs: what archives record of them, and the messages when they do not match.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -179,7 +179,7 @@ fn a_given_reference_system_completes_scans_that_state_none_and_contradicts_no_o
     let said = run(&["plain.xyz"], "EPSG:900913").2;
     assert!(said.contains("the unit of EPSG:900913 is unknown") && said.contains("no unit of length"), "{said}");
     assert_eq!(run(&["floor.obj"], "EPSG:25832").0, "EPSG:25832");
-    // The scan's own text is kept where it says the same, or nothing that can be compared.
+    // The scan's own text is kept if it agrees, or cannot be compared.
     let (crs, _, said) = run(&["plain.las", "coded.las"], "EPSG:32633");
     assert!(crs == coded && !said.contains("reference system"), "{said}");
     let (crs, _, said) = run(&["named.las"], "EPSG:32633");

@@ -1,4 +1,4 @@
-//! Uploads in parts: some on their way at the same time, in bounded memory; whole or not at all, and nothing stays at the store
+//! Multipart uploads: several parts in flight, in bounded memory; all or nothing, and nothing stays in the store
 //! whatever it does wrong.
 #![cfg(all(feature = "cli", feature = "remote"))]
 
@@ -12,13 +12,13 @@ use std::path::Path;
 use std::process::Command;
 use store::{Fault, Server, When};
 
-/// This program, which uploads if it is asked to.
+/// This program, which uploads on request.
 fn server() -> Server {
     let program = std::env::current_exe().unwrap();
     Server::new(program.to_str().unwrap().to_owned().leak())
 }
 
-/// Exit code where the object had the very bytes already and was kept.
+/// Exit code if the object had the same bytes already and was kept.
 const KEPT: i32 = 3;
 const UPLOADS: [&str; 3] = ["this_program_uploads", "--exact", "--nocapture"];
 
@@ -28,8 +28,8 @@ fn content(len: usize) -> Vec<u8> {
     bytes
 }
 
-/// Writes as many bytes as the environment says to `s3://bucket/large.slices`; does nothing as a test. The environment of a
-/// test holds no address of a store, so this is a process of its own.
+/// Writes as many bytes as the environment says to `s3://bucket/large.slices`; does nothing as a test. A test's
+/// environment contains no address of a store, so this runs in its own process.
 #[test]
 fn this_program_uploads() {
     let Some(len) = std::env::var("UPLOADED_BYTES").ok().and_then(|text| text.parse().ok()) else { return };
@@ -57,19 +57,19 @@ fn this_program_uploads() {
     });
 }
 
-/// Uploads so many bytes; `Err` holds the one line that was said.
+/// Uploads `len` bytes; `Err` holds the one-line error.
 fn uploads(server: &Server, len: usize, replaces: bool) -> Result<(), String> {
     uploads_over(server, len, Existing::replaced_if(replaces)).map(|was_written| assert!(was_written))
 }
 
-/// As [`uploads`]; returns whether it wrote the object.
+/// Uploads `len` bytes; returns whether it wrote the object.
 fn uploads_over(server: &Server, len: usize, existing: Existing) -> Result<bool, String> {
     let mut program = server.program(Path::new("."));
     program.args(UPLOADS).env("UPLOADED_BYTES", len.to_string()).env("EXISTING", format!("{existing:?}"));
     ended(program)
 }
 
-/// What a program that uploads said: whether it wrote the object.
+/// Result of a program that uploads: whether it wrote the object.
 fn ended(mut program: Command) -> Result<bool, String> {
     let out = program.output().unwrap();
     let said = String::from_utf8(out.stderr).unwrap();
@@ -124,7 +124,7 @@ fn whatever_request_fails_the_object_is_whole_or_absent_and_no_upload_stays_open
             true => assert!(found.as_ref() == Some(&whole), "{what}"),
             false => assert!(found == old, "{what}"),
         }
-        // Nobody knows of an upload whose first answer was lost.
+        // An upload whose first answer was lost is unknown to the program.
         let lost = at == begin && matches!(fault, Fault::Mute | Fault::Cuts);
         let open = server.store().uploads.len();
         assert!(open == 0 || lost && open == 1, "{what}: {open} uploads are open");
@@ -170,7 +170,7 @@ fn an_object_that_is_there_is_replaced_kept_or_refused_as_the_caller_says() {
     for existing in [Existing::Refuse, Existing::Replace, Existing::KeepSame] {
         server.store().objects.clear();
         assert_eq!(uploads_over(&server, short.len(), existing), Ok(true), "{existing:?}: the name is free");
-        // Of the same bytes, of other ones and of another length.
+        // Of the same bytes, of other bytes and of another length.
         let mut other = short.clone();
         other[999] ^= 1;
         for there in [&short, &other, &long] {
@@ -189,7 +189,7 @@ fn an_object_that_is_there_is_replaced_kept_or_refused_as_the_caller_says() {
                 }
             }
         }
-        // Whatever may be replaced, a file of another kind is not.
+        // A file of another kind is never replaced.
         server.put("large.slices", b"a letter to the editor".to_vec());
         assert!(uploads_over(&server, short.len(), existing).is_err());
         assert_eq!(server.get("large.slices").unwrap(), b"a letter to the editor");
@@ -218,7 +218,7 @@ fn a_file_is_uploaded_if_it_is_an_archive() {
     assert_eq!(upload(&archive, Existing::KeepSame), Ok(false));
     assert!(upload(&archive, Existing::Refuse).unwrap_err().contains("exists already"));
     assert_eq!(upload(&archive, Existing::Replace), Ok(true));
-    // No address of a store: refused before anything is read there.
+    // Not the address of a store: refused before anything is read.
     let here = upload_archive(&file, &folder.path().join("b.slices"), Existing::Replace, &NoMonitor);
     assert!(here.unwrap_err().to_string().contains("no address in an object store"));
     assert!(!folder.path().join("b.slices").exists());

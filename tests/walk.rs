@@ -1,4 +1,4 @@
-//! Pawns in scenes with known truth: what is walked, climbed, refused, and that nothing jitters, tunnels or leaks.
+//! Pawns in scenes with known truth: what they walk on, climb and refuse, without jitter, tunnelling or leaks.
 
 #[path = "../tools/bench/src/walks/cases.rs"]
 mod cases;
@@ -32,12 +32,12 @@ use world::*;
 
 const BODIES: [Body; 2] = [BOX, CYLINDER];
 
-/// Nothing but the floor touches the body, at any time.
+/// Checks that only the floor touches the body, at any time.
 fn assert_free(store: &Store, trace: &Trace, what: &str) {
     let body = trace.walker.config().body;
     let (half, height) = (body.half(), body.height());
     for feet in &trace.path {
-        // A cylinder holds the box with half its width and more.
+        // A cylinder contains the box of 0.7 times its width.
         let share = if matches!(body, Body::Box { .. }) { 1.0 } else { 0.7 };
         let margin = Vector3::new(1e-6, 1e-6, 1e-3);
         let low = feet - (half * share).push(0.0) + margin;
@@ -92,7 +92,7 @@ fn stairs_are_climbed_up_to_the_climb_height_and_not_beyond() {
     for centimetres in 5..=40 {
         let riser = f64::from(centimetres) / 100.0;
         let stairs = Scene::named("stairs", &Params::new().with("riser", riser).with("risers", 4.0)).unwrap();
-        // Headings and phases by turns; each riser meets several, its neighbours the others.
+        // Alternating headings and phases; each riser meets several of them, its neighbours the others.
         for n in 0..2 {
             let turn = [0.0, 17.0, 45.0, 90.0][(centimetres + n) as usize % 4];
             let shift = [0.013 * f64::from(centimetres), 0.031, 0.007 * f64::from(centimetres)];
@@ -134,7 +134,7 @@ fn stairs_with_noise_are_climbed_too() {
     }
 }
 
-/// A floor, a ramp of 1.2 m rise along x, and a floor on top.
+/// A floor, a ramp rising by 1.2 m along x, and a floor on top.
 fn ramp(slope_deg: f64) -> (Scene, f64) {
     let rise = 1.2;
     let run = rise / slope_deg.to_radians().tan();
@@ -241,14 +241,14 @@ fn round_columns_are_walked_around() {
                 let (from, to) = (at(-2.0), at(2.0));
                 let trace = walk(&store, config(body), [from[0], from[1], 0.0], &[to], 60.0, 20.0);
                 if matches!(body, Body::Box { .. }) && heading == 0.0 && aside < 0.3 {
-                    // A flat front against the foremost line of a round column: little or nothing pushes it aside.
+                    // A flat front meets the foremost line of a round column: little or nothing pushes it aside.
                     assert!(trace.arrived() || (trace.end().x + radius + 0.25).abs() < 2.0 * T);
                     continue;
                 }
                 assert!(trace.arrived(), "{body:?} heading {heading}, {aside} aside: ends at {}", trace.end());
                 assert_free(&store, &trace, "column");
                 if matches!(body, Body::Cylinder { .. }) {
-                    // Closed form: the pawn's middle goes around a circle of both radii.
+                    // Closed form: the pawn's middle moves along a circle of both radii.
                     let nearest = trace.path.iter().map(|p| p.xy().coords.norm()).fold(f64::INFINITY, f64::min);
                     let truth = aside.max(radius + 0.25);
                     assert!((nearest - truth).abs() < 2.0 * T, "{heading}: {nearest} m, truth {truth}");
@@ -261,7 +261,7 @@ fn round_columns_are_walked_around() {
 #[test]
 fn walls_across_the_grid_are_slid_along() {
     for (n, degrees) in [20.0f64, 33.0, 45.0, 60.0, 70.0].into_iter().enumerate() {
-        // A wall through the origin at this angle to the way, which leads along x.
+        // A wall through the origin at this angle to the path, which is along x.
         let (s, c) = degrees.to_radians().sin_cos();
         let scene = scene(|b| {
             b.level("floor", [-3.0, -3.0, 3.0, 3.0], 0.0, &[]);
@@ -275,7 +275,7 @@ fn walls_across_the_grid_are_slid_along() {
                 walker.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::x()));
                 path.push(walker.feet());
             }
-            // In two seconds it would go 2.8 m; along the wall, without friction, the share of the way along it.
+            // In two seconds it would go 2.8 m; along the wall, without friction, the component along it.
             let from_wall = |p: &Point3<f64>| p.y * c - p.x * s;
             let half = body.half();
             let clear = match body {
@@ -294,7 +294,7 @@ fn walls_across_the_grid_are_slid_along() {
     }
 }
 
-/// `bench walks` tells of more turns and pixel sizes; this is a part of it.
+/// A part of `bench walks`, which covers more rotations and pixel sizes.
 #[test]
 fn paths_stay_within_two_pixels_of_the_exact_ones() {
     for (body, turn, noise) in [(BOX, 30.0, 0.0), (CYLINDER, 17.0, 0.002)] {
@@ -303,7 +303,7 @@ fn paths_stay_within_two_pixels_of_the_exact_ones() {
             let seen = path::walk(&store, &case, Response::Slide);
             let what = format!("{}, {body:?}, turned by {turn}°: {seen:?}", case.name);
             assert!(seen.off <= 2.0 * T, "{what}");
-            // A wall of edges of pixels is rougher than a true one: slower or, on the way around an edge, faster.
+            // A wall of pixel edges is rougher than the true one: the pawn is slower or, around an edge, faster.
             let rough = case.name.starts_with("wall");
             assert!(seen.share > if rough { 0.4 } else { 0.9 } && seen.share < 1.2, "{what}");
         }

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Shows that two builds of sliceconv make the same bytes: the same conversions by both, compared archive by archive.
+# Checks that two builds of sliceconv make the same bytes: runs equal conversions with both and compares the archives.
 #
 #   tools/compare-archives.sh OLD/sliceconv NEW/sliceconv [SCANGEN]
 #
-# Generated scenes and meshes always; the real scans and meshes in the folder named by SLICEWALK_DATA where it is set.
-# Ends with 1 if an archive differs or a conversion fails in one build only.
+# Uses generated scenes and meshes, and the real scans and meshes in the folder SLICEWALK_DATA if it is set.
+# Exits with 1 if an archive differs or a conversion fails in one build only.
 set -euo pipefail
 old=$(realpath "${1:?old sliceconv}") new=$(realpath "${2:?new sliceconv}")
 scangen=$(realpath "${3:-$(dirname "$new")/scangen}")
@@ -18,7 +18,7 @@ cd "$work"
 "$scangen" house --obj house.obj
 
 failed=0
-# compare NAME ARGUMENT...: one conversion by both builds
+# compare NAME ARGUMENT...: runs one conversion with both builds
 compare() {
     local name=$1
     shift

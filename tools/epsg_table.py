@@ -15,7 +15,7 @@ def main():
     lengths = dict(db.execute(
         "select code, conv_factor from unit_of_measure where auth_name = 'EPSG' and type = 'length'"
         " and name not like '% per %' and not deprecated order by code"))
-    lengths[9003] = 1200 / 3937  # exactly, as `US_SURVEY_FOOT_M`; the database has it a rounding off
+    lengths[9003] = 1200 / 3937  # exact, like `US_SURVEY_FOOT_M`; the database is off by a rounding error
 
     def axes(system):
         return list(db.execute(
@@ -29,7 +29,7 @@ def main():
     def rows(table, *columns):
         return db.execute(f"select code, {', '.join(columns)} from {table} where auth_name = 'EPSG'")
 
-    systems = {}  # code -> (ground, up), as they stand in the table
+    systems = {}  # code -> (ground, up), as in the table
     for code, kind, system in rows("geodetic_crs", "type", "coordinate_system_code"):
         along = axes(system)
         ground = "Geocentric" if kind == "geocentric" else "Angles"

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Measures what guarantee G5 promises: peak resident memory of sliceconv (as the kernel counts it), wall time, and
-# temporary bytes per point, on scans that do not fit the budget. Fails if a peak lies above the budget and 64 MiB.
+# Measures guarantee G5: peak resident memory of sliceconv (as the kernel counts it), wall time, and temporary bytes per
+# point, on scans that exceed the budget. Fails if a peak exceeds the budget by more than 64 MiB.
 #
 #   tools/measure-memory.sh [WORK_FOLDER] [PERCENT]
 #
 # The folder (default: a new one) takes about 12 GB; PERCENT (default 100) shrinks the scans. Needs GNU time. Takes a
-# quarter of an hour on two cores, mostly to generate the scans; one that is there already is used again.
+# quarter of an hour on two cores, mostly to generate the scans; existing ones are used again.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 work=${1:-$(mktemp -d)}

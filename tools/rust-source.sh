@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Prints, for `eval`, the variables of a Rust compiler that has the source of its standard library, for targets that rustup has not
-# installed. Debian's packages are unpacked into FOLDER, never installed, so that the system's cargo stays what it is.
+# Prints, for `eval`, the variables of a Rust compiler with the source of its standard library, for targets that rustup
+# has not installed. Debian's packages are unpacked into FOLDER, never installed, so the system's cargo does not change.
 #
 #   eval "$(tools/rust-source.sh FOLDER)"
 #   cargo build -Z build-std=std,panic_abort --target ...
@@ -13,7 +13,7 @@ if [ ! -x "$root/usr/bin/rustc" ]; then
     (
         cd "$folder/deb"
         apt-get update -qq
-        # Whatever version of Rust the distribution builds its browsers with.
+        # The version of Rust that the distribution builds its browsers with.
         std=$(apt-cache depends libstd-rust-web-dev | sed -n 's/.*Depends: \(libstd-rust-web-[0-9.]*\)$/\1/p' | head -1)
         llvm=$(apt-cache depends "$std" rustc-web | sed -n 's/.*Depends: \(libllvm[0-9]*\)$/\1/p' | head -1)
         apt-get download rustc-web rust-web-src libstd-rust-web-dev "$std" "$llvm"

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Cost and schedule of a conversion that nobody has run yet: `tools/scale.py SURVEY [--workers N] [--parts N] [--seed S] ...`.
+"""Estimates cost and schedule of a large conversion: `tools/scale.py SURVEY [--workers N] [--parts N] [--seed S] ...`.
 
 The cost model multiplies measured constants; the schedule is simulated, with parts of unequal length, stragglers and workers
 that are lost. `tools/bench/results/costs.md` explains both and states where the constants come from. Equal arguments give equal output.
@@ -18,7 +18,7 @@ GB = 1e9
 
 @dataclass(frozen=True)
 class Survey:
-    """What is converted."""
+    """The scan to convert."""
 
     tiles: int
     points: float
@@ -30,7 +30,7 @@ class Survey:
 SURVEYS = {
     # AHN4: the Netherlands in about 1,370 sheets of 5 x 6.25 km, published as 640 G points; as tiles of 1 km2.
     "ahn": Survey(tiles=41_500, points=640e9, area_m2=41.5e9, pixel_m=0.5, laz_bytes_a_point=5.5),
-    # All land without ice in tiles of 1 km2, at 10 points a square metre.
+    # All ice-free land in tiles of 1 km2, at 10 points per square metre.
     "world": Survey(tiles=100_000_000, points=1e15, area_m2=100e12, pixel_m=0.5, laz_bytes_a_point=5.5),
 }
 
@@ -40,37 +40,37 @@ class Constants:
     """Measured on the machine of `tools/bench/results/costs.md`; a core is one of its cores."""
 
     points_a_second: float = 1.24e6
-    """Points of LAZ that one thread converts in a second."""
+    """LAZ points that one thread converts per second."""
     spilled_bytes_a_point: float = 9.0
-    """Temporary bytes a point of a part that does not fit its memory."""
+    """Temporary bytes per point of a part that exceeds its memory."""
     archive_bytes_a_m2: float = 10.4
-    """Archive bytes a square metre at the survey's pixel size."""
+    """Archive bytes per square metre at the survey's pixel size."""
     pages_a_column: float = 2.2
-    """Pages (64 x 64 pixels, 64 slices) above one tile column with matter."""
+    """Pages (64 x 64 pixels, 64 slices) in an occupied tile column."""
     merged_pages_a_second: float = 16_000.0
-    """Pages that one merge reads, checks and writes in a second."""
+    """Pages that one merge reads, checks and writes per second."""
     read_again: float = 0.15
-    """Share of the input that parts read besides their own: files that the border of a part cuts."""
+    """Fraction of the input that parts read in addition to their own: files cut by the border of a part."""
     requests_a_tile: float = 12.0
-    """Requests to know a tile: header, records, chunk table, eight samples. The plan sends them for all tiles, a part for those
-    that its columns meet."""
+    """Requests to inspect a tile: header, records, chunk table, eight samples. The plan sends them for all tiles, a
+    part for those that meet its columns."""
     tiles_a_list: float = 1000.0
-    """Names in an answer of a store that lists a folder; every part lists its inputs."""
+    """Names per answer when a store lists a folder; every part lists its inputs."""
     plan_bytes_a_tile: float = 390.0
-    """Bytes of the plan file, which every part reads."""
+    """Bytes per tile of the plan file, which every part reads."""
     bytes_a_request: float = 8e6
-    """Bytes of a request for points."""
+    """Bytes per request for points."""
     plan_seconds_a_tile: float = 0.0004
     most_pages: float = 512 * 2**20
-    """Pages of one archive (spec, chapter 5)."""
+    """Most pages of one archive (spec, chapter 5)."""
     most_parts: int = 65_536
     most_shared: int = 32_768
-    """Inputs of one part that other parts read too."""
+    """Most inputs of one part that other parts read too."""
 
 
 @dataclass(frozen=True)
 class Prices:
-    """Parameters, not quotes: put in your own."""
+    """Example prices, not quotes: insert your own."""
 
     core_hour: float = 0.04
     stored_gb_month: float = 0.023
@@ -80,7 +80,7 @@ class Prices:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Who does the work, and what goes wrong."""
+    """Workers and their failures."""
 
     workers: int = 256
     parts: int = 4096
@@ -88,12 +88,12 @@ class Cluster:
     unequal: float = 0.3
     """Standard deviation of the logarithm of a part's length."""
     stragglers: float = 0.02
-    """Share of attempts on a machine that takes `slower` times as long."""
+    """Fraction of attempts on a machine that takes `slower` times as long."""
     slower: float = 3.0
     lost: float = 0.01
-    """Share of attempts that lose their worker, at a moment drawn evenly."""
+    """Fraction of attempts that lose their worker, at a uniformly random moment."""
     restart_s: float = 120.0
-    """Until another worker is there, and the scheduler knows."""
+    """Seconds until another worker is available and known to the scheduler."""
     failures: int = 16
 
 
@@ -135,9 +135,9 @@ def costs(survey: Survey, constants: Constants, prices: Prices, cluster: Cluster
 
 
 def breaks(survey: Survey, constants: Constants, cluster: Cluster) -> list[tuple[str, float]]:
-    """Limits as multiples of what this conversion needs, the first to break first; below 1 it is broken."""
+    """Return limits as multiples of what this conversion needs, the tightest first; a value below 1 is exceeded."""
     pages = survey.area_m2 / (64 * survey.pixel_m) ** 2 * constants.pages_a_column
-    # Tiles along the border of a compact part, and of the largest node below the root.
+    # Tiles along the border of a compact part, and of the largest node below the root of the tree.
     border = 4 * math.sqrt(survey.tiles / cluster.parts) + 4
     node = survey.tiles / min(cluster.fan_in, cluster.parts)
     listed = survey.tiles / constants.tiles_a_list * cluster.parts
@@ -155,7 +155,7 @@ def breaks(survey: Survey, constants: Constants, cluster: Cluster) -> list[tuple
 
 
 def depth(parts: int, fan_in: int) -> int:
-    """Levels of the tree of merges."""
+    """Return the levels of the tree of merges."""
     levels = 1
     while parts > fan_in:
         parts, levels = -(-parts // fan_in), levels + 1
@@ -163,7 +163,7 @@ def depth(parts: int, fan_in: int) -> int:
 
 
 def simulate(survey: Survey, constants: Constants, cluster: Cluster, seed: int) -> dict[str, float]:
-    """Seconds until all parts are done, and until the whole is; busy share of the workers; attempts lost."""
+    """Return seconds until all parts and until the whole are done, busy fraction of the workers, and lost attempts."""
     dice = random.Random(seed)
     mean = survey.points * (1 + constants.read_again) / constants.points_a_second / cluster.parts
     lengths = [mean * dice.lognormvariate(-(cluster.unequal**2) / 2, cluster.unequal) for _ in range(cluster.parts)]
@@ -177,7 +177,7 @@ def simulate(survey: Survey, constants: Constants, cluster: Cluster, seed: int) 
     levels.append([pages / constants.merged_pages_a_second])
     parts_done = 0.0
     for level in levels:
-        # Longest first would need to know them; Dask takes them in order. A level waits for the one below.
+        # The lengths are unknown, so Dask takes parts in order. A level waits for the one below.
         done = now
         todo = [(length, 0) for length in reversed(level)]
         while todo:

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Prints, for `eval`, what building for x86_64-pc-windows-gnu and running its programs under wine needs: the variables of a
-# toolchain and, as WINDOWS_FLAGS, the flags of cargo. The target of rustup is taken if it is installed; otherwise
-# `tools/rust-source.sh` unpacks a compiler into FOLDER. mingw-w64 and wine are installed by apt-get where they are missing.
+# Prints, for `eval`, the variables of a toolchain that builds for x86_64-pc-windows-gnu and runs its programs under wine
+# and, as WINDOWS_FLAGS, the flags of cargo. Uses rustup's target if it is installed; otherwise `tools/rust-source.sh`
+# unpacks a compiler into FOLDER. Installs mingw-w64 and wine by apt-get if they are missing.
 #
 #   eval "$(tools/windows.sh FOLDER)"
 #   cargo test --target x86_64-pc-windows-gnu $WINDOWS_FLAGS ...
@@ -10,7 +10,7 @@ folder=$(mkdir -p "${1:?folder to unpack into}" && cd "$1" && pwd)
 if ! command -v x86_64-w64-mingw32-gcc >/dev/null || [ ! -x /usr/lib/wine/wine64 ]; then
     { apt-get update -qq && apt-get install --yes --quiet gcc-mingw-w64-x86-64 wine64; } >&2
 fi
-# Rust's standard library asks a DLL for random numbers that the wine of Debian 12 lacks; this has its only function.
+# Rust's standard library gets random numbers from a DLL that wine in Debian 12 lacks; this one has its only function.
 if [ ! -f "$folder/wine/bcryptprimitives.dll" ]; then
     mkdir -p "$folder/wine"
     cat > "$folder/wine/random.c" <<'C'

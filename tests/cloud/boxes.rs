@@ -1,4 +1,5 @@
-//! Boxes asked of archives of real clouds, against brute force over points that came another way (guarantees G1 and G2).
+//! Boxes queried in archives of real clouds, compared with brute force over points that were read independently
+//! (guarantees G1 and G2).
 
 use super::scans::Random;
 use super::write::Point;
@@ -11,10 +12,10 @@ use slicewalk::store::Store;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Boxes for each file.
+/// Boxes per file.
 const BOXES: usize = 10_000;
 
-/// Points by cells a few voxels large.
+/// Points sorted into cells a few voxels large.
 struct Cells<'a> {
     points: &'a [Point],
     size: Point,
@@ -34,7 +35,7 @@ impl<'a> Cells<'a> {
         std::array::from_fn(|axis| (point[axis] / self.size[axis]).floor() as i64)
     }
 
-    /// Whether a closed box, grown by so much, holds a point.
+    /// Returns whether a closed box, grown by `grow`, contains a point.
     fn hold(&self, min: Point, max: Point, grow: Point) -> bool {
         let min: Point = std::array::from_fn(|axis| min[axis] - grow[axis]);
         let max: Point = std::array::from_fn(|axis| max[axis] + grow[axis]);
@@ -46,7 +47,8 @@ impl<'a> Cells<'a> {
     }
 }
 
-/// A box with, near or far from a point, up to four voxels large, often with faces at a point's coordinates.
+/// A box containing a point, near one or far from one, up to four voxels large, often with faces at a point's
+/// coordinates.
 fn some_box(random: &mut Random, points: &[Point], bounds: [Point; 2], voxel: Point) -> (Point, Point) {
     let p = points[random.below(points.len())];
     let kind = random.below(10);
@@ -69,7 +71,7 @@ fn some_box(random: &mut Random, points: &[Point], bounds: [Point; 2], voxel: Po
     (min, max)
 }
 
-/// `loose`: the points are those of the file but for rounding.
+/// `loose`: the points equal those of the file up to rounding.
 fn check(folder: &Path, path: &Path, points: &[Point], loose: bool) -> [usize; 2] {
     let ends =
         |axis: usize| points.iter().map(move |p| p[axis]).fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(v), b.max(v)]);
@@ -105,7 +107,7 @@ fn boxes_miss_no_point_of_a_real_cloud_and_hit_no_phantom() {
     let Some(formats) = data::folder().map(|folder| folder.join("formats")).filter(|folder| folder.is_dir()) else {
         return eprintln!("skipped: the real data have no folder \"formats\"");
     };
-    // Files that hold no points that can be read, splats, and meshes.
+    // Files without readable points, splats, and meshes.
     let not_asked = [
         "badheader.txt",
         "corrupt_crc.e57",

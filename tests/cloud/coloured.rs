@@ -6,7 +6,7 @@ use e57::{E57Writer, Record, RecordDataType, RecordName, RecordValue};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// A point with its red, green and blue and its intensity, as a LAS file would hold them.
+/// A point with red, green, blue and intensity in the range of LAS.
 #[derive(Debug, Clone, Copy)]
 pub struct Coloured {
     pub at: Point,
@@ -28,14 +28,14 @@ pub fn las(path: &Path, points: &[Coloured], scale: f64) {
     writer.close().unwrap();
 }
 
-/// What columns of numbers hold.
+/// Numbers in columns of colours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Numbers {
     /// Whole numbers of 8 bits.
     Bytes,
     /// Whole numbers of 16 bits.
     Whole,
-    /// 0 to 1, where 65,535 was.
+    /// 0 to 1, scaled from 65,535.
     Unit,
 }
 
@@ -45,7 +45,7 @@ impl Numbers {
     }
 }
 
-/// PLY with blue before red, and the intensity between.
+/// PLY with blue before red, and the intensity between them.
 pub fn ply(points: &[Coloured], form: Ply, numbers: Numbers) -> Vec<u8> {
     let name = match form {
         Ply::Text => "ascii",
@@ -89,7 +89,7 @@ pub fn ply(points: &[Coloured], form: Ply, numbers: Numbers) -> Vec<u8> {
     bytes
 }
 
-/// PCD with the colour in one number, whose upper byte is `alpha`.
+/// PCD with the colour packed in one number, whose upper byte is `alpha`.
 pub fn pcd(points: &[Coloured], form: Pcd, float: bool) -> Vec<u8> {
     let name = match form {
         Pcd::Text => "ascii",
@@ -141,7 +141,7 @@ pub fn rows(points: &[Coloured], separator: &str, colours: Numbers, intensities:
     text
 }
 
-/// PTS, with intensities as Cyclone writes them where they are `signed`.
+/// PTS; `signed` intensities are those of Cyclone.
 pub fn pts(points: &[Coloured], signed: bool) -> String {
     let mut text = format!("{}\n", points.len());
     for Coloured { at: [x, y, z], rgb: [r, g, b], intensity } in points {
@@ -151,7 +151,7 @@ pub fn pts(points: &[Coloured], signed: bool) -> String {
     text
 }
 
-/// PTX of clouds, of which the second has no colours, and a pixel without a return.
+/// PTX of two clouds, the second without colours, with a pixel without a return.
 pub fn ptx(clouds: [&[Coloured]; 2]) -> String {
     let mut text = String::new();
     for (number, points) in clouds.into_iter().enumerate() {
@@ -170,14 +170,14 @@ pub fn ptx(clouds: [&[Coloured]; 2]) -> String {
 #[derive(Debug, Clone, Copy)]
 pub struct Cloud<'a> {
     pub points: &'a [Coloured],
-    /// Red, green and blue; none where `None`.
+    /// Red, green and blue; absent if `None`.
     pub colours: Option<Numbers>,
     pub intensities: Option<Numbers>,
-    /// Every third point is followed by one at the same place whose colour and intensity are marked as invalid.
+    /// Follows every third point by one at the same place whose colour and intensity are marked invalid.
     pub invalid: bool,
 }
 
-/// E57 of clouds; the writer states limits as the columns do.
+/// E57 of clouds; the stated limits match the columns.
 pub fn e57(path: &Path, clouds: &[Cloud<'_>]) {
     let mut writer = E57Writer::from_file(path, "{00000000-0000-0000-0000-000000000003}").unwrap();
     for cloud in clouds {

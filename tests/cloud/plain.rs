@@ -1,10 +1,10 @@
-//! Points of clouds by the plainest means, apart from the code under test: whole files in memory, x, y and z in the first three
-//! columns.
+//! Points of clouds read by the simplest means, independent of the code under test: whole files in memory, with x, y
+//! and z in the first three columns.
 
 use super::write::Point;
 use std::path::Path;
 
-/// All points with finite coordinates of a PCD, PLY, PTS, PTX or a table.
+/// All finite points of a PCD, PLY, PTS, PTX or text file.
 pub fn points(path: &Path) -> Vec<Point> {
     let bytes = std::fs::read(path).unwrap();
     let all = match path.extension().unwrap().to_str().unwrap() {
@@ -16,7 +16,7 @@ pub fn points(path: &Path) -> Vec<Point> {
     all.into_iter().filter(|point: &Point| point.iter().all(|v| v.is_finite())).collect()
 }
 
-/// The first three columns of all lines that have as many numbers.
+/// The first three columns of all lines with at least three numbers.
 fn rows(text: &str) -> impl Iterator<Item = Point> {
     text.lines().filter_map(|line| {
         let mut words =
@@ -26,7 +26,7 @@ fn rows(text: &str) -> impl Iterator<Item = Point> {
     })
 }
 
-/// What stands behind each of `names` in a header, and the bytes behind its last line.
+/// The values of `names` in a header, and the bytes after its last line.
 fn header<'a>(bytes: &'a [u8], last: &str) -> (&'a str, &'a [u8]) {
     let at = bytes.windows(last.len()).position(|window| window == last.as_bytes()).unwrap();
     let at = at + last.len();
@@ -42,7 +42,7 @@ fn doubles(bytes: &[u8]) -> impl Iterator<Item = f64> {
     bytes.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes))
 }
 
-/// x, y and z at the beginning of a record of floats of 4 or 8 bytes.
+/// x, y and z at the start of a record of floats of 4 or 8 bytes.
 fn first_three(record: &[u8], size: usize) -> Point {
     let three: Vec<f64> = if size == 4 { singles(&record[..12]).collect() } else { doubles(&record[..24]).collect() };
     three.try_into().unwrap()
@@ -71,7 +71,7 @@ fn pcd(bytes: &[u8]) -> Vec<Point> {
     }
 }
 
-/// LZF.
+/// Decompresses LZF.
 fn unpacked(packed: &[u8]) -> Vec<u8> {
     let (mut out, mut at) = (Vec::new(), 0);
     while at < packed.len() {

@@ -1,4 +1,4 @@
-//! Clouds in every format, written by hand or (E57) by the crate `e57`.
+//! Clouds in every format, written by hand or, for E57, by the crate `e57`.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use e57::{E57Writer, Quaternion, Record, RecordDataType, RecordName, RecordValue, Transform, Translation};
@@ -7,7 +7,7 @@ use std::path::Path;
 
 pub type Point = [f64; 3];
 
-/// How numbers of PLY are written.
+/// Encoding of numbers in PLY.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ply {
     Text,
@@ -15,7 +15,7 @@ pub enum Ply {
     Big,
 }
 
-/// PLY with its properties in no order, two elements before the points and one behind them. x is a `float`.
+/// PLY with shuffled properties, two elements before the points and one after them. x is a `float`.
 pub fn ply(points: &[Point], form: Ply) -> Vec<u8> {
     let name = match form {
         Ply::Text => "ascii",
@@ -57,7 +57,7 @@ pub fn ply(points: &[Point], form: Ply) -> Vec<u8> {
     bytes
 }
 
-/// How PCD holds its points.
+/// Encoding of points in PCD.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pcd {
     Text,
@@ -103,7 +103,7 @@ pub fn pcd(points: &[Point], form: Pcd) -> Vec<u8> {
     bytes
 }
 
-/// LZF: literals, and references to where the same three bytes were last.
+/// LZF: literals, and references to the last occurrence of the same three bytes.
 pub fn lzf(plain: &[u8]) -> Vec<u8> {
     let (mut out, mut literals, mut at) = (Vec::new(), Vec::new(), 0);
     let mut last = std::collections::HashMap::new();
@@ -137,7 +137,7 @@ pub fn lzf(plain: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Rows with a separator.
+/// Rows with this separator.
 pub fn rows(points: &[Point], separator: &str) -> String {
     let mut text = String::new();
     points.iter().for_each(|[x, y, z]| writeln!(text, "{x}{separator}{y}{separator}{z}").unwrap());
@@ -154,8 +154,8 @@ pub fn pts(clouds: &[&[Point]]) -> String {
     text
 }
 
-/// PTX: clouds turned by a quarter about z and shifted, which the matrix undoes, with a pixel without a return behind every
-/// tenth point.
+/// PTX: clouds rotated by a quarter turn about z and shifted, which the matrix reverses, with a pixel without a return
+/// after every tenth point.
 pub fn ptx(clouds: &[&[Point]]) -> (String, u64) {
     let (mut text, mut absent) = (String::new(), 0);
     for points in clouds {
@@ -178,7 +178,7 @@ pub fn ptx(clouds: &[&[Point]]) -> (String, u64) {
     (text, absent)
 }
 
-/// PTX of clouds around their scanners, whose places the headers state.
+/// PTX of clouds around their scanners, whose positions the headers state.
 pub fn ptx_of_stations(clouds: &[(Point, Vec<Point>)]) -> String {
     let mut text = String::new();
     for ([a, b, c], points) in clouds {
@@ -190,7 +190,7 @@ pub fn ptx_of_stations(clouds: &[(Point, Vec<Point>)]) -> String {
     text
 }
 
-/// E57 of clouds around their scanners, whose places the poses state, with a half turn about z.
+/// E57 of clouds around their scanners, whose positions the poses state, with a half turn about z.
 pub fn e57_of_stations(path: &Path, clouds: &[(Point, Vec<Point>)]) {
     let mut writer = E57Writer::from_file(path, "{00000000-0000-0000-0000-000000000002}").unwrap();
     for ([a, b, c], points) in clouds {
@@ -207,12 +207,12 @@ pub fn e57_of_stations(path: &Path, clouds: &[(Point, Vec<Point>)]) {
     writer.finalize().unwrap();
 }
 
-/// How E57 holds coordinates.
+/// Encoding of coordinates in E57.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum E57 {
     Single,
     Double,
-    /// Whole steps of 1/1024 in 17 bits, from -65,536 on.
+    /// Whole steps of 1/1024 in 17 bits, starting at -65,536.
     Scaled,
 }
 
@@ -221,9 +221,9 @@ pub enum E57 {
 pub struct Cloud<'a> {
     pub points: &'a [Point],
     pub form: E57,
-    /// Whether it is turned by half about z and shifted, which its pose undoes.
+    /// Whether it is rotated by a half turn about z and shifted, which its pose reverses.
     pub posed: bool,
-    /// Whether every fifth point is followed by an invalid one, and colours and a constant column stand between.
+    /// Whether every fifth point is followed by an invalid one, with colours and a constant column in between.
     pub mixed: bool,
 }
 

@@ -1,11 +1,11 @@
-//! All content of an archive as JSON, in the shape that `spec/reader.py --json` prints.
+//! The whole content of an archive as JSON, in the format of `spec/reader.py --json`.
 
 use serde_json::{Value, json};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry, Storage};
 use slicewalk::slice::Span;
 use slicewalk::{Error, NoMonitor, Result, info};
 
-/// What an archive holds, or the first rule that it breaks.
+/// Content of an archive, or the first rule that it breaks.
 pub fn content_or_rule(bytes: Vec<u8>) -> Value {
     match Archive::from_bytes(bytes).and_then(|archive| checked(&archive)) {
         Ok(content) => content,
@@ -13,7 +13,7 @@ pub fn content_or_rule(bytes: Vec<u8>) -> Value {
     }
 }
 
-/// The rule of the specification that an error is about.
+/// The rule of the specification that an error refers to.
 pub fn rule_of(error: &Error) -> &'static str {
     match error {
         Error::Format { rule, .. } => rule,
@@ -32,7 +32,7 @@ fn checked(archive: &Archive) -> Result<Value> {
     }
 }
 
-/// What an archive holds: `info`, then each page with its pixels.
+/// Content of an archive: `info`, then each page with its pixels.
 pub fn content(archive: &Archive) -> Result<Value> {
     let mut reader = ColourReader::new(archive)?;
     let one = |entry: Result<PageEntry>| {
@@ -96,7 +96,7 @@ fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {
     Ok(value)
 }
 
-/// The colours of a page's voxels as hexadecimal digits, `-` where there is none; null if no voxel has one.
+/// The colours of a page's voxels as hexadecimal digits, `-` for a voxel without colour; null if no voxel has one.
 fn colours(reader: &mut ColourReader, entry: &PageEntry) -> Result<Value> {
     let colours = reader.colours(entry)?;
     let text = colours.values().iter().map(|&[r, g, b, a]| match a {

@@ -1,12 +1,12 @@
-//! Real scans and meshes, where a folder of them is at hand.
+//! Real scans and meshes, if a folder of them is available.
 #![allow(dead_code, reason = "each user needs a part")]
 
 use std::path::PathBuf;
 
-/// Names the folder.
+/// Environment variable with the folder.
 const NAME: &str = "SLICEWALK_DATA";
 
-/// The folder that `SLICEWALK_DATA` names; `None`, and a line on standard error, if it is not set.
+/// The folder in `SLICEWALK_DATA`; `None`, with a line on standard error, if it is not set.
 pub fn folder() -> Option<PathBuf> {
     let Some(folder) = std::env::var_os(NAME).map(PathBuf::from) else {
         eprintln!("skipped: no real data; {NAME} names a folder of it");
@@ -16,7 +16,7 @@ pub fn folder() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// The file `name` of the folder; `None`, and a line on standard error, if it is missing.
+/// The file `name` of the folder; `None`, with a line on standard error, if it is missing.
 pub fn file(name: &str) -> Option<PathBuf> {
     let path = folder()?.join(name);
     if !path.is_file() {

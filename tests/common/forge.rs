@@ -1,10 +1,10 @@
-//! Archives whose numbers are wrong and whose checksums are right.
+//! Archives with wrong numbers and valid checksums.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use slicewalk::codec::{Packer, Unpacker};
 use std::cell::RefCell;
 
-/// An archive of one leaf in parts, to be put together again with right lengths and checksums.
+/// Parts of an archive with one leaf, to be reassembled with correct lengths and checksums.
 #[derive(Clone)]
 pub struct Parts {
     pub head: Vec<u8>,
@@ -32,7 +32,7 @@ pub fn pack(raw: &[u8], out: &mut Vec<u8>) {
 }
 
 impl Parts {
-    /// Takes an archive apart.
+    /// Splits an archive into its parts.
     pub fn of(bytes: &[u8]) -> Self {
         let mut at = 0;
         let mut take = |len: usize| {
@@ -47,14 +47,14 @@ impl Parts {
         Self { head, pages, leaf, metadata }
     }
 
-    /// The leaf as it lies in the file.
+    /// The leaf as stored in the file.
     pub fn stored_leaf(&self) -> Vec<u8> {
         let mut stored = Vec::new();
         pack(&self.leaf, &mut stored);
         stored
     }
 
-    /// Puts the head's numbers right, lets `forge` spoil them, and puts the checksums right.
+    /// Recomputes the head's numbers, lets `forge` change them, and recomputes the checksums.
     pub fn build(&self, forge: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
         let (mut head, stored) = (self.head.clone(), self.stored_leaf());
         let lens = [self.pages.len(), stored.len(), self.metadata.len()];
@@ -79,14 +79,14 @@ impl Parts {
         [&head[..], &self.pages, &stored, &self.metadata, &footer, b"\x89CILS\r\n\x1a"].concat()
     }
 
-    /// Replaces the encoding of the only page and puts lengths and checksums right.
+    /// Replaces the encoding of the only page and recomputes lengths and checksums.
     pub fn with_page(&self, body: &[u8]) -> Self {
         let mut pages = [&self.pages[..24], body].concat();
         put(&mut pages, 16, body.len() as u64, 4);
         Self { pages, ..self.clone() }.with_leader()
     }
 
-    /// Puts the checksum of the only page right, and its length and checksum in the leaf.
+    /// Recomputes the checksum of the only page, and its length and checksum in the leaf.
     pub fn with_leader(mut self) -> Self {
         let crc = crc32c::crc32c_append(crc32c::crc32c(&self.pages[..20]), &self.pages[24..]);
         put(&mut self.pages, 20, crc as u64, 4);
@@ -99,14 +99,14 @@ impl Parts {
     }
 }
 
-/// An archive of `leaves` leaves of 2²⁰ uniform pages each, one above the other: 7 MB of directory in a few hundred bytes
-/// each. It keeps every rule.
+/// An archive of `leaves` leaves of 2²⁰ uniform pages each, stacked vertically: 7 MB of directory in a few hundred
+/// bytes each. It breaks no rule.
 pub fn giant(template: &[u8], leaves: u32) -> Vec<u8> {
     const ENTRIES: u32 = 1 << 20;
     let pages = u64::from(leaves) * u64::from(ENTRIES);
     let count = ENTRIES as usize;
     let mut raw = vec![0; 1 + count];
-    // Layers go up by one: zigzag(1). All pages have one span in their lowest slice.
+    // Layers increase by one: zigzag(1). All pages have one span in their lowest slice.
     raw.push(0);
     raw.extend(std::iter::repeat_n(2, count - 1));
     raw.extend(std::iter::repeat_n(2, count));

@@ -1,20 +1,20 @@
-//! Disks without space.
+//! Full disks.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-/// `program` in `folder`, in a shell that lets no file grow beyond so many blocks of 512 bytes, as a full disk would.
+/// Runs `program` in `folder` in a shell that limits files to `blocks` blocks of 512 bytes, like a full disk.
 pub fn with_little_space(program: &str, folder: &Path, blocks: u64, arguments: &[&str]) -> Output {
     let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
     Command::new("sh").arg("-c").arg(script).arg(program).args(arguments).current_dir(folder).output().unwrap()
 }
 
-/// A small file system of its own, where the system lets us make one.
+/// A small separate file system, where the system allows one.
 pub struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// Mounts one of `size` at `at`; `None` (said on standard error) where that is not allowed.
+    /// Mounts a file system of `size` at `at`; `None`, with a line on standard error, if that is not allowed.
     pub fn mount(at: &Path, size: &str) -> Option<Self> {
         std::fs::create_dir_all(at).unwrap();
         let mount = ["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs"];

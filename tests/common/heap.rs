@@ -1,19 +1,20 @@
-//! A global allocator that counts bytes: for tests of budgets. Such a file has one test, as others would allocate beside it.
+//! A global allocator that counts bytes, for tests of budgets. Such a file has a single test, because others would
+//! allocate at the same time.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-/// Counts the bytes that are allocated.
+/// Counts the bytes allocated.
 struct Heap;
 
 static USED: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: hands every call on to the system's allocator unchanged.
+// SAFETY: passes every call to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Heap {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         PEAK.fetch_max(USED.fetch_add(layout.size(), Relaxed) + layout.size(), Relaxed);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        // SAFETY: the caller makes the promises that the system's allocator requires.
         unsafe { System.alloc(layout) }
     }
 
@@ -27,7 +28,7 @@ unsafe impl GlobalAlloc for Heap {
 #[global_allocator]
 static HEAP: Heap = Heap;
 
-/// What `work` returns, and the most bytes that it held at once.
+/// Returns the result of `work` and the most bytes that it held at a time.
 pub fn measured<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = USED.load(Relaxed);
     PEAK.store(before, Relaxed);

@@ -40,7 +40,7 @@ pub fn page(columns: impl IntoIterator<Item = ((u32, u32), Vec<Span>)>) -> Page 
     builder.build()
 }
 
-/// The worked example of the specification.
+/// The specification's worked example.
 pub fn two_pixels() -> (Pages, Totals) {
     let span = |bottom, top| vec![Span::new(bottom, top, false).unwrap()];
     let page = page([((0, 0), span(10, 14)), ((1, 0), span(12, 15))]);
@@ -60,7 +60,7 @@ impl Congruential {
     }
 }
 
-/// A rough floor, a wall over two layers, equal, uniform and sparse pages, on both sides of the origin.
+/// A rough floor, a wall over two layers, and equal, uniform and sparse pages on both sides of the origin.
 pub fn scene() -> (Pages, Totals) {
     let mut random = Congruential(7);
     let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
@@ -98,7 +98,7 @@ pub fn scene() -> (Pages, Totals) {
     (pages, totals)
 }
 
-/// The bytes of an archive with colours by a formula; every seventh voxel has none, nor has every fifth page.
+/// The bytes of an archive with colours by a formula; every seventh voxel and every fifth page have none.
 pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_milli: u16, levels: bool) -> Vec<u8> {
     archive_in_colour(&plan(), made, ColourPlan { scale, error_milli }, levels, None, |number, _, occupancy| {
         let mut random = Congruential(number as u64);
@@ -112,7 +112,8 @@ pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_mi
     })
 }
 
-/// The same, by the place of voxels alone, so that parts have the colours of the whole.
+/// Like [`archive_with_colours`], but colours depend only on the position of voxels, so that parts have the colours of
+/// the whole.
 pub fn archive_coloured_by_place(
     made: &(Pages, Totals),
     error_milli: u16,
@@ -132,7 +133,7 @@ pub fn archive_coloured_by_place(
     })
 }
 
-/// The bytes of an archive in which `colours_of` gives each page, by its number and key, the exact colours of its voxels.
+/// The bytes of an archive in which `colours_of` gives the exact colours of each page's voxels, by its number and key.
 pub fn archive_in_colour(
     plan: &Plan,
     (pages, totals): &(Pages, Totals),
@@ -160,7 +161,7 @@ pub fn archive_in_colour(
     std::fs::read(&target).unwrap()
 }
 
-/// One page with bytes, and many that share them: the bytes of the archive.
+/// The bytes of an archive with one page that has bytes, and many that share them.
 pub fn sharing() -> Vec<u8> {
     let span = |at| Span::new(at, at + 40, at % 2 == 0).unwrap();
     let content = page((0..300).map(|at| ((at % 64, at / 64), vec![span(at)])));
@@ -168,7 +169,7 @@ pub fn sharing() -> Vec<u8> {
     archive_of(&plan(), &(pages, Totals::default()), None)
 }
 
-/// A key.
+/// Makes a key.
 pub fn key(tx: i32, ty: i32, layer: i32) -> PageKey {
     PageKey { tx, ty, layer }
 }
@@ -209,7 +210,7 @@ pub fn read_all(archive: &Archive) -> Result<Pages> {
     archive.entries().map(|entry| entry.and_then(|entry| Ok((entry.key, archive.page(&entry)?)))).collect()
 }
 
-/// All that an archive says, as text.
+/// Everything that an archive contains, as text.
 pub fn render(archive: &Archive) -> String {
     let header = archive.header();
     let mut out = String::new();
@@ -275,17 +276,17 @@ pub fn render(archive: &Archive) -> String {
     out
 }
 
-/// Counts reads and fails on one of them.
+/// Counts reads, and fails one of them.
 pub struct Watched {
     source: MemorySource,
     /// Reads so far.
     pub reads: AtomicU64,
-    /// Number of the read that fails, from 0.
+    /// Index of the read that fails.
     pub fails: u64,
 }
 
 impl Watched {
-    /// A source of `bytes` whose read number `fails` fails.
+    /// A source of `bytes` that fails read number `fails`.
     pub fn new(bytes: &[u8], fails: u64) -> Arc<Self> {
         Arc::new(Self { source: MemorySource::new(bytes), reads: AtomicU64::new(0), fails })
     }

@@ -1,4 +1,4 @@
-//! A set of pages of which some are not in memory, as a program of its own might make one.
+//! A set of pages of which some are not in memory, as a program might implement it.
 
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::slice::Page;
@@ -18,7 +18,7 @@ pub struct PartSlot {
 }
 
 impl Part {
-    /// None of these pages is in memory yet.
+    /// Starts with none of the pages in memory.
     pub fn new(frame: Frame, pages: impl IntoIterator<Item = (PageKey, Page)>) -> Self {
         let mut columns: BTreeMap<_, Vec<_>> = BTreeMap::new();
         for (key, page) in pages {
@@ -28,7 +28,7 @@ impl Part {
         Self { frame, columns }
     }
 
-    /// Brings pages into memory; how many were not.
+    /// Loads pages; returns how many were missing.
     pub fn load(&mut self, keys: &[PageKey]) -> usize {
         let mut loaded = 0;
         for key in keys {

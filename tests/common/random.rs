@@ -1,4 +1,4 @@
-//! Numbers that look random and are the same on every platform.
+//! Pseudorandom numbers that are the same on every platform.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 /// SplitMix64 (G. L. Steele Jr., D. Lea, C. H. Flood, *Fast Splittable Pseudorandom Number Generators*, OOPSLA 2014) from a
@@ -22,27 +22,27 @@ impl Random {
         N::try_from(self.bits() % end.max(1)).unwrap_or_else(|_| unreachable!("it is below a number of that type"))
     }
 
-    /// Evenly from `low` to `high`.
+    /// Uniform from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Evenly from 0 to 1.
+    /// Uniform from 0 to 1.
     pub fn uniform(&mut self) -> f64 {
         self.between(0.0, 1.0)
     }
 
-    /// About normal, mean 0, deviation 1: a sum of twelve (Irwin-Hall).
+    /// Approximately normal, mean 0, deviation 1: a sum of twelve uniform numbers (Irwin-Hall).
     pub fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
     }
 
-    /// True in so many of a hundred cases.
+    /// True in `percent` of a hundred cases.
     pub fn chance(&mut self, percent: usize) -> bool {
         self.below(100) < percent
     }
 
-    /// Fisher and Yates.
+    /// Fisher–Yates shuffle.
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for last in (1..items.len()).rev() {
             items.swap(last, self.below(last + 1));

@@ -18,8 +18,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// A rough floor of 20 × 20 m with a wall, a roof over a part of it and a few far points: whole millimetres, about the
-/// origin, so that any scale and offset that divide them hold them exactly.
+/// A rough floor of 20 × 20 m with a wall, a partial roof and a few far points: whole millimetres around the origin, so
+/// that any scale and offset that divide them represent them exactly.
 pub fn points(count: usize) -> Vec<[f64; 3]> {
     let mut random = Random(5);
     let mut millimetres = |size: f64| (random.uniform() * size * 1000.0).round();
@@ -37,7 +37,7 @@ pub fn points(count: usize) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Writes `points` at `path` in the format that its ending names, with steps of a millimetre.
+/// Writes `points` to `path` in the format of its extension, with steps of a millimetre.
 pub fn write(path: &Path, points: &[[f64; 3]]) {
     write_as(path, points, 0.001, [0.0; 3]);
 }
@@ -51,19 +51,19 @@ pub fn write_as(path: &Path, points: &[[f64; 3]], scale: f64, offset: [f64; 3]) 
     write_las(path, points.iter().copied(), &spec).unwrap();
 }
 
-/// The program in `folder`, with everything it writes kept.
+/// Runs the program in `folder` and captures its output.
 pub fn sliceconv(folder: &Path, arguments: &[&str]) -> Output {
     command(folder).args(arguments).output().unwrap()
 }
 
-/// The program in `folder`, ready for arguments.
+/// The program in `folder`, to be given arguments.
 pub fn command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sliceconv"));
     command.current_dir(folder);
     command
 }
 
-/// The program converts; returns what it says on standard error.
+/// Checks that the program converts; returns its standard error.
 pub fn converts(folder: &Path, arguments: &[&str]) -> String {
     let out = sliceconv(folder, arguments);
     let said = String::from_utf8(out.stderr).unwrap();
@@ -71,7 +71,7 @@ pub fn converts(folder: &Path, arguments: &[&str]) -> String {
     said
 }
 
-/// The program fails with `code`, prints nothing, and (for 1) says one line, which is returned.
+/// Checks that the program fails with `code` without a result and, for 1, with one line, which is returned.
 pub fn refuses(folder: &Path, arguments: &[&str], code: i32) -> String {
     let out = sliceconv(folder, arguments);
     let said = String::from_utf8(out.stderr).unwrap();
@@ -85,7 +85,7 @@ pub fn refuses(folder: &Path, arguments: &[&str], code: i32) -> String {
     said
 }
 
-/// The archive at `path` is sound in every byte.
+/// Checks that the archive at `path` is sound in every byte.
 pub fn verifies(path: &Path) {
     let archive = Archive::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut findings = Vec::new();
@@ -93,7 +93,7 @@ pub fn verifies(path: &Path) {
     assert_eq!(findings, [""; 0], "{}", path.display());
 }
 
-/// The parts merged have the bytes of `whole`.
+/// Checks that the merged parts have the bytes of `whole`.
 pub fn merges_to(parts: &[PathBuf], whole: &Path) {
     let output = whole.with_extension("merged");
     let _ = fs::remove_file(&output);
@@ -102,7 +102,7 @@ pub fn merges_to(parts: &[PathBuf], whole: &Path) {
     assert!(fs::read(&output).unwrap() == fs::read(whole).unwrap(), "{} parts of {}", parts.len(), whole.display());
 }
 
-/// The colours of all voxels of an archive; `None` where a voxel has none.
+/// The colours of all voxels of an archive; `None` for a voxel without one.
 pub fn colours(archive: &Archive) -> BTreeMap<[i64; 3], Option<[u8; 3]>> {
     let mut reader = ColourReader::new(archive).unwrap().expect("the archive has colours");
     let mut found = BTreeMap::new();

@@ -1,5 +1,5 @@
-//! A server on loopback that speaks as much of S3 as is needed, and misbehaves at one request, at a share of them, or from one
-//! on. Nothing asks a cloud: credentials and address come from the environment of the programs.
+//! A server on loopback that implements the needed part of S3 and misbehaves at one request, at a fraction of them, or
+//! from one on. No request leaves the machine: credentials and address come from the programs' environment.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use std::collections::BTreeMap;
@@ -10,20 +10,20 @@ use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// What the store does to a request instead of answering it.
+/// Misbehaviour of the store.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
-    /// 503 with a wish to wait.
+    /// 503 with a delay to wait.
     Throttles,
     /// 500.
     Fails,
     /// Reads the request and closes.
     Closes,
-    /// Does what it was asked for, and closes without an answer.
+    /// Carries out the request, and closes without an answer.
     Mute,
     /// Stops in the middle of the body.
     Cuts,
-    /// Gives other bytes than those that were asked for, and says so.
+    /// Returns another range than the requested one, and states it.
     OtherRange,
     /// Another writer has just replaced the object.
     Replaced,
@@ -31,33 +31,33 @@ pub enum Fault {
     Refuses,
 }
 
-/// Which requests a fault meets.
+/// Requests that a fault affects.
 #[derive(Debug, Clone, Copy)]
 pub enum When {
     Never,
     Once(usize),
     From(usize),
-    /// So many of a hundred.
+    /// This percentage of them.
     Share(u64),
 }
 
 pub struct Store {
     pub objects: BTreeMap<String, Vec<u8>>,
     versions: BTreeMap<String, u64>,
-    /// Uploads in parts that were begun and neither completed nor thrown away.
+    /// Multipart uploads that were begun and neither completed nor aborted.
     pub uploads: BTreeMap<String, BTreeMap<u32, Vec<u8>>>,
     begun: usize,
-    /// What lists show, if not what is there.
+    /// Listed names, if they differ from the stored ones.
     pub listed: Option<Vec<String>>,
-    /// Another writer's object appears under the name of an upload just before its last request.
+    /// Another writer's object, which appears under the name of an upload just before its last request.
     pub rival: Option<Vec<u8>>,
-    /// At so many requests an object gets other bytes.
+    /// Number of requests after which an object gets other bytes.
     pub swap: Option<(usize, String, Vec<u8>)>,
-    /// Answers to parts of an upload wait until so many have come, for some seconds at most.
+    /// Number of parts that must arrive before they are answered, waiting a few seconds at most.
     pub gathers: usize,
-    /// Parts of uploads that have come, those that are not yet answered, and the most of these at a time.
+    /// Parts of uploads received, those not yet answered, and the peak of the latter.
     pub parts: [usize; 3],
-    /// First lines of all requests.
+    /// Request lines of all requests.
     pub requests: Vec<String>,
     /// Connections that clients opened.
     pub connections: usize,
@@ -73,7 +73,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// A store, and the program that [`run`](Self::run) runs.
+    /// A store for the program that [`run`](Self::run) runs.
     pub fn new(program: &'static str) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -119,7 +119,7 @@ impl Server {
         self.store().objects.get(&format!("/bucket/{key}")).cloned()
     }
 
-    /// Forgets what was asked, and misbehaves so from now on.
+    /// Forgets earlier requests, and misbehaves in this way from now on.
     pub fn set(&self, fault: Fault, when: When) {
         let mut store = self.store();
         (store.fault, store.when) = (fault, when);
@@ -127,7 +127,7 @@ impl Server {
         (store.connections, store.parts) = (0, [0; 3]);
     }
 
-    /// The program in `folder`, which knows of this store alone and has no credentials.
+    /// The program in `folder` with access only to this store, without credentials.
     pub fn stranger(&self, folder: &Path) -> Command {
         let mut command = Command::new(self.program);
         for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("AWS_")) {
@@ -138,7 +138,7 @@ impl Server {
         command
     }
 
-    /// The same with credentials.
+    /// The program with credentials.
     pub fn program(&self, folder: &Path) -> Command {
         let mut command = self.stranger(folder);
         command.env("AWS_ACCESS_KEY_ID", "id").env("AWS_SECRET_ACCESS_KEY", "very-secret").env("AWS_REGION", "here");
@@ -149,7 +149,7 @@ impl Server {
         self.program(folder).args(arguments).output().unwrap()
     }
 
-    /// It succeeds, or says one line that holds no secret, which is returned.
+    /// Checks that the program succeeds, or returns its one-line error, which must not contain a secret.
     pub fn done(&self, folder: &Path, arguments: &[&str]) -> Result<(), String> {
         let out = self.run(folder, arguments);
         let said = String::from_utf8(out.stderr).unwrap();
@@ -178,7 +178,7 @@ impl Store {
         *self.versions.entry(path.to_owned()).or_default() += 1;
     }
 
-    /// What meets the request that is now noted.
+    /// Fault of the request now recorded.
     fn fault(&mut self, line: String) -> Option<Fault> {
         let number = self.requests.len();
         self.requests.push(line);
@@ -217,7 +217,7 @@ impl Store {
                     all.iter().filter_map(|key| key.strip_prefix("/bucket/")).map(plain_text).collect();
                 let direct = |key: &&String| value("delimiter").is_empty() || !key[prefix.len()..].contains('/');
                 let found = keys.iter().filter(|key| key.starts_with(&prefix) && **key > after).filter(direct);
-                // Two at a time.
+                // Two per page.
                 let page: Vec<&String> = found.take(3).collect();
                 let more = page.len() == 3;
                 let contents: String = page
@@ -306,7 +306,7 @@ impl Store {
     }
 }
 
-/// Request after request of a connection.
+/// Answers the requests of a connection in turn.
 fn answer_all(mut client: TcpStream, store: &Mutex<Store>) -> std::io::Result<()> {
     client.set_nodelay(true)?;
     let mut reader = BufReader::new(client.try_clone()?);
@@ -314,7 +314,7 @@ fn answer_all(mut client: TcpStream, store: &Mutex<Store>) -> std::io::Result<()
     Ok(())
 }
 
-/// One request; returns whether the connection stays.
+/// Answers one request; returns whether the connection stays open.
 fn answer(client: &mut TcpStream, reader: &mut impl BufRead, store: &Mutex<Store>) -> std::io::Result<bool> {
     let mut head: Vec<String> = Vec::new();
     loop {
@@ -385,7 +385,7 @@ fn answer(client: &mut TcpStream, reader: &mut impl BufRead, store: &Mutex<Store
     Ok(stays)
 }
 
-/// A part of an upload comes, and waits for others.
+/// Counts a part of an upload, and waits for others.
 fn gather(store: &Mutex<Store>) {
     let mut held = store.lock().unwrap();
     held.parts[0] += 1;

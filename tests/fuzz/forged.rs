@@ -1,4 +1,4 @@
-//! Archives whose parts were changed and whose lengths and checksums are right again: what a fuzzer of plain bytes does not get to.
+//! Archives with changed parts but correct lengths and checksums, which a fuzzer of plain bytes cannot reach.
 
 #[path = "../common/forge.rs"]
 mod forge;
@@ -21,10 +21,10 @@ const SOUND: [&[u8]; 7] = [
 ];
 /// Bytes before the body of a page.
 const LEADER: usize = 24;
-/// Bytes of metadata after unpacking that are worth a change.
+/// Bytes of unpacked metadata that may be changed.
 const METADATA: usize = 1 << 16;
 
-/// Takes a sound archive apart, changes its parts as the bytes say, puts lengths and checksums right, and reads it.
+/// Splits a sound archive, changes its parts as the bytes say, recomputes lengths and checksums, and reads it.
 pub fn forged(bytes: &[u8]) -> Read {
     static PARTS: LazyLock<[Parts; SOUND.len()]> = LazyLock::new(|| SOUND.map(Parts::of));
     let mut script = Script(bytes);
@@ -58,7 +58,7 @@ fn change_metadata(parts: &mut Parts, script: &mut Script) {
     forge::pack(&raw, &mut parts.metadata);
 }
 
-/// Where the pages of the section lie.
+/// Ranges of the pages in the section.
 fn pages(parts: &Parts) -> Vec<std::ops::Range<usize>> {
     let (mut places, mut at) = (Vec::new(), 0);
     while parts.pages[at..].starts_with(b"\x89PAG") && at + LEADER <= parts.pages.len() {
@@ -69,7 +69,7 @@ fn pages(parts: &Parts) -> Vec<std::ops::Range<usize>> {
     places
 }
 
-/// Changes leader or body of a page in place.
+/// Changes the leader or body of a page in place.
 fn change_page(parts: &mut Parts, script: &mut Script) {
     let places = pages(parts);
     let Some(place) = places.get(script.below(places.len().max(1))).cloned() else { return };
@@ -80,13 +80,13 @@ fn change_page(parts: &mut Parts, script: &mut Script) {
     script.change_in_place(place);
     let crc = crc32c::crc32c_append(crc32c::crc32c(&leader[..20]), body).to_le_bytes();
     leader[20..].copy_from_slice(&crc);
-    // The leaf has the same checksum: of one page, or of some that share it.
+    // The leaf contains the same checksum, once for a page or several times for pages that share it.
     while let Some(at) = parts.leaf.windows(4).position(|bytes| bytes == before && bytes != crc) {
         parts.leaf[at..at + 4].copy_from_slice(&crc);
     }
 }
 
-/// Replaces the only page by another sound one, which need not be what the leaf says of it.
+/// Replaces the only page by another sound one, which need not match the leaf.
 fn replace_page(parts: &mut Parts, script: &mut Script) {
     let is_single = matches!(&pages(parts)[..], [only] if only.end == parts.pages.len()) && parts.leaf.len() > 14;
     let page = page_of(script);

@@ -1,7 +1,7 @@
-//! libFuzzer on any of the targets, the one that `SLICEWALK_FUZZ_TARGET` names. Without a name it says all names and ends.
+//! libFuzzer on the target in `SLICEWALK_FUZZ_TARGET`. Without a name it prints all names and ends.
 #![no_main]
 
-// With a path, its own modules lie beside it, as in `tests/seeds.rs`.
+// An explicit path makes its own modules lie beside it, as in `tests/seeds.rs`.
 #[path = "targets.rs"]
 mod targets;
 

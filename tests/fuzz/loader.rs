@@ -1,4 +1,4 @@
-//! The loader as a state machine, driven by a script: any order of commands, answers, failures and time.
+//! The loader as a state machine, driven by a script of commands, answers, failures and time in any order.
 
 use super::script::Script;
 use super::{Read, digest};
@@ -14,17 +14,18 @@ use std::io::ErrorKind;
 use std::sync::LazyLock;
 use std::time::Duration;
 
-/// Twelve small pages, with levels: what a page holds is for other targets.
+/// Twelve small pages with levels; other targets test the contents of pages.
 const BYTES: &[u8] = include_bytes!("loader-archive");
-/// Steps after which a script ends, and polls after which a loader that never waits has hung.
+/// Steps after which a script ends, and polls after which a loader that never waits counts as hung.
 const STEPS: usize = 400;
 const POLLS: usize = 10_000;
 
-/// Bytes: too few for the table, for reading a page, then for one page and for some beside that, for all of them, for some fetches at
-/// a time, and for all that may be on their way. To read a page takes 287 kB, and the table and all pages 10 kB.
+/// Budgets in bytes: too small for the table, for reading a page, then enough for one page, a few pages, all pages, a
+/// few concurrent fetches, and everything that may be in flight. Reading a page takes 287 kB; the table and all pages
+/// take 10 kB.
 const BUDGETS: [usize; 8] = [1 << 12, 1 << 18, 292_000, 294_000, 296_000, 1 << 19, 1 << 20, 1 << 21];
 
-/// What is true of the archive.
+/// The true content of the archive.
 struct Truth {
     archive: Archive,
     keys: Vec<PageKey>,
@@ -39,7 +40,7 @@ static TRUTH: LazyLock<Truth> = LazyLock::new(|| {
     Truth { keys: keys.expect("a sound sample"), store, archive }
 });
 
-/// The loader's driver, which does its work as badly as the script says.
+/// The loader's driver, which works as badly as the script says.
 struct Driver {
     loader: Loader,
     now: Time,
@@ -52,7 +53,7 @@ struct Driver {
 }
 
 impl Driver {
-    /// Whether the loader waits for nothing, or has ended.
+    /// Polls the loader; returns true once it waits for nothing or has ended.
     fn poll(&mut self) -> bool {
         for _ in 0..POLLS {
             match self.loader.poll(self.now) {
@@ -103,8 +104,8 @@ impl Driver {
     }
 }
 
-/// Runs a script: whatever a driver does, no page in a view is a wrong one, memory keeps to the budget, and good
-/// answers in the end bring all that is asked for.
+/// Runs a script. Whatever a driver does, no view contains a wrong page, memory stays within the budget, and good
+/// answers at the end load everything requested.
 pub fn loader(bytes: &[u8]) -> Read {
     let mut script = Script(bytes);
     let budget = BUDGETS[script.below(BUDGETS.len())];
@@ -176,12 +177,12 @@ pub fn loader(bytes: &[u8]) -> Read {
     finish(driver)
 }
 
-/// Answers well until all is quiet. Then every request has its outcome, and one for all pages has them there, if the budget is what it
-/// needs: but for those that came damaged before, which are lost for ever.
+/// Answers well until the loader is idle. Then every request has its outcome, and a request for all pages has loaded
+/// them if the budget suffices, except for pages that arrived damaged before, which are lost for good.
 fn finish(mut driver: Driver) -> Read {
     driver.views.clear();
     let last = driver.loader.request(&TRUTH.keys, TRUTH.keys[0]);
-    // A damaged directory may have ended it for ever, and too small a budget too.
+    // A damaged directory or too small a budget may have ended the loader for good.
     for _ in 0..100 {
         let has_work = !(driver.on_the_way.is_empty() && driver.jobs.is_empty() && driver.decoded.is_empty());
         let is_quiet = driver.poll() && driver.on_the_way.is_empty() && !has_work;
@@ -219,20 +220,20 @@ fn finish(mut driver: Driver) -> Read {
     (counters.failed > 0).then(|| digest((driver.seen, counters.resident_pages)))
 }
 
-/// A place in the archive or beside it.
+/// A place inside or outside the archive.
 fn feet(at: u16) -> Point3<f64> {
     let (min, max) = TRUTH.archive.header().bounds.expect("the sample has matter");
     let share = |bits: u16| f64::from(bits & 31) / 24.0;
     Point3::from(std::array::from_fn(|axis| min[axis] + share(at >> (5 * axis)) * (max[axis] - min[axis])))
 }
 
-/// A box of human size.
+/// A box of a person's size.
 fn shape(at: u16) -> Aabb {
     let feet = feet(at);
     Aabb::new(feet - Vector3::new(0.3, 0.3, 0.0), feet + Vector3::new(0.3, 0.3, 1.8)).expect("finite numbers")
 }
 
-/// A body of that size that moves.
+/// A moving body of that size.
 fn outlook(at: u16, motion: u8) -> Outlook {
     let (feet, speed) = (feet(at), |bits: u8| f64::from(bits & 3) - 1.0);
     let velocity = Vector3::new(speed(motion), speed(motion >> 2), speed(motion >> 4)) * 3.0;

@@ -1,6 +1,6 @@
-//! Bytes of a fuzzer as choices: whatever they are, they say something.
+//! Interprets a fuzzer's bytes as choices; any bytes are valid.
 
-/// Takes choices from bytes, zeros when they are at their end.
+/// Takes choices from bytes, and zeros once they are used up.
 pub struct Script<'a>(pub &'a [u8]);
 
 impl Script<'_> {
@@ -14,7 +14,7 @@ impl Script<'_> {
         first
     }
 
-    /// Two bytes, the lower one first.
+    /// Two bytes, little-endian.
     pub fn short(&mut self) -> u16 {
         u16::from_le_bytes([self.byte(), self.byte()])
     }
@@ -25,7 +25,8 @@ impl Script<'_> {
         choice % end
     }
 
-    /// Changes `bytes` at one place: a bit, a byte, a number at the edge of its type, a piece left out or doubled.
+    /// Changes `bytes` at one place: flips a bit, sets a byte, writes a number at the edge of its type, or drops or
+    /// doubles a part.
     pub fn change(&mut self, bytes: &mut Vec<u8>) {
         let kind = self.below(5);
         let at = self.below(bytes.len().max(1));
@@ -44,7 +45,7 @@ impl Script<'_> {
         }
     }
 
-    /// As [`change`](Self::change), and the length stays.
+    /// Like [`change`](Self::change), but keeps the length.
     pub fn change_in_place(&mut self, bytes: &mut [u8]) {
         let kind = self.below(3);
         let at = self.below(bytes.len().max(1));
@@ -56,7 +57,7 @@ impl Script<'_> {
         }
     }
 
-    /// Writes a number at which checks end.
+    /// Writes a number at the limit of a check.
     fn overwrite(&mut self, bytes: &mut [u8], at: usize) {
         const EDGES: [u64; 10] = [0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFF_FFFF, 0xFFFF_FFFF, i64::MAX as u64, u64::MAX];
         let width = [1, 2, 4, 8][self.below(4)].min(bytes.len() - at);

@@ -1,5 +1,5 @@
-//! The fuzz targets as plain functions: any bytes in; a panic is a finding. The fuzzer and `tests/seeds.rs` call them. Each says what
-//! it read, if it got to the end: tests see by that whether changed inputs get past all checks.
+//! The fuzz targets as plain functions from any bytes; a panic is a finding. The fuzzer and `tests/seeds.rs` call them.
+//! Each returns what it read if it reached the end, so that tests see whether changed inputs pass all checks.
 
 mod forged;
 mod loader;
@@ -23,13 +23,13 @@ use std::hash::{Hash, Hasher};
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
-/// Points and triangles after which reading ends: a few bytes may stand for billions.
+/// Points and triangles after which reading ends, because a few bytes may stand for billions.
 const ENOUGH: usize = 1 << 20;
 
-/// A number that stands for all that was read; `None` where reading ended before.
+/// A number that represents everything read; `None` if reading ended early.
 pub type Read = Option<u64>;
 
-/// A target, by the name under which the fuzzer and the seeds know it.
+/// A target and its name, used by the fuzzer and the seeds.
 pub type Target = (&'static str, fn(&[u8]) -> Read);
 
 fn digest(content: impl Hash) -> u64 {
@@ -38,7 +38,7 @@ fn digest(content: impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// Tells contents apart that nobody chose to be alike; `DefaultHasher` takes as long as reading.
+/// Distinguishes contents that are not adversarial; `DefaultHasher` takes as long as reading.
 #[derive(Default)]
 struct Sum(u64);
 
@@ -96,8 +96,8 @@ pub const TARGETS: &[Target] = &[
     ("plan", plan),
 ];
 
-/// Opens, verifies and reads any bytes as an archive with its overview levels, as they are and with the checksums of the head, of
-/// the table of levels and of the footer put right.
+/// Opens, verifies and reads any bytes as an archive with its overview levels, unchanged and with recomputed checksums
+/// of the head, the table of levels and the footer.
 pub fn archive(bytes: &[u8]) -> Read {
     let read = read_archive(bytes.to_vec());
     repair(bytes).filter(|repaired| repaired != bytes).map_or(read, read_archive)
@@ -163,7 +163,7 @@ fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Puts the checksum of the table of levels right, if there is one.
+/// Recomputes the checksum of the table of levels, if there is one.
 fn repair_levels(bytes: &mut [u8], head_len: usize) -> Option<()> {
     let number = |at: usize, len: usize| {
         let bytes = bytes.get(at..at + len)?;
@@ -177,7 +177,7 @@ fn repair_levels(bytes: &mut [u8], head_len: usize) -> Option<()> {
     Some(())
 }
 
-/// Puts the checksum of the table of colour leaves right, if there is one.
+/// Recomputes the checksum of the table of colour leaves, if there is one.
 fn repair_colours(bytes: &mut [u8], head_len: usize) -> Option<()> {
     let number = |at: usize, len: usize| {
         let bytes = bytes.get(at..at + len)?;
@@ -192,7 +192,7 @@ fn repair_colours(bytes: &mut [u8], head_len: usize) -> Option<()> {
     Some(())
 }
 
-/// The page that a script says: columns of spans, as far as they can stand together.
+/// The page that a script describes: columns of spans, as far as they are compatible.
 fn page_of(script: &mut Script) -> Page {
     let mut builder = PageBuilder::default();
     for _ in 0..1 + script.below(64) {
@@ -213,7 +213,7 @@ fn page_of(script: &mut Script) -> Page {
 }
 
 thread_local! {
-    /// Scratch memory is made once, as in a conversion.
+    /// Scratch memory is allocated once, as in a conversion.
     static ENCODER: RefCell<Encoder> = RefCell::new(Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0));
     static DECODER: RefCell<Decoder> = RefCell::default();
     static COLOURS: RefCell<ColourEncoder> = RefCell::default();
@@ -225,8 +225,8 @@ fn encoded(page: &Page) -> Vec<u8> {
     bytes
 }
 
-/// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page. So must the page that the
-/// bytes describe as a script.
+/// Decodes any bytes as an encoded page. A decoded page must encode to bytes that decode to the same page. So must the
+/// page that the bytes describe as a script.
 pub fn page(bytes: &[u8]) -> Read {
     DECODER.with_borrow_mut(|decoder| page_with(bytes, decoder))
 }
@@ -244,10 +244,11 @@ fn page_with(bytes: &[u8], decoder: &mut Decoder) -> Read {
     Some(digest(coded))
 }
 
-/// The voxels of a page of walls and floor.
+/// Voxels of a page with walls and floor.
 static WALLS: LazyLock<Occupancy> = LazyLock::new(|| {
     let mut builder = PageBuilder::default();
-    // Up to the last column and row, where neighbours end; a column is left out, and the slices of others lie apart.
+    // Up to the last column and row, where neighbours end; one column is left out, and the slices of others are far
+    // apart.
     for at in (0..5 * 3).filter(|at| *at != 7) {
         let (px, py) = (59 + at % 5, 61 + at / 5);
         let top = if px % 5 == 0 { 3000 } else { 1000 + 24 * (px - 50) };
@@ -258,8 +259,8 @@ static WALLS: LazyLock<Occupancy> = LazyLock::new(|| {
     Occupancy::of(&builder.build())
 });
 
-/// Decodes any bytes as the colours of a page of walls and floor; what decodes must encode to bytes that decode to the same. So must
-/// colours that the bytes are.
+/// Decodes any bytes as the colours of a page with walls and floor. Decoded colours must encode to bytes that decode to
+/// the same. So must the bytes themselves as colours.
 pub fn colours(bytes: &[u8]) -> Read {
     let occupancy: &Occupancy = &WALLS;
     let again = |mut block: ColourBlock| {
@@ -273,7 +274,7 @@ pub fn colours(bytes: &[u8]) -> Read {
     }
     let mut script = Script(bytes);
     let error_milli = script.short();
-    // The bytes are a pattern that repeats; where one is 0 there is no colour.
+    // The bytes are a repeating pattern; a 0 means no colour.
     let pattern: Vec<_> = script.0.chunks(4).map(|bytes| <[u8; 4]>::try_from(bytes).unwrap_or_default()).collect();
     let colour = |[a, r, g, b]: [u8; 4]| (a != 0).then(|| [r, g, b].map(|channel| u16::from(channel) * 257));
     let exact: Vec<_> = pattern.iter().cycle().take(occupancy.len()).map(|&bytes| colour(bytes)).collect();
@@ -283,7 +284,7 @@ pub fn colours(bytes: &[u8]) -> Read {
     Some(digest(again(block)))
 }
 
-/// Opens any bytes as a LAS or LAZ file, as they are and behind a sound signature, and decodes what they seem to hold.
+/// Opens any bytes as a LAS or LAZ file, unchanged and after a sound signature, and decodes their points.
 pub fn scan(bytes: &[u8]) -> Read {
     let read = read_scan("laz", bytes);
     let mut signed = bytes.to_vec();
@@ -294,7 +295,7 @@ pub fn scan(bytes: &[u8]) -> Read {
     if signed == bytes { read } else { read_scan("laz", &signed) }
 }
 
-/// Opens any bytes as an E57, as they are and with the checksums of its pages put right.
+/// Opens any bytes as an E57, unchanged and with recomputed page checksums.
 pub fn e57(bytes: &[u8]) -> Read {
     let read = read_scan("e57", bytes);
     let mut checked = bytes.to_vec();
@@ -305,9 +306,9 @@ pub fn e57(bytes: &[u8]) -> Read {
     if checked == bytes { read } else { read_scan("e57", &checked) }
 }
 
-/// Opens any bytes as a scan with this ending, and decodes what they seem to hold.
+/// Opens any bytes as a scan with this extension, and decodes their points.
 pub fn read_scan(ending: &'static str, bytes: &[u8]) -> Read {
-    // Of formats that have some.
+    // For formats that have colours.
     let source = ColourSource::ALL[bytes.len() % 3];
     let options = InputOptions { colour: Some(source), ..InputOptions::default() };
     let path = PathBuf::from(format!("/no folder/fuzz.{ending}"));
@@ -329,7 +330,7 @@ pub fn read_scan(ending: &'static str, bytes: &[u8]) -> Read {
     (points > 0).then(|| hasher.finish())
 }
 
-/// Reads any bytes as a mesh of the format that `ending` names, with its colours.
+/// Reads any bytes as a mesh of the format selected by `ending`, with its colours.
 pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
     let options =
         MeshOptions { memory_bytes: 1 << 16, colours: true, texture_bytes: 1 << 22, ..MeshOptions::default() };
@@ -346,7 +347,7 @@ pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
     (triangles > 0).then(|| hasher.finish())
 }
 
-/// Reads any bytes as a plan; what is read must be written as text that reads as the same.
+/// Reads any bytes as a plan; a plan that is read must be written as text that reads the same.
 #[cfg(feature = "cli")]
 pub fn plan(bytes: &[u8]) -> Read {
     use slicewalk::convert::PlanFile;

@@ -1,4 +1,4 @@
-//! Points to an archive by way of a LAS file, and its spans back.
+//! Converts points to an archive through a LAS file, and reads its spans.
 
 #[path = "../common/random.rs"]
 mod random;
@@ -25,11 +25,11 @@ pub struct Setting {
     pub classifier: Classifier,
 }
 
-/// Spans by pixel: bottom and top (quanta), obstacle or not; lowest first. Pieces of one span in several pages, and
-/// only those, are joined.
+/// Spans by pixel: bottom and top (quanta), whether an obstacle; lowest first. Parts of a span in several pages are
+/// joined, and nothing else is.
 pub type Columns = BTreeMap<[i64; 2], Vec<(i64, i64, bool)>>;
 
-/// Writes `points`, converts them, and returns them as a reader gets them, with the archive's bytes.
+/// Writes `points`, converts them, and returns them as read by a reader, with the archive's bytes.
 pub fn converted(points: &[[f64; 3]], setting: Setting) -> (Vec<[f64; 3]>, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     let spec = WriteSpec { scale: [setting.step; 3], offset: setting.offset, ..WriteSpec::default() };

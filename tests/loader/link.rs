@@ -7,15 +7,15 @@ use slicewalk::{Error, Result};
 use std::ops::Range;
 use std::time::Duration;
 
-/// What a test does to answers.
+/// Treatment of answers.
 #[derive(Debug, Clone, Copy)]
 pub struct Manners {
     pub latency: Duration,
-    /// Bytes a second.
+    /// Bytes per second.
     pub rate: f64,
-    /// Of 100 answers so many are failures.
+    /// Percentage of answers that are failures.
     pub lost: u64,
-    /// Whether answers come in any order instead of one after the other.
+    /// Whether answers come in any order instead of the requested one.
     pub shuffled: bool,
 }
 
@@ -36,10 +36,10 @@ pub struct Link<'a> {
     random: Random,
     free_at: Duration,
     on_the_way: Vec<Answer>,
-    /// Everything that passed between loader and link.
+    /// Everything exchanged between loader and link.
     pub transcript: Vec<String>,
     pub reports: Vec<PageError>,
-    /// Bytes that were asked for.
+    /// Bytes requested.
     pub asked: u64,
 }
 
@@ -66,7 +66,7 @@ impl<'a> Link<'a> {
         self.transcript.push(format!("{:.4} {line}", self.now.as_secs_f64()));
     }
 
-    /// Does all that the loader says until it waits; when it wants to be asked again.
+    /// Does everything that the loader demands until it waits; returns when it wants to be polled again.
     pub fn poll(&mut self, loader: &mut Loader) -> Result<Option<Duration>> {
         loop {
             match loader.poll(self.now)? {
@@ -82,7 +82,7 @@ impl<'a> Link<'a> {
                 }
                 Next::Cancel(id) => {
                     self.note(format!("{id:?} cancel"));
-                    // Half of the drivers cannot stop what is on its way.
+                    // Half of the drivers cannot cancel a request in flight.
                     if self.random.below(2) == 0 {
                         self.on_the_way.retain(|answer| answer.id != id);
                     }
@@ -96,7 +96,7 @@ impl<'a> Link<'a> {
         }
     }
 
-    /// Lets time pass until `until`; polls after every answer and whenever the loader wants it.
+    /// Lets time pass until `until`; polls after every answer and whenever the loader asks for it.
     pub fn run(&mut self, loader: &mut Loader, until: Duration) -> Result<()> {
         loop {
             let again = self.poll(loader)?;

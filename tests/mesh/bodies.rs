@@ -1,4 +1,4 @@
-//! Bodies for object tests, and the plain ways to compare them: no code of the library is used.
+//! Bodies for object tests, and simple ways to compare them without code of the library.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 #[path = "../common/data.rs"]
@@ -11,14 +11,14 @@ pub use random::Random;
 use super::files::{Triangle, read};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
-/// Anywhere within `reach` of the origin along each axis, turned anyhow.
+/// A random position within `reach` of the origin along each axis, in any rotation.
 pub fn pose(random: &mut Random, reach: f64) -> Isometry3<f64> {
     let place = Translation3::from([0; 3].map(|_| random.between(-reach / 2.0, reach / 2.0)));
     let turn = [0; 3].map(|_| random.between(-3.1, 3.1));
     Isometry3::from_parts(place, UnitQuaternion::from_euler_angles(turn[0], turn[1], turn[2]))
 }
 
-/// The Stanford bunny about its middle; `None` (said on standard error) where it is missing.
+/// The Stanford bunny around its centre; `None`, with a line on standard error, if it is missing.
 pub fn bunny() -> Option<Vec<Triangle>> {
     let path = data::file("meshes/bunny_stanford.ply")?;
     let middle = [-0.017, 0.11, -0.002];
@@ -42,7 +42,7 @@ pub fn knot(n: usize, m: usize) -> Vec<Triangle> {
         .collect()
 }
 
-/// A level square of `n` metres.
+/// A level square of `n` × `n` metres.
 pub fn grid(n: u32) -> Vec<Triangle> {
     let n = f64::from(n);
     vec![[[0.0; 3], [n, 0.0, 0.0], [n, n, 0.0]], [[0.0; 3], [n, n, 0.0], [0.0, n, 0.0]]]
@@ -52,7 +52,7 @@ pub fn placed(triangles: &[Triangle], pose: &Isometry3<f64>) -> Vec<[Vector3<f64
     triangles.iter().map(|t| t.map(|p| (pose * Point3::from(p)).coords)).collect()
 }
 
-/// A box in the world, by its corners.
+/// A box in the world, given by its corners.
 #[derive(Debug)]
 pub struct Oriented {
     axes: [Vector3<f64>; 3],
@@ -68,12 +68,12 @@ impl Oriented {
         Self { axes, middle: (pose * (min + half)).coords, half: half.into(), radius: half.norm() }
     }
 
-    /// Whether the balls around the boxes meet.
+    /// Returns whether the bounding spheres of the boxes meet.
     pub fn is_near(&self, other: &Self) -> bool {
         (self.middle - other.middle).norm_squared() <= (self.radius + other.radius + 1e-6).powi(2)
     }
 
-    /// The widest gap along any separating axis.
+    /// Largest gap along any separating axis.
     pub fn gap(&self, other: &Self) -> f64 {
         let crossed = self.axes.iter().flat_map(|a| other.axes.iter().map(move |b| a.cross(b)));
         let axes = self.axes.iter().copied().chain(other.axes).chain(crossed);
@@ -92,7 +92,7 @@ impl Oriented {
     }
 }
 
-/// The least over all pairs of the widest gap along any separating axis of two triangles.
+/// Minimum over all pairs of the largest gap along any separating axis of two triangles.
 pub fn gap_of_triangles(a: &[[Vector3<f64>; 3]], b: &[[Vector3<f64>; 3]]) -> f64 {
     let ball = |t: &[Vector3<f64>; 3]| {
         let middle = (t[0] + t[1] + t[2]) / 3.0;
@@ -103,7 +103,7 @@ pub fn gap_of_triangles(a: &[[Vector3<f64>; 3]], b: &[[Vector3<f64>; 3]]) -> f64
     for one in a {
         let (middle, radius) = ball(one);
         for (other, (center, reach)) in b.iter().zip(&balls) {
-            // Balls apart are a gap too.
+            // The distance of separate bounding spheres is a gap too.
             let apart = (middle - center).norm() - radius - reach;
             least = least.min(if apart > 0.0 {
                 apart.max(gap_of_pair(one, other, apart))
@@ -123,7 +123,7 @@ fn gap_of_pair(a: &[Vector3<f64>; 3], b: &[Vector3<f64>; 3], apart: f64) -> f64 
     let (e, f) = (edges(a), edges(b));
     let normals = [e[0].cross(&e[1]), f[0].cross(&f[1])];
     let crossed = e.iter().flat_map(|p| f.iter().map(move |q| p.cross(q)));
-    // In a common plane the edges' own normals decide.
+    // In a common plane, the normals of the edges decide.
     let flat = e.iter().map(|p| p.cross(&normals[0])).chain(f.iter().map(|q| q.cross(&normals[1])));
     normals
         .into_iter()

@@ -15,7 +15,7 @@ pub fn write_obj(path: &Path, triangles: &[Triangle]) {
     std::fs::write(path, text).unwrap();
 }
 
-/// The ways to write a PLY file.
+/// Encodings of a PLY file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ply {
     Text,
@@ -23,7 +23,7 @@ pub enum Ply {
     Big,
 }
 
-/// PLY with shared corners as `double`, a property and an element more than needed.
+/// PLY with shared corners as `double`, and an additional property and element.
 pub fn write_ply(path: &Path, triangles: &[Triangle], form: Ply) {
     let (corners, faces) = shared(triangles);
     let name = match form {
@@ -77,7 +77,7 @@ pub fn write_stl(path: &Path, triangles: &[Triangle], text: bool) {
         out += "endsolid thing\n";
         return std::fs::write(path, out).unwrap();
     }
-    // A header as some programs write it, that looks like the text form.
+    // A header as some programs write it, which looks like the text form.
     let mut bytes = b"solid but binary".to_vec();
     bytes.resize(80, b' ');
     bytes.extend((triangles.len() as u32).to_le_bytes());
@@ -89,12 +89,12 @@ pub fn write_stl(path: &Path, triangles: &[Triangle], text: bool) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// `f32` corners of the triangles one after the other.
+/// `f32` corners of the triangles, in sequence.
 pub fn buffer(triangles: &[Triangle]) -> Vec<u8> {
     triangles.iter().flatten().flatten().flat_map(|&v| (v as f32).to_le_bytes()).collect()
 }
 
-/// The structure of a glTF file with one mesh without indices, on nodes as given; `source` is empty or `,"uri":"..."`.
+/// The structure of a glTF file with one mesh without indices on the given nodes; `source` is empty or `,"uri":"..."`.
 pub fn structure(corners: usize, source: &str, nodes: &str, roots: &str) -> String {
     let bytes = corners * 12;
     format!(
@@ -121,7 +121,7 @@ pub fn write_glb(path: &Path, structure: &str, buffer: &[u8]) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Distinct corners, and triangles by their numbers.
+/// Distinct corners, and triangles by their indices.
 fn shared(triangles: &[Triangle]) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     let mut numbers = std::collections::BTreeMap::new();
     let mut corners = Vec::new();
@@ -137,7 +137,7 @@ fn shared(triangles: &[Triangle]) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     (corners, faces)
 }
 
-/// Triangles of an OBJ file of convex faces or a text PLY file of triangles, apart from the code under test.
+/// Triangles of an OBJ file of convex faces or a text PLY file of triangles, read independently of the code under test.
 pub fn read(path: &Path) -> Vec<Triangle> {
     let text = std::fs::read_to_string(path).unwrap();
     let numbers = |line: &str| line.split_whitespace().filter_map(|v| v.parse().ok()).collect::<Vec<f64>>();
@@ -157,7 +157,7 @@ pub fn read(path: &Path) -> Vec<Triangle> {
         } else if let Some(rest) = line.strip_prefix("f ") {
             let all: Vec<usize> =
                 rest.split_whitespace().map(|w| w.split('/').next().unwrap().parse::<usize>().unwrap() - 1).collect();
-            // Convex faces, as fans.
+            // Convex faces become fans.
             faces.extend(all[1..].windows(2).map(|pair| [all[0], pair[0], pair[1]]));
         }
     }

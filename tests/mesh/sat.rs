@@ -1,5 +1,5 @@
-//! Triangle against box by separating axes, written apart from the code under test: exactly in integers, and in `f64`
-//! with the least gap.
+//! Triangle against box by separating axes, independent of the code under test: exactly in integers, and in `f64` with
+//! the smallest gap.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 /// A closed box.
@@ -17,7 +17,7 @@ impl Box3<f64> {
     }
 }
 
-/// The 13 axes that decide: the box's, the triangle's normal, and the products of their edges.
+/// The 13 relevant axes: the box's, the triangle's normal, and the products of their edges.
 fn axes<T: Copy + std::ops::Sub<Output = T> + std::ops::Mul<Output = T> + From<i8>>(t: &[[T; 3]; 3]) -> [[T; 3]; 13] {
     let sub = |a: [T; 3], b: [T; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     let cross =
@@ -36,7 +36,7 @@ fn axes<T: Copy + std::ops::Sub<Output = T> + std::ops::Mul<Output = T> + From<i
     all
 }
 
-/// Whether a closed triangle and a closed box share a point, exactly. Coordinates up to 2³⁰.
+/// Returns whether a closed triangle and a closed box share a point, exactly. Coordinates up to 2³⁰.
 pub fn meets_exactly(t: &[[i128; 3]; 3], b: &Box3<i128>) -> bool {
     axes(t).iter().all(|axis| {
         let dot = |p: [i128; 3]| (0..3).map(|k| p[k] * axis[k]).sum::<i128>();
@@ -48,10 +48,10 @@ pub fn meets_exactly(t: &[[i128; 3]; 3], b: &Box3<i128>) -> bool {
     })
 }
 
-/// The widest gap between a triangle and a box along any of the axes: above 0 they are at least that far apart; below 0
-/// they share a point, and still do when the box is moved by less.
+/// Largest gap between a triangle and a box along any axis: if positive, they are at least this far apart; if negative,
+/// they share a point, and still do after moving the box by less.
 pub fn gap(t: &[[f64; 3]; 3], b: &Box3<f64>) -> f64 {
-    // About the box's middle, so that products of large coordinates lose nothing.
+    // Relative to the box's centre, so that products of large coordinates lose nothing.
     let middle = [0, 1, 2].map(|k| (b.min[k] + b.max[k]) / 2.0);
     let half = [0, 1, 2].map(|k| (b.max[k] - b.min[k]) / 2.0);
     let t = t.map(|p| [0, 1, 2].map(|k| p[k] - middle[k]));

@@ -1,4 +1,4 @@
-//! Triangles sorted into square cells in xy: what a box really meets; and the voxels of a store.
+//! Triangles sorted into square cells in xy, to find what a box really meets; and the voxels of a store.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use super::files::Triangle;
@@ -36,7 +36,7 @@ impl Truth {
         Self { cell, triangles, cells }
     }
 
-    /// A place on some triangle.
+    /// A random point on some triangle.
     pub fn place(&self, random: &mut Random) -> [f64; 3] {
         let triangle = self.triangles[random.below(self.triangles.len())];
         let (p, q) = (random.uniform(), random.uniform());
@@ -47,7 +47,7 @@ impl Truth {
         })
     }
 
-    /// The least gap between the box and a triangle; far triangles count as infinitely far.
+    /// Smallest gap between the box and a triangle; far triangles count as infinitely far.
     pub fn nearest(&self, shape: &Box3<f64>) -> f64 {
         let index = |v: f64| (v / self.cell).floor() as i64;
         let rows = index(shape.min[1] - 1e-6)..=index(shape.max[1] + 1e-6);
@@ -59,7 +59,7 @@ impl Truth {
     }
 }
 
-/// Pixels and slices with matter.
+/// Occupied voxels: pixels and slices.
 pub fn voxels(store: &Store) -> BTreeSet<(i64, i64, i64)> {
     let mut all = BTreeSet::new();
     for number in 0..store.column_count() {

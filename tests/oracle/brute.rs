@@ -1,4 +1,4 @@
-//! The same questions answered by looking at every span.
+//! Brute-force answers that examine every span.
 
 use super::scene::{Matter, Scene};
 use nalgebra::{Point3, Vector3};
@@ -52,7 +52,7 @@ impl Scene {
         axis(x, i).hypot(axis(y, j))
     }
 
-    /// Distance from `center` to the nearest matter (m).
+    /// Distance from `center` to the nearest solid (m).
     pub fn distance(&self, center: Point3<f64>) -> f64 {
         let quantum = self.frame.quantum_m();
         let distances = self.columns.iter().flat_map(|(&(i, j), spans)| {
@@ -63,7 +63,7 @@ impl Scene {
         distances.fold(f64::INFINITY, f64::min)
     }
 
-    /// Least and greatest corner of all spans (m).
+    /// Lowest and highest corner of all spans (m).
     fn boxes(&self) -> impl Iterator<Item = ([f64; 3], [f64; 3])> {
         let (frame, quantum) = (&self.frame, self.frame.quantum_m());
         self.columns.iter().flat_map(move |(&(i, j), spans)| {
@@ -75,7 +75,7 @@ impl Scene {
         })
     }
 
-    /// Whether `point` lies, within `slack` metres, on the side of a span to which `normal` points.
+    /// Returns whether `point` is, within `slack` metres, on the side of a span that `normal` points to.
     pub fn has_face(&self, point: Point3<f64>, normal: Vector3<f64>, slack: f64) -> bool {
         self.boxes().any(|(low, high)| {
             (0..3).all(|axis| {

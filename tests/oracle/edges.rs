@@ -1,7 +1,7 @@
-//! Rays and round shapes along edges, through corners and in the planes between pixels: matter is closed on all sides, and
-//! an answer is the same wherever the scene stands.
+//! Rays and round shapes along edges, through corners and in the planes between pixels: solid is closed on all sides,
+//! and an answer does not depend on where the scene is.
 //!
-//! All numbers are multiples of 1/32 m, small or shifted by whole tiles, so that the truth is found in integers.
+//! All numbers are multiples of 1/32 m, small or shifted by whole tiles, so that integers give the truth.
 
 use super::scene::{Columns, Random, pages_of};
 use nalgebra::{Point3, Vector3};
@@ -9,17 +9,17 @@ use slicewalk::frame::Frame;
 use slicewalk::query::*;
 use slicewalk::store::Store;
 
-/// Edge of a pixel (m); as many quanta high are 64.
+/// Edge of a pixel (m), which equals 64 quanta of height.
 const UNIT: f64 = 0.0625;
 const QUANTA: i64 = 64;
-/// Of this scene, in steps of half a unit.
+/// Corners of a cell, in steps of half a unit.
 type Cell = ([i64; 3], [i64; 3]);
 
 fn frame() -> Frame {
     Frame::new(UNIT, 255.0 / 1024.0).unwrap()
 }
 
-/// Matter around the corner of eight pages.
+/// Solid around the corner of eight pages.
 fn columns(random: &mut Random) -> Columns {
     let mut columns = Columns::new();
     for (i, j) in (-5..5).flat_map(|i| (-5..5).map(move |j| (i, j))) {
@@ -41,7 +41,7 @@ fn cells(columns: &Columns) -> Vec<Cell> {
     columns.iter().flat_map(|(&at, spans)| spans.iter().map(move |span| cell(at, (span.0, span.1)))).collect()
 }
 
-/// The same matter, moved by whole tiles and layers.
+/// The same solid, moved by whole tiles and layers.
 fn moved(columns: &Columns, by: [i64; 3]) -> Store {
     let up = by[2] * 255 * QUANTA;
     let column = |(&(i, j), spans): (&(i64, i64), &Vec<_>)| {
@@ -59,7 +59,7 @@ fn place(at: [i64; 3], by: [i64; 3]) -> Point3<f64> {
     Point3::from([0, 1, 2].map(|axis| (at[axis] as f64 / 2.0 + (by[axis] * units[axis]) as f64) * UNIT))
 }
 
-/// Twice the first time at which `at + time · way` (half units) lies in a closed cell; components of `way` are 0, ±1, ±2.
+/// Twice the first time at which `at + time · way` (half units) is in a closed cell; components of `way` are 0, ±1, ±2.
 fn first(cells: &[Cell], at: [i64; 3], way: [i64; 3]) -> Option<i64> {
     let hits = cells.iter().filter_map(|(low, high)| {
         let (mut t0, mut t1) = (0, i64::MAX);
@@ -88,7 +88,7 @@ fn rays_along_edges_see_both_sides_wherever_the_scene_stands() {
         let cells = cells(&columns);
         let stores = SHIFTS.map(|by| (by, moved(&columns, by)));
         for _ in 0..300 {
-            // Mostly on edges; the middle planes most of all.
+            // Mostly on edges, and most often in the middle planes.
             let mut start = |most: i64| match random.below(4) {
                 0 => 0,
                 1 => random.below(4 * most as usize + 1) as i64 - 2 * most,
@@ -152,7 +152,7 @@ fn round_shapes_touch_what_lies_at_their_rim_wherever_the_scene_stands() {
     assert!(hits > 3000 && misses > 3000, "{hits} {misses}: the test shows little");
 }
 
-/// The two cases from which the others follow: a wall on one side of a plane, a ray in the plane.
+/// The two basic cases: a wall on one side of a plane, and a ray in that plane.
 #[test]
 fn a_ray_in_the_plane_at_the_origin_hits_walls_on_either_side() {
     for (i, j) in [(-1, 3), (0, 3), (3, -1), (3, 0)] {

@@ -1,5 +1,5 @@
-//! Half-loaded scenes against whole ones: for every question the answer is that of the whole scene or "not loaded", and what
-//! is said to be missing is enough.
+//! Half-loaded scenes compared with whole ones: every query gives the answer of the whole scene or "not loaded", and
+//! loading the reported pages suffices.
 
 use super::scene::{Part, Random, Scene};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -9,17 +9,17 @@ use slicewalk::query::*;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::Store;
 
-/// A scene of which some pages are loaded.
+/// A scene with some pages loaded.
 struct Half<'a> {
     scene: &'a Scene,
     full: Part,
     loaded: Vec<PageKey>,
-    /// Questions that were not answered at first.
+    /// Queries that were not answered at first.
     waited: usize,
 }
 
 impl Half<'_> {
-    /// Asks again and again, with what was missing loaded, until there is an answer: that of the whole scene.
+    /// Repeats a query, loading the missing pages, until it has an answer, which must be that of the whole scene.
     fn ask<T: PartialEq + std::fmt::Debug>(&mut self, what: &str, query: impl Fn(&Part) -> Answer<T>) {
         let mut store = self.scene.part(&self.loaded);
         let mut known = self.loaded.clone();
@@ -61,7 +61,7 @@ impl Half<'_> {
         self.ask(&what, |store| depenetrate(store, shape, max));
         self.ask(&what, |store| mean_floor_under(store, shape, from, depth));
         self.ask(&what, |store| match sweep(store, shape, motion) {
-            // Of a shape that begins inside, any span that it is in.
+            // A shape that begins inside solid may report any span that contains it.
             Answer::Known(Some(hit)) if hit.begins_inside() => Answer::Known(None),
             Answer::Known(hit) => Answer::Known(Some(hit)),
             Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
@@ -69,7 +69,7 @@ impl Half<'_> {
     }
 }
 
-/// The sides of `shape` that `infinite` names by its bits moved to infinity.
+/// Moves the sides of `shape` selected by the bits of `infinite` to infinity.
 fn opened(shape: &Aabb, infinite: usize) -> Aabb {
     let side = |bit: usize, inside: f64, outside: f64| if infinite >> bit & 1 == 1 { outside } else { inside };
     let min = Point3::from([0, 1, 2].map(|axis| side(axis, shape.min()[axis], f64::NEG_INFINITY)));
@@ -77,7 +77,7 @@ fn opened(shape: &Aabb, infinite: usize) -> Aabb {
     Aabb::new(min, max).unwrap()
 }
 
-/// A bent rod of 20 pixels, as a thing that may lie about in a scene.
+/// A bent rod of 20 pixels, as an object in a scene.
 fn rod(frame: Frame) -> Model {
     let mut builder = PageBuilder::default();
     for n in 0..20u32 {
@@ -128,7 +128,7 @@ fn no_object_in_a_half_loaded_scene_is_free_where_it_is_not_in_the_whole_one() {
             let mut half = Half { scene: &scene, full: scene.part(&scene.keys()), loaded, waited: 0 };
             for n in 0..20 {
                 let turn = Vector3::from_fn(|_, _| random.between(-3.0, 3.0));
-                // Mostly about a point of the scene, so that the rod's middle lies near matter.
+                // Mostly around a point of the scene, so that the rod's middle is near solid.
                 let near = Isometry3::new(scene.random_point(&mut random).coords, turn);
                 let pose = near * nalgebra::Translation3::from(-middle(&rods[n % 2]).coords);
                 let object = Object::new(&rods[n % 2], pose).unwrap();
@@ -141,7 +141,7 @@ fn no_object_in_a_half_loaded_scene_is_free_where_it_is_not_in_the_whole_one() {
     assert!(waited > 500 && hits > 300, "{waited} {hits}: the test shows little");
 }
 
-/// The column that is looked at first lacks a page, the other has a floor above that: nothing needs to be waited for.
+/// The column examined first lacks a page, but another has a floor above it: no need to wait.
 #[test]
 fn a_missing_page_below_the_floor_is_no_hindrance() {
     let frame = Frame::new(0.1, 0.1).unwrap();

@@ -1,4 +1,4 @@
-//! Seeded random scenes: points, the spans that brute force makes of them, and their pages.
+//! Seeded random scenes: points, their spans by brute force, and their pages.
 
 pub use crate::random::Random;
 use nalgebra::{Point3, Vector3};
@@ -57,7 +57,7 @@ impl Scene {
         Self { frame, origin, points, columns, pages }
     }
 
-    /// Scenes of three densities at three distances, each with random numbers for its queries.
+    /// Scenes of three densities at three distances, each with a random generator for its queries.
     pub fn all() -> impl Iterator<Item = (Self, Random)> {
         (0..60).map(|seed| {
             let distance = [0.0, 5e5, -1e7][seed as usize % 3];
@@ -75,14 +75,14 @@ impl Scene {
         self.pages.iter().map(|page| page.0).collect()
     }
 
-    /// A set of all pages, of which those of `keys` are in memory.
+    /// A set of all pages, with those of `keys` in memory.
     pub fn part(&self, keys: &[PageKey]) -> Part {
         let mut part = Part::new(self.frame, self.pages.clone());
         part.load(keys);
         part
     }
 
-    /// A point of the scene or near it.
+    /// A point in the scene or near it.
     pub fn random_point(&self, random: &mut Random) -> Point3<f64> {
         match random.below(3) {
             0 => self.points[random.below(self.points.len())],
@@ -90,7 +90,7 @@ impl Scene {
         }
     }
 
-    /// A box from nothing to all of the scene.
+    /// A box of any size up to the whole scene.
     pub fn random_box(&self, random: &mut Random) -> Aabb {
         let a = self.random_point(random);
         let b = match random.below(4) {

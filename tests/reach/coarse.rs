@@ -1,4 +1,4 @@
-//! Ways on overview levels, beside exact ones.
+//! Routes on overview levels, compared with exact ones.
 
 use super::{everywhere, known, reached, spot, way};
 use crate::common::part::Part;
@@ -18,14 +18,14 @@ use slicewalk::walk::Body;
 const T: f64 = 0.05;
 const FLOOR: f64 = 1.0;
 const CEILING: f64 = 3.7;
-/// Pixels to a side of the rooms, and of one room.
+/// Pixels along a side of the building, and of one room.
 const SIDE: usize = 256;
 const ROOM: usize = 64;
 
-/// Matter of a pixel from one height to another (m), and whether it is an obstacle.
+/// Solid in a pixel from one height to another (m), and whether it is an obstacle.
 type Matter = (f64, f64, bool);
 
-/// An archive with levels of what `draw` says of each pixel, in one layer.
+/// An archive with levels, in one layer; `draw` returns the content of each pixel.
 fn archive(draw: impl Fn(usize, usize) -> Vec<Matter>) -> Archive {
     let frame = Frame::new(T, 3.0 * T).unwrap();
     let quanta = |height: f64| (height / frame.quantum_m()).round() as u32;
@@ -48,7 +48,7 @@ fn rooms(seed: u64) -> Archive {
     let mut random = Random(seed);
     let count = SIDE / ROOM;
     let floors: Vec<f64> = (0..count * count).map(|_| FLOOR + 0.17 * random.below(3usize) as f64).collect();
-    // Of each room the doors to the right and upwards: where they begin and end (pixels), and how high they are (m).
+    // Doors of each room to the right and upwards: start and end (pixels), and height (m).
     let mut door = || (random.below(40usize), 12 + random.below(14usize), 2.1 + 0.1 * random.below(3usize) as f64);
     let doors: Vec<_> = (0..count * count).map(|_| [door(), door()]).collect();
     let tables: Vec<_> = (0..count * count).map(|_| [12 + random.below(20usize), 12 + random.below(20usize)]).collect();
@@ -163,7 +163,7 @@ fn a_way_without_doubt_and_none_through_a_wall() {
     assert!((found.length_m - (to - from).norm()).abs() < 0.05, "{found:?}");
     assert_eq!((planner.doubt_m(), found.points.len()), (0.0, 2));
     assert!(planner.memory_bytes() > 0 && planner.looked_at() > 0);
-    // A corridor about another way.
+    // A corridor around another route.
     let guide = Route::clone(&found);
     let mut near = Coarse::new(&open, pawn(), from, to).unwrap().near(&guide, 0.5);
     assert_eq!(finish(&mut near, &open, usize::MAX).map(|route| route.length_m), Ok(found.length_m));
@@ -176,7 +176,7 @@ fn a_way_without_doubt_and_none_through_a_wall() {
         let mut planner = Coarse::new(&open, pawn(), ends[0], ends[1]).unwrap();
         assert_eq!(finish(&mut planner, &open, usize::MAX), Err(refusal));
     }
-    // Where pixels are wider than the pawn, a way may lead beside any wall: it is found, and says so.
+    // If pixels are wider than the pawn, a route may pass any wall: it is found, and reports its doubt.
     let thin = Pawn::new(Body::Box { x: 0.2, y: 0.2, height: 1.7 });
     let mut planner = Coarse::new(&closed, thin, from, to).unwrap();
     let found = finish(&mut planner, &closed, usize::MAX);
@@ -191,7 +191,7 @@ fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
             true
         }
     }
-    // The archive itself, as if it were a level: more pages.
+    // The archive itself used like a level, with more pages.
     let store = Store::resident(&rooms(3), &NoMonitor).unwrap();
     let pages = (0..store.column_count()).map(|number| store.column_at(number)).flat_map(|(tx, ty, slots)| {
         slots.iter().map(move |slot| (key(tx, ty, slot.layer()), slot.page().unwrap().clone()))

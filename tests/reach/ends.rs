@@ -1,4 +1,4 @@
-//! Clearances and leaks of random scenes beside brute force over all pixels.
+//! Clearances and leaks of random scenes compared with brute force over all pixels.
 //!
 //! `SLICEWALK_CASES` sets the number of scenes.
 
@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 const T: f64 = 0.1;
 const SIGMA: f64 = 0.3;
 const QUANTUM: f64 = SIGMA / SLICE_QUANTA as f64;
-/// Edge of a scene, and how far around it is looked (pixels).
+/// Edge of a scene, and the margin examined around it (pixels).
 const EDGE: i64 = 44;
 const AROUND: i64 = 14;
 
@@ -31,7 +31,7 @@ fn quanta(metres: f64) -> i64 {
     (metres / QUANTUM).round() as i64
 }
 
-/// A shape on the plan.
+/// A shape in plan.
 fn shape(random: &mut Random, size: f64) -> impl Fn(At) -> bool + use<> {
     let kind = random.below(5);
     let [x, y] = [0, 1].map(|_| random.between(0.0, EDGE as f64));
@@ -63,7 +63,7 @@ fn random_world(seed: u64) -> World {
     let mut spans: BTreeMap<At, Vec<Matter>> = BTreeMap::new();
     let storeys = 1 + random.below(2);
     let all = || (0..EDGE).flat_map(|j| (0..EDGE).map(move |i| (i, j)));
-    // What lies below, at depths that differ from place to place.
+    // Ground at depths that vary from place to place.
     let ground: Vec<_> =
         (0..random.below(4)).map(|_| (shape(&mut random, 40.0), [0.7, 1.3, 2.4][random.below(3)])).collect();
     let deep = quanta(3.0);
@@ -85,7 +85,7 @@ fn random_world(seed: u64) -> World {
         for at in all() {
             let is_fence = fence && (at.0 == 0 || at.1 == 0 || at.0 == EDGE - 1 || at.1 == EDGE - 1);
             if is_fence || poles.contains(&at) || walls.iter().any(|wall| wall(at)) {
-                // Down to what lies below, for it stands on that.
+                // Down to the ground below, which it stands on.
                 let column = spans.entry(at).or_default();
                 let bottom = if storey == 0 { quanta(0.3) } else { z - 2 };
                 column.retain(|span| span.1 < bottom - 2);
@@ -103,7 +103,7 @@ fn random_world(seed: u64) -> World {
 }
 
 impl World {
-    /// Turned by a quarter `quarters` times, after it was mirrored.
+    /// Mirrors the scene if requested, then rotates it by `quarters` quarter turns.
     fn turned(&self, is_mirrored: bool, quarters: usize) -> Self {
         let body = match self.body {
             Body::Box { x, y, height } if quarters % 2 == 1 => Body::Box { x: y, y: x, height },
@@ -117,7 +117,7 @@ impl World {
         Pawn::new(self.body)
     }
 
-    /// Clearances by pixel and height, and leaks, when the scene begins at `corner`.
+    /// Clearances by pixel and height, and leaks, for the scene at `corner`.
     fn answers(&self, corner: At) -> (BTreeMap<(At, i64), f64>, Vec<slicewalk::reach::Leak>) {
         let frame = Frame::new(T, SIGMA).unwrap();
         let columns = self.spans.iter().map(|(&(i, j), spans)| {
@@ -149,7 +149,7 @@ fn turn((mut i, mut j): At, is_mirrored: bool, quarters: usize) -> At {
     (i, j)
 }
 
-/// The pixels that a body enters from the middle of one.
+/// Pixels that a body enters from the middle of one.
 fn footprint(body: &Body) -> Vec<At> {
     let gap = |d: i64| ((d.abs() as f64 - 0.5) * T).max(0.0);
     let enters = |&(dx, dy): &At| {
@@ -168,14 +168,14 @@ fn plus(a: At, b: At) -> At {
     (a.0 + b.0, a.1 + b.1)
 }
 
-/// A scene as a body at one height sees it.
+/// A scene as seen by a body at one height.
 struct Level<'a> {
     world: &'a World,
     level: i64,
     up: i64,
     height: i64,
     footprint: Vec<At>,
-    /// Where the body does not fit, and where it has ground under its footprint.
+    /// Pixels where the body does not fit, and those with ground under its footprint.
     stopped: BTreeSet<At>,
     grounded: BTreeSet<At>,
 }
@@ -206,7 +206,7 @@ impl<'a> Level<'a> {
         self.world.spans.get(&at).into_iter().flatten()
     }
 
-    /// Matter in the way, or too steep.
+    /// Returns whether solid is in the way, or the ground is too steep.
     fn stops(&self, at: At) -> bool {
         let (level, up) = (self.level, self.up);
         self.is_wall(at) || self.spans(at).any(|span| span.2 && span.1 > level + 60 && span.1 <= level + up)
@@ -224,12 +224,12 @@ impl<'a> Level<'a> {
         self.grounded.contains(&at) && !self.stopped.contains(&at)
     }
 
-    /// Where the body is over nothing.
+    /// Returns whether the body is over nothing.
     fn is_off(&self, at: At) -> bool {
         !self.grounded.contains(&at) && !self.stopped.contains(&at)
     }
 
-    /// All pixels that end the places connected with `from`.
+    /// All pixels that bound the places connected to `from`.
     fn ends(&self, from: At) -> (BTreeSet<At>, BTreeSet<At>) {
         let (mut seen, mut open) = (BTreeSet::from([from]), vec![from]);
         let mut ends: BTreeSet<At> = pixels().filter(|at| self.stops(*at)).collect();
@@ -247,7 +247,7 @@ impl<'a> Level<'a> {
     }
 }
 
-/// From the middle of a pixel to the edge of another one (pixels).
+/// Distance from the middle of a pixel to the edge of another (pixels).
 fn gap((dx, dy): At) -> f64 {
     let gap = |d: i64| (d.abs() as f64 - 0.5).max(0.0);
     gap(dx).hypot(gap(dy))
@@ -331,7 +331,7 @@ fn where_a_scene_lies_and_how_it_is_turned_does_not_show() {
     }
 }
 
-/// A step over a rim: place, height, way, and how deep it leads.
+/// A step over a rim: place, height, direction, and depth of the drop.
 #[derive(Clone, Copy)]
 struct Brink {
     at: At,
@@ -356,7 +356,7 @@ struct Truth<'a> {
     least: f64,
 }
 
-/// Joins items that belong together.
+/// Groups items that belong together.
 fn groups(count: usize, mut together: impl FnMut(usize, usize) -> bool) -> Vec<Vec<usize>> {
     let mut group: Vec<usize> = (0..count).collect();
     for a in 0..count {
@@ -409,7 +409,7 @@ impl<'a> Truth<'a> {
         self.view(level).1.contains(&at)
     }
 
-    /// Nothing, or how deep, where the body could go on and falls.
+    /// `None` if the body does not fall here, otherwise the depth of the fall if there is ground.
     fn open(&mut self, at: At, level: i64) -> Option<Option<i64>> {
         let foot = self.foot;
         let (view, walled) = self.view(level);
@@ -524,7 +524,7 @@ impl<'a> Truth<'a> {
         found
     }
 
-    /// A rim, split by what lies below.
+    /// Splits a rim by what is below it.
     fn stretches(
         &self,
         rim: &[Brink],

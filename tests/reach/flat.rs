@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 /// Pixel size (m).
 pub const T: f64 = 0.1;
 
-/// A world of pixels: `.` floor at 0, `#` wall, `-` a floor 1 m lower, blank nothing; the first row is the highest in y.
+/// A world of pixels: `.` floor at 0, `#` wall, `-` a floor 1 m lower, blank nothing; the first row is the highest in
+/// y.
 pub fn world(rows: &[String]) -> Store {
     let mut columns = Vec::new();
     for (j, row) in (0..).zip(rows.iter().rev()) {
@@ -40,7 +41,7 @@ pub fn store(frame: Frame, columns: impl IntoIterator<Item = ((i64, i64), Vec<Sp
 /// Height of the floor (m).
 pub const FLOOR: f64 = 3.0;
 
-/// A room of so many pixels, walls included, which `draw` changes by column and row (from below).
+/// A room of `width` × `depth` pixels, including walls; `draw` changes pixels by column and row (from below).
 pub fn room(width: usize, depth: usize, draw: impl Fn(usize, usize) -> Option<u8>) -> Store {
     let pixel = |i: usize, j: usize| {
         let is_wall = i == 0 || j == 0 || i + 1 == width || j + 1 == depth;

@@ -1,4 +1,4 @@
-//! Leaks and passages of flat worlds whose answers are drawn.
+//! Leaks and passages of flat worlds with known answers.
 
 use super::flat::{FLOOR, T, room};
 use super::{known, reached};
@@ -28,7 +28,7 @@ fn is_near(a: f64, b: f64) -> bool {
 fn a_closed_floor_has_no_leak_and_the_area_of_its_middles() {
     let (region, leaks) = leaks_with(&room(90, 70, |_, _| None), pawn());
     assert_eq!(leaks, []);
-    // Two pixels beside the middle stay off the walls.
+    // Places stay two pixels away from the walls.
     assert!((region.area_m2() - 84.0 * 64.0 * T * T).abs() < 1e-9, "{}", region.area_m2());
     assert_eq!(region.passages(), []);
     let widest = region.places().map(|place| place.clearance).fold(0.0, f64::max);
@@ -55,7 +55,7 @@ fn every_hole_is_listed_once_where_it_is() {
             assert!(drop.is_none_or(|drop| (leak.drop.unwrap() - drop).abs() < 0.01), "{leak:?}");
         }
     }
-    // What it drops into is no leak.
+    // The ground that it drops to is not a leak.
     let deep = room(90, 70, |i, j| inside(i, j).then_some(b'-'));
     assert_eq!(leaks_with(&deep, Pawn { max_drop: 1.2, ..pawn() }).1, []);
 }
@@ -73,7 +73,7 @@ fn a_door_to_where_nothing_was_scanned_is_an_edge_of_its_width() {
     let leak = found[0];
     assert_eq!((leak.kind, leak.drop), (LeakKind::Edge, None));
     assert!(is_near(leak.width, 0.9) && is_near(leak.at.y, 2.45) && is_near(leak.at.x, 5.95), "{leak:?}");
-    // Narrower than the pawn it is no way out.
+    // A gap narrower than the pawn is not an exit.
     assert_eq!(leaks(&room(60, 50, |i, j| (i == 59 && (20..24).contains(&j)).then_some(b'.'))), []);
 }
 
@@ -100,7 +100,7 @@ fn doors_are_passages_of_their_width_and_connect_what_fits() {
         let (region, leaks) = leaks_with(&store, pawn());
         assert_eq!(leaks, []);
         let connects = region.places().any(|place| place.feet.x > 5.0);
-        // The middle of the pawn stands on middles of pixels: it needs 5 of them here.
+        // The middle of the pawn stands on middles of pixels, so it needs 5 of them here.
         assert_eq!(connects, door >= 5, "a door of {door} pixels");
         let passages = region.passages();
         assert_eq!(passages.len(), usize::from(connects), "{passages:?}");

@@ -1,4 +1,4 @@
-//! Standing places of random worlds beside brute force.
+//! Standing places of random worlds compared with brute force.
 
 use super::{everywhere, flat, grown, known};
 use crate::common::key;
@@ -28,7 +28,7 @@ fn random_world(seed: u64) -> World {
         let mut spans = Vec::new();
         let mut low = 0i64;
         for _ in 0..4 {
-            // Floors mostly at a few heights, so that many places stand.
+            // Floors are mostly at a few heights, so that there are many standing places.
             let bottom = low + [255, 255 * 6, 300 + i64::from(random.below(600))][random.below(3) as usize];
             let top = bottom + i64::from(random.below(40));
             if random.below(100) >= shares {
@@ -49,7 +49,7 @@ fn store(world: &World) -> Store {
     flat::store(Frame::new(T, SIGMA).unwrap(), columns)
 }
 
-/// Whether the inside of the body in the middle of a pixel enters another one.
+/// Returns whether the inside of the body in the middle of a pixel enters another one.
 fn covers(body: &Body, dx: i64, dy: i64) -> bool {
     let gap = |d: i64| ((d.abs() as f64 - 0.5) * T).max(0.0);
     match *body {

@@ -1,4 +1,4 @@
-//! Routes as tasks, guided searches, and long ways along coarse ones.
+//! Routes as tasks, guided searches, and long routes along coarse ones.
 
 use super::flat::{FLOOR, T, room};
 use super::{everywhere, known, spot, way};
@@ -11,7 +11,7 @@ use slicewalk::reach::{Along, Pawn, Planned, Planner, Refusal, Route, Search};
 use slicewalk::store::{PageSet, Store};
 use slicewalk::walk::Body;
 
-/// As wide as a pixel: it stands on each pixel of floor.
+/// A pawn as wide as a pixel, which stands on each pixel of floor.
 fn thin() -> Pawn {
     Pawn::new(Body::Box { x: T, y: T, height: 1.0 })
 }
@@ -20,7 +20,7 @@ fn at(i: usize, j: usize) -> Point3<f64> {
     Point3::new((i as f64 + 0.5) * T, (j as f64 + 0.5) * T, FLOOR)
 }
 
-/// A hall of `width` by 60 pixels with a wall across every 100 pixels, whose gaps lie on alternate sides.
+/// A hall of `width` by 60 pixels with a cross wall every 100 pixels; the gaps are on alternating sides.
 fn hall(width: usize, gap: usize) -> Store {
     room(width, 60, |i, j| {
         let is_gap = if i / 100 % 2 == 0 { j < 1 + gap } else { j > 58 - gap };
@@ -28,7 +28,7 @@ fn hall(width: usize, gap: usize) -> Store {
     })
 }
 
-/// Runs a task to its end, some steps at a time.
+/// Runs a task to its end, in slices of `steps` steps.
 fn finish<S: PageSet>(planner: &mut Planner, set: &S, steps: usize) -> (Result<Route, Refusal>, usize) {
     for turns in 1.. {
         match planner.go_on(set, steps, &NoMonitor).unwrap() {
@@ -66,7 +66,7 @@ fn a_task_goes_on_step_by_step_to_the_same_route() {
 
 #[test]
 fn a_task_that_is_bounded_looks_no_farther_than_ways_so_long_lead() {
-    // The only gap lies 100 pixels to the side of the straight line.
+    // The only gap is 100 pixels to the side of the straight line.
     let store = room(60, 200, |i, j| (i == 30 && j < 180).then_some(b'#'));
     let plan = |most: Option<f64>| {
         let mut planner = Planner::new(&store, thin(), at(5, 80), at(55, 80)).unwrap();
@@ -130,7 +130,7 @@ fn a_prepared_region_gives_as_good_routes_and_looks_at_less() {
         let (Some(a), Some(b)) = (a, b) else { continue };
         let [one, other] = [way(&mut plain, &store, &region, &a, &b), way(&mut guided, &store, &prepared, &a, &b)];
         let (one, other) = (one.unwrap(), other.unwrap());
-        // Of the same cost; straightening may make a little of difference.
+        // Of equal cost; straightening may make a small difference.
         assert!((one.length_m - other.length_m).abs() <= 0.03 * one.length_m, "{from} to {to}: {one:?}, {other:?}");
         looked_at[0] += plain.looked_at();
         looked_at[1] += guided.looked_at();
@@ -138,7 +138,7 @@ fn a_prepared_region_gives_as_good_routes_and_looks_at_less() {
     }
     eprintln!("{looked_at:?} places looked at");
     assert!(looked_at[1] * 2 < looked_at[0], "{looked_at:?}");
-    // From a part that is closed off, the guide says at once that there is no way.
+    // From an enclosed part, the guide reports at once that there is no route.
     let closed = room(300, 60, |i, _| (i == 200).then_some(b'#'));
     let (mut standing, mut region) = everywhere(&closed, pawn);
     region.prepare(&NoMonitor).unwrap();
@@ -157,7 +157,7 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
     let (mut standing, region) = everywhere(&store, pawn);
     let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
     let best = way(&mut Search::new(), &store, &region, &a, &b).unwrap();
-    // What the way would be without walls.
+    // Length of the route without walls.
     let empty = room(width, 60, |_, _| None);
     let (mut other, free) = everywhere(&empty, pawn);
     let [c, d] = [from, to].map(|at| spot(&mut other, &empty, at).unwrap());
@@ -173,7 +173,7 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
         );
         let [first, last] = [found.points[0], found.points[found.points.len() - 1]];
         assert!((first - from).norm() < 0.01 && (last - to).norm() < 0.01);
-        // Every stretch can be walked straight.
+        // Every segment can be walked straight.
         for pair in found.points.windows(2) {
             let ends = [pair[0], pair[1]].map(|at| spot(&mut standing, &store, at).unwrap());
             let direct = way(&mut Search::new(), &store, &region, &ends[0], &ends[1]).unwrap();

@@ -1,4 +1,4 @@
-//! Routes beside exhaustive search and exact any-angle ways.
+//! Routes compared with exhaustive search and exact any-angle routes.
 
 use super::flat::{FLOOR, T, room};
 use super::{everywhere, spot, way};
@@ -8,7 +8,7 @@ use slicewalk::reach::{Pawn, Search};
 use slicewalk::walk::Body;
 use std::collections::{HashSet, VecDeque};
 
-/// As wide as a pixel: it stands on each pixel of floor.
+/// A pawn as wide as a pixel, which stands on each pixel of floor.
 fn thin() -> Pawn {
     Pawn::new(Body::Box { x: T, y: T, height: 1.0 })
 }
@@ -28,7 +28,7 @@ fn at(pixel: (usize, usize)) -> Point3<f64> {
     Point3::new((pixel.0 as f64 + 0.5) * T, (pixel.1 as f64 + 0.5) * T, FLOOR)
 }
 
-/// Pixels that can be reached along the axes.
+/// Pixels reachable along the axes.
 fn exhaustive(free: impl Fn((usize, usize)) -> bool, from: (usize, usize)) -> HashSet<(usize, usize)> {
     let (mut seen, mut open) = (HashSet::from([from]), VecDeque::from([from]));
     while let Some((i, j)) = open.pop_front() {
@@ -68,7 +68,7 @@ fn a_route_is_found_just_where_exhaustive_search_finds_one() {
     assert!(found > 100 && refused > 20, "{found} found, {refused} not");
 }
 
-/// Whether a square of a pixel can move straight between the middles of two pixels.
+/// Returns whether a square of one pixel can move straight between the middles of two pixels.
 fn sees(free: &impl Fn((usize, usize)) -> bool, a: (usize, usize), b: (usize, usize)) -> bool {
     let steps = 64 * (a.0.abs_diff(b.0) + a.1.abs_diff(b.1)).max(1);
     (0..=steps).all(|n| {
@@ -79,14 +79,14 @@ fn sees(free: &impl Fn((usize, usize)) -> bool, a: (usize, usize), b: (usize, us
     })
 }
 
-/// Length of the shortest way over middles of pixels between which one can move straight (pixels).
+/// Length of the shortest route over middles of pixels connected by straight moves (pixels).
 fn optimum(
     free: &impl Fn((usize, usize)) -> bool,
     edge: usize,
     from: (usize, usize),
     to: (usize, usize),
 ) -> Option<f64> {
-    // A way bends at corners of walls alone.
+    // A route bends only at corners of walls.
     let is_wall = |(i, j): (usize, usize)| !free((i, j));
     let near_corner = |&(i, j): &(usize, usize)| {
         [(1, 1), (1, -1), (-1, 1), (-1, -1)].into_iter().any(|(dx, dy): (isize, isize)| {
@@ -163,7 +163,7 @@ fn a_search_stops_when_it_is_asked_to() {
     let store = room(190, 190, |_, _| None);
     let (mut standing, region) = everywhere(&store, thin());
     let [a, b] = [(2, 2), (187, 180)].map(|pixel| spot(&mut standing, &store, at(pixel)).unwrap());
-    // A free view is found at once; behind a wall without a door there is much to look at.
+    // With a free view the search ends at once; behind a wall without a door it examines much.
     let walled = room(190, 190, |i, _| (i == 100).then_some(b'#'));
     let (mut other, halves) = everywhere(&walled, thin());
     let [c, d] = [(2, 2), (187, 180)].map(|pixel| spot(&mut other, &walled, at(pixel)).unwrap());
@@ -186,7 +186,7 @@ fn hills(edge: usize, height: impl Fn(usize, usize) -> f64) -> slicewalk::store:
 #[test]
 fn lengths_count_heights_and_ways_lead_around_ridges() {
     let edge = 90;
-    // A ridge across the straight way, lower towards one side; a cone; a hollow; rough ground.
+    // A ridge across the straight line, lower towards one side; a cone; a hollow; rough ground.
     let ridge = |i: usize, j: usize| {
         let across = (1.0 - (i as f64 - 45.0).abs() * T / 3.0).max(0.0);
         2.4 * across * (j as f64 / 60.0).min(1.0)
@@ -199,7 +199,7 @@ fn lengths_count_heights_and_ways_lead_around_ridges() {
         let store = hills(edge, height);
         let (mut standing, region) = everywhere(&store, thin());
         let (mut random, mut search, mut worst) = (Random(number as u64), Search::new(), 1.0f64);
-        // Exact: all straight lines between places of a coarser lattice, with the heights below them.
+        // Exact: all straight lines between places of a coarser grid, with the heights below them.
         let nodes: Vec<(usize, usize)> = (0..15).flat_map(|i| (0..15).map(move |j| (3 + 6 * i, 3 + 6 * j))).collect();
         let line = |a: (usize, usize), b: (usize, usize)| {
             let far = (a.0 as f64 - b.0 as f64).hypot(a.1 as f64 - b.1 as f64);

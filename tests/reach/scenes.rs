@@ -1,4 +1,4 @@
-//! Generated scenes whose truth is known in closed form, and the walker along routes.
+//! Generated scenes with closed-form truth, and the walker along routes.
 
 use super::world::{self, T};
 use super::{everywhere, known, reached, spot, way};
@@ -14,7 +14,7 @@ fn named(name: &str, params: &[(&str, f64)]) -> Store {
     world::world(&Scene::named(name, &params).unwrap(), 0.0)
 }
 
-/// Whether a route leads between two places.
+/// Returns whether a route connects two places.
 fn connects(store: &Store, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> bool {
     let (mut standing, region) = reached(store, pawn, from);
     let [a, b] =
@@ -88,7 +88,7 @@ fn ramps_can_be_walked_up_to_the_slope_limit() {
 fn a_floor_without_walls_is_all_standing_and_ends_at_one_edge() {
     let store = named("plane", &[("size", 6.0)]);
     let (mut standing, region) = reached(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }), [0.0; 3]);
-    // A pixel at each border more at most.
+    // At most one pixel more at each border.
     assert!((36.0..=(6.0 + 4.0 * T).powi(2)).contains(&region.area_m2()), "{}", region.area_m2());
     let leaks = known(region.leaks(&mut standing, &store).unwrap());
     assert_eq!(leaks.len(), 1, "{leaks:?}");
@@ -96,7 +96,7 @@ fn a_floor_without_walls_is_all_standing_and_ends_at_one_edge() {
     assert!((leaks[0].width - 6.0).abs() < 4.0 * T);
 }
 
-/// Walks along a route; where it ends.
+/// Walks along a route; returns whether the walker arrives.
 fn arrives(store: &Store, body: Body, route: &slicewalk::reach::Route) -> bool {
     let config = Config { tick_s: 1.0 / 60.0, ..Config::new(body) };
     let mut walker = Walker::new(config, route.points[0]).unwrap();
@@ -120,7 +120,7 @@ fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
         let storeys = region.storeys();
         assert!(storeys.all.len() == 3, "{:?}", storeys.all);
         for (storey, z) in storeys.all.iter().zip([0.0, 3.0, 6.0]) {
-            // 14 × 10 m less what the pawn keeps away from walls, columns, tables, stairs.
+            // 14 × 10 m minus the clearance from walls, columns, tables and stairs.
             assert!((storey.z - z).abs() < 0.01 && (80.0..130.0).contains(&storey.area_m2), "{storey:?}");
         }
         let places: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();

@@ -1,4 +1,4 @@
-//! Routes of random scenes: the walker arrives on each of them, wherever the scene lies.
+//! Routes of random scenes: the walker arrives on each of them, wherever the scene is.
 
 use super::{everywhere, flat, spot, way};
 use crate::common::random::Random;
@@ -35,7 +35,7 @@ impl Scene {
         [x, y, x + w, y + h]
     }
 
-    /// Replaces what is in a rectangle; `None` leaves a hole.
+    /// Replaces the content of a rectangle; `None` leaves a hole.
     fn fill(&mut self, [x, y, to_x, to_y]: [i64; 4], spans: impl Fn(i64, i64) -> Option<Solid>) {
         for (i, j) in (x..to_x).flat_map(|i| (y..to_y).map(move |j| (i, j))) {
             self.0.remove(&(i, j));
@@ -95,7 +95,7 @@ impl Scene {
             scene.fill(area, |_, _| None);
         }
         for _ in 0..random.below(8) {
-            // A wall, mostly with a gate of as many pixels as some body is wide.
+            // A wall, mostly with a gate exactly as wide as one of the bodies.
             let (at, gate, width) = (random.below(EDGE), random.below(EDGE - 8), 2 + random.below(6i64));
             let along = random.below(2) == 0;
             let area = if along { [at, 0, at + 1, EDGE] } else { [0, at, EDGE, at + 1] };
@@ -112,7 +112,7 @@ impl Scene {
         for _ in 0..random.below(30) {
             let (i, j) = (random.below(EDGE), random.below(EDGE));
             match random.below(3) {
-                // A lintel, a lamp.
+                // A lintel or a lamp.
                 0 => {
                     let column = scene.0.entry((i, j)).or_default();
                     let bottom = GROUND + quanta(random.between(1.0, 2.4));
@@ -123,7 +123,7 @@ impl Scene {
                 1 => {
                     scene.0.remove(&(i, j));
                 }
-                // An edge: no floor.
+                // An edge without floor.
                 _ => {
                     for span in scene.0.entry((i, j)).or_default() {
                         span.2 = true;
@@ -134,7 +134,7 @@ impl Scene {
         scene
     }
 
-    /// The scene turned by quarters and mirrored, and moved by so many pixels.
+    /// The scene rotated by quarter turns, mirrored, and moved by a number of pixels.
     fn store(&self, turns: u64, mirrored: bool, by: [i64; 2]) -> Store {
         let columns = self.0.iter().filter(|(_, spans)| !spans.is_empty()).map(|(&at, spans)| {
             let (i, j) = turned(at, turns, mirrored);
@@ -171,7 +171,7 @@ fn bodies() -> [Body; 7] {
     ]
 }
 
-/// Where a walker of `slicetool walk` ends that follows a route.
+/// Follows a route with the walker of `slicetool walk`; returns where it ends.
 fn walk(store: &Store, body: Body, route: &Route, tick_s: f64) -> (State, Point3<f64>) {
     let mut walker = Walker::new(Config { tick_s, ..Config::new(body) }, route.points[0]).unwrap();
     let places: Vec<Point2<f64>> = route.points.iter().map(|point| point.xy()).collect();
@@ -185,7 +185,7 @@ fn walk(store: &Store, body: Body, route: &Route, tick_s: f64) -> (State, Point3
     (walker.state(), walker.feet())
 }
 
-/// Scenes for one run: more by `SLICEWALK_CASES`.
+/// Number of scenes; `SLICEWALK_CASES` raises it.
 fn cases() -> u64 {
     std::env::var("SLICEWALK_CASES").ok().and_then(|cases| cases.parse().ok()).unwrap_or(40)
 }
@@ -223,7 +223,7 @@ fn the_walker_arrives_on_every_route_of_random_scenes() {
     assert!(found > cases() && refused > 0, "{found} found, {refused} not");
 }
 
-/// What can be reached, in the scene's own pixels.
+/// Reachable places, in the scene's own pixels.
 fn places(region: &Region, turns: u64, mirrored: bool, by: [i64; 2]) -> Vec<(i64, i64, i64)> {
     let frame = Frame::new(T, SIGMA).unwrap();
     let back = |(mut i, mut j): (i64, i64)| {
@@ -249,7 +249,7 @@ fn moving_turning_and_mirroring_a_scene_moves_turns_and_mirrors_what_is_reached(
     for seed in 0..cases() {
         let scene = Scene::random(seed);
         let mut random = Random(seed ^ 0x1eaf);
-        // As wide along x as along y: a turn swaps them.
+        // As wide along x as along y, because a rotation swaps them.
         let body = bodies()[[0, 1, 4, 5, 6][random.below(5) as usize]];
         let start = (random.below(EDGE), random.below(EDGE));
         let reached = |turns: u64, mirrored: bool, by: [i64; 2]| {
@@ -275,7 +275,7 @@ fn moving_turning_and_mirroring_a_scene_moves_turns_and_mirrors_what_is_reached(
     assert!(some as u64 > cases() / 3, "{some}");
 }
 
-/// Routes in real scans, a few pairs of places each; more by `SLICEWALK_PAIRS`.
+/// Routes in real scans, for a few pairs of places each; `SLICEWALK_PAIRS` raises the number.
 #[test]
 fn the_walker_arrives_on_every_route_of_real_scans() {
     let Some(folder) = crate::data::folder() else { return };

@@ -1,4 +1,4 @@
-//! A source whose reads take time of a clock that a test moves: real threads, virtual time.
+//! A source whose reads take time on a clock that the test moves: real threads, virtual time.
 
 use slicewalk::Result;
 use slicewalk::bytes::{ByteSource, MemorySource};
@@ -9,11 +9,11 @@ use std::time::Duration;
 #[derive(Debug, Default)]
 struct Time {
     now_s: f64,
-    /// When the read in progress ends.
+    /// End of the read in progress.
     ends_s: Option<f64>,
 }
 
-/// Bytes in memory, each read of which takes a prefetcher `read_s`; whoever waits in a frame gets them at once.
+/// Bytes in memory. A prefetcher's read takes `read_s`; a caller that waits in a frame gets the bytes at once.
 #[derive(Debug)]
 pub struct ClockSource {
     bytes: MemorySource,
@@ -27,13 +27,13 @@ impl ClockSource {
         Self { bytes, read_s, time: Mutex::default(), moved: Condvar::new() }
     }
 
-    /// Lets time pass until `until_s`. The stream's thread reads as much as it can meanwhile; what it does between
-    /// reads takes no time, however long it takes on a busy machine.
+    /// Lets time pass until `until_s`. The stream's thread reads as much as it can meanwhile; its work between reads
+    /// takes no virtual time, however long it takes on a busy machine.
     pub fn run(&self, stream: &Stream, until_s: f64) {
         loop {
             let ends = loop {
                 let ends = self.time.lock().unwrap().ends_s;
-                // The thread has come to its next read, or has nothing left to read.
+                // The thread has reached its next read, or has nothing left to read.
                 if ends.is_some() || stream.settle(Duration::from_micros(200)) {
                     break ends;
                 }
@@ -50,8 +50,8 @@ impl ClockSource {
         }
     }
 
-    /// When dropped, reads take no more time: a stream that is dropped later need not wait for the clock, which nobody
-    /// moves any more.
+    /// When the result is dropped, reads take no more time, so that a stream dropped later need not wait for a clock
+    /// that has stopped.
     pub fn end(&self) -> impl Drop + '_ {
         struct End<'a>(&'a ClockSource);
         impl Drop for End<'_> {

@@ -13,12 +13,12 @@ use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{Outlook, Store};
 use std::collections::BTreeMap;
 
-/// Latency of a slow source (s), and the time of a frame.
+/// Latency of a slow source (s), and duration of a frame.
 pub const READ_S: f64 = 0.002;
 pub const FRAME_S: f64 = 1.0 / 60.0;
 
-/// `half` metres to each side, `height` metres high: a rough floor every 3 m with a shaft of 1.2 m in the middle, pillars
-/// and clutter. Pixels of 2 cm, slices of 6 cm: pages are 1.28 m wide and 3.84 m high.
+/// A tower of `half` metres to each side and `height` metres high: a rough floor every 3 m with a shaft of 1.2 m in the
+/// middle, pillars and clutter. Pixels of 2 cm, slices of 6 cm: pages are 1.28 m wide and 3.84 m high.
 pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
     let frame = Frame::new(0.02, 0.06).unwrap();
     let mut random = Random(seed);
@@ -88,7 +88,7 @@ pub fn open(source: impl ByteSource + 'static) -> Archive {
     Archive::from_source(Box::new(source)).unwrap()
 }
 
-/// Everything in memory.
+/// All pages in memory.
 pub fn resident(bytes: &[u8]) -> Store {
     Store::resident(&Archive::from_bytes(bytes.to_vec()).unwrap(), &NoMonitor).unwrap()
 }
@@ -110,7 +110,7 @@ impl Body {
         Aabb::new(self.feet - half, self.feet + half + Vector3::new(0.0, 0.0, 1.8)).unwrap()
     }
 
-    /// With 5 cm to each side, and 0.4 m up and down for steps.
+    /// Motion hint with 5 cm to each side, and 0.4 m up and down for steps.
     pub fn motion(&self) -> Outlook {
         let half = Vector3::new(0.3, 0.3, 0.4);
         let top = self.feet + Vector3::new(0.0, 0.0, 1.8);

@@ -1,4 +1,4 @@
-//! Shapes with infinite sides, and shapes and ways of numbers as large as there are.
+//! Shapes with infinite sides, and shapes and motions with the largest numbers.
 
 use super::scene::{Scene, pages_of};
 use super::{SLACK, random_motion, random_pawn};
@@ -7,7 +7,7 @@ use slicewalk::frame::Frame;
 use slicewalk::query::*;
 use slicewalk::store::Store;
 
-/// `shape` with the sides that `open` names by its bits moved `far` out from `origin`.
+/// Moves the sides of `shape` selected by the bits of `open` to a distance `far` from `origin`.
 fn opened(shape: &Aabb, open: usize, origin: Point3<f64>, far: f64) -> Aabb {
     let side = |bit: usize, inside: f64, outside: f64| if open >> bit & 1 == 1 { outside } else { inside };
     let min = Point3::from([0, 1, 2].map(|axis| side(axis, shape.min()[axis], origin[axis] - far)));
@@ -30,7 +30,7 @@ fn an_infinite_side_is_one_beyond_all_matter() {
         for _ in 0..60 {
             let (shape, open) = (random_pawn(&scene, &mut random), random.below(64));
             let (motion, from) = (random_motion(&scene, &mut random), scene.random_point(&mut random).z);
-            // Farther out than the scene is wide, and than the way is long.
+            // Farther out than the width of the scene plus the length of the motion.
             let plain = opened(&shape, open, scene.origin, 1e5 + 3.0 * motion.norm());
             for far in [f64::INFINITY, f64::MAX, 1e300, 1e20] {
                 let shape = opened(&shape, open, scene.origin, far);
@@ -60,7 +60,7 @@ fn an_infinite_side_is_one_beyond_all_matter() {
     assert!(hits > 300, "{hits}: the test shows little");
 }
 
-/// A wall across the way along x, from 5 to 5.05 m.
+/// A wall across x, from 5 to 5.05 m.
 fn wall() -> Store {
     let columns = (-40..40).map(|j| ((100, j), vec![(0, 3400, true)])).collect();
     Store::from_pages(Frame::new(0.05, 0.15).unwrap(), pages_of(&columns))

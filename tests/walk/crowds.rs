@@ -30,7 +30,7 @@ fn crowd(count: usize, spacing: f64) -> (Crowd, Vec<Point2<f64>>) {
         Walker::new(config, Point3::new(place(n).x, place(n).y, 0.01)).unwrap()
     });
     let crowd = Crowd::new(walkers.collect()).unwrap();
-    // Everybody to the other side of the hall, through those who come from there.
+    // All pawns go to the other side of the hall, through those coming from there.
     let goals = (0..count).map(|n| Point2::new(-place(n).x, place(n).y)).collect();
     (crowd, goals)
 }
@@ -101,7 +101,8 @@ fn pawns_that_begin_in_each_other_part() {
     }
 }
 
-/// Frames until all have settled, with the greatest distance from `goal` then; asserts that no two overlap meanwhile.
+/// Runs frames until all have settled; returns their number and the greatest distance from `goal`, and checks that no
+/// two pawns overlap meanwhile.
 fn converge(crowd: &mut Crowd, store: &Store, goal: Point2<f64>, most: usize) -> (usize, f64) {
     let mut frames = 0;
     loop {
@@ -129,10 +130,10 @@ fn converge(crowd: &mut Crowd, store: &Store, goal: Point2<f64>, most: usize) ->
 fn a_crowd_that_wants_to_one_place_settles_around_it() {
     let store = hall(12.0);
     let (mut crowd, _) = crowd(150, 1.6);
-    // As pawns come from all sides, and as they come in a crowd already packed: then a tail stays behind.
+    // Pawns from all sides, and pawns in a crowd that is already packed, which leaves a tail behind.
     for (goal, most) in [(Point2::new(0.3, 0.1), 1.5), (Point2::new(4.0, -3.0), 3.0)] {
         let (frames, radius) = converge(&mut crowd, &store, goal, 60 * 60);
-        // The disc that so many bodies would fill without a gap.
+        // The disc that all bodies would fill without gaps.
         let body = (0.25 + std::f64::consts::PI * 0.0625) / 2.0;
         let least = (150.0 * body / std::f64::consts::PI).sqrt();
         println!(
@@ -156,7 +157,7 @@ fn a_crowd_settles_in_a_corner_and_in_front_of_a_wall_too() {
         b.quad("wall", [-5.0, 3.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 3.0]);
     });
     let store = world(&scene, 0.001);
-    // In the corner, before one wall, and inside the wall, which nobody can reach: there they stand as they come.
+    // In the corner, in front of one wall, and inside a wall, which no pawn can reach: there they stop as they arrive.
     for goal in [[2.5, 2.5], [2.6, 0.0]] {
         let walkers = (0..36).map(|n| {
             let config = Config { tick_s: TICK, ..config(if n % 3 == 0 { BOX } else { CYLINDER }) };
@@ -169,7 +170,7 @@ fn a_crowd_settles_in_a_corner_and_in_front_of_a_wall_too() {
     }
 }
 
-/// Each pawn on a thread of its own, with pages that a stream loads meanwhile: the ways are those of one thread.
+/// Each pawn on its own thread, while a stream loads pages: the paths are those of one thread.
 #[test]
 fn pawns_walk_on_threads_of_their_own() {
     let scene = scene(|b| {

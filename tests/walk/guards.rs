@@ -1,4 +1,4 @@
-//! Guard rails: a pawn with `max_drop` stops before ledges and before the edge of the scan.
+//! Guard rails: a pawn with `max_drop` stops at ledges and at the edge of the scan.
 
 use super::world::*;
 use nalgebra::{Point3, Vector2};
@@ -17,7 +17,7 @@ fn stage() -> Store {
     world(&scene, 0.0)
 }
 
-/// Steps in random directions; where the pawn has been, and why it stopped.
+/// Steps in random directions; returns where the pawn has been and why it stopped.
 fn wander(store: &Store, config: Config, start: [f64; 3], seed: u64, steps: usize) -> (Vec<Point3<f64>>, Vec<Stop>) {
     let mut walker = Walker::new(config, start.into()).unwrap();
     let (mut places, mut stops) = (Vec::new(), Vec::new());

@@ -1,4 +1,4 @@
-//! Crowds where there is no room: doors, pawns on one spot, pawns that fall upon others; who joins and who leaves.
+//! Crowds without room: doors, pawns on one spot, pawns that fall onto others, pawns that join and leave.
 
 use super::world::*;
 use nalgebra::{Point2, Point3, Vector2};
@@ -11,7 +11,7 @@ fn walker(body: Body, at: [f64; 3]) -> Walker {
     Walker::new(Config { tick_s: TICK, ..config(body) }, Point3::from(at)).unwrap()
 }
 
-/// How deep two pawns are in each other (m), above 0 if they are.
+/// Penetration depth of two pawns (m), positive if they overlap.
 fn depth(a: &Walker, b: &Walker) -> f64 {
     let (p, q) = (a.feet(), b.feet());
     let apart = (p - q).xy();
@@ -29,20 +29,20 @@ fn pairs_inside(crowd: &Crowd) -> usize {
     pairs.filter(|&(n, m)| depth(&walkers[n], &walkers[m]) > 1e-7).count()
 }
 
-/// Where a pawn's way through a door at the origin ends, and the way on begins.
+/// Where a pawn's path through a door at the origin ends and the next one begins.
 #[derive(Clone, Copy, PartialEq, Debug)]
 enum Rule {
-    /// In the middle of the door, to 1 cm: a waypoint as a route takes it.
+    /// In the middle of the door, to 1 cm, like a route's waypoint.
     Waypoint,
     /// 30 cm from the middle.
     Near,
-    /// Wherever in the door.
+    /// Anywhere in the door.
     Past,
-    /// The same, and everyone aims at a place of its own.
+    /// Anywhere in the door, and each pawn aims at its own place.
     Own,
 }
 
-/// How many of 20 pawns get through a door within a minute, and after how long the last of them does (s).
+/// Returns how many of 20 pawns pass a door within a minute, and when the last of them does (s).
 fn through(store: &Store, bodies: [Body; 2], rule: Rule) -> (usize, f64) {
     let at = |n: usize| [-3.2 + 0.62 * (n / 5) as f64, -1.3 + 0.65 * (n % 5) as f64, 0.03];
     let mut crowd = Crowd::new((0..20).map(|n| walker(bodies[n % 2], at(n))).collect()).unwrap();
@@ -69,13 +69,13 @@ fn through(store: &Store, bodies: [Body; 2], rule: Rule) -> (usize, f64) {
 
 #[test]
 fn a_crowd_passes_through_a_door_one_after_the_other() {
-    // As wide as two pawns; what a scan leaves of a metre; and wide enough for one.
+    // As wide as two pawns; as what a scan leaves of a metre; and wide enough for one.
     for half in [10, 9, 7] {
         let store = room(4, |(i, j)| (-1..=0).contains(&i) && !(-half..half).contains(&j));
         for bodies in [[BOX, BOX], [CYLINDER, CYLINDER], [BOX, CYLINDER]] {
             for rule in [Rule::Waypoint, Rule::Near, Rule::Past, Rule::Own] {
                 if rule == Rule::Own && half < 10 {
-                    // Some of these places lie where no pawn can stand.
+                    // Some of these places are where no pawn can stand.
                     continue;
                 }
                 let (count, seconds) = through(&store, bodies, rule);
@@ -152,7 +152,7 @@ fn who_falls_upon_another_stands_on_its_head() {
         let [below, above] = [0, 1].map(|n| crowd.walkers()[n].feet().z);
         assert!((above - below - 1.8).abs() < 1e-9, "at {above} m over {below} m");
         assert_eq!(crowd.walkers()[1].state(), State::Walking);
-        // When the one below goes, the other one falls to the floor.
+        // When the lower pawn leaves, the other falls to the floor.
         (0..180).for_each(|_| frame(&mut crowd, Vector2::x()));
         assert_eq!(crowd.walkers()[1].feet().z, below);
     }
@@ -181,7 +181,7 @@ fn pawns_join_and_leave() {
         distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap()
     };
     settle(&mut crowd);
-    // The one in the middle goes: another one comes there.
+    // The middle pawn leaves, and another takes its place.
     let (number, distance) = nearest(&crowd);
     assert!(distance <= 0.01);
     let after = crowd.walkers()[(number + 1) % 12].feet();

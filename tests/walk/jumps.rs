@@ -6,11 +6,11 @@ use slicewalk::query::Answer;
 use slicewalk::store::Store;
 use slicewalk::walk::*;
 
-/// A jump of 0.6 m.
+/// Take-off speed of a jump of 0.6 m.
 const SPEED: f64 = 3.431;
 const FRAME_S: f64 = 1.0 / 60.0;
 
-/// A floor at 0, a slab from 2.2 m up over x > 2, and a block of 0.5 m height behind x = -1.
+/// A floor at 0, a slab from 2.2 m up over x > 2, and a block 0.5 m high behind x = -1.
 fn hall() -> Store {
     let scene = scene(|b| {
         b.level("floor", [-4.0, -2.0, 4.0, 2.0], 0.0, &[]);
@@ -30,7 +30,7 @@ fn standing(store: &Store, at: [f64; 3]) -> Walker {
     walker
 }
 
-/// Jumps, wishing `way`, until it stands again; the greatest height of the feet.
+/// Jumps while walking in direction `way` until the pawn stands again; returns the greatest height of the feet.
 fn jump(store: &Store, walker: &mut Walker, way: Vector2<f64>) -> f64 {
     assert!(walker.jump(SPEED));
     assert!(!walker.jump(SPEED), "nobody jumps in the air");
@@ -78,7 +78,7 @@ fn a_jump_reaches_what_is_too_high_to_climb_and_climbs_nothing_on_its_way() {
     assert!(walker.feet().z < 0.1, "0.5 m are not walked up");
     jump(&store, &mut walker, left);
     assert!((walker.feet().z - 0.5).abs() < 0.01 && walker.feet().x < -0.8, "{}", walker.feet());
-    // A lower jump ends before the edge, though the pawn would climb what is left of it from the ground.
+    // A lower jump ends before the edge, although the pawn could climb the rest from the ground.
     let mut walker = standing(&store, [-0.5, 0.0, 0.1]);
     walker.jump(2.0);
     for _ in 0..240 {

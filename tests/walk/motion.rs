@@ -1,4 +1,4 @@
-//! Falls, seams, distance from the origin, speeds and frame rates, pages that are not there, walls with holes.
+//! Falls, seams, distance from the origin, speeds and frame rates, missing pages, walls with holes.
 
 use super::world::*;
 use nalgebra::{Point3, Vector2, Vector3};
@@ -28,7 +28,7 @@ fn floor_store(first: i32, top: i64) -> Store {
 
 #[test]
 fn a_flat_floor_gives_no_jitter_at_all() {
-    // Tops in the middle of a slice, at its end, at a page's end, and below zero; tiles on both sides of zero.
+    // Tops in the middle of a slice, at its end, at the end of a page, and below zero; tiles on both sides of zero.
     for (first, top) in [(-2, 100), (-2, 255), (-2, PAGE_QUANTA), (3, -7), (-30_000, -PAGE_QUANTA), (-2, 1)] {
         let store = floor_store(first, top);
         let frame = Frame::new(T, 3.0 * T).unwrap();
@@ -41,7 +41,7 @@ fn a_flat_floor_gives_no_jitter_at_all() {
                 let trace = walk(&store, config(body), from, &[to], hz, 30.0);
                 assert!(trace.arrived(), "{body:?} on {top}: ends at {}", trace.end());
                 assert!(trace.path.iter().all(|p| p.z == z), "{body:?} on {top}: not level");
-                // A straight line at constant speed, over all seams.
+                // A straight line at constant speed, across all seams.
                 let way = (Vector2::from(to) - Vector2::new(from[0], from[1])).normalize();
                 for pair in trace.path[..trace.path.len() - 1].windows(2) {
                     let moved = (pair[1] - pair[0]).xy();
@@ -67,7 +67,7 @@ fn frame_rates_do_not_change_the_way() {
             let mut ticks = 0;
             for (place, report) in coarse.path.iter().zip(&coarse.reports) {
                 ticks += report.ticks as usize;
-                // Where a frame is no multiple of a tick, it may end one tick earlier.
+                // If a frame is not a multiple of a tick, it may end one tick earlier.
                 let there = ticks.min(fine.path.len()) - 1;
                 assert_eq!(*place, fine.path[there], "{body:?} {hz} Hz after {ticks} ticks");
             }
@@ -110,7 +110,7 @@ fn the_way_is_the_same_far_from_the_origin() {
         assert!(here.arrived() && there.arrived(), "ends at {}", there.end());
         for (a, b) in here.path.iter().zip(&there.path) {
             let apart = (b - a) - Vector3::from(shift);
-            // The scan's own grid of millimetres may round to the next pixel elsewhere.
+            // Elsewhere, the scan's own grid of millimetres may round to the next pixel.
             assert!(apart.norm() < 2.0 * T, "{a} and {b}");
         }
     }
@@ -130,7 +130,7 @@ fn ledges_are_fallen_down_and_not_climbed() {
             let in_air = down.reports.iter().filter(|r| r.state == State::Falling).count() as f64 / 60.0;
             assert_eq!(in_air > 0.0, falls, "{body:?} {height}");
             if falls {
-                // Free fall takes the square root of 2 h / g.
+                // A free fall takes the square root of 2 h / g.
                 assert!((in_air - (2.0 * height / 9.81).sqrt()).abs() < 0.05, "{height} m in {in_air} s");
             }
             let up = walk(&store, config(body), [2.0, 0.0, 0.0], &[[-1.5, 0.0]], 60.0, 20.0);
@@ -153,7 +153,7 @@ fn a_fall_of_150_metres_ends_on_the_ground() {
         assert!(trace.arrived(), "ends at {}", trace.end());
         assert!(trace.end().z.abs() < 0.01, "lands at {}", trace.end());
         let in_air = trace.reports.iter().filter(|r| r.state == State::Falling).count() as f64 / hz;
-        // To 50 m/s in 5.1 s and 127.4 m, the rest at that speed.
+        // 50 m/s after 5.1 s and 127.4 m, the rest at that speed.
         let truth = 50.0 / 9.81 + (150.0 - 50.0 * 50.0 / 9.81 / 2.0) / 50.0;
         assert!((in_air - truth).abs() < 0.1, "{in_air} s, truth {truth}");
         assert!(trace.path.windows(2).all(|w| w[1].z <= w[0].z + 0.01));
@@ -162,7 +162,7 @@ fn a_fall_of_150_metres_ends_on_the_ground() {
 
 #[test]
 fn sparse_walls_hold() {
-    // From 2 points to a pixel down to one to 4 pixels of 5 cm.
+    // From two points per pixel down to one per four pixels of 5 cm.
     for density in [800.0, 400.0, 200.0, 100.0] {
         let scene = scene(|b| {
             b.quad("wall", [0.0, -2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 3.0]);
@@ -180,7 +180,8 @@ fn sparse_walls_hold() {
 
 #[test]
 fn a_ladder_of_ledges_is_no_stair() {
-    // A shelf with boards every 0.3 m that stand out by 6 cm: each could be stood on, were there room for the body.
+    // A shelf with boards every 0.3 m that stick out by 6 cm: the pawn could stand on each if there were room for its
+    // body.
     let scene = scene(|b| {
         b.level("floor", [-2.0, -1.0, 0.0, 1.0], 0.0, &[]);
         b.quad("back", [0.0, -1.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]);
@@ -213,7 +214,7 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
     while walker.state() != State::Arrived {
         let mut report = walker.follow(&stream.view(), 1.0 / 60.0, &mut way);
         while let Some(missing) = report.missing {
-            // It stands still for as long as nobody loads anything.
+            // It stands still as long as no page is loaded.
             let (feet, state) = (walker.feet(), walker.state());
             let again = walker.follow(&stream.view(), report.unspent, &mut way);
             assert!(again.waits() && again.missing_count() > 0 && again.ticks == 0 && again.moved == Vector3::zeros());
@@ -228,7 +229,7 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
     assert!(waits > 1 && frame == truth.path.len());
 }
 
-/// With no more than what the outlook says can be touched within one frame, no frame misses a page.
+/// If exactly what the motion hint says may be touched within one frame is loaded, no frame misses a page.
 #[test]
 fn the_outlook_names_every_page_that_a_step_asks_for() {
     let scene = scene(|b| {
@@ -256,7 +257,7 @@ fn the_outlook_names_every_page_that_a_step_asks_for() {
         let config = Config { speed, ..config([BOX, CYLINDER][n / 2]) };
         let mut walker = Walker::new(config, Point3::new(0.1, 0.2, 9.0)).unwrap();
         for part in 0..120 {
-            // Nothing is left in memory of where it came by before.
+            // No page of the previous walk is in memory.
             let archive = Archive::open(dir.path().join("scene.slices")).unwrap();
             let stream = Stream::open(archive, options.clone()).unwrap();
             let mut pawn = stream.pawn();
@@ -295,10 +296,10 @@ fn a_pawn_put_into_matter_gets_out() {
     }
 }
 
-/// Greatest distance from the exact way: along x at `y`, then along the wall's face.
+/// Greatest distance from the exact path: along x at `y`, then along the wall's face.
 #[test]
 fn both_responses_stay_near_the_exact_way() {
-    // A wall along x at y = 0.62; the pawn is sent into it at 30° and slides along it: closed form.
+    // A wall along x at y = 0.62; the pawn meets it at 30° and slides along it: closed form.
     let scene = scene(|b| {
         b.level("floor", [-4.0, -3.0, 5.0, 2.0], 0.0, &[]);
         b.quad("wall", [-4.0, 0.62, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 3.0]);

@@ -1,12 +1,12 @@
-//! What other controllers trip over: seams of tiles and pages in walls, slopes stood on, corners met at speed.
+//! Pitfalls of other controllers: seams of tiles and pages in walls, standing on slopes, corners at speed.
 
 use super::world::*;
 use nalgebra::{Point3, Vector2};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::walk::*;
 
-/// A wall along an axis is smooth, whatever tiles and pages it is cut into: the pawn keeps the speed of the exact one in
-/// every frame. Tiles are 3.2 m wide, pages 9.6 m high; a page ends at the knee, at the belt and above the head.
+/// A wall along an axis is smooth, however it is cut into tiles and pages: in every frame the pawn keeps the speed of
+/// the exact one. Tiles are 3.2 m wide, pages 9.6 m high; pages end at the knee, at the belt and above the head.
 #[test]
 fn seams_in_a_wall_are_not_felt() {
     for (n, page_end) in [0.4, 1.0, 3.0].into_iter().enumerate() {
@@ -72,7 +72,7 @@ fn slopes_are_stood_on_without_sliding_and_walked_without_bobbing() {
     }
 }
 
-/// Two walls that meet, met at any speed in any direction: nothing gets through the corner.
+/// Two walls that form a corner, approached at any speed from any direction: nothing gets through.
 #[test]
 fn no_speed_leads_through_a_corner() {
     let scene = scene(|b| {
@@ -103,7 +103,7 @@ fn no_speed_leads_through_a_corner() {
     }
 }
 
-/// A box that meets a round column diagonally fits between two edges of its pixels; it gets out again, and on.
+/// A box that meets a round column diagonally fits between two edges of its pixels; it gets out again and continues.
 #[test]
 fn edges_of_a_column_do_not_turn_a_pawn_back() {
     let scene = scene(|b| {
@@ -114,7 +114,7 @@ fn edges_of_a_column_do_not_turn_a_pawn_back() {
     for body in [BOX, CYLINDER] {
         for tick_s in [1.0 / 60.0, 1.0 / 240.0] {
             for n in 0..24 {
-                // To the far corner, aside of the middle by what differs.
+                // Towards the far corner, each run offset to the side by a different amount.
                 let aside = 0.021 * (f64::from(n) - 11.5);
                 let start = [-1.2 + aside, -1.2 - aside, 0.0];
                 let config = Config { tick_s, ..config(body) };

@@ -1,4 +1,4 @@
-//! Pawns that get nowhere say so; steps that are given too much time give it back; numbers that are none are refused.
+//! Pawns without progress report it, steps with too much time return the rest, and invalid numbers are refused.
 
 use super::random::Random;
 use super::world::*;
@@ -6,7 +6,8 @@ use nalgebra::{Point2, Point3, Vector2};
 use slicewalk::walk::*;
 use std::collections::BTreeSet;
 
-/// Pixels of rough walls at any angle, some of them in a pocket about the way of a pawn that walks from the origin along x.
+/// Pixels of rough walls at random angles, some of them forming a pocket on the path of a pawn that walks from the
+/// origin along x.
 fn rough_walls(random: &mut Random) -> BTreeSet<(i64, i64)> {
     let mut pixels = BTreeSet::new();
     for _ in 0..3 {
@@ -43,7 +44,7 @@ fn a_pawn_that_gets_nowhere_is_blocked() {
             let report = walker.follow(&store, 1.0 / 60.0, &mut route);
             still = if report.state == State::Blocked { still + 1 } else { 0 };
             frames += 1;
-            // A free way takes two seconds.
+            // An unobstructed path takes two seconds.
             assert!(frames < 60 * 20, "{n}, {body:?}: runs about at {}", walker.feet());
         }
         *(if still > 0 { &mut blocked } else { &mut arrived }) += 1;
@@ -65,7 +66,7 @@ fn a_step_is_bounded_and_gives_the_rest_back() {
         let report = pawn().step(&store, dt, Wish::Stay);
         assert_eq!((report.ticks, report.unspent), (0, 0.0));
     }
-    // Whoever passes the rest on loses no time.
+    // A caller that passes the rest on loses no time.
     let (mut walker, mut dt, mut ticks) = (pawn(), 5.0, 0);
     while dt > 0.0 {
         let report = walker.step(&store, dt, Wish::Direction(Vector2::x() * 0.2));

@@ -1,4 +1,4 @@
-//! Scenes with known truth, scanned and converted as a user would.
+//! Scenes with known truth, scanned and converted like a user would.
 
 use nalgebra::{Point2, Point3};
 use scangen::geometry::Placement;
@@ -18,7 +18,7 @@ pub const T: f64 = 0.05;
 pub const BOX: Body = Body::Box { x: 0.5, y: 0.5, height: 1.8 };
 pub const CYLINDER: Body = Body::Cylinder { radius: 0.25, height: 1.8 };
 
-/// Points to a side of a pixel.
+/// Points along a side of a pixel.
 const PER_PIXEL: f64 = 3.0;
 
 /// The scene, scanned evenly with `noise` (m) and converted at pixels of `T`.
@@ -26,13 +26,13 @@ pub fn convert_scene(scene: &Scene, noise: f64) -> (tempfile::TempDir, Archive) 
     convert_at(scene, noise, (PER_PIXEL / T).powi(2))
 }
 
-/// As [`convert_scene`], with so many points to the square metre.
+/// Like [`convert_scene`], with this many points per square metre.
 pub fn convert_at(scene: &Scene, noise: f64, density: f64) -> (tempfile::TempDir, Archive) {
     let dir = tempfile::tempdir().unwrap();
     let scan = dir.path().join("scan.las");
     let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(density) };
     let samples = scene.samples(11, &spec.with_noise(noise)).unwrap();
-    // The points' own grid of a millimetre is the same wherever the scene stands.
+    // The points' millimetre grid is the same wherever the scene is.
     let offset = scene.bounds().min.map(|v| v.div_euclid(1000.0) * 1000.0);
     write_samples(&scan, samples, &WriteSpec { offset, ..WriteSpec::for_path(&scan) }).unwrap();
     let mut options = ConvertOptions::new(vec![scan], dir.path().join("scene.slices"));
@@ -51,7 +51,8 @@ pub fn world(scene: &Scene, noise: f64) -> Store {
     Store::resident(&archive, &NoMonitor).unwrap()
 }
 
-/// A level floor of `tiles` by `tiles` tiles of 3.2 m about the origin, with walls of 3 m in pixels that say so.
+/// A level floor of `tiles` by `tiles` tiles of 3.2 m around the origin, with walls of 3 m in the pixels that `is_wall`
+/// selects.
 pub fn room(tiles: i64, is_wall: impl Fn((i64, i64)) -> bool) -> Store {
     let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
     let page = |tx: i64, ty: i64| {
@@ -68,7 +69,7 @@ pub fn room(tiles: i64, is_wall: impl Fn((i64, i64)) -> bool) -> Store {
     Store::from_pages(Frame::new(T, 0.15).unwrap(), places.map(|(tx, ty)| page(tx, ty)).collect::<Vec<_>>())
 }
 
-/// A scene of what `build` puts into it.
+/// A scene of the surfaces that `build` adds.
 pub fn scene(build: impl FnOnce(&mut Builder)) -> Scene {
     let mut builder = Builder::new();
     build(&mut builder);
@@ -92,7 +93,7 @@ pub fn route(places: &[[f64; 2]]) -> Waypoints {
     Waypoints::new(places.iter().map(|place| Point2::from(*place)).collect()).unwrap()
 }
 
-/// A walk: where the pawn was after every frame.
+/// A walk: the pawn's position after every frame.
 pub struct Trace {
     pub path: Vec<Point3<f64>>,
     pub reports: Vec<StepReport>,
@@ -113,7 +114,7 @@ impl Trace {
     }
 }
 
-/// Follows `places` until it arrives, is blocked for a second, or `seconds` are over.
+/// Follows `places` until the pawn arrives, is blocked for a second, or `seconds` have passed.
 pub fn walk<S: PageSet>(set: &S, config: Config, start: [f64; 3], places: &[[f64; 2]], hz: f64, seconds: f64) -> Trace {
     let mut walker = Walker::new(config, start.into()).unwrap();
     let mut way = route(places);

@@ -2,8 +2,8 @@
 # Builds the viewer: the engine as wasm, its package (tools/viewer/package/dist) and the page (tools/viewer/dist). `--engine` leaves
 # the page out.
 #
-# Needs Node.js 20.19 or newer with npm, clang, and a wasm toolchain (toolchain.sh gets one). SLICEWALK_WASM_TOOLCHAIN names a folder
-# to keep that in; by default it lies in the target folder.
+# Needs Node.js 20.19 or newer with npm, clang, and a wasm toolchain (toolchain.sh gets one). SLICEWALK_WASM_TOOLCHAIN is
+# the folder of that toolchain; by default it is in the target folder.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 target=${CARGO_TARGET_DIR:-$PWD/target}
@@ -16,9 +16,9 @@ fi
 variables=$("$viewer/toolchain.sh" "${SLICEWALK_WASM_TOOLCHAIN:-$target/wasm-toolchain}")
 (
     eval "$variables"
-    # The smaller of zstd's decoders: only directories and metadata are compressed with it.
+    # The smaller zstd decoder, because zstd compresses only directories and metadata.
     export CFLAGS_wasm32_unknown_unknown="-DHUF_FORCE_DECOMPRESS_X1 -DZSTD_FORCE_DECOMPRESS_SEQUENCES_SHORT"
-    # A folder of its own: another compiler would make cargo build everything else again.
+    # A separate folder, because another compiler would make cargo rebuild everything else.
     # shellcheck disable=SC2086
     cargo build --quiet -p slicewalk-engine --lib --profile wasm --target wasm32-unknown-unknown --target-dir "$target/wasm" $WASM_FLAGS
 )
@@ -29,8 +29,8 @@ variables=$("$viewer/toolchain.sh" "${SLICEWALK_WASM_TOOLCHAIN:-$target/wasm-too
 rm -rf "$viewer/package/src/wasm"
 "$target/viewer-bindgen/debug/viewer-bindgen" \
     "$target/wasm/wasm32-unknown-unknown/wasm/slicewalk_engine.wasm" "$viewer/package/src/wasm"
-# What the compiler leaves: equal functions, parameters and stores that nobody reads. Passes that make the module smaller by names
-# and places of locals (-Os, -Oz) make its compressed form larger.
+# Removes what the compiler leaves: duplicate functions, unused parameters and stores. Passes that shrink the module by
+# renaming and reordering locals (-Os, -Oz) make its compressed form larger.
 (
     cd "$viewer/bindgen"
     npm ci --no-audit --no-fund --loglevel=error
@@ -45,7 +45,7 @@ if [ "$size" -gt 206000 ]; then
     exit 1
 fi
 
-# npm_package FOLDER: installs what its lock file names, and builds it.
+# npm_package FOLDER: installs the packages of its lock file and builds it.
 npm_package() {
     (
         cd "$viewer/$1"

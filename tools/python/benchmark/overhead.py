@@ -1,11 +1,11 @@
-"""Time a conversion on a local cluster against the same parts by hand, in turns, and print the ratio.
+"""Time a conversion on a local cluster against the same parts run by hand, alternating, and print the ratio.
 
 python benchmark/overhead.py FOLDER [TILES] [MILLIONS] [ROUNDS]
 
-Both have two processes of one thread, one plan and as many parts; by hand each process takes the next part that nobody
-has, then one of them joins and verifies. FOLDER gets that many LAZ tiles of so many million points of rough ground,
-about one a voxel, and keeps them: 36 tiles of 10 million, 2.5 GB, keep two cores busy for two minutes. Needs laspy with
-lazrs.
+Both use two processes of one thread, the same plan and the same parts. By hand, each process takes the next free part,
+then one of them merges and verifies. FOLDER receives TILES LAZ tiles of MILLIONS million points each, of rough ground
+with about one point per voxel, and keeps them: 36 tiles of 10 million points, 2.5 GB, keep two cores busy for two
+minutes. Needs laspy with lazrs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OPTIONS = {"pixel": 0.1, "units": "m"}
 
 
 def make(folder: Path, tiles: int, millions: int) -> list[Path]:
-    """Rough ground on tiles side by side, six in a row; what is there already stays."""
+    """Write rough ground as adjacent tiles, six in a row; keep tiles that exist."""
     paths = [folder / f"{millions}m-{number:03}.laz" for number in range(tiles)]
     for number, path in enumerate(paths):
         if path.exists():
@@ -53,7 +53,7 @@ def make(folder: Path, tiles: int, millions: int) -> list[Path]:
 
 
 def convert_parts(folder: Path, paths: list[Path], numbers: multiprocessing.Queue[int | None]) -> None:
-    """Convert parts until there are none left."""
+    """Convert parts until none is left."""
     while (number := numbers.get()) is not None:
         target = folder / f"{number}.slices"
         slicewalk.convert(
@@ -62,7 +62,7 @@ def convert_parts(folder: Path, paths: list[Path], numbers: multiprocessing.Queu
 
 
 def by_hand(folder: Path, paths: list[Path]) -> float:
-    """Seconds of plan, parts by two processes, merge and check."""
+    """Return the seconds of plan, parts by two processes, merge and check."""
     started = time.perf_counter()
     slicewalk.write_plan(paths, folder / "plan.json", memory=MEMORY, quiet=True, **OPTIONS)
     context = multiprocessing.get_context("spawn")
@@ -84,7 +84,7 @@ def by_hand(folder: Path, paths: list[Path]) -> float:
 
 
 def on_cluster(folder: Path, paths: list[Path]) -> float:
-    """Seconds of the same on a cluster that is there already."""
+    """Return the seconds of the same work on a running cluster."""
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
         started = time.perf_counter()
         slicewalk.cluster.convert(
@@ -94,7 +94,7 @@ def on_cluster(folder: Path, paths: list[Path]) -> float:
 
 
 def main() -> None:
-    """Convert in turns, and print medians."""
+    """Convert alternately and print medians."""
     folder = Path(sys.argv[1])
     tiles, millions, rounds = (int(one) for one in [*sys.argv[2:], *("36", "10", "3")[len(sys.argv) - 2 :]])
     folder.mkdir(exist_ok=True)

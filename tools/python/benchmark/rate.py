@@ -1,4 +1,4 @@
-"""Time 10⁶ boxes from Python against the library's own batch, in turns on one thread, and print the ratio.
+"""Time 10⁶ boxes from Python against the library's batch, alternating on one thread, and print the ratio.
 
 cargo build --release -p slicewalk-python --example rate
 python benchmark/rate.py SCAN target/release/examples/rate
@@ -23,14 +23,14 @@ ROUNDS = 15
 
 
 def boxes_in(bounds: np.ndarray, count: int) -> np.ndarray:
-    """Boxes of a pawn, 0.5 × 0.5 × 1.8 m, at random places."""
+    """Return boxes of a pawn, 0.5 × 0.5 × 1.8 m, at random places."""
     random = np.random.default_rng(1)
     feet = random.uniform(bounds[0], bounds[1], (count, 3))
     return np.hstack([feet - (0.25, 0.25, 0), feet + (0.25, 0.25, 1.8)])
 
 
 def main() -> None:
-    """Ask in turns, and print medians."""
+    """Time alternately and print medians."""
     scan, rate = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "scan.slices")

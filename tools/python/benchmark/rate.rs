@@ -1,5 +1,5 @@
-//! `rate ARCHIVE.slices BOXES`: the time of the library's own batch over boxes (raw little-endian `f64`, six a box), once
-//! for each line on standard input; `rate.py` asks in turns with Python.
+//! Times one batch query of the library over boxes (raw little-endian `f64`, six per box) for each line on standard
+//! input: `rate ARCHIVE.slices BOXES`. `rate.py` alternates it with the same batch in Python.
 
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;

@@ -15,11 +15,11 @@ import slicewalk
 LENGTH, WIDTH, HEIGHT = 0.6, 0.4, 0.5
 """The robot (m)."""
 CLEARANCE = 0.05
-"""Ground below this height under its chassis is no obstacle (m)."""
+"""The chassis clears ground up to this height (m)."""
 
 
 def main() -> None:
-    """Convert the scan, find the floor, and ask for all places at once."""
+    """Convert the scan, find the floor, and query all places at once."""
     scan = sys.argv[1]
     slicewalk.convert(scan, "footprint.slices", force=True, quiet=True)
     archive = slicewalk.open("footprint.slices")
@@ -30,7 +30,7 @@ def main() -> None:
     random = np.random.default_rng(0)
     count = 1_000_000
     heading = random.uniform(0, 2 * np.pi, count)
-    # The box around the turned footprint: never smaller than the robot.
+    # The bounding box of the rotated footprint, never smaller than the robot.
     half = np.abs(np.stack([np.cos(heading), np.sin(heading)])) * LENGTH / 2
     half += np.abs(np.stack([np.sin(heading), np.cos(heading)])) * WIDTH / 2
     at = random.uniform(low[:2], high[:2], (count, 2))

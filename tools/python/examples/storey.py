@@ -1,4 +1,4 @@
-"""Draw a storey: floor, obstacles, where one can walk, and the longest route in it.
+"""Draw a storey: floor, obstacles, the area one can walk in, and the longest route in it.
 
 python storey.py SCAN.laz
 """

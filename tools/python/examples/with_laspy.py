@@ -19,7 +19,7 @@ except ImportError:
 
 
 def main() -> None:
-    """Write an archive from laspy's chunks, ask about every point, and classify the points."""
+    """Write an archive from laspy's chunks, query it at every point, and classify the points."""
     scan = sys.argv[1]
     with laspy.open(scan) as reader, slicewalk.Writer("points.slices", pixel=0.05, force=True) as writer:
         for chunk in reader.chunk_iterator(1_000_000):
@@ -27,7 +27,7 @@ def main() -> None:
     archive = slicewalk.open("points.slices")
     points = laspy.read(scan)
     xyz = points.xyz
-    # A person of 0.5 × 0.5 × 1.8 m whose feet are on the point, 5 cm above what is there.
+    # A person of 0.5 × 0.5 × 1.8 m, standing 5 cm above the point.
     boxes = np.column_stack([xyz - (0.25, 0.25, -0.05), xyz + (0.25, 0.25, 1.8)])
     free = archive.overlaps(boxes) == slicewalk.CLEAR
     points.classification = np.where(free, 2, 1)

@@ -1,4 +1,4 @@
-//! `open` and `Archive`: where archives come from, and what they say about themselves.
+//! `open` and `Archive`: sources of archives and their metadata.
 
 use crate::arrays::{key, short};
 use crate::attend::{Audience, attended};
@@ -21,13 +21,13 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, TryLockError};
 use std::time::{Duration, Instant};
 
-/// An open archive. Its pages are loaded when they are first asked for.
+/// An open archive. The first query loads its pages.
 pub struct Opened {
     pub archive: Inner,
     source: Arc<dyn ByteSource>,
     /// Path or public address.
     pub name: Option<String>,
-    /// How a server is asked; None for files and bytes.
+    /// Options of requests to a server; `None` for files and bytes.
     remote: Option<RemoteOptions>,
     store: OnceLock<Store>,
     loading: Mutex<()>,
@@ -43,7 +43,7 @@ impl Opened {
         Ok(Self { archive, source, name, remote, store: OnceLock::new(), loading: Mutex::default() })
     }
 
-    /// Opens an address. All of it is given up after the time-out.
+    /// Opens an address. The time-out covers the whole of it.
     fn remote(url: &str, options: &RemoteOptions) -> slicewalk::Result<Self> {
         let (deadline, outer) = (Instant::now() + options.timeout, stop_of_thread());
         let late = move || Instant::now() >= deadline;
@@ -61,14 +61,14 @@ impl Opened {
         })
     }
 
-    /// An overview level.
+    /// Opens an overview level.
     fn level(&self, number: u32) -> slicewalk::Result<Self> {
         let (archive, source) = (self.archive.level(number)?, self.source.clone());
         let (name, remote) = (self.name.clone(), self.remote.clone());
         Ok(Self { archive, source, name, remote, store: OnceLock::new(), loading: Mutex::default() })
     }
 
-    /// A few reads. Ctrl-C is heard while a server is waited for.
+    /// Runs `work`, a few reads. Ctrl-C interrupts it while it waits for a server.
     fn read<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&Self) -> slicewalk::Result<T> + Send) -> PyResult<T> {
         let name = self.name.as_deref();
         match self.remote {
@@ -77,7 +77,7 @@ impl Opened {
         }
     }
 
-    /// What it is, for people.
+    /// One-line description for `repr`.
     pub fn described(&self, class: &str) -> String {
         let (frame, header) = (self.archive.frame(), self.archive.header());
         let name = self.name.as_deref().unwrap_or("bytes");
@@ -91,12 +91,12 @@ impl Opened {
         )
     }
 
-    /// The archive once more, on the same source.
+    /// Opens the archive again from the same source.
     pub fn again(&self) -> slicewalk::Result<Inner> {
         Inner::from_source(Box::new(self.source.clone()))
     }
 
-    /// All pages; the first call loads them.
+    /// Returns all pages, which the first call loads.
     pub fn store(&self, py: Python<'_>) -> PyResult<&Store> {
         match self.store.get() {
             Some(store) => Ok(store),
@@ -120,11 +120,12 @@ impl Opened {
             }
             Ok(())
         })?;
-        // Set by whoever held the lock last.
+        // The previous holder of the lock set it.
         self.store.get().ok_or_else(|| Failure::from(Error::Interrupted).into())
     }
 
-    /// What tells this archive from others: its length, its plan, and the checksum of its head, which covers all others.
+    /// Returns what identifies this archive: its length, its plan, and the checksum of its head, which covers all other
+    /// checksums.
     fn identity(&self) -> slicewalk::Result<String> {
         let header = self.archive.header();
         let mut checksum = [0; 4];
@@ -133,7 +134,7 @@ impl Opened {
     }
 }
 
-/// Bytes that Python holds, read where they are.
+/// Bytes that a Python object owns, read in place.
 struct Held(PyBackedBytes);
 
 impl ByteSource for Held {
@@ -153,7 +154,7 @@ impl ByteSource for Held {
     }
 }
 
-/// An address without user, password, query and fragment.
+/// Strips user, password, query and fragment from an address.
 fn public(url: &str) -> String {
     let url = url.split(['?', '#']).next().unwrap_or_default();
     let (scheme, rest) = url.split_once("://").unwrap_or(("", url));
@@ -165,22 +166,25 @@ fn public(url: &str) -> String {
 /// Opens a slice archive.
 ///
 /// Args:
-///     source: a path; an address (``https://``, ``http://``, ``s3://bucket/key``, ``file://``), which is read by ranges; or the
-///         archive itself as ``bytes``, which are read where they are, without a copy (other buffers are copied)
-///     timeout: longest time that opening takes, and that a later read waits for the next bytes, repetitions included (s)
-///     retries: how often a request is repeated that failed for a reason which may pass: a lost connection, an error of the server
-///     settings: settings of an object store by name, such as ``{"aws_endpoint": ...}``, on top of the environment's ``AWS_*``
+///     source: a path; an address (``https://``, ``http://``, ``s3://bucket/key``, ``file://``), which is read in
+///         ranges; or the archive itself as ``bytes``, which are read in place (other buffers are copied)
+///     timeout: longest time that opening may take, and that a later read waits for the next bytes, retries included
+///         (s)
+///     retries: how often a request is repeated after an error that may pass, such as a lost connection or a server
+///         error
+///     settings: settings of an object store by name, such as ``{"aws_endpoint": ...}``, which override ``AWS_*`` of
+///         the environment
 ///
-/// These options are for addresses. Ctrl-C is heard while a server is waited for.
+/// ``timeout``, ``retries`` and ``settings`` apply to addresses only. Ctrl-C interrupts a wait for a server.
 ///
 /// Returns:
-///     :class:`Archive`. Two reads; pages follow when they are asked for, up to 1 MiB of them in a request
+///     :class:`Archive`. Opening takes two reads; later reads fetch pages on demand, up to 1 MiB per request
 ///
 /// Raises:
-///     MissingFileError: there is no such file
-///     FileError: it cannot be read
-///     FormatError: it is no archive, or is damaged
-///     UnsupportedError: another version of slicewalk wrote it
+///     MissingFileError: the file does not exist
+///     FileError: the file cannot be read
+///     FormatError: the file is damaged or is not an archive
+///     UnsupportedError: another version of slicewalk wrote the file
 ///
 /// >>> archive = slicewalk.open("room.slices")
 /// >>> archive.pixel_size, archive.slices
@@ -196,7 +200,7 @@ pub fn open<'py>(
     let py = source.py();
     let wrong = || refuse("timeout", format!("expected seconds above 0, found {timeout}"));
     let time = Duration::try_from_secs_f64(timeout).ok().filter(|time| !time.is_zero()).ok_or_else(wrong)?;
-    // Longer is for ever, and clocks would overflow.
+    // A longer time-out means none; anything above would overflow the clock.
     let timeout = time.min(Duration::from_secs(1 << 30));
     let mut source = source.clone();
     let url = source.extract::<String>().ok().filter(|text| text.contains("://"));
@@ -228,10 +232,10 @@ pub fn open<'py>(
 
 /// An open slice archive; see :func:`open`.
 ///
-/// Its facts are attributes; ``info()`` has all of them. The first question loads all pages, as :meth:`load` does; for an
-/// archive larger than memory ask the :class:`View` of a :class:`Stream`. Archives can be used from many threads at once,
-/// and pickled: a copy opens the same file with the same options, and fails if it is another by then. The pickle holds the
-/// ``settings``, secrets included; leave those to the environment.
+/// Attributes hold the main metadata, ``info()`` all of it. The first query loads all pages, as :meth:`load` does; to
+/// query an archive larger than memory, use the :class:`View` of a :class:`Stream`. An archive can be used from many
+/// threads at once. It can be pickled: unpickling opens the same file with the same options, and fails if the file has
+/// become another archive. The pickle contains ``settings``, secrets included; keep secrets in the environment instead.
 #[pyclass(frozen, extends = Pages, module = "slicewalk")]
 pub struct Archive {
     pub opened: Arc<Opened>,
@@ -251,7 +255,7 @@ impl Archive {
     /// Path or address, without password and query; None for bytes.
     #[getter]
     fn path(&self, py: Python<'_>) -> Option<OsString> {
-        // As it was given: a name that is no UTF-8 opens the same file again.
+        // As the caller gave it, so that a name that is not valid UTF-8 opens the same file again.
         let file = self.given.extract::<PathBuf>(py).ok().filter(|_| self.opened.remote.is_none());
         file.map(Into::into).or_else(|| self.opened.name.as_deref().map(Into::into))
     }
@@ -263,56 +267,56 @@ impl Archive {
         format!("{major}.{minor}")
     }
 
-    /// Least and greatest coordinates of all points: float64 of shape (2, 3) (m); None without points.
+    /// Bounds of all points, minimum and maximum: float64 of shape (2, 3) (m); None without points.
     #[getter]
     fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let bounds = self.opened.archive.header().bounds;
         bounds.map(|(min, max)| Ok(PyArray2::from_vec2(py, &[min.to_vec(), max.to_vec()])?)).transpose()
     }
 
-    /// Points read by the conversion.
+    /// Number of points that the conversion read.
     #[getter]
     fn points_read(&self) -> u64 {
         self.opened.archive.header().points_read
     }
 
-    /// Points that made voxels.
+    /// Number of points that contributed to voxels.
     #[getter]
     fn points_kept(&self) -> u64 {
         self.opened.archive.header().points_kept
     }
 
-    /// Slices from the lowest to the highest with matter.
+    /// Number of slices from the lowest to the highest occupied one.
     #[getter]
     fn slices(&self) -> i64 {
         slicewalk::info::slice_count(self.opened.archive.header())
     }
 
-    /// Voxels with matter.
+    /// Number of occupied voxels.
     #[getter]
     fn voxels(&self) -> u64 {
         self.opened.archive.header().voxels.occupied
     }
 
-    /// Steepest slope that counts as floor (degrees).
+    /// Steepest slope classified as floor (degrees).
     #[getter]
     fn max_slope(&self) -> f64 {
         self.opened.archive.plan().options.max_slope_deg
     }
 
-    /// How far heights were coarsened, always outwards (m).
+    /// Largest error of the stored heights, always outwards (m).
     #[getter]
     fn tolerance(&self) -> f64 {
         self.opened.archive.plan().options.tolerance_m
     }
 
-    /// Coordinate reference system as the scan stated it; empty if unknown. One read.
+    /// Coordinate reference system as stated by the scan; empty if unknown. Takes one read.
     #[getter]
     fn crs(&self, py: Python<'_>) -> PyResult<String> {
         self.opened.read(py, |opened| opened.archive.crs())
     }
 
-    /// All facts, as ``slicetool info --json`` prints them. One read.
+    /// Returns all metadata, as ``slicetool info --json`` prints it. Takes one read.
     ///
     /// >>> slicewalk.open("room.slices").info()["voxels"]["obstacle"] > 0
     /// True
@@ -320,13 +324,13 @@ impl Archive {
         dictionary(py, &self.opened.read(py, |opened| slicewalk::info::info(&opened.archive))?)
     }
 
-    /// Loads all pages now. Ctrl-C ends it.
+    /// Loads all pages now. Ctrl-C interrupts it.
     ///
     /// Args:
     ///     progress: called with stage, amount done, total and unit
     ///
     /// Returns:
-    ///     memory that the pages take (bytes)
+    ///     memory used by the pages (bytes)
     ///
     /// >>> slicewalk.open("room.slices").load() > 1000
     /// True
@@ -336,14 +340,14 @@ impl Archive {
         Ok(store.weight_bytes() + store.table_bytes())
     }
 
-    /// An overview level: the same scan on pixels and slices four times as large for each number, as pages of their own. Questions and
-    /// keys are those of the level.
+    /// Returns an overview level: the same scan with pixels and slices 4 ** ``number`` times as large, as its own set
+    /// of pages. Queries and keys refer to the level.
     ///
     /// Args:
     ///     number: 1 is the finest
     ///
     /// Returns:
-    ///     :class:`Pages`, loaded when they are first asked for
+    ///     :class:`Pages`; the first query loads them
     ///
     /// Raises:
     ///     ParameterError: the archive has no such level
@@ -352,16 +356,16 @@ impl Archive {
         Ok(Pages { set: Set::All(Arc::new(of_level)) })
     }
 
-    /// Colours of the voxels of a page, as `sliceconv --colour` made them.
+    /// Returns the colours of a page's voxels, as `sliceconv --colour` stored them.
     ///
     /// Args:
     ///     key: ``tx, ty, layer`` of the page
-    ///     level: 0 for a page of the archive itself, else of this overview level (see :meth:`level`)
+    ///     level: 0 for a page of the archive itself, otherwise the number of the overview level (see :meth:`level`)
     ///
     /// Returns:
-    ///     uint8 of shape (n, 4): red, green and blue (sRGB), and 255 for voxels that have a colour, 0 for others. Voxels come pixel by
-    ///     pixel in row order, in each from the lowest slice up: the bits of :attr:`Page.occupancy`. None where the archive has no
-    ///     colours, or no such page
+    ///     uint8 of shape (n, 4): red, green and blue (sRGB), then 255 for a voxel with a colour or 0 for one without.
+    ///     Voxels are in the order of the bits of :attr:`Page.occupancy`: pixels in row order, and from the lowest
+    ///     slice up within a pixel. None if the archive has no colours or no such page
     ///
     /// Raises:
     ///     ParameterError: the archive has no such level
@@ -392,10 +396,10 @@ impl Archive {
             .transpose()
     }
 
-    /// Checks every byte; an empty list says that all is well.
+    /// Checks every byte and returns what is wrong; an empty list means the archive is sound.
     ///
     /// Returns:
-    ///     the findings, each a :class:`FormatError` that was not raised
+    ///     the findings, each a :class:`FormatError`, returned instead of raised
     ///
     /// >>> slicewalk.open("room.slices").verify()
     /// []

@@ -1,8 +1,8 @@
-//! The caller's arrays: checked, and copied block by block.
+//! Checks the caller's arrays and copies them block by block.
 //!
-//! Another Python thread may write to an array while the interpreter is free, and Rust must not read it meanwhile. So no
-//! slice of an array outlives the moment in which the interpreter is held: a block of rows is copied, answered without the
-//! interpreter, and the next one follows. A block fits the cache, so the copy costs about 5 ns a row.
+//! Another Python thread may write to an array while the interpreter is released, and Rust must not read it then. So no
+//! slice of an array outlives the time in which the interpreter is held: a block of rows is copied, answered with the
+//! interpreter released, and the next block follows. A block fits the cache, so the copy costs about 5 ns a row.
 
 use crate::errors::{Failure, of_row};
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
@@ -14,20 +14,20 @@ use slicewalk::frame::PageKey;
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
-/// Rows that are copied at once.
+/// Rows copied at a time.
 pub const BLOCK: usize = 1 << 16;
-/// Fewer rows than this are not worth a thread.
+/// Rows below which a batch uses one thread only.
 const LEAST_ROWS: usize = 1 << 13;
 
-/// Rows of `N` numbers in an array of the caller's.
+/// Rows of `N` numbers in a caller's array.
 pub struct Rows<'py, const N: usize> {
     array: Bound<'py, PyArray2<f64>>,
     what: &'static str,
 }
 
 impl<'py, const N: usize> Rows<'py, N> {
-    /// Checks shape and type. Whatever numpy turns into numbers that `float64` holds without loss is welcome; an array of
-    /// `float64` is not copied here.
+    /// Checks shape and type. Accepts whatever numpy converts to `float64` without loss; an array of `float64` is not
+    /// copied here.
     pub fn of(given: &Bound<'py, PyAny>, what: &'static str) -> PyResult<Self> {
         let py = given.py();
         let numpy = py.import("numpy")?;
@@ -53,7 +53,7 @@ impl<'py, const N: usize> Rows<'py, N> {
             let shape = untyped.getattr("shape")?.str()?;
             return Err(PyValueError::new_err(format!("{what}: expected shape (N, {N}), found {shape}{way_out}")));
         }
-        // Aligned, because Rust reads no other; the same array, if it is.
+        // Rust reads only aligned memory; numpy returns an aligned array unchanged.
         let options = PyDict::new(py);
         options.set_item("dtype", "f8")?;
         options.set_item("requirements", "A")?;
@@ -66,7 +66,7 @@ impl<'py, const N: usize> Rows<'py, N> {
         self.array.shape()[0]
     }
 
-    /// The rows from `first` on, as many as `count`, as they are now.
+    /// Copies up to `count` rows from `first` on into `block`, as they are now.
     pub fn copy(&self, first: usize, count: usize, block: &mut Vec<[f64; N]>) -> PyResult<()> {
         let array = self.array.try_readonly().map_err(|_| self.busy("in use"))?;
         let array = array.as_array();
@@ -87,7 +87,7 @@ impl<'py, const N: usize> Rows<'py, N> {
     }
 }
 
-/// `answer` for each row, with the interpreter free and on several threads.
+/// Computes `answer` for each row on several threads, with the interpreter released.
 pub fn batch<'py, const N: usize, A: Element + Copy + Default + Send>(
     given: &Bound<'py, PyAny>,
     what: &'static str,
@@ -108,19 +108,19 @@ pub fn batch<'py, const N: usize, A: Element + Copy + Default + Send>(
     Ok(answers.into_pyarray(py))
 }
 
-/// Threads of a batch. Asked for once: the system reads files to answer.
+/// Number of threads of a batch. Queried once, because the system reads files to answer.
 fn cores() -> NonZeroUsize {
     static CORES: OnceLock<NonZeroUsize> = OnceLock::new();
     *CORES.get_or_init(|| std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN))
 }
 
-/// Room for so many more elements, or MemoryError.
+/// Reserves room for `count` more elements, or raises MemoryError.
 pub fn reserve<T>(vec: &mut Vec<T>, count: usize, what: impl FnOnce() -> String) -> PyResult<()> {
     vec.try_reserve_exact(count)
         .map_err(|_| PyMemoryError::new_err(format!("no memory for {}; ask for less at once", what())))
 }
 
-/// Number of a row, and what is wrong with it.
+/// Index of a row, and what is wrong with it.
 type Wrong = (usize, slicewalk::Error);
 
 fn on_threads<R: Sync, A: Send>(
@@ -152,7 +152,7 @@ fn on_threads<R: Sync, A: Send>(
     })
 }
 
-/// So many numbers of the caller's, as a place or a box. A box may also come as its two corners, as `Archive.bounds` does.
+/// Reads `N` numbers, such as a place or a box. A box may also come as its two corners, like `Archive.bounds`.
 pub fn numbers<const N: usize>(given: &Bound<'_, PyAny>, what: &str) -> PyResult<[f64; N]> {
     let mut values = Vec::new();
     if take_numbers(given, N == 6, N, &mut values).is_some()
@@ -164,7 +164,8 @@ pub fn numbers<const N: usize>(given: &Bound<'_, PyAny>, what: &str) -> PyResult
     Err(PyValueError::new_err(format!("{what}: expected {N} finite numbers, found {}", short(given))))
 }
 
-/// Appends the numbers of a sequence, or of the two in it; `None` if there is something else, or more than `most`.
+/// Appends the numbers of a sequence, or of its two sequences if `nested`; `None` if it holds anything else or more
+/// than `most` numbers.
 fn take_numbers(given: &Bound<'_, PyAny>, nested: bool, most: usize, values: &mut Vec<f64>) -> Option<()> {
     let before = values.len();
     for (number, item) in given.try_iter().ok()?.enumerate() {
@@ -183,7 +184,7 @@ fn take_numbers(given: &Bound<'_, PyAny>, nested: bool, most: usize, values: &mu
     Some(())
 }
 
-/// The key of a page: a tuple, or a row of `Pages.keys`.
+/// Reads the key of a page: a tuple, or a row of `Pages.keys`.
 pub fn key(given: &Bound<'_, PyAny>) -> PyResult<PageKey> {
     let parts = given
         .try_iter()
@@ -194,7 +195,7 @@ pub fn key(given: &Bound<'_, PyAny>) -> PyResult<PageKey> {
     }
 }
 
-/// Shape of an array, type and length of something long, else the thing itself, for messages.
+/// Short text for messages: the shape of an array, the type and length of anything long, otherwise the value.
 pub fn short(given: &Bound<'_, PyAny>) -> String {
     let class = given.get_type().name().map_or_else(|_| "something".into(), |name| name.to_string());
     if let Ok(array) = given.cast::<PyUntypedArray>()
@@ -212,15 +213,15 @@ pub fn short(given: &Bound<'_, PyAny>) -> String {
     }
 }
 
-/// An array on memory that `owner` keeps, without a copy; nobody may write to it.
+/// Array on memory that `owner` keeps alive, without a copy and read-only.
 ///
 /// # Safety
-/// The memory of `array` stays in place and unchanged as long as `owner` lives.
+/// The memory of `array` must stay in place and unchanged while `owner` lives.
 pub unsafe fn lend<'py, T: Element, D: numpy::ndarray::Dimension>(
     array: &numpy::ndarray::Array<T, D>,
     owner: Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, numpy::PyArray<T, D>>> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let lent = unsafe { numpy::PyArray::borrow_from_array(array, owner) };
     let options = PyDict::new(lent.py());
     options.set_item("write", false)?;
@@ -228,7 +229,7 @@ pub unsafe fn lend<'py, T: Element, D: numpy::ndarray::Dimension>(
     Ok(lent)
 }
 
-/// A row that cannot be answered because of what it says.
+/// Error for a row whose values are invalid.
 pub fn refused<T>(what: &'static str, reason: &str) -> Result<T> {
     Err(slicewalk::Error::parameter(what, reason))
 }

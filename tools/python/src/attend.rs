@@ -1,7 +1,7 @@
-//! Long work: on a thread of its own, while the calling thread looks for Ctrl-C and passes news on.
+//! Runs long work on its own thread, while the calling thread checks for Ctrl-C and passes on progress and warnings.
 //!
-//! Callbacks and warnings run on the calling thread alone, so no other thread ever waits for the interpreter, and what
-//! they raise ends the work.
+//! Callbacks and warnings run only on the calling thread, so no other thread waits for the interpreter. An exception
+//! that they raise ends the work.
 
 use crate::errors::{Failure, in_python, way_out};
 use pyo3::prelude::*;
@@ -14,10 +14,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Time between two looks.
+/// Interval between two checks.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What the work has to say to whoever waits for it.
+/// Progress and warnings that the work passes to the calling thread.
 #[derive(Default)]
 struct News {
     stages: Mutex<VecDeque<Stage>>,
@@ -31,7 +31,7 @@ struct Stage {
     name: String,
     total: u64,
     unit: String,
-    /// Of a stage that has ended.
+    /// Final amount of a stage that has ended.
     done: Option<u64>,
 }
 
@@ -62,14 +62,14 @@ impl Monitor for News {
     }
 }
 
-/// Who is told about long work.
+/// Recipients of progress and warnings.
 #[derive(Default)]
 pub struct Audience<'a, 'py> {
     /// Called with stage, amount done, total (0 if unknown) and unit.
     pub progress: Option<&'a Bound<'py, PyAny>>,
-    /// No warnings are raised.
+    /// Raises no warnings.
     pub quiet: bool,
-    /// The texts of all warnings, raised or not.
+    /// Texts of all warnings, raised or not.
     pub warnings: RefCell<Vec<String>>,
 }
 
@@ -108,7 +108,8 @@ impl Audience<'_, '_> {
     }
 }
 
-/// Does `work` with the interpreter free, also while it waits for a server. Ctrl-C, or an exception of a callback, ends it and is raised.
+/// Runs `work` with the interpreter released, waits for servers included. Ctrl-C or an exception of a callback ends the
+/// work and is raised.
 pub fn attended<T: Send>(
     py: Python<'_>,
     audience: &Audience<'_, '_>,
@@ -119,7 +120,7 @@ pub fn attended<T: Send>(
     let (mut told, mut raised) = (None, None);
     let result = std::thread::scope(|scope| {
         let worker = scope.spawn(|| {
-            // Told of the end even by a panic.
+            // Reports the end also after a panic.
             let _end = End(&ended, caller);
             let stop = news.stop.clone();
             interruptible(Some(Arc::new(move || stop.load(Ordering::Relaxed))), || work(&news))

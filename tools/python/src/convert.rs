@@ -1,4 +1,4 @@
-//! `convert` and `write_plan`: scans and meshes into an archive.
+//! `convert`, `write_plan` and `merge`: scans and meshes into an archive.
 
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
@@ -13,62 +13,68 @@ use slicewalk::output::{Existing, Output, OutputKind, Protected, check, upload_a
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Facts as Python's own values.
+/// Converts a JSON value to Python objects.
 pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, PyAny>> {
     py.import("json")?.call_method1("loads", (facts.to_string(),))
 }
 
-/// Converts scans (LAS, LAZ, COPC, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, COPC, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into
+/// one slice archive, in bounded memory.
 ///
-/// The archive appears complete under its name, or not at all. The same points always give the same bytes. Ctrl-C ends a
-/// conversion within a moment and leaves nothing behind.
+/// Either the complete archive appears under its name, or nothing does. The same points always give the same bytes.
+/// Ctrl-C ends a conversion within a moment; nothing is left behind.
 ///
 /// Args:
-///     inputs: one or many, in any iterable: files, folders of scans, glob patterns; scans also at https:// addresses and in object stores, where
-///         ``"s3://bucket/folder/"`` and patterns work too, with credentials from ``AWS_*`` in the environment
+///     inputs: one path or any iterable of them: files, folders of scans, glob patterns. Scans may also be at https://
+///         addresses and in object stores, where ``"s3://bucket/folder/"`` and patterns work, too; credentials come
+///         from ``AWS_*`` in the environment
 ///     output: the archive to write: a file, or an address ``"s3://bucket/key"``
-///     progress: called with stage, amount done, total (an estimate, 0 if unknown) and unit, on this thread, at most 20 times
-///         a second; what it raises ends the conversion
+///     progress: called with stage, amount done, total (an estimate, 0 if unknown) and unit, on the calling thread, at
+///         most 20 times a second; an exception that it raises ends the conversion
 ///     pixel: edge of a pixel (m), or ``"auto"``: four times the scan's point spacing
 ///     slice: height of a slice (m); three pixels by default
-///     max_slope: steepest slope that can be stood on (degrees, 45)
-///     tolerance: how far heights may be coarsened, always outwards (m, 0), or ``"auto"``: by no more than the scan's own noise
+///     max_slope: steepest slope that a pawn can stand on (degrees, 45)
+///     tolerance: largest error of heights, always outwards (m, 0), or ``"auto"``: at most the noise of the scan itself
 ///     classifier: ``"plane"``, ``"span"`` or ``"thesis"``
-///     memory: memory to use, at least 64 MiB: bytes, or a text such as ``"512MiB"``
+///     memory: memory budget, at least 64 MiB: bytes, or a text such as ``"512MiB"``
 ///     threads: worker threads; all cores by default
 ///     temp_dir: folder for temporary data
-///     exclude_class: LAS classes to leave out, such as ``[7, 18]`` for noise; also as a text, ``"7,18,64-255"``
-///     min_points: drop voxels of fewer points (1)
-///     drop_isolated: drop voxels without matter in any of the 26 around them
-///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`, and only one of both is given
-///     fill_holes: close holes in floors of up to this width (m) by floor that the archive marks as inferred
-///     remove_moving, stations, removed: remove points that other stations of the scan saw through; a table `file,x,y,z` of the
-///         stations, which E57 and PTX state themselves; a LAS file for what is removed
+///     exclude_class: LAS classes to leave out, such as ``[7, 18]`` for noise, or a text such as ``"7,18,64-255"``
+///     min_points: drop voxels with fewer points than this (1)
+///     drop_isolated: drop voxels without any occupied voxel among their 26 neighbours
+///     drop_floaters: drop connected components of up to this many voxels (1 to 65535); 1 means the same as
+///         `drop_isolated`, and only one of the two may be given
+///     fill_holes: close holes in floors up to this wide (m) with floor that the archive marks as inferred
+///     remove_moving: remove points that other stations of the scan saw through
+///     stations: table ``file,x,y,z`` of the stations for `remove_moving`; E57 and PTX state them themselves
+///     removed: LAS file to write the removed points to
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
-///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
-///     columns: columns of text from left to right, such as ``"x,y,z,i,r,g,b"``; by its header, else the first three, by default
+///     crs: EPSG code for scans that state no reference system, such as ``"EPSG:25832"``; a scan that states another
+///         one is refused
+///     columns: columns of text files from left to right, such as ``"x,y,z,i,r,g,b"``; by default read from the header,
+///         otherwise the first three
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
-///     levels: whether the archive gets overview levels for first looks and distant views (no)
-///     colour: colour of each voxel: ``"rgb"``, ``"intensity"``, ``"class"``, ``"auto"`` (RGB where the scan has it, else intensity, else
-///         none) or ``"off"``; of scans, not of meshes
-///     colour_error: greatest mean difference of a page's colours, in CIELAB (2); 0 keeps them exactly, to 8 bits
-///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
-///     resume: go on from what an interrupted conversion left, and leave it if this one is interrupted
+///     levels: whether to add overview levels for previews and distant views (no)
+///     colour: colour of each voxel: ``"rgb"``, ``"intensity"``, ``"class"``, ``"auto"`` (RGB if the scan has it,
+///         otherwise intensity, otherwise none) or ``"off"``; for scans, not for meshes
+///     colour_error: largest mean difference of a page's colours, in CIELAB (2); 0 keeps all 8 bits
+///     allow_incomplete: convert the readable part of damaged input with warnings instead of refusing it
+///     resume: continue an interrupted conversion, and keep the finished work if this one is interrupted
 ///     force: replace an existing archive
-///     plan: take grid and options from this plan; those that contradict it are refused
-///     shard: convert one part only, ``"2/8"`` or ``(2, 8)``
-///     quiet: no warnings
+///     plan: take grid and options from this plan; options that contradict it are refused
+///     shard: convert only this part, ``"2/8"`` or ``(2, 8)``
+///     quiet: raise no warnings
 ///
 /// Returns:
-///     what ``sliceconv --json`` prints, as a dict, and ``warnings``, their texts, also if `quiet`
+///     the dict that ``sliceconv --json`` prints, plus ``warnings``, the texts of all warnings, also with `quiet`
 ///
 /// Raises:
 ///     InputError: an input cannot be used
 ///     OutputError: the archive exists already, or would replace an input
-///     ParameterError: an option makes no sense
+///     ParameterError: an option is invalid
 ///
-/// Soft problems of the input are :class:`SlicewalkWarning`.
+/// Problems of the input that do not stop the conversion raise :class:`SlicewalkWarning`.
 ///
 /// >>> report = slicewalk.convert("room.las", "again.slices", pixel=0.1, units="m")
 /// >>> report["points_kept"], report["slices"]
@@ -93,17 +99,17 @@ pub fn convert<'py>(
     dictionary(py, &facts)
 }
 
-/// Fixes grid, options and inputs of a conversion in a plan, to be converted in parts with ``convert(..., plan=, shard=)``.
+/// Writes a plan that fixes grid, options and inputs of a conversion; ``convert(..., plan=, shard=)`` converts parts.
 ///
 /// Args:
 ///     inputs: as for :func:`convert`
 ///     path: the plan to write (JSON)
 ///     progress: as for :func:`convert`
-///     options: those of :func:`convert`, but for ``plan``, ``shard`` and ``resume``
+///     options: those of :func:`convert` except ``plan``, ``shard`` and ``resume``
 ///
 /// Returns:
-///     the plan as a dict, but for its inputs: ``inputs`` is their number. There may be hundreds of thousands; the file lists them.
-///     ``warnings`` are texts, also if `quiet`
+///     the plan as a dict, with the number of inputs as ``inputs``: there may be hundreds of thousands, which only the
+///     file lists. ``warnings`` holds the texts of all warnings, also with `quiet`
 ///
 /// >>> plan = slicewalk.write_plan("room.las", "plan.json", pixel=0.1, units="m")
 /// >>> for part in (1, 2):
@@ -134,24 +140,24 @@ pub fn write_plan<'py>(
     dictionary(py, &plan)
 }
 
-/// Joins the parts of a conversion into the archive of a single run, byte for byte.
+/// Joins the parts of a conversion. The archive equals that of a single run, byte for byte.
 ///
 /// Args:
 ///     parts: archives that ``convert(..., plan=, shard=)`` wrote: all parts of one plan, in any order
-///     output: the archive to write; one that has the right bytes already is left alone
-///     part: join neighbouring parts alone, into this part of a coarser cut: ``"2/8"`` or ``(2, 8)``. It is merged with the other
-///         parts of that cut later, so that thousands of parts join as a tree
+///     output: the archive to write; left alone if it already has the right bytes
+///     part: join only neighbouring parts into this part of a coarser cut: ``"2/8"`` or ``(2, 8)``. Merge it with the
+///         other parts of that cut later, so that thousands of parts join as a tree
 ///     progress: as for :func:`convert`
 ///     force: replace an existing archive that holds something else
 ///
 /// Returns:
-///     what ``slicetool merge --json`` prints, as a dict
+///     the dict that ``slicetool merge --json`` prints
 ///
 /// Raises:
-///     InputError: a part is missing, foreign or damaged
+///     InputError: a part is missing, damaged or belongs to another plan
 ///     OutputError: the archive exists already and holds something else
 ///
-/// Every page is read and checked once. Memory: about 10 MiB, and the facts of each part.
+/// Every page is read and checked once. Takes about 10 MiB of memory, plus the metadata of each part.
 ///
 /// >>> _ = slicewalk.write_plan("room.las", "plan.json", pixel=0.1, units="m")
 /// >>> for part in (1, 2):
@@ -183,7 +189,7 @@ pub fn merge<'py>(
     dictionary(py, &facts)
 }
 
-/// Refuses what an archive called `output` must not replace; for `slicewalk.cluster`.
+/// Raises an error if an archive must not be written as `output`; for `slicewalk.cluster`.
 #[pyfunction]
 #[pyo3(name = "_check_output")]
 pub fn check_output(py: Python<'_>, output: PathBuf, force: bool) -> PyResult<()> {
@@ -192,7 +198,7 @@ pub fn check_output(py: Python<'_>, output: PathBuf, force: bool) -> PyResult<()
     })
 }
 
-/// Uploads an archive to an address, whole or not at all; for `slicewalk.cluster`.
+/// Uploads an archive to an address, all or nothing; for `slicewalk.cluster`.
 #[pyfunction]
 #[pyo3(name = "_upload_archive", signature = (path, address, *, force=false, progress=None))]
 pub fn upload(

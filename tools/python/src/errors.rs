@@ -1,4 +1,4 @@
-//! Exceptions: those of `slicewalk.errors`, with the facts of the library's errors as attributes.
+//! Exceptions of `slicewalk.errors`, with the fields of the library's errors as attributes.
 
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
@@ -7,13 +7,13 @@ use slicewalk::frame::PageKey;
 use slicewalk::store::Missing;
 use slicewalk::{Error, Parameter};
 
-/// Why something could not be done.
+/// Reason of a failure.
 pub enum Failure {
-    /// The library's reason.
+    /// Error of the library.
     Error(Error),
     /// Pages that are not in memory.
     NotLoaded(Vec<PageKey>),
-    /// An exception of Python.
+    /// Python exception.
     Raised(PyErr),
 }
 
@@ -36,13 +36,13 @@ impl From<Missing> for Failure {
 }
 
 impl Failure {
-    /// The exception. `path` is the file or address that was worked on, where the error does not say it itself.
+    /// Makes the exception. `path` is the file or address of the operation, used where the error names none.
     pub fn raise(self, py: Python<'_>, path: Option<&str>) -> PyErr {
         exception(py, self, path, None).unwrap_or_else(|error| error)
     }
 }
 
-/// What to do, in the names that Python has for it.
+/// Returns the advice for a parameter, with Python's names of options.
 pub fn way_out(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger pixel, or the units",
@@ -57,7 +57,7 @@ pub fn way_out(parameter: &Parameter) -> Option<&'static str> {
     })
 }
 
-/// The exception for a row of the array `what`.
+/// Makes the exception for row `row` of the array `what`.
 pub fn of_row(py: Python<'_>, what: &str, row: usize, error: Error) -> PyErr {
     exception(py, error.into(), None, Some((what, row))).unwrap_or_else(|error| error)
 }
@@ -86,7 +86,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
         facts.set_item("errno", source.raw_os_error())?;
         facts.set_item("strerror", source.to_string())
     };
-    // Of a conversion that another one can go on from, the reason says more.
+    // For a conversion that can be resumed, the underlying error says more.
     let about = match &error {
         Error::Resumable { source, .. } => &**source,
         error => error,
@@ -149,7 +149,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
     made(py, class, &text, &facts)
 }
 
-/// A message of the library with the options of the command line by their names in Python.
+/// Replaces command-line options in a message of the library with their names in Python.
 pub fn in_python(text: &str) -> String {
     let mut words: Vec<String> = Vec::new();
     for word in text.split(' ') {

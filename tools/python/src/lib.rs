@@ -1,8 +1,8 @@
-//! The compiled half of the Python package `slicewalk`; `python/slicewalk` is the other.
+//! Compiled half of the Python package `slicewalk`; the other half is in `python/slicewalk`.
 //!
-//! One file a subject: [`pages`] (queries), [`archive`], [`page`] (columns, pages, regions), [`stream`], [`walk`],
-//! [`reach`], [`convert`], [`writer`]. [`arrays`] is the one home of the caller's arrays, [`attend`] of signals and
-//! progress, [`errors`] of exceptions.
+//! One file per subject: [`pages`] (queries), [`archive`], [`page`] (columns, pages, regions), [`stream`], [`walk`],
+//! [`reach`], [`convert`], [`writer`]. Only [`arrays`] touches the caller's arrays; [`attend`] handles signals and
+//! progress, [`errors`] exceptions.
 
 mod archive;
 mod arrays;

@@ -1,4 +1,4 @@
-//! Options as Python gives them, in the library's own types.
+//! Converts options from Python to the library's types.
 
 use crate::arrays::short;
 use crate::errors::Failure;
@@ -15,19 +15,19 @@ use slicewalk::{Error, Parameter};
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// What a switch takes.
+/// Expected value of a switch.
 const YES_OR_NO: &str = "True or False";
 
 pub fn refuse(name: &str, reason: impl Into<String>) -> PyErr {
     Failure::from(Error::Parameter { what: Parameter::Other(name.to_owned()), reason: reason.into() }).into()
 }
 
-/// An option's value in the type that it takes, which `expected` says in words.
+/// Converts an option's value to the type it needs; `expected` describes that type.
 fn take<'py, T: FromPyObjectOwned<'py>>(name: &str, expected: &str, given: &Bound<'py, PyAny>) -> PyResult<T> {
     given.extract::<T>().map_err(|error| wrong(name, expected, given, &Into::<PyErr>::into(error)))
 }
 
-/// The error of Python for such a value, with the option's name.
+/// Makes Python's error for such a value, with the option's name.
 fn wrong(name: &str, expected: &str, given: &Bound<'_, PyAny>, error: &PyErr) -> PyErr {
     let py = given.py();
     let reason = format!("expected {expected}, found {}", short(given));
@@ -40,7 +40,7 @@ fn wrong(name: &str, expected: &str, given: &Bound<'_, PyAny>, error: &PyErr) ->
     }
 }
 
-/// A number in the library's type, or what a text on the command line would mean.
+/// Reads a number in the library's type, or a text as on the command line.
 fn number_or<T: FromStr<Err = String>>(
     name: &str,
     expected: &str,
@@ -61,7 +61,7 @@ fn one_of<T: Copy>(name: &str, given: &Bound<'_, PyAny>, all: &[(&str, T)]) -> P
     found.ok_or_else(|| refuse(name, format!("expected one of {words}, found {word:?}")))
 }
 
-/// A text that is read as the command line does.
+/// Reads a text like the command line does.
 fn text_as<T: FromStr<Err = String>>(name: &str, expected: &str, given: &Bound<'_, PyAny>) -> PyResult<T> {
     take::<String>(name, expected, given)?.parse().map_err(|reason: String| refuse(name, reason))
 }
@@ -74,7 +74,7 @@ pub fn size(name: &str, given: &Bound<'_, PyAny>) -> PyResult<u64> {
     }
 }
 
-/// One path, or any number of them.
+/// One or several paths.
 pub fn paths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
     if let Ok(path) = given.extract::<PathBuf>() {
         return Ok(vec![path]);
@@ -92,7 +92,7 @@ pub fn paths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// LAS classes: numbers, or what the command line takes, such as `7,18,64-255`.
+/// LAS classes: numbers, or a text as on the command line, such as `7,18,64-255`.
 fn classes(given: &Bound<'_, PyAny>) -> PyResult<ClassSet> {
     let (name, expected) = ("exclude_class", "classes from 0 to 255, such as [7, 18] or \"7,18,64-255\"");
     if let Ok(text) = given.cast::<PyString>() {
@@ -112,7 +112,7 @@ fn classes(given: &Bound<'_, PyAny>) -> PyResult<ClassSet> {
     }
 }
 
-/// What the command line calls a part: `"2/8"`, or the pair.
+/// Part of a conversion, as on the command line: `"2/8"`, or the pair.
 pub fn part_of(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(u32, u32)> {
     let expected = "a part and their number, such as \"2/8\" or (2, 8)";
     let Ok(text) = given.cast::<PyString>() else { return take(name, expected, given) };
@@ -121,7 +121,7 @@ pub fn part_of(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(u32, u32)> {
     part.ok_or_else(|| refuse(name, format!("expected {expected}, found {text:?}")))
 }
 
-/// What `convert` was asked for.
+/// Arguments of `convert`.
 pub struct Asked {
     pub options: ConvertOptions,
     pub crs: String,
@@ -225,7 +225,7 @@ impl Asked {
                 return Err(refuse(name, "is for remove_moving=True; give both, or none"));
             }
         }
-        // With the interpreter free: a plan may lie in a store.
+        // With the interpreter released: a plan may lie in an object store.
         let read = |path: PathBuf| match given {
             Some(given) => given.py().detach(|| PlanFile::read(&path)),
             None => PlanFile::read(&path),
@@ -241,7 +241,8 @@ impl Asked {
         Ok(Self { options, crs, quiet })
     }
 
-    /// Refuses a reference system that is no EPSG code: scans have theirs, and the code is for those that state none.
+    /// Refuses a reference system that is not an EPSG code: scans state their own, and the code is for those that do
+    /// not.
     pub fn check_code(&self) -> PyResult<()> {
         if self.crs.is_empty() || self.options.epsg.is_some() {
             return Ok(());
@@ -249,7 +250,7 @@ impl Asked {
         Err(refuse("crs", format!("expected a code such as \"EPSG:25832\", found {:?}", self.crs)))
     }
 
-    /// Refuses options that have no meaning here.
+    /// Refuses options that do not apply here.
     pub fn refuse(given: Option<&Bound<'_, PyDict>>, has_meaning: impl Fn(&str) -> bool) -> PyResult<()> {
         for name in given.into_iter().flat_map(|given| given.keys()) {
             let name: String = name.extract()?;
@@ -261,7 +262,7 @@ impl Asked {
     }
 }
 
-/// Refuses options that were named and say otherwise than the plan.
+/// Refuses options that the caller gave and that contradict the plan.
 fn refuse_contradictions(
     named: &[String],
     wanted: &ConvertOptions,

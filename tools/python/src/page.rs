@@ -1,7 +1,7 @@
-//! Matter as arrays: the column over one place, a page, a region.
+//! Occupied space as arrays: the column at one place, a page, a region.
 //!
-//! Pages keep their spans packed in bits. A column or a page is unpacked once, into memory of its own; the arrays that it
-//! hands out are views of that memory, and nobody can write to them.
+//! Pages store their spans packed in bits. A column or page is unpacked once into its own memory; its arrays are
+//! read-only views of that memory.
 
 use crate::arrays::{lend, numbers};
 use crate::errors::Failure;
@@ -13,17 +13,17 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::store::{PageSet, PageSlot};
 use std::time::{Duration, Instant};
 
-/// Voxels of the largest region.
+/// Most voxels of a region.
 const MOST_VOXELS: i64 = 1 << 31;
 
-/// Time between two looks for Ctrl-C.
+/// Interval between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(20);
 
 fn absent(key: PageKey) -> Failure {
     Failure::NotLoaded(vec![key])
 }
 
-/// The spans of matter over one place, lowest first; see :meth:`Pages.column`.
+/// Spans of solid at one place, lowest first; see :meth:`Pages.column`.
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Column {
     bottoms: Array1<f64>,
@@ -48,7 +48,7 @@ impl Column {
                 for span in page.column(pixel(i), pixel(j)) {
                     let (bottom, top) = (base + i64::from(span.bottom()), base + i64::from(span.top()));
                     match spans.last_mut() {
-                        // Matter that goes on from page to page is one span.
+                        // Solid that continues into the next page is one span.
                         Some(last) if last.1 == bottom && bottom == base && last.2 == span.is_obstacle() => {
                             last.1 = top
                         }
@@ -65,10 +65,10 @@ impl Column {
     }
 }
 
-/// An array of `owner`, which never changes once it is made.
+/// Array on a field of `owner`, which never changes after it is made.
 macro_rules! view {
     ($owner:expr, $field:ident) => {
-        // SAFETY: the object is frozen and its arrays are private: they are neither moved nor changed while it lives.
+        // SAFETY: the object is frozen and its arrays are private, so they neither move nor change while it lives.
         unsafe { lend(&$owner.get().$field, $owner.clone().into_any()) }
     };
 }
@@ -104,9 +104,10 @@ impl Column {
 
 /// One tile column of 64 × 64 pixels and 64 slices; see :meth:`Pages.page`.
 ///
-/// The spans of pixel ``(x, y)`` are those from ``starts[64 * y + x]`` to ``starts[64 * y + x + 1]``, lowest first. Heights
-/// count in quanta (``height_quantum``) above the page's floor: ``origin[2] + tops * height_quantum`` (m). All arrays are
-/// read-only views of the page's own memory: reading them copies nothing, and they stay valid without the archive.
+/// The spans of pixel ``(x, y)`` are those from ``starts[64 * y + x]`` to ``starts[64 * y + x + 1]``, lowest first.
+/// Heights are in quanta (``height_quantum``) above the page's floor: ``origin[2] + tops * height_quantum`` (m). All
+/// arrays are read-only views of the page's own memory: reading them copies nothing, and they stay valid after the
+/// archive is gone.
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Page {
     key: PageKey,
@@ -147,13 +148,13 @@ impl Page {
 
 #[pymethods]
 impl Page {
-    /// ``tx, ty, layer``.
+    /// Key of the page: ``tx, ty, layer``.
     #[getter]
     fn key(&self) -> (i32, i32, i32) {
         (self.key.tx, self.key.ty, self.key.layer)
     }
 
-    /// Least corner (m).
+    /// Lowest corner of the page (m).
     #[getter]
     fn origin(&self) -> (f64, f64, f64) {
         let edge = |tile: i32| self.frame.edge_of_pixel(i64::from(tile) * TILE_PIXELS);
@@ -161,13 +162,13 @@ impl Page {
         (edge(self.key.tx), edge(self.key.ty), floor)
     }
 
-    /// Slices with matter as bits, bit 0 the lowest: uint64 of shape (64, 64), rows along y, read-only.
+    /// Occupied slices as bits, bit 0 the lowest: uint64 of shape (64, 64), rows along y, read-only.
     #[getter]
     fn occupancy<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<u64>>> {
         view!(this, occupancy)
     }
 
-    /// Where the spans of each pixel begin: uint32 of shape (4097,), read-only.
+    /// Index of the first span of each pixel: uint32 of shape (4097,), read-only.
     #[getter]
     fn starts<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u32>>> {
         view!(this, starts)
@@ -196,7 +197,7 @@ impl Page {
     }
 }
 
-/// The voxels that the box `bounds` meets, as `slicewalk.Region`.
+/// Returns the voxels that the box `bounds` meets, as `slicewalk.Region`.
 pub fn region<'py, S: PageSet + Sync>(
     py: Python<'py>,
     set: &S,
@@ -220,10 +221,10 @@ pub fn region<'py, S: PageSet + Sync>(
     }
     let shape = count.map(|count| count as usize);
     let zeros = py.import("numpy")?.getattr("zeros")?;
-    // Made by numpy: it raises MemoryError, and memory that stays empty is never touched.
+    // Allocated by numpy: it raises MemoryError, and zeroed memory that is never written costs nothing.
     let zeros = || PyResult::Ok(zeros.call1((shape, "u1"))?.cast_into::<PyArray3<u8>>()?);
     let [kind, bottom, top] = [zeros()?, zeros()?, zeros()?];
-    // SAFETY: the arrays are new, and nobody else knows of them.
+    // SAFETY: the arrays are new, and nothing else refers to them.
     let mut arrays = unsafe { [kind.as_array_mut(), bottom.as_array_mut(), top.as_array_mut()] };
     py.detach(|| fill(set, first, last, &mut arrays)).map_err(|failure| failure.raise(py, name))?;
     py.import("slicewalk._results")?.getattr("Region")?.call1((
@@ -236,7 +237,7 @@ pub fn region<'py, S: PageSet + Sync>(
     ))
 }
 
-/// Fills the arrays, without the interpreter but for looks for Ctrl-C.
+/// Fills the arrays with the interpreter released, except to check for Ctrl-C.
 fn fill<S: PageSet>(
     set: &S,
     first: [i64; 3],

@@ -1,4 +1,4 @@
-//! `Pages`: what can be asked of a set of pages, be it all pages of an archive or those of a view.
+//! `Pages`: queries on a set of pages, either all pages of an archive or those of a view.
 
 use crate::archive::Opened;
 use crate::arrays::{self, batch, refused};
@@ -17,16 +17,16 @@ use slicewalk::store::{PageSet, PageSlot, View};
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
-/// Where pages come from.
+/// Source of the pages.
 #[derive(Clone)]
 pub enum Set {
-    /// All pages of an archive, loaded when they are first asked for.
+    /// All pages of an archive; the first query loads them.
     All(Arc<Opened>),
-    /// Those in memory at one moment.
+    /// The pages in memory at one moment.
     View(View),
 }
 
-/// Asks whichever set the pages are.
+/// Runs a query on either kind of page set.
 macro_rules! ask {
     ($set:expr, $py:expr, $pages:ident => $answer:expr) => {
         match &$set {
@@ -43,13 +43,13 @@ macro_rules! ask {
 }
 pub(crate) use ask;
 
-/// A set of pages that answers questions: an :class:`Archive` or the :class:`View` of a :class:`Stream`.
+/// A set of pages that answers queries: an :class:`Archive` or the :class:`View` of a :class:`Stream`.
 ///
-/// All coordinates are metres in the archive's reference system. Every method that takes an array of N rows answers with
-/// an array of N values, lets other Python threads run meanwhile, and uses all cores (``threads=`` sets another number).
-/// An array of ``float64`` of any strides is read as it is; whatever numpy turns into ``float64`` without loss
-/// (``float32``, integers, lists) is converted first. Boxes may also be N × 2 × 3, each two corners. The rows must not change while a
-/// method runs. Where there is no memory for the answers, MemoryError is raised.
+/// All coordinates are metres in the archive's reference system. Every method that takes an array of N rows returns an
+/// array of N values, lets other Python threads run meanwhile, and uses all cores unless ``threads=`` sets another
+/// number. An array of ``float64`` with any strides is read as it is; anything else that numpy converts to ``float64``
+/// without loss (``float32``, integers, lists) is converted first. Boxes may also be N × 2 × 3, two corners each. The
+/// rows must not change while a method runs. Without memory for the results, a method raises MemoryError.
 #[pyclass(frozen, subclass, module = "slicewalk")]
 pub struct Pages {
     pub set: Set,
@@ -67,12 +67,12 @@ fn aabb(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Result<Aabb> {
     Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())
 }
 
-/// NaN stands for "not loaded".
+/// Maps "not loaded" to NaN.
 fn known<T>(answer: Answer<T>, value: impl FnOnce(T) -> f64) -> f64 {
     answer.known().map_or(f64::NAN, value)
 }
 
-/// Heights between which the pages can hold matter (m).
+/// Range of heights in which the pages can hold solid (m).
 fn heights<S: PageSet>(set: &S) -> (f64, f64) {
     let height = |layer: i64| set.frame().top_height(layer * PAGE_QUANTA);
     set.bounds().map_or((0.0, 0.0), |bounds| (height(bounds.min[2].into()), height(i64::from(bounds.max[2]) + 1)))
@@ -119,27 +119,27 @@ impl Pages {
         self.frame().slice_m()
     }
 
-    /// Unit in which heights are stored: a slice height / 255 (m).
+    /// Unit of stored heights: slice height / 255 (m).
     #[getter]
     fn height_quantum(&self) -> f64 {
         self.frame().quantum_m()
     }
 
-    /// Whether closed boxes touch matter.
+    /// Tests whether closed boxes touch solid.
     ///
     /// Args:
     ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m); a minimum of -inf and a maximum of inf are allowed
-    ///     threads: how many to use; all cores by default
+    ///     threads: number of threads; all cores by default
     ///
     /// Returns:
     ///     uint8 of shape (N,): ``CLEAR`` (0), ``HIT`` (1) or ``NOT_LOADED`` (2, in a view of a stream only)
     ///
-    /// A box that contains a point of the scan is always a hit. A box that contains none even if it is grown by a pixel in x
-    /// and y and by a slice in z is clear.
+    /// A box that contains a scanned point is always a hit. A box is clear if it contains no point even after growing
+    /// by a pixel in x and y and by a slice in z.
     ///
     /// Raises:
-    ///     ValueError: the shape is another, or a row is no box (its ``row`` says which)
-    ///     TypeError: the array holds no numbers
+    ///     ValueError: the shape is wrong, or a row is not a valid box (``row`` of the error has its index)
+    ///     TypeError: the array does not hold numbers
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> archive.overlaps([[3, 2, 0.5, 3.5, 2.5, 1.8], [-0.1, 2, 0.5, 0.2, 2.5, 1.8]])
@@ -155,11 +155,11 @@ impl Pages {
         })
     }
 
-    /// As :meth:`overlaps`, for upright cylinders.
+    /// Tests whether upright cylinders touch solid; see :meth:`overlaps`.
     ///
     /// Args:
-    ///     cylinders: N × 5, each ``x, y, z, radius, height`` (m) with the middle of the bottom face
-    ///     threads: how many to use; all cores by default
+    ///     cylinders: N × 5, each ``x, y, z, radius, height`` (m), where x, y, z is the middle of the bottom face
+    ///     threads: number of threads; all cores by default
     ///
     /// >>> slicewalk.open("room.slices").overlaps_cylinders([[4, 3, 0.1, 0.25, 1.8], [4, 0.2, 0.1, 0.25, 1.8]])
     /// array([0, 1], dtype=uint8)
@@ -176,11 +176,11 @@ impl Pages {
         })
     }
 
-    /// As :meth:`overlaps`, for balls.
+    /// Tests whether spheres touch solid; see :meth:`overlaps`.
     ///
     /// Args:
-    ///     spheres: N × 4, each ``x, y, z, radius`` (m) with the centre
-    ///     threads: how many to use; all cores by default
+    ///     spheres: N × 4, each ``x, y, z, radius`` (m), where x, y, z is the centre
+    ///     threads: number of threads; all cores by default
     ///
     /// >>> slicewalk.open("room.slices").overlaps_spheres([[4, 3, 1.2, 0.5], [4, 3, 0.2, 0.5]])
     /// array([0, 1], dtype=uint8)
@@ -197,16 +197,16 @@ impl Pages {
         })
     }
 
-    /// The highest floor in boxes: the greatest top of a span that can be stood on, in the pixels under the box and between
-    /// its lower and its upper end.
+    /// Finds the highest floor in each box: the greatest top of a floor span that lies within the pixels under the box
+    /// and between its lower and upper ends.
     ///
     /// Args:
     ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m); zmin may be -inf
-    ///     threads: how many to use; all cores by default
+    ///     threads: number of threads; all cores by default
     ///
     /// Returns:
-    ///     float64 of shape (N,): heights (m), at most a quantum above the scanned floor; -inf where there is no floor, nan
-    ///     where a page is not loaded
+    ///     float64 of shape (N,): heights (m), at most a quantum above the scanned floor; -inf without a floor, nan if
+    ///     a page is not loaded
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> archive.floor([[3, 2, -1, 3.5, 2.5, 2], [30, 2, -1, 31, 3, 2]]).round(2)
@@ -223,16 +223,16 @@ impl Pages {
         })
     }
 
-    /// The lowest ceiling in boxes: the least underside of matter, in the pixels under the box and between its lower and its
-    /// upper end.
+    /// Finds the lowest ceiling in each box: the least underside of a span that lies within the pixels under the box
+    /// and between its lower and upper ends.
     ///
     /// Args:
     ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m); zmax may be inf
-    ///     threads: how many to use; all cores by default
+    ///     threads: number of threads; all cores by default
     ///
     /// Returns:
-    ///     float64 of shape (N,): heights (m), at most a quantum below the scanned ceiling; inf where there is none, nan where
-    ///     a page is not loaded
+    ///     float64 of shape (N,): heights (m), at most a quantum below the scanned ceiling; inf without a ceiling, nan
+    ///     if a page is not loaded
     ///
     /// >>> slicewalk.open("room.slices").ceiling([[3, 2, 1, 3.5, 2.5, 9], [3, 2, 3, 3.5, 2.5, 9]]).round(2)
     /// array([2.5, inf])
@@ -248,15 +248,15 @@ impl Pages {
         })
     }
 
-    /// How far boxes can move before their inside meets matter. Exact at any speed: nothing is sampled.
+    /// Computes how far each box can move before its inside meets solid. Exact at any speed: the motion is not sampled.
     ///
     /// Args:
     ///     boxes: N × 9, each ``xmin, ymin, zmin, xmax, ymax, zmax, dx, dy, dz`` (m): a box and its motion
-    ///     threads: how many to use; all cores by default
+    ///     threads: number of threads; all cores by default
     ///
     /// Returns:
-    ///     float64 of shape (N,): the free share of the motion, 0 to 1; 1 where nothing is in the way, 0 for a box that begins
-    ///     inside matter, nan where a page is not loaded
+    ///     float64 of shape (N,): free fraction of the motion, 0 to 1; 1 if nothing is in the way, 0 for a box that
+    ///     starts inside solid, nan if a page is not loaded
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> archive.sweep([[3, 2, 0.5, 3.5, 2.5, 1.8, 0, 1, 0], [3, 2, 0.5, 3.5, 2.5, 1.8, 9, 0, 0]]).round(2)
@@ -279,16 +279,16 @@ impl Pages {
         })
     }
 
-    /// Distances along rays to the first matter.
+    /// Computes the distance along each ray to the first solid.
     ///
     /// Args:
-    ///     rays: N × 7, each ``x, y, z, dx, dy, dz, max`` (m): origin, direction of any length but 0, and the greatest distance
-    ///         (may be inf)
-    ///     threads: how many to use; all cores by default
+    ///     rays: N × 7, each ``x, y, z, dx, dy, dz, max`` (m): origin, direction of any length except 0, and greatest
+    ///         distance (may be inf)
+    ///     threads: number of threads; all cores by default
     ///
     /// Returns:
-    ///     float64 of shape (N,): distances (m), 0 for a ray that begins in matter; inf where nothing is hit, nan where a page
-    ///     is not loaded
+    ///     float64 of shape (N,): distances (m), 0 for a ray that starts in solid; inf without a hit, nan if a page is
+    ///     not loaded
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> archive.cast([[4, 3, 1.2, 0, 0, -1, 10], [4, 3, 1.2, 1, 0, 0, 2]]).round(2)
@@ -307,7 +307,7 @@ impl Pages {
         })
     }
 
-    /// The spans of matter over one place, lowest first.
+    /// Returns the spans of solid at one place, lowest first.
     ///
     /// Raises:
     ///     NotLoadedError: a page of a view is not in memory
@@ -319,7 +319,7 @@ impl Pages {
         ask!(self.set, py, pages => Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name())))
     }
 
-    /// Keys of all pages, in memory or not: int32 of shape (M, 3), each ``tx, ty, layer``.
+    /// Returns the keys of all pages, in memory or not: int32 of shape (M, 3), each ``tx, ty, layer``.
     ///
     /// A page holds 64 × 64 pixels and 64 slices; page ``(0, 0, 0)`` begins at the origin.
     ///
@@ -338,10 +338,10 @@ impl Pages {
         keys.into_pyarray(py).reshape([count, 3])
     }
 
-    /// A page by its key, a tuple or a row of :meth:`keys`; None where the archive has no matter.
+    /// Returns the page of a key, which is a tuple or a row of :meth:`keys`; None if the archive has no such page.
     ///
     /// Raises:
-    ///     NotLoadedError: the page of a view is not in memory
+    ///     NotLoadedError: the page is not in memory (views only)
     ///
     /// >>> page = slicewalk.open("room.slices").page((0, 0, 0))
     /// >>> page.occupancy.shape, page.bottoms.dtype, page.bottoms.flags.writeable
@@ -351,11 +351,11 @@ impl Pages {
         ask!(self.set, py, pages => Page::of(pages, key).map_err(|failure| failure.raise(py, self.name())))
     }
 
-    /// All voxels of a region as arrays.
+    /// Returns all voxels of a region as arrays.
     ///
     /// Args:
-    ///     bounds: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m), or the two corners as in :attr:`Archive.bounds`: the region is made of
-    ///         the voxels that this box meets
+    ///     bounds: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m), or two corners like :attr:`Archive.bounds`; the region
+    ///         consists of the voxels that this box meets
     ///
     /// Returns:
     ///     :class:`Region`; ``region.kind`` is uint8 of shape (slices, rows along y, columns along x): 0 empty, 1 floor, 2
@@ -363,7 +363,7 @@ impl Pages {
     ///
     /// Raises:
     ///     LimitError: the region has more than 2³¹ voxels
-    ///     MemoryError: the system has no memory for them
+    ///     MemoryError: the system lacks memory for them
     ///     NotLoadedError: a page of a view is not in memory
     ///
     /// >>> region = slicewalk.open("room.slices").region((0, 0, 0, 8, 6, 2.5))
@@ -376,13 +376,14 @@ impl Pages {
         ask!(self.set, py, pages => region(py, pages, self.name(), bounds))
     }
 
-    /// All that a pawn can reach on foot.
+    /// Finds everything that a pawn can reach on foot.
     ///
     /// Args:
-    ///     start: ``x, y, z`` of the feet (m): the place below, with nothing between
+    ///     start: ``x, y, z`` of the feet (m); the pawn starts on the first floor below
     ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
-    ///     climb: highest step it climbs (m)
-    ///     max_drop: deepest drop it takes (m); the climb height by default, so that every way can be walked back
+    ///     climb: highest step that the pawn climbs (m)
+    ///     max_drop: deepest drop that the pawn takes (m); by default the climb height, so that every route also works
+    ///         in reverse
     ///     progress: called with stage, amount done, total (0 if unknown) and unit
     ///
     /// Returns:
@@ -407,18 +408,19 @@ impl Pages {
         reach::reach(self, start, &reach::pawn(pawn, climb, max_drop)?, progress)
     }
 
-    /// The shortest way of a pawn from one place to another, within 5 %.
+    /// Finds a route of a pawn between two places, at most 5 % longer than the shortest.
     ///
     /// Args:
-    ///     start: ``x, y, z`` of the feet (m): the place below, with nothing between
-    ///     goal: likewise
+    ///     start: ``x, y, z`` of the feet (m); the pawn starts on the first floor below
+    ///     goal: like `start`
     ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
-    ///     climb: highest step it climbs (m)
-    ///     max_drop: deepest drop it takes (m); the climb height by default
+    ///     climb: highest step that the pawn climbs (m)
+    ///     max_drop: deepest drop that the pawn takes (m); the climb height by default
     ///     progress: called with stage, amount done, total (0 if unknown) and unit
     ///
     /// Returns:
-    ///     :class:`Route`: whether there is one, why not, its length, and its points, which ``Walker.path`` takes as waypoints
+    ///     :class:`Route`: whether there is a route, why not, its length, and its points, which ``Walker.path`` takes
+    ///     as waypoints
     ///
     /// >>> route = slicewalk.open("room.slices").route((1, 1, 0.1), (7, 5, 0.1))
     /// >>> route.found, round(route.length, 1)
@@ -450,7 +452,7 @@ impl Pages {
     }
 }
 
-/// An answer, or the pages that it takes.
+/// Unwraps an answer, or fails with the pages that it needs.
 pub fn needs<T>(answer: Answer<T>) -> std::result::Result<T, Failure> {
     match answer {
         Answer::Known(value) => Ok(value),

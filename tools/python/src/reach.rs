@@ -1,4 +1,4 @@
-//! Where a pawn can walk, and the way: `Pages.reach` and `Pages.route`.
+//! `Pages.reach` and `Pages.route`: where a pawn can walk, and how to get there.
 
 use crate::arrays::numbers;
 use crate::attend::{Audience, attended};
@@ -14,7 +14,7 @@ use slicewalk::store::PageSet;
 use slicewalk::walk::Body;
 use slicewalk::{Error, Monitor};
 
-/// The pawn of the thesis, unless another is given as a text of the command line, or as the sizes in it.
+/// Reads a pawn, given as on the command line or as its sizes; by default the pawn of the thesis.
 pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
     let Some(given) = given else { return Ok(Body::Box { x: 0.5, y: 0.5, height: 1.8 }) };
     if let Ok(text) = given.cast::<PyString>() {
@@ -24,12 +24,12 @@ pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
     Err(refuse("pawn", reason))
 }
 
-/// Who walks.
+/// Makes the pawn for a search.
 pub fn pawn(given: Option<&Bound<'_, PyAny>>, climb: f64, max_drop: Option<f64>) -> PyResult<Pawn> {
     Ok(Pawn { climb, max_drop: max_drop.unwrap_or(climb), ..Pawn::new(body(given)?) })
 }
 
-/// All that was found out about a region.
+/// Results of a search from one start.
 struct Found {
     region: Region,
     storeys: Vec<(f64, f64)>,
@@ -60,7 +60,7 @@ fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monito
     })
 }
 
-/// What can be reached, as `slicewalk.Reach`.
+/// Returns what a pawn can reach, as `slicewalk.Reach`.
 pub fn reach<'py>(
     pages: &Pages,
     start: &Bound<'py, PyAny>,
@@ -93,7 +93,7 @@ pub fn reach<'py>(
     )
 }
 
-/// The way, as `slicewalk.Route`.
+/// Returns the route, as `slicewalk.Route`.
 pub fn route<'py>(
     pages: &Pages,
     ends: [&Bound<'py, PyAny>; 2],
@@ -127,7 +127,7 @@ fn find<S: PageSet>(
     let Some(to) = needs(standing.spot(set, ends[1])?)? else { return Ok(Err(Refusal::NotStandingTo)) };
     let (mut flood, mut search) = (Flood::from(from), Search::new());
     let places = ends.map(|end| end.xy());
-    // What a way of this length can touch; a shorter way lies in it whole.
+    // Bounds of everything that a route of this length can touch; a shorter route lies entirely within.
     let mut length = 1.5 * (places[1] - places[0]).norm() + 10.0;
     monitor.stage("route", 0, "places");
     loop {

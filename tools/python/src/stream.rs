@@ -1,4 +1,4 @@
-//! `Stream`: the pages around moving bodies under a byte budget, and `View`, what queries see of them.
+//! `Stream`: the pages around moving bodies under a byte budget, and `View`, a snapshot of them for queries.
 
 use crate::archive::{Archive, Opened};
 use crate::arrays::{BLOCK, Rows, numbers};
@@ -15,18 +15,18 @@ use slicewalk::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
-/// The pages of an archive around moving bodies, under a byte budget that holds at every moment.
+/// The pages of an archive around moving bodies, under a byte budget that is never exceeded.
 ///
-/// A thread loads pages before they are needed. Questions go to a :meth:`view`, which never waits: where a page is missing,
-/// the answer is ``NOT_LOADED`` or nan, never "free". Drop views soon: what they hold counts in the budget.
+/// A thread loads pages before they are needed. Query a :meth:`view`, which never waits: for a missing page it answers
+/// ``NOT_LOADED`` or nan, never "free". Drop views soon, because the pages that they hold count against the budget.
 ///
 /// Args:
 ///     archive: an :class:`Archive`
-///     budget: memory for pages and all that it takes to load them: bytes, or a text such as ``"64MiB"``
-///     prefetch: whether a thread loads ahead; without it pages come by :meth:`load` alone
+///     budget: memory for pages and everything needed to load them: bytes, or a text such as ``"64MiB"``
+///     prefetch: whether a thread loads ahead; without it, only :meth:`load` loads pages
 ///
 /// Raises:
-///     LimitError, ParameterError: the budget is too small; the message says which is enough
+///     LimitError, ParameterError: the budget is too small; the message states a sufficient one
 ///
 /// >>> archive = slicewalk.open("room.slices")
 /// >>> with slicewalk.Stream(archive, "16MiB") as stream:
@@ -38,18 +38,18 @@ use std::time::Duration;
 pub struct Stream {
     stream: Mutex<Option<Arc<Inner>>>,
     opened: Arc<Opened>,
-    /// Hints keep the stream's pages in memory, so they end with it.
+    /// Hints keep the stream's pages in memory, so they must end with the stream.
     hints: Mutex<Vec<WeakHints>>,
 }
 
-/// A place for the hints of one body; None once the stream is closed.
+/// Slot for the hints of one body; `None` once the stream is closed.
 #[derive(Clone)]
 pub struct Hints(Arc<Mutex<Option<PawnHandle>>>);
 
 type WeakHints = Weak<Mutex<Option<PawnHandle>>>;
 
 impl Hints {
-    /// Lets `say` give hints.
+    /// Lets `say` set hints.
     pub fn with(&self, say: impl FnOnce(&mut PawnHandle)) -> PyResult<()> {
         lock(&self.0).as_mut().map(say).ok_or_else(closed)
     }
@@ -63,19 +63,19 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A box at rest: what it touches.
+/// Hint of a box at rest: the pages that it touches.
 fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Outlook {
     let (min, max) = (Point3::new(x0, y0, z0), Point3::new(x1, y1, z1));
     Outlook { min, max, velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0 }
 }
 
 impl Stream {
-    /// The stream, unless it is closed.
+    /// Returns the stream unless it is closed.
     pub fn inner(&self) -> PyResult<Arc<Inner>> {
         lock(&self.stream).clone().ok_or_else(closed)
     }
 
-    /// A place for the hints of a body.
+    /// Registers a slot for the hints of a body.
     pub fn hints(&self) -> PyResult<Hints> {
         let stream = lock(&self.stream);
         let hints = Arc::new(Mutex::new(Some(stream.as_ref().ok_or_else(closed)?.pawn())));
@@ -85,7 +85,7 @@ impl Stream {
         Ok(Hints(hints))
     }
 
-    /// The archive's name, for errors.
+    /// Name of the archive, for errors.
     pub fn name(&self) -> Option<&str> {
         self.opened.name.as_deref()
     }
@@ -107,20 +107,20 @@ impl Stream {
         Ok(Self { stream: Mutex::new(Some(Arc::new(stream))), opened, hints: Mutex::default() })
     }
 
-    /// The pages in memory now, as :class:`View`. Takes one per frame; costs next to nothing.
+    /// Returns the pages now in memory as a :class:`View`. Take one per frame; it costs next to nothing.
     fn view(&self, py: Python<'_>) -> PyResult<Py<View>> {
         let view = self.inner()?.view();
         Py::new(py, PyClassInitializer::from(Pages { set: Set::View(view) }).add_subclass(View {}))
     }
 
-    /// Loads the pages that boxes touch, and returns when they are in memory.
+    /// Loads the pages that the boxes touch, and returns once they are in memory.
     ///
     /// Args:
     ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m, finite)
     ///
     /// Returns:
-    ///     dict of ``loaded``, ``already``, ``evicted``, ``left_out`` (pages that found no room) and ``needed_bytes`` (a budget
-    ///     in which the pages of every single box have room)
+    ///     dict of ``loaded``, ``already``, ``evicted``, ``left_out`` (pages that did not fit) and ``needed_bytes`` (a
+    ///     budget that fits the pages of any single box)
     fn load<'py>(&self, boxes: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let py = boxes.py();
         let rows = Rows::<6>::of(boxes, "boxes")?;
@@ -157,18 +157,18 @@ impl Stream {
         Ok(facts)
     }
 
-    /// A place for the hints of one body of your own; a :class:`Walker` has one by itself.
+    /// Registers a body of your own, which can give hints; a :class:`Walker` does so automatically.
     fn body(&self) -> PyResult<Body> {
         Ok(Body { hints: self.hints()? })
     }
 
-    /// Waits until all that the hints so far want is in memory, has failed, or finds no room.
+    /// Waits until every page that the hints so far ask for is in memory, has failed, or does not fit.
     ///
     /// Args:
     ///     seconds: the longest wait (s)
     ///
     /// Returns:
-    ///     whether it came so far
+    ///     whether that happened within the time
     fn settle(&self, py: Python<'_>, seconds: f64) -> PyResult<bool> {
         let stream = self.inner()?;
         let wrong = |_| refuse("seconds", format!("expected seconds, 0 or more, found {seconds}"));
@@ -188,8 +188,8 @@ impl Stream {
         })
     }
 
-    /// What the stream did so far, as a dict: ``loaded``, ``evicted``, ``failed``, ``reads``, ``read_bytes``, ``peak_bytes``,
-    /// ``budget_bytes``.
+    /// Returns counters since the start as a dict: ``loaded``, ``evicted``, ``failed``, ``reads``, ``read_bytes``,
+    /// ``peak_bytes``, ``budget_bytes``.
     fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let stream = self.inner()?;
         let counters = py.detach(|| stream.counters());
@@ -204,14 +204,14 @@ impl Stream {
         Ok(facts)
     }
 
-    /// Errors of loading ahead since the last call, the last 16 at most, not raised.
+    /// Returns the errors of prefetching since the last call, at most the last 16; they are not raised.
     fn errors(&self, py: Python<'_>) -> PyResult<Vec<PyErr>> {
         let stream = self.inner()?;
         let errors = py.detach(|| stream.take_errors());
         Ok(errors.into_iter().map(|failed| Failure::from(failed.error).raise(py, self.name())).collect())
     }
 
-    /// Ends the stream and its thread, and with them what bodies and walkers hold of it; views that are left stay valid.
+    /// Ends the stream, its thread, and the hints of bodies and walkers; existing views stay valid.
     fn close(&self, py: Python<'_>) {
         let stream = lock(&self.stream).take();
         let hints = std::mem::take(&mut *lock(&self.hints));
@@ -251,11 +251,11 @@ impl Stream {
     }
 }
 
-/// The pages of a :class:`Stream` that were in memory when the view was taken. Its answers are about that moment.
+/// The pages of a :class:`Stream` that were in memory when the view was taken. Its answers refer to that moment.
 #[pyclass(frozen, extends = Pages, module = "slicewalk")]
 pub struct View {}
 
-/// Where a body of your own says how it moves; see :meth:`Stream.body`. Its hints end with it.
+/// Announces how a body of your own moves; see :meth:`Stream.body`. Its hints end with it.
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Body {
     hints: Hints,
@@ -263,13 +263,13 @@ pub struct Body {
 
 #[pymethods]
 impl Body {
-    /// Says how the body moves now; once a frame. Never waits.
+    /// Announces how the body moves now. Call it once per frame; it never waits.
     ///
     /// Args:
-    ///     box: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m): all that questions of one frame may be about
+    ///     box: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m): everything that the queries of one frame may touch
     ///     velocity: ``vx, vy, vz`` (m/s)
     ///
-    /// The body may turn at any moment, walk at 1.5 m/s at least, and fall.
+    /// Prefetching assumes that the body may turn at any moment, walk at 1.5 m/s or more, and fall.
     ///
     /// >>> with slicewalk.Stream(slicewalk.open("room.slices"), "16MiB") as stream:
     /// ...     body = stream.body()

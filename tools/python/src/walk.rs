@@ -17,12 +17,12 @@ use slicewalk::{Error, Monitor};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-/// So long a pawn may be blocked before its path ends (s), as in `slicetool walk`.
+/// Longest time that a pawn may stay blocked before its path ends (s), as in `slicetool walk`.
 const BLOCKED_S: f64 = 2.0;
-/// Frames between two looks at the wish to stop.
+/// Frames between two checks for cancellation.
 const BETWEEN_LOOKS: u64 = 64;
 
-/// Where a walker walks.
+/// Pages that a walker walks on.
 enum Ground<'py> {
     Pages(Bound<'py, Pages>),
     Stream(Bound<'py, Stream>),
@@ -40,19 +40,20 @@ impl<'py> Ground<'py> {
     }
 }
 
-/// A pawn: gravity, floors, stairs, walls, ledges. Its way does not depend on the frame rate.
+/// A pawn with gravity that walks on floors and stairs and minds walls and ledges. Its path does not depend on the
+/// frame rate.
 ///
 /// Args:
-///     feet: ``x, y, z`` of the middle of its bottom face (m); in the air it falls
+///     feet: ``x, y, z`` of the middle of its bottom face (m); a pawn in the air falls
 ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
 ///     speed: walking speed (m/s)
-///     climb: highest step it climbs or walks down without falling (m)
+///     climb: highest step that it climbs, or walks down without falling (m)
 ///     gravity: m/s²
-///     max_drop: it stops before ledges deeper than this (m) and before the edge of the scan; by default it falls
+///     max_drop: it stops at ledges deeper than this (m) and at the edge of the scan; by default it falls
 ///     response: ``"slide"`` (exact sweeps), ``"thesis"`` or ``"thesis-mean"`` (fixed steps, halved)
 ///
 /// Raises:
-///     ParameterError: a number makes no sense
+///     ParameterError: a number is invalid
 ///
 /// >>> archive = slicewalk.open("room.slices")
 /// >>> walker = slicewalk.Walker((1, 1, 0.1))
@@ -63,7 +64,7 @@ impl<'py> Ground<'py> {
 #[pyclass(module = "slicewalk")]
 pub struct Walker {
     walker: Pawn3,
-    /// Its hints, and the stream that they are for.
+    /// Hints, and the stream that they are for.
     hints: Option<(Weak<Inner>, Hints)>,
 }
 
@@ -119,7 +120,7 @@ impl Walker {
         Ok(Self { walker, hints: None })
     }
 
-    /// Middle of its bottom face: ``x, y, z`` (m).
+    /// Middle of the bottom face: ``x, y, z`` (m).
     #[getter]
     fn feet(&self) -> (f64, f64, f64) {
         let feet = self.walker.feet();
@@ -132,28 +133,29 @@ impl Walker {
         self.walker.state().name()
     }
 
-    /// Speed of its fall (m/s).
+    /// Speed of fall (m/s).
     #[getter]
     fn falling(&self) -> f64 {
         self.walker.falling()
     }
 
-    /// Puts it elsewhere, at rest.
+    /// Moves the pawn to another place, at rest.
     fn place(&mut self, feet: &Bound<'_, PyAny>) -> PyResult<()> {
         self.walker.place(numbers::<3>(feet, "feet")?.into());
         Ok(())
     }
 
-    /// Lets time pass.
+    /// Advances the pawn by a time step.
     ///
     /// Args:
-    ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which is then told where the pawn is heading
+    ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which also receives hints where the pawn
+    ///         is heading
     ///     dt: time (s), 0 or more
-    ///     direction: ``dx, dy``: walks this way; a length below 1 means slower
-    ///     toward: ``x, y``: walks to this place (m). Without either it stands
+    ///     direction: ``dx, dy``: direction to walk in; a length below 1 means slower
+    ///     toward: ``x, y``: place to walk to (m). Without `direction` and `toward` the pawn stands
     ///
     /// Returns:
-    ///     :class:`StepReport`. Where pages are missing, the pawn waits in place and ``report.waits`` is true
+    ///     :class:`StepReport`. If pages are missing, the pawn waits in place and ``report.waits`` is true
     #[pyo3(signature = (pages, dt, *, direction=None, toward=None))]
     fn step<'py>(
         &mut self,
@@ -190,17 +192,17 @@ impl Walker {
         report(py, &done)
     }
 
-    /// Walks over waypoints, as ``slicetool walk`` does: until the last one is reached, the pawn has been blocked for 2 s, or
-    /// the time is over.
+    /// Walks along waypoints, like ``slicetool walk``, until the pawn reaches the last one, has been blocked for 2 s,
+    /// or runs out of time.
     ///
     /// Args:
-    ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`; pages that a stream lacks are loaded on the way
-    ///     waypoints: N × 2 or N × 3, each ``x, y`` (m) of a place to reach; z is not looked at
+    ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which loads missing pages during the walk
+    ///     waypoints: N × 2 or N × 3, each ``x, y`` (m) of a place to reach; z is ignored
     ///     hz: frames per second
-    ///     max_seconds: the longest time (s)
+    ///     max_seconds: longest time (s)
     ///
     /// Returns:
-    ///     :class:`Path`: time, feet and state of each frame
+    ///     :class:`Path`: time, feet and state for each frame
     ///
     /// Raises:
     ///     NotLoadedError: a page of a view is not in memory
@@ -267,7 +269,7 @@ impl Walker {
 }
 
 impl Walker {
-    /// Its hints for this stream.
+    /// Returns the hints for this stream.
     fn hints_for(&mut self, stream: &Stream, inner: &Arc<Inner>) -> PyResult<Hints> {
         let known = self.hints.take().filter(|(own, _)| own.as_ptr() == Arc::as_ptr(inner));
         let (own, hints) = match known {
@@ -336,7 +338,7 @@ fn follow<S: PageSet>(walker: &mut Pawn3, set: &S, dt: f64, route: &mut Waypoint
     walker.follow(set, dt, route).missing.map_or(Ok(()), |missing| Err(missing.into()))
 }
 
-/// One frame; pages that it lacks are loaded on the spot, and stay until they were used.
+/// Advances one frame. Missing pages are loaded at once, and stay until they have been used.
 fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
     let mut needed = Vec::new();
     loop {

@@ -14,21 +14,21 @@ use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Writes an archive of points from memory, in batches of any size and order and in bounded memory.
+/// Writes an archive of points in memory, in batches of any size and order and with bounded memory.
 ///
-/// As a context manager it publishes the archive at the end of the block, and writes nothing if the block raises. The same
-/// points give the same bytes as :func:`convert` gives for a file of them in metres.
+/// As a context manager it publishes the archive at the end of the block, or writes nothing if the block raises. The
+/// archive has the bytes that :func:`convert` would write for a file of the same points in metres.
 ///
 /// Args:
 ///     output: the archive to write
 ///     pixel: edge of a pixel (m)
-///     crs: coordinate reference system of the points (WKT, or any text)
+///     crs: coordinate reference system of the points (WKT, or any other text)
 ///     options: ``slice, max_slope, tolerance, classifier, memory, threads, temp_dir, min_points, drop_isolated, drop_floaters, fill_holes, up, levels, force``
 ///         as for :func:`convert`
 ///
 /// Raises:
 ///     OutputError: the archive exists already (``force=True`` replaces it)
-///     ParameterError: an option makes no sense
+///     ParameterError: an option is invalid
 ///
 /// >>> with slicewalk.Writer("floor.slices", pixel=0.1, force=True) as writer:
 /// ...     for y in range(4):
@@ -40,11 +40,11 @@ pub struct Writer {
     writer: Mutex<Option<PointWriter>>,
     report: Mutex<Option<Py<PyAny>>>,
     output: PathBuf,
-    /// Points of a writer that has ended.
+    /// Points of a writer that is finished or discarded.
     points: AtomicU64,
 }
 
-/// Options that do not need a file.
+/// Options that do not concern input files.
 const OPTIONS: [&str; 15] = [
     "slice",
     "max_slope",
@@ -64,7 +64,7 @@ const OPTIONS: [&str; 15] = [
 ];
 
 impl Writer {
-    /// Takes the writer, which ends; its points stay counted.
+    /// Takes the writer and ends it; the count of points is kept.
     fn take(&self) -> Option<PointWriter> {
         let writer = self.lock().take();
         if let Some(writer) = &writer {
@@ -103,10 +103,10 @@ impl Writer {
     /// Adds points.
     ///
     /// Args:
-    ///     points: N × 3 (m); rows with a coordinate that is not finite are left out and counted
+    ///     points: N × 3 (m); rows with a non-finite coordinate are counted and left out
     ///
     /// Raises:
-    ///     LimitError: a coordinate lies beyond what a grid of this pixel size reaches
+    ///     LimitError: a coordinate is beyond the range of a grid with this pixel size
     fn write(&self, points: &Bound<'_, PyAny>) -> PyResult<()> {
         let py = points.py();
         let rows = Rows::<3>::of(points, "points")?;
@@ -124,16 +124,16 @@ impl Writer {
         Ok(())
     }
 
-    /// Points added so far, those left out included.
+    /// Number of points added so far, including those left out.
     #[getter]
     fn points(&self, py: Python<'_>) -> u64 {
         py.detach(|| self.lock().as_ref().map_or_else(|| self.points.load(Relaxed), PointWriter::points))
     }
 
-    /// Publishes the archive; the writer has ended then.
+    /// Publishes the archive and ends the writer.
     ///
     /// Returns:
-    ///     what ``sliceconv --json`` prints, as a dict; also ``report`` from then on
+    ///     the dict that ``sliceconv --json`` prints; ``report`` returns it from then on
     #[pyo3(signature = (progress=None))]
     fn finish<'py>(&self, py: Python<'py>, progress: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
         let writer = py.detach(|| self.take()).ok_or_else(ended)?;
@@ -144,13 +144,13 @@ impl Writer {
         Ok(facts)
     }
 
-    /// What :meth:`finish` returned; None before.
+    /// Result of :meth:`finish`; None before.
     #[getter]
     fn report(&self, py: Python<'_>) -> Option<Py<PyAny>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|report| report.clone_ref(py))
     }
 
-    /// Ends the writer without writing anything.
+    /// Ends the writer; no archive is written.
     fn discard(&self, py: Python<'_>) {
         py.detach(|| drop(self.take()));
     }

@@ -15,7 +15,7 @@ import store as stores
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory):
-    """room.las and room.slices, as the examples of the documentation know them."""
+    """A folder with room.las and room.slices, which the examples of the documentation use."""
     folder = tmp_path_factory.mktemp("scans")
     (folder / "room.las").write_bytes(scan.las(scan.room()))
     slicewalk.convert(folder / "room.las", folder / "room.slices", pixel=scan.PIXEL, units="m")
@@ -24,7 +24,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def store(monkeypatch):
-    """An empty object store that this process knows of, bucket ``bucket``."""
+    """An empty object store, bucket ``bucket``, with its settings in this process's environment."""
     with stores.serving() as store:
         for name, value in store.environment().items():
             monkeypatch.setenv(name, value)
@@ -33,7 +33,7 @@ def store(monkeypatch):
 
 @pytest.fixture(scope="session")
 def rubble(folder):
-    """Points, and their archive."""
+    """Points and their archive."""
     points = scan.rubble(6000, 1)
     with slicewalk.Writer(folder / "rubble.slices", pixel=scan.PIXEL) as writer:
         writer.write(points)
@@ -42,7 +42,7 @@ def rubble(folder):
 
 @pytest.fixture(params=["path", "bytes", "stream"])
 def doors(request, folder, rubble):
-    """The archive of `rubble` by each way of opening it."""
+    """The archive of `rubble`, opened in each way."""
     path = folder / "rubble.slices"
     if request.param == "path":
         yield slicewalk.open(path)
@@ -58,7 +58,7 @@ def doors(request, folder, rubble):
 
 @pytest.fixture(scope="session")
 def real(folder):
-    """Real scans by name, converted once; skips where there are none."""
+    """Real scans by name, converted once; skips without them."""
     data = os.environ.get("SLICEWALK_DATA")
     made: dict[str, slicewalk.Archive] = {}
 

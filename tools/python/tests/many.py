@@ -1,7 +1,8 @@
-"""Memory of plan, parts and merge of very many tiles: `python many.py [TILES] [PARTS]`; `.ci/long tiles` runs it.
+"""Check the memory of planning, parts and merging with very many tiles: `python many.py [TILES] [PARTS]`.
 
-Generates that many small tiles, each with a header and 20 points, plans and converts them in parts and at once, and
-fails where a step takes more than its memory and 64 MiB, or where merged parts have other bytes than the single run.
+Generates small tiles, each with a header and 20 points, plans them, and converts them in parts and in a single run.
+Fails if a step takes more than its memory budget plus 64 MiB, or if the merged parts differ from the single run.
+`.ci/long tiles` runs this script.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ print(status("VmHWM") - before, time.process_time() - started)
 
 
 def step(folder: Path, what: str, code: str) -> None:
-    """Run `code` in a process of its own; fails if its memory grows too far."""
+    """Run `code` in its own process; fail if its memory grows too far."""
     said = subprocess.check_output([sys.executable, "-c", STEP % (MEMORY_MIB, code)], cwd=folder, text=True)
     peak, seconds = map(float, said.split()[-2:])
     print(f"{what}: {peak:.0f} MiB beyond the interpreter, {seconds:.1f} s of processor time", flush=True)

@@ -1,6 +1,6 @@
-"""Conversions on a cluster whose processes are killed: `python murder.py workers|scheduler RUNS`.
+"""Convert on a cluster whose processes are killed: `python murder.py workers|scheduler RUNS`.
 
-Prints one line a run and fails where bytes differ or anything is left. `.ci/long cluster` runs the long forms.
+Prints one line per run and fails if bytes differ or files are left behind. `.ci/long cluster` runs the long forms.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def judge(folder: Path) -> None:
 
 
 def workers(runs: int, seed: int = 1) -> None:
-    """30 % of the steps lose their worker by SIGKILL, on four worker processes.
+    """Kill the workers of 30 % of the steps by SIGKILL, on four worker processes.
 
-    A nanny gives up on a worker that dies before it knows that it lives, which happens where processors are scarce.
-    What a cluster manager then does, `replace` does here: it starts another one.
+    A nanny gives up on a worker that dies before the nanny knows about it, which happens on machines with few cores.
+    `replace` then starts another one, as a cluster manager would.
     """
     import dask
     from distributed import Client, LocalCluster
@@ -96,7 +96,7 @@ def end(processes: list[subprocess.Popen]) -> None:
 
 
 def cluster_of(folder: Path, port: int, processes: list[subprocess.Popen]) -> None:
-    """A scheduler and two workers, each a process of its own."""
+    """A scheduler and two workers, each in its own process."""
     address = f"tcp://127.0.0.1:{port}"
     processes.append(
         start(folder, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
@@ -106,7 +106,7 @@ def cluster_of(folder: Path, port: int, processes: list[subprocess.Popen]) -> No
 
 
 def client_of(port: int) -> None:
-    """What the client process of `scheduler` does."""
+    """Convert, as the client process of `scheduler`."""
     from distributed import Client
 
     with Client(f"tcp://127.0.0.1:{port}", timeout=60) as client:
@@ -119,14 +119,14 @@ def client_of(port: int) -> None:
 
 
 def await_parts(folder: Path, count: int) -> None:
-    """Wait until so many parts are done."""
+    """Wait until `count` parts are done."""
     ends = time.monotonic() + 60
     while len(list(folder.glob(".out.slices.slicewalk-cluster/*-0-*.slices"))) < count and time.monotonic() < ends:
         time.sleep(0.005)
 
 
 def scheduler(runs: int, seed: int = 1) -> None:
-    """Kill the scheduler at some moment of a conversion. In every other run its client dies too."""
+    """Kill the scheduler at a random moment of a conversion, and in every other run its client too."""
     import socket
 
     dice = random.Random(seed)

@@ -1,4 +1,4 @@
-"""Scans made here, and numpy's own answers about them."""
+"""Generated scans, and reference answers computed with numpy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SLICE = 0.3
 
 
 def millimetres(points: np.ndarray) -> np.ndarray:
-    """Points as a file in steps of a millimetre has them."""
+    """Round points to millimetres, as in a file."""
     return np.round(points * 1000) * 0.001
 
 
@@ -58,18 +58,18 @@ def las(points: np.ndarray, rgb: np.ndarray | None = None) -> bytes:
 
 
 def boxes(random: np.random.Generator, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
-    """Boxes around a scan, from crumbs to a quarter of it."""
+    """Boxes around a scan, from tiny ones to a quarter of it."""
     size = (high - low) * 10 ** random.uniform(-3, -0.6, (count, 3))
     corner = random.uniform(low - 0.5, high + 0.5, (count, 3))
     return np.hstack([corner, corner + size])
 
 
 class Spans:
-    """All matter of an archive, read from its pages: what an answer is compared with."""
+    """All spans of an archive, read from its pages, as the reference for answers."""
 
     def __init__(self, pages):
         self.pixel, self.quantum = pages.pixel_size, pages.height_quantum
-        # As the grid rounds: one multiplication.
+        # One multiplication, rounded as in the grid.
         self.per_metre = np.array([1 / pages.pixel_size] * 2 + [255 / pages.slice_height])
         columns = []
         for tx, ty, layer in pages.keys():
@@ -104,7 +104,7 @@ class Spans:
         return low, high
 
     def first(self, low, high, motion) -> float:
-        """Share of a motion after which the box from low to high meets matter; inf if it never does."""
+        """Fraction of a motion after which the box from low to high meets solid; inf if it never does."""
         span_low, span_high = self.corners()
         with np.errstate(divide="ignore", invalid="ignore"):
             enter = np.where(motion > 0, span_low - high, span_high - low) / motion

@@ -1,4 +1,4 @@
-"""An object store on loopback: as much of S3 as scans and archives need, and no cloud."""
+"""An object store on loopback with the part of S3 that scans and archives need."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 
 class Store:
-    """Objects by bucket and key, what was asked for, and requests that fail."""
+    """Objects by bucket and key, recorded requests, and requests to fail."""
 
     def __init__(self) -> None:
         self.objects: dict[str, bytes] = {}
@@ -28,7 +28,7 @@ class Store:
         self.versions[path] = self.versions.get(path, 0) + 1
 
     def environment(self) -> dict[str, str]:
-        """What a process needs to know of the store."""
+        """Environment variables for a process that uses the store."""
         return {
             "AWS_ENDPOINT": self.address,
             "AWS_ALLOW_HTTP": "true",

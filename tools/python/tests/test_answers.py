@@ -1,4 +1,4 @@
-"""Answers against brute force in numpy, on scans made here and on real ones."""
+"""Answers compared with brute force in numpy, on generated and real scans."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_ceilings(doors, rubble):
     boxes = scan.boxes(np.random.default_rng(3), rubble[0].min(axis=0), rubble[0].max(axis=0), 300)
     answers = doors.ceiling(boxes)
     for box, answer in zip(boxes, answers, strict=True):
-        # No span ends where another begins in this scan, so every bottom is an underside.
+        # In this scan no span begins where another ends, so every bottom is an underside.
         bottoms = spans.under(box)[:, 2] * spans.quantum
         expected = min(bottoms[(bottoms >= box[2]) & (bottoms <= box[5])], default=np.inf)
         assert answer == expected or abs(answer - expected) < 1e-9
@@ -111,7 +111,7 @@ def test_round_shapes(doors, rubble):
         far = np.linalg.norm(away[:, :2], axis=1)
         assert (np.linalg.norm(away, axis=1) <= r).any() <= sphere
         assert ((far <= r) & (away[:, 2] >= 0) & (away[:, 2] <= h)).any() <= cylinder
-        # A pixel's diagonal, and a slice.
+        # Grow by the diagonal of a pixel and by a slice.
         reach = r + np.linalg.norm(grow)
         assert sphere <= (np.linalg.norm(away, axis=1) <= reach).any()
         near = (far <= r + grow[0] * 2) & (away[:, 2] >= -grow[2]) & (away[:, 2] <= h + grow[2])

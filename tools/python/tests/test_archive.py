@@ -1,4 +1,4 @@
-"""Opening, facts, pickles, leaks."""
+"""Opening, metadata, pickles, memory leaks."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_bytes_are_not_copied(folder):
 
 
 class Ranges(BaseHTTPRequestHandler):
-    """Answers ranges of one file."""
+    """Serves ranges of one file."""
 
     data = b""
 
@@ -80,7 +80,7 @@ class Ranges(BaseHTTPRequestHandler):
         return None
 
     def log_message(self, *arguments):
-        """Say nothing."""
+        """Log nothing."""
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_damage(folder, rubble, tmp_path):
     assert raised.value.expected
     assert raised.value.found
     assert isinstance(raised.value, ValueError)
-    # In a page: opening succeeds, loading says where.
+    # The damage is in a page: opening succeeds, loading reports the place.
     data[len(data) // 2] ^= 1
     path = tmp_path / "damaged.slices"
     path.write_bytes(data)

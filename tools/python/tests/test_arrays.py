@@ -1,4 +1,4 @@
-"""Arrays of every kind that a caller may have."""
+"""Arrays of every kind that a caller may pass."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_input_is_not_copied_whole_and_answers_are_handed_over(rubble):
     answers = archive.overlaps(boxes)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    # numpy tells tracemalloc of each array that it allocates: a copy would be 24 MB, the answers 0.5 MB.
+    # numpy reports each array that it allocates to tracemalloc: a copy would be 24 MB, the answers 0.5 MB.
     assert peak < 400_000
     assert not answers.flags.owndata
     assert answers.flags.writeable
@@ -192,7 +192,7 @@ def test_a_row_asks_nothing_of_the_system(rubble):
 
 
 def limited(script, folder):
-    """Run a script in a process that gets 2 GiB of addresses beyond those of its imports."""
+    """Run a script in a process with 2 GiB of address space beyond that of its imports."""
     head = """
         import pathlib, re, resource, numpy as np, slicewalk
         size = int(re.search(r"VmSize:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]) << 10
@@ -237,7 +237,7 @@ def test_memory_that_cannot_be_had_is_an_error(folder, rubble, work):
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
 def test_boxes_of_a_stream_are_read_block_by_block(folder, rubble):
-    # 48 GiB of rows, of which a callback of the clock ends the loading.
+    # 48 GiB of rows; a timer callback interrupts the loading.
     script = """
         import signal
         def enough(*_):
@@ -261,7 +261,7 @@ def test_boxes_of_a_stream_are_read_block_by_block(folder, rubble):
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
 def test_empty_space_of_a_region_takes_no_memory(folder, rubble):
-    # Three arrays of 600 MB, of which the scan touches a little.
+    # Three arrays of 600 MB, of which the scan touches only little.
     script = """
         region = archive.region([*low, *(high + (40, 40, 500))])
         assert region.kind.size > 2e8

@@ -1,4 +1,4 @@
-"""Conversion on a cluster: the bytes of a single run, whatever dies."""
+"""Conversion on a cluster gives the bytes of a single run, whichever process dies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import tiles
 from slicewalk import cluster as sut
 
 HERE = Path(__file__).parent
-# Dask's own sockets and loops at the end of a test.
+# Dask leaves its own sockets and event loops behind at the end of a test.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
@@ -123,7 +123,7 @@ def test_cancelled_work_goes_on_with_the_next_call(scans, tmp_path, client):
     (work,) = tmp_path.iterdir()
     made = sorted(work.glob("*-0-*.slices"))
     assert len(made) >= 4
-    # What an earlier call left counts only if it is sound.
+    # Steps of an earlier call are reused only if they are sound.
     damaged = bytearray(made[0].read_bytes())
     damaged[len(damaged) // 2] ^= 1
     made[0].write_bytes(damaged)
@@ -203,11 +203,11 @@ def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path
     assert len(os.listdir(tmp_path)) == 1
     store.fails = lambda _line: False
     report = to_store(scans, tmp_path, client)
-    # Seven archives; the check is made again.
+    # Seven archives are skipped; the check runs again.
     assert report["skipped"] == len(report["ran"]) - 1
     assert store.objects["/bucket/out/city.slices"] == scans[1]
     assert os.listdir(tmp_path) == []
-    # What another writer made while this one worked stays, and so do the steps.
+    # A file that another writer made meanwhile stays, and so do the steps.
     del store.objects["/bucket/out/city.slices"]
 
     def rival(stage, *_):
@@ -287,7 +287,7 @@ def test_what_is_missing_is_said_once(scans, tmp_path, client):
     assert quiet["warnings"] == report["warnings"]
     (tmp_path / "out.slices").unlink()
 
-    # Steps of an earlier call say it too.
+    # Steps of an earlier call report it too.
     def enough(stage, *_):
         if stage == "verify":
             raise KeyError

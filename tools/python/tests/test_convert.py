@@ -107,7 +107,7 @@ def test_damaged_input(las, tmp_path):
         report = slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, allow_incomplete=True, units="m")
     assert not report["complete"]
     with pytest.raises(slicewalk.SlicewalkWarning):
-        # Warnings are errors in these tests, and an error ends the work.
+        # These tests turn warnings into errors, and an error ends the work.
         slicewalk.convert(las, tmp_path / "b.slices", pixel=0.2, allow_incomplete=True, units="m")
     slicewalk.convert(las, tmp_path / "c.slices", pixel=0.2, allow_incomplete=True, quiet=True)
 
@@ -129,7 +129,7 @@ def test_what_a_callback_raises_ends_the_work(las, tmp_path):
 
     with pytest.raises(KeyError, match="enough"):
         slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m", progress=progress)
-    # The work may have been done by then, and is then whole; it is never half.
+    # The conversion may have finished by then; its output is either complete or absent.
     left = set(os.listdir(tmp_path)) - {"scan.las"}
     assert left <= {"a.slices"}
     for name in left:
@@ -283,7 +283,7 @@ def test_colours_are_the_means_of_the_points(tmp_path):
     assert (colours[:, 3] == 255).all()
     pixels = np.flatnonzero(page.occupancy.ravel())
     at = np.floor(points[:, 1] * 10).astype(int) * 64 + np.floor(points[:, 0] * 10).astype(int)
-    # One slice, so one voxel a pixel.
+    # One slice, so one voxel per pixel.
     means = np.array([rgb[at == pixel].mean(axis=0) / 257 for pixel in pixels])
     assert np.abs(colours[:, :3] - means).max() <= 0.51
     assert archive.colours((9, 9, 9)) is None
@@ -300,7 +300,7 @@ def test_levels_have_the_means_of_their_voxels(tmp_path):
     archive = slicewalk.open(tmp_path / "a.slices")
 
     def voxels(pages, level):
-        """Colours of voxels by pixel along x and y; there is one slice."""
+        """Colours of voxels by pixel along x and y, in the only slice."""
         found = {}
         for key in map(tuple, pages.keys()):
             colours = archive.colours(key, level=level)

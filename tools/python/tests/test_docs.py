@@ -1,4 +1,4 @@
-"""Every example of the documentation runs, and every name has documentation."""
+"""Every example in the documentation runs, and every public name is documented."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PAGE = pathlib.Path(__file__).parent.parent / "README.md"
 
 
 def documented():
-    """Names and texts of all that is public."""
+    """Names and docstrings of the public interface."""
     yield "slicewalk", slicewalk.__doc__
     yield "slicewalk.errors", slicewalk.errors.__doc__
     for name in slicewalk.__all__:

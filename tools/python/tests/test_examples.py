@@ -1,4 +1,4 @@
-"""The example scripts run on a scan made here; those whose packages are missing say so."""
+"""The example scripts run on a generated scan; scripts whose packages are missing say so."""
 
 from __future__ import annotations
 

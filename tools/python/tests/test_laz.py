@@ -1,4 +1,4 @@
-"""LAZ as LASzip itself and lazrs write it: random records give the archive that the same records give as LAS."""
+"""LAZ as written by LASzip itself and by lazrs: random records give the same archive as LAZ and as LAS."""
 
 import pathlib
 import warnings
@@ -14,11 +14,11 @@ WRITERS = {"LASzip": "Laszip", "lazrs": "Lazrs"}
 
 
 def walk(random: np.random.Generator, count: int, dtype: np.dtype) -> np.ndarray:
-    """Numbers that stay, move by a few, by a stride, or anywhere."""
+    """Numbers that stay, change a little, by a stride, or arbitrarily."""
     bits = 8 * dtype.itemsize
     small = random.integers(-4, 5, count)
     stride = 40 * random.integers(0, 1000, count)
-    # lazrs takes differences of times as if none overflowed.
+    # lazrs computes differences of times as if they could not overflow.
     anywhere = random.integers(0, 1 << min(bits, 61), count, dtype=np.int64) >> random.integers(0, 32, count)
     kind = random.choice(4, count, p=[0.5, 0.3, 0.15, 0.05])
     steps = np.choose(kind, [np.zeros(count, np.int64), small, stride, anywhere])
@@ -27,7 +27,7 @@ def walk(random: np.random.Generator, count: int, dtype: np.dtype) -> np.ndarray
 
 
 def scan(random: np.random.Generator, point_format: int, count: int, extra: int) -> "laspy.LasData":
-    """Records of any kind: returns 0 to 15, channels of the scanner, times that jump."""
+    """Random records: return numbers 0 to 15, scanner channels, times that jump."""
     header = laspy.LasHeader(point_format=point_format, version="1.3" if point_format < 6 else "1.4")
     header.scales, header.offsets = [0.01] * 3, [100.0] * 3
     for number in range(extra):
@@ -43,7 +43,7 @@ def scan(random: np.random.Generator, point_format: int, count: int, extra: int)
 
 
 def archive(path: pathlib.Path, **options: object) -> bytes | str:
-    """The bytes of the archive; why there is none, where random records leave nothing to convert or to colour."""
+    """Bytes of the archive, or the reason if the random records leave nothing to convert or colour."""
     output = path.with_suffix(".slices")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", slicewalk.SlicewalkWarning)

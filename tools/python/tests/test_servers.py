@@ -1,4 +1,4 @@
-"""Archives on servers that are slow, silent, or fail now and then."""
+"""Archives on servers that are slow, silent, or fail sometimes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def city(tmp_path_factory):
 
 @contextlib.contextmanager
 def serving(data, manner):
-    """Serve `data`; `manner` says what becomes of a request: good, silent, a status, cut or reset."""
+    """Serve `data`; `manner` is how a request is answered: good, silent, a status, cut or reset."""
     asked = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -67,7 +67,7 @@ def serving(data, manner):
             self.wfile.write(body)
 
         def log_message(self, *arguments):
-            """Say nothing."""
+            """Log nothing."""
 
     released = threading.Event()
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
@@ -116,7 +116,7 @@ def test_opening_takes_no_longer_than_the_timeout_whatever_the_server_does(city)
         with pytest.raises(slicewalk.FileError):
             slicewalk.open(url, timeout=1, retries=1000)
         assert time.monotonic() - start < 3
-    # Nobody takes the connection.
+    # Nothing accepts the connection.
     with socket.create_server(("127.0.0.1", 0), backlog=0) as server:
         start = time.monotonic()
         with pytest.raises(slicewalk.FileError):
@@ -201,7 +201,7 @@ def test_a_pickle_keeps_how_a_server_is_asked(folder, monkeypatch):
     options = archive.__reduce__()[1][2]
     assert options == {"timeout": 33, "retries": 2, "settings": settings}
     assert slicewalk.open(folder / "room.slices").__reduce__()[1][2] == {}
-    # Another store, in the environment, is not asked.
+    # The other store, in the environment, receives no request.
     with stores.serving() as store:
         for name, value in store.environment().items():
             monkeypatch.setenv(name, value)

@@ -1,4 +1,4 @@
-"""The Snakefile of the examples makes the bytes of a single run, and goes on after a kill."""
+"""The example Snakefile makes the bytes of a single run, and resumes after a kill."""
 
 from __future__ import annotations
 

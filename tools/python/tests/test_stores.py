@@ -45,7 +45,7 @@ def test_the_environment_counts_that_the_process_has_when_it_opens(folder, store
 def test_after_a_fork_an_archive_says_that_it_is_to_be_opened_again(folder, store, tmp_path):
     slicewalk.convert(folder / "room.las", tmp_path / "room.slices", pixel=0.02, units="m")
     store.put("/bucket/room.slices", (tmp_path / "room.slices").read_bytes())
-    # More than what comes with the first request.
+    # More than the first request returns.
     assert len(store.objects["/bucket/room.slices"]) > 20_000
     archive = slicewalk.open("s3://bucket/room.slices")
     assert archive.verify() == []

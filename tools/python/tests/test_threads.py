@@ -57,7 +57,7 @@ def test_other_threads_run_during_a_batch(rubble):
     archive = rubble[1]
     boxes = np.tile(scan.boxes(np.random.default_rng(6), *archive.bounds, 1000), (2000, 1))
     interval = sys.getswitchinterval()
-    # Nobody is asked to let go of the interpreter: this thread runs only while a batch leaves it.
+    # No thread is ever asked to release the interpreter, so this one runs only while a batch releases it.
     sys.setswitchinterval(3600)
     try:
         for _ in range(20):
@@ -93,11 +93,11 @@ def test_an_array_that_changes_meanwhile_is_no_danger(rubble):
     try:
         for _ in range(10):
             answers = archive.overlaps(boxes)
-            # A row that was half written may be another box; it is answered all the same.
+            # A half-written row may be a different box; it is answered too.
             same = (answers == allowed[0]) | (answers == allowed[1])
             assert same.mean() > 0.99
     except slicewalk.ParameterError:
-        pass  # or it was no box for a moment
+        pass  # or the row was not a valid box for a moment
     finally:
         stop.set()
         thread.join()

@@ -124,7 +124,7 @@ def test_reach(room):
     told = []
     reach = room.reach((4, 3, 0.1), progress=lambda *news: told.append(news))
     assert told
-    # The middle of a pawn of 0.5 m stays 0.25 m away from the walls, within a pixel.
+    # The middle of a 0.5 m wide pawn stays 0.25 m away from the walls, within a pixel.
     assert reach.area == pytest.approx((7.8 - 0.5) * (5.8 - 0.5), rel=0.1)
     assert len(reach.places) == pytest.approx(reach.area / 0.01)
     assert [round(storey.z, 1) for storey in reach.storeys] == [0]
@@ -160,7 +160,7 @@ def test_real_stairs(real):
     free = places[archive.overlaps(boxes) == slicewalk.CLEAR]
     reaches = []
     for place in free[:40]:
-        # A box that is free from 10 cm above the floor says nothing about what lies in these 10 cm.
+        # A box that is free from 10 cm above the floor up does not show what lies in those 10 cm.
         with contextlib.suppress(slicewalk.ParameterError):
             reaches.append(archive.reach(place))
     reach = max(reaches, key=lambda reach: reach.area)
@@ -223,6 +223,6 @@ def test_a_path_ends_when_its_stream_is_closed(folder):
     timer = threading.Timer(0.3, stream.close)
     timer.start()
     with pytest.raises(ValueError, match="the stream is closed"):
-        # Turns round and round.
+        # Keeps turning.
         slicewalk.Walker((1, 1, 0.1)).path(stream, [(1, 1), (7, 5)] * 100_000, max_seconds=1e6, hz=1000)
     timer.join()

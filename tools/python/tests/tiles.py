@@ -1,4 +1,4 @@
-"""Twelve scans side by side, and processes that die: what the tests of the cluster share with their long forms."""
+"""Twelve adjacent scans and dying processes, shared by the cluster's tests and their long forms."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OPTIONS = {"pixel": 0.1, "units": "m", "quiet": True}
 
 
 YOUNG = 1.0
-"""Seconds for which a new worker is spared."""
+"""Seconds for which a new worker is not killed."""
 
 
 def tiles(folder: Path, points: int = 12_000) -> list[Path]:
@@ -32,10 +32,10 @@ def tiles(folder: Path, points: int = 12_000) -> list[Path]:
 
 
 class Murder(WorkerPlugin):
-    """Plugin of workers: a share of the steps loses its worker to SIGKILL, at some moment of the step or after it.
+    """Worker plugin that kills the workers of some steps by SIGKILL, during the step or after it.
 
-    Most of these steps wait for their death when they are done, however fast the machine is; the others may get their
-    result through before.
+    Most of these steps wait for the kill once they are done, however fast the machine is; the others may deliver their
+    result first.
     """
 
     name = "murder"
@@ -52,7 +52,7 @@ class Murder(WorkerPlugin):
 
         def deadly(*arguments):
             if dice.random() < self.share:
-                # Dask does not replace a worker that dies before its nanny knows that it lives.
+                # Dask does not replace a worker that dies before its nanny knows about it.
                 time.sleep(max(0.0, born + YOUNG - time.monotonic()))
                 threading.Timer(dice.uniform(0, self.within), os.kill, (os.getpid(), signal.SIGKILL)).start()
                 if self.surely:
@@ -69,5 +69,5 @@ class Murder(WorkerPlugin):
 
 
 def leftovers(folder: Path) -> list[str]:
-    """What lies in `folder` beside the scans and archives."""
+    """Files in `folder` other than scans and archives."""
     return sorted(path.name for path in folder.iterdir() if not path.name.endswith((".las", ".slices")))

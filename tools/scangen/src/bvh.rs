@@ -1,8 +1,8 @@
-//! A tree of boxes over the surfaces of a scene, so that truth and ray casting look at few of them.
+//! A tree of boxes over the surfaces of a scene, so that truth and ray casting test few of them.
 
 use crate::geometry::Aabb;
 
-/// Surfaces in a leaf at most.
+/// Most surfaces in a leaf.
 const LEAF: usize = 4;
 
 #[derive(Debug, Clone)]
@@ -14,7 +14,7 @@ struct Node {
     count: u32,
 }
 
-/// The tree. Depth is logarithmic: nodes are split at the median.
+/// The tree. Its depth is logarithmic, because nodes are split at the median.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
@@ -41,7 +41,7 @@ impl Bvh {
             .max_by(|a, b| (bounds.max[*a] - bounds.min[*a]).total_cmp(&(bounds.max[*b] - bounds.min[*b])))
             .unwrap_or(0);
         let middle = (start + end) / 2;
-        // Ties broken by index: the tree, and so the order of equal answers, is the same everywhere.
+        // Ties are broken by index, so the tree, and with it the order of equal answers, is the same everywhere.
         self.order[start..end].sort_by(|a, b| {
             boxes[*a as usize].center()[axis].total_cmp(&boxes[*b as usize].center()[axis]).then(a.cmp(b))
         });
@@ -52,8 +52,8 @@ impl Bvh {
         self.nodes[index].count = 0;
     }
 
-    /// Least value over the surfaces: `bound` of a box is at most `value` of what it holds (none: cannot matter), and
-    /// `value` is given the best so far. Nearer nodes first.
+    /// Returns the least value over the surfaces. `bound` of a box is at most `value` of its contents (`None`:
+    /// irrelevant); `value` receives the best value so far. Nearer nodes come first.
     pub fn least(
         &self,
         limit: f64,
@@ -92,7 +92,7 @@ impl Bvh {
     }
 }
 
-/// A small stack without allocation: depth ≤ 32 levels, one waiting sibling each.
+/// A small stack without allocation: at most 32 levels, one pending sibling each.
 struct Stack {
     items: [(u32, f64); 64],
     len: usize,

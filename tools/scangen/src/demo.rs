@@ -1,4 +1,4 @@
-//! The project's demonstration: a small house, scanned, with a way up its stairs.
+//! The project's demonstration: the scan of a small house, with a route up its stairs.
 
 use crate::sample::{Mode, Order, Sample, SampleSpec, ScannerSpec};
 use crate::{Params, Result, Scene, WriteSpec, Written, write_samples};
@@ -8,7 +8,7 @@ use std::path::Path;
 const RAYS: u64 = 1_000_000;
 
 impl Scene {
-    /// The house of three storeys that `demo` shows; [`Scene::walk`] leads from the ground floor to the top.
+    /// The house of three storeys used by `demo`; [`Scene::walk`] leads from the ground floor to the top.
     ///
     /// # Panics
     /// Never: the scene and its defaults are known.
@@ -17,20 +17,20 @@ impl Scene {
     }
 }
 
-/// How the demonstration is scanned: from nine stations, 3 mm noise, mixed pixels.
+/// Sampling of the demonstration: nine stations, 3 mm noise, mixed pixels.
 pub fn demo_spec() -> SampleSpec {
     let scanner = ScannerSpec { mixed_rate: 0.02, ..ScannerSpec::default() };
     SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(RAYS).with_noise(0.003) }
 }
 
-/// The demonstration's points: the scan, and directly drawn points that fill its shadows (300 per m²), for a floor with
-/// holes would end the walk.
+/// Points of the demonstration: the scan, plus directly drawn points that fill its shadows (300 per m²), because holes
+/// in the floor would end the walk.
 pub fn demo_samples(scene: &Scene, seed: u64) -> Result<impl Iterator<Item = Sample> + '_> {
     let fill = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(300.0).with_noise(0.003) };
     Ok(scene.samples(seed, &demo_spec())?.chain(scene.samples(seed, &fill)?))
 }
 
-/// Writes the demonstration's scan as LAS or LAZ, by the name of `path`.
+/// Writes the demonstration's scan as LAS or LAZ, chosen by the extension of `path`.
 pub fn write_demo(path: &Path, seed: u64) -> Result<Written> {
     let scene = Scene::demo();
     write_samples(path, demo_samples(&scene, seed)?, &WriteSpec { format: 1, ..WriteSpec::for_path(path) })

@@ -1,4 +1,4 @@
-//! Errors: one enum; every text says what, where, and the way out where there is one.
+//! Errors: one enum; each text says what failed, where, and, if possible, what to do.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -6,34 +6,34 @@ use std::path::{Path, PathBuf};
 /// Result of every fallible operation of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong. New variants may be added.
+/// Error of this crate. New variants may be added.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused an action on a file.
     #[error("{path}: cannot {action}: {source}", path = path.display())]
     Io {
-        /// File or folder acted on.
+        /// File or folder.
         path: PathBuf,
-        /// What was tried, as a verb phrase.
+        /// Attempted action, as a verb phrase.
         action: String,
-        /// The operating system's own reason.
+        /// Reason given by the operating system.
         source: io::Error,
     },
-    /// A parameter makes no sense.
+    /// A parameter is invalid.
     #[error("{what}: {reason}")]
     Parameter {
-        /// Name of the parameter as the user knows it.
+        /// Name of the parameter for the user.
         what: String,
-        /// Why it is refused and what is allowed.
+        /// Why it is refused, and what is allowed.
         reason: String,
     },
-    /// The output format cannot hold what was asked for.
+    /// The output format cannot hold the requested data.
     #[error("{path}: {reason}", path = path.display())]
     Output {
         /// The file being written.
         path: PathBuf,
-        /// What does not fit, and the way out.
+        /// Part that does not fit, and what to do.
         reason: String,
     },
 }

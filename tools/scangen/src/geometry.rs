@@ -42,7 +42,7 @@ pub fn length(a: Vec3) -> f64 {
     dot(a, a).sqrt()
 }
 
-/// `a` scaled to length 1; the zero vector stays as it is.
+/// `a` scaled to length 1; the zero vector stays unchanged.
 #[inline]
 pub fn unit(a: Vec3) -> Vec3 {
     let len = length(a);
@@ -73,10 +73,10 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box that holds nothing; growing it by a point gives that point.
+    /// The empty box; extending it by a point gives that point.
     pub const EMPTY: Self = Self { min: [f64::INFINITY; 3], max: [f64::NEG_INFINITY; 3] };
 
-    /// The box of these corners.
+    /// The box with these corners.
     pub fn new(min: Vec3, max: Vec3) -> Self {
         Self { min, max }
     }
@@ -89,7 +89,7 @@ impl Aabb {
         })
     }
 
-    /// Extends the box to hold `p`.
+    /// Extends the box to contain `p`.
     #[inline]
     pub fn grow(&mut self, p: Vec3) {
         for (axis, value) in p.into_iter().enumerate() {
@@ -98,7 +98,7 @@ impl Aabb {
         }
     }
 
-    /// The smallest box that holds both.
+    /// The smallest box that contains both.
     pub fn union(&self, other: &Self) -> Self {
         let mut both = *self;
         for axis in 0..3 {
@@ -108,7 +108,7 @@ impl Aabb {
         both
     }
 
-    /// Whether `p` lies in the closed box.
+    /// Returns whether `p` is in the closed box.
     #[inline]
     pub fn contains(&self, p: Vec3) -> bool {
         (0..3).all(|a| self.min[a] <= p[a] && p[a] <= self.max[a])
@@ -136,7 +136,7 @@ impl Aabb {
         std::array::from_fn(|i| std::array::from_fn(|a| if i >> a & 1 == 1 { self.max[a] } else { self.min[a] }))
     }
 
-    /// The part `[t0, t1]` of the segment `origin + t·dir`, `t ∈ [t_min, t_max]`, inside the closed box.
+    /// The part `[t0, t1]` of the segment `origin + t·dir`, `t ∈ [t_min, t_max]`, that is inside the closed box.
     #[inline]
     pub fn clip(&self, origin: Vec3, dir: Vec3, t_min: f64, t_max: f64) -> Option<(f64, f64)> {
         let (mut t0, mut t1) = (t_min, t_max);
@@ -162,7 +162,7 @@ pub fn interval_gap(a0: f64, a1: f64, b0: f64, b1: f64) -> f64 {
     (b0 - a1).max(a0 - b1).max(0.0)
 }
 
-/// Rotation about the vertical axis, then a shift: where a scene stands in the world.
+/// Placement of a scene in the world: rotation about the vertical axis, then a shift.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     /// Anticlockwise rotation about the z axis through the scene's origin `[°]`.
@@ -172,7 +172,7 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// Leaves everything where it is.
+    /// Leaves everything in place.
     pub const IDENTITY: Self = Self { rotate_deg: 0.0, translate: [0.0; 3] };
 
     /// The image of a point.

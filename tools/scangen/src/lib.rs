@@ -5,9 +5,9 @@
 //!                                  └─ Sampler: direct or scanner, noise, outliers, seeds   → LAS, E57, text of any size
 //! ```
 //!
-//! The truth is computed from the surfaces, never from the points, and shares no code with what it judges. A seed gives
-//! the same points on every platform: the generator is ChaCha8, arithmetic is `+ - * / sqrt` and a portable `libm`.
-//! Memory is bounded: points are drawn, written and forgotten.
+//! The truth is computed from the surfaces, never from the points, and shares no code with the library under test. A
+//! seed gives the same points on every platform: the generator is ChaCha8, arithmetic is `+ - * / sqrt` and a portable
+//! `libm`. Memory is bounded: points are drawn, written and dropped.
 //!
 //! ```
 //! use scangen::{Params, SampleSpec, Scene, Truth};

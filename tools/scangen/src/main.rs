@@ -1,4 +1,4 @@
-//! `scangen`: writes a seeded scan of a scene, and its truth.
+//! `scangen`: writes a seeded scan of a scene and its truth.
 
 use clap::{Parser, ValueEnum};
 use scangen::geometry::Placement;
@@ -13,76 +13,76 @@ use std::process::ExitCode;
 
 /// Writes a seeded scan of a scene with closed-form truth as LAS, LAZ, E57, PTX, PTS or XYZ.
 ///
-/// `scangen list` names the scenes and their parameters; `scangen demo -o demo.laz` writes the demonstration house.
+/// `scangen list` lists the scenes and their parameters; `scangen demo -o demo.laz` writes the demonstration house.
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Args {
     /// Scene, `demo`, or `list`
     scene: String,
-    /// Output; the name decides between .las, .laz, .e57, .ptx, .pts and .xyz
+    /// Output; the extension selects .las, .laz, .e57, .ptx, .pts or .xyz
     #[arg(short, long, required_unless_present = "truth", required_unless_present = "obj")]
     output: Option<PathBuf>,
-    /// Same seed, same bytes
+    /// Seed; the same seed gives the same bytes
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Points in all (scanner: rays)
+    /// Total number of points (scanner: rays)
     #[arg(long, conflicts_with = "density")]
     points: Option<u64>,
     /// Points per square metre (scanner: at one metre) [default: 100]
     #[arg(long)]
     density: Option<f64>,
-    /// Standard deviation of the noise, never beyond 6 times it (m)
+    /// Standard deviation of the noise, which never exceeds 6 times this value (m)
     #[arg(long, default_value_t = 0.0)]
     noise: f64,
     /// Adds X,Y,Z to the scene and makes it the file's offset
     #[arg(long, value_parser = triple, allow_hyphen_values = true)]
     origin: Option<Triple>,
-    /// Rotates the scene about the vertical first [degrees]
+    /// Rotates the scene about the vertical before shifting it [degrees]
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     rotate: f64,
     /// Shifts the scene by X,Y,Z
     #[arg(long, value_parser = triple, allow_hyphen_values = true)]
     translate: Option<Triple>,
-    /// How points are drawn
+    /// Sampling method
     #[arg(long, value_enum, default_value_t = ModeArg::Direct)]
     mode: ModeArg,
     /// Order of directly drawn points
     #[arg(long, value_enum, default_value_t = OrderArg::Random)]
     order: OrderArg,
-    /// Scanner: a station at X,Y,Z, as often as needed [default: the scene's]
+    /// Scanner: a station at X,Y,Z; may be repeated [default: the scene's]
     #[arg(long, value_parser = triple, allow_hyphen_values = true)]
     station: Vec<Triple>,
     /// Scanner: range (m)
     #[arg(long, default_value_t = 120.0)]
     range: f64,
-    /// Scanner: share of edges that give a mixed pixel
+    /// Scanner: fraction of edges that give a mixed pixel
     #[arg(long, default_value_t = 0.2)]
     mixed: f64,
-    /// Scanner: people walking around each station
+    /// Scanner: number of people walking around each station
     #[arg(long, default_value_t = 0)]
     people: usize,
-    /// Scanner: how far people keep from walls; 0: they walk through them (m)
+    /// Scanner: distance that people keep from walls; 0: they walk through walls (m)
     #[arg(long, default_value_t = 0.0)]
     clearance: f64,
-    /// Class of points on people, as truth for whoever looks for them [default: that of all points]
+    /// Class of points on people, as truth for their removal [default: that of all points]
     #[arg(long, value_name = "CLASS")]
     moving_class: Option<u8>,
     /// Outliers per point, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     outliers: f64,
-    /// Greatest distance of an outlier from its point (m)
+    /// Largest distance of an outlier from its point (m)
     #[arg(long, default_value_t = 20.0)]
     outlier_distance: f64,
     /// Exact repetitions per point, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     duplicates: f64,
-    /// Leaves out the points within RADIUS of X,Y, as often as needed
+    /// Leaves out points within RADIUS of X,Y; may be repeated
     #[arg(long, value_name = "X,Y,RADIUS", value_parser = triple, allow_hyphen_values = true)]
     hole: Vec<Triple>,
     /// Shuffles the points (through temporary files next to the output)
     #[arg(long)]
     shuffle: bool,
-    /// A parameter of the scene, as often as needed
+    /// Parameter of the scene; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     param: Vec<String>,
     /// Writes the truth as JSON
@@ -97,19 +97,19 @@ struct Args {
     /// LAS point data record format, 0 to 10
     #[arg(long, default_value_t = 0)]
     format: u8,
-    /// Colours by a formula that repeats after this distance (m); needs a format with RGB, such as 7
+    /// Colours points by a formula that repeats after this distance (m); needs a format with RGB, such as 7
     #[arg(long, value_name = "PERIOD")]
     colour: Option<f64>,
-    /// Colour values of 8 bits in the 16 of a record
+    /// Writes 8-bit colour values in the 16 bits of a record
     #[arg(long, requires = "colour")]
     eight_bits: bool,
-    /// Scanner: how much darker some stations see colours than others, 0 to 1
+    /// Scanner: how much darker some stations record colours than others, 0 to 1
     #[arg(long, requires = "colour", default_value_t = 0.0)]
     exposure: f64,
     /// Coordinate step (m)
     #[arg(long, default_value_t = 0.001)]
     scale: f64,
-    /// E57, PTX, PTS: points after which a new cloud begins
+    /// E57, PTX, PTS: number of points after which a new cloud begins
     #[arg(long, default_value_t = u64::MAX, hide_default_value = true, value_parser = clap::value_parser!(u64).range(1..))]
     cloud: u64,
     /// Points per LAZ chunk
@@ -121,10 +121,10 @@ struct Args {
     /// File with the coordinate system as WKT
     #[arg(long)]
     crs_wkt: Option<PathBuf>,
-    /// Class and weight of surface points, as often as needed
+    /// Class and weight of surface points; may be repeated
     #[arg(long, value_name = "CLASS=WEIGHT", value_parser = class_weight)]
     class: Vec<(u8, f64)>,
-    /// Share of points flagged as withheld
+    /// Fraction of points flagged as withheld
     #[arg(long, default_value_t = 0.0)]
     withheld: f64,
 }
@@ -156,7 +156,7 @@ fn class_weight(text: &str) -> std::result::Result<(u8, f64), String> {
 }
 
 fn main() -> ExitCode {
-    // Clap ends with 2 on wrong usage and with 0 after help.
+    // Clap exits with 2 on wrong usage and with 0 after help.
     if std::env::args().nth(1).is_some_and(|a| a == "list") && std::env::args().len() == 2 {
         print!("{}", list());
         return ExitCode::SUCCESS;

@@ -3,7 +3,7 @@
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Values given by the user; what is not given takes the scene's default.
+/// Values given by the user; missing ones take the scene's default.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Params(BTreeMap<String, f64>);
 
@@ -12,18 +12,18 @@ pub struct Params(BTreeMap<String, f64>);
 pub struct ParamInfo {
     /// Name, as in `--param name=value`.
     pub name: &'static str,
-    /// Value when not given.
+    /// Default value.
     pub default: f64,
-    /// Least value allowed.
+    /// Minimum.
     pub min: f64,
-    /// Greatest value allowed.
+    /// Maximum.
     pub max: f64,
-    /// Meaning, with its unit.
+    /// Description, with unit.
     pub about: &'static str,
 }
 
 impl Params {
-    /// No values: every default.
+    /// No values, so that every parameter takes its default.
     pub fn new() -> Self {
         Self::default()
     }
@@ -43,7 +43,7 @@ impl Params {
         Ok(())
     }
 
-    /// The values of `known`, in that order; an unknown name or a value out of its range is an error.
+    /// Returns the values of `known`, in that order; an unknown name or a value out of range is an error.
     pub(crate) fn resolve(&self, scene: &str, known: &[ParamInfo]) -> Result<Vec<f64>> {
         for name in self.0.keys() {
             if !known.iter().any(|p| p.name == name) {

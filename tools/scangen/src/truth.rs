@@ -1,9 +1,9 @@
-//! Truth: what a collision query should answer, computed from the surfaces themselves and from nothing else.
+//! Truth: the correct answers to collision queries, computed only from the surfaces.
 
 use crate::geometry::{Aabb, Vec3};
 use crate::scene::Scene;
 
-/// What is true of a scene, whatever points were drawn from it. Heights and distances in metres.
+/// Correct answers about a scene, whatever points were drawn from it. Heights and distances in metres.
 pub trait Truth {
     /// Distance between the closed box `[min, max]` and the nearest surface; 0 if they meet, infinite without surfaces.
     /// Exact up to rounding (terrain: see [`crate::shape::Terrain::TOLERANCE_M`]).
@@ -15,7 +15,7 @@ pub trait Truth {
     }
 
     /// Highest surface at or below `z` over `(x, y)`: its height, and its slope [°, 0..90). Vertical surfaces do not
-    /// count, undersides do.
+    /// count, but undersides do.
     fn floor_under(&self, x: f64, y: f64, z: f64) -> Option<(f64, f64)>;
 
     /// Lowest surface strictly above `z` over `(x, y)`: its height, and its slope `[°]`.
@@ -24,13 +24,13 @@ pub trait Truth {
     /// Slope of surface `surface` at (or next to) `(x, y)` `[°, 0..=90]`.
     ///
     /// # Panics
-    /// When there is no such surface.
+    /// If there is no such surface.
     fn slope_at(&self, surface: usize, x: f64, y: f64) -> f64;
 
-    /// Index of the surface nearest to `p` and its distance; the least index among equals is not promised.
+    /// Index of the surface nearest to `p` and its distance; among equals any index may be returned.
     fn nearest_surface(&self, p: Vec3) -> Option<(usize, f64)>;
 
-    /// Least distance along the ray at which it meets a surface, below `max`, and the surface. `dir` has length 1.
+    /// Least distance along the ray, below `max`, at which it meets a surface, and the surface. `dir` has length 1.
     fn raycast(&self, origin: Vec3, dir: Vec3, max: f64) -> Option<(f64, usize)>;
 }
 
@@ -41,13 +41,13 @@ impl Truth for Scene {
 
     fn floor_under(&self, x: f64, y: f64, z: f64) -> Option<(f64, f64)> {
         let over = |b: &Aabb| b.min[0] <= x && x <= b.max[0] && b.min[1] <= y && y <= b.max[1] && b.min[2] <= z;
-        // Heights are negated: the highest one is the least.
+        // Heights are negated, so that the highest is the least.
         let found = self.tree().least(
             f64::INFINITY,
             |b, _| over(b).then_some(-b.max[2].min(z)),
             |i, _| self.surfaces()[i].shape.height_at(x, y).filter(|h| *h <= z).map(|h| -h),
         );
-        // A bound equal to the best so far is skipped, which loses nothing: it can only tie.
+        // A bound equal to the best so far is skipped; it could only tie.
         found.map(|(i, h)| (-h, self.slope_at(i, x, y)))
     }
 

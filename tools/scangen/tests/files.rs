@@ -1,4 +1,4 @@
-//! Files hold what was drawn: read back by `las`, an independent reader of every format.
+//! Files contain the drawn samples: read back by `las`, an independent reader of every format.
 
 use las::Reader;
 use proptest::prelude::*;
@@ -16,7 +16,7 @@ fn samples(count: u64) -> Vec<Sample> {
     scene.samples(1, &spec).unwrap().collect()
 }
 
-/// Writes, reads back and compares header, places and classes.
+/// Writes, reads back and compares header, positions and classes.
 fn check(path: &Path, samples: &[Sample], spec: &WriteSpec) {
     let written = write_samples(path, samples.iter().copied(), spec).unwrap();
     assert_eq!(written.points, samples.len() as u64);
@@ -181,7 +181,7 @@ proptest! {
         let compression = laz.then_some(Chunks::Fixed(7));
         let spec = WriteSpec { scale: [scale; 3], compression, ..WriteSpec::default() };
         write_las(&path, points.iter().copied(), &spec).unwrap();
-        // The reader goes by the name.
+        // The reader decides by the extension.
         let named = folder.path().join(if laz { "a.laz" } else { "a.las" });
         std::fs::rename(&path, &named).unwrap();
         let data = Reader::from_path(&named).unwrap().read_all().unwrap();

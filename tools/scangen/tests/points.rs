@@ -1,4 +1,4 @@
-//! Points: the same for a seed, on their surfaces, as many as asked for, with the troubles that were asked for.
+//! Points: the same for a seed, on their surfaces, in the requested number and with the requested imperfections.
 
 use scangen::sample::{Mode, Order, ScannerSpec, shuffle};
 use scangen::{Kind, Params, SCENES, Sample, SampleSpec, Scene, Truth};
@@ -21,7 +21,7 @@ fn scanner(rays: u64) -> SampleSpec {
         .with_noise(0.003)
 }
 
-/// Changing one of these breaks every fixture that is named by its seed.
+/// Changing any of these breaks every fixture that is named by its seed.
 const HASHES: [(&str, u64, u64); 13] = [
     ("plane", 0xd3c44695be6ac1f5, 0x20676da4e04706b0),
     ("ramps", 0x8b7e2c2c2c697e3e, 0xd0894668b2ca39a7),
@@ -100,7 +100,7 @@ fn terrain_is_even_by_area_though_it_is_drawn_by_plan() {
         steep += plan(p);
         count += 1.0;
     }
-    // The mean of cos(slope) over the area is plan area by area.
+    // The mean of cos(slope) over the area is plan area divided by area.
     let expected = 200.0 * 200.0 / scene.area();
     assert!((steep / count - expected).abs() < 0.004, "{} for {expected}", steep / count);
 }
@@ -199,7 +199,7 @@ fn shuffling_keeps_the_points_and_loses_their_order() {
         samples
     };
     assert_eq!(sorted(first.clone()), sorted(ordered.clone()));
-    // Neighbours come from different surfaces as often as chance says, within buckets and across them.
+    // Neighbours come from different surfaces as often as chance predicts, within buckets and across them.
     let mean = |s: &[Sample]| s.iter().map(|s| f64::from(s.surface)).sum::<f64>() / s.len() as f64;
     let (front, back) = first.split_at(first.len() / 2);
     assert!((mean(front) - mean(back)).abs() < 1.0);

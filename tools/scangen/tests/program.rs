@@ -40,7 +40,7 @@ fn the_same_command_gives_the_same_files_and_another_seed_others() {
     assert_ne!(run("a.laz", "1"), run("a.laz", "2"));
     let truth = std::fs::read_to_string(folder.path().join("t.json")).unwrap();
     assert!(truth.contains("\"scene\":\"stairs\""));
-    // Nothing but the outputs stays behind.
+    // Only the outputs stay behind.
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
 }
 

@@ -1,11 +1,11 @@
-//! Truth against brute force: dense sampling of every shape, marching along rays, and other places for the same scene.
+//! Truth compared with brute force: dense sampling of every shape, marching along rays, and moved scenes.
 
 use proptest::prelude::*;
 use scangen::geometry::{Aabb, Placement, add, length, scale, sub, unit};
 use scangen::shape::{Cylinder, Disc, Polygon, Shape, Terrain, Wave};
 use scangen::{Params, SampleSpec, Scene, Truth};
 
-/// Points of a shape's chart grid, `n` along each side, and the greatest distance of a surface point from one of them.
+/// Points of a shape's chart grid, `n` along each side, and the largest distance of a surface point from one of them.
 fn dense(shape: &Shape, n: usize, stretch: f64) -> (Vec<[f64; 3]>, f64) {
     let [w, h] = shape.chart_size();
     let mut points = Vec::new();
@@ -14,7 +14,8 @@ fn dense(shape: &Shape, n: usize, stretch: f64) -> (Vec<[f64; 3]>, f64) {
             points.extend(shape.chart(w * i as f64 / n as f64, h * j as f64 / n as f64));
         }
     }
-    // Twice a cell's diagonal: at the border of a disc or polygon the nearest grid point inside is that far at most.
+    // Twice a cell's diagonal: at the border of a disc or polygon, the nearest grid point inside is at most this far
+    // away.
     (points, 2.0 * stretch * (w / n as f64).hypot(h / n as f64))
 }
 
@@ -36,7 +37,7 @@ fn vectors(reach: f64) -> impl Strategy<Value = [f64; 3]> {
     [-reach..reach, -reach..reach, -reach..reach]
 }
 
-/// A regular polygon in a random plane: every attitude, 3 to 7 corners.
+/// A regular polygon in a random plane: any orientation, 3 to 7 corners.
 fn polygons() -> impl Strategy<Value = Polygon> {
     (vectors(2.0), vectors(1.0), vectors(1.0), 3usize..8, 0.3..3.0).prop_filter_map("a plane", |(c, a, b, n, r)| {
         let a = unit(a);
@@ -72,7 +73,7 @@ proptest! {
         corner in [-2i32..3, -2..3, -2..3], size in [1i32..4, 1..4], axis in 0usize..3,
         low in [-3i32..4, -3..4, -3..4], extent in [0i32..3, 0..3, 0..3],
     ) {
-        // On a lattice boxes and rectangles touch often: closed sets meet then.
+        // On a lattice, boxes and rectangles touch often; closed sets then meet.
         let mut edges = [[0.0; 3]; 2];
         edges[0][(axis + 1) % 3] = f64::from(size[0]);
         edges[1][(axis + 2) % 3] = f64::from(size[1]);
@@ -116,7 +117,7 @@ proptest! {
     }
 }
 
-/// Distance along a ray by marching: the nearest surface cannot be closer than the distance to everything.
+/// Distance along a ray by marching: each step is as long as the distance to the nearest surface.
 fn march(scene: &Scene, origin: [f64; 3], dir: [f64; 3], max: f64) -> Option<f64> {
     let mut t = 0.0;
     for _ in 0..20_000 {
@@ -138,7 +139,7 @@ fn rays_end_where_marching_by_distance_ends() {
         let scene = Scene::named(name, &Params::new()).unwrap();
         let stations = scene.stations();
         let mut agreed = 0;
-        // Marching on terrain asks its numeric distance thousands of times.
+        // Marching on terrain computes its numeric distance thousands of times.
         let rays = if name == "terrain" { 25 } else { 120 };
         for i in 0..rays {
             let origin = stations[i % stations.len()];
@@ -148,10 +149,10 @@ fn rays_end_where_marching_by_distance_ends() {
             let dir = [flat * turn.cos(), flat * turn.sin(), up];
             let (marched, cast) = (march(&scene, origin, dir, 50.0), scene.raycast(origin, dir, 50.0));
             match (marched, cast) {
-                // Marching stops up to 1e-7 from the surface; a flat angle stretches that along the ray.
+                // Marching stops up to 1e-7 from the surface; a shallow angle stretches that along the ray.
                 (Some(m), Some((c, _))) if (m - c).abs() < 1e-3 => agreed += 1,
                 (None, None) => agreed += 1,
-                // Terrain is only known to its tolerance, and grazing rays stretch it.
+                // Terrain is known only to its tolerance, and grazing rays stretch that.
                 (Some(m), Some((c, _))) if name == "terrain" && (m - c).abs() < 0.1 => agreed += 1,
                 other => eprintln!("{name}: {origin:?} {dir:?}: {other:?}"),
             }

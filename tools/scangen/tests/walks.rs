@@ -1,4 +1,4 @@
-//! The walks of the scenes can be walked: by the truth alone, a box of 0.5 × 0.5 × 1.8 m gets from start to end.
+//! The scenes' walks are walkable: by the truth alone, a box of 0.5 × 0.5 × 1.8 m gets from start to end.
 
 use scangen::{Params, SCENES, Scene, Truth};
 
@@ -6,7 +6,7 @@ const HALF: f64 = 0.25;
 const TALL: f64 = 1.8;
 const CLIMB: f64 = 0.35;
 
-/// Highest floor under the footprint that can be stepped on from `z`.
+/// Highest floor under the footprint that the box can step on from `z`.
 fn floor(scene: &Scene, x: f64, y: f64, z: f64) -> f64 {
     let mut best = f64::NEG_INFINITY;
     for i in 0..=10 {
@@ -18,7 +18,7 @@ fn floor(scene: &Scene, x: f64, y: f64, z: f64) -> f64 {
     best
 }
 
-/// Follows the walk; gives the height of the feet at its end.
+/// Follows the walk; returns the height of the feet at its end.
 fn follow(scene: &Scene) -> f64 {
     let walk = scene.walk().unwrap();
     let ([mut x, mut y, mut z], name) = (walk.start, scene.name());

@@ -1,4 +1,5 @@
-//! `slicetool demo`: the main job from end to end on a generated scan, with truth beside every answer.
+//! `slicetool demo`: runs the main job from end to end on a generated scan and prints the true value beside every
+//! answer.
 
 use crate::{Failure, Outcome, show};
 use scangen::{Scene, Truth};
@@ -19,15 +20,15 @@ const PIXEL_M: f64 = 0.05;
 const BOXES: usize = 10_000;
 /// Rounds of timing.
 const ROUNDS: usize = 5;
-/// The pawn of the thesis: as wide and deep as a person, as high as one.
+/// The pawn of the thesis, a box of a person's size.
 const PAWN: [f64; 3] = [0.5, 0.5, 1.8];
-/// LAS class of points that the generator marks as noise: readings between an edge and what is behind it, which float in
-/// the air and would stop a pawn.
+/// LAS class of the points that the generator marks as noise: readings that mix an edge with what is behind it. They
+/// float in the air and would stop a pawn.
 const NOISE_CLASS: u8 = 7;
 /// Seed of the scan and of the boxes.
 const SEED: u64 = 1;
 
-/// Where the demonstration's files go.
+/// Options of `slicetool demo`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Folder for the scan, the archive and the pictures
@@ -35,7 +36,7 @@ pub struct Arguments {
     output: PathBuf,
 }
 
-/// A small generator of uniform numbers in 0..1, the same everywhere.
+/// A small generator of uniform numbers in 0..1, the same on every platform.
 struct Random(u64);
 
 impl Random {
@@ -128,7 +129,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     Ok(table.text)
 }
 
-/// Whether the scan names its generator, `scangen`, as the software that made it (bytes 58 to 89 of the LAS header).
+/// Returns whether the scan's header names `scangen` as generating software (bytes 58 to 89 of the LAS header).
 fn is_generated(scan: &Path) -> Result<bool, Failure> {
     let mut header = Vec::new();
     std::fs::File::open(scan)?.take(90).read_to_end(&mut header)?;
@@ -142,12 +143,12 @@ struct Table {
 
 impl Table {
     fn row(&mut self, name: &str, value: String) {
-        // Writing to a string cannot fail.
+        // Writing to a string never fails.
         let _ = writeln!(self.text, "{name:<16} {value}");
     }
 }
 
-/// The scan's points in cells of one metre, read without any code of the library.
+/// The scan's points in cells of one metre, read without code of the library.
 struct Points {
     cells: HashMap<(i64, i64), Vec<[f64; 3]>>,
     min: [f64; 3],
@@ -175,7 +176,7 @@ impl Points {
         (x.floor() as i64, y.floor() as i64)
     }
 
-    /// Whether a point lies in the closed box.
+    /// Returns whether a point is in the closed box.
     fn any_in(&self, min: [f64; 3], max: [f64; 3]) -> bool {
         let ((x0, y0), (x1, y1)) = (Self::cell(min[0], min[1]), Self::cell(max[0], max[1]));
         (y0..=y1).flat_map(|y| (x0..=x1).map(move |x| (x, y))).filter_map(|cell| self.cells.get(&cell)).any(|points| {
@@ -195,7 +196,7 @@ fn boxes(store: &Store, archive: &Archive, points: &Points, table: &mut Table) -
         })
         .collect::<Result<Vec<_>, _>>()?;
     let answers: Vec<Overlap> = shapes.iter().map(|shape| overlaps(store, shape)).collect();
-    // Warm, as in a game that asks again and again; the best of some rounds, for others use the machine too.
+    // Warm, as in a game that queries constantly; best of several rounds, because other programs use the machine too.
     let round = |_| {
         let started = Instant::now();
         for shape in &shapes {
@@ -234,17 +235,17 @@ fn boxes(store: &Store, archive: &Archive, points: &Points, table: &mut Table) -
     Ok(())
 }
 
-/// A pawn walks the scene's way from the ground floor up the stairs to the top.
+/// Walks a pawn along the scene's route from the ground floor up the stairs to the top.
 fn walk(store: &Store, table: &mut Table) -> Result<(), Failure> {
     const HZ: f64 = 60.0;
-    /// Half the pawn and the pixel that its footprint is rounded by.
+    /// Half the pawn, plus the pixels by which its footprint is rounded.
     const REACH: f64 = PAWN[0] / 2.0 + 1.5 * PIXEL_M;
     let scene = Scene::demo();
     let Some(way) = scene.walk() else { return Ok(()) };
     let mut pawn = Walker::new(Config::default(), way.start.into())?;
     let mut route = Waypoints::new(way.waypoints.iter().map(|&place| place.into()).collect())?;
     let mut frame_us = Vec::new();
-    // Only where the pawn's whole footprint lies on one level floor is the height of its feet one true number.
+    // The true height of the feet is unambiguous only where the whole footprint is on one level floor.
     let (mut level, mut squares, mut greatest) = (0u32, 0.0, 0.0f64);
     let mut blocked = 0;
     while pawn.state() != State::Arrived && blocked < 2 * HZ as usize && frame_us.len() < 300 * HZ as usize {

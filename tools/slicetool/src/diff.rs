@@ -1,4 +1,4 @@
-//! `slicetool diff`: compares what two archives hold, not how they hold it.
+//! `slicetool diff`: compares the contents of two archives, not their encoding.
 
 use crate::{Failure, Outcome};
 use serde_json::json;
@@ -9,7 +9,7 @@ use slicewalk::text::grouped;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Counts of what differs; voxels of both archives are compared by lowest bottom, highest top and kind.
+/// Counts of differences; voxels of both archives are compared by lowest bottom, highest top and kind.
 #[derive(Clone, Copy, Default)]
 struct Difference {
     pages_only_a: u64,
@@ -18,34 +18,34 @@ struct Difference {
     voxels_only_a: u64,
     voxels_only_b: u64,
     voxels_in_both: u64,
-    /// In both, but obstacle in one alone.
+    /// In both, but an obstacle only in the first.
     obstacle_only_a: u64,
     obstacle_only_b: u64,
-    /// Inferred alone in one, and not so in the other.
+    /// In both, but inferred only in the first.
     inferred_only_a: u64,
     inferred_only_b: u64,
-    /// In both, with another bottom or top.
+    /// In both, with different bottom or top.
     other_height: u64,
     greatest_bottom: Quanta,
     greatest_top: Quanta,
 }
 
-/// What differs in the colours of voxels.
+/// Differences between the colours of voxels.
 #[derive(Clone, Copy, Default)]
 struct ColourDifference {
     only_a: u64,
     only_b: u64,
-    /// In both, and in both with another colour.
+    /// In both, with different colours.
     in_both: u64,
     other: u64,
-    /// Sum and greatest of the differences (ΔE*ab).
+    /// Sum and maximum of the differences (ΔE*ab).
     sum: f64,
     greatest: f32,
 }
 
 type Quanta = u8;
 
-/// A page, and which of its spans are inferred.
+/// A page and its inferred spans.
 type Marked<'a> = (&'a Page, &'a Inferred);
 
 /// Compares the archives at `a` and `b`, which must share their grid.
@@ -172,7 +172,7 @@ impl ColourDifference {
     }
 }
 
-/// Compares the colours of the voxels of two archives; `None` if neither has some.
+/// Compares the colours of the voxels of two archives; `None` if neither has colours.
 fn compare_colours(
     (a, path_a): (&Archive, &Path),
     (b, path_b): (&Archive, &Path),
@@ -196,7 +196,7 @@ fn compare_colours(
             found.add(colour, other.as_ref().and_then(|other| other.of(px, py, k)));
         }
         for (px, py, k, colour) in other.iter().flat_map(Colours::voxels) {
-            // Those with matter in the first archive were looked at above.
+            // The loop above has handled the voxels occupied in the first archive.
             let pixel = (py << 6 | px) as usize;
             if own.as_ref().is_none_or(|own| own.occupancy().find(pixel, k).is_none()) {
                 found.add(None, colour);
@@ -213,13 +213,13 @@ fn compare_colours(
     Ok(Some(found))
 }
 
-/// The entries of an archive; errors with its name.
+/// Iterates over the entries of an archive; errors name the file.
 fn entries<'a>(archive: &'a Archive, path: &'a Path) -> impl Iterator<Item = Result<PageEntry, Failure>> + 'a {
     archive.entries().map(move |entry| entry.map_err(|error| crate::broken(path, &error)))
 }
 
 impl Difference {
-    /// Between two pages of the same key; `None` where an archive has none.
+    /// Compares two pages of the same key; `None` where an archive has no such page.
     fn between(a: Option<Marked<'_>>, b: Option<Marked<'_>>, empty: Marked<'_>) -> Self {
         let mut difference = Self::default();
         match (a, b) {
@@ -252,14 +252,14 @@ impl Difference {
     }
 }
 
-/// Walks both directories side by side; memory: one page of each.
+/// Walks both directories in parallel; memory: one page of each.
 fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Result<Difference, Failure> {
     let mut difference = Difference::default();
     let (mut entries_a, mut entries_b) = (entries(a, path_a), entries(b, path_b));
     let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
     let (mut pages_a, mut pages_b) = (PageReader::new(a), PageReader::new(b));
     let (empty, nothing) = (slicewalk::slice::PageBuilder::default().build(), Inferred::new());
-    // Contents that lie over each other mostly do so more than once.
+    // Equal pairs of contents tend to repeat, so the last result is kept.
     let mut last = None;
     while next_a.is_some() || next_b.is_some() {
         let (key_a, key_b) = (next_a.map(|entry| entry.key), next_b.map(|entry| entry.key));
@@ -318,7 +318,7 @@ fn count((a, marks_a): Marked<'_>, (b, marks_b): Marked<'_>, difference: &mut Di
     }
 }
 
-/// Slices of a pixel whose matter is inferred alone.
+/// Returns the slices of a pixel whose solid is entirely inferred.
 fn inferred(page: &Page, marks: &Inferred, px: u32, py: u32) -> u64 {
     let mask = marks.of(px, py);
     if mask == 0 {
@@ -331,7 +331,7 @@ fn inferred(page: &Page, marks: &Inferred, px: u32, py: u32) -> u64 {
     slices[1] & !slices[0]
 }
 
-/// Lowest bottom and highest top in one slice of a pixel's spans, and whether any is an obstacle.
+/// Returns lowest bottom and highest top in one slice of a pixel's spans, and whether any span is an obstacle.
 fn voxel(spans: &[Span], slice: u32) -> Option<(Quanta, Quanta, bool)> {
     let parts = spans.iter().filter_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())));
     parts

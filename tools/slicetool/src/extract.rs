@@ -1,4 +1,4 @@
-//! `slicetool extract`: a region as an archive of its own.
+//! `slicetool extract`: writes a region as its own archive.
 
 use crate::Outcome;
 use slicewalk::archive::{Bounds, Extracted, extract};
@@ -6,7 +6,7 @@ use slicewalk::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// What to cut out.
+/// Options of `slicetool extract`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Slice archive
@@ -14,13 +14,13 @@ pub struct Arguments {
     /// Archive to write
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
-    /// Least and greatest corner of the region in metres; inf and -inf for no limit
+    /// Lowest and highest corner of the region in metres; inf and -inf for no limit
     #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = bounds)]
     bounds: Bounds,
     /// Replace an existing slice archive
     #[arg(long)]
     force: bool,
-    /// Print what the new archive says of itself as JSON
+    /// Print the new archive's metadata as JSON
     #[arg(long)]
     json: bool,
 }
@@ -33,7 +33,7 @@ fn bounds(text: &str) -> Result<Bounds, String> {
     }
 }
 
-/// Cuts the region out.
+/// Extracts the region.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
     let Extracted { header, dropped, .. } =

@@ -1,11 +1,12 @@
-//! What pictures need to name their scale: figures, and lengths that are easy to read.
+//! Digits and round lengths for the scales of pictures.
 
 /// Height of [`figures`] (pixels).
 pub const HEIGHT: i64 = 3 * 5;
-/// Width of a figure and the gap behind it (pixels).
+/// Width of a digit and the gap after it (pixels).
 pub const WIDTH: i64 = 3 * 4;
 
-/// Sets the pixels of a text of digits, `.`, `-`, `m` and `z`, relative to its upper left corner. Other characters are gaps.
+/// Draws a text of digits, `.`, `-`, `m` and `z` by calling `set` for pixels relative to its upper left corner. Other
+/// characters are gaps.
 pub fn figures(text: &str, mut set: impl FnMut(i64, i64)) {
     for (place, character) in (0..).zip(text.chars()) {
         for (row, bits) in (0..).zip(glyph(character)) {
@@ -18,7 +19,7 @@ pub fn figures(text: &str, mut set: impl FnMut(i64, i64)) {
     }
 }
 
-/// The greatest of 1, 2 and 5 times a power of ten that is at most `most`.
+/// Largest of 1, 2 and 5 times a power of ten that is at most `most`.
 pub fn round_length(most: f64) -> f64 {
     let power = 10f64.powf(most.log10().floor());
     [5.0, 2.0, 1.0].into_iter().map(|n| n * power).find(|length| *length <= most).unwrap_or(power)

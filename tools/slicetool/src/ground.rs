@@ -1,4 +1,4 @@
-//! What `reach` and `route` share: who walks, and the pages that it takes.
+//! Pawn options and page loading, shared by `reach` and `route`.
 
 use crate::Failure;
 use crate::nearest::nearest;
@@ -13,16 +13,16 @@ use slicewalk::text::finite_number;
 use slicewalk::walk::Body;
 use std::path::{Path, PathBuf};
 
-/// Who walks.
+/// Options of the pawn.
 #[derive(clap::Args)]
 pub struct Walks {
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
     #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8")]
     pawn: Body,
-    /// Highest step it climbs (m)
+    /// Highest step the pawn climbs (m)
     #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: f64,
-    /// Deepest drop it takes (m) [default: the climb height, so that every way can be walked back]
+    /// Deepest drop the pawn takes (m) [default: the climb height, so that every route also works in reverse]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     #[command(flatten)]
@@ -34,10 +34,10 @@ pub struct Walks {
     cache: u64,
 }
 
-/// How far a place may be moved.
+/// Option `--snap`.
 #[derive(clap::Args)]
 pub struct Snap {
-    /// Move a start or an end where the pawn cannot stand to the nearest place where it can, at most so far (m)
+    /// Move a start or end where the pawn cannot stand to the nearest place where it can, at most this far (m)
     #[arg(id = "snap", long = "snap", default_value_t = 0.5, value_name = "METRES", allow_negative_numbers = true, value_parser = snap_m)]
     pub metres: f64,
 }
@@ -47,19 +47,19 @@ fn snap_m(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "expected 0 to 100 m".into())
 }
 
-/// An end as JSON has it.
+/// Start or end of a route in JSON.
 pub fn end_json(feet: Point3<f64>, moved: f64) -> serde_json::Value {
     let [x, y, z, moved] = [feet.x, feet.y, feet.z, moved].map(tidy);
     serde_json::json!({ "x": x, "y": y, "z": z, "moved": moved })
 }
 
-/// A length or an area without the rounding errors of sums: to a millionth.
+/// Rounds a length or an area to a millionth, to drop the rounding errors of sums.
 pub fn tidy(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
 impl Walks {
-    /// Opens the archive that is walked in.
+    /// Opens the archive.
     pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
         self.inferred.open(archive)
     }
@@ -69,7 +69,7 @@ impl Walks {
         self.cache
     }
 
-    /// The standing place at `at` or near it.
+    /// Finds the standing place at `at` or near it.
     pub fn snapped(
         &self,
         loader: &Loader,
@@ -79,7 +79,7 @@ impl Walks {
         loader.known(|view| standing.snapped(view, at, self.snap.metres))
     }
 
-    /// How far a place may be moved, in words.
+    /// Describes in words how far a place may be moved.
     pub fn nowhere_near(&self) -> String {
         match self.snap.metres {
             0.0 => "expected floor below it and room for its whole body".to_owned(),
@@ -87,23 +87,23 @@ impl Walks {
         }
     }
 
-    /// The pawn as the library knows it.
+    /// The pawn in the library's type.
     pub fn pawn(&self) -> Pawn {
         Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
     }
 }
 
-/// How often one place may be asked about before more pages than those named are loaded.
+/// Queries near one place after which more pages are loaded than those reported missing.
 const MANY: u32 = 16;
-/// How often all pages of one place may be loaded, one in place of the other, before they count as too many.
+/// How often all pages near one place may be loaded, each evicting others, before the cache counts as too small.
 const AGAIN: usize = 16;
 
-/// A tile column, and what was loaded for it and the columns next to it.
+/// A tile column, with the loads for it and its neighbours.
 struct Place {
     column: [i32; 2],
     asked: u32,
     loaded: usize,
-    /// Number of its pages, as far as they were looked for.
+    /// Number of its pages, as far as known.
     pages: Option<usize>,
 }
 
@@ -114,14 +114,14 @@ impl Place {
     }
 }
 
-/// Loads pages as they are asked for.
+/// Loads pages as queries need them.
 pub struct Loader {
     stream: Stream,
     archive: PathBuf,
 }
 
 impl Loader {
-    /// Of an archive at `path`, with so many bytes for pages.
+    /// Loads from an archive at `path` into a cache of `cache` bytes.
     pub fn new(archive: Archive, path: &Path, cache: u64) -> Result<Self, Failure> {
         let budget = usize::try_from(cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
@@ -144,7 +144,7 @@ impl Loader {
         &self.archive
     }
 
-    /// Asks until all pages are there that the answer takes.
+    /// Repeats `ask` and loads the missing pages until it gives an answer.
     pub fn known<T>(&self, mut ask: impl FnMut(&View) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
         let broken = |error| crate::broken(&self.archive, &error);
         let too_small = || Failure::Text("the pages around one place do not fit in memory; give more --cache".into());
@@ -162,7 +162,7 @@ impl Loader {
             here.asked += 1;
             let mut loaded = 0;
             if here.asked > MANY {
-                // A tall column: more of it each time.
+                // In a tall column, load more of it each time.
                 let most = MISSING_KEYS << (here.asked - MANY).min(24);
                 let others = nearest(self.archive(), around, most, |key| here.is_near(key)).map_err(broken)?;
                 here.pages = here.pages.max(Some(others.len()));
@@ -178,7 +178,7 @@ impl Loader {
         }
     }
 
-    /// Most bytes that pages took, and the table of pages.
+    /// Peak bytes of pages and of the table of pages.
     pub fn memory_bytes(&self) -> usize {
         let counters = self.stream.counters();
         counters.peak_bytes + counters.table_bytes

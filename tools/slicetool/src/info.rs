@@ -1,4 +1,4 @@
-//! `slicetool info`: what archives say of themselves.
+//! `slicetool info`: prints the metadata of archives.
 
 use crate::{Failure, Outcome, broken, say};
 use serde_json::Value;
@@ -10,7 +10,8 @@ use slicewalk::text::{counted, extent, file_size, grouped, number, one_line, ran
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Facts of the archives at `paths`, as JSON or as text. One that cannot be read does not keep the others from being told.
+/// Prints metadata of the archives at `paths`, as JSON or text. An unreadable archive does not prevent the report of
+/// the others.
 pub fn run(paths: &[PathBuf], json: bool) -> Outcome {
     let mut texts = Vec::new();
     let mut facts = Vec::new();
@@ -40,7 +41,7 @@ pub fn run(paths: &[PathBuf], json: bool) -> Outcome {
             for failure in failures.into_iter().chain([last]) {
                 match failure {
                     Failure::Text(line) | Failure::Usage(line) | Failure::Result(line) => say(&line),
-                    // Nothing that `info` does is interrupted.
+                    // `info` is never interrupted.
                     #[cfg(feature = "serve")]
                     Failure::Interrupted(_) => {}
                 }
@@ -168,7 +169,7 @@ fn options(header: &Header) -> String {
     text
 }
 
-/// What the file at `path` is, if it is something that a program knows but no archive, and what to do with it.
+/// Describes the file at `path` and suggests a command, if it is a known kind of file but not an archive.
 pub fn other_file(path: &Path) -> Option<Failure> {
     let mut start = Vec::new();
     let file = std::fs::File::open(path).ok().filter(|file| file.metadata().is_ok_and(|about| about.is_file()))?;
@@ -188,7 +189,7 @@ pub fn other_file(path: &Path) -> Option<Failure> {
     Some(Failure::Text(format!("{name}: it is {what} and not a slice archive; {way_out}")))
 }
 
-/// A scan with what its header says, if that can be read.
+/// Describes a scan, with its header's data if readable.
 fn scan(path: &Path) -> String {
     let Ok(set) = InputSet::open(&[path.to_path_buf()], InputOptions::default(), &NoMonitor) else {
         return "a laser scan".into();

@@ -1,5 +1,5 @@
-//! Looks into slice archives. Results go to standard output, diagnostics to standard error; exit code 0 done, 1 failed
-//! (one line: what, where, way out), 2 usage.
+//! Inspects and queries slice archives. Results go to standard output, diagnostics to standard error. Exit codes: 0
+//! success, 1 failure (one line: what, where, what to do), 2 usage.
 
 mod demo;
 mod diff;
@@ -33,15 +33,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// What ends a command early.
+/// Reason why a command ends early.
 pub enum Failure {
     /// One line for standard error.
     Text(String),
-    /// An option has a value that it cannot have; one line.
+    /// An option has an invalid value; one line.
     Usage(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
-    /// A signal asked it to stop: the exit code.
+    /// A signal ended the command: its exit code.
     #[cfg(feature = "serve")]
     Interrupted(u8),
 }
@@ -55,12 +55,12 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
     }
 }
 
-/// An error of the library, with our options in place of its parameters.
+/// Converts an error of the library, with command-line options in place of its parameters.
 fn of_library(error: &slicewalk::Error) -> Failure {
     if let slicewalk::Error::Parameter { what, reason } = error
         && let Some(option) = option_of(what)
     {
-        // A pawn's option has several numbers.
+        // `--pawn` holds several numbers, so name the wrong one.
         return Failure::Usage(match what {
             Parameter::Pawn(number) if option == "--pawn" => format!("{option}: {number}: {reason}"),
             _ => format!("{option}: {reason}"),
@@ -69,7 +69,7 @@ fn of_library(error: &slicewalk::Error) -> Failure {
     Failure::Text(error.told(way_out))
 }
 
-/// How to help by an option.
+/// Advice that names an option.
 fn way_out(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::Overwrite => "--force replaces it",
@@ -79,7 +79,7 @@ fn way_out(parameter: &Parameter) -> Option<&'static str> {
     })
 }
 
-/// The option whose value is wrong, whatever the archive holds.
+/// Returns the option whose value is invalid for any archive.
 fn option_of(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::Pawn("speed") => "--speed",
@@ -95,7 +95,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
 /// Text for standard output, or a failure.
 pub type Outcome = Result<String, Failure>;
 
-/// Looks into slice archives.
+/// Inspects and queries slice archives.
 #[derive(Parser)]
 #[command(name = "slicetool", version, max_term_width = 110)]
 struct Arguments {
@@ -105,12 +105,12 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Print what archives say of themselves
+    /// Print the metadata of archives
     Info {
         /// Slice archives
         #[arg(required = true, value_name = "ARCHIVE")]
         archives: Vec<PathBuf>,
-        /// Print JSON: an object, of several archives a list of objects
+        /// Print JSON: an object, or a list of objects for several archives
         #[arg(long)]
         json: bool,
     },
@@ -122,7 +122,7 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Count what the scene needed: how pages and tiles are stored, and bytes by part
+    /// Count how pages and tiles are stored, and bytes by part
     Stats {
         /// Slice archive
         archive: PathBuf,
@@ -130,10 +130,10 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Draw one slice in the thesis' colours: red height, green 255, blue 255 obstacle, 26 floor or
-    /// 128 inferred floor, black empty
+    /// Draw one slice in the thesis' colours: red height, green 255, blue 255 obstacle, 26 floor or 128 inferred floor,
+    /// black empty
     Show(show::Arguments),
-    /// Compare what two archives of one grid hold, not their bytes; exit code 0 whether they differ or not
+    /// Compare the contents of two archives on one grid, not their bytes; exits with code 0 whether they differ or not
     Diff {
         /// Slice archive
         a: PathBuf,
@@ -143,13 +143,13 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Write voxels as points, floors as a raster, a slice as a plan, or all matter as a surface, for other programs
+    /// Export voxels as points, floors as a raster, a slice as a plan, or all occupied space as a surface
     Export(export::Arguments),
-    /// Join the parts that `sliceconv --shard` wrote, in any order, to the very bytes of a single run
+    /// Merge the parts that `sliceconv --shard` wrote, in any order, into the exact bytes of a single run
     Merge(merge::Arguments),
     /// Rebuild an archive from the sound pages of a damaged one
     Recover(recover::Arguments),
-    /// Cut a region out of an archive; queries inside it are answered as by the whole
+    /// Extract a region of an archive; queries inside it give the same answers as the whole
     Extract(extract::Arguments),
     /// Answer boxes or rays from a CSV file
     Query(query::Arguments),
@@ -157,51 +157,51 @@ enum Command {
     Walk(walk::Arguments),
     /// Find where a pawn can walk, how narrow it gets, and where it leaks
     Reach(reach::Arguments),
-    /// Find the shortest way of a pawn between two places
+    /// Find the shortest route of a pawn between two places
     Route(route::Arguments),
-    /// Show archives in the browser: walk in them, on this machine alone, until Ctrl-C (exit code 130)
+    /// Show archives in the browser to walk in them, served to this machine only, until Ctrl-C (exit code 130)
     #[cfg(feature = "serve")]
     Serve(web::serve::Arguments),
-    /// Write a folder with the page and archives for any web host that answers range requests
+    /// Write a folder with the viewer page and archives for any web host that answers range requests
     Site(web::site::Arguments),
-    /// Generate a scan, convert it, verify, query against brute force, draw slices
+    /// Generate a scan, convert it, verify it, query it against brute force, draw slices
     Demo(demo::Arguments),
     /// Print completions for a shell
     Completions {
-        /// Shell that will read them
+        /// Shell to print completions for
         #[arg(value_enum)]
         shell: clap_complete::Shell,
     },
-    /// Write manual pages, one for each command
+    /// Write manual pages, one per command
     Man {
-        /// Folder to write them to; made if it does not exist
+        /// Folder to write them to; created if it does not exist
         folder: PathBuf,
     },
 }
 
-/// The archive at `path`; errors name it, and say what the file is if it is something else.
+/// Opens the archive at `path`; errors name it and, for another kind of file, say what it is.
 pub fn open(path: &Path) -> Result<Archive, Failure> {
     standard::refuse_archive(path)?;
     Archive::open(path).map_err(|error| info::other_file(path).unwrap_or_else(|| broken(path, &error)))
 }
 
-/// Whether inferred floor counts.
+/// Option `--ignore-inferred`.
 #[derive(clap::Args)]
 pub struct Inferred {
-    /// Take no notice of inferred floor, by which holes of the scan were closed: only what was scanned counts
+    /// Ignore floor inferred by `--fill-holes`
     #[arg(long)]
     ignore_inferred: bool,
 }
 
 impl Inferred {
-    /// The archive at `path`, whose pages hold what counts.
+    /// Opens the archive at `path`, without inferred floor if the option is set.
     pub fn open(&self, path: &Path) -> Result<Archive, Failure> {
         let archive = open(path)?;
         Ok(if self.ignore_inferred { archive.ignoring_inferred() } else { archive })
     }
 }
 
-/// A failure to read the archive at `path`: errors about its content name the part, but not the file.
+/// A failure to read the archive at `path`: the library's errors name the damaged part but not the file.
 pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
     match error {
         slicewalk::Error::Format { .. } => {
@@ -215,14 +215,15 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
     }
 }
 
-/// Begins a picture, table or export at `path`, of `archive` and of the files `also` that the command reads.
+/// Begins a picture, table or export at `path`. It must not replace `archive` or the files `also`, which the command
+/// reads.
 pub fn output(path: &Path, archive: &Archive, also: &[&Path]) -> Result<Output, Failure> {
     let mut protected: Protected = also.iter().collect();
     protected.add_source(archive.source());
     Ok(Output::create(path, OutputKind::Result, protected)?)
 }
 
-/// A failure to hold all that `what` needs at once in a cache of `cache` bytes.
+/// A failure because a cache of `cache` bytes cannot hold everything that `what` needs at once.
 pub fn cache_too_small(what: &str, cache: u64, needed: usize) -> Failure {
     let needed = needed.div_ceil(1 << 10);
     Failure::Text(format!(
@@ -236,7 +237,7 @@ pub fn say(line: &str) {
     slicewalk::terminal::say(&format!("slicetool: {line}"));
 }
 
-/// Shows how long work goes on.
+/// Monitor that shows progress on the terminal.
 pub fn terminal() -> Terminal {
     Terminal::new("slicetool", false, way_out, Default::default())
 }

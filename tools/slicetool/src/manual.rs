@@ -1,4 +1,4 @@
-//! Completions of shells and manual pages, made from the arguments themselves.
+//! Shell completions and manual pages, generated from the argument definitions.
 
 use crate::{Arguments, Failure, Outcome};
 use clap::CommandFactory;
@@ -6,14 +6,14 @@ use slicewalk::output::{Output, OutputKind, Protected};
 use slicewalk::text::counted;
 use std::path::Path;
 
-/// Completions for `shell`.
+/// Prints completions for `shell`.
 pub fn completions(shell: clap_complete::Shell) -> Outcome {
     let mut text = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "slicetool", &mut text);
     Ok(String::from_utf8_lossy(&text).into_owned())
 }
 
-/// A manual page for the program and one for each command, `slicetool-info.1` and so on, in `folder`.
+/// Writes manual pages to `folder`, one for the program and one per command: `slicetool-info.1` and so on.
 pub fn write(folder: &Path) -> Outcome {
     let failed = |error| Failure::Text(format!("{}: cannot create: {error}", folder.display()));
     std::fs::create_dir_all(folder).map_err(failed)?;

@@ -1,4 +1,4 @@
-//! `slicetool merge`: the parts of a conversion, joined.
+//! `slicetool merge`: joins the parts of a conversion.
 
 use crate::Outcome;
 use slicewalk::archive::{merge, merge_run};
@@ -6,27 +6,28 @@ use slicewalk::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// What to join.
+/// Options of `slicetool merge`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Archives that `sliceconv --shard` wrote: all parts of one plan, in any order; files or addresses (s3://, gs://, az://, https://)
+    /// Archives that `sliceconv --shard` wrote: all parts of one plan, in any order; files or addresses (s3://, gs://,
+    /// az://, https://)
     #[arg(required = true, value_name = "SHARD")]
     shards: Vec<PathBuf>,
-    /// Join neighbouring parts alone, into part I of N of a coarser cut, which is merged with its other parts later
+    /// Merge only neighbouring parts, into part I of N of a coarser cut, to be merged with its other parts later
     #[arg(long, value_name = "I/N", value_parser = part)]
     part: Option<(u32, u32)>,
-    /// Archive to write, a file or an address in an object store; one that has the right bytes already is left alone
+    /// Archive to write, a file or an address in an object store; left alone if it already has the right bytes
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
     /// Replace an existing slice archive that holds something else
     #[arg(long)]
     force: bool,
-    /// Print what was done as JSON
+    /// Print a report as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Joins the parts; refuses missing, foreign and damaged ones by name.
+/// Merges the parts; refuses missing, foreign and damaged ones by name.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { shards, part, output, force, json } = arguments;
     let merged = match part {

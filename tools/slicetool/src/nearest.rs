@@ -1,11 +1,11 @@
-//! Pages near to one that is missing. An answer names 16 missing pages at most: a question about thousands would be asked again so
-//! often that it never came to an end, so others are loaded with those named.
+//! Pages near a missing one. An answer names at most 16 missing pages: a query that needs thousands would repeat too
+//! often, so nearby pages are loaded along with those named.
 
 use slicewalk::Result;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 
-/// Up to `most` pages of `archive` that are `wanted`, those nearest to `around`. Reads the whole directory.
+/// Returns the `most` pages of `archive` nearest to `around` among those that are `wanted`. Reads the whole directory.
 pub fn nearest(
     archive: &Archive,
     around: PageKey,
@@ -26,7 +26,7 @@ pub fn nearest(
     Ok(found.into_iter().map(|(_, key)| key).collect())
 }
 
-/// In pages, along the axis on which they lie farthest apart.
+/// Distance in pages along the axis on which they are farthest apart.
 fn distance(a: PageKey, b: PageKey) -> i64 {
     let apart = |a: i32, b: i32| (i64::from(a) - i64::from(b)).abs();
     apart(a.tx, b.tx).max(apart(a.ty, b.ty)).max(apart(a.layer, b.layer))

@@ -1,4 +1,4 @@
-//! Outlines of areas of pixels. Areas are held by runs along x, so that what fills them costs nothing.
+//! Outlines of areas of pixels. An area is a set of runs along x, so its interior costs nothing.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -9,10 +9,10 @@ pub type Corner = (i64, i64);
 /// An area of pixels.
 #[derive(Default)]
 pub struct Area {
-    /// Of each row, ranges of pixels along x, in order and apart once [`Area::join`] was called.
+    /// Ranges of pixels along x for each row; sorted and disjoint after [`Area::join`].
     rows: BTreeMap<i64, Vec<Range<i64>>>,
     runs: usize,
-    /// As many runs as this are joined again.
+    /// Number of runs at which they are joined again.
     join_at: usize,
 }
 
@@ -32,18 +32,18 @@ impl Area {
         }
     }
 
-    /// Runs of pixels along x, or more: some may hang together.
+    /// Number of runs of pixels along x; touching runs may be counted separately.
     pub fn runs(&self) -> usize {
         self.runs
     }
 
-    /// Runs of pixels along x.
+    /// Number of runs of pixels along x after joining.
     pub fn joined_runs(&mut self) -> usize {
         self.join();
         self.runs
     }
 
-    /// Least and greatest corner; `None` of an empty area.
+    /// Lowest and highest corner; `None` for an empty area.
     pub fn bounds(&self) -> Option<[Corner; 2]> {
         let (bottom, top) = (*self.rows.first_key_value()?.0, self.rows.last_key_value()?.0 + 1);
         let runs = || self.rows.values().flatten();
@@ -66,7 +66,8 @@ impl Area {
         self.join_at = 2 * self.runs + (1 << 16);
     }
 
-    /// The outlines: of each polygon the outer ring, anticlockwise, then its holes, clockwise; rings are closed.
+    /// Returns the outlines: for each polygon the outer ring, anticlockwise, then its holes, clockwise; rings are
+    /// closed.
     pub fn polygons(mut self) -> Vec<Vec<Vec<Corner>>> {
         self.join();
         let rows: Vec<(i64, &[Range<i64>])> = self.rows.iter().map(|(j, runs)| (*j, &runs[..])).collect();
@@ -78,7 +79,7 @@ impl Area {
         if holes.is_empty() {
             return outer;
         }
-        // A hole belongs to the outer ring around the pixel left of its first edge.
+        // A hole belongs to the outer ring around the pixel to the left of its first edge.
         let parts = Parts::of(&rows);
         let mut ring_of = vec![None; parts.part_of_run.len()];
         for (number, rings) in outer.iter().enumerate() {
@@ -87,7 +88,7 @@ impl Area {
         }
         for hole in holes {
             let ((i, j), (to_i, to_j)) = (hole[0], hole[1]);
-            // The pixel on the left of a unit step from the corner.
+            // The pixel to the left of a unit step from the corner.
             let pixel = match ((to_i - i).signum(), (to_j - j).signum()) {
                 (1, _) => (i, j),
                 (-1, _) => (i - 1, j - 1),
@@ -110,11 +111,11 @@ impl FromIterator<Corner> for Area {
     }
 }
 
-/// Edges with the area on their left, by where they begin; those along x reach as far as the area lies on one side of them.
+/// Edges with the area on their left, by start; an edge along x extends as long as the area stays on one side of it.
 struct Edges {
     edges: Vec<(Corner, Corner)>,
     taken: Vec<bool>,
-    /// All edges before it are taken.
+    /// All edges before this one are taken.
     first: usize,
 }
 
@@ -137,7 +138,7 @@ impl Edges {
         Self { taken: vec![false; edges.len()], edges, first: 0 }
     }
 
-    /// Takes the edges of one ring, the one with the least corner, and leaves out corners on straight lines.
+    /// Takes the edges of one ring, starting at the least corner, and leaves out corners on straight lines.
     fn next_ring(&mut self) -> Option<Vec<Corner>> {
         self.first += self.taken[self.first..].iter().position(|taken| !taken)?;
         let start = self.edges[self.first].0;
@@ -151,9 +152,9 @@ impl Edges {
                 let to = self.edges[number].1;
                 ((to.0 - at.0).signum(), (to.1 - at.1).signum())
             };
-            // Every corner has as many edges out of it as into it.
+            // Every corner has as many edges leaving as entering.
             let one = free.next()?;
-            // Where two pixels touch at a corner: left, so that rings do not cross.
+            // Where two pixels touch at a corner, turn left, so that rings do not cross.
             let left = heading.map(|(di, dj): Corner| (-dj, di));
             let number = free.find(|number| Some(heading_of(*number)) == left).unwrap_or(one);
             let own = heading_of(number);
@@ -171,7 +172,7 @@ impl Edges {
     }
 }
 
-/// The parts of `runs` that no run of `others` covers.
+/// Calls `part` for the parts of `runs` that no run of `others` covers.
 fn uncovered(runs: &[Range<i64>], others: &[Range<i64>], mut part: impl FnMut(i64, i64)) {
     for run in runs {
         let mut from = run.start;
@@ -188,11 +189,11 @@ fn uncovered(runs: &[Range<i64>], others: &[Range<i64>], mut part: impl FnMut(i6
     }
 }
 
-/// Which pixels hang together along edges.
+/// Sets of pixels connected along edges.
 struct Parts {
-    /// Number of the first run of each row, in the order of rows.
+    /// Index of the first run of each row, in the order of rows.
     first_run: Vec<usize>,
-    /// Of each run the number of one run of its part, the same for all of the part.
+    /// For each run the index of one run of its part, the same for the whole part.
     part_of_run: Vec<usize>,
 }
 
@@ -231,7 +232,7 @@ impl Parts {
         Self { first_run, part_of_run }
     }
 
-    /// The part of a pixel of the area.
+    /// Returns the part of a pixel of the area.
     fn of_pixel(&self, rows: &[(i64, &[Range<i64>])], (i, j): Corner) -> usize {
         let row = rows.partition_point(|(row, _)| *row < j);
         let run = rows[row].1.partition_point(|run| run.end <= i);
@@ -265,7 +266,7 @@ mod tests {
         pixels.iter().copied().collect::<Area>().polygons()
     }
 
-    /// Whether the rings of a polygon wind around the middle of a pixel.
+    /// Returns whether the rings of a polygon wind around the middle of a pixel.
     fn holds(rings: &[Vec<Corner>], (i, j): Corner) -> bool {
         let crosses = |pair: &&[Corner]| {
             let [from, to] = [pair[0], pair[1]];
@@ -298,7 +299,7 @@ mod tests {
             prop_assert_eq!(found.len(), parts);
             for rings in &found {
                 prop_assert!(twice_area(&rings[0]) > 0 && rings[1..].iter().all(|hole| twice_area(hole) < 0));
-                // No corner lies on a straight line, and none is left out.
+                // No corner lies on a straight line, and none is missing.
                 for ring in rings {
                     prop_assert!(ring.first() == ring.last() && ring.len() >= 5);
                     let straight = |three: &[Corner]| {

@@ -1,4 +1,4 @@
-//! `slicetool query`: boxes or rays from a CSV file, answers as CSV, line by line.
+//! `slicetool query`: answers boxes or rays from a CSV file as CSV, line by line.
 
 use crate::nearest::nearest;
 use crate::standard::table;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 const BOX_COLUMNS: [&str; 6] = ["xmin", "ymin", "zmin", "xmax", "ymax", "zmax"];
 const RAY_COLUMNS: [&str; 7] = ["x", "y", "z", "dx", "dy", "dz", "max"];
 
-/// Which archive, and what to ask.
+/// Options of `slicetool query`.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]
 pub struct Arguments {
@@ -30,7 +30,7 @@ pub struct Arguments {
     rays: Option<PathBuf>,
     #[command(flatten)]
     inferred: crate::Inferred,
-    /// Add a column `inferred`: 1 where inferred floor, by which holes of the scan were closed, makes the answer another one
+    /// Add a column `inferred`: 1 if floor inferred by `--fill-holes` changes the answer
     #[arg(long, conflicts_with = "ignore_inferred")]
     show_inferred: bool,
     /// Memory for pages
@@ -38,14 +38,14 @@ pub struct Arguments {
     cache: u64,
 }
 
-/// Pages that a question needs from which on others are loaded with them.
+/// Number of pages needed by one query from which on nearby pages are loaded as well.
 const MANY: usize = 256;
-/// How far a ray may see, so that its end is a number (m).
+/// Limit of a ray's length, which keeps its end finite (m).
 const FARTHEST_M: f64 = 1e15;
 /// Longest line of a table (bytes).
 const LONGEST_LINE: u64 = 1 << 20;
 
-/// Answers row by row; rows before a faulty one are answered.
+/// Answers row by row; rows before an invalid one are answered.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = arguments.inferred.open(&arguments.archive)?;
     // Two sets of pages share the memory.
@@ -96,8 +96,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
 }
 
-/// Repeats `ask` until nothing is missing, loading what is. All that one question needs stays until it is answered. When that is
-/// much, as many pages again are loaded with it, if they fit: the nearest of `region`, from its least to its greatest corner.
+/// Repeats `ask` until it gives an answer, loading the missing pages. All pages that one query needs stay until it is
+/// answered. Once they are many, as many more pages are loaded along with them if they fit: the nearest within
+/// `region`, given by its lowest and highest corner.
 fn complete<T>(
     stream: &Stream,
     arguments: &Arguments,
@@ -132,7 +133,7 @@ fn complete<T>(
     }
 }
 
-/// Whether a page lies between the corners of `region`, or is next to it: matter on an edge belongs to both sides.
+/// Returns whether a page is between the corners of `region` or next to it: solid on an edge belongs to both sides.
 fn is_in(frame: &Frame, region: [Point3<f64>; 2], key: PageKey) -> bool {
     let [low, high] = region.map(|corner| {
         let tile = |v: f64| frame.pixel_of(v).div_euclid(TILE_PIXELS);
@@ -142,9 +143,9 @@ fn is_in(frame: &Frame, region: [Point3<f64>; 2], key: PageKey) -> bool {
     (0..3).all(|axis| (low[axis] - 1..=high[axis] + 1).contains(&at[axis]))
 }
 
-/// Reads rows of the named columns (in any order, among others; without a header, exactly these in this order) and writes
-/// each line as it stands with the answers behind. Empty lines and lines that begin with `#` are passed over. Answers
-/// leave whenever the input pauses.
+/// Reads rows of the named columns (in any order, possibly among others; without a header, exactly these in this order)
+/// and writes each line unchanged with the answers appended. Skips empty lines and lines that begin with `#`. Answers
+/// are flushed whenever the input pauses.
 fn answer<const IN: usize>(
     path: &Path,
     columns: [&str; IN],
@@ -177,7 +178,7 @@ fn answer<const IN: usize>(
             .map_err(|_| failed(number, "no UTF-8 text; save the table as UTF-8 (or plain ASCII) CSV".into()))?;
         let line = line.strip_suffix('\n').unwrap_or(line);
         let line = line.strip_suffix('\r').unwrap_or(line);
-        // Spreadsheets begin UTF-8 files with a mark that is no part of the first name.
+        // Spreadsheets begin UTF-8 files with a byte order mark, which is not part of the first name.
         let line = if number == 1 { line.strip_prefix('\u{feff}').unwrap_or(line) } else { line };
         if line.trim().is_empty() || line.starts_with('#') {
             continue;
@@ -227,7 +228,7 @@ fn answer<const IN: usize>(
     }
 }
 
-/// Whether somebody still reads the answers: a closed pipe (`slicetool query … | head`) is the reader's choice.
+/// Returns whether the answers are still read: a closed pipe (`slicetool query … | head`) is the reader's choice.
 fn go_on(written: std::io::Result<()>) -> Result<bool, Failure> {
     match written {
         Ok(()) => Ok(true),
@@ -236,7 +237,8 @@ fn go_on(written: std::io::Result<()>) -> Result<bool, Failure> {
     }
 }
 
-/// Splits lines into fields without blanks around them. One reader for all lines: making one takes longer than a query.
+/// Splits lines into fields and trims blanks. One reader serves all lines, because creating one takes longer than a
+/// query.
 struct Fields {
     reader: csv_core::Reader,
     text: Vec<u8>,
@@ -245,17 +247,17 @@ struct Fields {
 
 impl Fields {
     fn new() -> Self {
-        // Not its `default`, which knows no comma.
+        // `default` would create a reader without a separator.
         Self { reader: csv_core::Reader::new(), text: Vec::new(), ends: Vec::new() }
     }
 
-    /// The fields of a line; `None` if a quoted one goes on beyond it.
+    /// Returns the fields of a line; `None` if a quoted field does not end within it.
     fn of(&mut self, line: &str) -> Option<Row<'_>> {
         self.reader.reset();
         self.text.resize(line.len() + 1, 0);
         self.ends.resize(line.len() + 2, 0);
         let (result, read, text, count) = self.reader.read_record(line.as_bytes(), &mut self.text, &mut self.ends);
-        // Behind the line comes its end, which a quoted field swallows.
+        // Append the line's end; an open quoted field swallows it.
         let ended = match result {
             csv_core::ReadRecordResult::InputEmpty if read == line.len() => {
                 self.reader.read_record(b"\n", &mut self.text[text..], &mut self.ends[count..])
@@ -278,7 +280,7 @@ impl Row<'_> {
         self.ends.len()
     }
 
-    /// Empty if there is no such field.
+    /// Returns a field, or an empty text if there is no such field.
     fn get(&self, at: usize) -> &str {
         let start = if at == 0 { Some(&0) } else { self.ends.get(at - 1) };
         let field = start.zip(self.ends.get(at)).and_then(|(start, end)| self.text.get(*start..*end));

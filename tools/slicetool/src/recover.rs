@@ -1,4 +1,4 @@
-//! `slicetool recover`: an archive again from what is left of a damaged one.
+//! `slicetool recover`: rebuilds an archive from the sound pages of a damaged one.
 
 use crate::Outcome;
 use serde_json::json;
@@ -8,7 +8,7 @@ use slicewalk::text::{counted, file_size, grouped, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// What to recover.
+/// Options of `slicetool recover`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The damaged archive
@@ -22,12 +22,12 @@ pub struct Arguments {
     /// Replace an existing slice archive
     #[arg(long)]
     force: bool,
-    /// Print what was found as JSON
+    /// Print the findings as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Writes what is sound; that something is lost is told, and no failure as long as there is something to write.
+/// Writes the sound pages. Losses are reported; they are a failure only if nothing can be written.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { archive, output, plan, force, json } = arguments;
     let plan = plan.as_deref().map(PlanFile::read).transpose()?.map(|file| file.plan);

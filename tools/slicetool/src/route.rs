@@ -1,4 +1,4 @@
-//! `slicetool route`: the shortest way of a pawn between two places.
+//! `slicetool route`: finds the shortest route of a pawn between two places.
 
 use crate::ground::{Loader, Walks, end_json};
 use crate::{Failure, Outcome};
@@ -12,38 +12,38 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Ways between places farther apart are planned on overview levels first (m).
+/// Distance of the ends above which routes are planned on overview levels first (m).
 const NEAR_M: f64 = 40.0;
-/// Between places farther apart the way along a coarse one is the answer, whatever its length (m), unless all pixels with a shorter
-/// way are few.
+/// Distance of the ends above which the route along a coarse one is the answer, however long it is, unless only few
+/// pixels could hold a shorter route (m).
 const FAR_M: f64 = 150.0;
 const FEW_PIXELS: f64 = 5e5;
-/// No way found is longer than this multiple of the shortest otherwise.
+/// Bound of a route's length, as a multiple of the shortest, for all other routes.
 const WITHIN: f64 = 1.05;
-/// Largest pixels of a level on which ways are planned (m).
+/// Largest pixels of a level used for planning (m).
 const COARSEST_M: f64 = 4.0;
-/// From a coarse way to the edge of the corridor about it (pixels of its level).
+/// Distance from a coarse route to the edge of the corridor around it (pixels of its level).
 const BESIDE: f64 = 3.0;
-/// A coarse way in doubt is looked for on a finer level too, over so many spans.
+/// A doubtful coarse route is searched again on a finer level, over at most this many spans.
 const MOST_SPANS: usize = 1 << 20;
 
-/// From where to where, and who.
+/// Options of `slicetool route`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
-    /// Where the way begins (m); in the air, the floor below counts
+    /// Start of the route (m); in the air, the floor below counts
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     from: Point3<f64>,
-    /// Where the way ends (m), likewise
+    /// End of the route (m); in the air, the floor below counts
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     to: Point3<f64>,
     #[command(flatten)]
     walks: Walks,
-    /// Answer from the overview levels alone (`sliceconv --levels on`): at once, over any distance, and only about right
+    /// Use only the overview levels (`sliceconv --levels on`): immediate over any distance, but approximate
     #[arg(long)]
     coarse: bool,
-    /// File to write: x,y,z of the places to reach one after the other; `walk --waypoints` takes it. `-` is standard output
+    /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes. `-` is standard output
     #[arg(short, long, value_name = "ROUTE.csv")]
     output: Option<PathBuf>,
     /// Print a summary as JSON
@@ -51,7 +51,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Finds the way; without an output and --json it is the result.
+/// Finds the route; without `--output` and `--json` the route is the result.
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
@@ -70,7 +70,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
     for point in found.iter().flat_map(|route| &route.points) {
-        // Without rounding: a gate may be just as wide as the pawn.
+        // Not rounded, because a gate may be exactly as wide as the pawn.
         writeln!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
     }
     if let Some(mut output) = output {
@@ -121,11 +121,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     Ok(if arguments.output.is_some() { String::new() } else { rows })
 }
 
-/// A route, or why there is none.
+/// A route, or the reason why there is none.
 type Found = Result<Route, Refusal>;
 
-/// The way in the archive itself: along a coarse one where that is known to be good enough, else near the straight line first, and
-/// farther if it leads farther. Moves `ends` to standing places and notes by how much (m).
+/// Finds the route in the archive itself: along a coarse route if that is known to be good enough, otherwise near the
+/// straight line first and then farther out. Moves `ends` to standing places and records by how much (m).
 fn find(
     arguments: &Arguments,
     archive: Archive,
@@ -154,7 +154,7 @@ fn find(
     let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
     let known = match known {
         Some(route) => {
-            // Only a way so short would be better by more than that.
+            // Only a route this short would be better by more than the bound.
             let shorter = route.length_m / WITHIN;
             let pixels = ellipse_m2(straight, shorter) / loader.archive().frame().pixel_m().powi(2);
             if pixels == 0.0 || straight > FAR_M && pixels > FEW_PIXELS {
@@ -174,7 +174,7 @@ fn find(
     })
 }
 
-/// Area where ways of this `length` between two places lead that are `straight` apart.
+/// Area that routes of this `length` can cover between two places that are `straight` apart (m²).
 fn ellipse_m2(straight: f64, length: f64) -> f64 {
     std::f64::consts::PI / 4.0 * length * (length.powi(2) - straight.powi(2)).max(0.0).sqrt()
 }
@@ -189,20 +189,20 @@ fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found
     }
 }
 
-/// A way on an overview level.
+/// A route on an overview level.
 struct Guess {
     level: u32,
     route: Route,
     doubt_m: f64,
 }
 
-/// The pages of a level.
+/// Loads pages of a level.
 fn on_level(arguments: &Arguments, archive: &Archive, number: u32) -> Result<Loader, Failure> {
     let level = archive.level(number).map_err(|error| crate::broken(&arguments.archive, &error))?;
     Loader::new(level, &arguments.archive, arguments.walks.cache())
 }
 
-/// The way on levels alone.
+/// Finds a route on the overview levels only.
 fn on_levels(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
     if archive.levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
         let path = arguments.archive.display();
@@ -212,7 +212,8 @@ fn on_levels(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Res
     coarse(arguments, archive, [arguments.from, arguments.to], bytes)
 }
 
-/// The way on the coarsest level that leaves no doubt, else that on the finest one that has a way; a fine level also decides that there is none.
+/// Returns the route on the coarsest level without doubt, otherwise that on the finest level that has one. A fine level
+/// can also rule out any route.
 fn coarse(
     arguments: &Arguments,
     archive: &Archive,
@@ -222,7 +223,8 @@ fn coarse(
     let broken = |error| crate::broken(&arguments.archive, &error);
     let mut best = Err(Refusal::NotConnected);
     for level in archive.levels().map_err(broken)?.iter().rev() {
-        // A body is a few pixels wide at least where doors matter; a whole level of one page says nothing of ways.
+        // On coarser levels, a body is less than a few pixels wide where doors matter, and a level of one page shows no
+        // routes.
         if level.frame().pixel_m() > COARSEST_M {
             continue;
         }
@@ -250,7 +252,7 @@ fn coarse(
     Ok(best)
 }
 
-/// What a planner finds on a level; `None` if it looks at more than `most` spans.
+/// Result of a planner on a level; `None` if it looks at more than `most` spans.
 fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<Answer<Option<Found>>> {
     Ok(match planner.go_on(view, most.saturating_sub(planner.looked_at()), &NoMonitor)? {
         Planned::Done(found) => Answer::Known(Some(found)),
@@ -259,7 +261,7 @@ fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<
     })
 }
 
-/// The exact way along a coarse one, level by level; `None` where no corridor connects.
+/// Refines a coarse route level by level to an exact one; `None` if no corridor connects.
 fn refined(
     arguments: &Arguments,
     loader: &Loader,
@@ -274,7 +276,7 @@ fn refined(
     for level in (1..guide.level).rev() {
         let on_level = on_level(arguments, loader.archive(), level)?;
         let mut best: Option<Guess> = None;
-        // A coarser level hides what is in the way: where the finest shows it, the way may lead around it, anywhere.
+        // A coarser level hides obstacles: where the finest level shows one, the route may lead around it, anywhere.
         for is_near in [true, false].into_iter().take(if level == 1 { 2 } else { 1 }) {
             let mut planner = Coarse::new(&on_level.view(), pawn, from, to)?;
             if is_near {

@@ -1,4 +1,4 @@
-//! `slicetool show`: one slice as a picture, in the thesis' colours or in those of the scan.
+//! `slicetool show`: draws one slice, in the thesis' colours or in those of the scan.
 
 use crate::{Failure, Outcome, figures};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry};
@@ -9,21 +9,21 @@ use slicewalk::text::{finite_number, grouped, number, one_line, rounded, whole_n
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Colours in the blue channel of floors, obstacles and inferred floor.
+/// Blue channel of floors, obstacles and inferred floor.
 pub const BLUES: [u8; 3] = [26, 255, 128];
-/// Number of the last.
+/// Index of inferred floor in [`BLUES`].
 pub const INFERRED: usize = 2;
-/// Matter that has no colour, where voxels are drawn in their colours.
+/// Colour of voxels without a colour, where voxels are drawn in their colours.
 pub const COLOURLESS: [u8; 3] = [96; 3];
-/// Around the parts of a legend, length of its ramps of colours, and its least width (pixels).
+/// Margin around the parts of a legend, length of its colour ramps, and its minimum width (pixels).
 const MARGIN: i64 = 8;
 const RAMP: i64 = 64;
 const LEGEND_WIDTH: i64 = 400;
 
-/// Widest or highest picture drawn (pixels): beyond it, viewers give up.
+/// Largest width and height of a picture (pixels); viewers fail on larger ones.
 const MAX_EDGE_PIXELS: i64 = 65_500;
 
-/// Which slice of which archive, and where to.
+/// Options of `slicetool show`.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub struct Arguments {
@@ -35,15 +35,15 @@ pub struct Arguments {
     /// Slice by height in metres
     #[arg(long, value_name = "Z", group = "which", allow_hyphen_values = true, value_parser = finite_number)]
     z: Option<f64>,
-    /// Draw this overview level: 1 has pixels and slices 4 times as large, 2 has them 16 times as large. Slices by number are then
-    /// those of the level
+    /// Draw this overview level: 1 has pixels and slices 4 times as large, 2 has them 16 times as large. `--slice` then
+    /// counts slices of the level
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     level: u32,
     /// Picture to write (PNG); `-` is standard output
     #[arg(short, long, value_name = "S.png")]
     output: PathBuf,
-    /// Add a strip below with a scale bar and the colours of floors, obstacles and inferred floor (from left to right, the last
-    /// where holes are filled) from the bottom to the top of the slice
+    /// Add a strip below with a scale bar and the colours of floors, obstacles and (if holes are filled) inferred
+    /// floor, from the bottom to the top of the slice
     #[arg(long)]
     legend: bool,
     /// Draw voxels in their own colours (`sliceconv --colour`); those without one are grey
@@ -51,7 +51,7 @@ pub struct Arguments {
     colour: bool,
 }
 
-/// Draws the slice that `arguments` name.
+/// Draws the requested slice.
 pub fn run(arguments: &Arguments) -> Outcome {
     let mut archive = crate::open(&arguments.archive)?;
     if arguments.level > 0 {
@@ -75,13 +75,13 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::written(&arguments.output, &about)
 }
 
-/// The lowest and the highest slice of an archive (absolute).
+/// Lowest and highest slice of an archive (absolute).
 pub fn slices(archive: &Archive, path: &Path) -> Result<(i64, i64), Failure> {
     let none = || Failure::Text(format!("{}: holds no points, so there is no slice", path.display()));
     archive.header().slices.ok_or_else(none)
 }
 
-/// The slice (absolute) that is number `number` from the lowest, or holds the height `z`.
+/// Returns the slice (absolute) with number `number` counted from the lowest, or at height `z`.
 pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>) -> Result<i64, Failure> {
     let (lowest, highest) = slices(archive, path)?;
     let frame = archive.frame();
@@ -101,24 +101,24 @@ pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>
     })
 }
 
-/// The finest overview level of `archive` in which an edge of so many pixels fits a picture.
+/// Returns the finest overview level of `archive` in which an edge of `pixels` pixels fits a picture.
 fn fitting_level(archive: &Archive, pixels: i64) -> Option<u32> {
     let levels = archive.levels().ok()?;
     levels.iter().map(Level::number).find(|&level| (pixels >> (2 * level)) + 1 < MAX_EDGE_PIXELS)
 }
 
-/// How a slice is drawn.
+/// Style of a drawing.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Look {
-    /// In the thesis' colours.
+    /// The thesis' colours.
     Plain,
-    /// The same with a legend below.
+    /// The thesis' colours with a legend below.
     Legend,
-    /// In the colours of the voxels.
+    /// The colours of the voxels.
     Colour,
 }
 
-/// A reader of the colours of the archive at `path`, which must have some.
+/// Reads the colours of the archive at `path`; fails if it has none.
 pub fn colours(archive: &Archive, path: &Path) -> Result<ColourReader, Failure> {
     let reader = ColourReader::new(archive).map_err(|error| crate::broken(path, &error))?;
     reader.ok_or_else(|| {
@@ -126,8 +126,8 @@ pub fn colours(archive: &Archive, path: &Path) -> Result<ColourReader, Failure> 
     })
 }
 
-/// Draws slice `slice` (absolute) of `archive`, which lies at `path`, as a PNG `to`: one pixel per pixel of the archive,
-/// north up, over the bounds of all points; returns its width and height. Memory: one row of tiles.
+/// Draws slice `slice` (absolute) of `archive`, which is at `path`, as a PNG `to`: one pixel per pixel of the archive,
+/// north up, over the bounds of all points. Returns width and height. Memory: one row of tiles.
 pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -> Result<(i64, i64), Failure> {
     let broken = |error| crate::broken(path, &error);
     let frame = archive.frame();
@@ -185,7 +185,7 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
                     1 => INFERRED,
                     _ => usize::from(span.is_obstacle()),
                 };
-                // Of several in one slice the lowest, but inferred floor only where nothing was scanned.
+                // Of several spans in the slice, the lowest; inferred floor only if nothing was scanned.
                 let parts = spans.iter().enumerate();
                 let parts = parts.filter_map(|(at, span)| Some((span.within_slice(in_page)?, kind(at, span))));
                 let part = parts.min_by_key(|(_, kind)| *kind == INFERRED);
@@ -218,7 +218,7 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
     Ok((full_width, height + strip_height))
 }
 
-/// The legend: a bar of a round length, then the colours of heights within the slice, each with its figures.
+/// The legend: a bar of a round length, then colour ramps for heights within the slice, each labelled.
 struct Strip {
     width: i64,
     pixels: Vec<[u8; 3]>,
@@ -261,7 +261,7 @@ impl Strip {
         }
     }
 
-    /// Writes figures; where the next part begins.
+    /// Draws digits; returns where the next part begins.
     fn write(&mut self, [x, y]: [i64; 2], text: &str) -> i64 {
         figures::figures(text, |dx, dy| self.set(x + dx, y + dy, [255; 3]));
         x + text.len() as i64 * figures::WIDTH + MARGIN

@@ -1,4 +1,4 @@
-//! `-` in place of a file: standard input for tables, standard output for tables and PLY.
+//! `-` as a file name: standard input for tables, standard output for tables and PLY.
 
 use crate::{Failure, Outcome, say};
 use slicewalk::output::is_standard;
@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// A table to read, and what messages call it.
+/// Opens a table to read; returns it with its name for messages.
 pub fn table(path: &Path) -> Result<(Box<dyn Read>, String), Failure> {
     if is_standard(path) {
         return Ok((Box::new(std::io::stdin().lock()), "standard input".into()));
@@ -16,7 +16,7 @@ pub fn table(path: &Path) -> Result<(Box<dyn Read>, String), Failure> {
     Ok((Box::new(file), name))
 }
 
-/// An archive is read in pieces from everywhere, which a stream does not allow.
+/// Refuses `-` for an archive, which is read in random order; a stream does not allow that.
 pub fn refuse_archive(path: &Path) -> Result<(), Failure> {
     match is_standard(path) {
         true => Err(Failure::Usage("-: an archive is not read from standard input; name a file".into())),
@@ -24,7 +24,7 @@ pub fn refuse_archive(path: &Path) -> Result<(), Failure> {
     }
 }
 
-/// JSON and a table cannot both go to standard output.
+/// Refuses to write both JSON and a table to standard output.
 pub fn refuse_two(output: Option<&Path>, json: bool) -> Result<(), Failure> {
     match output.is_some_and(is_standard) && json {
         true => Err(Failure::Usage("-o - and --json both write to standard output; name a file for -o".into())),
@@ -32,7 +32,8 @@ pub fn refuse_two(output: Option<&Path>, json: bool) -> Result<(), Failure> {
     }
 }
 
-/// What is said about a file that was written: the result, or, if the file itself went to standard output, a message.
+/// Returns the message about a written file as the result, or prints it as a diagnostic if the file itself went to
+/// standard output.
 pub fn written(output: &Path, about: &str) -> Outcome {
     if is_standard(output) {
         about.lines().for_each(say);

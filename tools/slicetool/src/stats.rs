@@ -1,4 +1,4 @@
-//! `slicetool stats`: what the scene needed.
+//! `slicetool stats`: statistics of how the scene is stored.
 
 use crate::Outcome;
 use serde_json::{Map, Value, json};
@@ -10,7 +10,7 @@ use std::path::Path;
 
 const KINDS: [&str; 3] = ["stored", "shared", "uniform"];
 
-/// What each need says of a tile, in the order of [`Need::ALL`].
+/// Description of each need of a tile, in the order of [`Need::ALL`].
 const NEEDS: [&str; 6] = [
     "one span everywhere: an entry of the directory",
     "bytes of an earlier page: an entry of the directory",
@@ -20,7 +20,7 @@ const NEEDS: [&str; 6] = [
     "heights of its own",
 ];
 
-/// Bytes of the colours of each level, none where they have none.
+/// Bytes of the colours of each level; empty if the levels have none.
 fn level_colours(archive: &Archive) -> slicewalk::Result<Vec<u64>> {
     let levels = archive.levels()?.iter();
     let readers = levels.map(|level| ColourReader::new(&archive.level(level.number())?));
@@ -28,7 +28,7 @@ fn level_colours(archive: &Archive) -> slicewalk::Result<Vec<u64>> {
     readers.filter_map(|reader| reader.map(|reader| reader.map(len)).transpose()).collect()
 }
 
-/// An overview level: its grid, and what it takes.
+/// Grid and size of an overview level.
 fn level_facts(level: &Level, colours: Option<&u64>) -> Value {
     let bytes = level.bytes();
     json!({

@@ -7,7 +7,7 @@ use slicewalk::text::{counted, one_line};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Checks the archive at `path`. Findings are the result, and a failure.
+/// Checks the archive at `path`. Findings are printed as the result, and mean failure.
 pub fn run(path: &Path, json: bool) -> Outcome {
     crate::standard::refuse_archive(path)?;
     let mut findings = Vec::new();
@@ -16,7 +16,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
             let summary = archive.verify(&crate::terminal(), &mut |finding| findings.push(finding.to_string()));
             Some(summary.map_err(|error| crate::broken(path, &error))?)
         }
-        // What keeps an archive from opening is a finding like any other; a file that cannot be read is not.
+        // An error that prevents opening the archive is a finding like any other; an unreadable file is not.
         Err(error @ slicewalk::Error::Io { .. }) => return Err(error.into()),
         Err(error) => {
             findings.push(match error {

@@ -1,4 +1,4 @@
-//! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
+//! `slicetool walk`: a pawn follows waypoints; writes its path as CSV and its cost as JSON.
 
 use crate::ground::{Loader, Snap, end_json};
 use crate::{Failure, Outcome, cache_too_small};
@@ -13,21 +13,21 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// So long a pawn may be blocked before the walk ends (s).
+/// Longest time that a pawn may stay blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
 
-/// So often a tick may miss pages that were loaded for it: with prefetch the cache may drop them before the pawn asks again.
+/// How often a tick may miss pages that were loaded for it: prefetching may evict them before the pawn asks again.
 const ATTEMPTS: usize = 64;
 
-/// Where to walk, and how.
+/// Options of `slicetool walk`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
-    /// Where the feet stand first (m); if in the air, the pawn falls
+    /// Start of the feet (m); in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach one after the other: columns x,y or x,y,z (a header is optional). `-` reads standard input
+    /// Places to reach in turn: columns x,y or x,y,z (a header is optional). `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
@@ -36,10 +36,11 @@ pub struct Arguments {
     /// Walking speed (m/s)
     #[arg(long, default_value_t = 1.4, value_name = "M/S", allow_negative_numbers = true, value_parser = finite_number)]
     speed: f64,
-    /// Highest step it climbs (m)
+    /// Highest step the pawn climbs (m)
     #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: f64,
-    /// Stop before ledges deeper than this, and before the edge of the scan (m); else it falls, as with --response thesis
+    /// Stop before ledges deeper than this and before the edge of the scan (m); by default and with --response thesis,
+    /// the pawn falls
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     /// Frames per second
@@ -55,7 +56,7 @@ pub struct Arguments {
     /// Load pages ahead of the pawn, or only when it misses them
     #[arg(long, value_enum, default_value_t = Switch::On)]
     prefetch: Switch,
-    /// Response to what is in its way: exact sweeps, or the steps of the thesis
+    /// Response to obstacles: exact sweeps, or the steps of the thesis
     #[arg(long, value_enum, default_value_t = Rule::Slide)]
     response: Rule,
     /// End after this many seconds
@@ -87,7 +88,7 @@ fn numbers<const N: usize>(text: &str, separator: char) -> Option<[f64; N]> {
     values?.try_into().ok()
 }
 
-/// Three numbers apart by commas.
+/// Parses three numbers separated by commas.
 pub fn point(text: &str) -> Result<Point3<f64>, String> {
     numbers::<3>(text, ',').map(Point3::from).ok_or_else(|| "expected three numbers X,Y,Z".into())
 }
@@ -102,7 +103,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "expected seconds above 0, at most 1000000".into())
 }
 
-/// Walks; the path appears whole, or not at all.
+/// Walks; the path appears complete or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(Some(&arguments.output), arguments.json)?;
     let config = Config {
@@ -149,7 +150,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         }
     }
     for failed in stream.take_errors() {
-        // Nothing that the pawn needed: that would have ended the walk.
+        // The pawn did not need this page, or the walk would have ended.
         crate::say(&format!("warning: page {}: {}", failed.key, failed.error));
     }
     output.write_at(0, path.as_bytes())?;
@@ -201,7 +202,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if state == State::Blocked { Err(Failure::Result(result)) } else { Ok(result) }
 }
 
-/// Where the pawn begins, and by how much it was moved there (m): where it cannot stand, at the nearest place where it can, if one is near.
+/// Returns where the pawn starts and how far it was moved there (m): if it cannot stand at the requested place, it
+/// starts at the nearest place where it can.
 fn start(arguments: &Arguments) -> Result<(Point3<f64>, f64), Failure> {
     let asked = (arguments.start, 0.0);
     if arguments.snap.metres == 0.0 {
@@ -212,12 +214,12 @@ fn start(arguments: &Arguments) -> Result<(Point3<f64>, f64), Failure> {
     let archive = arguments.inferred.open(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
     let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
-    // What does not fit in memory is no place to be moved to; the walk itself says how much it needs.
+    // If the search does not fit in memory, the pawn stays; the walk itself reports how much it needs.
     let found = loader.known(|view| standing.snapped(view, arguments.start, arguments.snap.metres)).ok().flatten();
     Ok(found.filter(|found| found.moved > 0.0).map_or(asked, |found| (found.feet, found.moved)))
 }
 
-/// Why a pawn is blocked, and what helps.
+/// Describes why a pawn is blocked, and what to do.
 fn in_the_way(stop: Option<Stop>) -> &'static str {
     match stop {
         Some(Stop::Wall) => "a wall; add waypoints around it, or change --climb or --pawn",
@@ -238,20 +240,19 @@ fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
     Ok(Stream::open(archive, StreamOptions { prefetch, ..StreamOptions::new(budget) })?)
 }
 
-/// Lets the prefetcher work for as long as it could until the frame begins. When it has nothing left to do the walk goes on
-/// at once: no page would come in by waiting. So a walk takes less time than it tells of, and misses what it would have
-/// missed.
+/// Gives the prefetcher the time until the frame begins. Returns early once the prefetcher has nothing to do, because
+/// no page would come in by waiting. So a walk takes less time than it reports, with the same misses.
 fn prepare(stream: &Stream, outlook: &Outlook, frame: u64, frame_s: f64) -> Result<(), Failure> {
     if frame == 1 {
-        // A program waits for what the pawn stands in before it shows the first frame.
+        // A program loads the pages around the pawn before it shows the first frame.
         stream.load_around(outlook)?;
     }
     stream.settle(Duration::from_secs_f64(frame_s));
     Ok(())
 }
 
-/// One frame: how many pages it needed that were not in memory, and what was in the pawn's way. The pages are loaded on
-/// the spot, and stay until they were used.
+/// Advances one frame; returns how many needed pages were not in memory, and what blocked the pawn. Missing pages are
+/// loaded at once and stay until they have been used.
 fn step(
     stream: &Stream,
     walker: &mut Walker,
@@ -264,7 +265,7 @@ fn step(
     loop {
         let report = walker.follow(&stream.view(), dt, route);
         stop = report.stop.or(stop);
-        // Left over as well where a frame is longer than the library's longest step.
+        // Also left over if a frame is longer than the library's longest step.
         dt = report.unspent;
         if report.ticks > 0 {
             attempts = 0;
@@ -291,7 +292,7 @@ fn step(
     }
 }
 
-/// Reads columns x,y: by their names if there is a header, else the first two.
+/// Reads columns x,y: by name if there is a header, otherwise the first two.
 fn waypoints(path: &Path) -> Result<Vec<Point2<f64>>, Failure> {
     let (table, name) = crate::standard::table(path)?;
     let failed = |at: String, reason: String| Failure::Text(format!("{name}: {at}: {reason}"));

@@ -1,7 +1,7 @@
-//! Hostile archives and a large sound one under limits of the system: every command ends by itself, in a stated amount of memory, with
-//! an answer or one line. `docs/convert.md` has the amounts.
+//! Hostile archives and a large sound one under system limits: every command ends, in a stated amount of memory, with
+//! an answer or one line. `docs/convert.md` lists the amounts.
 //!
-//! `SLICEWALK_BUDGET_TILES` sets how many tiles the sound one has along each side, of 4,096 voxels each.
+//! `SLICEWALK_BUDGET_TILES` sets the number of tiles along each side of the sound archive, 4,096 voxels each.
 #![cfg(target_os = "linux")]
 
 use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
@@ -12,21 +12,21 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// Memory of a command that looks at an archive (MiB), caches not included.
+/// Memory of a command that inspects an archive (MiB), without caches.
 const MEMORY_MIB: u64 = 64;
-/// Memory of a surface or of all places that can be reached, which are held whole (MiB).
+/// Memory of a surface or of all reachable places, which are held whole (MiB).
 const SURFACE_MIB: u64 = 1024;
-/// The cache that queries and walks get (MiB).
+/// Cache of queries and walks (MiB).
 const CACHE_MIB: u64 = 16;
-/// Time of the processor after which the system ends a command (s): many times what the slowest takes, so that only endless work
-/// is found.
+/// Processor time after which the system ends a command (s): many times that of the slowest one, so that only endless
+/// work exceeds it.
 const SECONDS: u64 = 60;
 
 /// Runs the program under limits of private memory and of time.
 fn limited(folder: &Path, mib: u64, arguments: &[&str]) -> Output {
     let limits = format!("ulimit -d {} && ulimit -t {SECONDS} && exec \"$0\" \"$@\"", mib << 10);
     Command::new("sh")
-        // One arena: each further one reserves what it may never use.
+        // A single arena, because each further one reserves memory that it may never use.
         .env("MALLOC_ARENA_MAX", "1")
         .current_dir(folder)
         .args(["-c", &limits, env!("CARGO_BIN_EXE_slicetool")])
@@ -35,7 +35,7 @@ fn limited(folder: &Path, mib: u64, arguments: &[&str]) -> Output {
         .unwrap()
 }
 
-/// It did its work, or said in one line why not.
+/// Checks that the command succeeded, or failed with one line.
 fn is_handled(arguments: &[&str], out: &Output) {
     let said = String::from_utf8_lossy(&out.stderr);
     let code = out.status.code();
@@ -45,7 +45,7 @@ fn is_handled(arguments: &[&str], out: &Output) {
     assert!(code == Some(0) || errors <= 1, "{arguments:?}: {said}");
 }
 
-/// What the commands read beside the archive.
+/// A folder with the files that commands read beside the archive.
 fn folder_with_tables() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -55,12 +55,12 @@ fn folder_with_tables() -> tempfile::TempDir {
     folder
 }
 
-/// Commands whose memory grows with what they make.
+/// Returns whether the memory of a command grows with its result.
 fn holds_its_result(arguments: &[&str]) -> bool {
     arguments.contains(&"p.glb") || arguments[0] == "reach"
 }
 
-/// Every command on the archive `name`, and how it ended.
+/// Runs every command on the archive `name` and returns the outputs.
 fn ask_everything(folder: &Path, name: &str, is_wanted: impl Fn(&[&str]) -> bool) -> Vec<Output> {
     let cache = format!("{CACHE_MIB}MiB");
     let commands: [&[&str]; 16] = [
@@ -112,7 +112,7 @@ fn forged_archives_cost_little_whatever_is_asked() {
     assert!(count > 20, "{count} archives");
 }
 
-/// Rough ground that fills a tile, 7 m up.
+/// Rough ground that fills a tile, at a height of 7 m.
 fn rough_ground() -> Page {
     let mut builder = PageBuilder::default();
     for pixel in 0..4096u32 {

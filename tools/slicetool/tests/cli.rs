@@ -1,4 +1,4 @@
-//! The program `slicetool` as a user meets it: exit codes, streams, one-line errors, tables, pictures, exports.
+//! The program `slicetool` from a user's view: exit codes, streams, one-line errors, tables, pictures, exports.
 
 use scangen::{WriteSpec, write_las};
 use slicewalk::NoMonitor;
@@ -13,7 +13,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use tempfile::TempDir;
 
-/// A floor of 4 × 4 m at z = 0.35 with a wall 2 m high along x = 3, seen every 5 cm.
+/// A floor of 4 × 4 m at z = 0.35 with a wall 2 m high along x = 3, sampled every 5 cm.
 fn points() -> Vec<[f64; 3]> {
     let step = |n: i32| f64::from(n) * 0.05 + 0.025;
     let floor = (0..80).flat_map(|i| (0..80).map(move |j| [step(i), step(j), 0.35]));
@@ -21,7 +21,7 @@ fn points() -> Vec<[f64; 3]> {
     floor.chain(wall).collect()
 }
 
-/// An archive `name` of `points` in `folder`.
+/// Writes an archive `name` of `points` to `folder`.
 fn archive(folder: &Path, name: &str, points: &[[f64; 3]], pixel_m: f64) {
     let scan = folder.join("scan.las");
     write_las(&scan, points.iter().copied(), &WriteSpec::for_path(&scan)).unwrap();
@@ -41,7 +41,7 @@ fn slicetool(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_slicetool")).current_dir(folder).args(arguments).output().unwrap()
 }
 
-/// It works and says nothing on standard error; its result.
+/// Checks that the command succeeds without standard error; returns its result.
 fn done(folder: &Path, arguments: &[&str]) -> String {
     let out = slicetool(folder, arguments);
     let said = String::from_utf8(out.stderr).unwrap();
@@ -49,12 +49,12 @@ fn done(folder: &Path, arguments: &[&str]) -> String {
     String::from_utf8(out.stdout).unwrap()
 }
 
-/// It fails, prints no result and says one line, which is returned.
+/// Checks that the command fails without a result and with one line, which is returned.
 fn refuses(folder: &Path, arguments: &[&str]) -> String {
     let out = slicetool(folder, arguments);
     let said = String::from_utf8(out.stderr).unwrap();
     assert_eq!(out.status.code(), Some(1), "{arguments:?}: {said}");
-    // Answers before the row that is refused have left already.
+    // The answers before the refused row have been written already.
     assert!(out.stdout.is_empty() || arguments[0] == "query", "{arguments:?}");
     assert!(said.lines().count() == 1 && said.starts_with("slicetool: "), "{arguments:?}: {said}");
     said
@@ -98,7 +98,7 @@ fn an_archive_that_is_none_or_damaged_is_named_by_every_command() {
     fs::write(at.join("text.slices"), "no archive at all ".repeat(100)).unwrap();
     fs::write(at.join("empty.slices"), "").unwrap();
     fs::write(at.join("cut.slices"), &whole[..whole.len() / 2]).unwrap();
-    // A byte of a page: the archive opens, and breaks when the page is read.
+    // Damage a byte of a page: the archive opens, and reading the page fails.
     let mut page = whole.clone();
     let first_page = whole.windows(4).position(|bytes| bytes == b"\x89PAG").unwrap();
     page[first_page + 40] ^= 1;
@@ -152,13 +152,13 @@ fn boxes_come_back_as_they_were_with_the_answers_behind() {
     assert!(lines[2].starts_with("1,1,1,1.5,1.5,2,0,0,0.35"), "{plain}");
     assert!(lines[3].starts_with("2.9,1,1,3.1,1.5,2,1,1,"), "{plain}");
     assert_eq!(lines.len(), 4);
-    // Other columns, another order, blanks, quotes, a mark at the start, Windows line ends: all kept.
+    // Other columns, another order, blanks, quotes, a byte order mark and Windows line ends are all kept.
     let answer = lines[1].strip_prefix(floor).unwrap();
     let head = "name, zmax,\"xmin\",ymin,zmin,xmax,ymax";
     let row = "\"a, b\" , 1.0,1e0,+1,0.30,1.50,1.5";
     let expected = format!("{head},hit,obstacle,floor_z\n{row}{answer}\n");
     assert_eq!(ask(&format!("\u{feff}{head}\r\n{row}\r\n\r\n# remark\r\n")), expected);
-    // Without a header the columns are as in the contract.
+    // Without a header, the columns have the documented order.
     assert_eq!(ask(floor), format!("xmin,ymin,zmin,xmax,ymax,zmax,hit,obstacle,floor_z\n{floor}{answer}\n"));
     assert_eq!(ask("xmin,ymin,zmin,xmax,ymax,zmax\n").lines().count(), 1);
 }
@@ -192,7 +192,7 @@ fn answers_leave_while_the_table_is_still_being_written() {
         .spawn()
         .unwrap();
     let (mut table, mut answers) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
-    // An answer that waits for the end of the table would hang here.
+    // A program that answers only at the end of the table would hang here.
     let mut next = || {
         let mut line = String::new();
         answers.read_line(&mut line).unwrap();
@@ -252,7 +252,7 @@ fn tables_that_cannot_be_answered_are_named_with_the_line() {
     assert!(refuses(at, &["query", "a.slices", "--rays", "r.csv"]).contains("line 1"));
 }
 
-/// A picture's width and pixels.
+/// Width and pixels of a picture.
 fn picture(path: &Path) -> (usize, Vec<[u8; 3]>) {
     let mut reader = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
@@ -323,7 +323,8 @@ fn diff_tells_same_from_different_and_refuses_other_grids() {
     assert!(done(at, &["diff", "a.slices", "more.slices"]).contains("1 only in B"));
     let voxels = |name: &str| json(&done(at, &["info", name, "--json"]))["voxels"]["occupied"].as_u64().unwrap();
     assert_eq!(more["voxels"]["in_both"].as_u64(), Some(voxels("a.slices")));
-    // The floor of a slice away from any wall, 2 cm higher: other heights. The wall a pixel further: other kinds, too.
+    // The slice's floor away from the walls, 2 cm higher, has other heights. A wall shifted by a pixel changes kinds,
+    // too.
     let raised = points().into_iter().map(|[x, y, z]| [x, y, if x < 2.0 { z + 0.02 } else { z }]).collect::<Vec<_>>();
     archive(at, "raised.slices", &raised, 0.1);
     let facts = json(&done(at, &["diff", "a.slices", "raised.slices", "--json"]));
@@ -480,7 +481,7 @@ fn recover_writes_what_is_left_and_says_what_is_not() {
     assert!(facts["complete"] == false && facts["head"] == true, "{facts}");
     assert_eq!(facts["pages"]["lost"]["stored"], 1, "{facts}");
     assert!(done(at, &["verify", "r.slices"]).contains("ok"));
-    // Without a head, by a plan.
+    // Without a head, recovered by a plan.
     fs::write(at.join("tail.slices"), &whole[40..]).unwrap();
     assert!(refuses(at, &["recover", "tail.slices", "-o", "t.slices"]).contains("--plan"));
     let mut options = ConvertOptions::new(vec![at.join("scan.las")], at.join("unused"));

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// A floor of 3.2 × 3.2 m with a wall, in archives with colours, without, and with coarse ones.
+/// A folder with archives of a floor of 3.2 × 3.2 m with a wall: with colours, without, and with coarse ones.
 fn folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let scan = folder.path().join("scan.las");

@@ -1,4 +1,4 @@
-//! Exports as other programs read them: E57, GeoTIFF, SVG, DXF, glTF, LAS with its reference system.
+//! Exports read by other programs' formats: E57, GeoTIFF, SVG, DXF, glTF, LAS with its reference system.
 
 use scangen::{WriteSpec, write_las};
 use serde_json::Value;
@@ -54,7 +54,7 @@ fn done(folder: &Path, arguments: &[&str]) -> String {
     String::from_utf8(out.stdout).unwrap()
 }
 
-/// Bottom and top in quanta above the origin, and whether it is an obstacle.
+/// Bottom and top in quanta above the origin, and whether the span is an obstacle.
 type Matter = (i64, i64, bool);
 
 /// Spans by pixel.
@@ -76,7 +76,7 @@ fn columns(folder: &Path) -> BTreeMap<(i64, i64), Vec<Matter>> {
     columns
 }
 
-/// Top of the matter (quanta above the origin) of each voxel, by pixel and slice.
+/// Top of the solid (quanta above the origin) of each voxel, by pixel and slice.
 fn tops(folder: &Path) -> BTreeMap<(i64, i64, i64), i64> {
     let mut tops = BTreeMap::new();
     for ((x, y), spans) in columns(folder) {
@@ -103,7 +103,7 @@ fn an_export_of_points_converted_again_gives_the_same_voxels() {
     {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path();
-        // Floors on the faces between slices, walls through several of them, and points anywhere, above and below 0.
+        // Floors on the faces between slices, walls through several slices, and random points, above and below 0.
         let mut points = Vec::new();
         for number in 0..6000 {
             let (x, y) = (below(60.0 * pixel) - 10.0 * pixel, below(60.0 * pixel) - 10.0 * pixel);
@@ -131,7 +131,7 @@ fn an_export_of_points_converted_again_gives_the_same_voxels() {
             let again = converted(name);
             assert!(first.keys().eq(again.keys()), "{name} at {pixel} m: {} and {} voxels", first.len(), again.len());
             for (voxel, top) in &first {
-                // One point a voxel may be judged otherwise, and obstacles join the voxel above.
+                // A voxel of one point may be classified differently, and obstacles join the voxel above.
                 let (x, y, slice) = *voxel;
                 let joined = (slice + 1) * SLICE_QUANTA;
                 let found = again[voxel];
@@ -198,7 +198,7 @@ fn the_raster_has_the_highest_floor_of_each_pixel() {
     }
 }
 
-/// Twice the area of rings of corners, holes less.
+/// Twice the area of rings of corners, minus holes.
 fn twice_area(rings: &[Vec<[f64; 2]>]) -> f64 {
     let ring = |ring: &Vec<[f64; 2]>| -> f64 {
         let next = ring.iter().cycle().skip(1);
@@ -237,7 +237,7 @@ fn rings_of_dxf(text: &str) -> BTreeMap<String, Vec<Vec<[f64; 2]>>> {
 fn plans_outline_the_pixels_of_a_slice() {
     let folder = folder();
     let at = folder.path();
-    // Cut above the floor: the wall alone. The slice of the floor: all of it, and the foot of the wall.
+    // A cut above the floor shows only the wall. The slice of the floor shows all of it, and the foot of the wall.
     let said = done(at, &["-o", "a.dxf"]);
     assert_eq!(said, "a.dxf: z from 1.5 to 1.8 m\n");
     for (arguments, areas) in [(&["-o", "a.dxf"][..], [40, 0]), (&["-o", "f.dxf", "--z", "0.35"], [40, 1560])] {
@@ -252,7 +252,7 @@ fn plans_outline_the_pixels_of_a_slice() {
                     .collect();
                 twice_area(&near) / 2.0 / (PIXEL_M * PIXEL_M)
             });
-            // Which pixels at the foot of the wall are obstacles is another test's.
+            // Another test checks which pixels at the foot of the wall are obstacles.
             assert!((found - f64::from(area)).abs() < 130.0, "{arguments:?}: {layer} {found}");
             assert!((found - found.round()).abs() < 1e-4, "{layer} {found}");
         }
@@ -322,7 +322,7 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
     assert_eq!(fs::read_dir(at).unwrap().count(), 1);
 }
 
-/// An archive of a scan that states its system by this text.
+/// Writes an archive of a scan that states this text as its system.
 fn stated(folder: &Path, wkt: &str) {
     let mut head = las::Builder::from((1, 4)).into_header().unwrap();
     head.set_wkt_crs(wkt.as_bytes().to_vec()).unwrap();

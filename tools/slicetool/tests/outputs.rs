@@ -1,4 +1,4 @@
-//! What `slicetool` writes never destroys what it should not: what a command reads, archives, an older output.
+//! Outputs of `slicetool` never destroy what they should not: files that a command reads, archives, an older output.
 
 #[path = "../../../tests/common/forge.rs"]
 mod forge;
@@ -44,7 +44,7 @@ fn slicetool(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(SLICETOOL).current_dir(folder).args(arguments).output().unwrap()
 }
 
-/// It fails, prints no result and says one line, which is returned.
+/// Checks that the command failed without a result and with one line, which is returned.
 fn failed(out: &Output, what: &[&str]) -> String {
     let said = String::from_utf8_lossy(&out.stderr).into_owned();
     assert_eq!(out.status.code(), Some(1), "{what:?}: {said}");
@@ -65,7 +65,7 @@ fn done(folder: &Path, arguments: &[&str]) {
     assert!(out.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&out.stderr));
 }
 
-/// Every command that writes a picture, a table or an export, of `archive` to `output`, which ends as `ending` says.
+/// Every command that writes a picture, table or export of `archive` to `output`, whose extension is `ending`.
 fn writers<'a>(archive: &'a str, output: &'a str) -> Vec<Vec<&'a str>> {
     let walk = ["walk", archive, "--start", "1,1,0.36", "--waypoints", "w.csv", "-o", output];
     vec![vec!["show", archive, "--slice", "0", "-o", output], walk.to_vec(), vec!["export", archive, "-o", output]]
@@ -140,7 +140,7 @@ fn older_pictures_tables_and_exports_are_replaced_archives_and_plans_never() {
 fn a_failure_leaves_the_older_output_as_it_was_and_nothing_else() {
     let folder = folder();
     let at = folder.path();
-    // A byte of the last page, and one of the directory.
+    // Damage a byte of the last page, and one of the directory.
     let whole = fs::read(at.join("a.slices")).unwrap();
     let last_page = whole.windows(4).rposition(|bytes| bytes == b"\x89PAG").unwrap();
     let archive = Archive::open(at.join("a.slices")).unwrap();
@@ -186,7 +186,7 @@ fn on_a_full_disk_the_older_output_stays() {
                     fs::write(at.join(name), older).unwrap();
                 }
                 let before = fs::read(at.join(name)).ok();
-                // Two blocks are less than any of these need, one is less than a header of LAS.
+                // All of these need more than two blocks; a LAS header alone needs more than one.
                 let blocks = if command[0] == "show" { 0 } else { 2 };
                 let said = failed(&with_little_space(SLICETOOL, at, blocks, &command), &command);
                 assert!(said.contains(name) && said.contains("cannot write"), "{said}");
@@ -230,7 +230,7 @@ fn pipes_and_devices_take_the_whole_output_and_stay() {
             done(at, &command);
             let (read, whole) = (reader.join().unwrap(), fs::read(at.join(whole)).unwrap());
             let lines = |bytes: &[u8]| bytes.iter().filter(|&&byte| byte == b'\n').count();
-            // The table of a walk says how long each frame took.
+            // The table of a walk includes the time of each frame.
             assert!(lines(&read) == lines(&whole) && (command[0] == "walk" || read == whole), "{command:?}");
             assert!(fs::metadata(at.join(name)).unwrap().file_type().is_fifo());
         }
@@ -248,7 +248,7 @@ fn pipes_and_devices_take_the_whole_output_and_stay() {
         assert!(fs::metadata(device).unwrap().file_type().is_char_device());
         fs::remove_file(at.join("device.ply")).unwrap();
     }
-    // What a shell has opened is written to where it stands, and goes on.
+    // A file that the shell opened is written from its current position and not truncated.
     fs::write(at.join("log"), "before\n").unwrap();
     let walk = "walk a.slices --start 1,1,0.36 --waypoints w.csv -o /dev/stdout";
     let script = format!("\"$0\" {walk} >> log 2>/dev/null && echo after >> log");
@@ -262,7 +262,7 @@ fn pipes_and_devices_take_the_whole_output_and_stay() {
     assert_eq!(fs::read_to_string(at.join("w.csv")).unwrap(), "x,y\n3,3\n");
 }
 
-/// An archive `name` of pages at `keys`, all with the same spans in pixel (3, 4).
+/// Writes an archive `name` of pages at `keys`, all with the same spans in pixel (3, 4).
 fn archive_of(folder: &Path, name: &str, frame: Frame, keys: &[PageKey], spans: &[Span]) {
     let mut writer = ArchiveWriter::create(&folder.join(name), &Plan::new(frame), false).unwrap();
     let mut builder = PageBuilder::default();
@@ -282,7 +282,7 @@ fn archive_of(folder: &Path, name: &str, frame: Frame, keys: &[PageKey], spans: 
     writer.finish(Totals { points_read: count, points_kept: count, bounds, ..Totals::default() }).unwrap();
 }
 
-/// Puts other bounds into the head of the archive `name`, with right checksums.
+/// Replaces the bounds in the head of the archive `name`, with valid checksums.
 fn lie_about_bounds(folder: &Path, name: &str, bounds: [f64; 2]) {
     let path = folder.join(name);
     let forged = forge::Parts::of(&fs::read(&path).unwrap()).build(|head| {

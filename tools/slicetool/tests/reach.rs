@@ -1,4 +1,4 @@
-//! `slicetool reach` and `slicetool route` as a user calls them: files, summaries, exit codes.
+//! `slicetool reach` and `slicetool route` from a user's view: files, summaries, exit codes.
 
 use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_las, write_samples};
@@ -29,8 +29,8 @@ fn to_archive(scan: PathBuf, folder: &Path) {
     convert(&options, &NoMonitor).unwrap();
 }
 
-/// A floor of 8 × 4 m at z = 1 within walls 2.5 m high, with a hole of 1 × 1 m about (6, 2) and a wall with a door 0.9 m
-/// wide at x = 4.
+/// A floor of 8 × 4 m at z = 1 within walls 2.5 m high, with a hole of 1 × 1 m around (6, 2) and a wall with a door
+/// 0.9 m wide at x = 4.
 fn room() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = |n: i32| f64::from(n) * 0.025 + 0.0125;
@@ -87,7 +87,7 @@ fn reach_reports_area_passages_and_leaks() {
         image.chunks_exact(3).filter(|pixel| *pixel == [30; 3]).count()
     };
     assert!(dark("way.png", &["--to", "7.3,3.3,1.1"]) > dark("plain.png", &[]) + 1000);
-    // Who is wider than the door stays, and sees no hole.
+    // A pawn wider than the door stays in its room and finds no hole.
     let wide = ["reach", "a.slices", "--from", "1,1,1.1", "--json", "--pawn", "cylinder:0.5x1.8"];
     let found = json(&done(at, &wide));
     assert!(found["leaks"].as_array().unwrap().is_empty() && found["area_m2"].as_f64().unwrap() < 10.0, "{found}");
@@ -161,18 +161,18 @@ fn a_route_is_written_as_waypoints_and_walked() {
         &["walk", "a.slices", "--start", "-1,0.3,0.1", "--waypoints", "route.csv", "-o", "path.csv", "--json"],
     );
     assert_eq!(json(&walked)["state"], "arrived");
-    // Too high a step: no way, and that is an answer.
+    // The step is too high: there is no route, which is a valid answer.
     let refused = json(&done(at, &[&base[..], &["--climb", "0.1", "--json"]].concat()));
     assert_eq!((&refused["found"], &refused["reason"]), (&false.into(), &"not_connected".into()));
     assert!(refused["length_m"].is_null());
     let refused = json(&done(at, &["route", "a.slices", "--from", "-1,9,0", "--to", "2.4,0,1", "--json"]));
     assert_eq!(refused["reason"], "not_standing_from");
-    // In the first riser, too near to the wall of the next step for the body.
+    // In the first riser, too close to the wall of the next step for the body.
     let refused = json(&done(at, &["route", "a.slices", "--from", "-1,0,0", "--to", "2.4,0,-3", "--json"]));
     assert_eq!(refused["reason"], "not_standing_to");
 }
 
-/// A floor of 190 × 20 m, with overview levels, or without.
+/// A floor of 190 × 20 m, with or without overview levels.
 fn long_floor(levels: bool) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let scan = folder.path().join("floor.las");
@@ -209,7 +209,7 @@ fn a_long_route_is_planned_on_levels_first_and_a_coarse_one_says_that_it_is() {
     assert!(out.status.code() == Some(1) && said.contains("--levels on") && said.lines().count() == 1, "{said}");
 }
 
-/// A house on a floor, which the straight line leads through: levels show the way around, and no shorter one is searched for farther off.
+/// A house blocks the straight line: levels show the way around it, and no shorter route is searched farther out.
 #[test]
 fn a_route_planned_on_levels_leads_around_a_house_and_is_as_short_as_one_without_levels() {
     const PIXEL: f64 = 0.05;
@@ -266,7 +266,7 @@ fn answers_that_rest_on_inferred_floor_say_so() {
         "xmin,ymin,zmin,xmax,ymax,zmax\n0.5,0.5,0.9,0.9,0.9,1.1\n1.9,1.9,0.9,2.1,2.1,1.1\n1.9,1.9,1.5,2.1,2.1,2.0\n";
     let found = answers("--boxes", boxes, &["--show-inferred"]);
     let last = |rows: &[Vec<String>]| -> Vec<String> { rows.iter().map(|row| row[row.len() - 1].clone()).collect() };
-    // Of the last one, in the air, the floor below is.
+    // The last place is in the air; the floor below it counts.
     assert_eq!(last(&found), ["inferred", "0", "1", "1"]);
     let hits = |rows: &[Vec<String>]| -> Vec<String> { rows[1..].iter().map(|row| row[6].clone()).collect() };
     assert_eq!(hits(&found), ["1", "1", "0"]);
@@ -291,7 +291,7 @@ fn a_walk_with_max_drop_stops_before_a_hole() {
     };
     let (state, z, code, said) = walk(&["--max-drop", "0.5"]);
     assert!(state == "blocked" && (z - 1.0).abs() < 0.01, "{state} at {z} m");
-    // The hole goes through the scan.
+    // The hole goes through the scan, so nothing was scanned below it.
     assert!(code == Some(1) && said.lines().count() == 1 && said.contains("nothing was scanned ahead"), "{said}");
     let (state, z, code, _) = walk(&[]);
     assert!(state == "falling" && z < 0.0 && code == Some(0), "{state} at {z} m");
@@ -336,7 +336,8 @@ fn a_start_or_an_end_beside_a_wall_is_moved_to_the_nearest_place_and_says_by_how
     let folder = room();
     let at = folder.path();
     let number = |value: &serde_json::Value| value.as_f64().unwrap_or_else(|| panic!("{value}: no number"));
-    // 10 cm from one wall and 15 cm from another one; the middle of the pawn stays 25 cm off both. And in the wall, below the floor.
+    // 10 cm from one wall and 15 cm from another: the middle of the pawn stays 25 cm from both. The other end is in the
+    // wall, below the floor.
     let route = ["route", "a.slices", "--from", "1,0.1,1.5", "--to", "7.85,3,0.8", "--json"];
     let found = json(&done(at, &route));
     assert_eq!(found["found"], true, "{found}");

@@ -1,4 +1,4 @@
-//! `slicetool serve` and `slicetool site` on the built binary, asked by a plain client over a socket.
+//! `slicetool serve` and `slicetool site`: the built binary, queried by a plain client over a socket.
 #![cfg(feature = "serve")]
 
 use scangen::{WriteSpec, write_las};
@@ -13,7 +13,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Whatever waits for a server gives up after this.
+/// Longest wait for a server.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 fn archive(path: &Path, height: f64) {
@@ -59,7 +59,7 @@ fn run(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().unwrap()
 }
 
-/// It fails with one line, which is returned.
+/// Checks that the command fails with one line, which is returned.
 fn refuses(folder: &Path, arguments: &[&str]) -> String {
     let out = run(folder, arguments);
     let said = String::from_utf8(out.stderr).unwrap();
@@ -85,7 +85,7 @@ impl Server {
         Self { child, address }
     }
 
-    /// The answer to `GET path` with further headers, each ending in `\r\n`.
+    /// Sends `GET path` with additional headers, each ending in `\r\n`.
     fn get(&self, path: &str, headers: &str) -> Answer {
         self.ask(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n{headers}Connection: close\r\n\r\n", self.address))
     }
@@ -105,7 +105,7 @@ impl Server {
         Answer { status, headers, body: bytes[end + 4..].to_vec() }
     }
 
-    /// Its exit code, once it ends by itself.
+    /// Waits for the exit code.
     #[cfg(unix)]
     fn wait(&mut self) -> Option<i32> {
         let end = Instant::now() + PATIENCE;
@@ -235,7 +235,7 @@ fn nothing_else_of_the_disk_is_served() {
         assert_eq!(answer.status, 404, "{path}");
         assert!(!String::from_utf8_lossy(&answer.body).contains("secret"), "{path}");
     }
-    // A foreign name that was made to point here must not read scans out of the browser.
+    // A foreign name that resolves to this machine must not read scans from the browser.
     let foreign = server.ask("GET /a.slices HTTP/1.1\r\nHost: example.com\r\nConnection: close\r\n\r\n");
     assert_eq!(foreign.status, 403);
 }
@@ -298,7 +298,7 @@ fn what_cannot_be_served_is_one_line() {
     assert_eq!(run(at, &["serve"]).status.code(), Some(2));
 }
 
-/// Arguments that write the archive's site, and more.
+/// Arguments that write the archive's site, plus `more`.
 fn site<'a>(archive: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     [&["site", archive, "-o", "site", "--page", "page"], more].concat()
 }
@@ -316,11 +316,11 @@ fn a_site_is_a_folder_for_any_host() {
     assert_eq!(table, serde_json::json!({ "archives": [{ "name": "a.slices", "url": "a.slices" }], "cloud": null }));
     assert!(!at.join("site/.hidden").exists());
 
-    // Again: the page is written anew, the same archive may stay.
+    // Again: the page is written again, the identical archive may stay.
     fs::write(at.join("page/index.html"), "newer").unwrap();
     assert!(run(at, &site("a.slices", &[])).status.success());
     assert_eq!(read("index.html"), b"newer");
-    // Another archive of that name stays what it is, unless forced.
+    // A different archive of that name is kept unless forced.
     fs::create_dir(at.join("new")).unwrap();
     fs::rename(at.join("b.slices"), at.join("new/a.slices")).unwrap();
     let said = refuses(at, &site("new/a.slices", &[]));
@@ -328,7 +328,7 @@ fn a_site_is_a_folder_for_any_host() {
     assert_eq!(read("a.slices"), fs::read(at.join("a.slices")).unwrap());
     assert!(run(at, &site("new/a.slices", &["--force"])).status.success());
     assert_eq!(read("a.slices"), fs::read(at.join("new/a.slices")).unwrap());
-    // What it reads is never replaced.
+    // A file that the command reads is never replaced.
     let said = refuses(at, &["site", "a.slices", "-o", ".", "--page", "page", "--force"]);
     assert!(said.contains("a.slices"), "{said}");
     let left: Vec<_> = fs::read_dir(at.join("site")).unwrap().map(|entry| entry.unwrap().file_name()).collect();

@@ -1,5 +1,5 @@
-//! `slicetool merge` of parts that lie in an object store, to an archive there: the bytes of local files, or an error of one line
-//! and nothing visible, whatever the store does wrong.
+//! `slicetool merge` of parts in an object store to an archive in it: gives the bytes of local files, or a one-line
+//! error and nothing visible, whatever the store does wrong.
 
 #[path = "../../../tests/common/store.rs"]
 mod store;
@@ -12,7 +12,7 @@ use std::path::Path;
 use store::{Fault, Server, When};
 use tempfile::TempDir;
 
-/// A rough floor of 40 × 10 m about the origin; `seed` decides its heights.
+/// A rough floor of 40 × 10 m around the origin; `seed` determines its heights.
 fn scan(path: &Path, seed: u64) {
     let mut state = seed;
     let points = (0..400 * 100).map(|number| {
@@ -37,7 +37,7 @@ const COUNT: u32 = 3;
 const PARTS: [&str; 3] = ["s3://bucket/1.slices", "s3://bucket/2.slices", "s3://bucket/3.slices"];
 const WHOLE: &str = "s3://bucket/whole.slices";
 
-/// Three parts in a store, in a folder, and the archive of the whole.
+/// Three parts in a store and in a folder, and the archive of the whole.
 fn job() -> (TempDir, Server, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     let (at, server) = (folder.path(), Server::new(env!("CARGO_BIN_EXE_slicetool")));
@@ -66,16 +66,16 @@ fn parts_in_a_store_merge_to_an_archive_there_as_files_do() {
         println!("merge: {} requests, {connections} connections", requests.len());
         assert!(connections <= 8 && requests.len() < 40, "{connections} connections: {requests:#?}");
     }
-    // Again: the bytes are there already, and nothing is written.
+    // Again: the bytes exist already, so nothing is written.
     server.set(Fault::Fails, When::Never);
     server.done(at, &merge(&[PARTS[2], PARTS[0], PARTS[1]])).unwrap();
     assert!(!server.store().requests.iter().any(|line| line.starts_with("PUT")));
-    // Files and objects mix, as a tree too.
+    // Files and objects may be mixed, also in a tree.
     server.done(at, &["merge", PARTS[0], "2.slices", "--part", "1/2", "-o", "s3://bucket/left.slices"]).unwrap();
     server.done(at, &["merge", PARTS[2], "--part", "2/2", "-o", "right.slices"]).unwrap();
     server.done(at, &["merge", "s3://bucket/left.slices", "right.slices", "-o", "here.slices"]).unwrap();
     assert!(fs::read(at.join("here.slices")).unwrap() == whole);
-    // What else is there stays.
+    // Other objects of that name stay.
     let stays = |bytes: Vec<u8>, more: &[&'static str], words: &str| {
         server.put("whole.slices", bytes.clone());
         let said = server.done(at, &merge(more)).unwrap_err();
@@ -107,7 +107,7 @@ fn whatever_a_store_does_wrong_a_merge_gives_the_bytes_or_nothing() {
         let done = server.done(at, &merge(&PARTS));
         let found = server.get("whole.slices");
         assert!(found.as_ref().is_none_or(|found| *found == whole), "{fault:?} {when:?}: other bytes");
-        // Of what was asked for last nothing may be known: whether the object that is there is whole.
+        // After an error the last request may still have stored the object.
         assert!(done.is_err() || found.is_some(), "{fault:?} {when:?}: {done:?}");
         assert!(server.store().uploads.is_empty());
         done
@@ -120,7 +120,7 @@ fn whatever_a_store_does_wrong_a_merge_gives_the_bytes_or_nothing() {
         let succeeded = done.iter().filter(|done| **done).count();
         println!("{fault:?}: {succeeded} of {requests}");
         match fault {
-            // One failure of a connection passes; a range that is not the one asked for does not.
+            // A single failed connection is retried; a wrong range is not accepted.
             Fault::OtherRange => assert!(succeeded < requests - looks / 2, "{done:?}"),
             _ => assert_eq!(succeeded, requests, "{fault:?}: {done:?}"),
         }
@@ -163,7 +163,7 @@ fn a_part_that_is_replaced_while_it_is_read_is_noticed() {
             }
             server.store().swap = None;
         }
-        // It is noticed until the part has been read to its end.
+        // Noticed at the latest when the part has been read to its end.
         println!("refused {refused} of {requests}");
         assert!(refused > requests / 4 && refused < requests, "{refused} of {requests}");
     }

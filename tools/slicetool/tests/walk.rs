@@ -1,4 +1,4 @@
-//! `slicetool walk` as a user calls it: its files, its summary, its exit codes; and the route through a real building.
+//! `slicetool walk` from a user's view: files, summary, exit codes; and the route through a real building.
 
 #[path = "../../../tests/common/data.rs"]
 mod data;
@@ -26,7 +26,7 @@ fn to_archive(scan: PathBuf, dir: &Path) -> PathBuf {
     archive
 }
 
-/// Stairs of four risers of 17 cm between two landings of 4 m, converted.
+/// Converts stairs of four risers of 17 cm between two landings of 4 m.
 fn stairs(dir: &Path) -> PathBuf {
     let scene = Scene::named("stairs", &Params::new().with("risers", 4.0).with("landing", 4.0)).unwrap();
     let scan = dir.join("stairs.las");
@@ -140,7 +140,7 @@ fn without_prefetch_there_are_misses_and_the_path_is_the_same() {
     for (a, b) in on.iter().zip(&off) {
         assert_eq!((a.feet, &a.state), (b.feet, &b.state));
     }
-    // A cache too small for the table of pages, or for one step: an error that says how much is enough.
+    // A cache too small for the table of pages, or for one step: the error states a sufficient size.
     let refused = |cache: &str| {
         let out = dir.path().join("none.csv");
         let mut arguments = vec!["walk", archive.to_str().unwrap(), "--start", "-3.5,0,0", "--prefetch", "off"];
@@ -154,7 +154,7 @@ fn without_prefetch_there_are_misses_and_the_path_is_the_same() {
     let enough = said.split("give --cache ").nth(1).and_then(|rest| rest.split("KiB").next()).expect(&said);
     let enough: usize = enough.parse().unwrap();
     assert!(said.contains("one step needs") && (60..4096).contains(&enough), "{said}");
-    // Steps elsewhere need a little more.
+    // Steps elsewhere need slightly more.
     assert_eq!(walk("off", &format!("{}KiB", 2 * enough)).last().unwrap().state, "arrived");
 }
 
@@ -175,7 +175,7 @@ fn a_blocked_pawn_ends_after_two_seconds_and_a_slow_one_after_the_time_given() {
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         rows(&out)
     };
-    // The path is written, and the command fails with the reason.
+    // The path is written, and the command fails with a reason.
     let done = walk(&["--climb", "0.1", "--json"]);
     let said = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(1), "{said}");
@@ -197,7 +197,7 @@ fn a_blocked_pawn_ends_after_two_seconds_and_a_slow_one_after_the_time_given() {
     assert_eq!(thesis.last().unwrap().state, "arrived");
 }
 
-/// Frames longer than the library's longest step lose no time: every second is walked.
+/// Frames longer than the library's longest step lose no time: the pawn walks every second of them.
 #[test]
 fn few_frames_a_second_walk_as_far_as_many() {
     let dir = tempfile::tempdir().unwrap();
@@ -283,7 +283,7 @@ fn what_cannot_be_meant_is_refused() {
     assert_eq!(std::fs::read(&archive).unwrap(), before);
 }
 
-/// A corner before which a cylinder ran around the same edges for ever; and caches too small for one step.
+/// A corner at which a cylinder once circled the same edges forever, and caches too small for one step.
 #[test]
 fn a_pawn_in_a_corner_of_the_real_building_is_blocked() {
     let Some(scan) = data::file("indoor_two_storey_zup.laz") else { return };
@@ -343,7 +343,7 @@ fn the_documented_route_leads_through_the_real_building_and_back() {
         assert!((heights[heights.len() - 1] - heights[0]).abs() < 0.05, "{pawn}");
         for (n, row) in rows.iter().enumerate() {
             assert!(row.missing == 0 && row.state != "falling" && row.state != "blocked", "{pawn}: at {} s", row.t);
-            // No jump: a riser at most, and no faster than it walks.
+            // No jump: at most a riser up, and no faster than walking speed.
             let before = rows[n.saturating_sub(1)].feet;
             assert!((row.feet[2] - before[2]).abs() < 0.25, "{pawn}: at {} s", row.t);
             assert!(

@@ -1,5 +1,5 @@
-//! What people read and pipes pass on: texts for people, `-` in place of files, names that a terminal must not obey,
-//! completions and manual pages.
+//! Texts and pipes: output for people, `-` in place of files, names that must not reach the terminal raw, completions
+//! and manual pages.
 
 use scangen::{WriteSpec, write_las};
 use serde_json::Value;
@@ -36,7 +36,7 @@ fn slicetool(folder: &Path, arguments: &[&str]) -> Output {
     fed(folder, arguments, "")
 }
 
-/// With `input` on standard input.
+/// Runs the program with `input` on standard input.
 fn fed(folder: &Path, arguments: &[&str], input: &str) -> Output {
     let mut child = Command::new(env!("CARGO_BIN_EXE_slicetool"))
         .current_dir(folder)
@@ -93,7 +93,7 @@ fn info_is_written_for_people_and_takes_several_archives() {
     assert!(alone["empty"] == false && alone.get("archive").is_none(), "{alone}");
     alone["archive"] = "b.slices".into();
     assert_eq!(list[1], alone);
-    // What can be told is told.
+    // The readable archives are reported.
     let out = slicetool(at, &["info", "none.slices", "a.slices"]);
     assert_eq!((out.status.code(), text(out.stdout)), (Some(1), one));
     assert!(text(out.stderr).contains("none.slices: cannot open"));

@@ -1,4 +1,4 @@
-// Writes dist/licences.txt: the licences of everything that is part of the built page. Run after `vite build`.
+// Writes dist/licences.txt with the licences of every part of the built page. Run after `vite build`.
 
 import { execFileSync } from "node:child_process";
 import { readFileSync, readdirSync, writeFileSync } from "node:fs";
@@ -10,7 +10,7 @@ const root = join(here, "../../..");
 const json = (path) => JSON.parse(readFileSync(path, "utf8"));
 const own = (name) => readFileSync(join(root, name), "utf8").trim();
 
-/** The texts of licences in `folder`; where a part brings none, the usual text of its licence. */
+/** Licence texts in `folder`; if there are none, the usual text of the licence. */
 function texts(folder, licence, author) {
   const names = readdirSync(folder, { withFileTypes: true }).filter(
     (entry) => entry.isFile() && /^(licen[cs]e|copying|notice)/i.test(entry.name),
@@ -22,7 +22,7 @@ function texts(folder, licence, author) {
 
 const parts = [];
 
-// With what these are bundled with.
+// Includes the packages bundled by these dependencies.
 for (const name of [...Object.keys(json(join(here, "package.json")).dependencies), "laz-perf", "fflate"]) {
   if (name === "slicewalk" || parts.some((part) => part.name.startsWith(`${name} `))) continue;
   const folder = join(here, "node_modules", name);
@@ -48,7 +48,7 @@ for (const line of new Set(cargo("tree", ...tree, "--prefix", "none", "--format"
   });
 }
 
-// A text that several parts share stands once.
+// A text shared by several parts appears once.
 const users = new Map();
 for (const part of parts) for (const text of part.texts) users.set(text, [...(users.get(text) ?? []), part.name]);
 const list = parts

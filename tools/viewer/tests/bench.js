@@ -1,8 +1,8 @@
-// The viewer's benchmark: what it may take, and what it took. By hand, on a quiet machine: `.ci/long viewer`, or
+// Benchmark of the viewer: limits and measured values. Run it by hand on a quiet machine: `.ci/long viewer`, or
 // `node bench.js [PART...]` with the parts native, street, house, city and colours.
 //
-// SLICEWALK_ENGINE_CHECK names the folder that `record` wrote, built with optimisation: its times are the native ones.
-// SLICEWALK_BIN names programs built with optimisation, which make the city in some minutes.
+// SLICEWALK_ENGINE_CHECK is the output folder of an optimised `record`, which contains the native times. SLICEWALK_BIN
+// is a folder of optimised programs, which make the city in a few minutes.
 
 import { readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -13,29 +13,33 @@ import { StaticServer } from "./static-server.js";
 import { address, firstStep, LINK, runAlong, settled, walkTowards, watch, watched } from "./steer.js";
 
 /**
- * At most so many times the native time. A frame is a message to a worker and back, which the browser and the machine decide; it may
- * take so much longer (µs) than one to a worker that computes for so many times the native time and does nothing else.
+ * Limit relative to the native time. A frame is a message to a worker and back, whose time depends on browser and
+ * machine; it may take this much longer (µs) than one to a worker that only computes for this multiple of the native
+ * time.
  */
 const MOST = 2;
 const PASSING_US = 50;
-/** A task of the main thread while walking (ms), pages in memory (bytes), and bytes until a city's outline is drawn. */
+/**
+ * Limits: a task of the main thread while walking (ms), pages in memory (bytes), and bytes until a city's outline is
+ * drawn.
+ */
 const TASK_MS = 50;
 const PAGES_BYTES = 64 << 20;
 const OUTLINE_BYTES = 3_000_000;
 
 const STREET_M = 100;
-/** Along a street of the city, and so far. */
+/** Start in a street of the city, and the distance walked. */
 const CITY_START = [300, 240, 0.1];
 const CITY_M = 60;
-/** Runs with and without colours, in turn. */
+/** Number of alternating runs with and without colours. */
 const TURNS = 3;
-/** Software graphics take nearly all of a frame at the size of a screen; on so few pixels, the page's own work decides. */
+/** At screen size, software graphics take nearly all of a frame; with fewer pixels, the page's own work decides. */
 const CANVASES = [
   { width: 800, height: 500 },
   { width: 160, height: 100 },
 ];
 
-/** Prints a figure beside its limit. */
+/** Prints a value beside its limit. */
 function report(part, what, figure, most, unit) {
   const held = figure <= most;
   const digits = Number.isInteger(figure) && Number.isInteger(most) ? 0 : 1;
@@ -44,7 +48,7 @@ function report(part, what, figure, most, unit) {
   if (!held) process.exitCode = 1;
 }
 
-/** What was watched on a walk over the link. */
+/** Reports the watched values of a walk over the link. */
 function reportWalk(part, { frames, missed, waited, bytes, tasks }) {
   if (frames === 0) throw new Error(`${part}: no frame was drawn`);
   report(part, `frames that missed a page, of ${frames} (${waited} pages in the worst)`, missed, 0, "frames");
@@ -52,14 +56,14 @@ function reportWalk(part, { frames, missed, waited, bytes, tasks }) {
   reportTasks(part, tasks);
 }
 
-/** Browsers name tasks of 50 ms and longer only. */
+/** Browsers report only tasks of 50 ms and longer. */
 function reportTasks(part, tasks) {
   const long = tasks.toSorted((a, b) => b - a).slice(0, 5);
   const words = long.length === 0 ? "none of 50 ms" : long.map((ms) => ms.toFixed(0)).join(", ");
   report(part, `longest task of the main thread (${tasks.length} long ones: ${words})`, long[0] ?? 0, TASK_MS, "ms");
 }
 
-/** Runs `work` in a page of its own beside a server of these files. */
+/** Runs `work` in a new page with a server of these files. */
 async function within(folder, files, work) {
   const server = await new StaticServer(folder, files).start();
   const browser = await launch();
@@ -74,7 +78,7 @@ async function within(folder, files, work) {
 }
 
 const parts = {
-  /** Boxes and frames of a pawn in Chromium beside the native engine. */
+  /** Boxes and frames of a pawn in Chromium compared with the native engine. */
   async native() {
     const folder = process.env.SLICEWALK_ENGINE_CHECK;
     if (folder === undefined) throw new Error("set SLICEWALK_ENGINE_CHECK to the folder that `record` wrote");
@@ -83,7 +87,7 @@ const parts = {
     const names = ["scene.slices", "boxes.f64", "inputs.f64"];
     const files = Object.fromEntries(names.map((name) => [`/${name}`, join(folder, name)]));
     await within(dist, files, async (page, server) => {
-      // Any page of this origin.
+      // Any page of this origin will do.
       await page.goto(`${server.address}index.js`);
       const found = await page.evaluate(answersInChromium, (MOST * native.frame_us) / 1000);
       const say = (name, unit, most) => {
@@ -124,10 +128,10 @@ const parts = {
       Object.assign(server, LINK);
       const begin = performance.now();
       await page.goto(address(server, { archive: "city.slices", at: CITY_START, look: [90, 0], view: "orbit" }));
-      // All pages of a level, whichever the page chose.
+      // All pages of a level, whichever level the page chose.
       const whole = ({ drawn }) => levels.some(({ pages }) => pages === drawn.overview);
       const { drawn } = await until(page, "the whole outline drawn", whole, { timeout: 120_000 });
-      // As the host counts them: answers under way count whole.
+      // As counted by the host: pending answers count in full.
       const asked = server.of("city.slices");
       const seconds = (performance.now() - begin) / 1000;
       const { level, pixel_size } = levels.find(({ pages }) => pages === drawn.overview);
@@ -139,7 +143,10 @@ const parts = {
     });
   },
 
-  /** The same house with and without colours: the first step, and frames up its stairs; then what the colours of scans take. */
+  /**
+   * The same house with and without colours: the first step, and frames up its stairs; then the cost of colours of
+   * scans.
+   */
   async colours() {
     const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];
     const files = { "/coloured.slices": colouredHouse(), "/levelled.slices": levelledHouse() };
@@ -195,8 +202,8 @@ const parts = {
 };
 
 /**
- * In the browser: least times of a box (ns), of a frame of a pawn, of a message to a worker and back, and of one to a worker that
- * computes for so long (µs), in turn.
+ * In the browser: minimum times of a box (ns), of a pawn's frame, of a message to a worker and back, and of one to a
+ * worker that computes for `busyMs` (µs), alternating.
  */
 async function answersInChromium(busyMs) {
   const { openArchive } = await import("/index.js");
@@ -213,7 +220,7 @@ async function answersInChromium(busyMs) {
       });
   };
   const message = messages("onmessage = ({ data }) => postMessage(data)");
-  // The clock of a worker is too coarse to wait by: it counts, at a rate that it finds first.
+  // A worker's clock is too coarse to wait by, so it counts at a rate that it calibrates first.
   const busy = messages(`
     let x = 1;
     const count = (n) => { for (; n > 0; n--) x = Math.sqrt(x + n); };

@@ -1,7 +1,7 @@
-// Chromium without a window, and pages that fail a test when the page itself throws or complains.
+// Headless Chromium, and pages that fail a test when the page itself throws or logs an error or warning.
 //
-// Every test ends by itself: what a test opened is closed however it ends, a page that answers nothing any more costs its file
-// the browser (and so the tests left in it, at once), and no test takes longer than `LIMIT_MS`.
+// Every test ends: all that a test opened is closed however it ends, a page that stops answering ends its file's
+// browser (and so the remaining tests of the file, at once), and no test takes longer than `LIMIT_MS`.
 
 import assert from "node:assert/strict";
 import { existsSync } from "node:fs";
@@ -24,21 +24,21 @@ const ARGUMENTS = [
 export const CHROMIUM =
   process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
 
-/** A test that takes longer has failed. */
+/** Time after which a test fails. */
 const LIMIT_MS = 150_000;
-/** A page that does not answer for so long hangs, and is asked so often. */
+/** Time after which a silent page counts as hung, and the interval of the checks. */
 const HUNG_MS = 30_000;
 const ASKED_MS = 5_000;
-/** A browser that does not close within this time is killed. */
+/** Time after which a browser that does not close is killed. */
 const CLOSE_MS = 10_000;
 
-/** As that of node, with a limit of time. */
+/** Like node's `it`, with a time limit. */
 export function it(name, ...rest) {
   const test = rest.pop();
   node.it(name, { timeout: LIMIT_MS, ...rest[0] }, test);
 }
 
-/** What the promise brings, or a failure after so long. */
+/** Result of the promise, or a failure after `ms`. */
 async function within(ms, what, promise) {
   let timer;
   const late = new Promise((_, reject) => {
@@ -51,12 +51,12 @@ async function within(ms, what, promise) {
   }
 }
 
-/** A browser of its own, ended by `close` within seconds, whatever it is doing. */
+/** Launches a separate browser; `close` ends it within seconds, whatever it is doing. */
 export async function launch() {
   const server = await chromium.launchServer({ executablePath: CHROMIUM, headless: true, args: ARGUMENTS });
   const browser = await chromium.connect(server.wsEndpoint());
   return {
-    /** A page with a profile of its own; see `newPage`. */
+    /** A page with its own profile; see `newPage`. */
     async newPage(options = {}) {
       const opening = browser.newContext({ viewport: { width: 800, height: 500 }, ...options });
       return newPage(await within(HUNG_MS, "the browser", opening), () => server.kill());
@@ -68,8 +68,8 @@ export async function launch() {
 }
 
 /**
- * A page, with everything that it complains about. Lines about failed requests are kept apart: they are the network's. Where
- * the page hangs the browser is killed, so that whatever waits for it fails.
+ * A page with everything that it complains about. Lines about failed requests are kept apart, because they come from
+ * the network. If the page hangs, the browser is killed, so that everything waiting for it fails.
  */
 async function newPage(context, kill) {
   const page = await within(HUNG_MS, "a new page", context.newPage());
@@ -78,7 +78,7 @@ async function newPage(context, kill) {
   page.on("pageerror", (error) => complaints.push(String(error)));
   page.on("console", (message) => {
     if (message.type() !== "error" && message.type() !== "warning") return;
-    // Software graphics warn about themselves.
+    // Software graphics log warnings of their own.
     if (/GPU stall|GL Driver Message|WebGL-0x/.test(message.text())) return;
     (/^Failed to load resource/.test(message.text()) ? failedRequests : complaints).push(
       `${message.type()}: ${message.text()}`,
@@ -103,7 +103,7 @@ async function newPage(context, kill) {
   return Object.assign(page, { complaints, failedRequests, end });
 }
 
-/** A browser for the tests of a file, in which each gets a page: `page` of what this returns. */
+/** A browser for the tests of a file; each test gets a new page as `page` of the returned object. */
 export function pages({ begin = async () => {}, end = async () => {}, network = true } = {}) {
   const tests = { browser: null, page: null };
   node.before(async () => {
@@ -132,7 +132,7 @@ export function pages({ begin = async () => {}, end = async () => {}, network = 
 
 export const state = (page) => page.evaluate(() => window.slicewalk?.state() ?? null);
 
-/** The state once it fits; what it was last, if it never does. */
+/** Waits until the state fits; fails with the last state if it never does. */
 export async function until(page, what, fits, { timeout = 60_000 } = {}) {
   const end = Date.now() + timeout;
   let last = null;
@@ -163,7 +163,7 @@ export async function hold(page, keys, what, fits, options) {
   }
 }
 
-/** Colours in the middle of the screen, where nothing lies above the canvas: red, green and blue of every seventh pixel. */
+/** Colours in the middle of the screen, where nothing covers the canvas: red, green and blue of every seventh pixel. */
 export function pixels(page) {
   return page.evaluate(
     () =>

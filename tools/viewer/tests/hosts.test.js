@@ -1,4 +1,4 @@
-// The page where people meet it: from `slicetool serve`, under its policy, and from the folder of `slicetool site`.
+// The page as users get it: from `slicetool serve`, under its policy, and from the folder of `slicetool site`.
 
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
@@ -25,7 +25,7 @@ beforeEach(() => {
   page = tests.page;
 });
 
-/** Starts `slicetool serve`; its address, and how it ends. */
+/** Starts `slicetool serve`; returns its address and how it ends. */
 async function serve(...args) {
   const child = spawn(join(BIN, "slicetool"), ["serve", ...args, "--page", DIST], { stdio: ["ignore", "pipe", "inherit"] });
   const ended = new Promise((resolve) => child.once("exit", resolve));

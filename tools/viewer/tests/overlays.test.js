@@ -1,4 +1,4 @@
-// Gaussian splats over an archive: dropped, or named by the address; aligned; and never a cost of pages without them.
+// Gaussian splats over an archive: dropped or named by the address, aligned, and free of cost for pages without them.
 
 import assert from "node:assert/strict";
 import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
@@ -31,12 +31,12 @@ beforeEach(() => {
   page = tests.page;
 });
 
-/** Two metres ahead of the pawn at the height of its eye. */
+/** Two metres ahead of the pawn at eye height. */
 const AHEAD = [WAY.start[0], WAY.start[1] + 2, 1.65];
 const view = () => address(server, { at: WAY.start, look: [0, 0] });
 const chunk = () => server.requests.filter(({ path }) => /spark/.test(path));
 
-/** Share of magenta pixels in the middle of the screen. */
+/** Fraction of magenta pixels in the middle of the screen. */
 async function magenta() {
   const seen = await pixels(page);
   return seen.filter(([r, g, b]) => r > 120 && b > 120 && g < 90).length / seen.length;
@@ -91,7 +91,7 @@ describe("Gaussian splats", () => {
     await drop(page, "broken.ply", Buffer.from("ply\nnothing of the kind\n"));
     await page.getByText(/The splats cannot be drawn: /).waitFor();
     await hold(page, ["w"], "walking", ({ speed }) => speed > 0.5);
-    // What reads them says so on the console too.
+    // The splat reader logs the error on the console too.
     const others = page.complaints.filter((text) => !text.includes("Invalid PLY file"));
     page.complaints.splice(0, Infinity, ...others);
   });

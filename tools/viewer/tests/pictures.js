@@ -1,5 +1,5 @@
-// Takes the viewer's pictures of the documentation: `node pictures.js FOLDER [NAME...]`, on a quiet machine. Needs SLICEWALK_DATA, the
-// folder of the real scan of two storeys.
+// Takes the viewer's pictures for the documentation: `node pictures.js FOLDER [NAME...]`, on a quiet machine. Needs
+// SLICEWALK_DATA, the folder with the real scan of two storeys.
 
 import { join } from "node:path";
 import { launch, until, walkIn } from "./browser.js";
@@ -12,10 +12,10 @@ const JPEG = { type: "jpeg", quality: 80 };
 /** On the way to the stairs, looking along them. */
 const STAIRS = { at: [-10.2, -4.35, -1.2], look: [275, -8] };
 
-/** Opens a tool of the bar. */
+/** Opens a tool of the toolbar. */
 const tool = (name) => (page) => page.getByRole("button", { name }).click();
 
-/** Turns the wheel by so many notches, outwards if positive, and waits until all that is seen has its colours. */
+/** Turns the wheel by `notches`, outwards if positive, and waits until everything visible has its colours. */
 const coloured = (notches) => async (page) => {
   await page.mouse.move(SIZE.width / 2, SIZE.height / 2);
   for (let n = 0; n < Math.abs(notches); n++) await page.mouse.wheel(0, 200 * Math.sign(notches));

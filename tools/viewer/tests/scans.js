@@ -1,6 +1,7 @@
-// Archives of generated scans, made once by the programs of this repository and kept in the target folder.
+// Archives of generated scans, made once by this repository's programs and kept in the target folder.
 //
-// SLICEWALK_BIN names the folder of sliceconv, slicetool, scangen and replay; by default the newer build of the repository.
+// SLICEWALK_BIN is the folder of sliceconv, slicetool, scangen and replay; by default the newer build of the
+// repository.
 
 import { execFileSync } from "node:child_process";
 import { existsSync, mkdirSync, readFileSync, renameSync, rmSync, statSync } from "node:fs";
@@ -27,7 +28,10 @@ export function program(name, ...args) {
   return execFileSync(join(BIN, name), args, { encoding: "utf8", stdio: ["ignore", "pipe", "pipe"] });
 }
 
-/** The archive `name`, made by `scangen` and `sliceconv` with these arguments if it is not there, from a scan of this kind. */
+/**
+ * The archive `name`, made by `scangen` and `sliceconv` with these arguments from a scan of this kind, unless it
+ * exists.
+ */
 function made(name, scene, conversion, kind = "laz") {
   const path = join(kept, `${name}.slices`);
   if (existsSync(path)) return path;
@@ -55,13 +59,13 @@ export const colouredHouse = () =>
     ["--pixel", "0.05", "--exclude-class", "7", "--colour", "rgb", "--levels", "on"],
   );
 
-/** That house with overview levels and without colours: what its colours cost shows beside it. */
+/** That house with overview levels but without colours, to compare the cost of colours. */
 export const levelledHouse = () =>
   made("levelled", ["demo", "--format", "7"], ["--pixel", "0.05", "--exclude-class", "7", "--levels", "on"]);
 
 export const MOVED = [500_000, 5_000_000, 0];
 
-/** The same house far from the origin: 1e6 is a multiple of neither pixels nor pages, so only the answers are the same. */
+/** The same house far from the origin: 1e6 is not a multiple of pixels or pages, so only the answers are the same. */
 export const movedHouse = () =>
   made("moved", ["demo", "--origin", MOVED.join(",")], ["--pixel", "0.05", "--exclude-class", "7"]);
 
@@ -73,11 +77,11 @@ export const tower = () =>
     ["--pixel", "0.2"],
   );
 
-/** A street of 300 m, 20 kB a metre: more than a link brings at once. */
+/** A street of 300 m with 20 kB per metre: more than a link delivers at once. */
 export const street = () =>
   made("street", ["street", "--param", "length=300", "--density", "400", "--noise", "0.015"], ["--pixel", "0.05"]);
 
-/** A coarser one with overview levels. */
+/** A coarser street with overview levels. */
 export const avenue = () =>
   made(
     "avenue",
@@ -85,7 +89,7 @@ export const avenue = () =>
     ["--pixel", "0.1", "--levels", "on"],
   );
 
-/** The same with colours by a formula: most of it lies beyond the pages that a view draws. */
+/** The same street with colours by a formula; most of it lies beyond the pages that a view draws. */
 export const colouredAvenue = () =>
   made(
     "coloured-avenue",
@@ -94,8 +98,8 @@ export const colouredAvenue = () =>
   );
 
 /**
- * A city of 896 × 427 × 789 m at pixels of 5 cm, with overview levels: 160 points on a square metre, 144 M in all. For `bench.js`
- * only: it takes minutes, and 3 GB of disk while it is made.
+ * A city of 896 × 427 × 789 m with pixels of 5 cm and overview levels: 160 points per square metre, 144 M in total.
+ * Only for `bench.js`: it takes minutes, and 3 GB of disk while it is made.
  */
 export const city = () =>
   made(
@@ -105,7 +109,7 @@ export const city = () =>
     "las",
   );
 
-/** The bytes of an archive's colours: the first, and the first behind them (specification, chapter 3). */
+/** Byte range of an archive's colours: the first byte, and the first after them (specification, chapter 3). */
 export function colourBytes(archive) {
   const { bytes } = JSON.parse(program("slicetool", "info", archive, "--json"));
   const head = readFileSync(archive).readUInt32LE(12);
@@ -134,10 +138,10 @@ export function scanned(name, ...conversion) {
   return path;
 }
 
-/** A room with its floor at 0 and a table less: another archive for the same name. */
+/** A room with its floor at 0 and without a table: another archive for the same name. */
 export const other = () => made("other", ["house", "--param", "storeys=1", "--density", "400"], ["--pixel", "0.05"]);
 
-/** Way up the stairs of the house: places to walk straight to, one after the other. */
+/** Route up the stairs of the house: places to walk straight to, in turn. */
 export const WAY = {
   start: [1.5, 2, 0],
   places: [

@@ -1,7 +1,7 @@
-// A small file of Gaussian splats as training programs write it: a block of one colour that no archive has.
+// A small file of Gaussian splats as training programs write it: a block of a colour that no archive has.
 
 const FIELDS = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split(" ");
-/** Of the constant part of colours. */
+/** Factor of the constant part of colours. */
 const SH_0 = 0.28209479177387814;
 
 /** A cube of 27 splats around the origin, 1 m wide, in full magenta. */

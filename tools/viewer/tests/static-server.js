@@ -1,6 +1,6 @@
-// A plain static host on loopback: files of folders, single ranges, an ETag, and nothing else. It notes each request, and can
-// vanish and come back on the same port. Answers can be held back for good. Between it and the browser lies a link with a delay and a rate, which all answers of
-// archives share.
+// A plain static host on loopback: files of folders, single ranges, an ETag, and nothing else. It records each request,
+// can disappear and return on the same port, and can hold back answers for good. All answers of archives share a link
+// with a delay and a rate.
 
 import { createServer } from "node:http";
 import { open } from "node:fs/promises";
@@ -16,16 +16,16 @@ const TYPES = {
   ".txt": "text/plain; charset=utf-8",
 };
 
-/** Answers share the link in pieces of so many bytes. */
+/** Bytes per piece in which answers share the link. */
 const PIECE = 16 << 10;
 
 const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 export class StaticServer {
-  /** Folder and names that stand for other files: `{ "/house.slices": "/tmp/a.slices" }`. */
+  /** Folder, and names that map to other files: `{ "/house.slices": "/tmp/a.slices" }`. */
   constructor(folder, files = {}) {
     Object.assign(this, { folder, files, requests: [], delayMs: 0, bytesPerSecond: Infinity, free: 0, port: 0 });
-    /** Whether the answer to a range never comes, by its first and its last byte. */
+    /** Returns whether the answer to a range never comes, by its first and last byte. */
     this.holds = () => false;
   }
 
@@ -103,7 +103,7 @@ export class StaticServer {
     }
   }
 
-  /** Sends bytes at the pace of the link. */
+  /** Sends bytes at the rate of the link. */
   async #send(response, bytes, shared) {
     const piece = shared && this.bytesPerSecond < Infinity ? PIECE : bytes.length;
     for (let at = 0; at < bytes.length && !response.destroyed; at += piece) {

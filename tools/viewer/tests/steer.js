@@ -1,4 +1,4 @@
-// Walks by keys: looks towards a place and holds W until it is reached.
+// Walks by keys: looks towards a place and holds W until the pawn reaches it.
 
 import { hold, state, walkIn } from "./browser.js";
 import { WAY } from "./scans.js";
@@ -32,12 +32,12 @@ export const address = (server, { archive = "house.slices", at = null, look = nu
   return `${server.address}?${fields.join("&")}`;
 };
 
-/** The link that scans are walked over: 20 Mbit/s, and 40 ms before each answer. */
+/** The link for walks in scans: 20 Mbit/s, and 40 ms before each answer. */
 export const LINK = { delayMs: 40, bytesPerSecond: 2_500_000 };
 
 /**
- * Watches the page from now on, frame by frame: how many frames missed a page, how many pages a frame missed at most, most bytes of
- * pages, and the tasks of the main thread that took 50 ms or longer.
+ * Watches the page from now on, frame by frame: number of frames that missed a page, most pages missed by a frame, most
+ * bytes of pages, and the tasks of the main thread that took 50 ms or longer.
  */
 export function watch(page) {
   return page.evaluate(() => {
@@ -59,7 +59,7 @@ export function watch(page) {
 
 export const watched = (page) => page.evaluate(() => window.seen);
 
-/** Runs eastwards from a place over that link: what was watched, and the bytes loaded. */
+/** Runs eastwards from a place over that link; returns the watched values and the bytes loaded. */
 export async function runAlong(page, server, archive, metres, from = [2, 0, 0.1]) {
   Object.assign(server, LINK);
   const { at } = await walkIn(page, address(server, { archive, at: from, look: [90, 0] }));
@@ -70,7 +70,9 @@ export async function runAlong(page, server, archive, metres, from = [2, 0, 0.1]
   return { bytesLoaded, ...(await watched(page)) };
 }
 
-/** What was asked of a house's archive before the pawn's first step there: ranges, their bytes, and the page's count of colours. */
+/**
+ * Requests for a house's archive before the pawn's first step: ranges, their bytes, and the page's count of colours.
+ */
 export async function firstStep(page, server, archive) {
   // The key is down from the beginning, and the page itself notes when it saw the first step.
   await page.addInitScript((y) => {
@@ -92,10 +94,13 @@ export async function firstStep(page, server, archive) {
   return { bytes, ranges: asked.map(({ range }) => range), colours };
 }
 
-/** Software graphics draw few frames a second: a picture is whole when nothing came for so many of them. */
+/**
+ * Frames without anything new after which a picture counts as complete; software graphics draw only few frames a
+ * second.
+ */
 const QUIET_FRAMES = 12;
 
-/** Waits until nothing comes any more. */
+/** Waits until nothing new arrives. */
 export const settled = (page) =>
   page.evaluate(async (quiet) => {
     let [last, since] = ["", 0];

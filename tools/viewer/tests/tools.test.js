@@ -1,4 +1,5 @@
-// What else the page offers: places by clicks and links, slices, measures, local files, screenshots; and that everyone can use it.
+// Other features of the page: places by clicks and links, slices, measures, local files, screenshots; and
+// accessibility.
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
@@ -35,12 +36,12 @@ beforeEach(() => {
 const tool = (name) => page.getByRole("button", { name, exact: false });
 const middle = { x: 400, y: 250 };
 
-/** How many different colours there are in the middle of the screen. */
+/** Number of different colours in the middle of the screen. */
 async function colours() {
   return new Set((await pixels(page)).map((rgb) => rgb.map((value) => value >> 3).join())).size;
 }
 
-/** Something is drawn: more colours than a plain background has. */
+/** Waits until something is drawn: more colours than a plain background has. */
 async function drawn() {
   const end = Date.now() + 60_000;
   while ((await colours()) < 12) {
@@ -50,15 +51,15 @@ async function drawn() {
 }
 
 /**
- * Share of what is seen in the middle of the screen, without the background, that is plainly blue or green: the formula's colours, and
- * none of the page's own.
+ * Fraction of the middle of the screen, without the background, that is distinctly blue or green: colours of the
+ * formula, which the page itself never uses.
  */
 async function vivid(page) {
   const seen = (await pixels(page)).filter((rgb) => Math.max(...rgb) > 40);
   return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
 }
 
-/** The share of the picture in the scan's colours, which go when colours by kind are chosen. */
+/** Fraction of the picture in the scan's colours, which disappear when colours by kind are chosen. */
 async function ownColours(page) {
   await page.waitForTimeout(500);
   const own = await vivid(page);
@@ -91,7 +92,7 @@ describe("colours", () => {
     const there = { archive: "coloured-avenue.slices", at: [150, 0, 0.1], look: [0, -60] };
     await walkIn(page, address(server, { ...there, view: "orbit" }));
     await page.mouse.move(middle.x, middle.y);
-    // So far out that nothing is drawn but the overview level.
+    // So far out that only the overview level is drawn.
     const far = ({ drawn, colours }) => drawn.pages === 0 && drawn.overview > 0 && colours.missing === 0;
     for (let n = 0; n < 6; n++) await page.mouse.wheel(0, 200);
     const { drawn } = await until(page, "the level alone, coloured", far, { timeout: 120_000 });
@@ -101,7 +102,7 @@ describe("colours", () => {
 
   it("walks on while an answer of colours does not come, and gives it up for what the pawn waits for", async () => {
     const [begin, end] = colourBytes(colouredAvenue());
-    // The first look at an archive reads some of its end, whatever that holds.
+    // The first read of an archive includes some of its end, whatever that contains.
     const isOfColours = (first, last) => first >= begin && last < end;
     Object.assign(server, { holds: isOfColours, requests: [] });
     const held = () =>
@@ -204,7 +205,7 @@ describe("places", () => {
     const expected = at[0] + 1.65 / Math.tan((-look[1] * Math.PI) / 180);
     assert.ok(Math.abs(far.at[0] - expected) < 0.25 * expected, `${start.at} to ${far.at}, expected x = ${expected}`);
     assert.ok(Math.abs(far.at[2]) < 0.3, `z = ${far.at[2]}`);
-    // Not before the click: the outline may be there before any page is.
+    // Not before the click: the outline may be complete before any page is loaded.
     assert.ok(far.pages.resident > 0);
   });
 
@@ -246,7 +247,7 @@ describe("tools", () => {
       return Number(await cell.getAttribute("data-metres"));
     };
     const place = () => row("place").textContent();
-    // Wherever the cursor is between the jambs, whether or not a point of the floor lies there.
+    // Anywhere between the jambs, whether or not a point of the floor is under the cursor.
     // prettier-ignore
     for (const [right, down] of [[0, 0], [-12, 6], [14, -5], [5, 9], [-7, -8], [20, 3], [-19, -2]]) {
       const before = await place();

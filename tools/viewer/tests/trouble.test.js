@@ -1,4 +1,4 @@
-// When things go wrong: graphics lost, host gone, archive replaced or damaged, address wrong.
+// Failures: graphics lost, host unreachable, archive replaced or damaged, wrong address.
 
 import assert from "node:assert/strict";
 import { copyFileSync, mkdtempSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
@@ -49,13 +49,13 @@ describe("trouble", () => {
     await page.waitForTimeout(500);
     const again = await picture();
     assert.ok(again.length > 1.5 * black.length, `${again.length} bytes of picture, ${black.length} while lost`);
-    // What the lost context had is deleted in the new one, and that is said to be in vain.
+    // Objects of the lost context are deleted in the new one, which logs a warning.
     const others = page.complaints.filter((text) => !text.includes("does not belong to this context"));
     page.complaints.splice(0, Infinity, ...others);
   });
 
   it("waits for a host that went away, and goes on when it is back", async () => {
-    // Slow enough that the third storey is not loaded when the host goes away.
+    // Slow enough that the third storey is not loaded when the host disappears.
     server.delayMs = 500;
     await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     await server.stop();
@@ -112,7 +112,7 @@ describe("trouble", () => {
   it("says once that colours are damaged, and walks on without them", async () => {
     const bytes = readFileSync(colouredHouse());
     const number = (at) => Number(bytes.readBigUInt64LE(at));
-    // The end of pages, colours and levels, less the levels and the table of colour leaves: the last of these leaves.
+    // The end of pages, colours and levels, minus the levels and the table of colour leaves: the last of these leaves.
     const end = bytes.readUInt32LE(12) + number(288) - number(328);
     bytes[end - 12 * bytes.readUInt32LE(320) - 1] ^= 1;
     writeFileSync(join(folder, "bad.slices"), bytes);

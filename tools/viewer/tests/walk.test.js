@@ -1,4 +1,4 @@
-// Walking: stairs, walls, falls, far from the origin, and by every device.
+// Walking: stairs, walls, falls, far from the origin, and with every device.
 
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
@@ -43,7 +43,7 @@ async function climb(archive, shift) {
   return page.evaluate(() => window.slicewalk.recording());
 }
 
-/** The library walks the recorded inputs again and compares each place bit by bit. */
+/** The library walks the recorded inputs again and compares each place bit for bit. */
 function replay(archive, recording) {
   assert.ok(recording.steps.length > 50 * 8 && recording.path.length * 8 === recording.steps.length * 3);
   const folder = mkdtempSync(join(tmpdir(), "slicewalk-replay-"));
@@ -68,8 +68,8 @@ describe("walking", () => {
   }
 
   it("runs along a street on a link of 20 Mbit/s and 40 ms", async (t) => {
-    // How often it waits depends on the machine as well: `bench.js` asks for none, the engine's own tests do so on a clock of
-    // their own.
+    // How often it waits also depends on the machine: `bench.js` requires no wait, and the engine's own tests use a
+    // simulated clock.
     const { waited, bytesLoaded } = await runAlong(page, server, "street.slices", 30);
     t.diagnostic(`at most ${waited} pages missing in a frame`);
     assert.ok(bytesLoaded > 1e6, `${bytesLoaded} bytes`);
@@ -78,7 +78,7 @@ describe("walking", () => {
   it("climbs the stairs by keys, and the library does the same to the last bit", async () => {
     const recording = await climb("house.slices", [0, 0]);
     replay(house(), recording);
-    // A replay that differs is noticed.
+    // A replay that differs is detected.
     const bent = { ...recording, path: recording.path.with(-1, recording.path.at(-1) + 1e-12) };
     assert.throws(() => replay(house(), bent));
   });
@@ -91,7 +91,7 @@ describe("walking", () => {
   it("stops at a wall and says so", async () => {
     await walkIn(page, address(server, { at: WAY.start, look: [270, 0] }));
     const before = await hold(page, ["w"], "blocked", ({ ground }) => ground === "blocked");
-    // Half the pawn and at most a pixel of matter before the wall.
+    // Half the pawn and at most a pixel of solid before the wall.
     assert.ok(before.at[0] >= 0.25 && before.at[0] <= 0.25 + 2 * 0.05, `x = ${before.at[0]}`);
     await page.locator("details.status").evaluate((panel) => (panel.open = true));
     await page.keyboard.down("w");

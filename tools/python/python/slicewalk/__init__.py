@@ -4,8 +4,8 @@
 >>> archive.overlaps([[3, 2, 0.5, 3.5, 2.5, 1.8]]) == slicewalk.CLEAR
 array([ True])
 
-`convert` and `Writer` make archives, `open` reads them, `Archive` and the `View` of a `Stream` answer questions about
-boxes, rays, floors and routes, a `Walker` walks. Lengths are metres, angles degrees.
+`convert` and `Writer` make archives and `open` reads them. `Archive` and the `View` of a `Stream` answer queries about
+boxes, rays, floors and routes; a `Walker` walks. Lengths are in metres, angles in degrees.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ from slicewalk.errors import (
 )
 
 CLEAR = 0
-"""A shape touches no matter."""
+"""The shape touches no solid."""
 HIT = 1
-"""A shape touches matter."""
+"""The shape touches solid."""
 NOT_LOADED = 2
-"""A shape touches none of the pages in memory, but others could hold some."""
+"""The shape touches no solid of the pages in memory, but meets pages that are not loaded."""
 
 __all__ = [
     "CLEAR",
@@ -107,7 +107,7 @@ __all__ = [
 
 
 def _again(source: Any, identity: str, options: dict[str, Any] | None = None) -> Archive:
-    """Open what was pickled once more."""
+    """Reopen a pickled archive."""
     archive = open(source, **(options or {}))
     if archive._identity != identity:
         message = f"{archive.path}: another archive than the one that was pickled; pickle it again"

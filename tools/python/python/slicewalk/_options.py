@@ -1,4 +1,4 @@
-"""Options of conversions: those of the command line, with underscores. The table in `src/options.rs` reads them."""
+"""Conversion options, named as on the command line but with underscores. `src/options.rs` reads them."""
 
 from __future__ import annotations
 

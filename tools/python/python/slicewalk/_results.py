@@ -1,4 +1,4 @@
-"""What questions answer with, where a number is not enough."""
+"""Results of queries that are more than a number."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Region:
 
     Attributes:
         kind: uint8, 0 empty, 1 floor, 2 obstacle
-        bottom: uint8, lowest matter in the voxel (quanta above the slice's floor, 0 to 255; 0 where it is empty)
-        top: uint8, highest matter in the voxel (likewise)
+        bottom: uint8, lowest solid in the voxel (quanta above the slice's floor, 0 to 255; 0 in an empty voxel)
+        top: uint8, highest solid in the voxel (like `bottom`)
         first: column, row and slice of the first voxel, counted from the origin
         pixel_size: edge of a pixel (m)
         slice_height: height of a slice (m)
@@ -38,7 +38,7 @@ class Region:
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
-        """Whether each voxel holds matter."""
+        """True for each occupied voxel."""
         return self.kind > 0
 
     @property
@@ -57,13 +57,13 @@ class Region:
         return (self.first[2] + np.arange(self.kind.shape[0], dtype=np.float64)) * self.slice_height
 
     def __repr__(self) -> str:
-        """Return its size and what is in it."""
+        """Return size and counts of voxels."""
         count = " × ".join(map(str, self.kind.shape))
         occupied, obstacle = int(np.count_nonzero(self.kind)), int(np.count_nonzero(self.kind == 2))
         return f"<slicewalk.Region of {count} voxels: {occupied} occupied, {obstacle} of them obstacles>"
 
     def slices(self) -> dict[int, NDArray[np.uint8]]:
-        """Return a view of `kind` for each slice with matter, by the slice's number (0 begins at z = 0).
+        """Return a view of `kind` for each occupied slice, keyed by the slice's number (slice 0 begins at z = 0).
 
         >>> slices = slicewalk.open("room.slices").region((0, 0, 0, 8, 6, 2.5)).slices()
         >>> slices[0].shape, len(slices)
@@ -73,7 +73,7 @@ class Region:
         return {number: layer for number, layer in layers if layer.any()}
 
     def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` of kind, bottom and top over z, y and x, the middles of voxels. Needs xarray."""
+        """Return an ``xarray.Dataset`` of kind, bottom and top over z, y, x (centres of voxels). Needs xarray."""
         import xarray  # noqa: PLC0415
 
         axes = ("z", "y", "x")
@@ -85,23 +85,23 @@ class Region:
 
 
 class Storey(NamedTuple):
-    """Floors that lie together: middle height (m) and area (m²)."""
+    """Floors at about the same height: middle height (m) and area (m²)."""
 
     z: float
     area: float
 
 
 class Passage(NamedTuple):
-    """A narrow place between two wider ones: its middle on the floor, and its clear width (m)."""
+    """A narrow place between two wider ones: its middle on the floor and its clear width (m)."""
 
     at: _Place
     width: float
 
 
 class Leak(NamedTuple):
-    """A place where a region ends although nothing is in the way.
+    """A place where a region ends although nothing blocks it.
 
-    `kind` is ``"hole"``, ``"edge"`` or ``"ledge"``; `drop` is None where nothing was scanned below (m).
+    `kind` is ``"hole"``, ``"edge"`` or ``"ledge"``; `drop` is the depth (m), or None if nothing was scanned below.
     """
 
     at: _Place
@@ -111,7 +111,7 @@ class Leak(NamedTuple):
 
 
 class Extreme(NamedTuple):
-    """A place, and the height there (m)."""
+    """A place and the height there (m)."""
 
     at: _Place
     height: float
@@ -119,16 +119,16 @@ class Extreme(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """All that a pawn can reach on foot; see :meth:`Pages.reach`.
+    """Everything that a pawn can reach on foot; see :meth:`Pages.reach`.
 
     Attributes:
-        area: of all standing places (m²)
-        storeys: from the lowest up
-        passages: narrowest first
-        leaks: by place
+        area: area of all standing places (m²)
+        storeys: storeys from the lowest up
+        passages: passages, narrowest first
+        leaks: leaks, ordered by place
         lowest_headroom: None under the open sky
         highest_step: None on a level floor
-        places: float64 of shape (N, 4), each ``x, y, z, clearance`` of a standing place (m), the middle of a pixel
+        places: float64 of shape (N, 4), ``x, y, z, clearance`` of each standing place (m), at the middle of a pixel
 
     """
 
@@ -141,7 +141,7 @@ class Reach:
     places: NDArray[np.float64]
 
     def __repr__(self) -> str:
-        """Return what there is, without the places."""
+        """Return area and counts."""
         return (
             f"<slicewalk.Reach: {self.area:.1f} m², {len(self.places)} places, storeys {len(self.storeys)}, "
             f"passages {len(self.passages)}, leaks {len(self.leaks)}>"
@@ -171,13 +171,13 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A way; see :meth:`Pages.route`.
+    """A route; see :meth:`Pages.route`.
 
     Attributes:
-        found: whether there is one
-        length: of the lines between its points, heights included (m); None without a way
-        reason: why there is none: ``"not_standing_from"``, ``"not_standing_to"``, ``"not_connected"``
-        points: float64 of shape (N, 3): places to reach one after the other (m)
+        found: whether there is a route
+        length: length of the lines between its points, including heights (m); None without a route
+        reason: why there is no route: ``"not_standing_from"``, ``"not_standing_to"``, ``"not_connected"``
+        points: float64 of shape (N, 3): places to reach in turn (m)
 
     """
 
@@ -187,21 +187,21 @@ class Route:
     points: NDArray[np.float64]
 
     def __bool__(self) -> bool:
-        """Whether there is a way."""
+        """Return whether there is a route."""
         return self.found
 
     def __repr__(self) -> str:
-        """Return its length, or why there is no way."""
+        """Return the length, or why there is no route."""
         if self.length is None:
             return f"<slicewalk.Route: none, {self.reason}>"
         return f"<slicewalk.Route: {self.length:.2f} m, {len(self.points)} points>"
 
 
 class StepReport(NamedTuple):
-    """What a step of a :class:`Walker` did.
+    """Result of a step of a :class:`Walker`.
 
-    `stop` says why it did not get where it wanted: ``"wall"``, ``"steep"``, ``"headroom"``, ``"corner"``, ``"inside"``,
-    ``"ledge"``, ``"void"``, or None. `missing` counts the pages that it waits for; `unspent` is the time left over (s).
+    `stop` says what blocked the pawn: ``"wall"``, ``"steep"``, ``"headroom"``, ``"corner"``, ``"inside"``, ``"ledge"``,
+    ``"void"``, or None. `missing` counts the pages that it waits for; `unspent` is the time left over (s).
     """
 
     state: str
@@ -213,19 +213,19 @@ class StepReport(NamedTuple):
 
     @property
     def waits(self) -> bool:
-        """Whether it waits for pages."""
+        """True if the pawn waits for pages."""
         return self.missing > 0
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The way that a :class:`Walker` went.
+    """The path that a :class:`Walker` took.
 
     Attributes:
         seconds: float64 of shape (N,): time after each frame (s)
-        feet: float64 of shape (N, 3) (m)
-        states: str of shape (N,)
-        waypoints_reached: how many of them
+        feet: float64 of shape (N, 3): feet after each frame (m)
+        states: str of shape (N,): state after each frame
+        waypoints_reached: number of waypoints reached
 
     """
 
@@ -241,7 +241,7 @@ class Path:
         return cls(seconds, feet, STATES[codes], reached)
 
     def __repr__(self) -> str:
-        """Return how it ended."""
+        """Return final state, time and length."""
         return f"<slicewalk.Path: {self.state} after {self.seconds[-1]:.1f} s and {self.length:.2f} m>"
 
     @property
@@ -251,5 +251,5 @@ class Path:
 
     @property
     def length(self) -> float:
-        """Length of the way (m)."""
+        """Length of the path (m)."""
         return float(np.linalg.norm(np.diff(self.feet, axis=0), axis=1).sum())

@@ -8,13 +8,14 @@
 >>> report["parts"], report["retries"]
 (3, 0)
 
-`convert` makes a plan, has the workers convert its parts, joins these as a tree, verifies the whole and renames it to
-the output: the bytes of a single run. Every step is one file in a folder beside the output, named by
-what decides its content, and complete or not there. So a step that runs twice does no harm, a step that lost its worker
-runs again, and a conversion that ended early, even by the death of scheduler or client, goes on with the next call.
+`convert` makes a plan, has the workers convert its parts, joins these as a tree, verifies the result and renames it to
+the output, which has the bytes of a single run. Every step is one file in a folder beside the output. The file is named
+after everything that determines its content, and is either complete or absent. So a step may run twice without harm, a
+step that lost its worker runs again, and after an early end, even by the death of scheduler or client, the next call
+resumes the conversion.
 
-Workers read the inputs and write the parts by the same paths as the client: all of them see one shared folder. An
-output in an object store needs such a folder too (``work=``), and is uploaded from there at the end.
+Workers read the inputs and write the parts by the same paths as the client, so all of them need a shared folder. An
+output in an object store needs such a folder too (``work=``), from which it is uploaded at the end.
 """
 
 from __future__ import annotations
@@ -57,11 +58,11 @@ __all__ = ["SchedulerLostError", "WorkerLostError", "convert", "discard"]
 _Progress = Callable[[str, int, int, str], object]
 
 LEAST_MEMORY = 64 << 20
-"""Least memory of one part (bytes)."""
+"""Minimum memory of one part (bytes)."""
 BESIDE = 64 << 20
-"""What a part may take beyond its budget (bytes)."""
+"""Memory that a part may use beyond its budget (bytes)."""
 INTERPRETER = 128 << 20
-"""What a worker takes itself (bytes)."""
+"""Memory used by a worker's interpreter (bytes)."""
 _PASSING = 2
 _TICK = 0.2
 _LOOK = 2.0
@@ -69,16 +70,16 @@ _ARCHIVE = b"\x89SLA\r\n\x1a\n"
 
 
 class WorkerLostError(Error):
-    """A step lost its worker too often. `found` says how often."""
+    """A step lost its worker too often; `found` is the number of times."""
 
 
 class SchedulerLostError(Error):
-    """The scheduler died and did not come back. What was done stays for the next call."""
+    """The scheduler died and did not come back. Finished steps stay for the next call."""
 
 
 @dataclass(frozen=True)
 class _Job:
-    """What every step knows. Inputs are many, and lie in the plan's folder."""
+    """Parameters shared by all steps. The inputs may be many, so they are in a file beside the plan."""
 
     work: str
     run: str
@@ -93,7 +94,7 @@ class _Job:
 
 @dataclass(frozen=True)
 class _Step:
-    """One archive: a part (no members), joined neighbours, or the whole; or the check of the whole."""
+    """Step that makes one archive (a part without members, joined neighbours, or the whole), or checks the whole."""
 
     name: str
     kind: str
@@ -122,47 +123,46 @@ def convert(  # noqa: PLR0913
     """Convert scans and meshes into one slice archive, in parts on the workers of a Dask cluster.
 
     Args:
-        inputs: as for `slicewalk.convert`: paths that the workers see too, or addresses, for which each worker has
+        inputs: as for `slicewalk.convert`: paths that the workers see too, or addresses, for which each worker needs
             credentials in its environment
-        output: the archive to write: a file in a folder that the workers see too, or with `work` an address
-            ``"s3://bucket/key"``, for which the client has credentials
+        output: the archive to write: a file in a folder that the workers see too, or, with `work`, an address
+            ``"s3://bucket/key"``, for which the client needs credentials
         client: a connected, synchronous `distributed.Client`
         parts: number of parts; by default four for each thread of the workers
-        memory: memory of one part, as for `slicewalk.convert`. A worker whose threads cannot all have as much gives
-            each an equal share of what it has, so None takes all; a worker with less than 64 MiB for each refuses
+        memory: memory of one part, as for `slicewalk.convert`. A worker with too little memory for that divides what
+            it has equally among its threads, so None uses all of it; with less than 64 MiB per thread it refuses
         threads: threads of one part. Dask runs one part at a time on each thread of a worker
         fan_in: most archives that one step joins, at least 2
-        failures: how often one step may lose its worker before the conversion fails. Dask itself gives a step up after
-            ``distributed.scheduler.allowed-failures`` + 1 losses (4 by default); it is submitted again until then
-        patience: how long the conversion waits while there is no worker at all, seconds
+        failures: how often one step may lose its worker before the conversion fails. Dask itself gives up on a step
+            after ``distributed.scheduler.allowed-failures`` + 1 losses (4 by default); until `failures` is exceeded,
+            the step is submitted again
+        patience: how long the conversion waits while there is no worker at all (s)
         progress: called with stage ("plan", "parts", "merge", "verify", for an address "upload"), amount done, total
-            and unit, five times a second; what it raises ends the conversion, as Ctrl-C does
+            and unit, five times a second; an exception that it raises ends the conversion, as Ctrl-C does
         force: replace an existing archive
-        work: for an output that is an address, and only then: a folder that client and workers see, for the finished
-            steps. It needs room for the parts and the whole
-        temp_dir: folder for temporary data on the workers; by default that of the Dask worker, which removes what a
-            killed one left
+        work: folder that client and workers see, for the finished steps; required if the output is an address, and
+            invalid otherwise. It needs space for the parts and the whole archive
+        temp_dir: folder for temporary data on the workers; by default that of the Dask worker, which removes the files
+            of a killed worker
         options: those of `slicewalk.write_plan`, which runs on the client: with ``pixel="auto"`` it reads all points
 
     Returns:
-        ``parts``; ``retries`` (steps that began anew, because their worker was lost or a file could not be read or
-        written); ``seconds``; ``skipped`` (steps that an earlier call had done); ``output``; ``info`` (as
-        ``Archive.info``); ``complete``, whether all of the input was read; ``warnings``, the texts of plan and parts,
-        each once and raised as `SlicewalkWarning` unless `quiet`; and ``ran``, a dict for each step: ``step``,
-        ``kind``, ``worker``, ``host``, ``pid``, ``seconds``, ``skipped``, ``memory``, and of parts ``complete`` and
-        ``warnings``
+        ``parts``; ``retries`` (steps that ran again, because their worker was lost or a file could not be read or
+        written); ``seconds``; ``skipped`` (steps that an earlier call had finished); ``output``; ``info`` (as
+        ``Archive.info``); ``complete``, whether all of the input was read; ``warnings``, the distinct texts of plan and
+        parts, also raised as `SlicewalkWarning` unless `quiet`; and ``ran``, a dict for each step: ``step``, ``kind``,
+        ``worker``, ``host``, ``pid``, ``seconds``, ``skipped``, ``memory``, and for parts ``complete`` and ``warnings``
 
     Raises:
         OutputError: the archive exists already
-        WorkerLostError: a step lost its worker more than `failures` times, or no worker came within `patience`
+        WorkerLostError: a step lost its worker more than `failures` times, or there was no worker for `patience` s
         SchedulerLostError: the scheduler died and was not back within the client's timeout
-        Error: what `slicewalk.convert` and `slicewalk.merge` raise, from the worker
+        Error: errors of `slicewalk.convert` and `slicewalk.merge` on the workers
 
-    Whatever is raised, and however the client dies: finished steps, if there are any, stay in a hidden folder beside
-    the output or in `work`, and the next call with the same inputs and options goes on from there; `discard` removes
-    them. After success
-    nothing is left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree,
-    and read once more at the end.
+    After any error, and even if the client dies, finished steps stay in a hidden folder beside the output or in `work`.
+    The next call with the same inputs and options continues from there; `discard` removes them. After success nothing
+    is left. Cost beyond the conversion: each page is written, read and checked once more per level of the tree, and
+    read once more at the end.
 
     """
     started = time.monotonic()
@@ -224,7 +224,7 @@ def convert(  # noqa: PLR0913
 
 
 def discard(output: StrPath, work: StrPath | None = None) -> bool:
-    """Remove what a conversion to `output` (with `work`) that ended early left, and return whether there was anything.
+    """Remove the finished steps of an interrupted conversion to `output` (with `work`); return whether there were any.
 
     >>> slicewalk.cluster.discard("whole.slices")
     False
@@ -239,7 +239,7 @@ def discard(output: StrPath, work: StrPath | None = None) -> bool:
 
 
 def _target(output: StrPath) -> Path | str:
-    """Where the links of a file lead, or an address in a store."""
+    """Return the path of a file with links resolved, or an address in a store."""
     if not _is_address(output):
         return Path(os.path.realpath(output))
     parts = urllib.parse.urlsplit(output)
@@ -247,7 +247,7 @@ def _target(output: StrPath) -> Path | str:
 
 
 def _work(target: Path | str, work: StrPath | None) -> Path:
-    """Folder of the steps: beside the output, so that what is whole is renamed, not copied; of an address in `work`."""
+    """Return the folder of the steps: beside the output, where a rename suffices, or in `work` for an address."""
     if isinstance(target, Path):
         if work is not None:
             raise ParameterError("work: is for an output in a store; the steps of a file lie beside it", at="work")
@@ -263,7 +263,7 @@ def _work(target: Path | str, work: StrPath | None) -> Path:
 
 
 def _paths(inputs: StrPath | Iterable[StrPath]) -> list[str]:
-    """Return addresses as they are, and absolute paths."""
+    """Return the inputs, with paths made absolute."""
     if isinstance(inputs, (str, os.PathLike)):
         inputs = [inputs]
     try:
@@ -278,7 +278,7 @@ def _paths(inputs: StrPath | Iterable[StrPath]) -> list[str]:
 
 @contextlib.contextmanager
 def _at_work(folder: Path, run: str, output: StrPath, force: bool) -> Iterator[None]:
-    """Make the folder of the steps; remove it after an error before the first of them is finished."""
+    """Make the folder of the steps; remove it if an error comes before the first step is finished."""
     if not folder.parent.is_dir():
         raise OutputError(f"{output}: its folder does not exist; make it first", path=str(output))
     is_own = not folder.exists()
@@ -287,12 +287,12 @@ def _at_work(folder: Path, run: str, output: StrPath, force: bool) -> Iterator[N
         yield
     except (Error, OSError, TypeError) as error:
         if not folder.exists() and isinstance(error, OSError):
-            # Another call for the same output was faster, and removed the steps that both shared.
+            # A faster call for the same output removed the steps that both shared.
             _checked_target(output, force)
             message = f"{output}: another conversion to it ended meanwhile; call again"
             raise OutputError(message, path=str(output)) from error
         if not isinstance(error, (WorkerLostError, SchedulerLostError, CancelledError)):
-            # The next call plans anew: the inputs may have changed.
+            # The next call makes a new plan, because the inputs may have changed.
             _remove(folder / "plan.json")
             if is_own and folder.exists() and not _is_worth_keeping(folder, run):
                 _clean(folder)
@@ -300,7 +300,7 @@ def _at_work(folder: Path, run: str, output: StrPath, force: bool) -> Iterator[N
 
 
 def _is_worth_keeping(folder: Path, run: str) -> bool:
-    """Whether a step is finished, or another call is at work."""
+    """Return whether a step is finished, or another call is running."""
 
     def counts(name: str) -> bool:
         return run not in name if name.startswith("began-") else name[0] != "." and name.endswith(".slices")
@@ -309,12 +309,12 @@ def _is_worth_keeping(folder: Path, run: str) -> bool:
 
 
 def _is_address(path: StrPath) -> TypeGuard[str]:
-    """Whether an input lies in an object store or on a web server."""
+    """Return whether an input is in an object store or on a web server."""
     return isinstance(path, str) and re.match(r"[A-Za-z][A-Za-z0-9+.-]+://", path) is not None
 
 
 def _checked_target(output: StrPath, force: bool) -> Path | str:
-    """Where the links of `output` lead, or its address, if an archive may be written there."""
+    """Return the path of `output` with links resolved, or its address; raise if no archive may be written there."""
     target = _target(output)
     if isinstance(target, str):
         _slicewalk._check_output(target, force)
@@ -347,7 +347,7 @@ def _remove(path: Path) -> None:
 
 
 def _clean(work: Path) -> None:
-    """Remove the folder, also while a worker that was taken for dead writes there."""
+    """Remove the folder, even while a worker that was presumed dead still writes to it."""
     for _ in range(20):
         shutil.rmtree(work, ignore_errors=True)
         if not work.exists():
@@ -356,7 +356,7 @@ def _clean(work: Path) -> None:
 
 
 def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress | None) -> None:
-    """Give the whole its name; it is synced already, and verified."""
+    """Rename the whole archive, which is already synced and verified, to the output."""
     if isinstance(target, str):
         _slicewalk._upload_archive(whole, target, force=force, progress=progress)
         return
@@ -370,7 +370,7 @@ def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress |
             _checked_target(target, force)
             raise
         except OSError:
-            # A file system without hard links.
+            # The file system has no hard links.
             os.rename(whole, target)
     if os.name == "posix":
         folder = os.open(target.parent, os.O_RDONLY)
@@ -381,7 +381,7 @@ def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress |
 
 
 def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Progress | None) -> tuple[str, list[str]]:
-    """Text of the plan: that of an earlier call for the same work, else a new one; and the warnings, raised already."""
+    """Return the plan, that of an earlier call for the same work or a new one, and the warnings already raised."""
     plan, request = work / "plan.json", work / "request.json"
     wanted = json.dumps([slicewalk.__version__, paths, options], sort_keys=True, default=str)
     reads_points = (
@@ -390,7 +390,7 @@ def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Prog
         or options.get("colour", "off") != "off"
     )
     with contextlib.suppress(FileNotFoundError):
-        # A plan from headers alone is quickly made again, and shows inputs that changed.
+        # A plan from headers alone takes little time, and making it again notices changed inputs.
         if reads_points and request.read_text() == wanted:
             return plan.read_text(), []
     _remove(plan)
@@ -404,7 +404,7 @@ def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Prog
 
 
 def _tree(key: str, count: int, fan_in: int) -> list[_Step]:
-    """All steps, leaves first; the last two are the whole and its check."""
+    """Return all steps, leaves first; the last two are the whole and its check."""
 
     def name(level: int, index: int, of: int) -> str:
         return f"{key}-{level}-{index:05}-of-{of:05}.slices"
@@ -426,7 +426,7 @@ def _tree(key: str, count: int, fan_in: int) -> list[_Step]:
 
 
 def _run(job: _Job, step: _Step) -> dict[str, Any]:
-    """Do one step on a worker: make its archive, unless it is there and sound. Safe to do twice, also at once."""
+    """Run one step on a worker: make its archive unless a sound one exists. May run twice, even at the same time."""
     started = time.monotonic()
     if slicewalk.__version__ != job.version:
         message = f"worker with slicewalk {slicewalk.__version__}, client with {job.version}; install the same version"
@@ -438,7 +438,7 @@ def _run(job: _Job, step: _Step) -> dict[str, Any]:
     try:
         skipped, facts = _make(job, step, memory, scratch)
     finally:
-        # What stays is of workers that died.
+        # Files that stay come from workers that died.
         _remove(began)
     return {
         "step": step.name,
@@ -454,7 +454,7 @@ def _run(job: _Job, step: _Step) -> dict[str, Any]:
 
 
 def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> tuple[bool, dict[str, Any]]:
-    """Make the archive of a step; return whether it was there, and of a part what it lacks."""
+    """Make the archive of a step; return whether it existed, and for a part its completeness and warnings."""
     work, watch = Path(job.work), _Watch(job)
     target = work / step.name
     if step.kind == "verify":
@@ -491,7 +491,7 @@ def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> tuple[boo
 
 
 def _is_sound(target: Path, step: _Step, watch: _Watch) -> bool:
-    """Whether an earlier attempt left the whole archive of this step."""
+    """Return whether an earlier attempt left the complete archive of this step."""
     if not target.exists():
         return False
     try:
@@ -507,7 +507,7 @@ def _is_sound(target: Path, step: _Step, watch: _Watch) -> bool:
 
 
 class _Watch:
-    """Progress of work on a worker: ends it when the client asks for that."""
+    """Progress callback on a worker that cancels the work when the client asks for it."""
 
     def __init__(self, job: _Job) -> None:
         self.stop = Path(job.work, f"stop-{job.run}")
@@ -522,7 +522,7 @@ class _Watch:
 
 
 def _place(job: _Job) -> tuple[str, str | None, int]:
-    """Address and scratch folder of this worker, and the memory of one of its parts (bytes)."""
+    """Return address and scratch folder of this worker, and the memory of one of its parts (bytes)."""
     try:
         worker = distributed.get_worker()
     except ValueError:
@@ -543,7 +543,7 @@ def _place(job: _Job) -> tuple[str, str | None, int]:
 
 
 def _lost(job: _Job) -> int:
-    """How many attempts ended with their worker."""
+    """Return how many attempts ended because their worker died."""
     return sum(1 for path in Path(job.work).iterdir() if path.name.startswith(f"began-{job.run}-"))
 
 
@@ -561,7 +561,7 @@ def _bytes(memory: int | str) -> int:
 
 
 class _Driver:
-    """Keeps every step that can run in the hands of the scheduler until all are done."""
+    """Submits every step that can run to the scheduler until all are done."""
 
     def __init__(  # noqa: PLR0913
         self,
@@ -586,7 +586,7 @@ class _Driver:
         self.passing = 0
 
     def run(self) -> list[dict[str, Any]]:
-        """Run all steps. Whatever is raised, no worker goes on for long."""
+        """Run all steps. After an exception, workers stop soon."""
         try:
             self._submit(step for step in self.steps.values() if not step.members)
             while len(self.done) < len(self.steps):
@@ -605,7 +605,7 @@ class _Driver:
         for step in steps:
             attempt = self.attempts[step.name] = self.attempts[step.name] + 1
             key = f"slicewalk-{self.job.run}-{step.name}-{attempt}"
-            # Joining makes room for what comes, and the last steps are the longest.
+            # Merges go first: other steps wait for them, and the last steps take longest.
             priority = {"part": 0, "merge": 1, "verify": 2}[step.kind]
             future = self.client.submit(_run, self.job, step, key=key, pure=False, priority=priority)
             self.futures[step.name] = future
@@ -620,7 +620,7 @@ class _Driver:
             try:
                 self.done[name] = future.result()
             except Exception:
-                # The worker died with the result; the archive is there.
+                # The worker died with the result, but its archive exists.
                 return self._submit([step])
             del self.futures[name]
             if (above := self.above.get(name)) is not None:
@@ -660,7 +660,7 @@ class _Driver:
             raise WorkerLostError(message, hint="start workers and call again")
 
     def _again(self) -> None:
-        """Submit what is not done, once another scheduler has the address of the one that is gone."""
+        """Submit unfinished steps again once another scheduler has taken the address of the lost one."""
         while self.client.status == "connecting":
             self._tell()
             time.sleep(_TICK)

@@ -1,4 +1,4 @@
-"""Exceptions of slicewalk: what is wrong, and the facts as attributes.
+"""Exceptions of slicewalk. Their attributes hold the details.
 
 >>> try:
 ...     slicewalk.open("nowhere.slices")
@@ -13,16 +13,16 @@ from typing import Any
 
 
 class Error(Exception):
-    """Whatever slicewalk cannot do. Facts that an error does not have are None.
+    """Base class of all errors of slicewalk. Attributes that do not apply are None.
 
     Attributes:
-        path: file or address that the error is about
-        at: where in it (``"header, byte 96"``), or which parameter
-        reason: what is wrong, without the place
+        path: file or address of the error
+        at: position in it (``"header, byte 96"``), or name of a parameter
+        reason: what is wrong, without the position
         expected: what was expected there
         found: what was found instead
         hint: what to do
-        row: row of the array that the error is about
+        row: row of the array that caused the error
 
     """
 
@@ -35,18 +35,18 @@ class Error(Exception):
     row: int | None = None
 
     def __init__(self, message: str, **facts: Any) -> None:
-        """Take the message, and facts by name."""
+        """Set the message and the attributes given by name."""
         super().__init__(message)
         self._facts = {name: value for name, value in facts.items() if value is not None}
         for name, value in self._facts.items():
             setattr(self, name, value)
 
     def __str__(self) -> str:
-        """Return the message, whatever the other base class makes of it."""
+        """Return the message; the other base class might format it differently."""
         return str(self.args[0])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the facts too."""
+        """Pickle the attributes too."""
         return _again, (type(self), str(self), self._facts)
 
 
@@ -83,7 +83,7 @@ class FormatError(Error, ValueError):
 
 
 class LimitError(Error, ValueError):
-    """A value lies beyond a limit: `found` beyond `expected`."""
+    """A value is beyond a limit: `found` exceeds `expected`."""
 
 
 class UnsupportedError(Error, ValueError):
@@ -91,26 +91,26 @@ class UnsupportedError(Error, ValueError):
 
 
 class ParameterError(Error, ValueError):
-    """A parameter, named by `at`, makes no sense."""
+    """A parameter, named by `at`, is invalid."""
 
 
 class OutputError(_SystemError):
-    """A file must not be written under this name; what is there stays."""
+    """A file must not be written under this name. Nothing was replaced."""
 
 
 class NotDurableError(_SystemError):
-    """A file is complete under its name, but its folder could not be synced: a power failure may undo that."""
+    """A file is complete, but its folder could not be synced: after a power failure the file may be missing."""
 
 
 class NotLoadedError(Error, LookupError):
-    """The answer takes pages that are not in memory: `pages` has the keys of the first 16."""
+    """The answer needs pages that are not in memory; `pages` has the keys of the first 16."""
 
     pages: list[tuple[int, int, int]]
 
 
 class CancelledError(Error):
-    """The work was asked to stop; nothing was written."""
+    """The work was cancelled; nothing was written."""
 
 
 class SlicewalkWarning(UserWarning):
-    """Something about the input that the user should know; work goes on."""
+    """A problem of the input that does not stop the work."""

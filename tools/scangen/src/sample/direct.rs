@@ -1,4 +1,4 @@
-//! Points even by area.
+//! Points distributed evenly by area.
 
 use super::{Amount, Kind, Order, Sample, SampleSpec, Stream};
 use crate::Scene;
@@ -106,7 +106,7 @@ impl Iterator for BySurface<'_> {
         if self.done >= self.count {
             return None;
         }
-        // Cumulative rounding: the counts of the surfaces add up to the whole.
+        // Cumulative rounding makes the counts of the surfaces add up to the total.
         while self.at + 1 < self.areas.len()
             && self.done >= (self.areas[self.at] / self.total * self.count as f64).round() as u64
         {

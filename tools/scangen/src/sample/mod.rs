@@ -1,8 +1,8 @@
 //! Points drawn from a scene, in bounded memory.
 //!
-//! [`Mode::Direct`] draws evenly by area. [`Mode::Scanner`] stands at stations and casts rays, with what makes real
-//! scans hard: 1/r² density, shadows, mixed pixels at edges, people who walk through. Noise, outliers, duplicates and
-//! holes apply to both. Each has its own random stream, so that turning one up leaves the other points where they are.
+//! [`Mode::Direct`] draws evenly by area. [`Mode::Scanner`] casts rays from stations and reproduces what makes real
+//! scans hard: 1/r² density, shadows, mixed pixels at edges, people walking through. Noise, outliers, duplicates and
+//! holes apply to both modes. Each has its own random stream, so changing one leaves the other points in place.
 
 mod direct;
 mod rng;
@@ -17,7 +17,7 @@ pub(crate) use rng::Stream;
 use crate::geometry::{Vec3, add, scale};
 use crate::{Error, Result, Scene};
 
-/// What a point is.
+/// Kind of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Kind {
@@ -25,29 +25,29 @@ pub enum Kind {
     Surface = 0,
     /// Anywhere: a reflection, a bird.
     Outlier = 1,
-    /// Between two surfaces at an edge, where the beam met both.
+    /// Between two surfaces at an edge, where the beam met both of them.
     Mixed = 2,
     /// On a person who walked through.
     Moving = 3,
 }
 
-/// A point and where it comes from.
+/// A point and its origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// Where.
+    /// Position.
     pub position: Vec3,
-    /// What.
+    /// Kind.
     pub kind: Kind,
-    /// Surface it was drawn from, or the one of the point it was derived from.
+    /// Surface it was drawn from, or that of the point it was derived from.
     pub surface: u32,
-    /// Scanner: number of the station that saw it; 0 otherwise.
+    /// Number of the station that saw the point; 0 without a scanner.
     pub station: u16,
 }
 
 /// How many points to draw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Amount {
-    /// In all. A scanner casts that many rays (some hit nothing); a grid comes close to it.
+    /// In total. A scanner casts this many rays (some hit nothing); a grid comes close to it.
     Count(u64),
     /// Per square metre of surface; for a scanner, at one metre from it.
     Density(f64),
@@ -56,15 +56,15 @@ pub enum Amount {
 /// Order of directly drawn points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// Independent of each other: already shuffled.
+    /// Independent of each other, so already shuffled.
     Random,
-    /// Surface after surface, random within.
+    /// Surface by surface, random within each.
     Surfaces,
-    /// Surface after surface on a jittered grid: no gaps and no clumps.
+    /// Surface by surface on a jittered grid, without gaps or clumps.
     Grid,
 }
 
-/// How points are drawn.
+/// Sampling method.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Mode {
     /// Evenly by area, hidden surfaces included.
@@ -73,18 +73,19 @@ pub enum Mode {
     Scanner(ScannerSpec),
 }
 
-/// A scanner and its troubles.
+/// A scanner and its imperfections.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScannerSpec {
-    /// Where it stands; empty: the scene's own stations.
+    /// Stations; if empty, the scene's own.
     pub stations: Vec<Vec3>,
     /// Range `[m, > 0]`.
     pub range_m: f64,
-    /// Share of edges (neighbouring rays whose ranges differ by 0.3 m or more) that give a mixed pixel `[0..=1]`.
+    /// Fraction of edges (neighbouring rays whose ranges differ by 0.3 m or more) that give a mixed pixel `[0..=1]`.
     pub mixed_rate: f64,
-    /// People who walk to and fro around each station.
+    /// Number of people who walk to and fro around each station.
     pub people: usize,
-    /// How far these keep from whatever rises more than 0.3 m above their feet; 0: they walk through walls (m).
+    /// Distance that people keep from anything that rises more than 0.3 m above their feet; 0: they walk through walls
+    /// (m).
     pub clearance_m: f64,
 }
 
@@ -94,27 +95,28 @@ impl Default for ScannerSpec {
     }
 }
 
-/// What to draw from a scene.
+/// Sampling of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampleSpec {
-    /// How.
+    /// Method.
     pub mode: Mode,
-    /// How many.
+    /// Number of points.
     pub amount: Amount,
-    /// Standard deviation of the noise, along the normal (direct) or the ray (scanner); never beyond 6 times it (m).
+    /// Standard deviation of the noise, along the normal (direct) or the ray (scanner); the noise never exceeds 6 times
+    /// this (m).
     pub noise_m: f64,
     /// Outliers added per point `[0..=1]`.
     pub outlier_rate: f64,
-    /// Greatest distance of an outlier from the point it is added to; it is at least half that (m).
+    /// Largest distance of an outlier from its original point (m); the smallest is half of it.
     pub outlier_distance_m: f64,
     /// Points repeated exactly, per point `[0..=1]`.
     pub duplicate_rate: f64,
-    /// Places without data: x, y, radius.
+    /// Circles without data: x, y, radius.
     pub holes: Vec<[f64; 3]>,
 }
 
 impl SampleSpec {
-    /// Independent points, `count` in all, without noise.
+    /// Independent points, `count` in total, without noise.
     pub fn direct_count(count: u64) -> Self {
         Self {
             mode: Mode::Direct(Order::Random),
@@ -132,12 +134,12 @@ impl SampleSpec {
         Self { amount: Amount::Density(density), ..Self::direct_count(0) }
     }
 
-    /// The scene's own stations and about `rays` rays in all, without noise.
+    /// The scene's own stations and about `rays` rays in total, without noise.
     pub fn scanner(rays: u64) -> Self {
         Self { mode: Mode::Scanner(ScannerSpec::default()), ..Self::direct_count(rays) }
     }
 
-    /// The same with noise of this standard deviation (m).
+    /// Adds noise of this standard deviation (m).
     pub fn with_noise(self, noise_m: f64) -> Self {
         Self { noise_m, ..self }
     }
@@ -180,8 +182,8 @@ impl Scene {
 }
 
 impl Scene {
-    /// The people around the first station of a scan, where [`Scene::samples`] of the same seed and spec meets them; `None` without a
-    /// scanner and without stations.
+    /// The people around the first station of a scan, where [`Scene::samples`] with the same seed and spec meets them;
+    /// `None` without a scanner or without stations.
     pub fn crowd(&self, seed: u64, spec: &SampleSpec) -> Result<Option<Crowd>> {
         spec.check()?;
         match &spec.mode {
@@ -191,7 +193,7 @@ impl Scene {
     }
 }
 
-/// Drops what lies in holes and adds outliers and duplicates.
+/// Drops points in holes and adds outliers and duplicates.
 struct Spoiled<'a> {
     raw: Box<dyn Iterator<Item = Sample> + 'a>,
     rng: Stream,

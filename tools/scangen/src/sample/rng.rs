@@ -1,4 +1,4 @@
-//! Random numbers that are the same on every platform and with every version of the crates below.
+//! Random numbers that do not depend on the platform or on the versions of dependencies.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -17,20 +17,20 @@ impl Stream {
         Self(rng)
     }
 
-    /// Even in `[0, 1)`, a multiple of 2⁻⁵³.
+    /// Uniform in `[0, 1)`, a multiple of 2⁻⁵³.
     #[inline]
     pub fn unit(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
-    /// Even in `0..n`, `n > 0`; the bias is below n·2⁻⁶⁴.
+    /// Uniform in `0..n`, `n > 0`; the bias is below n·2⁻⁶⁴.
     #[inline]
     pub fn below(&mut self, n: u64) -> u64 {
         ((u128::from(self.0.next_u64()) * u128::from(n)) >> 64) as u64
     }
 
-    /// Nearly normal, mean 0 and variance 1: the sum of twelve even 16-bit numbers. Never beyond ±6, and exact
-    /// arithmetic, so that a bound of 6σ holds for every point.
+    /// Nearly normal, mean 0 and variance 1: the sum of twelve uniform 16-bit numbers. Never beyond ±6 and computed
+    /// exactly, so that a bound of 6σ holds for every point.
     #[inline]
     pub fn normal(&mut self) -> f64 {
         let mut sum = 0u64;
@@ -41,7 +41,7 @@ impl Stream {
         (sum as f64 - 6.0 * 65535.0) * (1.0 / 65536.0)
     }
 
-    /// An even direction: a unit vector (rejection from the cube).
+    /// A uniform direction: a unit vector (rejection from the cube).
     pub fn direction(&mut self) -> [f64; 3] {
         loop {
             let v: [f64; 3] = std::array::from_fn(|_| 2.0 * self.unit() - 1.0);
@@ -75,6 +75,6 @@ mod tests {
         assert_ne!(Stream::new(42, 1).below(u64::MAX), Stream::new(42, 0).below(u64::MAX));
     }
 
-    /// As an independent ChaCha8 gives them.
+    /// Values of an independent ChaCha8 implementation.
     const FIRST_OF_42: [u64; 3] = [348_254, 285_698, 493_472];
 }

@@ -1,26 +1,26 @@
-//! A terrestrial scanner: rays from stations at even angles, the nearest surface wins.
+//! A terrestrial scanner: rays from stations at equal angles hit the nearest surface.
 
 use super::{Amount, Kind, Sample, SampleSpec, ScannerSpec, Stream};
 use crate::geometry::{Vec3, add, scale, sin_cos_deg};
 use crate::shape::{Cylinder, Shape};
 use crate::{Error, Result, Scene, Truth};
 
-/// Time of one full turn `[s]`; people walk meanwhile.
+/// Time of one full turn, during which people walk `[s]`.
 const TURN_S: f64 = 60.0;
-/// Neighbouring rays whose ranges differ by more are an edge (m).
+/// Difference of the ranges of neighbouring rays above which they mark an edge (m).
 const EDGE_M: f64 = 0.3;
-/// Places along a line where someone needs room.
+/// Places checked along a line on which a person needs room.
 const CHECKS: u32 = 16;
-/// Lines that are tried beyond the number of people.
+/// Attempts to place people, beyond their number.
 const MOST_DRAWS: usize = 400;
-/// Share of rays that pass a pane of glass.
+/// Fraction of rays that pass through a pane of glass.
 const GLASS_PASSES: f64 = 0.9;
-/// Panes and mirrors that a ray meets at most.
+/// Most panes and mirrors that a ray meets.
 const MOST_TURNS: usize = 8;
-/// How far behind a pane or before a mirror a ray goes on (m).
+/// Distance behind a pane or in front of a mirror at which a ray continues (m).
 const CLEAR_M: f64 = 1e-6;
 
-/// Someone who walks to and fro on a line.
+/// A person who walks to and fro on a line.
 struct Person {
     from: [f64; 2],
     step: [f64; 2],
@@ -43,7 +43,7 @@ impl Person {
     }
 }
 
-/// The people around a scanner, as its rays met them.
+/// The people around a scanner, as met by its rays.
 pub struct Crowd {
     station: Vec3,
     people: Vec<Person>,
@@ -51,7 +51,7 @@ pub struct Crowd {
 }
 
 impl Crowd {
-    /// How far from the station a ray in this direction meets somebody (m).
+    /// Distance from the station at which a ray in this direction meets a person (m).
     pub fn nearest(&self, direction: Vec3) -> Option<f64> {
         let turn = (direction[1].atan2(direction[0]) / std::f64::consts::TAU).rem_euclid(1.0);
         let column = (turn * self.columns as f64).round() as u64 % self.columns.max(1);
@@ -64,7 +64,7 @@ impl Crowd {
     }
 }
 
-/// The scan, ray after ray: station, column (azimuth), then elevation from the nadir up.
+/// The scan, one ray at a time: by station, column (azimuth), then elevation from the nadir up.
 pub(super) struct Scan<'a> {
     scene: &'a Scene,
     stations: Vec<Vec3>,
@@ -88,7 +88,7 @@ impl<'a> Scan<'a> {
     pub fn new(scene: &'a Scene, seed: u64, spec: &ScannerSpec, common: &SampleSpec) -> Result<Self> {
         let stations = if spec.stations.is_empty() { scene.stations().to_vec() } else { spec.stations.clone() };
         let step = match common.amount {
-            // n columns of n/2 rays at each station.
+            // n columns of n/2 rays per station.
             Amount::Count(rays) => 360.0 / (2.0 * rays as f64 / stations.len().max(1) as f64).sqrt().max(4.0),
             Amount::Density(density) => (1.0 / density.sqrt()).to_degrees(),
         };
@@ -122,13 +122,13 @@ impl<'a> Scan<'a> {
         Ok(scan)
     }
 
-    /// The people around its first station.
+    /// The people around the first station.
     pub fn into_crowd(self) -> Option<Crowd> {
         let station = *self.stations.first()?;
         Some(Crowd { station, people: self.people, columns: self.columns })
     }
 
-    /// Moves people to the station at hand and begins its first column.
+    /// Moves people to the current station and begins its first column.
     fn set_up(&mut self) {
         let Some(at) = self.stations.get(self.station).copied() else { return };
         let mut crowd = Vec::new();
@@ -137,7 +137,7 @@ impl<'a> Scan<'a> {
             draws -= 1;
             let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
             let away = 1.0 + 3.0 * self.extras.unit();
-            // Across the line of sight: nobody walks through the scanner.
+            // Across the line of sight, so that no person walks through the scanner.
             let from = [at[0] + away * c + 2.0 * s, at[1] + away * s - 2.0 * c];
             let foot = self.scene.floor_under(from[0], from[1], at[2]).map_or(at[2] - 1.7, |(z, _)| z);
             let phase_s = Person::LEG_S * 2.0 * self.extras.unit();
@@ -150,7 +150,7 @@ impl<'a> Scan<'a> {
         self.begin_column();
     }
 
-    /// Whether someone keeps clear of everything on the whole line.
+    /// Returns whether a person keeps clear of everything on the whole line.
     fn has_room(&self, person: &Person) -> bool {
         let clearance = self.spec.clearance_m;
         let body = clearance + Person::RADIUS_M;
@@ -172,8 +172,8 @@ impl<'a> Scan<'a> {
         self.last = None;
     }
 
-    /// What a ray meets: the length of its way, the surface, and what it is. Mirrors turn it, most of it passes glass; what is
-    /// seen in a mirror seems to lie behind it, where nothing is.
+    /// Returns what a ray meets: length of its path, surface, and kind. Mirrors reflect the ray and glass passes most
+    /// of it; a surface seen in a mirror appears behind the mirror, where nothing is.
     fn trace(&mut self, origin: Vec3, dir: Vec3) -> Option<(f64, u32, Kind)> {
         let (mut from, mut along, mut way, mut mirrored) = (origin, dir, 0.0, false);
         for _ in 0..MOST_TURNS {

@@ -11,7 +11,7 @@ pub const SHUFFLE_BUCKETS: usize = 128;
 
 const RECORD: usize = 31;
 
-/// The shuffled samples; reading errors of the temporary files come as items.
+/// The shuffled samples; errors while reading the temporary files are returned as items.
 pub struct Shuffled {
     buckets: std::vec::IntoIter<File>,
     ready: Vec<Sample>,
@@ -19,8 +19,8 @@ pub struct Shuffled {
     folder: std::path::PathBuf,
 }
 
-/// Reads all of `samples` and gives them back in an even random order that depends on `seed` and their order alone.
-/// Temporary files lie unnamed in `folder` (of the operating system's choosing if none) and vanish with the result.
+/// Reads all of `samples` and returns them in a uniformly random order that depends only on `seed` and their original
+/// order. Temporary files are unnamed, in `folder` (by default the operating system's), and vanish with the result.
 pub fn shuffle(samples: impl Iterator<Item = Sample>, seed: u64, folder: Option<&Path>) -> Result<Shuffled> {
     let folder = folder.map_or_else(std::env::temp_dir, Path::to_path_buf);
     let failed = |what: &str| {
@@ -73,7 +73,7 @@ impl Shuffled {
             let station = u16::from_le_bytes([record[29], record[30]]);
             self.ready.push(Sample { position: [float(0), float(8), float(16)], kind, surface, station });
         }
-        // Fisher and Yates.
+        // Fisher–Yates shuffle.
         for i in (1..self.ready.len()).rev() {
             self.ready.swap(i, self.rng.below(i as u64 + 1) as usize);
         }

@@ -22,7 +22,7 @@ pub struct Flight {
     pub foot: Vec3,
     /// Direction of climbing, anticlockwise from x `[°]`.
     pub heading_deg: f64,
-    /// Number of risers; there is one tread less, for the last riser ends at the landing.
+    /// Number of risers; there is one tread fewer, because the last riser ends at the landing.
     pub risers: usize,
     /// Height of a riser (m).
     pub riser: f64,
@@ -35,9 +35,9 @@ pub struct Flight {
 /// Upright wall along a line in plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wall {
-    /// Start of its right-hand face in plan, seen from above with the wall running away.
+    /// Start of its right-hand face in plan, seen from above in the direction of the wall.
     pub from: [f64; 2],
-    /// End of that face; along x or y in most scenes, any direction will do.
+    /// End of that face; any direction is allowed.
     pub to: [f64; 2],
     /// Thickness, to the left of that line `[m, >= 0]`; 0 makes a single sheet.
     pub thickness: f64,
@@ -46,12 +46,12 @@ pub struct Wall {
 }
 
 impl Builder {
-    /// An empty scene.
+    /// Starts an empty scene.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The scene.
+    /// Returns the scene.
     pub fn finish(self, name: &str) -> Scene {
         let mut scene = Scene::new(name, self.surfaces);
         scene.walk = self.walk;
@@ -63,7 +63,7 @@ impl Builder {
         scene
     }
 
-    /// Sets the way to walk.
+    /// Sets the route to walk.
     pub fn walk(&mut self, start: Vec3, waypoints: Vec<[f64; 2]>, end: Vec3) {
         self.walk = Some(Walk { start, waypoints, end });
     }
@@ -83,7 +83,7 @@ impl Builder {
         self.shape(label, Shape::Polygon(Polygon::parallelogram(origin, a, b)));
     }
 
-    /// Adds the horizontal rectangle `[x0, y0, x1, y1]` at height `z`, less its holes.
+    /// Adds the horizontal rectangle `[x0, y0, x1, y1]` at height `z` without its holes.
     pub fn level(&mut self, label: &'static str, rect: Rect, z: f64, holes: &[Rect]) {
         for [x0, y0, x1, y1] in subtract(rect, holes) {
             self.quad(label, [x0, y0, z], [x1 - x0, 0.0, 0.0], [0.0, y1 - y0, 0.0]);
@@ -202,7 +202,7 @@ impl Builder {
     }
 }
 
-/// The rectangle less the holes, as rectangles that do not overlap.
+/// The rectangle without the holes, as disjoint rectangles.
 pub fn subtract(rect: Rect, holes: &[Rect]) -> Vec<Rect> {
     let [u0, v0, u1, v1] = rect;
     let mut cuts: Vec<f64> = holes.iter().flat_map(|h| [h[0], h[2]]).filter(|u| *u > u0 && *u < u1).collect();

@@ -1,4 +1,4 @@
-//! A sparse city of great extent: what overflows maps that are held whole.
+//! A sparse city of great extent, which overflows maps that are held whole in memory.
 
 use super::{SceneInfo, param};
 use crate::sample::Stream;

@@ -1,4 +1,4 @@
-//! A hall with what makes trouble to those who look for moving people: glass, a mirror, plants, clutter.
+//! A hall with everything that makes it hard to find moving people: glass, a mirror, plants, clutter.
 
 use super::build::{Builder, Wall};
 use super::{SceneInfo, param};
@@ -47,7 +47,7 @@ fn hall(b: &mut Builder, leaves: usize, clutter: usize) {
     }
     for _ in 0..clutter {
         let [x, y] = [0.3 + (l - 1.0) * chance.unit(), 0.3 + (w - 1.0) * chance.unit()];
-        // Ways past the door and the stations stay clear.
+        // The routes past the door and the stations stay clear.
         let in_way = (x - PARTITION_X).abs() < 1.5 && (DOOR[0] - 1.0..DOOR[1] + 1.0).contains(&y);
         let size = [0.1 + 0.5 * chance.unit(), 0.1 + 0.5 * chance.unit(), 0.1 + 0.9 * chance.unit()];
         if !in_way {

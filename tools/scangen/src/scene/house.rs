@@ -39,7 +39,7 @@ fn build(b: &mut Builder, [w, d]: [f64; 2], storeys: usize, height: f64, door: f
     for storey in 0..storeys {
         let floor = storey as f64 * height;
         let ceiling = floor + height - wall;
-        // The hole that the flight below comes up through.
+        // The hole for the flight from below.
         let holes: Vec<_> = (storey > 0)
             .then(|| [lanes[(storey - 1) % 2], STAIR_FOOT_Y, lanes[(storey - 1) % 2] + LANE_M, stair_end])
             .into_iter()
@@ -74,7 +74,7 @@ fn build(b: &mut Builder, [w, d]: [f64; 2], storeys: usize, height: f64, door: f
     walk(b, [w, d], storeys, height, partition, stair_end, lane_middle);
 }
 
-/// The way from the west room of the ground floor through the door and up every flight to the west room at the top.
+/// The route from the west room of the ground floor through the door and up every flight to the west room at the top.
 fn walk(
     b: &mut Builder,
     [w, d]: [f64; 2],

@@ -19,23 +19,23 @@ use crate::shape::Shape;
 use crate::{Error, Result};
 use build::Builder;
 
-/// A surface and what it is part of.
+/// A surface and its role.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surface {
     /// The geometry.
     pub shape: Shape,
-    /// What it is part of: "floor", "wall", "column".
+    /// Role: "floor", "wall", "column".
     pub label: &'static str,
 }
 
-/// A way through a scene that a pawn can walk.
+/// A route through a scene that a pawn can walk.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Walk {
-    /// Where the feet stand first.
+    /// Start of the feet.
     pub start: Vec3,
-    /// Places to reach one after the other: x, y.
+    /// Places to reach in turn: x, y.
     pub waypoints: Vec<[f64; 2]>,
-    /// Where the feet stand on arrival.
+    /// End of the feet.
     pub end: Vec3,
 }
 
@@ -50,14 +50,14 @@ pub struct Scene {
     stations: Vec<Vec3>,
 }
 
-/// What `scangen list` says of a scene.
+/// Entry of `scangen list`.
 #[derive(Debug, Clone, Copy)]
 pub struct SceneInfo {
     /// Name on the command line.
     pub name: &'static str,
-    /// One line.
+    /// One-line description.
     pub about: &'static str,
-    /// Its parameters.
+    /// Parameters.
     pub params: &'static [ParamInfo],
     build: fn(&[f64], &mut Builder),
 }
@@ -103,7 +103,7 @@ impl Scene {
         Self { name: name.into(), surfaces, bounds, tree: Bvh::new(&boxes), walk: None, stations: Vec::new() }
     }
 
-    /// The same scene elsewhere: surfaces, walk and stations.
+    /// The same scene, with surfaces, walk and stations moved.
     pub fn placed(&self, place: &Placement) -> Self {
         let surfaces = self.surfaces.iter().map(|s| Surface { shape: s.shape.placed(place), label: s.label }).collect();
         let mut scene = Self::new(self.name.clone(), surfaces);
@@ -121,12 +121,12 @@ impl Scene {
         &self.name
     }
 
-    /// The surfaces; their index is their id.
+    /// The surfaces; a surface's index is its id.
     pub fn surfaces(&self) -> &[Surface] {
         &self.surfaces
     }
 
-    /// Smallest box around the surfaces (terrain: bounded by its amplitudes).
+    /// Smallest box around the surfaces (for terrain, bounded by its amplitudes).
     pub fn bounds(&self) -> Aabb {
         self.bounds
     }
@@ -136,12 +136,12 @@ impl Scene {
         self.surfaces.iter().map(|s| s.shape.area()).sum()
     }
 
-    /// A way to walk, where the scene has one.
+    /// A route to walk, if the scene has one.
     pub fn walk(&self) -> Option<&Walk> {
         self.walk.as_ref()
     }
 
-    /// Where a scanner would stand; never empty for a scene of [`SCENES`].
+    /// Stations for a scanner; never empty for a scene of [`SCENES`].
     pub fn stations(&self) -> &[Vec3] {
         &self.stations
     }

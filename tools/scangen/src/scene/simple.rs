@@ -1,4 +1,4 @@
-//! Scenes for one question each: a plane, ramps, stairs, a corridor, columns, terrain, an endless floor.
+//! Scenes for a single question each: a plane, ramps, stairs, a corridor, columns, terrain, an endless floor.
 
 use super::build::{Builder, Flight, Wall};
 use super::{SceneInfo, param};
@@ -17,7 +17,7 @@ pub(super) const PLANE: SceneInfo = SceneInfo {
     build: |p, b| tilted(b, "plane", [0.0; 3], p[0], p[1], p[2]),
 };
 
-/// A square of edge `size` about `center`, rising by `slope_deg` towards `heading_deg`.
+/// A square of edge `size` around `center`, rising by `slope_deg` towards `heading_deg`.
 fn tilted(b: &mut Builder, label: &'static str, center: [f64; 3], slope_deg: f64, heading_deg: f64, size: f64) {
     let ((ss, sc), (hs, hc)) = (sin_cos_deg(slope_deg), sin_cos_deg(heading_deg));
     let up = scale([sc * hc, sc * hs, ss], size);

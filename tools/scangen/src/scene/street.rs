@@ -56,7 +56,7 @@ fn houses(b: &mut Builder, length: f64, y: f64, z: [f64; 2]) {
             let sill = z[0] + 3.0 * floor as f64 + 0.9;
             openings.extend([4.0, 7.0].map(|u| [u, sill, u + 1.3, sill + 1.4]));
         }
-        // Reveals go away from the road.
+        // Reveals face away from the road.
         let (start, end) = if y > 0.0 { ([from, y], [to, y]) } else { ([to, y], [from, y]) };
         b.wall(Wall { from: start, to: end, thickness: 0.25, z }, &openings);
     }

@@ -16,7 +16,7 @@ pub struct Cylinder {
     pub z_max: f64,
 }
 
-/// Least and greatest distance in plan from a point to the box's rectangle.
+/// Minimum and maximum distance in plan from a point to the box's rectangle.
 pub(super) fn plan_range(center: [f64; 2], query: &Aabb) -> (f64, f64) {
     let (mut near, mut far) = (0.0, 0.0);
     for (a, c) in center.into_iter().enumerate() {

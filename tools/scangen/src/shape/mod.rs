@@ -1,14 +1,14 @@
-//! Closed-form surfaces. Every one knows its exact distance to a closed box, its height over a place, where a ray meets
-//! it, and how to draw points evenly from it.
+//! Closed-form surfaces. Each knows its exact distance to a closed box, its height at a place, where a ray meets it,
+//! and how to draw points evenly from it.
 //!
 //! | shape | distance to a box |
 //! |---|---|
-//! | [`Polygon`] planar, convex, any attitude | exact: separating axes, else the closest vertex, corner or edge pair |
+//! | [`Polygon`] planar, convex, any plane | exact: separating axes, else the closest vertex, corner or edge pair |
 //! | [`Cylinder`] vertical, lateral surface only | exact: circle against rectangle in plan, interval in height |
-//! | [`Disc`] horizontal | exact, likewise |
-//! | [`Terrain`] height field, a sum of sines | numeric, off by at most [`Terrain::TOLERANCE_M`] |
+//! | [`Disc`] horizontal | exact, like a cylinder |
+//! | [`Terrain`] height field, a sum of sines | numeric, error at most [`Terrain::TOLERANCE_M`] |
 //!
-//! Boxes, ramps, stairs, walls and arches are built of polygons; an arch *is* its facets, and so is its truth.
+//! Boxes, ramps, stairs, walls and arches consist of polygons; an arch *is* its facets, and so is its truth.
 
 mod cylinder;
 mod disc;
@@ -52,7 +52,7 @@ impl Shape {
         each!(self, s => s.bounds())
     }
 
-    /// Area `[m²]`; exact but for terrain, where it is a fixed midpoint rule.
+    /// Area `[m²]`; exact except for terrain, where a fixed midpoint rule approximates it.
     pub fn area(&self) -> f64 {
         each!(self, s => s.area())
     }
@@ -62,7 +62,7 @@ impl Shape {
         each!(self, s => s.distance_to_box(query))
     }
 
-    /// Height of the surface over `(x, y)`; none beside it, nor for a vertical surface.
+    /// Height of the surface over `(x, y)`; `None` outside it and for a vertical surface.
     pub fn height_at(&self, x: f64, y: f64) -> Option<f64> {
         each!(self, s => s.height_at(x, y))
     }
@@ -87,13 +87,13 @@ impl Shape {
         each!(self, s => s.chart_size())
     }
 
-    /// The point at surface coordinates `(u, v)`; none where the rectangle sticks out. Areas are kept but for terrain,
-    /// whose chart is the plan.
+    /// The point at surface coordinates `(u, v)`; `None` where the rectangle extends beyond the surface. The chart
+    /// preserves area, except for terrain, whose chart is the plan.
     pub fn chart(&self, u: f64, v: f64) -> Option<Vec3> {
         each!(self, s => s.chart(u, v))
     }
 
-    /// Share of chart samples to keep at `p` for points even in area; 1 but for terrain.
+    /// Fraction of chart samples to keep at `p` for points even in area; 1 except for terrain.
     pub fn keep_share(&self, p: Vec3) -> f64 {
         match self {
             Self::Terrain(t) => t.keep_share(p),
@@ -101,7 +101,7 @@ impl Shape {
         }
     }
 
-    /// The surface where `place` puts it.
+    /// The surface moved by `place`.
     pub fn placed(&self, place: &Placement) -> Self {
         match self {
             Self::Polygon(s) => Self::Polygon(s.placed(place)),

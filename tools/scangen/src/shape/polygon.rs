@@ -1,15 +1,15 @@
-//! Planar convex polygons of any attitude: floors, walls, ramps, treads, facets of arches.
+//! Planar convex polygons in any orientation: floors, walls, ramps, treads, facets of arches.
 
 use crate::geometry::{Aabb, Placement, Vec3, add, cross, dot, length, scale, sub, unit};
 
-/// A planar convex polygon. The order of its vertices gives the side its normal points to (anticlockwise seen from it).
+/// A planar convex polygon. The order of its vertices decides the side of the normal (anticlockwise seen from there).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polygon {
     vertices: Vec<Vec3>,
     normal: Vec3,
-    /// Unit vector along the first edge, and the one across it in the plane.
+    /// Unit vector along the first edge, and the one perpendicular to it in the plane.
     axes: [Vec3; 2],
-    /// Corner of the rectangle in those axes that the chart spans, and its size.
+    /// Corner of the chart's rectangle in those axes, and its size.
     chart_min: [f64; 2],
     chart_size: [f64; 2],
     area: f64,
@@ -17,7 +17,7 @@ pub struct Polygon {
 }
 
 impl Polygon {
-    /// The polygon of at least three `vertices` in one plane, convex, none repeated; that is up to the caller.
+    /// The polygon of at least three `vertices`. The caller ensures that they are in one plane, convex and distinct.
     ///
     /// # Panics
     /// With fewer than three vertices or no area.
@@ -100,7 +100,7 @@ impl Polygon {
         Some(z.clamp(self.bounds.min[2], self.bounds.max[2]))
     }
 
-    /// Whether a point of the plane lies inside or on the border.
+    /// Returns whether a point of the plane is inside or on the border.
     fn holds(&self, p: Vec3) -> bool {
         self.edges().all(|(a, b)| dot(cross(sub(b, a), sub(p, a)), self.normal) >= 0.0)
     }
@@ -122,7 +122,7 @@ impl Polygon {
         let [along, across] = self.axes;
         let (u, v) = (self.chart_min[0] + u, self.chart_min[1] + v);
         let p = add(self.vertices[0], add(scale(along, u), scale(across, v)));
-        // A rectangle fills its chart: rounding must not drop its border.
+        // A rectangle fills its chart; rounding must not drop its border.
         (self.area >= self.chart_size[0] * self.chart_size[1] * (1.0 - 1e-12) || self.holds(p)).then_some(p)
     }
 
@@ -137,9 +137,10 @@ impl Polygon {
     }
 
     /// Exact up to rounding: two convex bodies either meet, or their distance is that of a vertex and a face or of two
-    /// edges. They are apart if one of the separating axes (box faces, polygon plane, products of edges) parts them.
+    /// edges. They are apart if one of the separating axes (box faces, polygon plane, products of edges) separates
+    /// them.
     pub(super) fn distance_to_box(&self, query: &Aabb) -> f64 {
-        // Coordinates about the box keep the arithmetic small far from the origin.
+        // Coordinates relative to the box keep the numbers small far from the origin.
         let center = query.center();
         let half: Vec3 = std::array::from_fn(|a| (query.max[a] - query.min[a]) / 2.0);
         if self.bounds.distance_squared(query) == 0.0 && !self.parted(center, half) {
@@ -168,7 +169,7 @@ impl Polygon {
         best.sqrt()
     }
 
-    /// Whether an axis separates the polygon from the box strictly.
+    /// Returns whether an axis strictly separates the polygon from the box.
     fn parted(&self, center: Vec3, half: Vec3) -> bool {
         let parts = |axis: Vec3| {
             let reach: f64 = (0..3).map(|a| (axis[a] * half[a]).abs()).sum();
@@ -178,7 +179,7 @@ impl Polygon {
                 low = low.min(value);
                 high = high.max(value);
             }
-            // An edge product of nearly parallel edges is no axis; 1e-13 m is far below any coordinate's resolution.
+            // The product of nearly parallel edges is not an axis; 1e-13 m is far below any coordinate's resolution.
             low > reach + 1e-13 || high < -reach - 1e-13
         };
         if parts(self.normal) {

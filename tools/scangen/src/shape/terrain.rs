@@ -16,7 +16,7 @@ pub struct Wave {
     pub phase: f64,
 }
 
-/// A sum of sines over the rectangle `[-hx, hx] × [-hy, hy]` about its centre, rotated about the vertical.
+/// A sum of sines over the rectangle `[-hx, hx] × [-hy, hy]` around its centre, rotated about the vertical.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Terrain {
     /// Centre of the rectangle, and the height the sines are added to.
@@ -30,7 +30,8 @@ pub struct Terrain {
 }
 
 impl Terrain {
-    /// [`Shape::distance_to_box`](super::Shape::distance_to_box) of a terrain is off by at most this, and 0 below it.
+    /// Error bound of a terrain's [`Shape::distance_to_box`](super::Shape::distance_to_box); smaller distances are
+    /// returned as 0.
     pub const TOLERANCE_M: f64 = 1e-4;
 
     fn to_local(&self, x: f64, y: f64) -> [f64; 2] {
@@ -44,12 +45,12 @@ impl Terrain {
         add(self.center, [u * c - v * s, u * s + v * c, height])
     }
 
-    /// Height above the centre's z at own coordinates.
+    /// Height above the centre's z at the terrain's own coordinates.
     fn rise(&self, u: f64, v: f64) -> f64 {
         self.waves.iter().map(|w| w.amplitude * libm::sin(w.k[0] * u + w.k[1] * v + w.phase)).sum()
     }
 
-    /// Derivatives of the rise in own coordinates.
+    /// Derivatives of the rise in the terrain's own coordinates.
     fn gradient(&self, u: f64, v: f64) -> [f64; 2] {
         self.waves.iter().fold([0.0; 2], |g, w| {
             let d = w.amplitude * libm::cos(w.k[0] * u + w.k[1] * v + w.phase);
@@ -57,7 +58,7 @@ impl Terrain {
         })
     }
 
-    /// Greatest rise, slope and curvature (tangents and second derivatives) the terms can add up to.
+    /// Largest rise, slope and curvature (tangents and second derivatives) that the terms can add up to.
     fn limits(&self) -> (f64, f64, f64) {
         self.waves.iter().fold((0.0, 0.0, 0.0), |(rise, slope, bend), w| {
             let (a, k2) = (w.amplitude.abs(), w.k[0] * w.k[0] + w.k[1] * w.k[1]);
@@ -104,7 +105,7 @@ impl Terrain {
         unit([-(gx * c - gy * s), -(gx * s + gy * c), 1.0])
     }
 
-    /// Steps no longer than the gap allows at the greatest slope, then halves the step that crossed.
+    /// Takes steps no longer than the gap allows at the largest slope, then bisects the step that crossed.
     pub(super) fn raycast(&self, origin: Vec3, dir: Vec3, t_min: f64, t_max: f64) -> Option<f64> {
         let (mut t, end) = self.bounds().clip(origin, dir, t_min, t_max)?;
         let (_, slope, _) = self.limits();
@@ -175,12 +176,12 @@ impl Terrain {
     }
 
     /// Branch and bound over the plan. A cell's surface stays within `slope·ρ` of the height at its middle, and within
-    /// `bend·ρ²/2` of the tangent plane there; the exact distance to that piece of plane, less and plus this, bounds
-    /// the cell's from both sides. Ends when no cell can be nearer than the best by [`Self::TOLERANCE_M`].
+    /// `bend·ρ²/2` of the tangent plane there; the exact distance to that part of the plane, minus and plus this,
+    /// bounds the cell's distance. Ends when no cell can be nearer than the best by [`Self::TOLERANCE_M`].
     pub(super) fn distance_to_box(&self, query: &Aabb) -> f64 {
         let mut search =
             Search { terrain: self, query, limits: self.limits(), best: f64::INFINITY, open: BinaryHeap::new() };
-        // The place next to the box is the likeliest nearest one: a good first bound saves most cells.
+        // The nearest place is most likely the one next to the box, and a good first bound saves most cells.
         let [x, y, _] = query.center();
         let at = self.to_local(x, y);
         let [u, v] = [0, 1].map(|a| at[a].clamp(-self.half[a], self.half[a]));
@@ -203,18 +204,18 @@ impl Terrain {
     }
 }
 
-/// The state of one search for the nearest place.
+/// State of one search for the nearest place.
 struct Search<'a> {
     terrain: &'a Terrain,
     query: &'a Aabb,
-    /// Greatest rise, slope and bend.
+    /// Largest rise, slope and bend.
     limits: (f64, f64, f64),
     best: f64,
     open: BinaryHeap<Cell>,
 }
 
 impl Search<'_> {
-    /// Bounds the cell `mid ± half` and keeps it if it can matter.
+    /// Bounds the cell `mid ± half` and keeps it if it can hold the nearest place.
     fn consider(&mut self, mid: [f64; 2], half: [f64; 2]) {
         let (t, (_, slope, bend)) = (self.terrain, self.limits);
         let point = t.to_world(mid[0], mid[1], t.rise(mid[0], mid[1]));
@@ -243,7 +244,7 @@ impl Search<'_> {
     }
 }
 
-/// A cell of the plan with the least distance it can have; the heap gives the least first.
+/// A cell of the plan with a lower bound of its distance; the heap returns the least first.
 struct Cell {
     low: f64,
     mid: [f64; 2],

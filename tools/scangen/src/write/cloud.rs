@@ -10,7 +10,7 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::iter::Peekable;
 use std::path::Path;
 
-/// A format of clouds.
+/// A point cloud format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CloudFormat {
     /// Scaled integers of 32 bits, intensity and colours; no poses.
@@ -24,7 +24,7 @@ pub enum CloudFormat {
 }
 
 impl CloudFormat {
-    /// The format that a name ends in.
+    /// The format named by the extension.
     pub fn of(path: &Path) -> Option<Self> {
         Some(match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "e57" => Self::E57,
@@ -36,10 +36,11 @@ impl CloudFormat {
     }
 }
 
-/// Writes samples to `path`, replacing what is there, with the scale and offset of `spec`; a new cloud begins behind every
-/// `cloud_points` (> 0) points, but in XYZ. The same samples give the same bytes. Memory: 1 MiB, and a packet of E57.
+/// Writes samples to `path`, replacing an existing file, with the scale and offset of `spec`. A new cloud begins after
+/// every `cloud_points` (> 0) points, except in XYZ. The same samples give the same bytes. Memory: 1 MiB, and an E57
+/// packet.
 ///
-/// Fails when a point does not fit into 32-bit coordinates at the spec's scale and offset; the file is then incomplete.
+/// Fails if a point does not fit into 32-bit coordinates at the spec's scale and offset; the file is then incomplete.
 pub fn write_clouds(
     path: &Path,
     format: CloudFormat,
@@ -67,7 +68,7 @@ pub fn write_clouds(
     Ok(Written { points: stock.count, bounds: stock.bounds, len_bytes })
 }
 
-/// Rounds points and keeps count.
+/// Rounds points and counts them.
 struct Stock<'a> {
     path: &'a Path,
     spec: &'a WriteSpec,
@@ -129,7 +130,7 @@ fn write_e57(
     writer.finalize().map_err(fault)
 }
 
-/// One cloud of text.
+/// Writes one cloud as text.
 fn write_text(
     out: &mut BufWriter<File>,
     format: CloudFormat,
@@ -176,7 +177,7 @@ fn write_text(
     Ok(())
 }
 
-/// Decimal places that show a step of `scale` in full.
+/// Decimal places that represent a step of `scale` exactly.
 fn decimals(scale: f64) -> usize {
     (0..12).find(|&places| (scale * 10f64.powi(places)).fract() < 1e-9).map_or(12, |places| places as usize)
 }

@@ -5,12 +5,12 @@ use crate::{Error, Result, Scene};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// The scene's surfaces, walk and stations as JSON. Lengths in metres, angles in degrees but for wave phases and wave
-/// vectors (radians, radians per metre). The index of a surface is its place in the list.
+/// The scene's surfaces, walk and stations as JSON. Lengths are in metres and angles in degrees, except for wave phases
+/// and wave vectors (radians, radians per metre). A surface's index is its position in the list.
 ///
 /// Kinds: `polygon` (planar, convex, `vertices` in order), `cylinder` (upright, lateral surface), `disc`
-/// (horizontal), `terrain` (`z = center.z + Σ amplitude·sin(kx·u + ky·v + phase)` with `(u, v)` the plan coordinates about the centre,
-/// turned back by `heading_deg`, for `|u| ≤ half[0]`, `|v| ≤ half[1]`).
+/// (horizontal), `terrain` (`z = center.z + Σ amplitude·sin(kx·u + ky·v + phase)`, where `(u, v)` are the plan
+/// coordinates around the centre, rotated back by `heading_deg`, for `|u| ≤ half[0]`, `|v| ≤ half[1]`).
 pub fn truth_json(scene: &Scene) -> Value {
     let surfaces: Vec<Value> = scene.surfaces().iter().map(|s| surface(&s.shape, s.label)).collect();
     let bounds = scene.bounds();
@@ -45,7 +45,7 @@ fn surface(shape: &Shape, label: &str) -> Value {
     }
 }
 
-/// Writes [`truth_json`] to `path`, replacing what is there.
+/// Writes [`truth_json`] to `path`, replacing an existing file.
 pub fn write_truth_json(path: &Path, scene: &Scene) -> Result<()> {
     let text = truth_json(scene).to_string() + "\n";
     std::fs::write(path, text).map_err(|e| Error::io(path, "write", e))

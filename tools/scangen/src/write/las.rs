@@ -1,4 +1,4 @@
-//! LAS and LAZ of any size in bounded memory: records are formed here and streamed out; the header, by `las`, is
+//! LAS and LAZ of any size in bounded memory: records are formed here and streamed out. The header, by `las`, is
 //! written first with zeros and at the end with the true counts and bounds.
 
 use super::record::{MAX_RECORD, Record, class_of, encode, has_colour, record_len};
@@ -15,36 +15,36 @@ use std::path::Path;
 /// Sizes of LAZ chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Chunks {
-    /// Every chunk but the last holds this many points `[> 0]`.
+    /// Every chunk except the last has this many points `[> 0]`.
     Fixed(u32),
-    /// Chunks hold from 1 to this many points, drawn per chunk `[> 0]`; seeking readers often get these wrong.
+    /// Each chunk has a random number of points from 1 to this `[> 0]`; readers that seek often get these wrong.
     Variable(u32),
 }
 
-/// How points become a file.
+/// Format of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WriteSpec {
     /// Point data record format `[0..=10]`.
     pub format: u8,
-    /// LAS version; none: 1.2 for formats 0 to 3, 1.3 for 4 and 5, 1.4 for 6 to 10.
+    /// LAS version; `None`: 1.2 for formats 0 to 3, 1.3 for 4 and 5, 1.4 for 6 to 10.
     pub version: Option<(u8, u8)>,
     /// Metres per coordinate step, by axis `[> 0]`.
     pub scale: Vec3,
     /// Added to scaled coordinates, by axis.
     pub offset: Vec3,
-    /// Compression; none writes LAS.
+    /// Compression; `None` writes LAS.
     pub compression: Option<Chunks>,
     /// Coordinate system, as WKT.
     pub crs_wkt: Option<String>,
-    /// Classes of points that are neither outliers nor mixed pixels, with their weights; empty: 1 for all.
+    /// Classes of points that are neither outliers nor mixed pixels, with their weights; if empty, all have class 1.
     pub classes: Vec<(u8, f64)>,
-    /// Class of points on people who walked through, for those who look for them (0..=31 in formats 0 to 5).
+    /// Class of points on people who walked through, as truth for their removal (0..=31 in formats 0 to 5).
     pub moving_class: Option<u8>,
-    /// Share of points flagged as withheld `[0..=1]`.
+    /// Fraction of points flagged as withheld `[0..=1]`.
     pub withheld_share: f64,
-    /// Colours of the points, by the places that readers get; none writes values that mean nothing.
+    /// Colours of the points, computed from the positions that readers get; `None` writes meaningless values.
     pub texture: Option<Texture>,
-    /// Draws classes, flags and variable chunks.
+    /// Seed of classes, flags and variable chunks.
     pub seed: u64,
 }
 
@@ -67,13 +67,14 @@ impl Default for WriteSpec {
 }
 
 impl WriteSpec {
-    /// The defaults with the compression that the name asks for: `.laz` in chunks of 50 000, anything else plain LAS.
+    /// The defaults with the compression that the extension selects: `.laz` in chunks of 50 000, anything else plain
+    /// LAS.
     pub fn for_path(path: &Path) -> Self {
         let laz = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("laz"));
         Self { compression: laz.then_some(Chunks::Fixed(50_000)), ..Self::default() }
     }
 
-    /// The place that a reader gets for `p`: rounded to the file's steps. None where it does not fit.
+    /// The position that a reader gets for `p`, rounded to the file's steps. `None` if it does not fit.
     pub fn rounded(&self, p: Vec3) -> Option<Vec3> {
         self.grid(p).map(|g| self.place(g))
     }
@@ -83,7 +84,7 @@ impl WriteSpec {
         let mut grid = [0; 3];
         for axis in 0..3 {
             let steps = ((p[axis] - self.offset[axis]) / self.scale[axis]).round();
-            // NaN fails too.
+            // NaN fails as well.
             if !(steps >= f64::from(i32::MIN) && steps <= f64::from(i32::MAX)) {
                 return None;
             }
@@ -129,7 +130,7 @@ impl WriteSpec {
         builder.transforms = Vector { x: transform(0), y: transform(1), z: transform(2) };
         builder.generating_software = concat!("scangen ", env!("CARGO_PKG_VERSION")).to_owned();
         builder.system_identifier = "synthetic".to_owned();
-        // No date of writing: the same seed gives the same bytes.
+        // No creation date, so that the same seed gives the same bytes.
         builder.date = None;
         if let Some(wkt) = &self.crs_wkt {
             builder.has_wkt_crs = true;
@@ -163,7 +164,7 @@ impl WriteSpec {
     }
 }
 
-/// What was written.
+/// Summary of a written file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Written {
     /// Number of points.
@@ -174,7 +175,7 @@ pub struct Written {
     pub len_bytes: u64,
 }
 
-/// Writes points; all are of [`Kind::Surface`]. See [`write_samples`].
+/// Writes points, all of [`Kind::Surface`]. See [`write_samples`].
 pub fn write_las(path: &Path, points: impl IntoIterator<Item = Vec3>, spec: &WriteSpec) -> Result<Written> {
     write_samples(
         path,
@@ -183,10 +184,10 @@ pub fn write_las(path: &Path, points: impl IntoIterator<Item = Vec3>, spec: &Wri
     )
 }
 
-/// Writes samples to `path`, replacing what is there, in bounded memory (1 MiB, and a chunk for LAZ). The same samples
-/// and spec give the same bytes. Outliers and mixed pixels are of class 7.
+/// Writes samples to `path`, replacing an existing file, in bounded memory (1 MiB, and a chunk for LAZ). The same
+/// samples and spec give the same bytes. Outliers and mixed pixels get class 7.
 ///
-/// Fails when a point does not fit into 32-bit coordinates at the spec's scale and offset; the file is then incomplete.
+/// Fails if a point does not fit into 32-bit coordinates at the spec's scale and offset; the file is then incomplete.
 pub fn write_samples(path: &Path, samples: impl IntoIterator<Item = Sample>, spec: &WriteSpec) -> Result<Written> {
     let (header, vlr) = spec.header(path)?;
     let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
@@ -254,7 +255,7 @@ fn compress<W: Write + Seek + Send + Sync>(
     Ok(laz.into_inner())
 }
 
-/// Turns samples into records and keeps count.
+/// Turns samples into records and counts them.
 struct Stock<'a> {
     spec: &'a WriteSpec,
     rng: Stream,
@@ -318,7 +319,7 @@ fn write_header<W: Write>(out: W, header: Header, laz: bool, counted: Option<(u6
     let vlrs = header.vlrs().clone();
     let padding = header.vlr_padding().clone();
     let extended = header.version().minor >= 4;
-    // The new formats leave the old 32-bit counts at zero.
+    // The extended formats leave the legacy 32-bit counts at zero.
     let legacy = !header.point_format().is_extended;
     let mut out = out;
     let mut raw = header.into_raw().map_err(other)?;

@@ -5,10 +5,10 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Writes the scene's surfaces as triangles of three vertices each, in groups `g LABEL_INDEX`; gives their number.
+/// Writes the scene's surfaces as triangles of three vertices each, in groups `g LABEL_INDEX`; returns their number.
 ///
-/// Curved surfaces are cut into steps of at most `step_m` `[m, > 0]`: polygons are exact, the rest lies on its surface
-/// at the vertices. No vertex is shared; coordinates are printed so that they read back to the same `f64`.
+/// Curved surfaces are cut into steps of at most `step_m` `[m, > 0]`: polygons are exact, the vertices of others lie on
+/// the surface. No vertex is shared; coordinates are printed so that they read back to the same `f64`.
 pub fn write_triangles_obj(path: &Path, scene: &Scene, step_m: f64) -> Result<u64> {
     if !step_m.is_finite() || step_m <= 0.0 {
         return Err(Error::parameter("step", format!("{step_m} m is not above 0")));

@@ -7,28 +7,28 @@ const LENGTHS: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 /// Longest record.
 pub(super) const MAX_RECORD: usize = 67;
 
-/// What a record holds.
+/// Contents of a record.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Record {
     pub grid: [i32; 3],
     pub class: u8,
     pub withheld: bool,
     pub index: u64,
-    /// Red, green and blue, where the format has them; none for values that mean nothing.
+    /// Red, green and blue if the format has them; `None` for meaningless values.
     pub colour: Option<[u16; 3]>,
 }
 
-/// Length of a record of `format` `[bytes]`; none for an unknown format.
+/// Length of a record of `format` `[bytes]`; `None` for an unknown format.
 pub(super) fn record_len(format: u8) -> Option<usize> {
     LENGTHS.get(usize::from(format)).copied()
 }
 
-/// Whether records of `format` have colours.
+/// Returns whether records of `format` have colours.
 pub(super) fn has_colour(format: u8) -> bool {
     matches!(format, 2 | 3 | 5 | 7 | 8 | 10)
 }
 
-/// ASPRS class of a kind: 7 low noise for what a filter should drop, 1 unclassified otherwise.
+/// ASPRS class of a kind: 7 (low noise) for points that a filter should drop, otherwise 1 (unclassified).
 pub(super) fn class_of(kind: Kind) -> u8 {
     match kind {
         Kind::Outlier | Kind::Mixed => 7,
@@ -36,13 +36,13 @@ pub(super) fn class_of(kind: Kind) -> u8 {
     }
 }
 
-/// Writes `record` in `format` into the front of `out`, which holds zeros where nothing is said here.
+/// Writes `record` in `format` to the front of `out`; fields not set here stay zero.
 #[inline]
 pub(super) fn encode(format: u8, record: &Record, out: &mut [u8]) {
     for (axis, value) in record.grid.into_iter().enumerate() {
         out[axis * 4..axis * 4 + 4].copy_from_slice(&value.to_le_bytes());
     }
-    // A value that differs from point to point but not with chance: the index, spread over 16 bits.
+    // A value that varies from point to point but not randomly: the index, spread over 16 bits.
     let varied = (record.index.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 52) as u16;
     out[12..14].copy_from_slice(&(varied + 1000).to_le_bytes());
     let time = (record.index as f64 * 1e-5).to_le_bytes();

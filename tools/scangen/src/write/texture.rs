@@ -1,35 +1,36 @@
-//! Colours by a formula: closed-form truth for whatever makes colours of points.
+//! Colours by a formula: closed-form truth for tests of colours.
 
 use crate::geometry::Vec3;
 
-/// Colours that follow from the place alone: each channel goes up and down along another direction.
+/// Colours that depend only on the position: each channel rises and falls along its own direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Texture {
-    /// Distance after which channels repeat (m, > 0).
+    /// Distance after which the channels repeat (m, > 0).
     pub period_m: f64,
-    /// Whether values have 8 bits, in the 16 bits of a record, as some programs write them.
+    /// Whether values have 8 bits in the 16 bits of a record, as some programs write them.
     pub eight_bits: bool,
-    /// How much darker some stations see colours than others `[0..=1]`; 0: all see the same.
+    /// How much darker some stations record colours than others `[0..=1]`; 0: all stations agree.
     pub exposure: f64,
 }
 
 impl Texture {
-    /// Red, green and blue at a place, as a record holds them: from 40 to 215 of 255.
+    /// Red, green and blue at a position in the range of a record: from 40 to 215 of 255.
     pub fn at(&self, [x, y, z]: Vec3) -> [u16; 3] {
-        // From 0 to 1 and back, by exact arithmetic: the same on every machine.
+        // From 0 to 1 and back, by exact arithmetic, so the same on every machine.
         let wave = |turns: f64| (2.0 * (turns - turns.floor()) - 1.0).abs();
         let turns = [x, y + self.period_m / 3.0, 0.5 * (x + y) + z].map(|along| along / self.period_m);
         let range = if self.eight_bits { 255.0 } else { 65_535.0 };
         turns.map(|turns| ((40.0 + 175.0 * wave(turns)) / 255.0 * range).round() as u16)
     }
 
-    /// What a station sees of each value, 1 − `exposure` to 1: station 0 all of it, others shares that never repeat.
+    /// Fraction of each value that a station records, 1 − `exposure` to 1: all of it at station 0, fractions that never
+    /// repeat at others.
     pub fn share(&self, station: u16) -> f64 {
         let turns = 0.618_033_988_749_895 * f64::from(station);
         1.0 - self.exposure * (turns - turns.floor())
     }
 
-    /// What a station sees at a place.
+    /// Colours that a station records at a position.
     pub fn seen_from(&self, station: u16, place: Vec3) -> [u16; 3] {
         let share = self.share(station);
         self.at(place).map(|value| (f64::from(value) * share).round() as u16)

@@ -1,4 +1,4 @@
-//! The reference system of an archive, as other formats state it.
+//! Reference system of an archive in the terms of other formats.
 
 use crate::Failure;
 use slicewalk::archive::Archive;
@@ -7,36 +7,36 @@ use slicewalk::text::one_line;
 use slicewalk::unit::LengthUnit;
 use std::path::Path;
 
-/// Keys of the GeoTIFF specification 1.0, section 6.
+/// Keys of the GeoTIFF 1.0 specification, section 6.
 const MODEL_TYPE: u16 = 1024;
 const RASTER_TYPE: u16 = 1025;
 const PROJECTED_SYSTEM: u16 = 3072;
 const PROJECTED_CITATION: u16 = 3073;
 const LINEAR_UNITS: u16 = 3076;
 const VERTICAL_UNITS: u16 = 4099;
-/// Values of keys: a projected system, pixels that are areas, a system without a code, metres.
+/// Values of keys: projected system, pixels as areas, user-defined system, metre.
 const PROJECTED: u16 = 1;
 const PIXEL_IS_AREA: u16 = 1;
 const USER_DEFINED: u16 = 32767;
 const METRE: u16 = 9001;
-/// Where texts of keys are kept.
+/// TIFF tag that holds the texts of keys.
 const GEO_TEXT: u16 = 34737;
 
-/// A reference system whose unit is the metre, as that of exports is.
+/// A reference system in metres, the unit of all exports.
 pub struct Crs {
     text: String,
     epsg: Option<u16>,
 }
 
-/// GeoTIFF keys: the directory, and the texts that it points into.
+/// GeoTIFF keys: the directory and the texts that it refers to.
 pub struct GeoKeys {
     pub directory: Vec<u16>,
     pub text: String,
 }
 
 impl Crs {
-    /// That of an archive. There is none, and it is said why, if the scan's unit was another one than the metre: its system does
-    /// not hold for metres.
+    /// Returns the reference system of an archive. If the scan's unit was not the metre, its system does not apply to
+    /// metres: the function then warns and returns `None`.
     pub fn of(archive: &Archive, path: &Path) -> Result<Option<Self>, Failure> {
         let broken = |error| crate::broken(path, &error);
         let text = archive.crs().map_err(broken)?;
@@ -61,14 +61,14 @@ impl Crs {
         &self.text
     }
 
-    /// Its well-known text, if that is how the scan states it.
+    /// Returns the well-known text if the scan states its system in that form.
     pub fn wkt(&self) -> Option<&str> {
         Some(self.text.as_str()).filter(|text| text.contains('['))
     }
 
-    /// It as GeoTIFF keys: by its code, or else by its name alone.
+    /// Encodes the system as GeoTIFF keys, by code if it has one, otherwise by name.
     pub fn geo_keys(&self) -> GeoKeys {
-        // A text ends with a bar, and neither holds others nor what is no ASCII.
+        // A bar ends each text, so a text contains none, and only ASCII.
         let clean = |c: char| if c.is_ascii_graphic() && c != '|' || c == ' ' { c } else { '?' };
         let text: String = self.text.chars().take(2000).map(clean).chain(['|']).collect();
         let keys = [

@@ -12,23 +12,24 @@ use std::collections::BTreeMap;
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
-/// How far above the floor plans are cut (m): through doors and most windows, over most furniture.
+/// Height of the cut above the floor (m): through doors and most windows, above most furniture.
 const CUT_M: f64 = 1.2;
-/// Most runs of pixels with matter, along x, that are outlined; each takes up to 350 bytes.
+/// Most occupied runs of pixels along x that are outlined; each takes up to 350 bytes.
 const MOST_RUNS: usize = 1 << 21;
 /// Scales of drawings, and the longest edge of the sheet (mm).
 const SCALES: [u32; 12] = [20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
 const SHEET_MM: f64 = 1100.0;
-/// Around the plan, and below it for the scale bar (mm).
+/// Margins around the plan, and below it for the scale bar (mm).
 const MARGIN_MM: f64 = 10.0;
 const FOOT_MM: f64 = 14.0;
-/// Names of the layers: obstacles, floors.
+/// Names of the layers.
 const LAYERS: [&str; 2] = ["obstacles", "floors"];
-/// Their colours, in SVG and as numbers of the AutoCAD colour index (black or white, grey).
+/// Colours of the layers, for SVG and as AutoCAD colour index (black or white, grey).
 const FILLS: [&str; 2] = ["#1a1a1a", "#d9e4ee"];
 const COLOUR_NUMBERS: [u8; 2] = [7, 9];
 
-/// The slice to draw: the one named, or the one a cut's height above the lowest slice with half as much floor as any.
+/// Returns the slice to draw: the requested one, or the one at cut height above the lowest slice that has at least half
+/// as much floor as any other.
 pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>) -> Result<i64, Failure> {
     if number.is_some() || z.is_some() {
         return show::slice(archive, path, number, z);
@@ -43,25 +44,25 @@ pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>
             *floors.entry(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(span.slices().1)).or_default() += 1;
         }
     }
-    // Roofs are floors, too: the lowest storey counts.
+    // Roofs are floors, too, so take the lowest.
     let most = floors.values().max().copied().unwrap_or(0);
     let storey = floors.iter().find(|(_, count)| **count >= most.div_ceil(2)).map_or(lowest, |(slice, _)| *slice);
     let above = (CUT_M / archive.frame().slice_m()).round() as i64;
     Ok(storey.saturating_add(above).min(highest))
 }
 
-/// Outlines in one slice, in corners of pixels: polygons of one outer ring and its holes, closed, for each layer.
+/// Outlines in one slice, in corners of pixels: for each layer closed polygons of an outer ring and its holes.
 pub struct Plan<'a> {
     frame: &'a Frame,
     slice: i64,
     name: String,
     layers: [Vec<Vec<Vec<Corner>>>; 2],
-    /// Least and greatest corner.
+    /// Lowest and highest corner.
     bounds: [Corner; 2],
 }
 
 impl<'a> Plan<'a> {
-    /// Of the matter in slice `slice` (absolute).
+    /// Outlines the voxels of slice `slice` (absolute).
     pub fn of(archive: &'a Archive, path: &Path, slice: i64) -> Result<Self, Failure> {
         let broken = |error| crate::broken(path, &error);
         let (layer, in_page) = (slice.div_euclid(PAGE_SLICES) as i32, slice.rem_euclid(PAGE_SLICES) as u32);
@@ -100,7 +101,7 @@ impl<'a> Plan<'a> {
         format!("z from {} to {} m", of(self.slice), of(self.slice + 1))
     }
 
-    /// Writes a drawing in millimetres of paper, with a scale bar; returns what to say of it.
+    /// Writes a drawing in millimetres of paper with a scale bar; returns a message about it.
     pub fn svg(&self, crs: Option<&Crs>, to: Output) -> Result<String, Failure> {
         let [least, greatest] = self.bounds;
         let size = [greatest.0 - least.0, greatest.1 - least.1].map(|pixels| pixels as f64 * self.frame.pixel_m());
@@ -125,7 +126,7 @@ impl<'a> Plan<'a> {
             let (x, y) = (MARGIN_MM + along(i, least.0), MARGIN_MM + along(greatest.1, j));
             format!("{} {}", round(x), round(y))
         };
-        // Floors first: walls lie over them.
+        // Floors first, so that walls are drawn over them.
         for layer in [1, 0] {
             writeln!(out, r#"<path id="{}" fill="{}" fill-rule="evenodd" d=""#, LAYERS[layer], FILLS[layer])?;
             for ring in self.layers[layer].iter().flatten() {
@@ -145,15 +146,15 @@ impl<'a> Plan<'a> {
         Ok(format!("1:{scale}, {}", self.heights()))
     }
 
-    /// Writes closed polylines in metres, in the coordinates of the archive, as DXF of release 12, which every program reads;
-    /// returns what to say of it.
+    /// Writes closed polylines in metres, in the archive's coordinates, as DXF release 12, which every program reads;
+    /// returns a message about it.
     pub fn dxf(&self, to: Output) -> Result<String, Failure> {
         let mut out = BufWriter::new(to);
         let metres = |edge: i64| rounded(self.frame.edge_of_pixel(edge), 1e-6);
         let (x, y) = (|corner: &Corner| metres(corner.0), |corner: &Corner| metres(corner.1));
         let [least, greatest] = &self.bounds;
         let z = rounded(self.frame.bottom_of_slice(self.slice), 1e-6);
-        // Lines in pairs: the code of a group, then its value.
+        // DXF consists of pairs of lines: a group code, then its value.
         write!(out, "999\n{}, {}, metres\n", self.name, self.heights())?;
         write!(out, "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n")?;
         write!(out, "9\n$EXTMIN\n10\n{}\n20\n{}\n30\n{z}\n", x(least), y(least))?;
@@ -178,12 +179,12 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// To micrometres of paper.
+/// Rounds to micrometres of paper.
 fn round(mm: f64) -> f64 {
     (mm * 1000.0).round() / 1000.0
 }
 
-/// Text for XML.
+/// Escapes text for XML.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

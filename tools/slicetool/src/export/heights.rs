@@ -1,4 +1,4 @@
-//! Heights of floors as a GeoTIFF: one sample per pixel, north up, not a number where there is no floor.
+//! Heights of floors as a GeoTIFF: one sample per pixel, north up, NaN where there is no floor.
 
 use super::crs::Crs;
 use crate::Failure;
@@ -13,13 +13,13 @@ use std::path::Path;
 use tiff::encoder::TiffEncoder;
 use tiff::tags::{CompressionMethod, PhotometricInterpretation, SampleFormat, Tag};
 
-/// Most samples: a classic TIFF has at most 4 GiB, and noise may not compress.
+/// Most samples: a classic TIFF holds at most 4 GiB, and noise may not compress.
 const MOST_PIXELS: i64 = 1 << 28;
-/// Rows of a strip, the unit that readers load.
+/// Rows of a strip, which readers load as a unit.
 const STRIP: i64 = TILE_PIXELS;
 
-/// Writes the highest floor of each pixel, up to `highest` (m) if given; returns width and height. Samples have 32 bits where
-/// these keep a quantum of heights apart, else 64. Memory: a row of tiles, and an entry for each page.
+/// Writes the highest floor of each pixel, at most `highest` (m) if given; returns width and height. Samples have
+/// 32 bits if these resolve a quantum of height, otherwise 64. Memory: a row of tiles, and an entry per page.
 pub fn tif(
     archive: &Archive,
     path: &Path,
@@ -36,7 +36,7 @@ pub fn tif(
     let broken = |error| crate::broken(path, &error);
     let highest = highest.map_or(i64::MAX, |z| frame.quantum_floor(z));
     let mut entries: Vec<PageEntry> = archive.entries().collect::<Result<_, _>>().map_err(broken)?;
-    // Highest row of tiles first; in a column the lowest page first, so that higher floors come last.
+    // Highest row of tiles first; within a column the lowest page first, so that higher floors come last.
     entries.sort_unstable_by_key(|entry| (Reverse(entry.key.ty), entry.key.tx, entry.key.layer));
     let ends = |of: fn(&PageEntry) -> i32| {
         let all = || entries.iter().map(of);
@@ -53,7 +53,7 @@ pub fn tif(
     let mut file = BufWriter::new(to);
     let size = [width, height].map(|edge| edge as u32);
     let mut tiff = TiffEncoder::new(&mut file)?;
-    // Strip by strip, packed here: the encoder of whole images wants all of it at once.
+    // Packed here strip by strip, because the encoder of whole images needs all of the image at once.
     let mut directory = tiff.image_directory()?;
     let mut pages = PageReader::new(archive);
     let (mut offsets, mut lengths) = (Vec::new(), Vec::new());

@@ -1,7 +1,7 @@
-//! `slicetool export`: what an archive holds, in the formats of other programs.
+//! `slicetool export`: contents of an archive in the formats of other programs.
 //!
 //! - `points.rs`: one point per occupied voxel (PLY, LAS, LAZ, E57)
-//! - `surface.rs`: the boundary of all matter as triangles (glTF)
+//! - `surface.rs`: the boundary of all occupied space as triangles (glTF)
 //! - `heights.rs`: heights of floors as a raster (GeoTIFF)
 //! - `drawing.rs`: the floor plan of a slice (SVG, DXF)
 //!
@@ -19,16 +19,17 @@ use slicewalk::output::is_standard;
 use slicewalk::text::{counted, finite_number, grouped, number, one_line, whole_number};
 use std::path::{Path, PathBuf};
 
-/// Which archive, where to, and what of it.
+/// Options of `slicetool export`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
-    /// File to write; its ending decides what: one point per voxel (.ply, .las, .laz, .e57), a surface (.glb), heights of floors
-    /// (.tif), or the plan of a slice (.svg, .dxf). `-` writes PLY to standard output
+    /// File to write; its extension selects points, one per voxel (.ply, .las, .laz, .e57), a surface (.glb), floor
+    /// heights (.tif) or the plan of a slice (.svg, .dxf). `-` writes PLY to standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Plan of this slice, from 0 at the lowest; else of the one 1.2 m above the floor of the lowest storey
+    /// Plan of this slice, counted from 0 at the lowest; by default, the slice 1.2 m above the floor of the lowest
+    /// storey
     #[arg(long, value_name = "N", group = "which", value_parser = whole_number(0u64, u64::MAX))]
     slice: Option<u64>,
     /// Plan of the slice at this height in metres; with .tif, the highest floors up to this height
@@ -36,7 +37,7 @@ pub struct Arguments {
     z: Option<f64>,
 }
 
-/// What the ending of a file asks for.
+/// Format, selected by the file's extension.
 #[derive(Clone, Copy, PartialEq)]
 enum Format {
     Ply,
@@ -67,7 +68,7 @@ impl Format {
     }
 }
 
-/// Exports as `arguments` say.
+/// Runs the export.
 pub fn run(arguments: &Arguments) -> Outcome {
     let (path, output) = (arguments.archive.as_path(), arguments.output.as_path());
     let Some(format) = Format::of(output) else {

@@ -12,30 +12,32 @@ use std::mem::ManuallyDrop;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-/// LAS class of floor (the standard's "ground") and of obstacles (its "unclassified").
+/// LAS classes of floors (the standard's "ground") and obstacles (its "unclassified").
 const CLASSES: [u8; 2] = [2, 1];
-/// Records of LAS files that hold GeoTIFF keys and their texts.
+/// LAS records with GeoTIFF keys and their texts.
 const GEO_KEYS: u16 = 34735;
 const GEO_TEXT: u16 = 34737;
-/// Room for the point count in a PLY header, so that it can be filled in at the end.
+/// Width of the point count in a PLY header, which is filled in at the end.
 const COUNT_DIGITS: usize = 20;
 /// LAS 1.2 counts points with 32 bits.
 const MOST_LAS_POINTS: u64 = u32::MAX as u64;
-/// Voxels that are exported however small the archive is, and for each of its bytes; scans and meshes have up to 4.
+/// Most voxels exported: this many for any archive, or this many per byte if more; archives of scans and meshes have up
+/// to 4 per byte.
 const MOST_VOXELS: u64 = 1 << 26;
 const MOST_VOXELS_A_BYTE: u64 = 1 << 10;
-/// Coarsest step of LAS coordinates where the extent allows it (m).
+/// Largest step of LAS coordinates that the extent allows (m).
 const COARSEST_STEP_M: f64 = 1e-4;
-/// Steps of LAS coordinates that an extent may have: 32 bits, less what rounding the offset takes.
+/// Most steps of LAS coordinates in an extent: 32 bits, less the rounding of the offset.
 const MOST_STEPS: f64 = 4e9;
-/// Steps by which offsets are rounded: whole metres at the usual step.
+/// Offsets are rounded to this many steps, which makes whole metres at the usual step.
 const ROUND_STEPS: f64 = 1e4;
 
-/// Slice in its page, top of the matter (quanta), and what it is, by number of its colour in [`BLUES`].
+/// Slice in its page, top of the solid (quanta), and kind, as index into [`BLUES`].
 type Voxel = (u32, u8, usize);
 
-/// A voxel as a point: pixel centre, top of the matter in the voxel, its colour; as in `show` where the archive has none.
-/// The height is half a quantum below the top, which a point on the face between two voxels is not: that lies in the upper one.
+/// A voxel as a point at the pixel's centre, with the voxel's colour, or that of `show` if the archive has no colours.
+/// The point lies half a quantum below the top of the solid: on the face between two voxels it would belong to the
+/// upper one.
 struct VoxelPoint {
     position: [f64; 3],
     colour: [u8; 3],
@@ -86,7 +88,7 @@ fn each_voxel(
                     inferred: kind == INFERRED,
                 })
             };
-            // Spans ascend, and two may meet in one voxel, which is one point all the same.
+            // Spans ascend. Two that share a voxel still make one point.
             let mut voxel: Option<Voxel> = None;
             for (at, span) in spans.iter().enumerate() {
                 let kind = if mask >> (at & 63) & 1 == 1 { INFERRED } else { usize::from(span.is_obstacle()) };
@@ -99,7 +101,7 @@ fn each_voxel(
                         below.map_or(Ok(()), &mut give_voxel)?;
                     }
                     let kind = match same.map_or(kind, |same| same.2) {
-                        // What was scanned says what the voxel is, and of that obstacles.
+                        // Scanned spans decide the kind, and among them obstacles.
                         INFERRED => kind,
                         below if kind == INFERRED => below,
                         below => below.max(kind),
@@ -136,7 +138,7 @@ pub fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failur
     Ok(count)
 }
 
-/// LAS 1.2 with the code of the reference system as GeoTIFF keys; 1.4 where it is known by a text.
+/// Writes LAS 1.2 with a reference system's code as GeoTIFF keys, or 1.4 for a system known by its text.
 pub fn las(
     archive: &Archive,
     path: &Path,
@@ -156,7 +158,7 @@ pub fn las(
     builder.transforms = las::Vector { x, y, z };
     let output = Arc::new(Mutex::new(output));
     let file = BufWriter::new(Lent(Arc::downgrade(&output)));
-    // A writer that is dropped after a failure panics, so one that failed is never dropped; it owns no file.
+    // A writer that failed panics when dropped, so it is not dropped; it owns no file.
     let mut head = builder.into_header()?;
     if let Some(wkt) = wkt {
         head.set_wkt_crs(wkt.as_bytes().iter().copied().chain([0]).collect())?;
@@ -184,7 +186,7 @@ pub fn las(
         })?)
     })?;
     writer.close()?;
-    // Closed: the buffer of its file is all that is left to write.
+    // The writer is closed; only the file's buffer remains to be written.
     let file = ManuallyDrop::into_inner(writer).into_inner()?;
     file.into_inner().map_err(IntoInnerError::into_error)?;
     publish(output)?;
@@ -195,7 +197,7 @@ fn projection(record_id: u16, data: Vec<u8>) -> las::Vlr {
     las::Vlr { user_id: "LASF_Projection".into(), record_id, description: String::new(), data }
 }
 
-/// E57 with coordinates in steps of its own, colours, and the reference system as text.
+/// Writes E57 with scaled coordinates, colours, and the reference system as text.
 pub fn e57(archive: &Archive, path: &Path, output: Output, crs: Option<&Crs>) -> Result<u64, Failure> {
     let output = Arc::new(Mutex::new(output));
     let hash = format!("{:032x}", archive.header().plan_hash);
@@ -236,14 +238,14 @@ pub fn e57(archive: &Archive, path: &Path, output: Output, crs: Option<&Crs>) ->
     Ok(count)
 }
 
-/// Publishes an output that was lent.
+/// Publishes an output that a writer borrowed.
 fn publish(output: Arc<Mutex<Output>>) -> Result<(), Failure> {
     let output = Arc::into_inner(output).expect("the output was only lent");
     output.into_inner().unwrap_or_else(PoisonError::into_inner).publish()?;
     Ok(())
 }
 
-/// An output lent to a writer that wants to own what it writes to.
+/// An output lent to a writer that insists on owning what it writes to.
 struct Lent(Weak<Mutex<Output>>);
 
 impl Lent {
@@ -275,7 +277,7 @@ impl Seek for Lent {
     }
 }
 
-/// Steps and offsets of LAS coordinates for all pages of the archive at `path`, whatever its head says of its bounds.
+/// Computes steps and offsets of LAS coordinates from all pages of the archive, regardless of the bounds in its head.
 fn transforms(archive: &Archive, path: &Path) -> Result<[las::Transform; 3], Failure> {
     let frame = archive.frame();
     let mut range = [(i64::MAX, i64::MIN); 3];
@@ -309,8 +311,9 @@ fn transforms(archive: &Archive, path: &Path) -> Result<[las::Transform; 3], Fai
     Ok(transforms)
 }
 
-/// Step and offset that hold coordinates between two ends (m) so that the middle of what is `finest` long stays inside; `None`
-/// if 32 bits do not hold them. The step is a power of ten: fine enough, or as fine as the ends allow.
+/// Computes step and offset for coordinates between two ends (m); the step is at most half of `finest`, so that the
+/// middle of an interval of that length stays inside. `None` if 32 bits do not suffice. The step is a power of ten, as
+/// fine as the ends allow but no finer than needed.
 fn transform_of([least, greatest]: [f64; 2], finest: f64) -> Option<las::Transform> {
     let wanted = (finest / 2.0).min(COARSEST_STEP_M).log10().floor();
     let reached = ((greatest - least) / MOST_STEPS).log10().ceil();

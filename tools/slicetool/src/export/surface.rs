@@ -1,12 +1,13 @@
-//! The boundary of all matter as triangles: binary glTF 2.0.
+//! The boundary of all occupied space as triangles: binary glTF 2.0.
 //!
-//! Each span is a box of a pixel's width. Tops and bottoms of one height are joined into rectangles, walls of one height
-//! along their row. Every edge is then cut at all corners on it, so that triangles meet along whole edges: the surface is closed, and
-//! each edge is passed as often in one direction as in the other. Small case: one span of one pixel gives six rectangles,
-//! eight corners and twelve triangles. Matter without thickness keeps a top and a bottom, back to back.
+//! Each span is a box one pixel wide. Tops and bottoms of equal height are joined into rectangles, walls of equal
+//! height along their row. Then every edge is cut at all corners on it, so that triangles meet along whole edges: the
+//! surface is closed, and each edge is traversed equally often in both directions. Small case: one span of one pixel
+//! gives six rectangles, eight corners and twelve triangles. Solid of zero thickness keeps a top and a bottom, back to
+//! back.
 //!
-//! glTF is y-up: (x, y, z) of the archive is (x, z, -y) there. Positions have 32 bits and count from a corner of the scene; the
-//! node moves them to where they belong.
+//! glTF is y-up: (x, y, z) of the archive becomes (x, z, -y). Positions have 32 bits and are relative to a corner of
+//! the scene; the node's translation restores the coordinates.
 
 use crate::Failure;
 use serde_json::{Value, json};
@@ -17,7 +18,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
-/// Most spans and rectangles: all are held, some hundred bytes each.
+/// Most spans and rectangles, all held in memory at some hundred bytes each.
 const MOST_SPANS: usize = 1 << 23;
 const MOST_RECTANGLES: usize = 1 << 23;
 /// Magic numbers and version of the container.
@@ -25,13 +26,13 @@ const MAGIC: u32 = 0x4654_6C67;
 const VERSION: u32 = 2;
 const JSON_CHUNK: u32 = 0x4E4F_534A;
 const BINARY_CHUNK: u32 = 0x004E_4942;
-/// Numbers of the standard: 32-bit floats and unsigned integers, buffers of vertices and of indices.
+/// Constants of the standard: 32-bit floats and unsigned integers, buffers of vertices and of indices.
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// A place in corners of pixels (x, y) and quanta (z).
+/// A point in corners of pixels (x, y) and quanta (z).
 type Corner = [i64; 3];
 /// From bottom to top (quanta).
 type Interval = [i64; 2];
@@ -56,7 +57,7 @@ pub fn glb(archive: &Archive, path: &Path, to: Output) -> Result<u64, Failure> {
     Ok(surface.triangles.len() as u64)
 }
 
-/// Matter by pixel, joined where spans or pages meet; `None` if there is too much.
+/// Solid intervals by pixel, joined where spans or pages touch; `None` if there are too many.
 fn columns(archive: &Archive, path: &Path) -> Result<Option<Columns>, Failure> {
     let broken = |error| crate::broken(path, &error);
     let mut columns = Columns::new();
@@ -87,7 +88,8 @@ fn columns(archive: &Archive, path: &Path) -> Result<Option<Columns>, Failure> {
     Ok(Some(columns))
 }
 
-/// A rectangle along two axes: least and greatest corner, the axis it faces along, and whether towards greater values.
+/// An axis-aligned rectangle: lowest and highest corner, the axis that it faces along, and whether it faces towards
+/// greater values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Rectangle {
     least: Corner,
@@ -97,7 +99,7 @@ struct Rectangle {
 }
 
 impl Rectangle {
-    /// Its corners, anticlockwise as seen from where it faces.
+    /// Corners, anticlockwise as seen from the side that it faces.
     fn corners(&self) -> [Corner; 4] {
         let (u, v) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
         let corner = |at_u: Corner, at_v: Corner| {
@@ -114,7 +116,7 @@ impl Rectangle {
     }
 }
 
-/// The faces of all columns, joined where they continue each other.
+/// Faces of all columns, joined where they continue each other.
 fn rectangles(columns: &Columns) -> Vec<Rectangle> {
     let mut faces = Faces::default();
     let none = Vec::new();
@@ -124,7 +126,7 @@ fn rectangles(columns: &Columns) -> Vec<Rectangle> {
             faces.levels.push(([top, 1], j, i));
             faces.levels.push(([bottom, 0], j, i));
         }
-        // Each side belongs to the column whose matter it bounds.
+        // Each side belongs to the column whose solid it bounds.
         for (axis, neighbour, plane, row) in
             [(0, at(i + 1, j), i + 1, j), (0, at(i - 1, j), i, j), (1, at(i, j + 1), j + 1, i), (1, at(i, j - 1), j, i)]
         {
@@ -138,7 +140,7 @@ fn rectangles(columns: &Columns) -> Vec<Rectangle> {
     rectangles
 }
 
-/// Parts of the intervals of `column` outside of those of `other`; both ascend.
+/// Returns the parts of the intervals of `column` outside those of `other`; both ascend.
 fn difference(column: &[Interval], other: &[Interval]) -> impl Iterator<Item = Interval> {
     column.iter().flat_map(|&[bottom, top]| {
         let mut parts = Vec::new();
@@ -165,11 +167,11 @@ struct Faces {
 }
 
 impl Faces {
-    /// Runs along x that follow each other along y with the same ends, as rectangles.
+    /// Joins runs along x with equal ends in consecutive rows into rectangles.
     fn joined_levels(&mut self) -> Vec<Rectangle> {
         self.levels.sort_unstable();
         let mut rectangles: Vec<Rectangle> = Vec::new();
-        // Rectangles that end at the row before, by their ends along x.
+        // Rectangles that end at the previous row, by their ends along x.
         let mut open: HashMap<[i64; 2], usize> = HashMap::new();
         let mut next_open: HashMap<[i64; 2], usize> = HashMap::new();
         let mut rest = &self.levels[..];
@@ -203,7 +205,7 @@ impl Faces {
         rectangles
     }
 
-    /// Walls of one height that follow each other, as rectangles.
+    /// Joins consecutive walls of equal height into rectangles.
     fn joined_walls(&mut self) -> Vec<Rectangle> {
         self.walls.sort_unstable();
         let runs = self.walls.chunk_by(|a, b| (a.0, a.1, a.2, a.3, a.4 + 1) == (b.0, b.1, b.2, b.3, b.4));
@@ -226,15 +228,15 @@ struct Surface {
     triangles: Vec<[u32; 3]>,
 }
 
-/// Triangles of a rectangle with corners on its sides, none of them flat: two fewer than corners. Side n leads from corner n of
-/// `ring` to before the next one.
+/// Triangulates a rectangle with extra corners on its sides into two triangles fewer than corners, none degenerate.
+/// Side n holds the corners from corner n of `ring` up to, but without, the next one.
 fn triangulate(ring: [Corner; 4], sides: &[Vec<Corner>; 4], mut give: impl FnMut([Corner; 3])) {
-    // Up the left and the right side, always to the corner that is nearer to the lower side.
+    // Goes up the left and the right side, always to the corner nearer to the lower side.
     let left: Vec<Corner> = std::iter::once(ring[0]).chain(sides[3].iter().rev().copied()).collect();
     let right: Vec<Corner> = sides[1].iter().copied().chain([ring[2]]).collect();
     let height = |corner: &Corner, from: &Corner| (0..3).map(|axis| (corner[axis] - from[axis]).abs()).sum::<i64>();
     let (mut l, mut r) = (0, 0);
-    // The triangles at the lower and the upper side are fans over the corners there.
+    // The triangles at the lower and the upper side form fans over the corners there.
     let fan = |side: &[Corner], end: Corner, top: Corner, give: &mut dyn FnMut([Corner; 3])| {
         let ends = side.iter().skip(1).chain([&end]);
         side.iter().zip(ends).for_each(|(a, b)| give([*a, *b, top]));
@@ -259,7 +261,7 @@ fn triangulate(ring: [Corner; 4], sides: &[Vec<Corner>; 4], mut give: impl FnMut
     }
 }
 
-/// Corners in three orders: by line along x, along y, along z, and along it.
+/// Corners in three orders: grouped by line along x, y and z, and sorted along the line.
 struct Lines([Vec<Corner>; 3]);
 
 impl Lines {
@@ -271,12 +273,12 @@ impl Lines {
         }))
     }
 
-    /// The two coordinates that name the line along `axis`, then the one along it.
+    /// The two coordinates that identify the line along `axis`, then the one along it.
     fn key(axis: usize, corner: &Corner) -> Corner {
         [corner[(axis + 1) % 3], corner[(axis + 2) % 3], corner[axis]]
     }
 
-    /// Corners from `from` to before `to`, which differ along one axis, in this direction.
+    /// Returns the corners from `from` up to, but without, `to`, which differ along one axis, in this direction.
     fn along(&self, from: Corner, to: Corner) -> Vec<Corner> {
         let axis = (0..3).find(|&axis| from[axis] != to[axis]).unwrap_or(0);
         let (low, high) = (Self::key(axis, &from.min(to)), Self::key(axis, &from.max(to)));
@@ -381,7 +383,8 @@ mod tests {
     use super::*;
     use std::collections::HashMap;
 
-    /// Each edge is passed as often one way as the other, no triangle is flat, and the volume is that of the columns.
+    /// Checks that each edge is traversed equally often both ways, no triangle is degenerate, and the volume equals
+    /// that of the columns.
     fn check(columns: &Columns) -> Surface {
         let surface = Surface::of(&rectangles(columns));
         let mut edges: HashMap<[u32; 2], i64> = HashMap::new();

@@ -1,4 +1,4 @@
-//! The files of `slicetool reach`, by their endings.
+//! File formats of `slicetool reach`, chosen by extension.
 
 use super::{Reach, geojson, map};
 use crate::Failure;
@@ -7,12 +7,12 @@ use slicewalk::output::{Output, is_standard};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Where a file is written to.
+/// Destination of a file.
 pub type Out = BufWriter<Output>;
 
 type Writer = fn(&Reach, &Loader, &mut Out) -> Result<(), Failure>;
 
-/// Who writes the format that the ending of `output` names.
+/// Returns the writer of the format that the extension of `output` selects.
 pub fn writer(output: &Path) -> Result<Writer, Failure> {
     let ending = output.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     match ending.as_str() {

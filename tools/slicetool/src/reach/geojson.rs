@@ -1,4 +1,4 @@
-//! Areas of storeys as polygons, passages and leaks as points, in the coordinates of the scan.
+//! Areas of storeys as polygons, passages and leaks as points, in the scan's coordinates.
 
 use super::Reach;
 use super::files::Out;

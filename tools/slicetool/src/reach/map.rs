@@ -1,8 +1,8 @@
-//! The map of a region: a panel for each storey, the highest on top, north up.
+//! Map of a region: a panel for each storey, the highest on top, north up.
 //!
-//! Standing places are coloured by height, from blue (the lowest of the region) over green to yellow (the highest); matter at
-//! the height of the body is grey. Red dots are leaks, orange ones passages, a black line is the way that was asked for. Each panel names its height, the bar at the bottom its
-//! length.
+//! Standing places are coloured by height, from blue (lowest of the region) through green to yellow (highest). Pixels
+//! with solid at the height of the body are grey, leaks are red dots, passages orange dots, and the requested route is
+//! a black line. Each panel shows its height; the bar at the bottom shows a length.
 
 use super::Reach;
 use super::files::Out;
@@ -12,13 +12,13 @@ use crate::ground::Loader;
 use nalgebra::Point3;
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
 
-/// Narrower maps are enlarged to this, wider ones than the most reduced (pixels).
+/// Narrower maps are enlarged to this width, wider ones are reduced (pixels).
 const WIDTH: i64 = 900;
 const MOST_WIDTH: i64 = 8000;
 /// Most pixels of a map, and most panels.
 const MOST_PIXELS: i64 = 100_000_000;
 const MOST_PANELS: usize = 64;
-/// Around each panel (pixels of the picture).
+/// Margin of each panel (pixels of the picture).
 const MARGIN: i64 = 12;
 const CAPTION: i64 = 24;
 
@@ -34,7 +34,7 @@ struct Map {
     width: i64,
     height: i64,
     pixels: Vec<[u8; 3]>,
-    /// First pixel of the region, pixels of the scan for one of the picture, and the reverse.
+    /// First pixel of the region, pixels of the scan per pixel of the picture, and the inverse.
     first: [i64; 2],
     reduce: i64,
     enlarge: i64,
@@ -82,7 +82,7 @@ pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failur
     Ok(writer.finish()?)
 }
 
-/// Greys the pixels in which matter meets the body above its climb height, over each storey.
+/// Greys the pixels of each storey in which solid meets the body above its climb height.
 fn matter(map: &mut Map, reach: &Reach, loader: &Loader) -> Result<(), Failure> {
     let archive = loader.archive();
     let (frame, pawn) = (archive.frame(), reach.region.pawn());
@@ -134,7 +134,7 @@ impl Map {
                 (low[axis], high[axis]) = (low[axis].min(pixel), high[axis].max(pixel));
             }
         }
-        // Room for the walls around.
+        // Margin for the surrounding walls.
         let wall = (0.6 / frame.pixel_m()).ceil() as i64;
         let size = [0, 1].map(|axis| high[axis] - low[axis] + 1 + 2 * wall);
         let longest = size[0].max(size[1]);
@@ -162,7 +162,7 @@ impl Map {
         (0..2).all(|axis| corner[axis] + TILE_PIXELS > self.first[axis] && corner[axis] <= last(axis))
     }
 
-    /// Upper left corner in the picture of a pixel of the scan.
+    /// Upper left corner, in the picture, of a pixel of the scan.
     fn place(&self, storey: usize, at: [i64; 2]) -> Option<[i64; 2]> {
         let [x, y] = [0, 1].map(|axis| (at[axis] - self.first[axis]).div_euclid(self.reduce) * self.enlarge);
         let is_inside = storey < self.panels && (0..self.panel[0]).contains(&x) && (0..self.panel[1]).contains(&y);
@@ -197,11 +197,11 @@ impl Map {
         }
     }
 
-    /// A round spot of ink about a place (pixels of the scan).
+    /// Draws a round dot at a place (pixels of the scan).
     fn pen(&mut self, storey: usize, at: [f64; 2]) {
         let Some(corner) = self.place(storey, at.map(|v| v.floor() as i64)) else { return };
         let within = at.map(|v| (v - v.floor()) * self.enlarge as f64);
-        // Rows go down.
+        // Rows of the picture count downwards.
         let [x, y] = [corner[0] + within[0] as i64, corner[1] + self.enlarge - 1 - within[1] as i64];
         for (dx, dy) in (-2i64..=2).flat_map(|dx| (-2i64..=2).map(move |dy| (dx, dy))) {
             if dx * dx + dy * dy <= 5 {
@@ -210,7 +210,7 @@ impl Map {
         }
     }
 
-    /// A bar of a round length, at most a third of the map wide.
+    /// Draws a bar of a round length, at most a third of the map wide.
     fn bar(&mut self, pixel_m: f64) {
         let metre = self.enlarge as f64 / (self.reduce as f64 * pixel_m);
         let most = self.panel[0].max(200) as f64 / 3.0 / metre;
@@ -228,7 +228,7 @@ impl Map {
         self.write([MARGIN + end + 8, row - 6], &format!("{length} m"));
     }
 
-    /// Text of figures.
+    /// Draws a text of digits.
     fn write(&mut self, [x, y]: [i64; 2], text: &str) {
         figures(text, |dx, dy| self.set([x + dx, y + dy], INK));
     }

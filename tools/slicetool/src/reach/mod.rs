@@ -1,4 +1,4 @@
-//! `slicetool reach`: where a pawn can walk from a place, how narrow it gets, and where it leaks.
+//! `slicetool reach`: finds where a pawn can walk from a place, how narrow it gets, and where it leaks.
 
 mod files;
 mod geojson;
@@ -13,15 +13,15 @@ use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Where from, who, and what to write.
+/// Options of `slicetool reach`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
-    /// Where the feet stand (m); in the air, the floor below counts
+    /// Start of the feet (m); in the air, the floor below counts
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     from: nalgebra::Point3<f64>,
-    /// Another place (m): maps show the way there as a black line, GeoJSON has it as a line
+    /// Another place (m): maps and GeoJSON show the route there as a line
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     to: Option<nalgebra::Point3<f64>>,
     #[command(flatten)]
@@ -35,20 +35,20 @@ pub struct Arguments {
     json: bool,
 }
 
-/// All that has been found out.
+/// Results of the search.
 struct Reach {
     region: Region,
     storeys: Storeys,
     passages: Vec<Passage>,
     leaks: Vec<Leak>,
-    /// The way to another place, if one was asked for and can be reached.
+    /// Route to the other place, if requested and reachable.
     way: Option<Route>,
-    /// Where the pawn stands first, and where it was asked to get.
+    /// Where the pawn starts, and where the route should end.
     from: Snapped,
     to: Option<Snapped>,
 }
 
-/// Finds all that can be reached; a file appears whole, or not at all.
+/// Finds everything that can be reached; a file appears complete or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();

@@ -1,8 +1,8 @@
-//! Walking in the browser: the built page and archives, from a server on this machine (`serve`) or as a folder for any web
-//! host (`site`).
+//! Walking in the browser: the built page and archives, from a server on this machine (`serve`) or as a folder for any
+//! web host (`site`).
 //!
-//! Both show one thing: the files of the page, the named archives beside them, and `archives.json`, which tells the page
-//! their addresses. Whatever is not in that table does not exist for a browser.
+//! Both provide the same files: the page, the archives beside it, and `archives.json`, which lists their addresses for
+//! the page. A browser can reach nothing that is not in that table.
 
 mod page;
 #[cfg(feature = "serve")]
@@ -19,10 +19,10 @@ use std::path::{Path, PathBuf};
 
 /// Name of the table of archives, beside the page.
 const TABLE: &str = "archives.json";
-/// What stands for itself in the address of a file.
+/// Characters that need no escape in the address of a file.
 const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'.').remove(b'-').remove(b'_').remove(b'~');
 
-/// What `serve` and `site` show.
+/// Options shared by `serve` and `site`.
 #[derive(clap::Args)]
 pub struct ShowArguments {
     /// Archives to walk in; the page opens the first one
@@ -31,17 +31,17 @@ pub struct ShowArguments {
     /// COPC point cloud of the same place, which the page can draw over the archive
     #[arg(long, value_name = "FILE")]
     cloud: Option<PathBuf>,
-    /// Folder of the built page [default: beside the program, else the repository's tools/viewer/dist]
+    /// Folder of the built page [default: beside the program, or tools/viewer/dist of the repository]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
 }
 
-/// A file that is shown as it lies on the disk.
+/// A file that is served or copied unchanged.
 struct Shown {
     /// Its name in addresses.
     name: String,
     path: PathBuf,
-    /// Opened, if it is an archive.
+    /// The opened archive, if it is one.
     archive: Option<Archive>,
 }
 
@@ -71,7 +71,7 @@ impl Show {
         Ok(Self { page, files })
     }
 
-    /// The table that the page reads: addresses relative to its own.
+    /// The table that the page reads, with addresses relative to the page.
     fn table(&self) -> String {
         let address = |file: &Shown| utf8_percent_encode(&file.name, PLAIN).to_string();
         let (archives, others): (Vec<_>, Vec<_>) = self.files.iter().partition(|file| file.archive.is_some());
@@ -82,7 +82,7 @@ impl Show {
     }
 }
 
-/// The name of `path`, changed until it is free.
+/// The name of `path`, changed until it is unused.
 fn free_name(path: &Path, is_free: impl Fn(&str) -> bool) -> String {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     // Web hosts hide names that begin with a dot.
@@ -98,14 +98,14 @@ fn free_name(path: &Path, is_free: impl Fn(&str) -> bool) -> String {
     (2..).map(numbered).find(|name| is_free(name)).unwrap_or_default()
 }
 
-/// Refuses what is no LAS or LAZ file; the page reads it by ranges, as COPC.
+/// Refuses a file that is not LAS or LAZ; the page reads it by ranges, as COPC.
 fn check_cloud(path: &Path) -> Result<(), Failure> {
     let failed = |reason: String| Failure::Text(format!("{}: {reason}", path.display()));
     let mut head = Vec::new();
     let file = std::fs::File::open(path).map_err(|error| failed(format!("cannot open: {error}")))?;
     let read = std::io::Read::read_to_end(&mut std::io::Read::take(file, 589), &mut head);
     read.map_err(|error| failed(format!("cannot read: {error}")))?;
-    // The first variable length record of a COPC file lies at 375 and is called `copc`.
+    // The first variable length record of a COPC file is at byte 375 and is called `copc`.
     if head.starts_with(b"LASF") && head.get(377..381) == Some(b"copc") {
         return Ok(());
     }

@@ -1,25 +1,25 @@
-//! The built page: a few files, read once and held in memory, so that nothing else of a disk can be asked for.
+//! The built page: a few files, read once and held in memory, so that no request can reach anything else on the disk.
 
 use crate::Failure;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Where the repository builds it.
+/// Output folder in the repository.
 const BUILT: &str = "tools/viewer/dist";
-/// Where an installed program has it: beside itself.
+/// Folder beside an installed program.
 const BESIDE: &str = "slicewalk-viewer";
-/// What begins it.
+/// Entry file of the page.
 pub const INDEX: &str = "index.html";
-/// No page is larger; a folder that is was named by mistake.
+/// Largest total size of a page; a larger folder was named by mistake.
 const MOST_BYTES: u64 = 64 << 20;
 const MOST_FILES: usize = 1000;
 const MOST_DEPTH: usize = 8;
 
-/// Files of the page by their names, folders separated by `/`.
+/// Files of the page by name; `/` separates folders.
 pub struct Page(BTreeMap<String, Vec<u8>>);
 
 impl Page {
-    /// The page in `named`, else the one beside the program or in the repository.
+    /// Loads the page from `named`, or from beside the program or the repository.
     pub fn find(named: Option<&Path>) -> Result<Self, Failure> {
         let folder = match named {
             Some(folder) if folder.join(INDEX).is_file() => folder.to_path_buf(),
@@ -40,7 +40,7 @@ impl Page {
         Ok(page)
     }
 
-    /// The file called `name`.
+    /// Returns the file called `name`.
     pub fn get(&self, name: &str) -> Option<&[u8]> {
         self.0.get(name).map(Vec::as_slice)
     }
@@ -49,7 +49,7 @@ impl Page {
         self.0.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
     }
 
-    /// Reads the regular files of a folder. Links and hidden files are no part of a page.
+    /// Reads the regular files of a folder. Links and hidden files are not part of a page.
     fn read(&mut self, folder: &Path, prefix: &str, depth: usize, room: &mut u64) -> Result<(), Failure> {
         let failed =
             |path: &Path, error: std::io::Error| Failure::Text(format!("{}: cannot read: {error}", path.display()));
@@ -80,7 +80,7 @@ impl Page {
     }
 }
 
-/// Folders that may hold the page: beside the program, and above it or above the working folder in the repository.
+/// Folders that may hold the page: beside the program, and in the repository above the program or the working folder.
 fn usual_folders() -> Vec<PathBuf> {
     let program = std::env::current_exe().and_then(|path| path.canonicalize()).ok();
     let beside = program.iter().filter_map(|path| path.parent()).map(|folder| folder.join(BESIDE));
@@ -90,7 +90,7 @@ fn usual_folders() -> Vec<PathBuf> {
     beside.chain(above).collect()
 }
 
-/// MIME type by the ending of a name.
+/// MIME type by file extension.
 #[cfg(feature = "serve")]
 pub fn mime(name: &str) -> &'static str {
     match name.rsplit_once('.').map_or("", |(_, ending)| ending) {

@@ -2,22 +2,22 @@
 
 use std::ops::Range;
 
-/// What of a file was asked for.
+/// Requested part of a file.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Wanted {
     Whole,
-    /// Not empty, within the file.
+    /// Non-empty range within the file.
     Part(Range<u64>),
-    /// Nothing of it lies within the file.
+    /// Range outside the file.
     Outside,
 }
 
-/// What `header`, the value of `Range`, asks for of `len` bytes. Several ranges and other units are ignored, as the
+/// Parses `header`, the value of `Range`, for a file of `len` bytes. Several ranges and other units are ignored, as the
 /// standard allows.
 pub fn wanted(header: Option<&str>, len: u64) -> Wanted {
     let range = header.and_then(|value| value.trim().strip_prefix("bytes="));
     let Some((first, last)) = range.and_then(|range| range.trim().split_once('-')) else { return Wanted::Whole };
-    // Digits alone: `parse` would take a sign.
+    // Only digits, because `parse` would accept a sign.
     let number = |text: &str| match text.bytes().all(|digit| digit.is_ascii_digit()) && !text.is_empty() {
         true => Some(text.parse().unwrap_or(u64::MAX)),
         false => None,
@@ -31,7 +31,7 @@ pub fn wanted(header: Option<&str>, len: u64) -> Wanted {
     if begin < end { Wanted::Part(begin..end) } else { Wanted::Outside }
 }
 
-/// Whether `header`, the value of `If-None-Match`, names `tag`.
+/// Returns whether `header`, the value of `If-None-Match`, contains `tag`.
 pub fn names_tag(header: &str, tag: &str) -> bool {
     header.split(',').map(str::trim).any(|named| named == "*" || named.strip_prefix("W/").unwrap_or(named) == tag)
 }

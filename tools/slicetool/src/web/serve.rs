@@ -1,7 +1,7 @@
-//! `slicetool serve`: the page and archives, to this machine alone.
+//! `slicetool serve`: serves the page and archives to this machine only.
 //!
-//! A request is answered from a table made at the start. Archives are opened anew for each request, so one that was replaced
-//! shows another tag, and the page reports it.
+//! Requests are answered from a table made at the start. Each request opens its archive again, so a replaced archive
+//! has another tag, which the page reports.
 
 use super::page::{INDEX, mime};
 use super::ranges::{Wanted, names_tag, wanted};
@@ -22,17 +22,17 @@ use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio_util::io::ReaderStream;
 
-/// How long answers that are under way may take after the server was asked to stop.
+/// Time that pending answers get after a request to stop.
 const GRACE: Duration = Duration::from_secs(1);
-/// Bytes of a file in memory for each answer.
+/// Bytes of a file held in memory for each answer.
 const CHUNK: usize = 1 << 17;
-/// The page runs its own scripts and wasm, and reads archives from here and from hosts named in its address.
+/// The page runs its own scripts and wasm, and reads archives from this server and from hosts in its address.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self' blob:; \
                       style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self' blob: https: http://127.0.0.1:* http://localhost:*; manifest-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// What to serve, and where.
+/// Options of `slicetool serve`.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
@@ -45,7 +45,7 @@ pub struct Arguments {
     open: bool,
 }
 
-/// What a name in an address stands for.
+/// Resource that a name in an address refers to.
 enum Entry {
     Memory { bytes: Vec<u8>, tag: String },
     File(PathBuf),
@@ -87,7 +87,7 @@ async fn serve(arguments: &Arguments, table: Arc<Table>) -> Result<u8, Failure> 
     let mut signals = Signals::listen()?;
     let address = format!("http://{}/", listener.local_addr()?);
     let mut out = std::io::stdout();
-    // Whoever does not read the address may know it: `--port`.
+    // A caller that does not read the address may know it from `--port`.
     let _ = writeln!(out, "{address}").and_then(|()| out.flush());
     if arguments.open
         && let Err(error) = open::that_detached(&address)
@@ -119,7 +119,7 @@ async fn answer(State(table): State<Arc<Table>>, method: Method, uri: Uri, heade
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "no-referrer"),
         (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
-        // Asked again each time: an archive may have been converted anew.
+        // Revalidated every time, because an archive may have been converted again.
         (header::CACHE_CONTROL, "no-cache"),
     ];
     response.headers_mut().extend(always.map(|(name, value)| (name, HeaderValue::from_static(value))));
@@ -161,7 +161,7 @@ async fn respond(table: &Table, method: &Method, uri: &Uri, headers: &HeaderMap)
     }
 }
 
-/// Notes that a named file cannot be read any more.
+/// Reports that a served file can no longer be read.
 fn missing(path: &Path, error: &std::io::Error) -> StatusCode {
     say(&format!("{}: cannot read: {error}", path.display()));
     match error.kind() {
@@ -170,7 +170,8 @@ fn missing(path: &Path, error: &std::io::Error) -> StatusCode {
     }
 }
 
-/// Whether a request names this machine: a foreign site whose name was turned to 127.0.0.1 does not.
+/// Returns whether a request names this machine; a foreign site whose name resolves to 127.0.0.1 does not (DNS
+/// rebinding).
 fn is_own_host(headers: &HeaderMap) -> bool {
     let Some(host) = headers.get(header::HOST) else { return true };
     let host = host.to_str().unwrap_or("");
@@ -188,7 +189,7 @@ fn plain(status: StatusCode) -> Response<Body> {
     response
 }
 
-/// What an answer says of a file besides its bytes.
+/// Metadata of a file in an answer.
 struct About {
     len: u64,
     tag: String,
@@ -196,8 +197,8 @@ struct About {
 }
 
 impl About {
-    /// Opens the file at `path`. Its tag is made from length, time of the last change and a checksum of its head, which is
-    /// written last and differs in each archive.
+    /// Opens the file at `path`. Its tag combines length, modification time and a checksum of its head, which is
+    /// written last and differs between archives.
     async fn open(path: &Path) -> std::io::Result<(tokio::fs::File, Self)> {
         const HEAD_BYTES: u64 = 16_384;
         let mut file = tokio::fs::File::open(path).await?;
@@ -211,7 +212,7 @@ impl About {
         Ok((file, Self { len: about.len(), tag, modified }))
     }
 
-    /// Status and headers of the answer to a request with these headers, and the bytes that belong to it.
+    /// Status and headers of the answer to a request with these headers, and the range of bytes to send.
     fn head(
         &self,
         request: &HeaderMap,
@@ -236,7 +237,7 @@ impl About {
         if unchanged {
             return Ok((head.status(StatusCode::NOT_MODIFIED), None));
         }
-        // A part of another version is of no use: then the whole new file is the answer.
+        // A part of another version is useless, so the answer is then the whole new file.
         let same = text(header::IF_RANGE).is_none_or(|known| known == self.tag || Some(known) == date.as_deref());
         let (status, part) = match wanted(text(header::RANGE).filter(|_| same), self.len) {
             Wanted::Whole => (StatusCode::OK, 0..self.len),
@@ -255,7 +256,7 @@ impl About {
     }
 }
 
-/// The signals that ask to stop.
+/// Signals that stop the server.
 #[cfg(unix)]
 struct Signals([(u8, tokio::signal::unix::Signal); 3]);
 
@@ -270,7 +271,7 @@ impl Signals {
         ]))
     }
 
-    /// The exit code of the next one.
+    /// Waits for the next signal and returns its exit code.
     async fn next(&mut self) -> u8 {
         std::future::poll_fn(|context| {
             let come =

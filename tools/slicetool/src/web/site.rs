@@ -1,6 +1,6 @@
-//! `slicetool site`: the page and archives as a folder for any web host that answers ranges.
+//! `slicetool site`: writes the page and archives to a folder for any web host that answers range requests.
 //!
-//! Each file is published whole. `index.html` comes last: until then a folder that was a site before shows what it showed.
+//! Each file appears complete. `index.html` is written last: until then, a folder with an older site shows that site.
 
 use super::page::INDEX;
 use super::{Show, ShowArguments, Shown, TABLE};
@@ -9,20 +9,20 @@ use slicewalk::output::{Existing, Output, OutputKind, Protected};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// What to show, and where to put it.
+/// Options of `slicetool site`.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
     show: ShowArguments,
-    /// Folder to write; it may hold an older site
+    /// Folder to write; it may contain an older site
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Replace archives of the same names in that folder
+    /// Replace archives of the same name in that folder
     #[arg(long)]
     force: bool,
 }
 
-/// Writes the site and says where it is.
+/// Writes the site and reports where it is.
 pub fn run(arguments: &Arguments) -> Outcome {
     let (show, folder) = (Show::new(&arguments.show)?, &arguments.output);
     let mut protected: Protected = show.files.iter().map(|file| &file.path).collect();
@@ -55,7 +55,7 @@ fn create(folder: &Path) -> Result<(), Failure> {
         .map_err(|error| Failure::Text(format!("{}: cannot create: {error}", folder.display())))
 }
 
-/// Copies an archive or a cloud. An archive that is there already stays if it is the same.
+/// Copies an archive or a cloud. An identical archive that exists already stays.
 fn copy(file: &Shown, to: &Path, force: bool, protected: &Protected) -> Result<(), Failure> {
     let existing = if force { Existing::Replace } else { Existing::KeepSame };
     let kind = if file.archive.is_some() { OutputKind::Archive(existing) } else { OutputKind::Result };

@@ -1,4 +1,4 @@
-"""Opens the exports of an archive in other readers and compares what they find; the folder that holds them is the argument."""
+"""Opens the exports of an archive in other readers and compares their contents: `check.py FOLDER`."""
 
 import sys
 import xml.etree.ElementTree as ET
@@ -44,7 +44,8 @@ def main(folder: Path) -> None:
     highest = np.full_like(heights, -np.inf)
     np.maximum.at(highest, (np.asarray(rows), np.asarray(columns)), floors[:, 2])
     held = ~np.isnan(heights)
-    # A voxel with a floor and an obstacle in it is one point, and counts as obstacle. Points lie half a quantum (0.3 mm) below the top.
+    # A voxel with a floor and an obstacle is one point with the class of obstacles. Points lie half a quantum (0.3 mm)
+    # below the top.
     agree = np.isclose(heights[held], highest[held], rtol=0, atol=4e-4).mean()
     assert held.sum() > 10_000, held.sum()
     assert agree > 0.99, agree
@@ -66,7 +67,7 @@ def main(folder: Path) -> None:
 
     scene = trimesh.load(folder / "house.glb")
     surface = scene.to_geometry()
-    # y-up there.
+    # glTF is y-up.
     size = np.ptp(points, axis=0)[[0, 2, 1]]
     assert np.allclose(np.ptp(surface.vertices, axis=0), size, atol=0.2), (surface.extents, size)
     assert surface.volume > 0

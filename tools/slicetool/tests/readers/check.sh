@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# check.sh [FOLDER]: opens exports of slicetool in the readers that people use: laspy, libE57, GDAL, ezdxf, trimesh and the
-# validator of glTF. The programs are taken from FOLDER if they lie built there. Needs CPython 3.11 or newer, node and npm, and once
+# check.sh [FOLDER]: opens exports of slicetool in common readers: laspy, libE57, GDAL, ezdxf, trimesh and the validator
+# of glTF. Uses the programs in FOLDER if they are built there. Needs CPython 3.11 or newer, node and npm, and once
 # their package indexes.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/../../../.." && pwd)

@@ -1,5 +1,5 @@
-//! `viewer-bindgen ENGINE.wasm FOLDER`: what `wasm-bindgen --target web` writes, without building its test runner, and without
-//! what the C code of zstd needs from the engine: nobody outside calls that.
+//! `viewer-bindgen ENGINE.wasm FOLDER`: writes the output of `wasm-bindgen --target web` without building its test
+//! runner, and drops the exports of zstd's C code, which nothing outside calls.
 
 use wasm_bindgen_cli_support::Bindgen;
 

@@ -1,4 +1,4 @@
-//! Batches of questions on arrays of numbers, in the shapes that the package documents.
+//! Batch queries on arrays of numbers, in the shapes that the package documents.
 
 use crate::fault::invalid;
 use slicewalk::frame::PageKey;
@@ -9,14 +9,14 @@ use slicewalk::store::{Missing, PageSet};
 /// Most keys of missing pages that a batch gathers.
 const MISSING: usize = 1024;
 
-/// The pages that answers of a batch needed.
+/// Pages missing for the answers of a batch.
 #[derive(Debug, Default)]
 pub(crate) struct Lacks(pub Vec<PageKey>);
 
 impl Lacks {
     fn note(&mut self, missing: &Missing) {
         for key in missing.keys() {
-            // Neighbouring questions mostly need the same pages.
+            // Neighbouring queries mostly need the same pages.
             if self.0.len() < MISSING && !self.0.iter().rev().any(|other| other == key) {
                 self.0.push(*key);
             }
@@ -67,7 +67,7 @@ pub(crate) fn overlaps<S: PageSet>(set: &S, boxes: &[f64], lacks: &mut Lacks) ->
     })
 }
 
-/// N×9 (min, max, motion) → free share of the motion; NaN: not loaded.
+/// N×9 (min, max, motion) → free fraction of the motion; NaN: not loaded.
 pub(crate) fn sweep<S: PageSet>(set: &S, sweeps: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     each::<9, _>(sweeps, |row| {
         let answer = query::sweep(set, &aabb(row)?, Vector3::from_column_slice(&row[6..]));
@@ -75,7 +75,7 @@ pub(crate) fn sweep<S: PageSet>(set: &S, sweeps: &[f64], lacks: &mut Lacks) -> R
     })
 }
 
-/// N×7 (origin, direction, max) → five numbers a ray: distance (∞: nothing hit, NaN: not loaded), normal, obstacle.
+/// N×7 (origin, direction, max) → five numbers per ray: distance (∞: no hit, NaN: not loaded), normal, obstacle.
 pub(crate) fn cast<S: PageSet>(set: &S, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     let answers = each::<7, _>(rays, |row| {
         let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;
@@ -90,8 +90,8 @@ pub(crate) fn cast<S: PageSet>(set: &S, rays: &[f64], lacks: &mut Lacks) -> Resu
     Ok(answers.into_flattened())
 }
 
-/// N×7 (origin, direction, max) → two numbers a ray: distance (∞: nothing hit, NaN: not loaded), and 1 where the level says that there is
-/// nothing nearer.
+/// N×7 (origin, direction, max) → two numbers per ray: distance (∞: no hit, NaN: not loaded), and 1 if it is only a
+/// lower bound, from the level.
 pub(crate) fn far<S: PageSet>(set: &S, level: Option<&S>, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     let answers = each::<7, _>(rays, |row| {
         let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;

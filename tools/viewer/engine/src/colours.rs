@@ -1,7 +1,7 @@
-//! Colours of what scenes draw: of pages first, then of the overview level.
+//! Colours of what scenes draw: those of pages first, then those of the overview level.
 //!
-//! In: what is drawn, and bytes, when nothing else is on its way. Out: one range to fetch at a time, and paint. Whoever asks gives
-//! a fetch up when a pawn waits for a page.
+//! In: what is drawn, and bytes fetched while nothing else is in flight. Out: one range to fetch at a time, and paint.
+//! The caller cancels a fetch when a pawn waits for a page.
 
 use crate::named::{Moving, Named};
 use crate::outline::Outline;
@@ -12,16 +12,16 @@ use slicewalk::frame::PageKey;
 use slicewalk::store::{ColourLoader, Loader, Time, View};
 use std::ops::Range;
 
-/// Most pages whose colours are asked for at once: after those comes what the camera sees then.
+/// Most pages whose colours are requested at a time; afterwards the camera may see others.
 const PAINTED: usize = 64;
 
-/// Who brings the colours.
+/// State of the colours.
 #[derive(Default)]
 pub(crate) enum Colours {
-    /// Nobody has asked for any.
+    /// Not requested.
     #[default]
     Off,
-    /// Asked for, and the directory is not there yet.
+    /// Requested, but the directory is not loaded yet.
     Wanted,
     On(Box<Bringing>),
     /// The archive has none.
@@ -30,18 +30,18 @@ pub(crate) enum Colours {
 
 pub(crate) struct Bringing {
     near: ColourLoader,
-    /// Those of the overview level, which come when no page wants any.
+    /// Loader for the overview level, used when no page needs colours.
     far: Option<ColourLoader>,
-    /// The fetch on its way, by name.
+    /// The fetch in flight, by name.
     fetch: Option<(u32, Part)>,
-    /// Something was drawn or painted since pages were named to the loaders.
+    /// Set when something was drawn or painted since the loaders last received the pages.
     is_stale: bool,
-    /// Colours that came, and the scenes that were not painted with them yet.
+    /// Decoded colours, and the scenes still to be painted with them.
     came: Option<(Part, PageKey, slicewalk::slice::Colours, Vec<u32>)>,
 }
 
 impl Bringing {
-    /// Who asked for this fetch, which is over.
+    /// Ends a fetch and returns the loader that requested it.
     fn over(&mut self, name: u32) -> Option<&mut ColourLoader> {
         let (_, of) = self.fetch.take_if(|fetch| fetch.0 == name)?;
         match of {
@@ -52,7 +52,7 @@ impl Bringing {
 }
 
 impl Colours {
-    /// Brings them from now on.
+    /// Starts bringing colours.
     pub fn bring(&mut self) {
         if matches!(self, Self::Off) {
             *self = Self::Wanted;
@@ -63,7 +63,7 @@ impl Colours {
         matches!(self, Self::On(_))
     }
 
-    /// Begins, if they are wanted and the directory is there.
+    /// Starts loading if colours are requested and the directory is loaded.
     pub fn begin(&mut self, loader: &Loader) {
         if matches!(self, Self::Wanted) && loader.views().is_some() {
             *self = loader.colours().map_or(Self::Never, |near| {
@@ -72,14 +72,14 @@ impl Colours {
         }
     }
 
-    /// A scene drew something.
+    /// Notes that a scene drew something.
     pub fn drawn(&mut self) {
         if let Self::On(on) = self {
             on.is_stale = true;
         }
     }
 
-    /// Gives the fetch on its way up; its name.
+    /// Cancels the fetch in flight and returns its name.
     pub fn give_up(&mut self) -> Option<u32> {
         let Self::On(on) = self else { return None };
         let (name, _) = on.fetch?;
@@ -87,7 +87,7 @@ impl Colours {
         Some(name)
     }
 
-    /// What to fetch next, under this name, unless a fetch is on its way; and when to come again.
+    /// Returns the next range to fetch under this name, unless a fetch is in flight, and when to ask again.
     pub fn ask(
         &mut self,
         name: u32,
@@ -118,27 +118,28 @@ impl Colours {
         (range, [near.retry_at(), far.as_ref().and_then(ColourLoader::retry_at)].into_iter().flatten().min())
     }
 
-    /// The bytes of a fetch came; `None` if it was none of colours.
+    /// Takes the bytes of a fetch; `None` if the fetch was not for colours.
     pub fn given(&mut self, name: u32, bytes: Vec<u8>, now: Time) -> Option<slicewalk::Result<()>> {
         let Self::On(on) = self else { return None };
         Some(on.over(name)?.given(bytes, now))
     }
 
-    /// A fetch failed; it is asked for again later.
+    /// Notes that a fetch failed; it is requested again later.
     pub fn failed(&mut self, name: u32, now: Time) {
         if let Self::On(on) = self {
             on.over(name).into_iter().for_each(|loader| loader.failed(now));
         }
     }
 
-    /// Pages that wait for colours, and those of an overview level that do.
+    /// Number of pages that wait for colours, including those of an overview level.
     pub fn unpainted(&self, scenes: &Named<Moving<Scenes>>) -> u32 {
         let Self::On(on) = self else { return 0 };
         let of = |of| scenes.things().map(move |scene| scene.thing.unpainted(of, usize::MAX).len() as u32);
         of(Part::Pages).chain(of(Part::Level).filter(|_| on.far.is_some())).sum()
     }
 
-    /// Paints the next page: the scene that draws it, its name, and its paint. Damaged colours are reported once.
+    /// Paints the next page; returns the scene that draws it, its name, and its paint. Damaged colours are reported
+    /// once.
     pub fn paint(
         &mut self,
         scenes: &mut Named<Moving<Scenes>>,
@@ -168,7 +169,7 @@ impl Colours {
                 Ok(colours) => *came = Some((of, key, colours, scenes.0.iter().map(|(name, _)| *name).collect())),
                 Err(error) => {
                     report(error);
-                    // It is not asked for again.
+                    // Prevents further requests for it.
                     for (_, scene) in &mut scenes.0 {
                         let _ = scene.thing.paint(of, key);
                     }
@@ -195,7 +196,7 @@ mod tests {
         while engine.decode(0.0) {}
     }
 
-    /// Gives all else, draws and paints; the first request for colours that begin in these bytes.
+    /// Delivers everything else, draws and paints; returns the first request for colours that begins within `wanted`.
     fn until_colours(engine: &mut Engine, bytes: &[u8], scene: Option<u32>, wanted: &Range<u64>) -> Option<u32> {
         loop {
             let (todo, mut busy) = (polled(engine), false);
@@ -217,7 +218,8 @@ mod tests {
         }
     }
 
-    /// A request for colours that begin in `wanted` bytes is given up while a pawn at `far`, in a page that nobody asked for before, waits.
+    /// Checks that a request for colours that begins within `wanted` is cancelled while a pawn at `far` waits in a page
+    /// that was not requested before.
     fn assert_gives_up(bytes: &[u8], eye: [f64; 3], far: [f64; 3], overview: bool, wanted: &Range<u64>) {
         let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
         assert_eq!(until_colours(&mut engine, bytes, None, wanted), None);
@@ -231,7 +233,7 @@ mod tests {
         assert!(todo.contains(&vec![CANCEL, f64::from(first)]), "{todo:?}");
         let of_pages = todo.iter().find(|what| what[0] == FETCH).expect("what it waits for").clone();
         assert!(polled(&mut engine).iter().all(|what| what[0] != FETCH_COLOURS), "none while it waits");
-        // An answer that comes all the same is none.
+        // An answer that arrives after all is ignored.
         engine.given(first, vec![0; 12], 0.0);
         assert!(engine.take_report().is_empty());
         give(&mut engine, bytes, &of_pages);
@@ -251,9 +253,9 @@ mod tests {
         let bytes = coloured_ground(true, true);
         let archive = Archive::from_bytes(bytes.clone()).unwrap();
         let level = archive.level(1).unwrap();
-        // The table of levels, which comes first and is asked for when no page wants colours any more.
+        // The table of levels, which comes first and is requested once no page needs colours.
         let table = level.catalog().level_colours_range().unwrap();
-        // Near enough to the ground that the directory alone does not say that it is free.
+        // So close to the ground that the directory alone cannot rule out solid.
         assert_gives_up(&bytes, [1.0, 1.0, 1.0], [120.0, 20.0, 0.4], true, &table);
     }
 }

@@ -1,4 +1,4 @@
-//! What the worker talks to: one archive, its loader, pawns and scenes, by numbers.
+//! The worker's interface: one archive, its loader, pawns and scenes, addressed by numbers.
 
 use crate::batch::{self, Lacks};
 use crate::colours::Colours;
@@ -19,16 +19,16 @@ use std::collections::VecDeque;
 use std::time::Duration;
 use wasm_bindgen::prelude::wasm_bindgen;
 
-/// Most bytes of one request for pages: little enough that decoding them never holds up a step for long.
+/// Most bytes of one request for pages, few enough that decoding them never delays a step for long.
 const RUN_BYTES: usize = 128 << 10;
 
-/// An overview level gets so much beside the budget, as a share of it, unless that is less than so many bytes.
+/// Budget of an overview level beyond the main budget: this fraction of it, but at least this many bytes.
 const OUTLINE_SHARE: f64 = 1.0 / 4.0;
 const OUTLINE_LEAST: f64 = 4e6;
 /// An overview level is fetched before pages that are needed later than this.
 const OUTLINE_BEFORE: Duration = Duration::from_secs(1);
 
-/// What [`Engine::poll`] says, each followed by its numbers.
+/// Codes in the result of [`Engine::poll`], each followed by its numbers.
 pub(crate) const FETCH: f64 = 1.0;
 pub(crate) const CANCEL: f64 = 2.0;
 pub(crate) const WAIT: f64 = 3.0;
@@ -54,20 +54,20 @@ pub struct Engine {
     painted: Option<Paint>,
 }
 
-/// The overview level: its fetch by name, or what came of it.
+/// State of the overview level, with its fetch by name.
 enum Distant {
-    /// Until a camera looks.
+    /// Not needed until a camera looks.
     Later,
     Wanted,
     Asked(u32),
     Here(Box<Outline>),
-    /// There is none.
+    /// The archive has no level.
     Never,
 }
 
 #[wasm_bindgen]
 impl Engine {
-    /// Begins with an archive of `file_len` bytes (NaN: not known), under a budget of bytes and of requests at once.
+    /// Opens an archive of `file_len` bytes (NaN: unknown) under a budget of bytes and of concurrent requests.
     #[wasm_bindgen(constructor)]
     pub fn new(file_len: f64, budget: f64, requests: u32) -> Engine {
         let horizon = Duration::from_secs_f64(HORIZON_S);
@@ -102,10 +102,11 @@ impl Engine {
 
     // Streaming ----------------------------------------------------------------------------------------------------------------
 
-    /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 4, as 1, of colours; 3, milliseconds (come
-    /// again then; ∞: after news). Fails while the archive cannot be opened.
+    /// Returns the next actions as numbers: 1, name, start, end (fetch these bytes); 2, name (cancel this fetch); 4,
+    /// name, start, end (fetch these bytes of colours); 3, milliseconds (poll again then; ∞: after an event). Fails
+    /// while the archive cannot be opened.
     pub fn poll(&mut self, now_ms: f64) -> Result<Vec<f64>, String> {
-        // Pages with the content of resident ones come without a fetch.
+        // Pages with the content of resident ones arrive without a fetch.
         let resident = |loader: &Loader| (loader.counters().resident_pages, loader.counters().evicted);
         let before = resident(&self.loader);
         let todo = self.todo(time(now_ms));
@@ -148,12 +149,12 @@ impl Engine {
         }
     }
 
-    /// Why a page could not be loaded, one at a time; empty without news.
+    /// Returns why a page could not be loaded, one report at a time; empty if there is none.
     pub fn take_report(&mut self) -> String {
         self.reports.pop_front().unwrap_or_default()
     }
 
-    /// The bytes of a fetch came; [`decode`](Self::decode) takes them in.
+    /// Takes the bytes of a fetch; [`decode`](Self::decode) processes them.
     pub fn given(&mut self, fetch: u32, bytes: Vec<u8>, now_ms: f64) {
         if let Some(id) = self.fetches.remove(fetch) {
             self.decodes.extend(self.loader.given(id, bytes, time(now_ms)));
@@ -168,7 +169,7 @@ impl Engine {
         }
     }
 
-    /// A fetch failed; it is asked for again later.
+    /// Notes that a fetch failed; it is requested again later.
     pub fn failed(&mut self, fetch: u32, message: &str, now_ms: f64) {
         if let Some(id) = self.fetches.remove(fetch) {
             let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
@@ -178,7 +179,7 @@ impl Engine {
         }
     }
 
-    /// Decodes what came with one fetch; whether there was any.
+    /// Decodes the bytes of one fetch; returns whether there were any.
     pub fn decode(&mut self, now_ms: f64) -> bool {
         let Some(job) = self.decodes.pop_front() else { return self.decode_outline(time(now_ms)) };
         let loaded = self.loader.loaded(job.run(), time(now_ms));
@@ -207,7 +208,7 @@ impl Engine {
         }
     }
 
-    /// Levels that cannot be read are reported; pages come without them.
+    /// Reports levels that cannot be read; pages load without them.
     fn sound<T>(&mut self, result: slicewalk::Result<T>) -> Option<T> {
         result.inspect_err(|error| self.reports.push_back(fault::text(error))).ok()
     }
@@ -224,7 +225,8 @@ impl Engine {
         }
     }
 
-    /// Colours are asked for when nothing else is, and given up when a pawn waits; when to come again.
+    /// Requests colours while no other request is in flight, and cancels that while a pawn waits; returns when to ask
+    /// again.
     fn ask_colours(&mut self, now: Time, until: Option<Time>, todo: &mut Vec<f64>) -> Option<Time> {
         self.colours.begin(&self.loader);
         let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
@@ -247,23 +249,23 @@ impl Engine {
         [until, retry_at].into_iter().flatten().min()
     }
 
-    /// Whether the archive is open: head and directory are there.
+    /// Returns whether the archive is open, with head and directory loaded.
     pub fn is_open(&self) -> bool {
         self.loader.catalog().is_some() && self.loader.views().is_some()
     }
 
-    /// The fields of the package's `ArchiveInfo` but its name, as JSON.
+    /// The fields of the package's `ArchiveInfo` except the name, as JSON.
     pub fn info(&self) -> Result<String, String> {
         Ok(facts::info(self.catalog()?.header()))
     }
 
-    /// Where the metadata lies: start and end (bytes).
+    /// Start and end of the metadata (bytes).
     pub fn metadata_range(&self) -> Result<Vec<f64>, String> {
         let range = self.catalog()?.metadata_range();
         Ok(vec![range.start as f64, range.end as f64])
     }
 
-    /// The fields of the package's `ArchiveReference`, as JSON, from the bytes of the metadata.
+    /// The fields of the package's `ArchiveReference` as JSON, parsed from the bytes of the metadata.
     pub fn reference(&self, metadata: &[u8]) -> Result<String, String> {
         let catalog = self.catalog()?;
         let text = |error| fault::text(&error);
@@ -271,8 +273,8 @@ impl Engine {
         Ok(facts::reference(&crs, &units))
     }
 
-    /// Nine numbers: pages in memory, their bytes, bytes in use, most in use, budget, pages loaded and evicted so far, pages that
-    /// pawns wait for, pages to be built.
+    /// Nine numbers: resident pages, their bytes, bytes in use, peak bytes, budget, pages loaded and evicted so far,
+    /// pages that pawns wait for, pages to be built.
     pub fn stats(&self) -> Vec<f64> {
         let counters = self.loader.counters();
         let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
@@ -291,7 +293,7 @@ impl Engine {
         ]
     }
 
-    /// Asks for the pages that touch a box (six numbers, min and max); the name of the request.
+    /// Requests the pages that touch a box (six numbers, min and max); returns the name of the request.
     pub fn load(&mut self, corners: &[f64]) -> Result<u32, String> {
         let &[x0, y0, z0, x1, y1, z1] = corners else { return Err(invalid("a box is six numbers")) };
         if !corners.iter().all(|v| v.is_finite()) || x0 > x1 || y0 > y1 || z0 > z1 {
@@ -308,19 +310,19 @@ impl Engine {
         Ok(self.request(&keys))
     }
 
-    /// Asks for the pages that batches needed since [`forget_missing`](Self::forget_missing); the name of the request, or 0 if
-    /// they needed none.
+    /// Requests the pages that batches missed since [`forget_missing`](Self::forget_missing); returns the name of the
+    /// request, or 0 if no page was missing.
     pub fn load_missing(&mut self) -> u32 {
         let keys = self.lacks.0.clone();
         if keys.is_empty() { 0 } else { self.request(&keys) }
     }
 
-    /// Forgets what batches needed.
+    /// Forgets the pages that batches missed.
     pub fn forget_missing(&mut self) {
         self.lacks.0.clear();
     }
 
-    /// Number of pages asked for that found no room; NaN while the request is under way.
+    /// Number of requested pages that did not fit; NaN while the request is in progress.
     pub fn outcome(&mut self, request: u32) -> Result<f64, String> {
         let Some(id) = self.requests.get_mut(request) else { return Err(invalid("no such request")) };
         match self.loader.outcome(*id) {
@@ -340,19 +342,19 @@ impl Engine {
         batch::overlaps(&view, boxes, &mut self.lacks)
     }
 
-    /// Sweeps N×9 → free share of the motion; NaN: not loaded.
+    /// Sweeps N×9 → free fraction of the motion; NaN: not loaded.
     pub fn sweep(&mut self, sweeps: &[f64]) -> Result<Vec<f64>, String> {
         let view = self.view()?;
         batch::sweep(&view, sweeps, &mut self.lacks)
     }
 
-    /// Rays N×7 → distance, normal and obstacle, five numbers a ray.
+    /// Rays N×7 → distance, normal and obstacle, five numbers per ray.
     pub fn cast(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
         let view = self.view()?;
         batch::cast(&view, rays, &mut self.lacks)
     }
 
-    /// Rays N×7 → distance, and 1 where an overview level says that there is nothing nearer, two numbers a ray.
+    /// Rays N×7 → distance, and 1 if it is only a lower bound, from an overview level; two numbers per ray.
     pub fn far(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
         let (view, level) = (self.view()?, self.outline().and_then(Outline::view));
         batch::far(&view, level.as_ref(), rays, &mut self.lacks)
@@ -364,8 +366,8 @@ impl Engine {
         batch::floor(&view, boxes, &mut self.lacks)
     }
 
-    /// A plan of what lies between two heights: width, height and edge of a cell (eight bytes each, as numbers), then a byte a
-    /// cell. `area`: least x and y, greatest x and y, lowest and highest z.
+    /// Draws a plan between two heights: width, height and edge of a cell (eight bytes each, as numbers), then one byte
+    /// per cell. `area`: minimum x and y, maximum x and y, lowest and highest z.
     pub fn map(&self, area: &[f64], cells: u32) -> Result<Vec<u8>, String> {
         let &[x0, y0, x1, y1, z0, z1] = area else { return Err(invalid("an area is six numbers")) };
         let (width, height, cell, found) = map(&self.view()?, [x0, y0, x1, y1], [z0, z1], cells)?;
@@ -375,7 +377,7 @@ impl Engine {
 
     // Pawns --------------------------------------------------------------------------------------------------------------------
 
-    /// A pawn at `at` with these settings (see [`Settings::from_numbers`]); its name.
+    /// Places a pawn at `at` with these settings (see [`Settings::from_numbers`]); returns its name.
     pub fn pawn(&mut self, settings: &[f64], at: &[f64]) -> Result<u32, String> {
         let pawn = Pawn::new(Settings::from_numbers(settings)?, point(at)?)?;
         let body = self.loader.body();
@@ -385,7 +387,7 @@ impl Engine {
         Ok(name)
     }
 
-    /// Lets time pass for a pawn; what it does then (see [`Pawn::state`]). `input`: see [`Input::from_numbers`].
+    /// Advances a pawn by a time step; returns its state (see [`Pawn::state`]). `input`: see [`Input::from_numbers`].
     pub fn step(&mut self, pawn: u32, seconds: f64, input: &[f64]) -> Result<Vec<f64>, String> {
         let (view, input) = (self.view()?, Input::from_numbers(input)?);
         self.moving(pawn)?.thing.step(&view, seconds, &input);
@@ -393,12 +395,12 @@ impl Engine {
         self.pawn_state(pawn)
     }
 
-    /// What a pawn does now.
+    /// State of a pawn.
     pub fn pawn_state(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
         Ok(self.moving(pawn)?.thing.state().to_vec())
     }
 
-    /// Puts a pawn elsewhere.
+    /// Moves a pawn elsewhere.
     pub fn place(&mut self, pawn: u32, at: &[f64]) -> Result<Vec<f64>, String> {
         let at = point(at)?;
         self.moving(pawn)?.thing.place(at)?;
@@ -406,14 +408,14 @@ impl Engine {
         self.pawn_state(pawn)
     }
 
-    /// Gives a pawn other settings.
+    /// Changes the settings of a pawn.
     pub fn set_pawn(&mut self, pawn: u32, settings: &[f64]) -> Result<Vec<f64>, String> {
         let (view, settings) = (self.view()?, Settings::from_numbers(settings)?);
         self.moving(pawn)?.thing.set(&view, settings)?;
         self.pawn_state(pawn)
     }
 
-    /// Begins a recording of a pawn; where it stands.
+    /// Begins to record a pawn; returns where it stands.
     pub fn record(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
         self.moving(pawn)?.thing.record();
         self.pawn_state(pawn)
@@ -429,7 +431,7 @@ impl Engine {
         Ok(self.moving(pawn)?.thing.recording().1.to_vec())
     }
 
-    /// Ends a pawn, or a scene.
+    /// Removes a pawn or a scene.
     pub fn forget(&mut self, name: u32) {
         let bodies = [self.pawns.remove(name).map(|pawn| pawn.body), self.scenes.remove(name).map(|scene| scene.body)];
         bodies.into_iter().flatten().for_each(|body| self.loader.forget(body));
@@ -437,7 +439,7 @@ impl Engine {
 
     // Scenes -------------------------------------------------------------------------------------------------------------------
 
-    /// A scene (see [`Scenes::new`]); its name.
+    /// Creates a scene (see [`Scenes::new`]); returns its name.
     pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool) -> u32 {
         let body = self.loader.body();
         let name = self.name();
@@ -447,14 +449,14 @@ impl Engine {
         name
     }
 
-    /// Changes what a scene was given.
+    /// Changes the parameters of a scene.
     pub fn set_scene(&mut self, scene: u32, radius: f64, triangles: f64, detail: f64, overview: bool) {
         if let Some(scene) = self.scenes.get_mut(scene) {
             scene.thing.set(radius, triangles, detail, overview);
         }
     }
 
-    /// A scene's camera is there now.
+    /// Sets the position of a scene's camera.
     pub fn look(&mut self, scene: u32, at: &[f64]) -> Result<(), String> {
         let at = point(at)?;
         if let Some(scene) = self.scenes.get_mut(scene) {
@@ -471,8 +473,9 @@ impl Engine {
         Ok(())
     }
 
-    /// Draws the next page of a scene. If there is one: its name, tx, ty, layer, origin, scale, least and greatest corner, level
-    /// (17 numbers), and then [`take_positions`](Self::take_positions) and its like have it; else nothing.
+    /// Builds the next page of a scene and returns 17 numbers: name, tx, ty, layer, origin, scale, lowest and highest
+    /// corner, level; [`take_positions`](Self::take_positions) and similar functions return its geometry. Empty if
+    /// there is no page to build.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
         let (view, outline) = (self.view()?, self.outline().and_then(Outline::view));
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
@@ -487,18 +490,19 @@ impl Engine {
             .concat())
     }
 
-    /// Brings colours of what scenes draw, from now on.
+    /// Starts bringing colours for what scenes draw.
     pub fn bring_colours(&mut self) {
         self.colours.bring();
     }
 
-    /// Pages that wait for colours, and those of an overview level that do.
+    /// Number of pages that wait for colours, including those of an overview level.
     pub fn unpainted(&self) -> u32 {
         self.colours.unpainted(&self.scenes)
     }
 
-    /// Paints the next page: scene, name of the page, cells along an edge (3 numbers), and then
-    /// [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) have the rest; else nothing.
+    /// Paints the next page and returns 3 numbers: scene, name of the page, cells along an edge;
+    /// [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) return the rest. Empty if there is no
+    /// page to paint.
     pub fn paint(&mut self) -> Result<Vec<f64>, String> {
         if !self.colours.are_on() {
             return Ok(Vec::new());
@@ -512,12 +516,12 @@ impl Engine {
         Ok(vec![f64::from(scene), f64::from(page), f64::from(paint.edge)])
     }
 
-    /// Cells of the page painted last, once.
+    /// Cells of the page painted last; returned once.
     pub fn take_cells(&mut self) -> Vec<u32> {
         self.painted.as_mut().map_or(Vec::new(), |paint| std::mem::take(&mut paint.cells))
     }
 
-    /// Colours of the page painted last, once.
+    /// Colours of the page painted last; returned once.
     pub fn take_colours(&mut self) -> Vec<u8> {
         self.painted.as_mut().map_or(Vec::new(), |paint| std::mem::take(&mut paint.colours))
     }
@@ -527,17 +531,17 @@ impl Engine {
         self.scenes.get_mut(scene).map_or(Vec::new(), |scene| scene.thing.take_dropped())
     }
 
-    /// Vertices of the page drawn last, once.
+    /// Vertices of the page built last; returned once.
     pub fn take_positions(&mut self) -> Vec<u16> {
         self.drawn.as_mut().map_or(Vec::new(), |drawn| std::mem::take(&mut drawn.3.positions))
     }
 
-    /// Normals of the page drawn last, once.
+    /// Normals of the page built last; returned once.
     pub fn take_normals(&mut self) -> Vec<i8> {
         self.drawn.as_mut().map_or(Vec::new(), |drawn| std::mem::take(&mut drawn.3.normals))
     }
 
-    /// Attributes of the page drawn last, once.
+    /// Attributes of the page built last; returned once.
     pub fn take_attributes(&mut self) -> Vec<u8> {
         self.drawn.as_mut().map_or(Vec::new(), |drawn| std::mem::take(&mut drawn.3.attributes))
     }
@@ -565,7 +569,7 @@ impl Engine {
         self.pawns.get_mut(pawn).ok_or_else(|| invalid("the walker is closed"))
     }
 
-    /// Says what a pawn needs next, and what it waits for.
+    /// Passes a pawn's motion hint and missing pages to the loader.
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
         let frame = *self.view()?.frame();
         if let Some(pawn) = self.pawns.get_mut(pawn) {
@@ -615,7 +619,7 @@ fn not_open() -> String {
 pub(crate) mod tests {
     use super::*;
 
-    /// What a poll says: each kind with its numbers.
+    /// Result of a poll, split into actions with their numbers.
     pub fn polled(engine: &mut Engine) -> Vec<Vec<f64>> {
         let todo = engine.poll(0.0).unwrap();
         let (mut at, mut found) = (0, Vec::new());

@@ -1,10 +1,10 @@
-//! What head and metadata of an archive say, as JSON.
+//! Head and metadata of an archive as JSON.
 
 use slicewalk::archive::Header;
 use slicewalk::unit::{LengthUnit, unit_name};
 use std::fmt::Write;
 
-/// The fields of the package's `ArchiveInfo` but its name.
+/// The fields of the package's `ArchiveInfo` except the name.
 pub(crate) fn info(header: &Header) -> String {
     let (frame, options) = (&header.plan.frame, &header.plan.options);
     let bounds =
@@ -54,7 +54,7 @@ pub(crate) fn reference(crs: &str, units: &[LengthUnit]) -> String {
     format!(r#"{{"crs":{},"unit":{{"name":"{name}","factor":{factor}}}}}"#, quoted(crs))
 }
 
-/// A string of JSON.
+/// Quotes a JSON string.
 fn quoted(text: &str) -> String {
     let mut out = String::with_capacity(text.len() + 2);
     out.push('"');
@@ -62,7 +62,7 @@ fn quoted(text: &str) -> String {
         match c {
             '"' | '\\' => out.extend(['\\', c]),
             c if c < ' ' => {
-                // Writing to a string does not fail.
+                // Writing to a string never fails.
                 let _ = write!(out, "\\u{:04x}", c as u32);
             }
             c => out.push(c),

@@ -2,10 +2,10 @@
 
 use slicewalk::{Error, Parameter};
 
-/// An error as `kind|message`.
+/// Formats an error as `kind|message`.
 pub(crate) fn text(error: &Error) -> String {
     let kind = match error {
-        // The magic number, and what only newer versions read.
+        // The magic number is wrong, or only newer versions read the file.
         Error::Format { rule: "H1", .. } | Error::Unsupported { .. } => "not-an-archive",
         Error::Format { .. } => "damaged",
         Error::Io { .. } => "network",
@@ -15,7 +15,7 @@ pub(crate) fn text(error: &Error) -> String {
     format!("{kind}|{error}")
 }
 
-/// An argument that makes no sense.
+/// An invalid argument.
 pub(crate) fn invalid(message: impl std::fmt::Display) -> String {
     format!("invalid|{message}")
 }

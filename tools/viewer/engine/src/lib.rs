@@ -1,8 +1,8 @@
 //! The engine of the viewer: streaming, queries, walking and page geometry, without files, threads or a clock.
 //!
-//! In: bytes of an archive, inputs of players, places of cameras. Out: answers, states and geometry, as numbers that pass between
-//! wasm and JavaScript without more ado. A Web Worker drives it (`tools/viewer/package/src/worker.ts`); compiled natively it
-//! gives the same answers to the last bit.
+//! In: bytes of an archive, inputs of players, positions of cameras. Out: answers, states and geometry, as numbers that
+//! pass between wasm and JavaScript unchanged. A Web Worker drives it (`tools/viewer/package/src/worker.ts`); compiled
+//! natively, it gives the same answers bit for bit.
 //!
 //! Errors are texts `kind|message` with the kinds of the package's `SlicewalkError`.
 

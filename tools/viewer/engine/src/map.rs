@@ -10,8 +10,8 @@ const FLOOR: u8 = 1;
 const OBSTACLE: u8 = 2;
 const NOT_LOADED: u8 = 3;
 
-/// `cells × cells` at most over `area` (least x and y, greatest x and y) between two heights (m). Out: width, height, edge of a
-/// cell (m), then the cells row by row from the greatest y on.
+/// Draws at most `cells × cells` cells over `area` (minimum x and y, maximum x and y) between two heights (m). Out:
+/// width, height, edge of a cell (m), then the cells row by row from the greatest y down.
 pub(crate) fn map<S: PageSet>(
     set: &S,
     area: [f64; 4],
@@ -76,11 +76,11 @@ pub(crate) fn map<S: PageSet>(
     Ok((width, height, cell, out))
 }
 
-/// The tile columns of `set` that an area (least x and y, greatest x and y; m) touches.
+/// Iterates over the tile columns of `set` that an area (minimum x and y, maximum x and y; m) touches.
 pub(crate) fn columns<S: PageSet>(set: &S, [x0, y0, x1, y1]: [f64; 4]) -> impl Iterator<Item = (i32, i32, &[S::Slot])> {
     let frame = *set.frame();
     let tile = move |x: f64| frame.pixel_of(x).div_euclid(TILE_PIXELS);
-    // Without pages: an empty range.
+    // Without pages, an empty range.
     let bounds = set.bounds().map_or([0, 0, -1, -1], |keys| [keys.min[0], keys.min[1], keys.max[0], keys.max[1]]);
     let bounds = bounds.map(i64::from);
     let (tx, ty) =

@@ -1,8 +1,8 @@
-//! What the engine holds by the names that JavaScript has for it.
+//! Objects of the engine by their names in JavaScript.
 
 use slicewalk::store::{BodyId, Outlook};
 
-/// A few things by the names that JavaScript has for them, in the order in which they were made.
+/// A few objects by their names in JavaScript, in order of creation.
 pub(crate) struct Named<T>(pub Vec<(u32, T)>);
 
 impl<T> Named<T> {
@@ -26,7 +26,7 @@ impl<T> Named<T> {
     }
 }
 
-/// Something that wants pages.
+/// An object that needs pages around it.
 pub(crate) struct Moving<T> {
     pub thing: T,
     pub body: BodyId,

@@ -1,7 +1,7 @@
-//! The overview level that views draw where they draw no pages: all of an archive, coarse, from one stretch of its bytes.
-//!
-//! In: the end of the section of levels, where the coarse ones lie. Out: the finest level of which all pages have room in
-//! memory. Memory: the stretch, and a budget of its own.
+//! The overview level that views draw where they draw no pages: all of an archive, coarse, from one contiguous range of
+//! bytes.
+//! In: the end of the section of levels, which holds the coarse ones. Out: the finest level whose pages all fit in
+//! memory. Memory: the fetched range, and a separate budget.
 
 use slicewalk::archive::{Catalog, Level};
 use slicewalk::frame::{Frame, PageKey};
@@ -11,21 +11,21 @@ use std::ops::Range;
 
 /// Most bytes to fetch, unless the table of levels alone is longer.
 const MOST_BYTES: u64 = 1 << 20;
-/// Most bytes that are decoded at once.
+/// Most bytes decoded at a time.
 const RUN_BYTES: usize = 64 << 10;
 
-/// Which bytes to fetch for an [`Outline`]; `None` if the archive has no levels.
+/// Range of bytes to fetch for an [`Outline`]; `None` if the archive has no levels.
 pub(crate) fn range(catalog: &Catalog) -> Option<Range<u64>> {
     let (start, table) = (catalog.header().levels_offset(), catalog.levels_range()?);
     Some(table.end.saturating_sub(MOST_BYTES).max(start).min(table.start)..table.end)
 }
 
-/// A level on its way into memory, or there.
+/// A level that is loading or resident.
 pub(crate) struct Outline {
-    /// Of the bytes fetched, and these.
+    /// Offset of the fetched bytes, and the bytes.
     start: u64,
     bytes: Vec<u8>,
-    /// Levels that lie in them, the finest last.
+    /// Levels contained in them, the finest last.
     levels: Vec<Level>,
     budget: usize,
     loading: Option<(u32, Loader, Option<RequestId>)>,
@@ -33,7 +33,7 @@ pub(crate) struct Outline {
 }
 
 impl Outline {
-    /// From the bytes of [`range`].
+    /// Reads the levels from the bytes of [`range`].
     pub fn new(catalog: &Catalog, bytes: Vec<u8>, budget: usize) -> Result<Self> {
         let (whole, table) = (range(catalog).unwrap_or(0..0), catalog.levels_range().unwrap_or(0..0));
         let table = bytes.get((table.start - whole.start) as usize..).unwrap_or(&[]);
@@ -50,28 +50,28 @@ impl Outline {
         })
     }
 
-    /// The level's pages, once all of them are there.
+    /// The level's pages, once all are resident.
     pub fn view(&self) -> Option<View> {
         self.loading.as_ref().filter(|_| self.is_ready)?.1.view()
     }
 
-    /// Which level it is, and its grid.
+    /// Number and grid of the level.
     pub fn level(&self) -> Option<(u32, Frame)> {
         Some((self.loading.as_ref()?.0, *self.view()?.frame()))
     }
 
-    /// Who brings the colours of the level, within its budget, once all its pages are there; `None` without colours.
+    /// Loader for the level's colours, within its budget, once all its pages are resident; `None` without colours.
     pub fn colours(&self) -> Option<ColourLoader> {
         self.loading.as_ref().filter(|_| self.is_ready)?.1.colours()
     }
 
-    /// Bytes in use, most in use, and budget; without the stretch.
+    /// Bytes in use, peak bytes, and budget, without the fetched range.
     pub fn bytes(&self) -> [usize; 3] {
         let counters = self.loading.as_ref().map(|(_, loader, _)| loader.counters()).unwrap_or_default();
         [counters.used_bytes, counters.peak_bytes, self.budget]
     }
 
-    /// Decodes a part; whether there was any left.
+    /// Decodes a part; returns whether there was any left.
     pub fn advance(&mut self, now: Time) -> Result<bool> {
         if self.is_ready {
             return Ok(false);
@@ -79,7 +79,7 @@ impl Outline {
         let Some((_, loader, request)) = &mut self.loading else {
             let Some(level) = self.levels.pop() else { return Ok(false) };
             let options = LoaderOptions { fetches: 1, run_bytes: RUN_BYTES, ..LoaderOptions::new(self.budget) };
-            // A table that has no room is that of a level too fine.
+            // If the table of pages does not fit, the level is too fine.
             self.loading =
                 Loader::new(level.catalog().clone(), options).ok().map(|loader| (level.number(), loader, None));
             return Ok(true);
@@ -164,10 +164,10 @@ pub(crate) mod tests {
         std::fs::read(&target).unwrap()
     }
 
-    /// What a camera at one end of the ground gets.
+    /// Results of a camera at one end of the ground.
     #[derive(Default)]
     struct Seen {
-        /// Bytes fetched once it looks, and those of colours.
+        /// Bytes fetched since it first looked, and those of colours.
         fetches: Vec<[u64; 2]>,
         of_colours: Vec<[u64; 2]>,
         /// Names, places and levels of pages drawn, and names of those painted.
@@ -230,13 +230,13 @@ pub(crate) mod tests {
         let bytes = ground(true);
         let Seen { fetches, built, .. } = seen(&bytes, true, 64e6, false);
         let (level, pages): (Vec<_>, Vec<_>) = built.iter().map(|page| page.1).partition(|page| page[1] > 0.0);
-        // Level 1 has pixels of 0.2 m: as fine as wanted from 10 m on.
+        // Level 1 has pixels of 0.2 m, fine enough from 10 m on.
         assert_eq!(level.len(), 30, "40 × 10 pages, four by four");
         assert!(level.iter().all(|page| page[1] == 1.0) && level.iter().any(|page| page[0] > 100.0));
         assert!(!pages.is_empty() && pages.iter().all(|page| page[0] <= 1.0 + 10.0 * 1.25));
         let Seen { fetches: without, built: alone, .. } = seen(&bytes, false, 64e6, false);
         assert!(alone.iter().all(|page| page.1[1] == 0.0) && alone.iter().any(|page| page.1[0] > 15.0));
-        // One more, at the end of the pages: where the levels lie.
+        // One more, at the end of the pages, where the levels are.
         let last = |fetches: &[[u64; 2]]| fetches.iter().map(|range| range[1]).max();
         assert!(last(&without) < last(&fetches), "{without:?}, {fetches:?}");
         let of_level = fetches.iter().filter(|range| Some(range[1]) == last(&fetches));

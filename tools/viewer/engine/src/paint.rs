@@ -1,6 +1,6 @@
-//! Colours of the pages that scenes draw, on the grid of a drawing: for a texture that a shader looks voxels up in.
+//! Colours of the pages that scenes draw, on the grid of a drawing, for a texture in which a shader looks up voxels.
 //!
-//! In: colours of a page, and how finely it is drawn. Out: masks of the slices with a colour, and colours.
+//! In: colours of a page and the coarseness of its drawing. Out: masks of the slices with a colour, and colours.
 
 use slicewalk::frame::TILE_PIXELS;
 use slicewalk::slice::Colours;
@@ -10,15 +10,15 @@ use slicewalk::slice::Colours;
 pub(crate) struct Paint {
     /// Cells along an edge.
     pub edge: u32,
-    /// Four a cell, row by row: slices with a colour (low and high 32 bits), number of the cell's first colour, zero.
+    /// Four per cell, row by row: slices with a colour (low and high 32 bits), index of the cell's first colour, zero.
     pub cells: Vec<u32>,
-    /// Red, green, blue and 255; those of a cell from its lowest slice up.
+    /// Red, green, blue and 255; within a cell from its lowest slice up.
     pub colours: Vec<u8>,
 }
 
 impl Paint {
-    /// With cells of `2^coarseness` pixels; a colour of several voxels is their mean, of the squares of channels, which is
-    /// about that of their light.
+    /// Builds cells of `2^coarseness` pixels. The colour of several voxels is the root mean square of each channel,
+    /// which is about the mean of their light.
     pub fn new(colours: &Colours, coarseness: u32) -> Self {
         let edge = TILE_PIXELS as u32 >> coarseness;
         let mut paint = Self { edge, cells: Vec::with_capacity((4 * edge * edge) as usize), colours: Vec::new() };
@@ -68,7 +68,7 @@ mod tests {
     const RED: [u16; 3] = [65_535, 0, 0];
     const BLACK: [u16; 3] = [0, 0, 0];
 
-    /// Two pixels with matter in slices 2 and 40, and one without a colour.
+    /// Two occupied pixels in slices 2 and 40, and one without a colour.
     fn colours() -> Colours {
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
         let mut page = PageBuilder::default();
@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(cell(&fine, 20, 20), (0, vec![]));
         let coarse = Paint::new(&colours, 1);
         assert_eq!(coarse.edge, 32);
-        // The root of half of 255².
+        // The square root of half of 255².
         assert_eq!(cell(&coarse, 3, 4), (both, vec![[180, 0, 0, 255]; 2]));
         assert_eq!(coarse.colours.len(), 8);
     }

@@ -1,7 +1,7 @@
 //! A player's pawn: a [`Walker`] that also runs, jumps, crouches and flies, in whole ticks, and keeps a recording.
 //!
-//! A step passes as many ticks as fit into its time. What a recording holds is ticks that passed and what was wanted of them,
-//! so a replay gives the same way to the last bit, whatever was in memory when it was recorded.
+//! A step passes as many ticks as fit into its time. A recording holds the ticks that passed and their inputs, so a
+//! replay gives the same path bit for bit, whatever was in memory during the recording.
 
 use crate::fault::{self, invalid};
 use slicewalk::frame::Frame;
@@ -12,9 +12,9 @@ use slicewalk::walk::{Body, Config, Ground, State, Stop, Walker, Wish};
 
 /// Length of a tick (s).
 pub const TICK_S: f64 = 1.0 / 240.0;
-/// Longest time of one step (s); what goes beyond is dropped.
+/// Longest time of one step (s); the rest is dropped.
 const LONGEST_S: f64 = 0.25;
-/// Numbers of one step in a recording: ticks, wish or place x and y, pace, lift, flags, place z, and one kept free.
+/// Numbers of one recorded step: ticks, wish or place x and y, pace, lift, flags, place z, and one reserved.
 const ROW: usize = 8;
 const JUMP: u32 = 1;
 const CROUCH: u32 = 2;
@@ -22,10 +22,10 @@ const FLY: u32 = 4;
 const TOWARD: u32 = 8;
 const PLACE: u32 = 16;
 
-/// What can be changed while a pawn walks.
+/// Settings that can change while a pawn walks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Shape while it stands.
+    /// Shape while standing.
     pub body: Body,
     /// Highest step (m).
     pub climb: f64,
@@ -37,13 +37,13 @@ pub struct Settings {
     pub jump: f64,
     /// Height while crouching (m).
     pub crouch: f64,
-    /// Deepest drop that it walks over.
+    /// Deepest drop that the pawn walks over.
     pub max_drop: Option<f64>,
 }
 
 impl Settings {
-    /// From ten numbers: shape (0 box, 1 cylinder), x or radius, y, height, climb, speed, gravity, jump, crouching height,
-    /// deepest drop (NaN: any).
+    /// Reads ten numbers: shape (0 box, 1 cylinder), x or radius, y, height, climb, speed, gravity, jump, crouching
+    /// height, deepest drop (NaN: any).
     pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
         let &[shape, x, y, height, climb, speed, gravity, jump, crouch, max_drop] = numbers else {
             return Err(invalid("settings are ten numbers"));
@@ -83,7 +83,7 @@ impl Settings {
     }
 }
 
-/// What a pawn is told to do for the time of a step.
+/// Input of a pawn for the time of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Input {
     /// Direction, or the place to walk to if [`toward`](Self::toward).
@@ -94,16 +94,16 @@ pub struct Input {
     pub lift: f64,
     /// Walks to the place `wish`.
     pub toward: bool,
-    /// Jumps if it stands.
+    /// Jumps if the pawn stands.
     pub jump: bool,
     /// Crouches.
     pub crouch: bool,
-    /// Flies, through matter too.
+    /// Flies, also through solid.
     pub fly: bool,
 }
 
 impl Input {
-    /// From five numbers: wish x and y, pace, lift, flags (1 jump, 2 crouch, 4 fly, 8 toward).
+    /// Reads five numbers: wish x and y, pace, lift, flags (1 jump, 2 crouch, 4 fly, 8 toward).
     pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
         let &[x, y, pace, lift, flags] = numbers else { return Err(invalid("an input is five numbers")) };
         let finite = x.is_finite() && y.is_finite() && lift.is_finite();
@@ -125,25 +125,25 @@ impl Input {
     }
 }
 
-/// What a player moves.
+/// A pawn of a player.
 #[derive(Debug)]
 pub struct Pawn {
     walker: Walker,
     settings: Settings,
     crouched: bool,
     flying: bool,
-    /// Told to jump, and no tick has passed since.
+    /// A jump was requested, and no tick has passed since.
     jumps: bool,
-    /// Ticks that passed since it was put where it is, and whether any had when the last step began.
+    /// Ticks since the pawn was placed here, and whether any had passed when the last step began.
     ticks_here: u64,
     goes_on: bool,
-    /// Part of a tick that is left of the time given so far (s).
+    /// Fraction of a tick left over from the time so far (s).
     rest_s: f64,
     ticks: u64,
     steps: u64,
     stop: Option<Stop>,
     missing: Option<Missing>,
-    /// Across and upwards over the last step (m/s).
+    /// Horizontal and upward speed over the last step (m/s).
     speed: [f64; 2],
     recording: Option<Recording>,
 }
@@ -155,7 +155,7 @@ struct Recording {
 }
 
 impl Pawn {
-    /// A pawn with its feet at `at` (m, finite).
+    /// Places a pawn with its feet at `at` (m, finite).
     pub fn new(settings: Settings, at: Point3<f64>) -> Result<Self, String> {
         let walker = Walker::new(settings.config(1.0, false), at).map_err(|error| fault::text(&error))?;
         Ok(Self {
@@ -176,8 +176,8 @@ impl Pawn {
         })
     }
 
-    /// What it will need. At a new place that is only what it stands on, until the step after its first tick: nothing delays
-    /// this tick, and whoever asked for it has seen it.
+    /// Motion hint. At a new place it covers only what the pawn stands on, until the step after its first tick: nothing
+    /// delays this tick, and the caller that requested it has seen it.
     pub fn outlook(&self, frame: &Frame) -> Outlook {
         let outlook = self.walker.outlook(frame);
         if !self.goes_on {
@@ -191,7 +191,7 @@ impl Pawn {
         self.missing.as_ref()
     }
 
-    /// Takes other settings; a body that finds no room is refused.
+    /// Changes the settings; refuses a body that does not fit.
     pub fn set<S: PageSet>(&mut self, set: &S, settings: Settings) -> Result<(), String> {
         if self.recording.is_some() {
             return Err(invalid("settings cannot change during a recording"));
@@ -209,7 +209,7 @@ impl Pawn {
         &self.walker.config().body
     }
 
-    /// Puts it elsewhere (m, finite), at rest.
+    /// Moves the pawn elsewhere (m, finite), at rest.
     pub fn place(&mut self, at: Point3<f64>) -> Result<(), String> {
         if !at.iter().all(|v| v.is_finite()) {
             return Err(invalid(format_args!("no pawn can stand at {at}")));
@@ -221,7 +221,7 @@ impl Pawn {
         Ok(())
     }
 
-    /// Lets at most 0.25 s pass.
+    /// Advances by at most 0.25 s.
     pub fn step<S: PageSet>(&mut self, set: &S, seconds: f64, input: &Input) {
         self.steps += 1;
         self.goes_on = self.ticks_here > 0;
@@ -245,10 +245,10 @@ impl Pawn {
         self.flying || self.walker.has_room(set, &self.settings.body(false)) == Answer::Known(true)
     }
 
-    /// Ticks that passed of `ticks`: all, unless pages are missing.
+    /// Advances by up to `ticks` ticks and returns how many passed: all, unless pages are missing.
     fn advance<S: PageSet>(&mut self, set: &S, ticks: u32, input: &Input) -> u32 {
         (self.crouched, self.flying) = (input.crouch, input.fly);
-        // Checked with the settings; a pace only makes it faster.
+        // The settings are checked already; pace only makes it faster.
         let config = self.settings.config(input.pace, self.crouched);
         let applied = self.walker.set_config(config);
         debug_assert!(applied.is_ok());
@@ -302,7 +302,7 @@ impl Pawn {
         self.recording.as_ref().map_or((&[], &[]), |recording| (&recording.steps, &recording.path))
     }
 
-    /// Does again what `steps` say, from where it stands; the feet after each.
+    /// Repeats `steps` from where the pawn stands; returns the feet after each.
     pub fn replay<S: PageSet>(&mut self, set: &S, steps: &[f64]) -> Result<Vec<f64>, String> {
         let mut path = Vec::new();
         let (rows, rest) = steps.as_chunks::<ROW>();
@@ -324,8 +324,8 @@ impl Pawn {
         Ok(path)
     }
 
-    /// Twelve numbers: feet, ground (0 walking, 1 falling, 2 blocked, 3 flying), reason of a stop (0 none), speed across and
-    /// upwards, whether it crouches, height, missing pages, ticks, steps.
+    /// Twelve numbers: feet, ground (0 walking, 1 falling, 2 blocked, 3 flying), block reason (0 none), horizontal and
+    /// upward speed, whether it crouches, height, missing pages, ticks, steps.
     pub fn state(&self) -> [f64; 12] {
         let feet = self.walker.feet();
         let ground = match self.walker.state() {

@@ -1,6 +1,7 @@
-//! Which pages a camera sees, and how finely: what to build next, what to forget.
+//! Pages that a camera sees and their level of detail: what to build next, what to drop.
 //!
-//! In: the pages in memory and where the camera is. Out: geometry, nearest first. Memory: a few words for each page drawn.
+//! In: the pages in memory and the position of the camera. Out: geometry, nearest first. Memory: a few words per page
+//! drawn.
 
 use crate::geometry::{COARSEST, Geometry};
 use crate::map::columns;
@@ -9,37 +10,38 @@ use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::store::{Outlook, PageSet, PageSlot};
 use std::collections::HashMap;
 
-/// A loader looks so far ahead (s).
+/// Time that a loader looks ahead (s).
 pub(crate) const HORIZON_S: f64 = 8.0;
-/// Pages are forgotten only when they are so much farther than the radius: who walks to and fro keeps them.
+/// Pages are dropped beyond this multiple of the radius, so that walking to and fro keeps them.
 const FORGET: f64 = 1.25;
-/// By so much a cell may be coarser or finer than wanted before a page is built anew.
+/// Steps of coarseness that a cell may be off before its page is rebuilt.
 const STEADY: u32 = 1;
-/// How much coarser everything becomes when there are too many triangles.
+/// Factor by which everything becomes coarser when there are too many triangles.
 const COARSEN: f64 = 1.3;
-/// From here on what is near becomes coarser too, until all of it is as coarse as can be.
+/// From here on near pages become coarser too, until everything is as coarse as possible.
 const COARSE_ALL: f64 = 16.0;
 const COARSEST_ALL: f64 = COARSE_ALL * (4 << COARSEST) as f64;
-/// Below this share of the triangles allowed, everything becomes finer again.
+/// Below this fraction of the allowed triangles, everything becomes finer again.
 const REFINE_BELOW: f64 = 0.5;
-/// Share of the triangles that an overview level may have, and how far it is drawn (m).
+/// Fraction of the triangles for an overview level, and how far it is drawn (m).
 const OVERVIEW_SHARE: f64 = 1.0 / 3.0;
 const OVERVIEW_M: f64 = 4000.0;
-/// With an overview level, pages are drawn this far at most (pages): those that are left out of the level are told apart so far.
+/// With an overview level, pages are drawn at most this far (pages), the range in which they can be cut out of the
+/// level.
 const FULL_PAGES: f64 = 48.0;
-/// And no less far than this (m).
+/// Least distance up to which they are drawn (m).
 const FULL_LEAST_M: f64 = 10.0;
-/// Names of its pages begin here.
+/// First name of the overview level's pages.
 const OVERVIEW_NAMES: u32 = 1 << 31;
 
-/// What is drawn: pages, or those of an overview level.
+/// Part of the drawing: pages, or those of an overview level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     Pages,
     Level,
 }
 
-/// What a camera draws: pages around it, and beyond them an overview level if there is one.
+/// Drawing of a camera: pages around it, and beyond them an overview level if there is one.
 #[derive(Debug)]
 pub struct Scenes {
     near: Scene,
@@ -50,7 +52,7 @@ pub struct Scenes {
 }
 
 impl Scenes {
-    /// As `Scene::new`; `overview`: draws a level too, once it is there.
+    /// Creates scenes like `Scene::new`; `overview`: draws a level too, once it is loaded.
     pub fn new(radius: f64, triangles: f64, detail: f64, overview: bool) -> Self {
         let mut far = Scene::new(OVERVIEW_M, triangles, detail);
         far.names = OVERVIEW_NAMES;
@@ -58,25 +60,25 @@ impl Scenes {
         Self { near, far, level: None, given: [radius, triangles, detail], has_overview: overview }
     }
 
-    /// Changes what [`new`](Self::new) was given.
+    /// Changes the parameters of [`new`](Self::new).
     pub fn set(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool) {
         (self.given, self.has_overview) = ([radius, triangles, detail], overview);
         let Some((level, frame)) = self.level.filter(|_| overview) else {
             return self.near.set(radius, triangles, detail);
         };
-        // Farther away the cells of the level are as fine as wanted.
+        // Farther away the level's cells are fine enough.
         let page_m = TILE_PIXELS as f64 * frame.pixel_m() / f64::from(1 << (2 * level));
         let enough = (frame.pixel_m() / detail.max(1e-4)).clamp(FULL_LEAST_M, (FULL_PAGES * page_m).max(FULL_LEAST_M));
         self.near.set(radius.min(enough), triangles * (1.0 - OVERVIEW_SHARE), detail);
         self.far.set(OVERVIEW_M, triangles * OVERVIEW_SHARE, detail);
     }
 
-    /// Whether it draws an overview level.
+    /// Returns whether it draws an overview level.
     pub fn has_overview(&self) -> bool {
         self.has_overview
     }
 
-    /// An overview level is there: its number and grid.
+    /// Sets number and grid of the overview level once it is loaded.
     pub fn overview(&mut self, level: Option<(u32, Frame)>) {
         if self.level.is_none() && level.is_some() {
             self.level = level;
@@ -85,28 +87,28 @@ impl Scenes {
         }
     }
 
-    /// The camera has moved.
+    /// Moves the camera.
     pub fn look(&mut self, at: Point3<f64>) {
         self.near.look(at);
         self.far.look(at);
     }
 
-    /// Pages were loaded.
+    /// Notes that pages were loaded.
     pub fn pages_changed(&mut self) {
         self.near.stale = true;
     }
 
-    /// As `Scene::outlook`.
+    /// Motion hint of the near scene.
     pub fn outlook(&self) -> Outlook {
         self.near.outlook()
     }
 
-    /// Pages that [`build`](Self::build) will draw.
+    /// Number of pages that [`build`](Self::build) will draw.
     pub fn unbuilt(&self) -> usize {
         self.near.queue.len() + self.far.queue.len()
     }
 
-    /// Pages drawn whose colours are missing or too coarse, the nearest first, or those of the level; no more than `most`.
+    /// Drawn pages whose colours are missing or too coarse, nearest first, or those of the level; at most `most`.
     pub fn unpainted(&self, of: Part, most: usize) -> Vec<PageKey> {
         match of {
             Part::Pages => self.near.unpainted(most),
@@ -114,7 +116,7 @@ impl Scenes {
         }
     }
 
-    /// The name of a page and the coarseness of its colours, which are there now; `None` if it is not drawn any more.
+    /// Marks a page as painted; returns its name and the coarseness of its colours, or `None` if it is no longer drawn.
     pub fn paint(&mut self, of: Part, key: PageKey) -> Option<(u32, u32)> {
         let scene = match of {
             Part::Pages => &mut self.near,
@@ -126,14 +128,14 @@ impl Scenes {
         Some((drawn.id, coarseness))
     }
 
-    /// Names of pages that the camera left behind since it was asked last.
+    /// Names of pages that the camera left behind since the last call.
     pub fn take_dropped(&mut self) -> Vec<u32> {
         let mut dropped = std::mem::take(&mut self.near.dropped);
         dropped.append(&mut self.far.dropped);
         dropped
     }
 
-    /// Draws the next page, of the level only if no other is to be drawn: level, as `Scene::build` does.
+    /// Builds the next page like `Scene::build` and returns its level; pages of the overview level come last.
     pub fn build<S: PageSet>(&mut self, pages: &S, overview: Option<&S>) -> (u32, Option<BuiltPage>) {
         self.near.plan(pages);
         let built = self.near.build(pages);
@@ -150,22 +152,22 @@ impl Scenes {
 /// A page as it is drawn: name, place, coarseness and geometry.
 pub type BuiltPage = (u32, PageKey, u32, Geometry);
 
-/// What a camera draws of one set of pages.
+/// Drawing of one set of pages.
 #[derive(Debug)]
 struct Scene {
     at: Point3<f64>,
     radius: f64,
     triangles: usize,
     detail: f64,
-    /// Makes everything coarser than `detail` asks for, to keep to `triangles`.
+    /// Factor by which everything is coarser than `detail` requires, to stay within `triangles`.
     coarser: f64,
     drawn: HashMap<PageKey, Drawn>,
-    /// To be built: distance (m), page, coarseness; in no order.
+    /// Pages to be built: distance (m), page, coarseness; unordered.
     queue: Vec<(f64, PageKey, u32)>,
     dropped: Vec<u32>,
     stale: bool,
     names: u32,
-    /// Grid of the pages, once some were looked at.
+    /// Grid of the pages, known once there are some.
     frame: Option<Frame>,
 }
 
@@ -174,15 +176,15 @@ struct Drawn {
     id: u32,
     coarseness: u32,
     triangles: usize,
-    /// Coarseness of its colours; [`UNPAINTED`] without.
+    /// Coarseness of its colours, or [`UNPAINTED`].
     painted: u32,
 }
 
 const UNPAINTED: u32 = u32::MAX;
 
 impl Scene {
-    /// A scene of pages up to `radius` metres away, of at most `triangles`, with cells no wider than `detail` times their
-    /// distance.
+    /// Creates a scene of pages up to `radius` metres away, with at most `triangles` triangles and cells no wider than
+    /// `detail` times their distance.
     pub fn new(radius: f64, triangles: f64, detail: f64) -> Self {
         let mut scene = Self {
             at: Point3::origin(),
@@ -201,7 +203,7 @@ impl Scene {
         scene
     }
 
-    /// Changes what [`new`](Self::new) was given; what makes no sense counts as the nearest that does.
+    /// Changes the parameters of [`new`](Self::new); invalid values are clamped.
     pub fn set(&mut self, radius: f64, triangles: f64, detail: f64) {
         let wanted = (radius.clamp(1.0, 10_000.0), triangles.clamp(10_000.0, 1e9) as usize, detail.clamp(1e-4, 1.0));
         if wanted != (self.radius, self.triangles, self.detail) {
@@ -210,14 +212,14 @@ impl Scene {
         }
     }
 
-    /// The camera has moved.
+    /// Moves the camera.
     pub fn look(&mut self, at: Point3<f64>) {
         if at.iter().all(|v| v.is_finite()) && at != self.at {
             (self.at, self.stale) = (at, true);
         }
     }
 
-    /// What a loader needs to know to have the pages there, the nearest first.
+    /// Motion hint for a loader, to load the nearest pages first.
     pub fn outlook(&self) -> Outlook {
         Outlook {
             min: self.at,
@@ -229,7 +231,7 @@ impl Scene {
         }
     }
 
-    /// Looks what is to be drawn, if something changed.
+    /// Plans what to draw if something changed.
     pub fn plan<S: PageSet>(&mut self, set: &S) {
         if !std::mem::take(&mut self.stale) {
             return;
@@ -245,14 +247,14 @@ impl Scene {
         });
         self.refine();
         self.queue = self.wanted(set);
-        // Coarser until that makes a difference.
+        // Coarser, until that makes a difference.
         while self.queue.is_empty() && self.sum() > self.triangles && self.coarser < COARSEST_ALL {
             self.coarser *= COARSEN;
             self.queue = self.wanted(set);
         }
     }
 
-    /// Pages in memory that are not drawn, or not as they should be.
+    /// Pages in memory that are not drawn, or not with the right detail.
     fn wanted<S: PageSet>(&self, set: &S) -> Vec<(f64, PageKey, u32)> {
         let (frame, at) = (*set.frame(), self.at);
         let mut wanted = Vec::new();
@@ -286,7 +288,7 @@ impl Scene {
         self.drawn.values().map(|drawn| drawn.triangles).sum()
     }
 
-    /// Finer again, if there is room for many more triangles.
+    /// Makes everything finer again if there is room for many more triangles.
     fn refine(&mut self) {
         if (self.sum() as f64) < self.triangles as f64 * REFINE_BELOW {
             self.coarser = (self.coarser / COARSEN).max(1.0);
@@ -308,7 +310,7 @@ impl Scene {
         Some((key, coarseness))
     }
 
-    /// Draws the next page: its name, place, coarseness and geometry. `None` if nothing is to be drawn.
+    /// Builds the next page: name, place, coarseness and geometry. `None` if there is nothing to build.
     pub fn build<S: PageSet>(&mut self, set: &S) -> Option<BuiltPage> {
         while let Some((key, coarseness)) = self.nearest() {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
@@ -327,7 +329,7 @@ impl Scene {
     }
 }
 
-/// From a place to the nearest point of a page's box (m).
+/// Distance from a place to the nearest point of a page's box (m).
 fn distance(frame: &Frame, key: PageKey, at: &Point3<f64>) -> f64 {
     let gap = |low: f64, size: f64, x: f64| (low - x).max(x - low - size).max(0.0);
     let edge = TILE_PIXELS as f64 * frame.pixel_m();
@@ -382,7 +384,7 @@ mod tests {
         assert!(scene.dropped.is_empty());
         let count = built.len();
         assert!(count < 30 && build_all(&mut scene, &store).is_empty());
-        // To the other end: all of it is dropped, and as much is built.
+        // Move to the other end: all pages are dropped, and as many are built.
         scene.look(Point3::new(50.0, 50.0, 1.0));
         let again = build_all(&mut scene, &store);
         let mut dropped = scene.dropped.clone();

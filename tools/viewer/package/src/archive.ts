@@ -1,4 +1,4 @@
-/** Archives as the page sees them. */
+/** Archives as seen by the page. */
 
 import { aborted, asError, fromFault } from "./fault.js";
 import { Link } from "./link.js";
@@ -24,7 +24,7 @@ import {
 import { ViewHandle } from "./view.js";
 import { makeWalker } from "./walker.js";
 
-/** Opens the archive at an address, or in a file that the user chose. */
+/** Opens the archive at an address, or in a file chosen by the user. */
 export async function openArchive(source: string | URL | Blob, options: OpenOptions = {}): Promise<Archive> {
   if (options.signal?.aborted) {
     throw aborted();
@@ -100,7 +100,7 @@ class OpenArchive implements Archive {
   reference(): Promise<ArchiveReference> {
     const reading = this.referenced ?? this.link.call<ArchiveReference>({ call: "reference" });
     this.referenced = reading;
-    // Asked again, it tries again.
+    // After a failure the next call tries again.
     reading.catch(() => {
       this.referenced = undefined;
     });

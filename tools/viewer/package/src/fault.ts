@@ -1,4 +1,4 @@
-/** Errors as they pass between worker, engine and page. */
+/** Errors in transit between worker, engine and page. */
 
 import { type ErrorKind, SlicewalkError } from "./types.js";
 
@@ -20,7 +20,7 @@ export interface Fault {
   readonly message: string;
 }
 
-/** Whatever was thrown as one of ours: the engine throws texts `kind|message`. */
+/** Converts anything thrown to a `SlicewalkError`; the engine throws texts `kind|message`. */
 export function asError(thrown: unknown): SlicewalkError {
   if (thrown instanceof SlicewalkError) {
     return thrown;

@@ -1,4 +1,7 @@
-/** The worker's side: drives the engine with bytes and time, and answers the page. Knows no `Worker`, so tests run it in place. */
+/**
+ * The worker's side: drives the engine with bytes and time, and answers the page. It does not depend on `Worker`, so
+ * tests run it in place.
+ */
 
 import { aborted, asError, asFault } from "./fault.js";
 import { browser, HttpSource, type Outside } from "./http.js";
@@ -7,27 +10,27 @@ import { BlobSource, TailFirst } from "./source.js";
 import { NOT_LOADED, SlicewalkError } from "./types.js";
 import type { Engine } from "./wasm/engine.js";
 
-/** Most bytes that the head of an archive takes. */
+/** Most bytes of the head of an archive. */
 const HEAD = 16 << 10;
-/** Rows of a batch that are answered at once, and for how long (ms) before other messages come through. */
+/** Rows of a batch answered at a time, and for how long (ms) before other messages are handled. */
 const ROWS = 4096;
 const BATCH_MS = 4;
 const STATS_EVERY = 250;
-/** What steps ask for may wait so long (ms): walkers that step more often than that share the work of streaming. */
+/** Longest delay of the page requests of steps (ms); walkers that step more often share the streaming work. */
 const HINTS_EVERY = 8;
-/** Numbers of a question of each kind, and of its answer. */
+/** Numbers per query of each kind, and per answer. */
 const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], far: [7, 2], floor: [6, 1] } as const;
 
 export interface Port {
   post(message: FromWorker, transfer: Transferable[]): void;
 }
 
-/** Loads the engine: `wasm` as the page gave it. */
+/** Loads the engine; `wasm` comes from the page's options. */
 export type LoadEngine = (wasm: string | WebAssembly.Module | undefined) => Promise<EngineModule>;
 
 export interface EngineModule {
   open(fileLength: number, budget: number, requests: number): Engine;
-  /** Whether no more memory is to be had. */
+  /** Returns whether the memory is exhausted. */
   isFull(): boolean;
 }
 
@@ -48,7 +51,7 @@ export class Host {
   private scheduled = false;
   private pumpedAt = Number.NEGATIVE_INFINITY;
   private hintsWait = false;
-  /** Requests made for colours, and bytes that came of them. */
+  /** Requests made for colours, and bytes received. */
   private readonly coloured = [0, 0] as [number, number];
   private timer = new AbortController();
   private readonly life = new AbortController();
@@ -56,9 +59,9 @@ export class Host {
   private statsDue = false;
   private statsWait = false;
   private lastStats = "";
-  /** Of a step, used again and again. */
+  /** Input of a step, reused. */
   private readonly input = new Float64Array(5);
-  /** Wakes the worker without letting a timer's pause pass. */
+  /** Wakes the worker without the delay of a timer. */
   private readonly bell = new MessageChannel();
 
   constructor(
@@ -69,7 +72,7 @@ export class Host {
     this.bell.port1.onmessage = () => this.pump();
   }
 
-  /** Ends everything; for tests, a worker is simply terminated. */
+  /** Ends everything; for tests, because a worker is simply terminated. */
   close(): void {
     this.failure ??= aborted();
     for (const gate of [...this.fetches.values(), ...this.calls.values(), this.timer, this.life]) {
@@ -103,7 +106,7 @@ export class Host {
       this.input.set(message.slice(3));
       const state = this.ready().step(walker, seconds, this.input);
       this.port.post([id, ...state], []);
-      // Missing pages hold the walker up.
+      // Missing pages block the walker.
       if (state[9] || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
         this.wake();
       } else {
@@ -216,7 +219,7 @@ export class Host {
       typeof source === "string" ? new HttpSource(source, this.outside, options) : new BlobSource(source),
     );
     this.source = bytes;
-    // The engine arrives while the first bytes do.
+    // The engine loads while the first bytes arrive.
     const [module] = await Promise.all([this.load(call.wasm), bytes.begin(HEAD, signal)]);
     this.module = module;
     this.engine = module.open(bytes.length ?? Number.NaN, call.budgetBytes, call.requests);
@@ -244,7 +247,7 @@ export class Host {
       this.ready().forget_missing();
       left = await this.ask(kind, rows, left, out, signal);
       if (left.length === before) {
-        // Pages drive each other out: one row alone, until it has all that it ever needed.
+        // Pages evict each other: answer one row alone, keeping all pages that it needs.
         await this.answerAlone(kind, rows, left.slice(0, 1), out, signal);
         left = left.slice(1);
       }
@@ -271,7 +274,7 @@ export class Host {
     }
   }
 
-  /** Answers these rows, or all; those that are not known. */
+  /** Answers these rows, or all of them; returns the rows that lack pages. */
   private async ask(
     kind: keyof typeof SHAPES,
     rows: Float64Array,
@@ -304,7 +307,7 @@ export class Host {
       const found = this.questioned(() => this.ready()[kind](part), first);
       if (!which) {
         out.set(found, first * answers);
-        // Most batches know all answers: looking through them row by row would take as long as half of the answers.
+        // Most batches know all answers; checking row by row would take half as long as answering.
         if (!found.includes(kind === "overlaps" ? NOT_LOADED : Number.NaN)) {
           continue;
         }
@@ -322,7 +325,7 @@ export class Host {
     return Uint32Array.from(unknown);
   }
 
-  /** Rows in errors are counted from the beginning of the batch. */
+  /** Row numbers in errors count from the beginning of the batch. */
   private questioned<T>(ask: () => T, first: number): T {
     try {
       return ask();
@@ -344,7 +347,7 @@ export class Host {
     });
   }
 
-  /** How many pages of a request found no room; 0 for no request. */
+  /** Number of pages of a request that did not fit; 0 without a request. */
   private outcome(request: number, signal: AbortSignal): Promise<number> {
     if (request === 0) {
       return Promise.resolve(0);
@@ -369,7 +372,7 @@ export class Host {
 
   // The loop -----------------------------------------------------------------------------------------------------------------
 
-  /** Comes to `pump` soon, after the messages that wait already. */
+  /** Schedules `pump` soon, after messages already queued. */
   private wake(): void {
     if (!this.scheduled) {
       this.scheduled = true;
@@ -390,7 +393,7 @@ export class Host {
     }
   }
 
-  /** Does what is to be done now, and at most one piece of work that takes long. */
+  /** Does what is due now, and at most one long operation. */
   private pump(): void {
     this.scheduled = false;
     this.pumpedAt = this.outside.now();
@@ -417,7 +420,7 @@ export class Host {
     });
   }
 
-  /** Begins and gives up requests as the engine says; when to come again. */
+  /** Starts and cancels requests as the engine demands; returns when to poll again. */
   private poll(engine: Engine): number {
     const todo = engine.poll(this.outside.now());
     let wait = Number.POSITIVE_INFINITY;
@@ -446,7 +449,7 @@ export class Host {
     try {
       const before = this.source?.requests ?? 0;
       const reading = this.source?.read(start, end, gate.signal);
-      // What was read ahead costs no request.
+      // Bytes read ahead cost no request.
       const counts = colours && (this.source?.requests ?? 0) > before;
       this.coloured[0] += counts ? 1 : 0;
       const bytes = await reading;
@@ -456,7 +459,7 @@ export class Host {
       }
     } catch (thrown) {
       if (!gate.signal.aborted) {
-        // The source itself goes on trying where that may help.
+        // The source itself retries where that may help.
         this.fail(asError(thrown));
       }
     } finally {
@@ -466,7 +469,7 @@ export class Host {
     }
   }
 
-  /** Draws one page of some view, or forgets some. */
+  /** Builds one page of some view, or drops some. */
   private build(engine: Engine): boolean {
     if (!engine.is_open()) {
       return false;
@@ -481,7 +484,7 @@ export class Host {
         const [positions, normals, attributes] = [engine.take_positions(), engine.take_normals(), engine.take_attributes()];
         const transfer = [numbers, positions, normals, attributes].map((array) => array.buffer as ArrayBuffer);
         this.port.post({ event: "page", view, numbers, positions, normals, attributes }, transfer);
-        // The next time another view comes first.
+        // Next time another view goes first.
         this.views.push(...this.views.splice(this.views.indexOf(view), 1));
         return true;
       }
@@ -489,7 +492,7 @@ export class Host {
     return false;
   }
 
-  /** Brings the colours of one page. */
+  /** Delivers the colours of one page. */
   private paint(engine: Engine): boolean {
     const numbers = engine.paint();
     if (numbers.length === 0) {
@@ -501,7 +504,7 @@ export class Host {
     return true;
   }
 
-  /** Resolves what came to an end. */
+  /** Resolves finished requests. */
   private settle(engine: Engine): void {
     if (this.opened && engine.is_open()) {
       this.opened.resolve(0);
@@ -521,7 +524,7 @@ export class Host {
     }
   }
 
-  /** Posts the numbers, at most four times a second. */
+  /** Posts the statistics, at most four times a second. */
   private tell(engine: Engine): void {
     if (!this.statsDue) {
       return;
@@ -568,7 +571,7 @@ export class Host {
     }
   }
 
-  /** A trap of the engine is the end of it; anything else that it throws is an answer. */
+  /** A trap ends the engine; anything else that it throws is an answer. */
   private caught(thrown: unknown): SlicewalkError {
     if (!(thrown instanceof WebAssembly.RuntimeError || thrown instanceof RangeError)) {
       return asError(thrown);

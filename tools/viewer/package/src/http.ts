@@ -4,39 +4,42 @@ import { aborted } from "./fault.js";
 import type { Source } from "./source.js";
 import { SlicewalkError } from "./types.js";
 
-/** What the outside world offers; tests bring their own. */
+/** Environment of a source; tests provide their own. */
 export interface Outside {
   readonly fetch: typeof fetch;
-  /** Milliseconds since some moment. */
+  /** Milliseconds since an arbitrary moment. */
   now(): number;
-  /** Resolves after so many milliseconds, or rejects when the signal aborts. */
+  /** Resolves after `ms` milliseconds, or rejects when the signal aborts. */
   sleep(ms: number, signal: AbortSignal): Promise<void>;
 }
 
 export interface HttpOptions {
   readonly credentials?: RequestCredentials;
-  /** The host cannot be reached (the reason), or can be again (null). Called while a read goes on trying. */
+  /**
+   * Called with the reason when the host cannot be reached, and with null once it can again. Reads keep retrying
+   * meanwhile.
+   */
   readonly onTrouble?: (error: SlicewalkError | null) => void;
 }
 
-/** Files up to this length are read whole from hosts that ignore ranges. */
+/** Longest file that is read whole from hosts that ignore ranges. */
 export const WHOLE_LIMIT = 64 << 20;
-/** A request that brings nothing for so long is given up and made again (ms). */
+/** Time without any bytes after which a request is cancelled and repeated (ms). */
 const STALLED = 20_000;
-/** First pause before a request is made again (ms), doubled each time. */
+/** First pause before a request is repeated (ms); doubles each time. */
 const FIRST_PAUSE = 250;
 const LONGEST_PAUSE = 5_000;
-/** Attempts at the first bytes. Later ones are repeated until the caller gives them up. */
+/** Attempts at the first bytes. Later requests are repeated until the caller cancels them. */
 const FIRST_ATTEMPTS = 4;
 
-/** What tells one state of a file from another. */
+/** Identifies one version of a file. */
 interface Tag {
   readonly etag: string | null;
   readonly modified: string | null;
   readonly total: number | undefined;
 }
 
-/** A failure that another attempt may mend. */
+/** A failure that another attempt may resolve. */
 class Passing extends Error {}
 
 export class HttpSource implements Source {
@@ -90,7 +93,7 @@ export class HttpSource implements Source {
     }
   }
 
-  /** One request, given up when it stalls. */
+  /** Makes one request, cancelled when it stalls. */
   private async attempt(start: number, end: number, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>> {
     const gate = new AbortController();
     const giveUp = () => gate.abort();
@@ -115,7 +118,7 @@ export class HttpSource implements Source {
     try {
       response = await this.outside.fetch(this.url, {
         headers: { Range: `bytes=${start}-${end - 1}` },
-        // A cache would queue requests for one file, and could bring stretches of an older one.
+        // A cache would queue requests for one file, and could return ranges of an older version.
         cache: "no-store",
         credentials: this.options.credentials ?? "same-origin",
         signal,
@@ -141,9 +144,9 @@ export class HttpSource implements Source {
     throw passing ? new Passing(status) : new SlicewalkError("network", status);
   }
 
-  /** The answer to a range. */
+  /** Reads the answer to a range request. */
   private async part(response: Response, start: number, end: number, watch: Watch): Promise<Uint8Array<ArrayBuffer>> {
-    // Hidden from other sites unless the host exposes it; then what was asked for counts.
+    // Hidden from other origins unless the host exposes it; then the requested range counts.
     const range = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(response.headers.get("Content-Range") ?? "");
     const total = range?.[3] !== undefined && range[3] !== "*" ? Number(range[3]) : undefined;
     this.check(response, total);
@@ -163,7 +166,7 @@ export class HttpSource implements Source {
     return bytes;
   }
 
-  /** The whole file, from a host without ranges. */
+  /** Reads the whole file from a host without ranges. */
   private async all(response: Response, watch: Watch): Promise<Uint8Array<ArrayBuffer>> {
     const refuse = () =>
       new SlicewalkError(
@@ -183,7 +186,7 @@ export class HttpSource implements Source {
     return bytes;
   }
 
-  /** Compares an answer with the first. */
+  /** Compares an answer with the first one. */
   private check(response: Response, total: number | undefined): void {
     const tag: Tag = { etag: response.headers.get("ETag"), modified: response.headers.get("Last-Modified"), total };
     const first = this.tag;
@@ -205,7 +208,7 @@ export class HttpSource implements Source {
     return new SlicewalkError("replaced", `${this.url}: the archive was replaced since it was opened; open it again`);
   }
 
-  /** At most `most` bytes of an answer. */
+  /** Reads at most `most` bytes of an answer. */
   private async body(response: Response, most: number, watch: Watch): Promise<Uint8Array<ArrayBuffer>> {
     const reader = response.body?.getReader();
     const chunks: Uint8Array[] = [];
@@ -244,7 +247,7 @@ function differ<T>(a: T | null | undefined, b: T | null | undefined): boolean {
   return a !== null && a !== undefined && b !== null && b !== undefined && a !== b;
 }
 
-/** Notices when a request brings nothing any more. */
+/** Detects that a request no longer receives anything. */
 class Watch {
   stalled = false;
   private last: number;
@@ -280,7 +283,7 @@ class Watch {
   }
 }
 
-/** The world of browsers and of node. */
+/** The environment of browsers and of node. */
 export const browser: Outside = {
   fetch: (input, init) => fetch(input, init),
   now: () => performance.now(),

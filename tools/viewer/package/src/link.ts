@@ -12,7 +12,7 @@ interface Waiting {
 }
 
 export class Link {
-  /** Why nothing can be asked any more. */
+  /** Reason why no more calls are possible. */
   error: SlicewalkError | null = null;
   private readonly waiting = new Map<number, Waiting>();
   private ids = 0;
@@ -30,7 +30,7 @@ export class Link {
     };
   }
 
-  /** Asks; `transfer` moves to the worker. */
+  /** Makes a call; objects in `transfer` move to the worker. */
   call<T>(call: Call, signal?: AbortSignal, transfer: Transferable[] = []): Promise<T> {
     return new Promise<T>((resolve, reject) => {
       if (this.error) {
@@ -67,7 +67,7 @@ export class Link {
     });
   }
 
-  /** A step of a walker: its numbers from the second on; what the worker answers. */
+  /** Makes a step of a walker from its numbers, without the first; resolves to the worker's answer. */
   step(numbers: Step): Promise<Step> {
     return new Promise<Step>((resolve, reject) => {
       if (this.error) {
@@ -86,7 +86,7 @@ export class Link {
     }
   }
 
-  /** Stops the worker; whoever waits gets the error. */
+  /** Stops the worker; pending calls reject with the error. */
   end(error: SlicewalkError): void {
     if (this.error) {
       return;

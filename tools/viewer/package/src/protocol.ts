@@ -1,4 +1,4 @@
-/** What page and worker say to each other. */
+/** Messages between page and worker. */
 
 import type { Fault } from "./fault.js";
 
@@ -38,15 +38,15 @@ export type Note =
   | { readonly note: "abort"; readonly id: number };
 
 /**
- * A step: numbers in a plain array, because steps come every frame, and objects and typed arrays take the browser longer. To the worker: id of the call,
- * walker, seconds, and the five numbers of the input. The answer: id of the call, and the twelve numbers of a state; a fault
- * comes as for any call.
+ * A step. Its numbers are in a plain array, because steps come every frame, and browsers take longer for objects and
+ * typed arrays. To the worker: id of the call, walker, seconds, and the five numbers of the input. The answer: id of
+ * the call, and the twelve numbers of a state. A fault comes as for any call.
  */
 export type Step = number[];
 
 export type ToWorker = (Call & { readonly id: number }) | Note | Step;
 
-/** A drawn page; `numbers` are those of the engine's `build`. */
+/** A built page; `numbers` are those of the engine's `build`. */
 export interface PageMessage {
   readonly event: "page";
   readonly view: number;
@@ -56,7 +56,7 @@ export interface PageMessage {
   readonly attributes: Uint8Array;
 }
 
-/** Colours of a drawn page: `numbers` are view, page and cells along an edge. */
+/** Colours of a built page; `numbers` are view, page and cells along an edge. */
 export interface ColoursMessage {
   readonly event: "colours";
   readonly numbers: Float64Array;
@@ -75,7 +75,7 @@ export type FromWorker =
   | PageMessage
   | { readonly event: "drop"; readonly view: number; readonly ids: Uint32Array };
 
-/** What a recording brings. */
+/** Contents of a recording. */
 export interface Recorded {
   readonly steps: Float64Array;
   readonly path: Float64Array;

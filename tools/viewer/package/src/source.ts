@@ -1,19 +1,19 @@
-/** Where the bytes of an archive come from. */
+/** Sources of an archive's bytes. */
 
 import { SlicewalkError } from "./types.js";
 
-/** Bytes of a file that does not change; where it did, reading fails with `replaced`. */
+/** Bytes of a file that does not change; if it does, reading fails with `replaced`. */
 export interface Source {
-  /** Length of the file, once known; undefined where the host does not say. */
+  /** Length of the file, once known; undefined if the host does not state it. */
   readonly length: number | undefined;
-  /** Requests made, and bytes that came. */
+  /** Number of requests made and bytes received. */
   readonly requests: number;
   readonly bytes: number;
-  /** Bytes `start` to `end` (not included), fewer only where the file ends and its length was not known. */
+  /** Reads the bytes from `start` up to, but without, `end`; fewer only at the end of a file of unknown length. */
   read(start: number, end: number, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>>;
 }
 
-/** A file that the user chose. */
+/** A file chosen by the user. */
 export class BlobSource implements Source {
   requests = 0;
   bytes = 0;
@@ -31,7 +31,7 @@ export class BlobSource implements Source {
     try {
       bytes = new Uint8Array(await this.blob.slice(start, end).arrayBuffer());
     } catch (cause) {
-      // What browsers say when a file was changed or removed after it was chosen.
+      // Browsers throw this if a file was changed or removed after it was chosen.
       throw new SlicewalkError("replaced", "the file changed since it was opened; open it again", { cause });
     }
     this.bytes += bytes.length;
@@ -43,7 +43,7 @@ export class BlobSource implements Source {
 const TAIL = 64 << 10;
 
 /**
- * Reads the end of a file in one go, and answers from it what is asked for there later: footer, directory and metadata lie
+ * Reads the end of a file in one request and answers later reads of it from memory: footer, directory and metadata are
  * there.
  */
 export class TailFirst implements Source {
@@ -64,7 +64,7 @@ export class TailFirst implements Source {
     return this.source.bytes;
   }
 
-  /** Reads the first bytes; with them the length becomes known, where the host says it. */
+  /** Reads the first bytes; the answer also reveals the length, if the host states it. */
   async begin(length: number, signal: AbortSignal): Promise<void> {
     this.head = await this.source.read(0, Math.min(length, this.source.length ?? length), signal);
   }

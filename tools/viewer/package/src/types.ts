@@ -1,43 +1,46 @@
 /**
- * What the package offers. All lengths are metres, all coordinates those of the scan (z is up), all times seconds.
+ * Public interface of the package. All lengths are in metres, coordinates are those of the scan (z is up), and times
+ * are in seconds.
  *
- * The work is done in a Web Worker: each call posts a message, so nothing here blocks the page. Batches are typed arrays, one
- * question after the other; the arrays given are copied, those returned were moved and belong to the caller.
+ * A Web Worker does the work: each call posts a message, so nothing here blocks the page. Batches are typed arrays with
+ * one query after another; arguments are copied, results are transferred and belong to the caller.
  */
 
-/** A place or a direction: x, y, z. */
+/** A place or direction: x, y, z. */
 export type Vec3 = readonly [number, number, number];
 
-/** Least and greatest corner. */
+/** Lowest and highest corner. */
 export interface Bounds {
   readonly min: Vec3;
   readonly max: Vec3;
 }
 
-/** Answers of {@link Archive.overlaps}. */
+/** The box touches no solid; results of {@link Archive.overlaps}. */
 export const CLEAR = 0;
-/** The box touches matter. */
+/** The box touches solid. */
 export const HIT = 1;
-/** The box touches none of the pages in memory; pages that are not loaded may hold matter. Never to be read as free. */
+/**
+ * The box touches no solid in memory, but meets pages that are not loaded and may hold some. Never treat it as free.
+ */
 export const NOT_LOADED = 2;
 
 /**
- * What went wrong:
+ * Kind of an error:
  *
- * - `not-an-archive`: the first bytes are no slice archive, or one of a version that this engine does not read;
+ * - `not-an-archive`: the first bytes are not those of a slice archive, or of a version that this engine does not read;
  * - `damaged`: bytes break a rule of the format (the message names part and rule);
  * - `replaced`: the archive changed on its host since it was opened; open it again;
- * - `network`: the host cannot be reached or refuses (the message has its status), after all attempts;
+ * - `network`: the host cannot be reached or refuses the request (the message has its status), after all attempts;
  * - `no-ranges`: the host ignores `Range` and the file is too large to be read whole;
- * - `out-of-memory`: the budget is too small for the archive's table of pages, or the browser has no more memory;
- * - `aborted`: by the caller's signal, or the archive was closed;
- * - `invalid`: an argument makes no sense;
+ * - `out-of-memory`: the budget is too small for the archive's table of pages, or the browser is out of memory;
+ * - `aborted`: by the caller's signal, or because the archive was closed;
+ * - `invalid`: an argument is invalid;
  * - `engine`: a defect of the engine, or its worker cannot start.
  */
 export type ErrorKind =
   "not-an-archive" | "damaged" | "replaced" | "network" | "no-ranges" | "out-of-memory" | "aborted" | "invalid" | "engine";
 
-/** The only error that the package throws or rejects with. */
+/** The only error class that the package throws or rejects with. */
 export class SlicewalkError extends Error {
   constructor(
     readonly kind: ErrorKind,
@@ -52,80 +55,80 @@ export class SlicewalkError extends Error {
 /** Options of `openArchive`. */
 export interface OpenOptions {
   /**
-   * Most bytes of pages, tables and bytes on their way in memory; 64 MiB unless given. Where a view shows an overview level, that
-   * may take a quarter more.
+   * Largest number of bytes of pages, tables and requests in flight; 64 MiB by default. An overview level that a view
+   * shows may take a quarter more.
    */
   budgetBytes?: number;
-  /** Most requests under way at once; 6 unless given. */
+  /** Largest number of concurrent requests; 6 by default. */
   requests?: number;
-  /** Gives up opening; the archive stays open if it is already. */
+  /** Cancels opening; an archive that is already open stays open. */
   signal?: AbortSignal;
   /** Passed on to `fetch`. */
   credentials?: RequestCredentials;
   /**
-   * Where the worker and the engine come from, if not from beside this module: for bundlers and content security policies
-   * that want it so. `wasm` may be a module that is compiled already.
+   * Source of the worker and the engine if it is not the folder of this module, for bundlers and content security
+   * policies that require it. `wasm` may be a compiled module.
    */
   worker?: () => Worker;
   wasm?: string | URL | WebAssembly.Module;
 }
 
-/** What the head of an archive says. */
+/** Contents of an archive's head. */
 export interface ArchiveInfo {
-  /** The address it was opened from, or the name of the file. */
+  /** The address that the archive was opened from, or the name of the file. */
   readonly name: string;
   readonly fileBytes: number;
-  /** Version of the format: "1.0". */
+  /** Version of the format, such as "1.0". */
   readonly formatVersion: string;
   /** Edge of a pixel. */
   readonly pixelSize: number;
   readonly sliceHeight: number;
   /** Corner of pixel (0, 0) and bottom of slice 0. */
   readonly origin: Vec3;
-  /** Least and greatest coordinates of the points; null without points. */
+  /** Bounds of the points; null without points. */
   readonly bounds: Bounds | null;
-  /** Lowest and highest slice with matter; null without matter. */
+  /** Lowest and highest occupied slice; null without any. */
   readonly slices: { readonly lowest: number; readonly highest: number } | null;
-  /** Steepest floor (degrees): chosen when the scan was converted, part of the archive. */
+  /** Steepest floor (degrees), chosen when the scan was converted. */
   readonly maxSlope: number;
   readonly tolerance: number;
   readonly pointsRead: number;
   readonly pointsKept: number;
   readonly voxels: { readonly occupied: number; readonly obstacle: number; readonly coloured: number };
   readonly pages: number;
-  /** Overview levels in the archive, 0 without. Level `n` has pixels of 4ⁿ times the size. */
+  /** Number of overview levels in the archive. Pixels of level `n` are 4ⁿ times as large. */
   readonly levels: number;
 }
 
 /** Coordinate reference system and unit of the scan, from the metadata of the archive. */
 export interface ArchiveReference {
-  /** As the input stated it (WKT or a name); empty if unknown. */
+  /** As stated by the input (WKT or a name); empty if unknown. */
   readonly crs: string;
   /** Unit of the input; archives are in metres. */
   readonly unit: { readonly name: string; readonly factor: number };
 }
 
-/** What streaming did so far. */
+/** Streaming statistics. */
 export interface Stats {
-  /** Pages in memory, and their bytes. */
+  /** Pages in memory and their bytes. */
   readonly pages: { readonly resident: number; readonly bytes: number };
-  /** Bytes in use of the budget, and the most at any moment. */
+  /** Bytes of the budget in use, and the peak. */
   readonly usedBytes: number;
   readonly peakBytes: number;
   readonly budgetBytes: number;
-  /** Requests made, and bytes that came. */
+  /** Requests made and bytes received. */
   readonly requests: number;
   readonly bytesLoaded: number;
-  /** Requests on their way now. */
+  /** Requests in flight. */
   readonly pending: number;
   /** Pages loaded and evicted so far. */
   readonly loaded: number;
   readonly evicted: number;
   /** Pages that the last steps of all walkers waited for. */
   readonly missing: number;
-  /** Pages of geometry still to be built for the open views. */
+  /** Pages of geometry still to be built for open views. */
   readonly unbuilt: number;
-  /** Drawn pages that wait for colours; requests made for colours and bytes that came of them, which count above as well. */
+  /** Drawn pages that wait for colours; requests for colours and bytes received, also included in the counts above. */
   readonly colours: { readonly missing: number; readonly requests: number; readonly bytes: number };
 }
 
@@ -133,39 +136,39 @@ export interface ArchiveEvents {
   /** About four times a second while something changes. */
   stats: (stats: Stats) => void;
   /**
-   * The host cannot be reached (kind `network`; `null` once it can be again), or a page, its colours or the overview level is
-   * damaged and left out (kind `damaged`). A lasting error ends the archive.
+   * The host cannot be reached (kind `network`; `null` once it can be again), or a page, its colours or the overview
+   * level is damaged and left out (kind `damaged`). A permanent error ends the archive.
    */
   trouble: (error: SlicewalkError | null) => void;
-  /** The archive can no longer be used: replaced, damaged, or the worker died. Everything that was asked is rejected. */
+  /** The archive can no longer be used: replaced, damaged, or the worker died. All pending calls are rejected. */
   failed: (error: SlicewalkError) => void;
 }
 
-/** How a batch is answered. */
+/** Options of a batch. */
 export interface BatchOptions {
   /**
-   * Loads the pages that the answers need, a part of the batch after the other, and so answers everything. Without it the answer
-   * is that of the pages in memory now.
+   * Loads the pages that the answers need, one part of the batch at a time, so that every answer is known. Otherwise
+   * the answers come from the pages in memory now.
    */
   load?: boolean;
   signal?: AbortSignal;
 }
 
-/** Hits of rays in full. */
+/** Full results of rays. */
 export interface RayHits {
-  /** Distance to the first matter; Infinity: nothing hit, NaN: not loaded. */
+  /** Distance to the first solid; Infinity: no hit, NaN: not loaded. */
   readonly distances: Float64Array;
-  /** Three numbers a ray: outward normal of the face; zeros where there is none. */
+  /** Three numbers per ray: outward normal of the face; zeros without a hit. */
   readonly normals: Float64Array;
-  /** 1 where the matter is an obstacle. */
+  /** 1 if the ray hit an obstacle. */
   readonly obstacles: Uint8Array;
 }
 
-/** How far rays are free. */
+/** Free distances along rays. */
 export interface FarHits {
-  /** Distance to the first matter, or the least that it can be; Infinity: nothing hit, NaN: not loaded. */
+  /** Distance to the first solid, or a lower bound of it; Infinity: no hit, NaN: not loaded. */
   readonly distances: Float64Array;
-  /** 1 where pages are missing: an overview level says that there is no matter nearer. */
+  /** 1 if pages are missing and the distance is the lower bound from an overview level. */
   readonly coarse: Uint8Array;
 }
 
@@ -173,76 +176,76 @@ export interface FarHits {
 export interface SliceMap {
   readonly width: number;
   readonly height: number;
-  /** Row by row from the greatest y to the least: 0 nothing, 1 floor, 2 obstacle, 3 not loaded. */
+  /** Row by row from the greatest y to the least: 0 empty, 1 floor, 2 obstacle, 3 not loaded. */
   readonly cells: Uint8Array;
   /** Edge of a cell. */
   readonly cell: number;
-  /** Corner of the picture with the least x and y. */
+  /** Corner of the map with the least x and y. */
   readonly min: readonly [number, number];
 }
 
 /** An open archive. */
 export interface Archive {
   readonly info: ArchiveInfo;
-  /** The newest numbers, without waiting. */
+  /** Latest statistics, without waiting. */
   readonly stats: Stats;
   /** The reason why the archive can no longer be used. */
   readonly error: SlicewalkError | null;
 
   on<E extends keyof ArchiveEvents>(event: E, listener: ArchiveEvents[E]): () => void;
 
-  /** Reads the metadata: one more request, once. */
+  /** Reads the metadata, with one request the first time. */
   reference(): Promise<ArchiveReference>;
 
   /** Boxes N×6 (min, max) → N × {@link CLEAR}, {@link HIT} or {@link NOT_LOADED}. */
   overlaps(boxes: Float64Array, options?: BatchOptions): Promise<Uint8Array>;
-  /** Sweeps N×9 (min, max, motion) → free share of the motion, 0 to 1; NaN: not loaded. */
+  /** Sweeps N×9 (min, max, motion) → free fraction of the motion, 0 to 1; NaN: not loaded. */
   sweep(sweeps: Float64Array, options?: BatchOptions): Promise<Float64Array>;
-  /** Rays N×7 (origin, direction, max) → distance; Infinity: nothing hit, NaN: not loaded. */
+  /** Rays N×7 (origin, direction, max) → distance; Infinity: no hit, NaN: not loaded. */
   cast(rays: Float64Array, options?: BatchOptions): Promise<Float64Array>;
   /**
-   * As {@link cast}, of what is in memory: where pages are missing, the overview level that a view shows (`overview: true`) says how far
-   * the ray is free at least. Never loads anything.
+   * Casts rays like {@link cast}, but only against what is in memory: where pages are missing, the overview level that
+   * a view shows (`overview: true`) gives a lower bound of the free distance. Never loads anything.
    */
   castFar(rays: Float64Array, options?: { signal?: AbortSignal }): Promise<FarHits>;
-  /** As {@link cast}, with normals. */
+  /** Casts rays like {@link cast}, with normals. */
   castHits(rays: Float64Array, options?: BatchOptions): Promise<RayHits>;
   /**
-   * Boxes N×6 → height of the highest floor under the box's footprint, at or below its top, at any depth; -Infinity: no floor,
-   * NaN: not loaded.
+   * Boxes N×6 → height of the highest floor below the box's footprint, at or below its top, at any depth; -Infinity: no
+   * floor, NaN: not loaded.
    */
   floor(boxes: Float64Array, options?: BatchOptions): Promise<Float64Array>;
 
-  /** Loads what a pawn needs to stand in this box, and resolves when all of it is in memory. */
+  /** Loads the pages that a pawn needs to stand in this box; resolves once all of them are in memory. */
   load(box: Bounds, options?: { signal?: AbortSignal }): Promise<void>;
 
-  /** Floor and obstacles between two heights, of the pages in memory now; at most 1024 cells an edge. */
+  /** Floor and obstacles between two heights, from the pages in memory now; at most 1024 cells per edge. */
   map(
     area: { min: readonly [number, number]; max: readonly [number, number] },
     heights: readonly [number, number],
     cells?: number,
   ): Promise<SliceMap>;
 
-  /** A pawn. Pages around it are loaded ahead of its way. */
+  /** Creates a pawn. Pages are loaded ahead of it. */
   walker(options: WalkerOptions): Promise<Walker>;
 
-  /** Geometry around a camera, for drawing. */
+  /** Creates a view: geometry around a camera, for drawing. */
   view(options: ViewOptions): View;
 
-  /** Ends all walkers and views, gives up all requests and stops the worker. */
+  /** Ends all walkers and views, cancels all requests and stops the worker. */
   close(): void;
 }
 
 // Walking ----------------------------------------------------------------------------------------------------------------------
 
-/** The shape of a pawn: it stands on the middle of its bottom face. */
+/** Shape of a pawn, which stands on the middle of its bottom face. */
 export type Body =
   | { readonly shape: "box"; readonly x: number; readonly y: number; readonly height: number }
   | { readonly shape: "cylinder"; readonly radius: number; readonly height: number };
 
-/** What can be changed while a pawn walks. */
+/** Settings that can change while a pawn walks. */
 export interface WalkerSettings {
-  /** 0.5 × 0.5 × 1.8 m unless given. A larger one that finds no room is refused (`invalid`). */
+  /** 0.5 × 0.5 × 1.8 m by default. A larger body that does not fit is refused (`invalid`). */
   body?: Body;
   /** Highest step (0.35). */
   climb?: number;
@@ -254,52 +257,52 @@ export interface WalkerSettings {
   jump?: number;
   /** Height while crouching (60 % of the body's), never below the climb height. */
   crouchHeight?: number;
-  /** Stops before ledges and voids deeper than this; walks over them and falls without it. */
+  /** Stops at ledges and voids deeper than this; by default the pawn walks over them and falls. */
   maxDrop?: number | null;
 }
 
 export interface WalkerOptions extends WalkerSettings {
-  /** Where the feet are. */
+  /** Position of the feet. */
   at: Vec3;
 }
 
-/** What a pawn is told to do for the time of a step. */
+/** Input of a pawn for the time of a step. */
 export interface WalkerInput {
-  /** Direction across in world coordinates; a length below 1 means slower. */
+  /** Horizontal direction in world coordinates; a length below 1 means slower. */
   wish?: readonly [number, number];
-  /** Walks straight to this place instead, and stands there. */
+  /** Walks straight to this place instead, and stops there. */
   toward?: readonly [number, number];
-  /** Multiplies the walking speed (running: 2); 1 unless given, at most 100. */
+  /** Factor of the walking speed (running: 2); 1 by default, at most 100. */
   pace?: number;
   /** Jumps if the pawn stands. */
   jump?: boolean;
-  /** Crouches, for as long as it is true and as there is no room to stand up. */
+  /** Crouches while true, and until there is room to stand up. */
   crouch?: boolean;
-  /** Flies, through walls as well; falls when it ends. */
+  /** Flies, also through walls; falls afterwards. */
   fly?: boolean;
   /** While flying: up (1) or down (-1). */
   lift?: number;
 }
 
-/** What a pawn is doing, as `window.slicewalk.state().ground` has it. */
+/** Activity of a pawn, also in `window.slicewalk.state().ground`. */
 export type Ground = "walking" | "falling" | "blocked" | "flying";
 
-/** Why a pawn did not get where it wanted. */
+/** What blocked a pawn. */
 export type Stop = "wall" | "steep" | "headroom" | "corner" | "inside" | "ledge" | "void";
 
 export interface WalkerState {
   /** Middle of the bottom face. */
   readonly at: Vec3;
   readonly ground: Ground;
-  /** Reason why the last step ended early, if so. */
+  /** What ended the last step early, if anything. */
   readonly stop: Stop | null;
-  /** Speed across and along z over the last step (m/s); rising is positive. */
+  /** Horizontal and vertical speed over the last step (m/s); rising is positive. */
   readonly speed: number;
   readonly rise: number;
   readonly crouched: boolean;
-  /** Height of the body now. */
+  /** Current height of the body. */
   readonly height: number;
-  /** Pages that the last step waited for: it stood still instead. */
+  /** Pages that the last step waited for; the pawn stood still. */
   readonly missing: number;
   /** Ticks of 1/240 s that passed since the walker was made. */
   readonly ticks: number;
@@ -307,26 +310,31 @@ export interface WalkerState {
   readonly steps: number;
 }
 
-/** What a walker did, to be replayed natively: `replay ARCHIVE RECORDING.json` of the engine crate. */
+/** Recording of a walker, for a native replay with `replay ARCHIVE RECORDING.json` of the engine crate. */
 export interface WalkerRecording {
   readonly version: 1;
   readonly options: Required<WalkerSettings> & { at: Vec3 };
-  /** Eight numbers a step: ticks that passed, wish x, wish y (of `toward`: the place), pace, lift, flags, and two kept free. Flags: 1 jump, 2 crouch, 4 fly, 8 toward. */
+  /**
+   * Eight numbers per step: ticks that passed, wish x, wish y (of `toward`: the place), pace, lift, flags, and two
+   * reserved. Flags: 1 jump, 2 crouch, 4 fly, 8 toward.
+   */
   readonly steps: readonly number[];
-  /** Three numbers a step: the feet after it. */
+  /** Three numbers per step: the feet after it. */
   readonly path: readonly number[];
 }
 
-/** A pawn in the worker. Time passes in ticks of fixed length, so the way walked depends on the inputs, not on the frame rate. */
+/**
+ * A pawn in the worker. Time passes in ticks of fixed length, so the path depends on the inputs, not on the frame rate.
+ */
 export interface Walker {
-  /** The newest state that the worker told; changes when a step is answered. */
+  /** Latest state reported by the worker; changes when a step is answered. */
   readonly state: WalkerState;
   /**
-   * Lets time pass (at most 0.25 s; the rest is dropped). Call it once a frame and go on at once: the state that it resolves to
-   * is usually there before the next frame.
+   * Advances by at most 0.25 s; the rest is dropped. Call it once per frame without awaiting it: the state that it
+   * resolves to usually arrives before the next frame.
    */
   step(seconds: number, input: WalkerInput): Promise<WalkerState>;
-  /** Puts the pawn elsewhere, at rest. */
+  /** Moves the pawn elsewhere, at rest. */
   place(at: Vec3): Promise<WalkerState>;
   set(settings: WalkerSettings): Promise<WalkerState>;
   /** Begins a recording, here and at rest. */
@@ -339,80 +347,83 @@ export interface Walker {
 // Drawing ----------------------------------------------------------------------------------------------------------------------
 
 export interface ViewOptions extends ViewSettings {
-  /** A page was built, or built anew with more or less detail: it replaces the one with the same `id`. */
+  /** A page was built or rebuilt with another detail: it replaces the one with the same `id`. */
   onPage: (page: PageGeometry) => void;
   /**
-   * Colours of a page came, after its geometry and again when more detail is wanted. They are read when nothing else is, and not
-   * without this; those of an overview level when no page waits for any.
+   * Colours of a page arrived, after its geometry and again when more detail is needed. Without this callback no
+   * colours are read; they are read only while nothing else is in flight, and those of an overview level once no page
+   * waits for colours.
    */
   onColours?: (colours: PageColours) => void;
-  /** A page is too far away: forget it. */
+  /** A page is too far away: drop it. */
   onDrop: (id: number) => void;
 }
 
 /**
- * Colours of the matter of a page on a grid of `edge × edge` cells across and 64 slices, from the page's corner and bottom: a cell's
- * colours are those of the slices in its mask, from the lowest up. Made to be two textures.
+ * Colours of a page's solid on a grid of `edge × edge` cells and 64 slices, from the page's corner and bottom. A cell's
+ * colours are those of the slices in its mask, from the lowest up. Made for two textures.
  */
 export interface PageColours {
   /** The page, as in {@link PageGeometry}. */
   readonly id: number;
   readonly edge: number;
-  /** Four numbers a cell, row by row: slices 0 to 31 and 32 to 63 as masks, number of the cell's first colour, 0. */
+  /** Four numbers per cell, row by row: slices 0 to 31 and 32 to 63 as masks, index of the cell's first colour, 0. */
   readonly cells: Uint32Array;
-  /** Four bytes a colour: red, green, blue (sRGB), 255. */
+  /** Four bytes per colour: red, green, blue (sRGB), 255. */
   readonly colours: Uint8Array;
 }
 
 export interface ViewSettings {
-  /** How far to see (m); 40 unless given. */
+  /** Viewing distance (m); 40 by default. */
   radius?: number;
-  /** Most triangles of all pages together; 1,000,000 unless given. Detail is lowered to keep it. */
+  /** Largest number of triangles of all pages together; 1,000,000 by default. Detail is lowered to stay within it. */
   triangles?: number;
-  /** Cells wider than this share of their distance are built finer, if the archive has more detail; 0.01 unless given. */
+  /**
+   * Cells wider than this fraction of their distance are built finer if the archive has more detail; 0.01 by default.
+   */
   detail?: number;
   /**
-   * Also brings all of an overview level, if the archive has one: pages with `key.level` above 0. They hold the matter of the
-   * pages too, coarsely: draw it only where no page is drawn. `radius` is lowered to where the level is as fine as `detail`
-   * asks for. False unless given.
+   * Also builds all of an overview level, if the archive has one: pages with `key.level` above 0. They contain the
+   * pages' solid, too, coarsely: draw them only where no page is drawn. `radius` is lowered to where the level is as
+   * fine as `detail` requires. False by default.
    */
   overview?: boolean;
 }
 
 export interface View {
-  /** Where the camera is. Call it whenever it moved; the worker looks at the newest only. */
+  /** Sets the position of the camera. Call it after every move; the worker uses only the latest position. */
   look(at: Vec3): void;
   set(settings: ViewSettings): void;
   close(): void;
 }
 
 /**
- * Geometry of one page: the tops, undersides and sides of its spans as quads, equal neighbours joined.
+ * Geometry of one page: the tops, undersides and sides of its spans as quads, with equal neighbours joined.
  *
- * A vertex lies at `origin + scale · position`, computed in double precision where coordinates are large: give a mesh the
- * position `origin − yourOrigin` and the scale `scale`. Heights are rounded to `scale[2]`, a quarter of a cell: the drawing may
- * differ from what collides by that much.
+ * A vertex lies at `origin + scale · position`, which needs double precision where coordinates are large: give a mesh
+ * the position `origin − yourOrigin` and the scale `scale`. Heights are rounded to `scale[2]`, a quarter of a cell; the
+ * drawing may differ from the collision geometry by that much.
  */
 export interface PageGeometry {
-  /** Names the page in this view. */
+  /** Identifies the page in this view. */
   readonly id: number;
-  /** Place of the page: tile column and layer; of an overview level if `level` is above 0. */
+  /** Position of the page: tile column and layer; of an overview level if `level` is above 0. */
   readonly key: { readonly tx: number; readonly ty: number; readonly layer: number; readonly level: number };
   /** Edge of a cell: the pixel size times a power of two. */
   readonly cell: number;
   readonly origin: Vec3;
   readonly scale: Vec3;
-  /** Least and greatest corner of the matter. */
+  /** Lowest and highest corner of the solid. */
   readonly bounds: Bounds;
-  /** Three a vertex (x, y in cells, z in steps). */
+  /** Three per vertex (x, y in cells, z in steps). */
   readonly positions: Uint16Array;
-  /** Four a vertex: the normal's x, y, z as 127, 0 or -127, and 0. */
+  /** Four per vertex: the normal's x, y, z as 127, 0 or -127, and 0. */
   readonly normals: Int8Array;
   /**
-   * Four a vertex: face (0 top, 1 underside, 2 side), obstacle (0 or 1), slope of the surface around it (degrees, tops of floors
-   * and obstacles alike; 90 for sides), and 0. Heights and slices follow from z.
+   * Four per vertex: face (0 top, 1 underside, 2 side), obstacle (0 or 1), slope of the surrounding surface (degrees,
+   * tops of floors and obstacles alike; 90 for sides), and 0. Heights and slices follow from z.
    */
   readonly attributes: Uint8Array;
-  /** Three a triangle, counterclockwise seen from outside. Pages share this memory: do not write to it. */
+  /** Three per triangle, counterclockwise seen from outside. Pages share this memory: do not write to it. */
   readonly indices: Uint32Array;
 }

@@ -1,4 +1,4 @@
-/** Views as the page sees them. */
+/** Views as seen by the page. */
 
 import type { Link } from "./link.js";
 import type { ColoursMessage, PageMessage, SceneSettings } from "./protocol.js";
@@ -8,7 +8,7 @@ function complete({ radius = 40, triangles = 1_000_000, detail = 0.01, overview 
   return [radius, triangles, detail, overview];
 }
 
-/** Corners of triangles are the same in every page but for their number. */
+/** The corner indices of triangles are the same in every page except for their number. */
 let indices = new Uint32Array(0);
 
 function quadIndices(quads: number): Uint32Array {
@@ -41,7 +41,7 @@ function geometry(page: PageMessage, pixelSize: number): PageGeometry {
 }
 
 export class ViewHandle implements View {
-  /** Its name in the worker, once that has answered. */
+  /** Name in the worker, once it has answered. */
   private name: number | undefined;
   private at: Vec3 | undefined;
   private settings: ViewSettings;
@@ -57,7 +57,7 @@ export class ViewHandle implements View {
     const sent = complete(options);
     link.call<number>({ call: "view", settings: sent, colours: options.onColours !== undefined }).then(
       (name) => this.begin(name, sent),
-      // Whoever opened the archive is told that it failed.
+      // The caller that opened the archive learns that it failed.
       () => undefined,
     );
   }

@@ -1,4 +1,4 @@
-/** Walkers as the page sees them. */
+/** Walkers as seen by the page. */
 
 import type { Link } from "./link.js";
 import type { Recorded, Step } from "./protocol.js";
@@ -30,7 +30,7 @@ const DEFAULTS: Omit<Settings, "crouchHeight"> = {
   maxDrop: null,
 };
 
-/** Fills in what was not given; a crouching height that was not given follows the body's. */
+/** Fills in defaults; the default crouching height depends on the body. */
 function complete(given: WalkerSettings): Settings {
   const chosen = { ...DEFAULTS, ...defined(given) };
   const crouchHeight =
@@ -51,14 +51,14 @@ function numbers(settings: Settings): Float64Array {
   return Float64Array.of(...bodyNumbers(body), climb, speed, gravity, jump, crouchHeight, maxDrop ?? Number.NaN);
 }
 
-/** The message of a step; its first number is the link's. */
+/** Message of a step; the link adds the first number. */
 function stepNumbers(walker: number, seconds: number, input: WalkerInput): Step {
   const [x, y] = input.toward ?? input.wish ?? [0, 0];
   const flags = (input.jump ? 1 : 0) | (input.crouch ? 2 : 0) | (input.fly ? 4 : 0) | (input.toward ? 8 : 0);
   return [0, walker, seconds, x, y, input.pace ?? 1, input.lift ?? 0, flags];
 }
 
-/** The engine's twelve numbers. */
+/** Parses the engine's twelve numbers. */
 function state(numbers: ArrayLike<number>): WalkerState {
   const at = (n: number): number => numbers[n] ?? 0;
   return {

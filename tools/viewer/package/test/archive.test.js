@@ -1,4 +1,4 @@
-// The package as a page uses it, on an archive that comes by ranges.
+// The package as used by a page, on an archive that is read by ranges.
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
@@ -36,7 +36,7 @@ test("opens with three requests and says what the head says", async () => {
 
 test("answers batches as natively, once what they need is loaded, under a budget of part of the archive", async () => {
   const archive = await open(new FileHost(scene), { budgetBytes: 1_000_000 });
-  // A ray needs more pages than a box, and only some have room at once.
+  // A ray needs more pages than a box, and only some of them fit at a time.
   const [rows, far] = [3000, 200];
   const boxes = numbers("boxes.f64").subarray(0, 6 * rows);
   const now = await archive.overlaps(boxes);

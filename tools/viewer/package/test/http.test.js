@@ -1,4 +1,4 @@
-// The fetch driver against a host that fails in every way, on a clock of its own.
+// The fetch driver against a host that fails in every way, on a simulated clock.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -7,7 +7,7 @@ import { HttpSource, WHOLE_LIMIT } from "../dist/http.js";
 const FILE = Uint8Array.from({ length: 1000 }, (_, n) => n % 251);
 const URL_ = "http://host/a.slices";
 
-/** A clock that runs on when everybody waits; records the pauses of reads (not of watches). */
+/** A clock that advances while all readers wait; records the pauses of reads (not of watches). */
 class Clock {
   time = 0;
   pauses = [];
@@ -33,7 +33,7 @@ class Clock {
     });
   }
 
-  /** Lets whoever sleeps shortest go on. */
+  /** Resumes the sleeper with the earliest time. */
   tick() {
     this.#sleepers.sort((a, b) => a.at - b.at);
     const next = this.#sleepers.shift();
@@ -44,7 +44,7 @@ class Clock {
     }
   }
 
-  /** Waits for a promise, letting time pass when nothing else happens. */
+  /** Waits for a promise; time passes while nothing else happens. */
   async wait(promise) {
     let done = false;
     const end = () => {
@@ -74,7 +74,7 @@ function answer(start, end, { etag = '"1"', modified, total = FILE.length, expos
   return new Response(body ?? FILE.slice(start, last), { status, headers });
 }
 
-/** A source whose host answers with `replies` in turn, the last one for ever. */
+/** A source whose host answers with `replies` in turn, and repeats the last one. */
 function source(replies, options) {
   const clock = new Clock();
   const asked = [];
@@ -174,7 +174,7 @@ test("an archive that was replaced is an error, never a mix", async () => {
     await assert.rejects(clock.wait(s.read(10, 20, never)), refuses("replaced", /replaced.*open it again/));
     assert.equal(asked.length, 2);
   }
-  // The ETag counts where there is one: a copy with another date is the same file.
+  // An ETag takes precedence: a copy with another date is the same file.
   const dates = ["Mon, 01 Jan 2024 00:00:00 GMT", "Tue, 02 Jan 2024 00:00:00 GMT"];
   let n = 0;
   const same = source([(a, b) => answer(a, b, { modified: dates[n++ % 2] })]);
@@ -190,7 +190,7 @@ test("a host without ranges: a small file is read whole, once; a large one is re
   const large = () => new Response(FILE, { status: 200, headers: { "Content-Length": String(WHOLE_LIMIT + 1) } });
   const refused = source([large]);
   await assert.rejects(refused.clock.wait(refused.source.read(0, 100, never)), refuses("no-ranges", /ignores ranges.*64 MiB/));
-  // One that does not say how long it is.
+  // A host that does not state the length.
   let pulled = 0;
   const chunk = new Uint8Array(8 << 20);
   const endless = () =>

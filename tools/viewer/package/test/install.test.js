@@ -1,4 +1,5 @@
-// The packed package in two empty projects: with a bundler, and as a plain module script. Both run in a browser where there is one.
+// The packed package in two empty projects: with a bundler, and as a plain module script. Both run in a browser if
+// there is one.
 
 import assert from "node:assert/strict";
 import { execFileSync, spawn, spawnSync } from "node:child_process";
@@ -23,7 +24,7 @@ before(() => {
 });
 after(() => rmSync(work, { recursive: true, force: true }));
 
-/** What a page does: opens, asks, walks, draws, and says what came of it. */
+/** Script of a page: opens, queries, walks, draws, and reports the results. */
 const script = (from) => `
   import { openArchive } from ${JSON.stringify(from)};
   const answer = { error: null };
@@ -46,7 +47,7 @@ const script = (from) => `
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".wasm": "application/wasm" };
 
-/** Serves a folder on loopback and opens its page; what that answers. */
+/** Serves a folder on loopback, opens its page and returns its report. */
 async function inBrowser(root) {
   let told;
   const answer = new Promise((resolve) => {

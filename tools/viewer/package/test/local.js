@@ -1,11 +1,11 @@
-// A worker in place and a host of files, for tests.
+// An in-process worker and a host of files, for tests.
 
 import { readFileSync } from "node:fs";
 import { Host } from "../dist/host.js";
 import { browser } from "../dist/http.js";
 import init, { Engine } from "../dist/wasm/engine.js";
 
-/** What `record` wrote. */
+/** Output folder of `record`. */
 export const folder =
   process.env.SLICEWALK_ENGINE_CHECK ?? new URL("../../../../target/engine-check", import.meta.url).pathname;
 
@@ -27,7 +27,7 @@ export async function engineModule() {
   };
 }
 
-/** Stands for a `Worker`; what passes is cloned and moved as between threads. */
+/** Replaces a `Worker`; messages are cloned and transferred as between threads. */
 export class LocalWorker {
   constructor(fetch) {
     this.host = new Host(
@@ -57,7 +57,7 @@ export class LocalWorker {
   }
 }
 
-/** A host of one file: what it is now, and what was asked of it. */
+/** A host of one file, with its current content and the requests it received. */
 export class FileHost {
   asked = [];
   down = false;

@@ -1,4 +1,4 @@
-// The engine as it is shipped against what it answered natively, to the last bit.
+// Compares the shipped engine with its native answers bit for bit.
 
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
@@ -29,7 +29,7 @@ function serve(engine, now, archive = scene) {
   }
 }
 
-/** An engine with all of the archive in memory. */
+/** An engine with the whole archive in memory. */
 function whole() {
   const engine = module.open(scene.length, 1e9, 4);
   serve(engine, 0);
@@ -39,12 +39,12 @@ function whole() {
   return engine;
 }
 
-/** The state of a pawn after one row of inputs: a step, or a place. */
+/** State of a pawn after one row of inputs: a step or a place. */
 function play(engine, pawn, row) {
   return row[5] === -1 ? engine.place(pawn, row.subarray(1, 4)) : engine.step(pawn, row[0], row.subarray(1));
 }
 
-/** Compares bits: NaN is itself, and 0 is not -0. */
+/** Compares bits: NaN equals itself, and 0 differs from -0. */
 function same(found, expected, what) {
   assert.equal(found.length, expected.length, what);
   const bits = (numbers) =>
@@ -152,7 +152,7 @@ test("what a walker records is walked natively to the last bit", async (t) => {
   await walker.step(0.01, {});
   await walker.record();
   const inputs = numbers("inputs.f64");
-  // Pages come while it walks: some ticks are postponed.
+  // Pages arrive during the walk, so some ticks are postponed.
   for (let row = 0; row < 6 * 900; row += 6) {
     const [seconds, x, y, pace, lift, flags] = inputs.subarray(row, row + 6);
     if (flags === -1) {
@@ -174,7 +174,7 @@ test("what a walker records is walked natively to the last bit", async (t) => {
     const sound = run(recording);
     assert.equal(sound.status, 0, sound.stderr);
     assert.match(sound.stdout, /the same path/);
-    // The least difference is found.
+    // The smallest difference is detected.
     const path = recording.path.slice();
     path[900] += Number.EPSILON * path[900];
     const other = run({ ...recording, path });

@@ -1,5 +1,5 @@
-// The page's address carries the archive, the place and the view: ?archive=URL&at=X,Y,Z&look=HEADING,PITCH&view=plan, and Gaussian
-// splats to draw over the archive: &splats=URL&align=X,Y,Z,TURN,SCALE&up=z
+// The page's address holds the archive, the place and the view: ?archive=URL&at=X,Y,Z&look=HEADING,PITCH&view=plan, and
+// Gaussian splats to draw over the archive: &splats=URL&align=X,Y,Z,TURN,SCALE&up=z
 
 import type { Vec3 } from "slicewalk";
 import type { Look } from "./geometry";
@@ -41,7 +41,7 @@ function alignment(fields: URLSearchParams): Alignment {
   return { at: [x, y, z], turn, scale: scale > 0 ? scale : ALIGNED.scale, up: isUp(up) ? up : ALIGNED.up };
 }
 
-/** Millimetres, heights rounded up so that feet stay above the floor, and hundredths of a degree. */
+/** Rounds to millimetres and hundredths of a degree; heights are rounded up so that the feet stay above the floor. */
 export function formatAddress({ archive, at, look, mode, splats }: Place): string {
   const round = (value: number, digits: number): string => String(Number(value.toFixed(digits)));
   const url = (text: string): string => encodeURIComponent(text).replaceAll("%2F", "/").replaceAll("%3A", ":");

@@ -1,4 +1,4 @@
-// The page: opens archives, and carries inputs to the pawn and what the pawn meets to the screen, frame by frame.
+// The page: opens archives, passes inputs to the pawn and draws the result, frame by frame.
 
 import { SlicewalkError, type Stats, type Vec3 } from "slicewalk";
 import { formatAddress, type Mode, type Place } from "./address";
@@ -28,13 +28,13 @@ const TURN_PER_S = 110;
 const TILT_PER_S = 70;
 const DRAG_DEGREES = 0.16;
 const MOUSE_DEGREES = 0.11;
-/** How often words and numbers are written. */
+/** Interval at which texts and numbers are updated (ms). */
 const WRITE_MS = 250;
 const SECOND_MS = 1000;
-/** A longer frame counts as so long: the page was away. */
+/** Longest time that a frame counts for (s); after a longer one the page was in the background. */
 const LONGEST_FRAME_S = 0.25;
 const FLOOR_NORMAL = 0.5;
-/** News of damage stays so long. */
+/** Time that a message about damage stays (ms). */
 const DAMAGE_MS = 15_000;
 
 const NO_STATS = {
@@ -61,14 +61,14 @@ export class App {
   #ready = false;
   #error: string | null = null;
   #troubled = false;
-  /** The first damage of the open archive. */
+  /** The first damage found in the open archive. */
   #damage: string | null = null;
   #frames = 0;
   #fps = 0;
   #longestTask = 0;
   #seenTriangles = 0;
   readonly #overlays: Overlays;
-  /** Keeps the shaders that every archive is drawn with. */
+  /** Keeps the shaders that all archives share. */
   readonly #shading = new Shading(new Cover(1, 1));
 
   constructor(parent: HTMLElement) {
@@ -137,7 +137,7 @@ export class App {
     }, SECOND_MS);
   }
 
-  /** Opens an archive, at a place if one is given, and closes the one before. */
+  /** Opens an archive, at a place if given, and closes the previous one. */
   async open(source: Source, place: Pick<Place, "at" | "look" | "mode"> | null): Promise<void> {
     this.#opening?.abort();
     const opening = new AbortController();
@@ -162,7 +162,7 @@ export class App {
     try {
       await this.open(fromAddress(url), null);
     } catch (error) {
-      this.#fail(error); // no address at all
+      this.#fail(error); // not a valid address
     }
   }
 
@@ -179,7 +179,7 @@ export class App {
     this.#see();
   }
 
-  // What programs and tests read -------------------------------------------------------------------------------------------------
+  // Interface for programs and tests --------------------------------------------------------------------------------------------
 
   get state(): Record<string, unknown> {
     const pawn = this.#session?.pawn;
@@ -215,7 +215,7 @@ export class App {
     this.#cameras.orbit.target = at;
   }
 
-  /** What lies beside the page, and the welcome if nothing is to be opened at once. */
+  /** Offers files beside the page, and the welcome if nothing opens at once. */
   offer({ archives, cloud }: Table, splats: Place["splats"], welcome: boolean): void {
     this.#overlays.offer(cloud);
     if (splats !== null) this.#overlays.take(splats.url, splats.alignment);
@@ -248,7 +248,7 @@ export class App {
     this.setMode(mode);
     this.#shell.toolbars.flying = pawn.flying;
     this.#overlays.opened(session);
-    // The first picture and the first texts take long; the walk begins after them.
+    // The first picture and the first texts take long, so the walk begins after them.
     this.#frame(0);
     this.#write();
     this.#ready = true;
@@ -272,7 +272,7 @@ export class App {
 
   #trouble(error: SlicewalkError | null): void {
     if (error !== null && error.kind !== "network") {
-      // Said once: damaged colours leave shapes grey, damaged pages hold the pawn up.
+      // Reported once: damaged colours leave shapes grey, damaged pages block the pawn.
       if (this.#damage === null) this.#shell.messages.say(texts.news.damage(error.message), DAMAGE_MS);
       this.#damage ??= error.message;
     } else if (error !== null) {
@@ -285,7 +285,7 @@ export class App {
     }
   }
 
-  /** Says what went wrong and offers ways out; the picture stays. */
+  /** Reports an error with possible actions; the picture stays. */
   #fail(error: unknown): void {
     const known = error instanceof SlicewalkError ? error : null;
     const message = error instanceof Error ? error.message : String(error);
@@ -339,7 +339,7 @@ export class App {
       else this.#cameras.turn(right * 2 * DRAG_DEGREES, -down * 2 * DRAG_DEGREES);
       return;
     }
-    // A captured mouse turns the head; a dragging hand moves the picture.
+    // A captured mouse turns the head; dragging moves the picture.
     const degrees = this.#settings.sensitivity * (this.#pointer.captured ? MOUSE_DEGREES : -DRAG_DEGREES);
     this.#look({ heading: pawn.look.heading + right * degrees, pitch: pawn.look.pitch - down * degrees });
   }
@@ -379,7 +379,9 @@ export class App {
     this.#shell.messages.say(texts.news.walkingThere);
   }
 
-  /** Where a pawn would stand that is sent along a ray: on what it hits, or below the wall that it hits. */
+  /**
+   * Place where a pawn sent along a ray would stand: on the surface that the ray hits, or below the wall that it hits.
+   */
   async #floorAt(ray: Ray): Promise<Vec3 | null> {
     const session = this.#session;
     if (session === null) return null;
@@ -397,7 +399,7 @@ export class App {
         if (Number.isFinite(z)) return [x, y, z];
       }
     } catch {
-      return null; // a failed archive says so elsewhere
+      return null; // a failed archive is reported elsewhere
     }
     this.#shell.messages.say(texts.news.nothingThere);
     return null;
@@ -454,7 +456,7 @@ export class App {
     this.#shell.messages.say(texts.news.screenshot(name));
   }
 
-  /** Puts the headset on, or off. */
+  /** Starts or ends the use of the headset. */
   async #wear(): Promise<void> {
     const { headset } = this.#canvas;
     const pawn = this.#session?.pawn;
@@ -489,7 +491,7 @@ export class App {
     }
     const heading = this.#cameras.heading(pawn.look);
     if (this.#ready) pawn.step(seconds, intent, heading);
-    // Seen from outside, a pawn looks where it walks.
+    // Seen from outside, a pawn faces where it walks.
     if (this.#mode !== "walk" && (intent.forward !== 0 || intent.right !== 0)) {
       pawn.look.heading = wrap(heading + (Math.atan2(intent.right, intent.forward) * 180) / Math.PI);
       this.#cameras.orbit.target = pawn.at;
@@ -501,7 +503,7 @@ export class App {
       this.#shell.measure.moved(world);
       this.#overlays.place();
     }
-    // What is seen is loaded after what the first step needs.
+    // Visible pages load after those that the first step needs.
     if (headset.worn) Object.assign(pawn.look, headset.place(world, eye, this.#settings.eye));
     const from = this.#mode === "walk" ? eye : this.#cameras.stand;
     if (pawn.state.ticks > 0) view.look(from);

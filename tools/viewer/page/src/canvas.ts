@@ -1,4 +1,4 @@
-// The canvas: the renderer, its size, the pawn's marker, and the loss of the graphics.
+// The canvas: renderer, size, the pawn's marker, and lost graphics contexts.
 
 import {
   BoxGeometry,
@@ -57,7 +57,7 @@ export class Canvas {
     this.#body.renderOrder = this.#nose.renderOrder = 1;
     this.#marker.add(this.#body, this.#nose);
     this.scene.add(this.#marker);
-    // three.js asks for the graphics back and brings everything to them again.
+    // three.js requests a new context and uploads everything again.
     element.addEventListener("webglcontextlost", () => {
       this.lost = true;
       graphics(true);
@@ -72,14 +72,14 @@ export class Canvas {
 
   resize(): void {
     const { clientWidth, clientHeight } = this.element;
-    // A headset has a size of its own.
+    // A headset has its own size.
     if (clientWidth === 0 || clientHeight === 0 || this.headset.worn || this.renderer.xr.isPresenting) return;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
   }
 
-  /** Where the pawn stands; it does not see itself. */
+  /** Marks where the pawn stands, for views from outside. */
   mark(shown: boolean, world: World, state: WalkerState, look: Look, width: number, metresHigh: number): void {
     this.#marker.visible = shown;
     this.#marker.position.copy(world.local(state.at));
@@ -91,11 +91,11 @@ export class Canvas {
     this.#nose.rotation.z = (-look.heading * Math.PI) / 180;
   }
 
-  /** Compiles shaders ahead, aside where the browser can: a frame that needed one would wait for it. */
+  /** Compiles shaders ahead, in the background if the browser can; otherwise a frame would wait for it. */
   async prepare(materials: readonly Material[]): Promise<void> {
     const { renderer } = this;
     const scene = new Scene();
-    // A triangle without area, with the attributes of pages: they decide which shader it is.
+    // A degenerate triangle with the attributes of pages, which determine the shader.
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(new Uint16Array(9), 3));
     geometry.setAttribute("normal", new BufferAttribute(new Int8Array(12), 4, true));
@@ -106,11 +106,11 @@ export class Canvas {
     scene.add(...meshes);
     if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(scene, this.cameras.current);
     else renderer.compile(scene, this.cameras.current);
-    // The first use of a shader waits for the graphics: better now, while they have nothing else to do.
+    // The first use of a shader waits for the graphics card, so use it now while nothing else is drawn.
     if (!this.lost) renderer.render(scene, this.cameras.current);
   }
 
-  /** Calls back for each frame, of the screen or of the headset. */
+  /** Calls back for each frame of the screen or the headset. */
   loop(frame: (now: number) => void): void {
     this.renderer.setAnimationLoop(frame);
   }
@@ -123,7 +123,7 @@ export class Canvas {
     if (!this.lost) this.renderer.render(this.scene, this.camera);
   }
 
-  /** The picture as it is now. */
+  /** The current picture. */
   picture(): Promise<Blob | null> {
     this.render();
     return new Promise((resolve) => this.element.toBlob(resolve, "image/png"));

@@ -2,7 +2,7 @@
 
 import type { Bounds, Vec3 } from "slicewalk";
 
-/** Where a person looks: degrees, 0 is +y and clockwise; pitch is positive upwards. */
+/** Viewing direction in degrees: heading 0 is +y, clockwise; pitch is positive upwards. */
 export interface Look {
   heading: number;
   pitch: number;
@@ -23,25 +23,25 @@ export const subtract = (a: Vec3, b: Vec3): Vec3 => add(a, b, -1);
 
 export const distance = (a: Vec3, b: Vec3): number => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
 
-/** 0 to 360. */
+/** Wraps an angle to 0 to 360. */
 export const wrap = (degrees: number): number => ((degrees % 360) + 360) % 360;
 
-/** The index within a period of `count`, 0 to `count - 1`. */
+/** Wraps an index to 0 to `count - 1`. */
 export const wrapInto = (index: number, count: number): number => ((index % count) + count) % count;
 
-/** Unit vector of a look. */
+/** Unit vector of a viewing direction. */
 export function direction({ heading, pitch }: Look): Vec3 {
   const [h, p] = [heading * RADIANS, pitch * RADIANS];
   return [Math.sin(h) * Math.cos(p), Math.cos(h) * Math.cos(p), Math.sin(p)];
 }
 
-/** Unit vectors across: forward and to the right. */
+/** Horizontal unit vectors: forward and to the right. */
 export function across(heading: number): { forward: readonly [number, number]; right: readonly [number, number] } {
   const [sin, cos] = [Math.sin(heading * RADIANS), Math.cos(heading * RADIANS)];
   return { forward: [sin, cos], right: [cos, -sin] };
 }
 
-/** A box that stands at `feet`. */
+/** Box that stands at `feet`. */
 export function standing(feet: Vec3, width: number, height: number): Bounds {
   const half = width / 2;
   return { min: [feet[0] - half, feet[1] - half, feet[2]], max: [feet[0] + half, feet[1] + half, feet[2] + height] };
@@ -49,7 +49,7 @@ export function standing(feet: Vec3, width: number, height: number): Bounds {
 
 export const flat = ({ min, max }: Bounds): number[] => [...min, ...max];
 
-/** Digits that show a millimetre, or a centimetre of large coordinates. */
+/** Formats metres to the millimetre, or to the centimetre for large coordinates. */
 export const metres = (value: number, digits = 2): string => (Object.is(value, -0) ? 0 : value).toFixed(digits);
 
 export function bytes(count: number): string {

@@ -1,4 +1,4 @@
-// Starts the page: finds the archive that the address or the host names, and shows programs what it does.
+// Starts the page: finds the archive that the address or the host names, and exposes the page's state to programs.
 
 import type { Vec3, WalkerRecording } from "slicewalk";
 import { parseAddress } from "./address";
@@ -14,7 +14,7 @@ declare global {
     slicewalk?: {
       state(): Record<string, unknown>;
       goto(place: { at?: Vec3; look?: readonly [number, number] }): Promise<void>;
-      /** For tests and reports: what the pawn was told and where it went, to be replayed by the library. */
+      /** Records inputs and path of the pawn for tests and reports, to be replayed by the library. */
       record(): Promise<void>;
       recording(): Promise<WalkerRecording>;
     };

@@ -1,7 +1,8 @@
-// Measures of the scene by exact collision queries, each with its error.
+// Measurements of the scene by exact collision queries, each with its error.
 //
-// Matter in an archive reaches at most a pixel `t` beyond the points across, and at most a quantum (slice height / 255) along z,
-// and never less far. So a clear width lies between what is found and `2t` more: the middle is given, ± t.
+// Solid in an archive extends at most a pixel `t` beyond the points horizontally, and at most a quantum (slice height /
+// 255) along z, and never less far. So a clear width is at least the measured one and at most `2t` more: the middle is
+// reported, ± t.
 
 import type { Archive, Vec3 } from "slicewalk";
 import { add, direction, distance, type Ray } from "./geometry";
@@ -17,30 +18,32 @@ export interface Spot {
 }
 
 export interface Surroundings {
-  /** Null: open to the sky, or wider than looked for. */
+  /** Null if open to the sky, or wider than the search range. */
   readonly headroom: Value | null;
   readonly width: Value | null;
-  /** Least difference to a neighbouring floor that is more than noise. */
+  /** Smallest height difference to a neighbouring floor that exceeds noise. */
   readonly step: Value | null;
 }
 
 const PICK_M = 5000;
-/** Beyond what an overview level says is free, pages are loaded along so much of a ray at a time. */
+/**
+ * Length of a ray for which pages are loaded at a time, beyond the distance that an overview level shows to be free.
+ */
 const PIECE_M = 16;
-/** So far surfaces with gaps stop a ray, where it would come more than so many pixels farther. */
+/** Distance up to which surfaces with gaps stop a ray that would otherwise get more than this many pixels farther. */
 const NEAR_M = 60;
 const GAP_PIXELS = 2;
 const HEADROOM_M = 60;
 const PLATE_M = 0.01;
 const WIDTH_M = 20;
-/** Widths count between these heights above the floor, from shins to shoulders. */
+/** Heights above the floor between which widths are measured, from shins to shoulders. */
 const BODY_M = [0.3, 1.4] as const;
 /** Directions in half a turn. */
 const DIRECTIONS = 36;
 /** Floors are compared within this distance, in eight directions. */
 const STEP_M = 0.35;
 const STEP_PLACES = 8;
-/** Higher is a wall, not a step. */
+/** Height above which a step counts as a wall. */
 const HIGHEST_STEP_M = 1.2;
 
 export const pixelError = (archive: Archive): number => archive.info.pixelSize + archive.info.tolerance;
@@ -48,8 +51,8 @@ export const pixelError = (archive: Archive): number => archive.info.pixelSize +
 export const heightError = (archive: Archive): number => archive.info.sliceHeight / 255 + archive.info.tolerance;
 
 /**
- * What a ray of the width of two pixels meets first: a bare one slips through gaps of sparse surfaces. On or beside a floor that
- * is seen from above the spot is the floor. Loads what it needs.
+ * Finds the first solid along a ray two pixels wide; a bare ray slips through gaps in sparse surfaces. If a floor seen
+ * from above is at or beside the hit, the spot is on the floor. Loads the pages it needs.
  */
 export async function pick(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<Spot | null> {
   const options = { load: true, signal };
@@ -59,7 +62,7 @@ export async function pick(archive: Archive, { origin, direction }: Ray, signal:
   const box = [...origin.map((value) => value - half), ...origin.map((value) => value + half)];
   const sweep = new Float64Array([...box, ...direction.map((way) => way * reach)]);
   const stop = ((await archive.sweep(sweep, options))[0] ?? NaN) * reach;
-  // A box touches the face that the ray meets so much earlier.
+  // A box touches the face earlier than the ray by this.
   const facing = Math.abs(normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]);
   const ahead = hit <= NEAR_M ? half / facing : 0;
   const slipped = stop > 0 && stop < reach - ahead - GAP_PIXELS * half;
@@ -74,7 +77,7 @@ export async function pick(archive: Archive, { origin, direction }: Ray, signal:
   return { at, normal: slipped ? [-direction[0], -direction[1], 0] : normal };
 }
 
-/** What a ray meets. Where an overview level says that the ray is free, no page is loaded. */
+/** Finds what a ray hits. Where an overview level shows that the ray is free, no page is loaded. */
 async function cast(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<{ hit: number; normal: Vec3 }> {
   let from = 0;
   while (from < PICK_M) {
@@ -92,7 +95,7 @@ async function cast(archive: Archive, { origin, direction }: Ray, signal: AbortS
   return { hit: Infinity, normal: [0, 0, 0] };
 }
 
-/** Distance, distance across and difference of height of two places. */
+/** Distance, horizontal distance and height difference of two places. */
 export function between(archive: Archive, a: Vec3, b: Vec3): { straight: Value; across: Value; height: Value } {
   const [across, height] = [Math.hypot(a[0] - b[0], a[1] - b[1]), b[2] - a[2]];
   const [t, q] = [pixelError(archive), heightError(archive)];
@@ -103,13 +106,13 @@ export function between(archive: Archive, a: Vec3, b: Vec3): { straight: Value; 
   };
 }
 
-/** Headroom, clear width and step at a place. Loads what it needs. */
+/** Headroom, clear width and step at a place. Loads the pages it needs. */
 export async function surroundings(archive: Archive, at: Vec3, signal: AbortSignal): Promise<Surroundings> {
   const [t, q] = [pixelError(archive), heightError(archive)];
   const above = Math.max(0.05, 2 * q);
   const options = { load: true, signal };
   const post = archive.info.pixelSize;
-  // A plate of two pixels is swept up: unlike a ray it does not slip through sparse lintels and ceilings.
+  // A plate of two pixels is swept upwards: unlike a ray it does not slip through sparse lintels and ceilings.
   const [low, high] = [at[2] + above, at[2] + above + PLATE_M];
   const plate = [at[0] - post, at[1] - post, low, at[0] + post, at[1] + post, high, 0, 0, HEADROOM_M];
   const share = (await archive.sweep(new Float64Array(plate), options))[0] ?? NaN;

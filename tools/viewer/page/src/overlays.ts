@@ -1,4 +1,4 @@
-// Point cloud and Gaussian splats over an open archive, for the eye alone: collisions stay with the archive.
+// Point cloud and Gaussian splats over an open archive, only for display: collisions use the archive.
 
 import type { Canvas } from "./canvas";
 import { thousands } from "./geometry";
@@ -9,7 +9,7 @@ import type { Session } from "./session";
 import { texts } from "./texts.en";
 import type { Shell } from "./ui/shell";
 
-/** A file of splats: where it lies, or the file itself. */
+/** A file of splats: its address, or the file itself. */
 export type SplatsSource = string | File;
 
 export class Overlays {
@@ -19,7 +19,7 @@ export class Overlays {
   #source: SplatsSource | null = null;
   #alignment = ALIGNED;
   #splats: Splats | null = null;
-  /** Which reading of splats is wanted: an older one that comes late is forgotten. */
+  /** Number of the latest request for splats; results of earlier ones are dropped. */
   #reading = 0;
 
   constructor(
@@ -32,12 +32,12 @@ export class Overlays {
     return this.#splats?.count ?? 0;
   }
 
-  /** What a link carries; null without splats, or for a file of this computer. */
+  /** Part of a link; null without splats, or for a local file. */
   get link(): { readonly url: string; readonly alignment: Alignment } | null {
     return typeof this.#source === "string" ? { url: this.#source, alignment: this.#alignment } : null;
   }
 
-  /** A point cloud that lies beside the page. */
+  /** Offers a point cloud beside the page. */
   offer(cloudUrl: string | null): void {
     this.#cloudUrl = cloudUrl;
   }
@@ -54,7 +54,7 @@ export class Overlays {
     this.#session = null;
   }
 
-  /** The local origin of the scene moved. */
+  /** Follows the scene's local origin. */
   place(): void {
     if (this.#session === null) return;
     this.#cloud?.place(this.#session.world);
@@ -80,7 +80,7 @@ export class Overlays {
     this.#tell();
   }
 
-  /** Other splats, shown at once if an archive is open. */
+  /** Loads other splats, shown at once if an archive is open. */
   take(source: SplatsSource, alignment: Alignment): void {
     this.#source = source;
     this.align(alignment);
@@ -122,7 +122,7 @@ export class Overlays {
     this.place();
   }
 
-  /** Draws the archive itself, or only what lies over it. */
+  /** Shows or hides the archive itself. */
   showMatter(shown: boolean): void {
     if (this.#session !== null) this.#session.world.group.visible = shown;
   }

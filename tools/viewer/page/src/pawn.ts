@@ -1,4 +1,4 @@
-// The pawn that a person walks with: intents become steps of the engine's walker, and its eye follows smoothly.
+// The person's pawn: intents become steps of the engine's walker, and the eye follows smoothly.
 
 import type { Vec3, Walker, WalkerInput, WalkerState } from "slicewalk";
 import { across, direction, type Look } from "./geometry";
@@ -6,14 +6,14 @@ import { moves, type Intent } from "./input/intent";
 
 const RUN_PACE = 2.5;
 const FLY_PACE = 4;
-/** The engine drops what is longer. */
+/** Longest step of the engine, which drops the rest. */
 const LONGEST_STEP_S = 0.25;
-/** The eye follows steps of stairs with this delay. */
+/** Delay with which the eye follows stairs. */
 const EYE_DELAY_S = 0.07;
-/** Farther than this the eye jumps. */
+/** Distance beyond which the eye jumps. */
 const EYE_JUMP_M = 1;
 const ARRIVED_M = 0.05;
-/** Without progress for so long a way is given up. */
+/** Time without progress after which a walk to a place ends. */
 const PATIENCE_S = 1;
 
 export type Arrival = "arrived" | "gave-up";
@@ -60,7 +60,7 @@ export class Pawn {
     this.#eyeZ = at[2];
   }
 
-  /** Lets time pass. One step is on its way at any moment; meanwhile time adds up. */
+  /** Lets time pass. At most one step is in flight; meanwhile time accumulates. */
   step(seconds: number, intent: Intent, heading: number): void {
     this.#time = Math.min(this.#time + seconds, LONGEST_STEP_S);
     this.#jump ||= intent.jump;
@@ -71,7 +71,7 @@ export class Pawn {
     this.#time = 0;
     this.#jump = false;
     this.#busy = true;
-    // A closed or failed archive says so elsewhere.
+    // A closed or failed archive is reported elsewhere.
     const done = (): void => void (this.#busy = false);
     this.walker.step(time, input).then(done, done);
     this.#watch(time);
@@ -102,7 +102,7 @@ export class Pawn {
     };
   }
 
-  /** Ends a way at its end, or where it gets nowhere. */
+  /** Ends a walk at its target, or when the pawn makes no progress. */
   #watch(seconds: number): void {
     if (this.#target === null) return;
     const { at, ground, missing } = this.state;

@@ -1,4 +1,4 @@
-// One open archive: the pawn in it, and the geometry around it.
+// An open archive with its pawn and the geometry around it.
 
 import { openArchive, SlicewalkError, type Archive, type Vec3, type View } from "slicewalk";
 import { standing, type Look } from "./geometry";
@@ -8,31 +8,31 @@ import { walkerSettings, type Settings } from "./settings";
 import { findLook, findStart } from "./start";
 import { crsName } from "./ui/status";
 
-/** Around a pawn, what is loaded before a place counts as loaded (m). */
+/** Distance around a pawn that must be loaded before a place counts as loaded (m). */
 const AROUND_M = 0.3;
-/** A step after a jump to another place is waited for so long. */
+/** Longest wait for a step after a jump to another place (ms). */
 const PATIENCE_MS = 10_000;
-/** Above the middle of a scan without a place to stand. */
+/** Height above the middle of a scan without a place to stand (m). */
 const HOVER_M = 2;
-/** With an overview level, which takes a quarter more, less than 64 MiB. */
+/** Budget that stays below 64 MiB with an overview level, which takes a quarter more. */
 const BUDGET_BYTES = 51 << 20;
 
 export interface Source {
-  /** What `openArchive` takes. */
+  /** Argument of `openArchive`. */
   readonly archive: string | Blob;
-  /** What a link carries; null for a file of this computer. */
+  /** Part of a link; null for a local file. */
   readonly link: string | null;
   readonly name: string;
 }
 
-/** The archive at an address, relative to the page. */
+/** The archive at an address relative to the page. */
 export const fromAddress = (url: string): Source => ({ archive: new URL(url, location.href).href, link: url, name: url });
 
 export class Session {
   readonly world: World;
   readonly view: View;
   crs = "";
-  /** Metres in a unit of the input. */
+  /** Metres per unit of the input. */
   unit = 1;
 
   private constructor(
@@ -81,11 +81,11 @@ export class Session {
       this.crs = crsName(crs);
       this.unit = unit.factor;
     } catch {
-      // A failed archive says so elsewhere.
+      // A failed archive is reported elsewhere.
     }
   }
 
-  /** Puts the pawn elsewhere; resolves when the place is loaded. */
+  /** Moves the pawn elsewhere; resolves when the place is loaded. */
   async goto(at: Vec3, settings: Settings): Promise<void> {
     if (!at.every(Number.isFinite)) throw new SlicewalkError("invalid", "a place is three finite numbers");
     await this.pawn.place(at);
@@ -93,7 +93,10 @@ export class Session {
     await this.#stands();
   }
 
-  /** Resolves when a step no longer waits for pages, or when none is answered: the page may be in the background. */
+  /**
+   * Resolves when a step no longer waits for pages, or when no step is answered because the page may be in the
+   * background.
+   */
   async #stands(): Promise<void> {
     const { steps } = this.pawn.state;
     const end = performance.now() + PATIENCE_MS;

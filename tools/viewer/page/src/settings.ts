@@ -1,4 +1,4 @@
-// What a person can set, kept by the browser.
+// Settings of a person, stored by the browser.
 
 import type { WalkerSettings } from "slicewalk";
 import { clamp } from "./geometry";
@@ -43,7 +43,7 @@ export function usualSettings(): Settings {
   return Object.fromEntries(names.map((name) => [name, limits[name].usual])) as unknown as Settings;
 }
 
-/** Within the limits; the eye stays inside the body, and the climb below its height. */
+/** Clamps to the limits; the eye stays inside the body, and the climb height below the body's height. */
 export function sound(settings: Settings): Settings {
   const kept = { ...settings };
   for (const name of names) {
@@ -58,7 +58,7 @@ export function loadSettings(): Settings {
   try {
     return sound({ ...usualSettings(), ...JSON.parse(localStorage.getItem(KEY) ?? "{}") });
   } catch {
-    return usualSettings(); // no storage, or text that is no JSON
+    return usualSettings(); // no storage, or invalid JSON
   }
 }
 

@@ -1,4 +1,4 @@
-// What is shown of the matter around the pawn: how far, in which colours, and between which heights.
+// Visible surroundings of the pawn: how far, in which colours, and between which heights.
 
 import type { Vec3 } from "slicewalk";
 import type { Mode } from "./address";
@@ -8,28 +8,30 @@ import type { Session } from "./session";
 import type { Settings } from "./settings";
 import type { Shell } from "./ui/shell";
 
-/** Below the ceiling, and at most so far above the feet, the roof is cut. */
+/** The roof is cut this far below the ceiling, and at most this far above the feet. */
 const CUT_BELOW_M = 0.15;
 const CUT_ABOVE_M = 2;
 const CEILING_M = 30;
-/** Width of what looks for it, of the pawn's. */
+/** Width of the box that looks for the ceiling, relative to the pawn's. */
 const SLIM = 0.6;
-/** The ceiling is looked for again after so much way. */
+/** Distance walked after which the ceiling is looked for again. */
 const WAY_M = 0.3;
 const FAR_M = 1e9;
-/** The cameras see so far. */
+/** Far plane of the cameras. */
 const FAR_SEEN_M = 4000;
-/** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
+/** Viewing distance until the pawn has made its first steps: what it walks on is loaded before what is far away. */
 const FIRST_M = 4;
 const FIRST_STEPS = 10;
-/** And so far until the whole scan is drawn from an overview level, unless nothing comes of that for so long (s). */
+/** Viewing distance until the whole scan is drawn from an overview level, unless none arrives for this time (s). */
 const OUTLINE_M = 10;
 const OUTLINE_S = 5;
-/** Triangles at first, and between which numbers they go where the graphics are fast or slow (frames a second). */
+/**
+ * Initial number of triangles, and the range within which it adapts to the speed of the graphics (frames per second).
+ */
 const FIRST_TRIANGLES = 300_000;
 const MOST_TRIANGLES = 1_000_000;
 const LEAST_TRIANGLES = 100_000;
-/** Cells seen from outside are as wide as this share of their distance: all of a storey in one grain. */
+/** Width of cells seen from outside, relative to their distance: all of a storey at one detail. */
 const OUTSIDE_DETAIL = 0.004;
 const WALK_DETAIL = 0.01;
 const SLOW_FPS = 18;
@@ -53,13 +55,13 @@ export class Sight {
     this.#outlined = session.archive.info.levels === 0;
   }
 
-  /** Of a view `outside`, seen from `distance`: how far the engine builds geometry, and the shader shows it. */
+  /** Sets the viewing distance of the engine and the shader for a view from inside, or `outside` from `distance`. */
   see(mode: Mode, settings: Settings, distance: number): void {
     this.#mode = mode;
     this.#from = null;
     const { view, world } = this.session;
     const outside = mode !== "walk";
-    // Counted from the camera, which is so far away.
+    // Measured from the camera, which is this far away.
     const radius = outside ? Math.max(settings.radius, distance) + distance : settings.radius;
     this.#radius = radius;
     view.set({
@@ -68,7 +70,7 @@ export class Sight {
       triangles: Math.round(this.#triangles),
     });
     const { uniforms } = world.shading;
-    // Beyond the pages an overview level shows the rest.
+    // Beyond the pages, an overview level shows the rest.
     uniforms.far.value = Math.max(radius, this.#extent);
     uniforms.fogShare.value = outside ? 0 : 1;
     this.colour(settings);
@@ -85,7 +87,7 @@ export class Sight {
     view.set({ radius: this.#loaded, triangles: Math.round(this.#triangles) });
   }
 
-  /** Whether the outline is drawn: all that came of it, and no more came for a second. */
+  /** Checks whether the outline is drawn: everything that arrived, with nothing new for a second. */
   #outline(): void {
     const { archive, world } = this.session;
     const { overview } = world.counts;
@@ -96,14 +98,14 @@ export class Sight {
     this.#outlined ||= (idle && overview > 0) || this.#idleS > OUTLINE_S;
   }
 
-  /** How far pages are loaded: what the pawn walks on first, then the outline, then the rest. */
+  /** How far pages are loaded: first what the pawn walks on, then the outline, then the rest. */
   get #loaded(): number {
     const begins = !this.#settled && this.#mode === "walk";
     const most = begins ? FIRST_M : this.#outlined ? this.#radius : OUTLINE_M;
     return Math.min(most, this.#radius);
   }
 
-  /** How far an overview level shows matter (m), 0 without one. */
+  /** How far an overview level is shown (m), 0 without one. */
   get #extent(): number {
     const { bounds, levels } = this.session.archive.info;
     return bounds === null || levels === 0 ? 0 : Math.min(FAR_SEEN_M, distance(bounds.min, bounds.max));
@@ -113,7 +115,7 @@ export class Sight {
     return this.session.pawn.state.steps >= FIRST_STEPS;
   }
 
-  /** Heights between which matter is shown. */
+  /** Heights between which solid is shown. */
   get cut(): readonly [number, number] {
     const { slice, roof } = this.shell.slices.choice;
     const { info } = this.session.archive;
@@ -134,7 +136,7 @@ export class Sight {
     this.shell.colours.show([bounds?.min[2] ?? 0, bounds?.max[2] ?? 1], settings.slope);
   }
 
-  /** The heights of the shader count from the local origin, which moves. */
+  /** Updates the shader's heights, which are relative to the moving local origin. */
   update(): void {
     const { world, archive, pawn } = this.session;
     const { info } = archive;
@@ -149,25 +151,25 @@ export class Sight {
     uniforms.pawnSlice.value.set(bottom, bottom + info.sliceHeight);
   }
 
-  /** Looks for the ceiling above the pawn when it has moved. */
+  /** Looks for the ceiling above the pawn after it has moved. */
   async follow(at: Vec3, settings: Settings): Promise<void> {
     const near = this.#from !== null && distance(at, this.#from) < WAY_M;
     const mode = this.#mode;
     if (mode === "walk" || near) return;
     this.#from = at;
-    // A box does not slip through a sparse ceiling as a ray does; a slim one keeps away from walls.
+    // Unlike a ray, a box does not slip through a sparse ceiling; a slim one keeps away from walls.
     const [low, high] = [at[2] + settings.height / 2, at[2] + settings.height];
     const body = flat(standing([at[0], at[1], low], SLIM * settings.width, high - low));
     const up = new Float64Array([...body, 0, 0, CEILING_M]);
     const share = (await this.session.archive.sweep(up, { load: true }).catch(() => null))?.[0] ?? NaN;
     const ceiling = share < 1 ? high + share * CEILING_M : Infinity;
-    // Under the open sky nothing hides the pawn from aside.
+    // Under the open sky nothing hides the pawn from the side.
     const opened = ceiling === Infinity && mode === "orbit";
     this.#roofZ = opened ? FAR_M : Math.min(ceiling - CUT_BELOW_M, at[2] + CUT_ABOVE_M);
     this.colour(settings);
   }
 
-  /** The ray from where it enters what is shown: what was cut off is not hit. */
+  /** Starts a ray where it enters the visible range, so that it does not hit what was cut off. */
   enter(ray: Ray): Ray {
     const [, top] = this.cut;
     const { origin, direction } = ray;

@@ -1,15 +1,16 @@
-// Where a walk begins when the address does not say: on a floor near the middle with room to stand, looking where there is space.
+// Chooses the start of a walk if the address does not: on a floor near the middle with room to stand, looking into open
+// space.
 
 import { CLEAR, type Archive, type Vec3 } from "slicewalk";
 import { clamp, direction, flat, standing, type Look } from "./geometry";
 import type { Settings } from "./settings";
 
-/** Places tried across, from the middle outwards, and heights tried at each. */
+/** Number of places tried, from the middle outwards, and of heights tried at each. */
 const SPIRAL = 49;
 const MOST_HEIGHTS = 24;
-/** A floor counts as free from so far above it: it is stored to a quantum. */
+/** Height above a floor from which it counts as free, because it is stored to a quantum. */
 const ABOVE_FLOOR_M = 0.02;
-/** A look is as good as it is far, up to here; into the open it counts as so far. */
+/** A direction is rated by its free distance, up to this one; directions into the open get a fixed rating. */
 const VIEW_M = 25;
 const OPEN_M = 4;
 const EYE_BOX_M = 0.2;
@@ -50,7 +51,7 @@ export async function findStart(archive: Archive, settings: Settings, signal: Ab
   return null;
 }
 
-/** Along the longest free view: a small box is swept, which does not slip through sparse walls as a ray does. */
+/** Looks along the longest free view: sweeps a small box, which unlike a ray does not slip through sparse walls. */
 export async function findLook(archive: Archive, at: Vec3, eye: number): Promise<Look> {
   const headings = Array.from({ length: 24 }, (_, n) => n * 15);
   const box = flat(standing([at[0], at[1], at[2] + eye - EYE_BOX_M / 2], EYE_BOX_M, EYE_BOX_M));
@@ -58,7 +59,7 @@ export async function findLook(archive: Archive, at: Vec3, eye: number): Promise
   const shares = await archive.sweep(new Float64Array(sweeps));
   let best = { heading: 0, far: -1 };
   headings.forEach((heading, n) => {
-    // Out of the scan, or into what is not loaded, there is less to see than along a room.
+    // Out of the scan, or into pages that are not loaded, there is less to see than along a room.
     const share = shares[n] ?? NaN;
     const far = share < 1 ? share * VIEW_M : OPEN_M;
     if (far > best.far) best = { heading, far };

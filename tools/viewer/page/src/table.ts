@@ -1,4 +1,4 @@
-// The table of what lies beside the page: `slicetool serve` and `slicetool site` write it.
+// The table of files beside the page, written by `slicetool serve` and `slicetool site`.
 
 export interface Table {
   readonly archives: readonly { readonly name: string; readonly url: string }[];

@@ -1,8 +1,8 @@
-// Every text that a person reads, in English. A translation is a copy of this file.
+// All texts of the user interface, in English. A translation is a copy of this file.
 
 import type { ErrorKind, Stop } from "slicewalk";
 
-/** What went wrong, in a few words, and what to do about it. The message of the error stands between the two. */
+/** A short title of a problem, and what to do about it. The error's message is shown between the two. */
 interface Trouble {
   readonly title: string;
   readonly wayOut: string;
@@ -24,11 +24,11 @@ const errors: Record<ErrorKind | "webgl" | "page", Trouble> = {
     title: "The browser has too little memory for this archive",
     wayOut: "Close other tabs, or cut out a part with slicetool extract.",
   },
-  aborted: { title: "Opening was given up", wayOut: "Open the archive again." },
-  invalid: { title: "The request makes no sense", wayOut: "Check the address of this page." },
+  aborted: { title: "Opening was cancelled", wayOut: "Open the archive again." },
+  invalid: { title: "The request is invalid", wayOut: "Check the address of this page." },
   engine: { title: "The engine stopped", wayOut: "Open the archive again; if it stops again, reload the page." },
   webgl: { title: "This browser does not offer WebGL2", wayOut: "Switch on hardware acceleration, or use a current browser." },
-  page: { title: "The page met an unexpected error", wayOut: "Reload the page." },
+  page: { title: "Unexpected error in the page", wayOut: "Reload the page." },
 };
 
 const stops: Record<Stop, string> = {

@@ -1,5 +1,5 @@
-//! `replay ARCHIVE RECORDING.json`: does natively what a walker of the package recorded in a browser, and compares the paths bit
-//! by bit.
+//! `replay ARCHIVE RECORDING.json`: repeats natively what a walker of the package recorded in a browser, and compares
+//! the paths bit for bit.
 
 use serde_json::Value;
 use slicewalk::NoMonitor;

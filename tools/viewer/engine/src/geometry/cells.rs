@@ -1,9 +1,9 @@
-//! The spans of a page on the coarser grid of a drawing.
+//! Spans of a page on the coarser grid of a drawing.
 
 use slicewalk::frame::TILE_PIXELS;
 use slicewalk::slice::{Page, Span};
 
-/// Matter of one cell between two heights (steps).
+/// Solid in one cell between two heights (steps).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Bar {
     pub bottom: u16,
@@ -11,21 +11,21 @@ pub(super) struct Bar {
     pub obstacle: bool,
 }
 
-/// Bars per cell, row by row, lowest first and apart.
+/// Bars per cell, row by row; lowest first and disjoint.
 #[derive(Debug)]
 pub(super) struct Cells {
     /// Cells along an edge.
     pub edge: usize,
     bars: Vec<Bar>,
-    /// Where each cell's bars begin, and the end.
+    /// Index of each cell's first bar, then the total.
     first: Vec<u32>,
 }
 
 impl Cells {
-    /// Cells of `2^coarseness` pixels; heights in steps of `step` quanta.
+    /// Builds cells of `2^coarseness` pixels, with heights in steps of `step` quanta.
     ///
-    /// A height that lies within a step of a neighbour's takes that: floors with noise become level, and the drawing few
-    /// large quads.
+    /// A height within a step of a neighbour's takes the neighbour's value: noisy floors become level, and the drawing
+    /// has few large quads.
     pub fn of(page: &Page, coarseness: u32, step: u32) -> Self {
         let edge = TILE_PIXELS as u32 >> coarseness;
         let mut cells = Self { edge: edge as usize, bars: Vec::new(), first: vec![0] };
@@ -41,14 +41,14 @@ impl Cells {
         cells
     }
 
-    /// The next cell, of spans with ascending bottoms.
+    /// Adds the next cell, from spans with ascending bottoms.
     fn add(&mut self, spans: &[Span], step: u32) {
         let (number, start) = (self.first.len() - 1, self.bars.len());
         for span in spans {
             let top = self.level(number, span.top(), step, |bar| bar.top).max(1);
             let bottom = self.level(number, span.bottom(), step, |bar| bar.bottom).min(top - 1);
             match self.bars[start..].last_mut() {
-                // What touches is one bar; the highest says what its top is.
+                // Touching spans form one bar; the highest decides the kind of its top.
                 Some(below) if bottom <= below.top => {
                     if top > below.top {
                         (below.top, below.obstacle) = (top, span.is_obstacle());
@@ -62,7 +62,8 @@ impl Cells {
         self.first.push(self.bars.len() as u32);
     }
 
-    /// `height` (quanta) in steps: that of a bar of the cell to the left or below, if it is within a step.
+    /// Converts `height` (quanta) to steps; takes the height of a bar in the cell to the left or below if it is within
+    /// a step.
     fn level(&self, number: usize, height: u32, step: u32, end: impl Fn(&Bar) -> u16) -> u16 {
         let near = |bars: &[Bar]| {
             let ends = bars.iter().map(&end);
@@ -78,14 +79,14 @@ impl Cells {
         &self.bars[self.first[number] as usize..self.first[number + 1] as usize]
     }
 
-    /// Bars of cell (`x`, `y`); none outside.
+    /// Bars of cell (`x`, `y`); empty outside.
     pub fn at(&self, x: isize, y: isize) -> &[Bar] {
         let inside = |v: isize| (0..self.edge as isize).contains(&v);
         if inside(x) && inside(y) { self.cell(y as usize * self.edge + x as usize) } else { &[] }
     }
 }
 
-/// Puts a span where its bottom belongs: they come nearly in order.
+/// Inserts a span by its bottom; spans arrive nearly in order.
 fn put(spans: &mut Vec<Span>, span: Span) {
     let above = spans.iter().rev().take_while(|other| other.bottom() > span.bottom()).count();
     spans.insert(spans.len() - above, span);

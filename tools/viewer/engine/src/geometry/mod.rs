@@ -1,8 +1,8 @@
 //! Geometry of a page for drawing: tops, undersides and sides of its spans as quads.
 //!
-//! In: a page, and how many pixels one cell of the drawing is wide. Out: quads on a grid of cells and of vertical steps of a
-//! quarter of a cell. Every page is closed in itself: neighbours need not be in memory, and pages of other detail beside it
-//! leave no gap.
+//! In: a page, and the width of a drawing's cell in pixels. Out: quads on a grid of cells and of vertical steps of a
+//! quarter of a cell. Every page is a closed surface: neighbours need not be in memory, and adjacent pages of another
+//! detail leave no gap.
 
 mod cells;
 mod quads;
@@ -11,28 +11,28 @@ use cells::Cells;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::slice::Page;
 
-/// Greatest power of two of pixels in a cell.
+/// Largest cell, as a power of two of pixels.
 pub(crate) const COARSEST: u32 = 4;
 
 /// Quads of one page. Positions count cells from the page's corner and steps from its floor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
-    /// Corner with the least coordinates (m), for positions of zero.
+    /// Lowest corner (m), the point of position zero.
     pub origin: [f64; 3],
     /// Length of a cell along x and y, and of a step (m).
     pub scale: [f64; 3],
-    /// Least and greatest corner of the matter (m).
+    /// Lowest and highest corner of the solid (m).
     pub bounds: [[f64; 3]; 2],
-    /// Three a vertex, four vertices a quad, counterclockwise seen from outside.
+    /// Three per vertex, four vertices per quad, counterclockwise seen from outside.
     pub positions: Vec<u16>,
-    /// Four a vertex: normal, and zero.
+    /// Four per vertex: normal, and zero.
     pub normals: Vec<i8>,
-    /// Four a vertex: face (0 top, 1 underside, 2 side), obstacle, slope (degrees), zero.
+    /// Four per vertex: face (0 top, 1 underside, 2 side), obstacle, slope (degrees), zero.
     pub attributes: Vec<u8>,
 }
 
 impl Geometry {
-    /// Draws `page` with cells of `2^coarseness` pixels.
+    /// Builds the geometry of `page` with cells of `2^coarseness` pixels.
     pub fn of(frame: &Frame, key: PageKey, page: &Page, coarseness: u32) -> Self {
         let coarseness = coarseness.min(COARSEST);
         let pixels = f64::from(1 << coarseness);
@@ -66,7 +66,7 @@ impl Geometry {
     }
 }
 
-/// What faces are there for.
+/// Kinds of faces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Face {
     Top = 0,
@@ -74,7 +74,7 @@ enum Face {
     Side = 2,
 }
 
-/// Quads as they are found.
+/// Collector of quads.
 #[derive(Debug, Default)]
 struct Faces {
     /// Height of a step in cells.
@@ -85,7 +85,7 @@ struct Faces {
 }
 
 impl Faces {
-    /// A quad with these corners, counterclockwise seen from where `normal` points.
+    /// Adds a quad with these corners, counterclockwise seen from where `normal` points.
     fn quad(&mut self, corners: [[u16; 3]; 4], normal: [i8; 3], attributes: [u8; 3]) {
         for corner in corners {
             self.positions.extend(corner);

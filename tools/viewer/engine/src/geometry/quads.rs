@@ -1,14 +1,14 @@
-//! Cells to quads; equal neighbours are joined, along x first.
+//! Converts cells to quads; equal neighbours are joined, along x first.
 
 use super::cells::{Bar, Cells};
 use super::{Face, Faces};
 
-/// Slopes are told in steps of this many degrees, so that what is nearly level can be joined.
+/// Slopes are rounded to this many degrees, so that nearly level faces can be joined.
 const SLOPE_STEP_DEG: f64 = 15.0;
-/// Neighbouring tops steeper than this are two surfaces.
+/// Neighbouring tops with a steeper connection belong to two surfaces.
 const CONNECTED_DEG: f64 = 78.0;
 
-/// Cells side by side at one height: from `x0` to before `x1`.
+/// Adjacent cells at one height: from `x0` up to, but without, `x1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Strip {
     x0: u16,
@@ -17,13 +17,13 @@ struct Strip {
     attributes: [u8; 3],
 }
 
-/// Quads at the tops of bars, or at their undersides.
+/// Adds quads at the tops of bars or at their undersides.
 pub(super) fn levels(cells: &Cells, top: bool, faces: &mut Faces) {
     let edge = cells.edge as isize;
-    // Rectangles that end in the row before, with their first row; both lists ascend by `x0`.
+    // Rectangles that end in the previous row, with their first row; both lists ascend by `x0`.
     let mut open: Vec<(Strip, u16)> = Vec::new();
     let mut strips: Vec<Strip> = Vec::new();
-    // Strips that end in the cell before, and those that end in this one.
+    // Strips that end in the previous cell, and those that end in this one.
     let (mut ends, mut now): (Vec<usize>, Vec<usize>) = Default::default();
     for y in 0..=edge {
         strips.clear();
@@ -93,20 +93,20 @@ fn slope(cells: &Cells, step_cells: f64, x: isize, y: isize, height: u16) -> u8 
     ((degrees / SLOPE_STEP_DEG).round() * SLOPE_STEP_DEG) as u8
 }
 
-/// Part of a side of a bar that nothing covers.
+/// Uncovered part of a side of a bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Side {
     bottom: u16,
     top: u16,
     obstacle: bool,
-    /// Faces greater coordinates.
+    /// True if it faces greater coordinates.
     up: bool,
 }
 
-/// Quads between cells of which one has matter and the other has not.
+/// Adds quads between cells of which one is solid and the other is not.
 pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
     let edge = cells.edge as isize;
-    // Sides that end in the cell before, each with its first cell.
+    // Sides that end in the previous cell, each with its first cell.
     let (mut open, mut now) = (Vec::<(Side, u16)>::new(), Vec::new());
     for along_y in [true, false] {
         for plane in 0..=edge {
@@ -116,7 +116,7 @@ pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
                 for (here, there, up) in [(below, above, true), (above, below, false)] {
                     uncovered(here, there, |bottom, top, obstacle| {
                         let side = Side { bottom, top, obstacle, up };
-                        // What goes on is no longer open.
+                        // A side that continues is no longer open.
                         let goes_on = open.iter().position(|(other, _)| *other == side);
                         now.push((side, goes_on.map_or(at as u16, |n| open.swap_remove(n).1)));
                     });
@@ -144,7 +144,7 @@ fn side_quad(faces: &mut Faces, along_y: bool, side: Side, plane: u16, [a, b]: [
     faces.quad(corners, normal, [Face::Side as u8, u8::from(obstacle), 90]);
 }
 
-/// Calls `f` with the stretches of `here` that `there` leaves open.
+/// Calls `f` for the parts of `here` that `there` does not cover.
 fn uncovered(here: &[Bar], there: &[Bar], mut f: impl FnMut(u16, u16, bool)) {
     for bar in here {
         let mut from = bar.bottom;

@@ -17,7 +17,8 @@ fn page(spans: impl Fn(u32, u32) -> Vec<(u32, u32, bool)>) -> Page {
     builder.build()
 }
 
-/// Six times the volume that the quads enclose (cells² · steps), exact: closed and turned outwards, or it comes out wrong.
+/// Six times the volume that the quads enclose (cells² · steps), exact: wrong unless the surface is closed and faces
+/// outwards.
 fn volume(geometry: &Geometry) -> i64 {
     let corner = |at: usize| -> [i64; 3] { std::array::from_fn(|axis| i64::from(geometry.positions[3 * at + axis])) };
     let det = |[a, b, c]: [[i64; 3]; 3]| {
@@ -66,7 +67,7 @@ fn noise_below_a_step_draws_no_risers_and_stairs_do() {
 
 #[test]
 fn slopes_are_told_in_degrees() {
-    // A rise of one pixel (85 quanta) a pixel is 45 degrees.
+    // A rise of one pixel (85 quanta) per pixel is 45 degrees.
     let ramp = page(|x, _| vec![(0, 200 + 85 * x, false)]);
     let geometry = Geometry::of(&frame(), KEY, &ramp, 0);
     let tops: Vec<u8> = geometry.attributes.chunks(4).filter(|a| a[0] == 0).map(|a| a[2]).collect();
@@ -75,7 +76,7 @@ fn slopes_are_told_in_degrees() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
-    /// Whatever a page holds, its drawing is closed, faces outwards and encloses just the matter of the cells.
+    /// The drawing of any page is closed, faces outwards and encloses exactly the solid of the cells.
     #[test]
     fn drawings_are_closed(seed: u64, density in 1u32..40, coarseness in 0u32..=COARSEST) {
         let hash = |x: u32, y: u32, k: u32| {

@@ -4,7 +4,7 @@ import { nothing, type Intent } from "./intent";
 
 const DEAD = 0.15;
 
-/** Nothing near the middle, and all of the way at the edge. */
+/** Maps a stick's value: zero near the middle, full at the edge. */
 function stick(value: number | undefined): number {
   const size = Math.abs(value ?? 0);
   return size < DEAD ? 0 : Math.sign(value ?? 0) * Math.min(1, (size - DEAD) / (1 - DEAD));

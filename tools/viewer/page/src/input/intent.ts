@@ -1,13 +1,13 @@
-// What a person wants, whatever the device.
+// Input of a person, independent of the device.
 
 export interface Intent {
-  /** Ahead and to the right, -1 to 1. */
+  /** Forward and to the right, -1 to 1. */
   forward: number;
   right: number;
   /** Turning right and looking up, -1 to 1 of the usual speed. */
   turn: number;
   tilt: number;
-  /** Up while flying. */
+  /** Upwards while flying. */
   lift: number;
   run: boolean;
   jump: boolean;

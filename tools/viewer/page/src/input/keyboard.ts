@@ -1,4 +1,4 @@
-// Keys by their place on the keyboard, so that W A S D lie together on every layout.
+// Keys by their position on the keyboard, so that W A S D are adjacent on every layout.
 
 import { nothing, type Intent } from "./intent";
 
@@ -21,7 +21,9 @@ const HELD = new Set([
   "PageDown",
 ]);
 
-/** Whether a key belongs to what has the focus: a text, a slider, a list, or a button that it presses. */
+/**
+ * Returns whether a key belongs to the focused element: a text field, a slider, a list, or a button that it presses.
+ */
 function isTaken(event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.altKey || event.metaKey) return true;
   const { target } = event;
@@ -36,7 +38,7 @@ export class Keyboard {
   readonly #down = new Set<string>();
   #jump = false;
 
-  /** `pressed` is told each key that is no part of walking, once. */
+  /** `pressed` is called once for each key that does not walk. */
   constructor(pressed: (code: string) => void) {
     window.addEventListener("keydown", (event) => {
       if (isTaken(event)) return;
@@ -49,7 +51,7 @@ export class Keyboard {
       }
     });
     window.addEventListener("keyup", (event) => this.#down.delete(event.code));
-    // The browser does not tell what was released elsewhere.
+    // The browser does not report keys released elsewhere.
     const release = (): void => this.release();
     window.addEventListener("blur", release);
     document.addEventListener("visibilitychange", release);
@@ -70,7 +72,7 @@ export class Keyboard {
       tilt: held("PageUp") - held("PageDown"),
       lift: held("Space") - held("KeyC"),
       run: held("ShiftLeft", "ShiftRight") > 0,
-      // A key that was hit and released between two frames still jumps.
+      // A key pressed and released between two frames still jumps.
       jump: this.#jump || held("Space") > 0,
       crouch: held("KeyC") > 0,
     };

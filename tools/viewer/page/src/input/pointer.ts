@@ -1,19 +1,19 @@
 // Mouse, pen and fingers on the canvas: dragging looks, clicks choose places, the mouse can be captured.
 
-/** A click becomes one of two if another follows within this time. */
+/** Longest time between the clicks of a double click (ms). */
 const DOUBLE_MS = 260;
-/** A hand that moves less clicks; more drags. */
+/** Largest movement of a click (pixels); beyond it the pointer drags. */
 const STILL_PX = 5;
 
 export interface PointerEvents {
-  /** Dragged or moved while captured (CSS pixels); `pan` with the right button or shift. */
+  /** Dragged, or moved while captured (CSS pixels); `pan` with the right button or shift. */
   drag(right: number, down: number, pan: boolean): void;
-  /** At a place of the screen, x and y from -1 to 1, up is positive; the middle while captured. */
+  /** Clicked at a place on the screen, x and y from -1 to 1, up is positive; the middle while captured. */
   click(x: number, y: number): void;
   doubleClick(x: number, y: number): void;
   hover(x: number, y: number): void;
   zoom(factor: number): void;
-  /** Whether a click should capture the mouse instead. */
+  /** Returns whether a click should capture the mouse instead. */
   captures(): boolean;
   captured(captured: boolean): void;
 }
@@ -84,7 +84,7 @@ export class Pointer {
     }
   }
 
-  /** Distance of two fingers. */
+  /** Distance between two fingers. */
   #spread(): number {
     const [a, b] = [...this.#fingers.values()];
     return a && b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;

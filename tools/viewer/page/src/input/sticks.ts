@@ -1,4 +1,4 @@
-// Two thumb sticks for touch screens; they appear with the first touch.
+// Two on-screen thumb sticks for touch screens; they appear with the first touch.
 
 import type { create as createSticks } from "nipplejs";
 import { h } from "../ui/dom";

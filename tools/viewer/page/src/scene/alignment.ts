@@ -1,25 +1,25 @@
-// Files of Gaussian splats, and how they lie in a scan: they name no coordinate system.
+// Files of Gaussian splats and their placement in a scan; the files state no coordinate system.
 
 import type { Vec3 } from "slicewalk";
 
-/** Which axis of the splats points up; y down is what most training programs write. */
+/** Axis of the splats that points up; most training programs write y down. */
 export const UPS = ["z", "y", "-y"] as const;
 export type Up = (typeof UPS)[number];
 
 export interface Alignment {
-  /** Where their origin lies (m, coordinates of the scan). */
+  /** Position of their origin (m, coordinates of the scan). */
   readonly at: Vec3;
-  /** Turn about the vertical: degrees, clockwise seen from above. */
+  /** Rotation about the vertical: degrees, clockwise seen from above. */
   readonly turn: number;
-  /** Metres in one of their units. */
+  /** Metres per unit of the splats. */
   readonly scale: number;
   readonly up: Up;
 }
 
-/** They have the scan's own coordinates. */
+/** Placement of splats in the scan's own coordinates. */
 export const ALIGNED: Alignment = { at: [0, 0, 0], turn: 0, scale: 1, up: "z" };
 
 export const isUp = (text: string | null): text is Up => UPS.some((up) => up === text);
 
-/** Whether a file of this name holds splats. */
+/** Returns whether a file of this name contains splats. */
 export const namesSplats = (name: string): boolean => /\.(ply|splat|ksplat|spz|sog)$/i.test(name);

@@ -1,4 +1,4 @@
-// Three ways to look: out of the pawn's eyes, around it, and down on it.
+// Three views: from the pawn's eyes, orbiting it, and from above.
 
 import type { Vec3 } from "slicewalk";
 import { OrthographicCamera, PerspectiveCamera, Vector3, type Camera } from "three";
@@ -11,7 +11,7 @@ const UP = new Vector3(0, 0, 1);
 export class Cameras {
   readonly #eye = new PerspectiveCamera(70, 1, 0.04, 4000);
   readonly #top = new OrthographicCamera(-1, 1, 1, -1, 0.1, 8000);
-  /** Of orbit and plan: what is looked at, from how far, and from where. */
+  /** Orbit and plan: target, distance and direction. */
   readonly orbit = { target: [0, 0, 0] as Vec3, distance: 18, look: { heading: 30, pitch: -40 } as Look };
   #aspect = 1;
   #mode: Mode = "walk";
@@ -26,7 +26,7 @@ export class Cameras {
     return this.#position;
   }
 
-  /** Where a person would stand who sees as much; a plan is drawn from farther above. */
+  /** Position from which a person would see as much; a plan is drawn from farther above. */
   get stand(): Vec3 {
     return add(this.orbit.target, this.#forward, -this.orbit.distance);
   }
@@ -35,7 +35,7 @@ export class Cameras {
     this.#aspect = width / Math.max(height, 1);
   }
 
-  /** Heading that is up on the screen, or ahead. */
+  /** Heading that points up on the screen, or ahead. */
   heading(look: Look): number {
     return this.#mode === "walk" ? look.heading : this.orbit.look.heading;
   }
@@ -46,7 +46,7 @@ export class Cameras {
     look.pitch = clamp(look.pitch + pitch, -89, 20);
   }
 
-  /** Shifts what is looked at by a share of the screen's height, as a hand would. */
+  /** Pans by a fraction of the screen's height, as if dragged. */
   pan(right: number, up: number): void {
     const { orbit } = this;
     const sides = across(orbit.look.heading);
@@ -80,7 +80,7 @@ export class Cameras {
     } else {
       camera.up.copy(UP);
       this.#eye.aspect = this.#aspect;
-      // A narrow screen sees as wide as a square one.
+      // A narrow screen shows as wide a view as a square one.
       this.#eye.fov =
         this.#aspect < 1 ? Math.min(100, (360 / Math.PI) * Math.atan(Math.tan((70 * Math.PI) / 360) / this.#aspect)) : 70;
       this.#eye.near = mode === "walk" ? 0.04 : Math.max(0.1, orbit.distance / 500);
@@ -90,7 +90,7 @@ export class Cameras {
     camera.updateMatrixWorld();
   }
 
-  /** The ray through a place of the screen: x and y from -1 (left, bottom) to 1. */
+  /** The ray through a point of the screen: x and y from -1 (left, bottom) to 1. */
   ray(x: number, y: number, world: World): Ray {
     const camera = this.current;
     if (this.#mode === "plan") {
@@ -101,7 +101,7 @@ export class Cameras {
     return { origin: this.#position, direction: [end.x, end.y, end.z] };
   }
 
-  /** Where a place of the scan lies on the screen, 0 to 1 from the top left; null behind the camera. */
+  /** Screen position of a place in the scan, 0 to 1 from the top left; null behind the camera. */
   project(at: Vec3, world: World): readonly [number, number] | null {
     const seen = world.local(at).project(this.current);
     return Math.abs(seen.z) <= 1 ? [(seen.x + 1) / 2, (1 - seen.y) / 2] : null;

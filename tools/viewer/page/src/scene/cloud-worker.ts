@@ -1,5 +1,5 @@
-// Reads a COPC point cloud by ranges, coarse nodes first, and posts its points relative to an origin. A worker of its own:
-// decoding takes longer than a frame.
+// Reads a COPC point cloud by ranges, coarse nodes first, and posts its points relative to an origin. Runs in its own
+// worker, because decoding takes longer than a frame.
 
 import { Copc, type Hierarchy } from "copc";
 import { create } from "laz-perf/lib/worker";
@@ -8,7 +8,7 @@ import decoder from "laz-perf/lib/worker/laz-perf.wasm?url";
 export interface CloudRequest {
   readonly url: string;
   readonly origin: readonly [number, number, number];
-  /** Metres in a unit of the cloud. */
+  /** Metres per unit of the cloud. */
   readonly unit: number;
   readonly most: number;
 }
@@ -46,7 +46,7 @@ async function read({ url, origin, unit, most }: CloudRequest): Promise<number> 
     const channels = coloured ? ["Red", "Green", "Blue"].map((name) => view.getter(name)) : [];
     const positions = new Float32Array(3 * view.pointCount);
     const colours = new Uint8Array(3 * view.pointCount).fill(200);
-    // Colours have 16 bits; some writers fill 8 only.
+    // Colours have 16 bits, but some writers fill only 8.
     let bright = 0;
     for (let n = 0; n < view.pointCount; n++) {
       coordinates.forEach((value, axis) => (positions[3 * n + axis] = value(n) * unit - (origin[axis] ?? 0)));

@@ -1,4 +1,4 @@
-// A point cloud drawn over the archive, for the eye alone: collisions stay with the archive.
+// A point cloud drawn over the archive, only for display: collisions use the archive.
 
 import type { Vec3 } from "slicewalk";
 import { BufferAttribute, BufferGeometry, Group, Points, PointsMaterial } from "three";
@@ -14,7 +14,7 @@ export class Cloud {
   readonly #origin: Vec3;
   readonly #worker = new Worker(new URL("./cloud-worker.ts", import.meta.url), { type: "module" });
 
-  /** `told` is given the number of points at the end, or what went wrong. */
+  /** `told` receives the number of points at the end, or an error message. */
   constructor(url: string, near: Vec3, unit: number, told: (points: number | string) => void) {
     this.#origin = [Math.round(near[0]), Math.round(near[1]), Math.round(near[2])];
     this.#worker.addEventListener("message", ({ data }: MessageEvent<CloudAnswer>) => {
@@ -32,7 +32,7 @@ export class Cloud {
     this.#worker.postMessage(request);
   }
 
-  /** Follows the local origin of the scene. */
+  /** Follows the scene's local origin. */
   place(world: World): void {
     this.group.position.copy(world.local(this.#origin));
   }

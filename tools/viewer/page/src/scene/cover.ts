@@ -1,25 +1,25 @@
-// Which pages are drawn in full. The overview level is cut out there: a texel a page, around the camera.
+// Marks the pages that are drawn in full, one texel per page around the camera; the overview level is cut out there.
 
 import type { PageGeometry, Vec3 } from "slicewalk";
 import { Data3DTexture, NearestFilter, RedFormat, UnsignedByteType, Vector3, type IUniform } from "three";
 import { wrapInto } from "../geometry";
 
-/** Pages along x, y and z, powers of two: twice as many as are drawn in full on either side of the camera. */
+/** Pages along x, y and z, powers of two: at least twice as many as are drawn in full on either side of the camera. */
 const SIZE = [128, 128, 16] as const;
 /** Pixels along an edge of a page, and slices of its height. */
 const PAGE_PIXELS = 64;
 const PAGE_SLICES = 64;
 const COVERED = 255;
 
-/** Repeats every `SIZE` pages; the shader asks only near the camera. */
+/** The texture repeats every `SIZE` pages; the shader reads it only near the camera. */
 export class Cover {
   readonly uniforms: {
     cover: IUniform<Data3DTexture>;
     /** Size of a page (m). */
     page: IUniform<Vector3>;
-    /** From the least corner of its page to the scene's origin (m). */
+    /** From the lowest corner of the origin's page to the scene's origin (m). */
     coverRest: IUniform<Vector3>;
-    /** That page within the texture, and counted from the camera's. */
+    /** That page modulo the texture, and relative to the camera's. */
     coverWrap: IUniform<Vector3>;
     coverDelta: IUniform<Vector3>;
   };
@@ -48,7 +48,7 @@ export class Cover {
     texture.needsUpdate = true;
   }
 
-  /** The scene's origin or the camera moved. */
+  /** Follows the scene's origin and the camera. */
   follow(origin: Vec3, camera: Vec3): void {
     const { coverRest, coverWrap, coverDelta } = this.uniforms;
     for (const axis of [0, 1, 2] as const) {

@@ -1,4 +1,4 @@
-// Walking with a headset (WebXR). The browser knows where the head is above the floor of the room; the page moves that floor.
+// Walking with a headset (WebXR). The browser tracks the head above the floor of the room; the page moves that floor.
 
 import { Group, PerspectiveCamera, Vector3, type WebGLRenderer } from "three";
 import type { Vec3 } from "slicewalk";
@@ -6,7 +6,7 @@ import { wrap, type Look } from "../geometry";
 import { nothing, type Intent } from "../input/intent";
 import type { World } from "./world";
 
-/** A flick of the right stick turns by so much: turning smoothly makes people sick. */
+/** Turn of a flick of the right stick; smooth turning makes people sick. */
 const SNAP_DEGREES = 30;
 const FLICK = 0.6;
 const DEAD = 0.15;
@@ -24,7 +24,7 @@ export async function hasHeadset(): Promise<boolean> {
 }
 
 export class Headset {
-  /** The floor of the room in the scene, and the head above it. */
+  /** Floor of the room in the scene, with the head above it. */
   readonly room = new Group();
   readonly head = new PerspectiveCamera(70, 1, 0.04, 4000);
   #session: XRSession | null = null;
@@ -46,7 +46,7 @@ export class Headset {
     return this.#session !== null;
   }
 
-  /** Begins to draw for the headset, looking where the pawn looks. Fails where the person or the browser refuses. */
+  /** Starts drawing for the headset, looking where the pawn looks. Fails if the person or the browser refuses. */
   async enter(heading: number): Promise<void> {
     if (this.#session !== null || navigator.xr === undefined) return;
     const session = await navigator.xr.requestSession("immersive-vr", { optionalFeatures: ["local-floor"] });
@@ -72,7 +72,7 @@ export class Headset {
     await this.#session?.end();
   }
 
-  /** Puts the room's floor where the pawn stands, whose eye is at `eye`; where the person looks then. */
+  /** Places the room's floor under the pawn, whose eye is at `eye`; returns where the person looks. */
   place(world: World, eye: Vec3, eyeHeight: number): Look {
     this.room.position.copy(world.local(eye));
     if (this.#hasFloor) this.room.position.z -= eyeHeight;

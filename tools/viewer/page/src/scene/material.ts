@@ -1,4 +1,4 @@
-// How matter looks: shaded by its face, coloured by height, slope, kind or slice, and cut between two heights.
+// Appearance of solid: shaded by its face, coloured by height, slope, kind or slice, and cut between two heights.
 
 import {
   DoubleSide,
@@ -17,10 +17,10 @@ import { PLAIN, type Paint } from "./paint";
 
 export type Colouring = "height" | "slope" | "obstacle" | "slice" | "scan";
 
-/** Their places are their numbers in the shader. */
+/** The index of a colouring is its number in the shader. */
 export const COLOURINGS: readonly Colouring[] = ["height", "slope", "obstacle", "slice", "scan"];
 
-/** From low to high: legible beside each other, also for the colour-blind. */
+/** From low to high; distinguishable also for the colour-blind. */
 export const RAMP = ["#7d93bd", "#74adb8", "#a3c6a1", "#e3d29d", "#e2a67c"] as const;
 export const FLOOR = "#9db4c4";
 export const OBSTACLE = "#d98a68";
@@ -83,7 +83,7 @@ vec3 onRamp(float share) {
   return mix(ramp[below], ramp[below + 1], place - float(below));
 }
 
-// A little grain per cell, so that motion is seen on large plain faces.
+// A little grain per cell makes motion visible on large plain faces.
 float grain(vec3 cell) {
   vec3 p = fract(floor(cell) * vec3(0.1031, 0.1030, 0.0973));
   p += dot(p, p.yzx + 33.33);
@@ -96,7 +96,7 @@ uint ones(uint word) {
   return (((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
 }
 
-// The scan's colour of the voxel of a cell of colours in this slice, or of the nearest one above or below. Alpha 0: none.
+// The scan's colour of a voxel, by its cell and slice, or of the nearest one above or below. Alpha 0: none.
 vec4 scannedAt(ivec2 at, int slice, int reach) {
   uvec4 cell = texelFetch(paintCells, at, 0);
   if ((cell.x | cell.y) == 0u) return vec4(0.0);
@@ -112,7 +112,7 @@ vec4 scannedAt(ivec2 at, int slice, int reach) {
   return vec4(0.0);
 }
 
-// The scan's colour of the matter behind the face. Heights are drawn rounded, the more so the larger the cells of the drawing are.
+// The scan's colour behind the face. Drawn heights are rounded, the more so the larger the cells of the drawing.
 vec4 scanned() {
   int edge = textureSize(paintCells, 0).x;
   vec3 place = vCell * paintShare;
@@ -121,7 +121,7 @@ vec4 scanned() {
   int slice = int(floor(place.z));
   int reach = 3 * max(1, int(64.0 * paintShare.x + 0.5));
   vec4 found = scannedAt(at, slice, reach);
-  // Colours may lie in finer cells than the drawing has: the matter of one of its cells need not fill all of them.
+  // Cells of colours may be finer than those of the drawing: solid need not fill all of them.
   int wide = int(float(edge) * paintShare.x + 0.5);
   if (found.a > 0.5 || wide < 2) return found;
   ivec2 first = at / wide * wide;
@@ -136,7 +136,7 @@ vec4 scanned() {
 }
 
 #ifdef OVERVIEW
-// Whether the page is drawn in full in which this matter lies: a face belongs to what is behind it.
+// Returns whether the page behind this face is drawn in full.
 bool covered() {
   vec3 place = floor((vLocal - 0.01 * vNormal + coverRest) / page);
   ivec3 size = textureSize(cover, 0);
@@ -151,11 +151,11 @@ void main() {
   if (covered()) discard;
 #endif
   if (gl_FrontFacing && vLocal.z < cut.x) {
-    // Below the slice that is shown: hides what lies in it, and shows nothing.
+    // Below the shown slice: hides what is inside it, and shows nothing.
     colour = vec4(background, 1.0);
     return;
   }
-  // Seen from inside, matter was cut open: it is shown as if it were filled up to the cut.
+  // Seen from inside, solid was cut open: show it as if filled up to the cut.
   float z = gl_FrontFacing ? vLocal.z - 1e-4 * vNormal.z : cut.y - 1e-4;
   vec3 base;
   if (colouring == 1) {
@@ -164,7 +164,7 @@ void main() {
   } else if (colouring == 2) {
     base = vKind.y > 0.5 ? obstacleColour : floorColour;
   } else if (colouring == 3) {
-    // The thesis: red is the height within the slice, blue 255 for obstacles and 26 for floors, green 255.
+    // Colours of the thesis: red is the height within the slice, blue 255 for obstacles and 26 for floors, green 255.
     base = vec3(fract((z - slicing.x) / slicing.y), 1.0, vKind.y > 0.5 ? 1.0 : 26.0 / 255.0);
   } else {
     base = onRamp((z - heights.x) / max(heights.y - heights.x, 0.01));
@@ -173,9 +173,9 @@ void main() {
   float shade = up > 0.5 ? 1.0 : up < -0.5 ? 0.58 : 0.80 + 0.10 * vNormal.x - 0.07 * vNormal.y;
   if (colouring == 4) {
     vec4 own = scanned();
-    // Grey until colours come, and where there are none.
+    // Grey until colours arrive, and where there are none.
     base = own.a > 0.5 ? own.rgb : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
-    // The scan's colours have its light in them: softer than the others.
+    // The scan's colours include its lighting, so shade them less.
     shade = up > 0.5 ? 1.0 - 0.0012 * vKind.z : mix(1.0, shade, 0.55);
   }
   float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
@@ -191,7 +191,7 @@ void main() {
   colour.rgb *= mix(1.06, 0.92, smoothstep(0.0, 0.6 * far, vDistance));
 }`;
 
-/** All uniforms; heights count from the scene's local origin. */
+/** All uniforms; heights are relative to the scene's local origin. */
 export class Shading {
   readonly uniforms: {
     colouring: IUniform<number>;
@@ -214,7 +214,7 @@ export class Shading {
   readonly #overview: Record<"solid" | "opened", ShaderMaterial>;
 
   constructor(cover: Cover) {
-    // Colours go to the screen as they are written: the shader works in the screen's own space.
+    // Colours are passed to the screen unchanged: the shader works in the screen's colour space.
     const plain = (hex: string): Vector3 => {
       const { r, g, b } = new Color().setStyle(hex, "srgb-linear");
       return new Vector3(r, g, b);
@@ -253,12 +253,12 @@ export class Shading {
     return [this.#pages.solid, this.#pages.opened, this.#overview.solid, this.#overview.opened];
   }
 
-  /** Of pages of this level; `opened`: also seen from inside. */
+  /** Material of the pages of this level; `opened`: also seen from inside. */
   material(level: number, opened: boolean): ShaderMaterial {
     return (level > 0 ? this.#overview : this.#pages)[opened ? "opened" : "solid"];
   }
 
-  /** Colours of the page that is drawn next with this material: its share of a page in a cell, and slices in a step. */
+  /** Colours of the next page drawn with this material: the fraction of a page in a cell, and slices per step. */
   paint(material: Material, paint: Paint, share: Vector3): void {
     const { paintCells, paintColours, paintShare, colouring } = this.uniforms;
     if (COLOURINGS[colouring.value] !== "scan") return;

@@ -1,13 +1,13 @@
-// Colours of pages as textures: the shader looks up the voxel behind what it draws.
+// Colours of pages as textures, in which the shader looks up the voxel behind a face.
 
 import type { PageColours } from "slicewalk";
 import { DataTexture, RGBAFormat, RGBAIntegerFormat, UnsignedByteType, UnsignedIntType } from "three";
 
-/** Colours in a row of their texture. */
+/** Colours per row of their texture. */
 const ROW = 256;
 
 export interface Paint {
-  /** A texel a cell: its slices with colours, and the number of its first colour. */
+  /** One texel per cell: its slices with colours, and the index of its first colour. */
   readonly cells: DataTexture;
   readonly colours: DataTexture;
   readonly bytes: number;

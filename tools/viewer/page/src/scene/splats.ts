@@ -1,12 +1,12 @@
-// Gaussian splats drawn over the archive, for the eye alone: collisions stay with the archive. What draws them is a chunk of its own,
-// fetched with the first file of splats.
+// Gaussian splats drawn over the archive, only for display: collisions use the archive. The renderer is a separate
+// chunk, fetched with the first file of splats.
 
 import type { SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import { Euler, Group, type WebGLRenderer } from "three";
 import type { Alignment, Up } from "./alignment";
 import type { World } from "./world";
 
-/** From their axes to those of a scan: turned about x. */
+/** Rotation about x from their axes to those of a scan. */
 const TILT: Record<Up, number> = { z: 0, y: Math.PI / 2, "-y": -Math.PI / 2 };
 
 export class Splats {
@@ -21,11 +21,11 @@ export class Splats {
     this.group.add(renderer, mesh);
   }
 
-  /** Reads a file, or what lies at an address. */
+  /** Reads a file or an address. */
   static async load(source: string | File, renderer: WebGLRenderer): Promise<Splats> {
     const [fileBytes, { SparkRenderer, SplatMesh }] = await Promise.all([read(source), import("@sparkjsdev/spark")]);
     const fileName = typeof source === "string" ? new URL(source).pathname : source.name;
-    // Extended: 32 bits a coordinate, where 16 would be off by centimetres in a large scan.
+    // Extended: 32 bits per coordinate, because 16 would be off by centimetres in a large scan.
     const mesh = new SplatMesh({ fileBytes, fileName, extSplats: true, editable: false, raycastable: false });
     try {
       await mesh.initialized;
@@ -37,7 +37,7 @@ export class Splats {
     return new Splats(new SparkRenderer({ renderer }), mesh);
   }
 
-  /** Puts them where they belong; follows the local origin of the scene. */
+  /** Places the splats; follows the scene's local origin. */
   place({ at, turn, scale, up }: Alignment, world: World): void {
     this.mesh.position.copy(world.local(at));
     this.mesh.quaternion.setFromEuler(new Euler(TILT[up], 0, (-turn * Math.PI) / 180, "ZYX"));

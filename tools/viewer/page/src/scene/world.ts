@@ -1,5 +1,5 @@
-// The pages of an archive as meshes, relative to a local origin near the camera: 32 bits on the graphics card are exact to a
-// tenth of a millimetre there, whatever the coordinates of the scan.
+// The pages of an archive as meshes, relative to a local origin near the camera, where 32 bits on the graphics card are
+// exact to a tenth of a millimetre whatever the coordinates of the scan.
 
 import type { Bounds, PageColours, PageGeometry, Vec3 } from "slicewalk";
 import { Box3, BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3, type Camera } from "three";
@@ -8,9 +8,9 @@ import { Cover } from "./cover";
 import { Shading } from "./material";
 import { forget, type Paint, paintOf, PLAIN } from "./paint";
 
-/** Farther than this from the local origin, another one is chosen. */
+/** Distance from the local origin beyond which another one is chosen. */
 const NEAR_ORIGIN_M = 500;
-/** Time and bytes that a frame may take for bringing new pages to the graphics card. */
+/** Time and bytes per frame for uploading new pages to the graphics card. */
 const UPLOAD_MS = 4;
 const UPLOAD_BYTES = 1 << 20;
 /** Pixels along an edge of a page. */
@@ -26,14 +26,14 @@ interface Drawn {
 export class World {
   readonly group = new Group();
   readonly shading: Shading;
-  /** Place of the scene's (0, 0, 0) in the scan. */
+  /** Position of the scene's (0, 0, 0) in the scan. */
   origin: Vec3 = [0, 0, 0];
   triangles = 0;
   bytes = 0;
   #opened = false;
   readonly #drawn = new Map<number, Drawn>();
   readonly #waiting = new Map<number, PageGeometry>();
-  /** Colours by page, and those that came since. */
+  /** Colours by page, and those that arrived since. */
   readonly #paints = new Map<number, Paint>();
   readonly #unmixed = new Map<number, PageColours>();
   readonly #frustum = new Frustum();
@@ -49,7 +49,10 @@ export class World {
     this.shading = new Shading(this.#cover);
   }
 
-  /** Chooses another local origin if `at` is far from this one: on a boundary of slices, so that slices are counted exactly. */
+  /**
+   * Chooses another local origin if `at` is far from this one; it lies on a boundary of slices, so that slices are
+   * counted exactly.
+   */
   moveOrigin(at: Vec3): boolean {
     if (distance(at, this.origin) < NEAR_ORIGIN_M) return false;
     const round = (value: number, step: number): number => Math.round(value / step) * step;
@@ -58,7 +61,7 @@ export class World {
     return true;
   }
 
-  /** Coordinates of the scene. */
+  /** Converts to coordinates of the scene. */
   local(at: Vec3): Vector3 {
     return new Vector3(at[0] - this.origin[0], at[1] - this.origin[1], at[2] - this.origin[2]);
   }
@@ -67,7 +70,7 @@ export class World {
     return [at.x + this.origin[0], at.y + this.origin[1], at.z + this.origin[2]];
   }
 
-  /** How many pages are drawn in full and how many of an overview level, and how many of both have colours. */
+  /** Number of pages drawn in full and of an overview level, and of those with colours in each. */
   get counts(): { pages: number; overview: number; coloured: number; distant: number } {
     const overview = [...this.#drawn.values()].filter(({ page }) => page.key.level > 0);
     const distant = overview.filter(({ page }) => this.#paints.has(page.id)).length;
@@ -75,7 +78,7 @@ export class World {
     return { pages, overview: overview.length, coloured: this.#paints.size - distant, distant };
   }
 
-  /** Pages that came and are not drawn yet. */
+  /** Pages that arrived and are not drawn yet. */
   get waiting(): number {
     return this.#waiting.size;
   }
@@ -84,7 +87,7 @@ export class World {
     this.#waiting.set(page.id, page);
   }
 
-  /** Colours of a page: they may come before the page is drawn, and stay when it is drawn anew. */
+  /** Stores the colours of a page; they may arrive before the page is drawn, and stay when it is rebuilt. */
   colour(colours: PageColours): void {
     this.#unmixed.set(colours.id, colours);
   }
@@ -121,14 +124,14 @@ export class World {
     this.#cover.clear();
   }
 
-  /** Whether faces are seen from inside, where matter is cut. */
+  /** Sets whether faces are seen from inside, where solid is cut. */
   set opened(opened: boolean) {
     if (opened === this.#opened) return;
     this.#opened = opened;
     this.#drawn.forEach(({ mesh, page }) => (mesh.material = this.shading.material(page.key.level, opened)));
   }
 
-  /** Takes in pages that have come, for as long as a frame can spare. */
+  /** Adds arrived pages, for as long as a frame can spare. */
   settle(): void {
     const end = performance.now() + UPLOAD_MS;
     let bytes = 0;
@@ -149,7 +152,7 @@ export class World {
     }
   }
 
-  /** Shows what the camera sees; `eye`: around which pages are drawn in full. */
+  /** Shows what the camera sees; pages around `eye` are drawn in full. */
   cull(camera: Camera, eye: Vec3): number {
     this.#cover.follow(this.origin, eye);
     this.#matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
@@ -162,7 +165,7 @@ export class World {
     return seen;
   }
 
-  /** Least and greatest height of what is drawn. */
+  /** Lowest and highest height drawn. */
   heights(): readonly [number, number] | null {
     let [low, high] = [Infinity, -Infinity];
     for (const { page } of this.#drawn.values()) {
@@ -172,14 +175,14 @@ export class World {
     return low < high ? [low, high] : null;
   }
 
-  /** The bytes that the graphics card gets. */
+  /** Uploads a page; returns its bytes on the graphics card. */
   #add(page: PageGeometry): number {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(page.positions, 3));
     geometry.setAttribute("normal", new BufferAttribute(page.normals, 4, true));
     geometry.setAttribute("attributes", new BufferAttribute(page.attributes, 4));
     geometry.setIndex(new BufferAttribute(page.indices, 1));
-    // Boxes of the world decide what is drawn; three.js' own sphere would be found by a walk over all vertices.
+    // Boxes of the world decide what is drawn; computing three.js' own sphere would visit all vertices.
     geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
     const mesh = new Mesh(geometry, this.shading.material(page.key.level, this.#opened));
     mesh.frustumCulled = false;

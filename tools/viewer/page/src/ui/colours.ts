@@ -1,4 +1,4 @@
-// Choosing what colours say, with their legend.
+// Choice of the colouring, with its legend.
 
 import { metres } from "../geometry";
 import { COLOURINGS, FLOOR, OBSTACLE, RAMP, type Colouring } from "../scene/material";
@@ -10,7 +10,7 @@ export class ColoursPanel {
   readonly #legend = h("div", { class: "legend" });
   readonly #choices = new Map<Colouring, { input: HTMLInputElement; element: HTMLElement }>();
   #chosen: Colouring = "height";
-  /** Whether a person chose it. */
+  /** True once a person has chosen. */
   #isWish = false;
 
   constructor(
@@ -40,7 +40,7 @@ export class ColoursPanel {
     return this.#chosen;
   }
 
-  /** Colours of the scan are shown unless somebody wants others, or there are none. */
+  /** Selects the colours of the scan unless a person chose others, or there are none. */
   offer(scan: boolean): void {
     if (this.#chosen === "scan" && !scan) [this.#chosen, this.#isWish] = ["height", false];
     else if (scan && !this.#isWish) this.#chosen = "scan";
@@ -50,7 +50,7 @@ export class ColoursPanel {
     }
   }
 
-  /** Legend for heights from `low` to `high` and a limit of slopes. */
+  /** Shows the legend for heights from `low` to `high` and a slope limit. */
   show([low, high]: readonly [number, number], slope: number): void {
     const { legend } = texts;
     const swatch = (colour: string, words: string): HTMLElement => {

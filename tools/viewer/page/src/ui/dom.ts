@@ -1,8 +1,10 @@
-// Elements in one expression.
+// Builds elements in one expression.
 
 type Attributes = Record<string, string | number | boolean | ((event: Event) => void)>;
 
-/** An element; functions become listeners (`onclick`), `true` an attribute without value, `false` none. */
+/**
+ * Makes an element; functions become listeners (`onclick`), `true` an attribute without value, `false` no attribute.
+ */
 export function h<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   attributes: Attributes = {},
@@ -17,7 +19,9 @@ export function h<K extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-/** A toolbar button with a picture and a word; the word is hidden where there is no room, and stays for screen readers. */
+/**
+ * A toolbar button with an icon and a word; the word is hidden where there is no room, but stays for screen readers.
+ */
 export function tool(icon: string, label: string, key: string | null, onclick: () => void, small = false): HTMLButtonElement {
   const title = key === null ? label : `${label} (${key})`;
   const button = h(
@@ -29,7 +33,7 @@ export function tool(icon: string, label: string, key: string | null, onclick: (
   return button;
 }
 
-/** A picture of strokes on a square of 24. */
+/** An icon of strokes on a square of 24. */
 export function picture(path: string): SVGSVGElement {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   svg.setAttribute("viewBox", "0 0 24 24");
@@ -40,7 +44,7 @@ export function picture(path: string): SVGSVGElement {
   return svg;
 }
 
-/** Writes text only where it differs, so that nothing is laid out or read out anew. */
+/** Writes text only if it differs, which avoids layout and repeated reading by screen readers. */
 export function write(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }

@@ -1,4 +1,4 @@
-// The measuring tool: what is at the cursor, and the distance of two clicked places.
+// The measuring tool: values at the cursor, and the distance of two clicked places.
 
 import type { Archive, Vec3 } from "slicewalk";
 import { BufferGeometry, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, SphereGeometry } from "three";
@@ -44,7 +44,7 @@ export class MeasurePanel {
     this.#mark(null);
   }
 
-  /** Measures at the cursor; while an answer is on its way the newest ray waits. */
+  /** Measures at the cursor; while an answer is pending, the newest ray waits. */
   hover(archive: Archive, ray: Ray): void {
     this.#next = ray;
     if (this.#asking === null) void this.#measure(archive);
@@ -62,7 +62,7 @@ export class MeasurePanel {
     this.#mark(world);
   }
 
-  /** Puts the marks where they belong after the local origin moved. */
+  /** Moves the marks after the local origin has changed. */
   moved(world: World): void {
     if (this.#points.length > 0) this.#mark(world);
   }
@@ -84,7 +84,7 @@ export class MeasurePanel {
         this.#write("step", around.step, texts.measure.none);
       }
     } catch {
-      // Given up, or a failed archive, which says so elsewhere.
+      // Cancelled, or a failed archive, which is reported elsewhere.
     } finally {
       this.#asking = null;
     }

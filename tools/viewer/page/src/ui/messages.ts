@@ -1,4 +1,4 @@
-// News in one line that passes, and troubles that stay until a person decides.
+// One-line news that disappear, and problems that stay until a person decides.
 
 import { texts } from "../texts.en";
 import { h, write } from "./dom";
@@ -21,7 +21,7 @@ export class Messages {
   readonly dialog = h("dialog", { class: "trouble", "aria-labelledby": "trouble-title" });
   #timer = 0;
 
-  /** News, for as long as reading takes. */
+  /** Shows news for as long as reading takes. */
   say(text: string, ms = NEWS_MS): void {
     clearTimeout(this.#timer);
     this.news.hidden = false;
@@ -32,7 +32,7 @@ export class Messages {
     }, ms);
   }
 
-  /** What is being waited for; null: nothing. */
+  /** Shows what the page waits for; null: nothing. */
   wait(text: string | null): void {
     this.progress.hidden = text === null;
     const [bar, words] = this.progress.children;

@@ -8,16 +8,16 @@ import { h } from "./dom";
 const EDGE_M = 24;
 const CELLS = 192;
 const SIZE_PX = 176;
-/** The map is drawn anew after so much way, and at least so often while pages come. */
+/** Distance after which the map is redrawn, and the interval while pages arrive. */
 const WAY_M = 0.7;
 const OFTEN_MS = 1200;
-/** What counts as the storey, from the feet: floors below steps, and matter up to the head. */
+/** Range of the storey relative to the feet: from floors below steps up to the head. */
 const BELOW_M = 0.6;
 const ABOVE_M = 1.8;
-/** Red, green, blue and opacity of nothing, floor, obstacle and what is not loaded. */
+/** Red, green, blue and opacity of empty, floor, obstacle and not loaded. */
 const COLOURS = new Uint32Array(Uint8Array.from([0, 0, 0, 0, 84, 97, 112, 255, 226, 230, 235, 255, 0, 0, 0, 70]).buffer);
 
-/** Drawn by the processor: where graphics are slow, their queue would hold up the main thread. */
+/** Drawn by the processor, because a slow graphics queue would block the main thread. */
 const IN_MEMORY: CanvasRenderingContext2DSettings = { willReadFrequently: true };
 
 export class Minimap {
@@ -51,7 +51,7 @@ export class Minimap {
       this.#map = await this.archive.map(area, [at[2] - BELOW_M, at[2] + ABOVE_M], CELLS);
       this.#paint(this.#map);
     } catch {
-      // A closed or failed archive says so elsewhere.
+      // A closed or failed archive is reported elsewhere.
     } finally {
       this.#busy = false;
     }

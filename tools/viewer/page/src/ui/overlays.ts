@@ -1,4 +1,4 @@
-// What is drawn over the archive for the eye: a point cloud, and Gaussian splats that a person aligns.
+// Overlays drawn over the archive: a point cloud, and Gaussian splats that a person aligns.
 
 import { ALIGNED, isUp, UPS, type Alignment } from "../scene/alignment";
 import { texts } from "../texts.en";
@@ -7,7 +7,7 @@ import { h } from "./dom";
 export interface OverlayEvents {
   cloud(shown: boolean): void;
   splats(shown: boolean): void;
-  /** The archive itself is drawn, or only what lies over it. */
+  /** Shows or hides the archive itself. */
   matter(shown: boolean): void;
   align(alignment: Alignment): void;
 }
@@ -48,7 +48,7 @@ export class OverlayFields {
     this.element.append(this.#cloudField, this.#splatsField, matterField, this.#alignment);
   }
 
-  /** What there is to be shown, and what of it is shown. */
+  /** Shows which overlays exist and which of them are visible. */
   show(cloud: boolean | null, splats: boolean | null, matter: boolean): void {
     this.element.hidden = cloud === null && splats === null;
     this.#cloudField.hidden = cloud === null;

@@ -1,4 +1,4 @@
-// The panel of settings: one labelled number each.
+// The settings panel: one labelled number per setting.
 
 import { limits, sound, usualSettings, type Settings } from "../settings";
 import { texts } from "../texts.en";

@@ -74,7 +74,7 @@ export class Shell {
       this.messages.progress,
       this.messages.news,
     );
-    // After a click with the mouse the keys walk on; who came to a button by keys stays there.
+    // After a mouse click the keys walk on; a person who reached a button by keyboard stays there.
     main.addEventListener("click", ({ detail, target }) => {
       if (detail > 0 && target instanceof Element && target.closest("button.tool")) this.canvas.focus({ preventScroll: true });
     });

@@ -1,4 +1,4 @@
-// The slider through the slices of the archive, with the pawn's slice marked; and the cut above the pawn.
+// The slider through the slices of the archive, with the pawn's slice marked, and the cut above the pawn.
 
 import type { ArchiveInfo } from "slicewalk";
 import { metres } from "../geometry";

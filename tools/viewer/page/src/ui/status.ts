@@ -1,4 +1,4 @@
-// The panel of facts: where the pawn is, how it fares, and what has been loaded.
+// The status panel: where the pawn is, what it does, and what has been loaded.
 
 import type { Stats, WalkerState } from "slicewalk";
 import { bytes, metres, thousands } from "../geometry";
@@ -29,7 +29,7 @@ export interface Facts {
   readonly triangles: number;
 }
 
-/** The name in a WKT, or the text as it stands. */
+/** The name in a WKT, or the text itself. */
 export function crsName(crs: string): string {
   const name = /^\s*\w+\s*\[\s*"([^"]+)"/.exec(crs)?.[1] ?? crs.trim();
   const code = [...crs.matchAll(/(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?/g)].at(-1)?.[1];

@@ -68,7 +68,7 @@ export class Toolbars {
     this.#fly.setAttribute("aria-pressed", String(flying));
   }
 
-  /** Offered only where the browser has one. */
+  /** Offered only if the browser supports one. */
   set hasHeadset(has: boolean) {
     this.#headset.hidden = !has;
   }

@@ -1,4 +1,4 @@
-// Where no archive is open: drop one, choose one, or give its address. Files may be dropped at any time.
+// Shown while no archive is open: drop one, choose one, or enter its address. Files may be dropped at any time.
 
 import { namesSplats } from "../scene/alignment";
 import { texts } from "../texts.en";
@@ -6,10 +6,10 @@ import { h } from "./dom";
 
 export interface WelcomeEvents {
   file(file: File): void;
-  /** To be drawn over the open archive. */
+  /** Splats to draw over the open archive. */
   splatsFile(file: File): void;
   address(url: string): void;
-  /** Back to the open archive, if there is one. */
+  /** Returns to the open archive, if there is one. */
   close(): void;
 }
 
@@ -64,7 +64,7 @@ export class Welcome {
     this.#listen();
   }
 
-  /** Archives that lie beside the page. */
+  /** Offers the archives beside the page. */
   offer(archives: readonly { readonly name: string; readonly url: string }[]): void {
     const choose = (url: string) => (): void => this.#take(() => this.events.address(url));
     const buttons = archives.map(({ name, url }) =>

@@ -1,7 +1,7 @@
-//! `record FOLDER [QUESTIONS]`: writes a scene, seeded questions and inputs, and beside them what the engine answers natively.
-//! `test/same.test.js` of the package asks the engine as wasm.
+//! `record FOLDER [QUESTIONS]`: writes a scene, seeded queries and inputs, and the engine's native answers.
+//! `test/same.test.js` of the package runs the same queries on the wasm engine.
 //!
-//! Random numbers come from integers and exact operations, so that a bit that differs is a difference of the engine.
+//! Random numbers come from integers and exact operations, so any difference in bits comes from the engine.
 
 mod random;
 mod scene;
@@ -11,17 +11,17 @@ use slicewalk_engine::Engine;
 use std::path::Path;
 use std::time::Instant;
 
-/// Frames of the long walk: ten minutes.
+/// Frames of the long walk (ten minutes).
 const FRAMES: usize = 36_000;
 /// Frames of the walk over a slow link.
 const STREAMED: usize = 1800;
 /// Runs of each measurement.
 const RUNS: usize = 5;
-/// Least and greatest corner of what is loaded where an overview level says the rest.
+/// Lowest and highest corner of the loaded pages where an overview level covers the rest.
 const CORNER: [f64; 6] = [-3.0, -3.0, -1.0, 1.0, 1.0, 4.0];
 const LOW: [f64; 3] = [-4.5, -4.5, -0.5];
 const HIGH: [f64; 3] = [4.5, 4.5, 6.5];
-/// A box and a cylinder.
+/// Settings of a box and of a cylinder.
 const SETTINGS: [[f64; 10]; 2] =
     [[0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.6, 1.1, f64::NAN], [1.0, 0.25, 0.0, 1.7, 0.3, 1.8, 9.81, 0.4, 0.9, 1.0]];
 
@@ -71,7 +71,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// What a box and a frame of a pawn take natively (the least of some runs), for `tests/bench.js`.
+/// Measures the native time of a box query and of a pawn's frame (minimum of several runs), for `tests/bench.js`.
 fn times(engine: &mut Engine, boxes: &[f64], inputs: &[[f64; 6]]) -> Result<String, String> {
     let mut least = [f64::INFINITY; 2];
     for _ in 0..RUNS {
@@ -102,8 +102,8 @@ fn shape(random: &mut Random) -> [f64; 6] {
     [low[0], low[1], low[2], low[0] + size[0], low[1] + size[1], low[2] + size[2]]
 }
 
-/// What a player does in each frame, who turns, runs, jumps, crouches, now and then flies, and is put elsewhere: seconds, wish x
-/// and y, pace, lift, flags; or x, y and z of a place, and -1 as the flags.
+/// Inputs of a player who turns, runs, jumps, crouches, sometimes flies and is moved elsewhere. One row per frame:
+/// seconds, wish x and y, pace, lift, flags; or x, y and z of a place, and -1 as flags.
 fn inputs(count: usize) -> Vec<[f64; 6]> {
     let mut random = Random(5);
     let mut input = [0.0; 6];
@@ -119,12 +119,12 @@ fn inputs(count: usize) -> Vec<[f64; 6]> {
             let (pace, lift) = (random.in_range(0.5, 2.5), random.in_range(-0.6, 0.5));
             input = [0.0, x, y, pace, lift, f64::from(flags)];
         }
-        // Frames of all lengths, but mostly of one sixtieth.
+        // Frames of many lengths, but mostly one sixtieth of a second.
         let seconds = match random.below(16) {
             0 => random.in_range(0.0, 0.3),
             _ => 1.0 / 60.0,
         };
-        // To a place, now and then.
+        // Occasionally moves to another place.
         match frame % 450 {
             400.. => [seconds, 0.0, -0.4, 1.5, 0.0, 8.0],
             _ => [seconds, input[1], input[2], input[3], input[4], input[5]],
@@ -133,7 +133,7 @@ fn inputs(count: usize) -> Vec<[f64; 6]> {
     frames.collect()
 }
 
-/// The state of a pawn after one of [`inputs`].
+/// Applies one of [`inputs`] and returns the state of the pawn.
 fn play(engine: &mut Engine, pawn: u32, input: &[f64; 6]) -> Result<Vec<f64>, String> {
     match input {
         [_, place @ .., -1.0] => engine.place(pawn, &place[..3]),
@@ -141,7 +141,7 @@ fn play(engine: &mut Engine, pawn: u32, input: &[f64; 6]) -> Result<Vec<f64>, St
     }
 }
 
-/// An engine that holds all of the archive.
+/// Opens an engine with the whole archive in memory.
 fn open(bytes: &[u8]) -> Result<Engine, String> {
     let mut engine = Engine::new(bytes.len() as f64, 1e9, 4);
     serve(&mut engine, bytes, 0.0)?;
@@ -153,7 +153,7 @@ fn open(bytes: &[u8]) -> Result<Engine, String> {
     }
 }
 
-/// An engine that holds a corner of the archive, and all of its overview level.
+/// Opens an engine with a corner of the archive and all of its overview level in memory.
 fn partly(bytes: &[u8]) -> Result<Engine, String> {
     let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
     serve(&mut engine, bytes, 0.0)?;
@@ -165,7 +165,7 @@ fn partly(bytes: &[u8]) -> Result<Engine, String> {
     Ok(engine)
 }
 
-/// Gives all that is asked for at once.
+/// Delivers all requested bytes at once.
 fn serve(engine: &mut Engine, bytes: &[u8], now: f64) -> Result<(), String> {
     loop {
         let todo = engine.poll(now)?;
@@ -180,14 +180,14 @@ fn serve(engine: &mut Engine, bytes: &[u8], now: f64) -> Result<(), String> {
     }
 }
 
-/// Bytes on their way, and when they arrive (ms).
+/// Bytes in flight and their time of arrival (ms).
 struct Coming {
     at: f64,
     name: u32,
     range: std::ops::Range<usize>,
 }
 
-/// A walk over a link of 40 ms and 20 Mbit/s in virtual time: the ranges asked for, and the states, in their order.
+/// A walk over a link of 40 ms and 20 Mbit/s in virtual time; returns the requested ranges and the states, in order.
 fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
     let mut engine = Engine::new(bytes.len() as f64, (64 << 20) as f64, 4);
     let (mut words, mut link, mut pawn) = (Vec::<f64>::new(), Vec::<Coming>::new(), None);

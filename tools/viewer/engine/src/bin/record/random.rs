@@ -1,4 +1,4 @@
-//! Numbers that are the same everywhere.
+//! Random numbers that are the same on every platform.
 
 /// SplitMix64 (Steele, Lea and Flood 2014).
 pub struct Random(pub u64);

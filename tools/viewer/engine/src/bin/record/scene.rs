@@ -1,4 +1,5 @@
-//! A hall to walk in, as an archive: rough floor, stairs to a gallery, pillars, a beam to crouch under, blocks to climb or jump on.
+//! The archive of a hall to walk in: rough floor, stairs to a gallery, pillars, a beam to crouch under, blocks to climb
+//! or jump onto.
 
 use crate::random::Random;
 use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
@@ -11,7 +12,7 @@ use std::collections::BTreeMap;
 const HALF: f64 = 9.0;
 const STEPS: f64 = 17.0;
 const GALLERY: f64 = 3.0;
-/// Edge of the squares on which a block may stand (m).
+/// Edge of the squares that may hold a block (m).
 const SQUARE: f64 = 0.6;
 
 /// Bottom, top (m), and whether it is an obstacle.
@@ -44,7 +45,7 @@ fn column(x: f64, y: f64, rough: f64) -> Vec<Matter> {
     matter
 }
 
-/// The bytes of the archive.
+/// Returns the bytes of the archive.
 pub fn hall(has_levels: bool) -> slicewalk::Result<Vec<u8>> {
     let frame = Frame::new(0.04, 0.12)?;
     let (mut random, pixels) = (Random(3), (HALF / frame.pixel_m()) as i64);
