@@ -1,6 +1,6 @@
-//! What an open archive knows without its pages: where leaves and metadata lie, and what their bytes say.
+//! State of an open archive without its pages: where leaves and metadata lie, and how to decode their bytes.
 //!
-//! In: bytes that the caller fetched. Out: entries of pages, metadata. No reads, and no state.
+//! The caller fetches bytes; this module returns page entries and metadata. It reads nothing itself.
 
 use super::colours::{ColourHead, LevelColours};
 use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
@@ -14,18 +14,20 @@ use crate::frame::PageKey;
 use crate::unit::LengthUnit;
 use std::ops::Range;
 
-/// The head of an archive: header and root directory. What it names is fetched by its range and decoded here;
-/// pages by their [`extent`](PageEntry::extent) and a [`PageDecoder`](super::PageDecoder).
+/// Head of an archive: header and root directory.
 ///
-/// Memory: at most 512 leaves of 48 bytes.
+/// The caller fetches each part by its range and decodes it here; pages are fetched by their
+/// [`extent`](PageEntry::extent) and decoded by a [`PageDecoder`](super::PageDecoder).
+///
+/// Memory: at most 512 leaves of 40 bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Catalog {
     header: Header,
     leaves: Vec<Leaf>,
     ignores_inferred: bool,
-    /// Where colours lie.
+    /// Bytes of the colours section.
     pub(super) colours: Option<Range<u64>>,
-    /// Of a level: where it is told where its colours lie, as long as that is not known.
+    /// Table that locates the colours of this level. Set only for levels, and only until the table was decoded.
     pub(super) level_colours: Option<LevelColours>,
 }
 
@@ -35,40 +37,40 @@ impl Catalog {
         Self { header, leaves, ignores_inferred: false, colours, level_colours: None }
     }
 
-    /// That of a level, of which the archive says that it has colours, if it does.
+    /// Returns the catalog of a level; `level_colours` is set if the archive says that the level has colours.
     pub(super) fn of_level(header: Header, leaves: Vec<Leaf>, level_colours: Option<LevelColours>) -> Self {
         Self { level_colours, ..Self::new(header, leaves) }
     }
 
-    /// That of a level whose colours lie in `range`.
+    /// Returns the catalog of a level whose colours lie in `range`.
     pub(super) fn with_colours_at(&self, head: ColourHead, range: Range<u64>) -> Self {
         let mut catalog = Self { colours: Some(range), level_colours: None, ..self.clone() };
         catalog.header.colours = Some(head);
         catalog
     }
 
-    /// That of a level without its colours.
+    /// Returns the catalog of a level without its colours.
     pub(super) fn without_level_colours(&self) -> Self {
         Self { level_colours: None, ..self.clone() }
     }
 
-    /// The same, of which archives, stores, loaders and streams give pages without inferred matter: what was scanned and nothing
-    /// else (guarantee G2). Header, directory and overview levels stay as they are.
+    /// Returns the catalog with inferred spans ignored: archives, stores, loaders and streams then return only what was
+    /// scanned (guarantee G2). Header, directory and overview levels stay as they are.
     pub fn ignoring_inferred(self) -> Self {
         Self { ignores_inferred: true, ..self }
     }
 
-    /// Whether pages come without inferred matter.
+    /// Returns whether pages come without inferred spans.
     pub fn ignores_inferred(&self) -> bool {
         self.ignores_inferred
     }
 
-    /// The same with inferred matter.
+    /// Returns the catalog with inferred spans included.
     pub(super) fn whole(&self) -> Self {
         Self { ignores_inferred: false, ..self.clone() }
     }
 
-    /// What the head says about the whole.
+    /// Returns the decoded header.
     pub fn header(&self) -> &Header {
         &self.header
     }
@@ -78,17 +80,17 @@ impl Catalog {
         self.leaves.len()
     }
 
-    /// The leaf whose entries could include `key`.
+    /// Returns the leaf whose entries could include `key`.
     pub fn leaf_of(&self, key: PageKey) -> Option<usize> {
         self.leaves.partition_point(|leaf| leaf.first <= key).checked_sub(1)
     }
 
-    /// Key of the first entry of leaf `index`.
+    /// Returns the key of the first entry of leaf `index`.
     pub fn leaf_first(&self, index: usize) -> PageKey {
         self.leaves[index].first
     }
 
-    /// Where the bytes of leaf `index` lie, within the directory section (rule R4). Leaves lie one behind the other.
+    /// Returns the bytes of leaf `index`, which lie in the directory section (rule R4). Leaves are contiguous.
     pub fn leaf_range(&self, index: usize) -> Range<u64> {
         let leaf = &self.leaves[index];
         let start = self.header.directory_offset() + leaf.offset;
@@ -100,13 +102,16 @@ impl Catalog {
         self.leaves[index].entries
     }
 
-    /// Entries of leaf `index`, ascending, from `stored`, the bytes of its range. Breaks of rules D1 to D11 are errors.
-    /// Memory besides the result: at most 47 bytes an entry.
+    /// Decodes the entries of leaf `index`, ascending, from `stored`, the bytes of its range. Fails if a rule D1 to D11
+    /// is broken.
+    ///
+    /// Memory besides the result: at most 47 bytes per entry.
     pub fn decode_leaf(&self, index: usize, stored: &[u8]) -> Result<Vec<PageEntry>> {
         self.open_leaf(index, stored)?.collect()
     }
 
-    /// As [`decode_leaf`](Self::decode_leaf), entry by entry. A rule may turn out to be broken after some of them.
+    /// Like [`decode_leaf`](Self::decode_leaf), but decodes entries lazily, so a broken rule may show up only after
+    /// some of them.
     pub(super) fn open_leaf(&self, index: usize, stored: &[u8]) -> Result<LeafEntries> {
         let leaf = &self.leaves[index];
         let place = LeafPlace {
@@ -138,37 +143,38 @@ impl Catalog {
         Ok(unpacker.into_content())
     }
 
-    /// Where all overview levels lie, the finest first, their table last; `None` if there are none. A program that fetches the
-    /// end of it gets the table and the coarsest levels at once.
+    /// Returns the bytes of all overview levels, finest first, with their table last; `None` without levels. Fetching
+    /// the end of this range yields the table and the coarsest levels at once.
     pub fn levels_section(&self) -> Option<Range<u64>> {
         Some(self.header.levels_offset()..self.levels_range()?.end)
     }
 
-    /// Where the table of overview levels lies: at most 300 kB, mostly some hundred bytes; `None` if there are no levels.
+    /// Returns the bytes of the table of overview levels: at most 300 kB, usually a few hundred bytes. `None` without
+    /// levels.
     pub fn levels_range(&self) -> Option<Range<u64>> {
         let levels = self.header.levels.filter(|levels| levels.count > 0)?;
         let end = self.header.directory_offset();
         Some(end - u64::from(levels.table_len)..end)
     }
 
-    /// The overview levels, finest first, from the bytes of [`levels_range`](Self::levels_range).
+    /// Decodes the overview levels, finest first, from the bytes of [`levels_range`](Self::levels_range).
     pub fn decode_levels(&self, table: &[u8]) -> Result<Vec<Level>> {
         let at = self.levels_range().map_or(0, |range| range.start);
         decode_table(&self.header, table).map_err(|violation| violation.at("table of levels", at))
     }
 
-    /// Where the metadata block lies: at most 1 MiB (rule H9).
+    /// Returns the bytes of the metadata block: at most 1 MiB (rule H9).
     pub fn metadata_range(&self) -> Range<u64> {
         let start = self.header.metadata_offset();
         start..start + self.header.bytes.metadata
     }
 
-    /// The coordinate reference system as the input stated it, empty if unknown, from the bytes of the metadata block.
+    /// Decodes the coordinate reference system as the input stated it, empty if unknown, from the metadata block.
     pub fn decode_crs(&self, metadata: &[u8]) -> Result<String> {
         Ok(self.decode_metadata(metadata)?.crs)
     }
 
-    /// The units in which the inputs came, ascending and each once, from the bytes of the metadata block; none if unknown.
+    /// Decodes the units of the inputs, ascending and without duplicates, from the metadata block; empty if unknown.
     pub fn decode_units(&self, metadata: &[u8]) -> Result<Vec<LengthUnit>> {
         Ok(self.decode_metadata(metadata)?.units)
     }

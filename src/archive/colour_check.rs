@@ -1,4 +1,4 @@
-//! Checking colours, of an archive or of a level: blocks lie in order without gap and are sound (rules K2 to K10).
+//! Verification of the colours of an archive or level: blocks are contiguous, in order and sound (rules K2 to K10).
 //!
 //! Memory: one colour leaf and one block.
 
@@ -9,15 +9,15 @@ use crate::codec::{ColourBlock, ColourEncoder, Violation};
 use crate::frame::PageKey;
 use crate::slice::{Occupancy, Page};
 
-/// Colours and how far they were checked.
+/// Colours with the progress of their verification.
 pub(super) struct ColourCheck {
     reader: ColourReader,
     encoder: ColourEncoder,
-    /// Those of the directory leaf at hand that are to come, last first; none if they are not known.
+    /// Entries of the current directory leaf that are still to come, last first; empty if unknown.
     leaf: Vec<ColourEntry>,
-    /// Where the next block must begin; unknown after a damaged leaf.
+    /// Where the next block must begin (byte offset); unknown after a damaged leaf.
     next: Option<u64>,
-    /// Where the blocks of the archive begin, if that is known.
+    /// Where the blocks begin (byte offset), if known.
     pub start: Option<u64>,
     pub voxels: u64,
     /// Bytes of sound blocks.
@@ -25,7 +25,8 @@ pub(super) struct ColourCheck {
 }
 
 impl ColourCheck {
-    /// Of `archive`, whose blocks begin at byte `start`, if that is known; `None` if it has none. Fails if their table is damaged.
+    /// Starts the check of `archive`, whose blocks begin at byte `start`, if that is known. Returns `None` without
+    /// colours and fails if their table is damaged.
     pub fn new(archive: &Archive, start: Option<u64>) -> Result<Option<Self>> {
         let new = |reader| Self {
             reader,
@@ -39,7 +40,7 @@ impl ColourCheck {
         Ok(ColourReader::new(archive)?.map(new))
     }
 
-    /// Of a level, whose blocks begin where its colours do.
+    /// Starts the check of a level, whose blocks begin where its colours do.
     pub fn of_level(archive: &Archive) -> Result<Option<Self>> {
         let mut check = Self::new(archive, None)?;
         if let Some(check) = &mut check {
@@ -49,7 +50,7 @@ impl ColourCheck {
         Ok(check)
     }
 
-    /// Takes the colour leaf of directory leaf `index`.
+    /// Loads the colour leaf of directory leaf `index`.
     pub fn open_leaf(&mut self, index: usize) -> Result<()> {
         match self.reader.leaf_entries(index) {
             Ok(mut entries) => {
@@ -64,7 +65,7 @@ impl ColourCheck {
         }
     }
 
-    /// Where the colours of the next page of the leaf lie: of page `key` (rule K8). `None` if that is not known.
+    /// Returns where the colours of the leaf's next page, `key`, lie (rule K8), or `None` if unknown.
     pub fn place(&mut self, key: PageKey) -> Result<Option<ColourEntry>> {
         let Some(place) = self.leaf.pop() else { return Ok(None) };
         let expected = self.next.replace(place.range().end);
@@ -77,7 +78,8 @@ impl ColourCheck {
         }
     }
 
-    /// The block at `place` of page `key`, whose content is `page` (rules K4 to K7, K9); `None` if it has no colours.
+    /// Reads the block at `place` of page `key`, whose content is `page` (rules K4 to K7, K9); `None` if it has no
+    /// colours.
     pub fn block(&mut self, place: &ColourEntry, key: PageKey, page: &Page) -> Result<Option<ColourBlock>> {
         let Some(mut block) = self.reader.block(place, key, page)? else { return Ok(None) };
         if !self.reader.is_canonical(&mut block, &mut self.encoder) {
@@ -89,27 +91,27 @@ impl ColourCheck {
         Ok(Some(block))
     }
 
-    /// The voxels of the page whose block came last.
+    /// Returns the voxels of the page whose block was read last.
     pub fn occupancy(&self) -> &Occupancy {
         self.reader.occupancy()
     }
 
-    /// An error about the colours of page `key`, which lie at `place`.
+    /// Returns the error for a violation in the colours of page `key` at `place`.
     pub fn broken(&self, place: &ColourEntry, key: PageKey, violation: Violation) -> crate::Error {
         self.reader.broken(place, key, violation)
     }
 
-    /// Voxels with a colour, as the archive states them.
+    /// Returns the number of coloured voxels that the archive states.
     pub fn stated_voxels(&self) -> u64 {
         self.reader.stated_voxels()
     }
 
-    /// Where blocks end and leaves begin.
+    /// Returns where blocks end and colour leaves begin (byte offset).
     pub fn end(&self) -> u64 {
         self.reader.blocks_end()
     }
 
-    /// The blocks end where leaves begin (rule K8), as far as that is known.
+    /// Checks that the blocks end where the leaves begin (rule K8), as far as that is known.
     pub fn at_end(&self) -> Result<(), Violation> {
         let end = self.end();
         match self.next.filter(|&found| found != end) {

@@ -1,11 +1,11 @@
-//! Colours: a section of blocks beside the pages, one for each page with coloured voxels (chapter 17).
+//! Colours: a section with one block for each page that has coloured voxels (chapter 17).
 //!
-//! The section holds the blocks in the order of their pages, then a *colour leaf* for each directory leaf, which says where the
-//! blocks of its pages lie, then a table of these leaves. Who only collides never reads a byte of it. [`ColourReader`] reads
-//! the colours of one page after another; a program that fetches bytes itself asks a [`Catalog`](super::Catalog) where they lie.
+//! The section holds the blocks in page order, then one *colour leaf* for each directory leaf, which locates the blocks
+//! of its pages, then a table of these leaves. Collision queries never read it. [`ColourReader`] reads colours page by
+//! page; a program that fetches bytes itself asks a [`Catalog`](super::Catalog) where they lie.
 //!
-//! Colours of overview levels lie before those of the archive: a table that says where those of each level lie, then a part for each
-//! level, the coarsest first, built as the section is.
+//! Colours of overview levels precede those of the archive: first a table that locates each level's colours, then one
+//! part for each level, coarsest first, with the same layout as the section.
 
 use super::catalog::Catalog;
 use super::directory::PageEntry;
@@ -26,18 +26,18 @@ use std::path::Path;
 
 /// Bytes of a leaf's record in the table.
 pub(super) const LEAF_RECORD: usize = 12;
-/// Least and greatest bytes of an entry of a leaf before compression.
+/// Largest entry of a leaf before compression (bytes).
 const MAX_ENTRY: u64 = 5 + 4;
 /// Bytes of an entry while an archive is written: length and checksum.
 const ENTRY: usize = 8;
-/// Bytes of a level's record in the table of colours of levels, and of the checksum behind them.
+/// Bytes of a record in the table of level colours, and of the checksum after the records.
 const LEVEL_RECORD: u64 = 20;
 const LEVEL_CRC: u64 = 4;
 
-/// What the head says of colours.
+/// Colour fields of the head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourHead {
-    /// How they were made.
+    /// How the colours were made.
     pub plan: ColourPlan,
     /// Voxels with a colour.
     pub voxels: u64,
@@ -45,17 +45,17 @@ pub struct ColourHead {
     pub(super) table_crc: u32,
 }
 
-/// Colours of a page, ready to be put into an archive; empty if no voxel has one.
+/// Encoded colours of a page; empty if no voxel has one.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct EncodedColours {
     pub(super) bytes: Vec<u8>,
     pub(super) voxels: u64,
-    /// What they give to overview levels, if they are to give anything.
+    /// Contribution to overview levels, if there are to be any.
     pub(super) coarse: Option<Box<[CoarseColour]>>,
 }
 
 impl EncodedColours {
-    /// Of exact colours (16 bits a channel) of the voxels of a page, in the order of `occupancy`, as `plan` says.
+    /// Encodes exact colours (16 bits a channel) of a page's voxels, in the order of `occupancy`, as `plan` says.
     pub fn new(
         plan: &ColourPlan,
         occupancy: &Occupancy,
@@ -68,7 +68,7 @@ impl EncodedColours {
         }
     }
 
-    /// A block as it is.
+    /// Encodes a block without quantising it again.
     pub(super) fn of_block(mut block: ColourBlock, occupancy: &Occupancy, encoder: &mut ColourEncoder) -> Self {
         let mut bytes = Vec::new();
         block.encode(occupancy, encoder, &mut bytes);
@@ -76,19 +76,19 @@ impl EncodedColours {
         Self { voxels: block.count(), bytes, coarse }
     }
 
-    /// Bytes that the colours take.
+    /// Returns the encoded size (bytes).
     pub fn len_bytes(&self) -> usize {
         self.bytes.len()
     }
 }
 
-/// Checksum of a block: of its page's key, then of its bytes.
+/// Returns the checksum of a block: CRC32C of its page's key followed by its bytes.
 fn block_crc(key: PageKey, bytes: &[u8]) -> u32 {
     let key = [key.tx, key.ty, key.layer].map(i32::to_le_bytes);
     crc::crc32c_append(crc::crc32c(key.as_flattened()), bytes)
 }
 
-/// The colours of an archive that is being written: they wait until its pages are complete.
+/// Colours of an archive that is being written, buffered until its pages are complete.
 ///
 /// Memory: 512 KiB; the rest waits in temporary files beside the archive.
 #[derive(Debug)]
@@ -100,7 +100,7 @@ pub(super) struct ColourWriter {
 }
 
 impl ColourWriter {
-    /// Temporary files lie beside `target`.
+    /// Creates a writer whose temporary files lie beside `target`.
     pub fn new(plan: ColourPlan, files: &Files, target: &Path) -> Self {
         Self { plan, blocks: Spool::new(files, target), entries: Spool::new(files, target), voxels: 0 }
     }
@@ -117,8 +117,8 @@ impl ColourWriter {
         self.entries.push(&entry)
     }
 
-    /// Gives all bytes of the section beyond the first `base`, in order, where each directory leaf but the last has `leaf_entries`
-    /// entries; what the head says of it, and their length (bytes).
+    /// Passes all bytes of the section after its first `base` to `give`, in order; each directory leaf but the last has
+    /// `leaf_entries` entries. Returns the colour fields of the head and the number of bytes passed.
     pub fn finish(
         self,
         leaf_entries: u32,
@@ -156,7 +156,7 @@ impl ColourWriter {
     }
 }
 
-/// The content of a leaf: where its blocks begin, their lengths, their checksums.
+/// Returns the content of a leaf: where its blocks begin, their lengths, their checksums.
 fn encode_leaf(entries: &[u8], base: &mut u64) -> Vec<u8> {
     let (entries, _) = entries.as_chunks::<ENTRY>();
     let len = |entry: &[u8; ENTRY]| u32::from_le_bytes([entry[0], entry[1], entry[2], entry[3]]);
@@ -170,14 +170,14 @@ fn encode_leaf(entries: &[u8], base: &mut u64) -> Vec<u8> {
     raw
 }
 
-/// The colours of a level as they were written.
+/// Colours of a level as they were written.
 pub(super) struct LevelPart {
     pub head: ColourHead,
     /// Length of the part (bytes).
     pub len: u64,
 }
 
-/// The table of colours of levels, the finest first.
+/// Encodes the table of level colours, finest first.
 pub(super) fn encode_level_colours(levels: &[LevelPart]) -> Vec<u8> {
     let mut table = Vec::new();
     for LevelPart { head, len } in levels {
@@ -189,28 +189,28 @@ pub(super) fn encode_level_colours(levels: &[LevelPart]) -> Vec<u8> {
     table
 }
 
-/// Where the colours of levels are told of.
+/// Table that locates the colours of levels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct LevelColours {
     count: u32,
-    /// Where the table begins, and where parts end at the latest.
+    /// Where the table begins, and the limit for the end of the parts (byte offsets).
     start: u64,
     end: u64,
     plan: ColourPlan,
 }
 
 impl LevelColours {
-    /// Of `count` levels, whose table begins at byte `start` and whose parts end at `end` at the latest.
+    /// Describes the table of `count` levels, which begins at byte `start`; the parts end at byte `end` at the latest.
     pub fn new(count: u32, start: u64, end: u64, plan: ColourPlan) -> Self {
         Self { count, start, end, plan }
     }
 
-    /// Where the table lies.
+    /// Returns the bytes of the table.
     pub fn table(&self) -> Range<u64> {
         self.start..self.start + LEVEL_CRC + LEVEL_RECORD * u64::from(self.count)
     }
 
-    /// What the table says of each level, the finest first, whose part is the last one (rule K11).
+    /// Decodes the table: one record for each level, finest first. The parts lie coarsest first (rule K11).
     pub fn decode(&self, bytes: &[u8]) -> Result<Vec<LevelPlace>> {
         self.decoded(bytes).map_err(|violation| violation.at("table of colours of levels", self.start))
     }
@@ -230,7 +230,7 @@ impl LevelColours {
             let (len, voxels, table_crc) = (reader.u64()?, reader.u64()?, reader.u32()?);
             told.push(LevelPlace { head: ColourHead { plan: self.plan, voxels, table_crc }, range: 0..len });
         }
-        // The coarsest lies first.
+        // The coarsest level lies first.
         for LevelPlace { range, .. } in told.iter_mut().rev() {
             let outside = || Violation::new("K11", format!("colours of levels up to byte {}", self.end), "some beyond");
             let next = end.checked_add(range.end).filter(|&next| next <= self.end).ok_or_else(outside)?;
@@ -241,7 +241,7 @@ impl LevelColours {
     }
 }
 
-/// What is told of the colours of one level, and where they lie.
+/// Colours of one level and where they lie.
 #[derive(Debug, Clone)]
 pub(super) struct LevelPlace {
     pub head: ColourHead,
@@ -251,7 +251,7 @@ pub(super) struct LevelPlace {
 /// Where the colours of a page lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourEntry {
-    /// First byte (bytes from the start of the archive).
+    /// First byte (offset from the start of the archive).
     pub offset: u64,
     /// Length (bytes); 0 if no voxel of the page has a colour.
     pub len: u32,
@@ -260,12 +260,12 @@ pub struct ColourEntry {
 }
 
 impl ColourEntry {
-    /// The bytes of the block.
+    /// Returns the bytes of the block.
     pub fn range(&self) -> Range<u64> {
         self.offset..self.offset + u64::from(self.len)
     }
 
-    /// The block of page `key`, whose voxels are those of `occupancy`, from its bytes (rules K4 to K7).
+    /// Decodes the block of page `key`, whose voxels are those of `occupancy`, from its bytes (rules K4 to K7).
     pub(super) fn block(&self, key: PageKey, occupancy: &Occupancy, bytes: &[u8]) -> Result<ColourBlock, Violation> {
         let crc = block_crc(key, bytes);
         if bytes.len() != self.len as usize || crc != self.crc {
@@ -275,8 +275,9 @@ impl ColourEntry {
         ColourBlock::decode(bytes, occupancy)
     }
 
-    /// The colours of page `key` from the bytes of their [`range`](Self::range). The page is the one with inferred matter,
-    /// if the archive has some ([`Catalog::ignores_inferred`]). Errors of the [`Format`](Error::Format) family name the broken rule.
+    /// Decodes the colours of page `key` from the bytes of their [`range`](Self::range). `page` must include inferred
+    /// spans, if the archive has any ([`Catalog::ignores_inferred`]). [`Format`](Error::Format) errors name the broken
+    /// rule.
     pub fn decode(&self, key: PageKey, page: &Page, bytes: &[u8]) -> Result<Colours> {
         let occupancy = Occupancy::of(page);
         if self.len == 0 {
@@ -292,13 +293,13 @@ impl ColourEntry {
     }
 }
 
-/// The colour leaves of an archive.
+/// Table of an archive's colour leaves.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ColourTable {
     leaves: Vec<ColourLeaf>,
 }
 
-/// A colour leaf as the table tells of it.
+/// Record of a colour leaf in the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct ColourLeaf {
     offset: u64,
@@ -308,7 +309,7 @@ struct ColourLeaf {
 }
 
 impl ColourTable {
-    /// Where the leaf of directory leaf `index` lies.
+    /// Returns the bytes of the colour leaf that belongs to directory leaf `index`.
     pub fn leaf_range(&self, index: usize) -> Range<u64> {
         let leaf = &self.leaves[index];
         leaf.offset..leaf.offset + u64::from(leaf.stored_len)
@@ -316,19 +317,19 @@ impl ColourTable {
 }
 
 impl Catalog {
-    /// Where all colours lie, with those of overview levels; `None` if the archive has none. Of a level, once it is known where its
-    /// colours lie: where these lie.
+    /// Returns the bytes of all colours, including those of overview levels; `None` if the archive has none. For a
+    /// level, returns its own colours, and only after [`with_level_colours`](Self::with_level_colours).
     pub fn colours_section(&self) -> Option<Range<u64>> {
         self.colours.clone()
     }
 
-    /// Of an overview level: where the table lies that says where its colours lie, at most 324 bytes. `None` if it has no colours,
-    /// and once it is [known](Self::with_level_colours) where they lie.
+    /// Returns the bytes, at most 324, of the table that locates the colours of this overview level. `None` if it has
+    /// no colours or the table was [decoded](Self::with_level_colours).
     pub fn level_colours_range(&self) -> Option<Range<u64>> {
         self.level_colours.as_ref().map(LevelColours::table)
     }
 
-    /// The same overview level, of which it is known where its colours lie, from the bytes of
+    /// Returns this overview level with its colours located, from the bytes of
     /// [`level_colours_range`](Self::level_colours_range) (rule K11).
     pub fn with_level_colours(&self, table: &[u8]) -> Result<Self> {
         let Some(place) = &self.level_colours else { return Ok(self.clone()) };
@@ -347,13 +348,14 @@ impl Catalog {
         }
     }
 
-    /// Where the table of colour leaves lies, at most 6 KiB; `None` without a [`colours_section`](Self::colours_section).
+    /// Returns the bytes, at most 6 KiB, of the table of colour leaves; `None` without a
+    /// [`colours_section`](Self::colours_section).
     pub fn colour_table_range(&self) -> Option<Range<u64>> {
         let end = self.colours_section()?.end;
         Some(end - (self.leaf_count() * LEAF_RECORD) as u64..end)
     }
 
-    /// The table from the bytes of its range (rule K2).
+    /// Decodes the table from the bytes of its range (rule K2).
     pub fn decode_colour_table(&self, bytes: &[u8]) -> Result<ColourTable> {
         let at = self.colour_table_range().map_or(0, |range| range.start);
         self.colour_table(bytes).map_err(|violation| violation.at("table of colours", at))
@@ -377,7 +379,7 @@ impl Catalog {
             }
             leaves.push(ColourLeaf { offset: 0, stored_len, raw_len, crc });
         }
-        // Leaves lie one after the other, before the table.
+        // Leaves are contiguous and end where the table begins.
         let section = self.colours_start();
         let mut end = range.start;
         for leaf in leaves.iter_mut().rev() {
@@ -388,8 +390,8 @@ impl Catalog {
         Ok(ColourTable { leaves })
     }
 
-    /// Where the blocks of the pages of directory leaf `index` lie, in the order of its entries, from the bytes of the
-    /// leaf's range (rules K3 and K4).
+    /// Decodes where the blocks of the pages of directory leaf `index` lie, in the order of its entries, from the bytes
+    /// of the colour leaf's range (rules K3 and K4).
     pub fn decode_colour_leaf(&self, table: &ColourTable, index: usize, stored: &[u8]) -> Result<Vec<ColourEntry>> {
         let leaf = table.leaves[index];
         self.colour_leaf(table, index, stored)
@@ -433,20 +435,20 @@ impl Catalog {
 }
 
 impl Catalog {
-    /// Where the colours begin.
+    /// Returns where the colours begin (byte offset).
     fn colours_start(&self) -> u64 {
         self.colours.as_ref().map_or(0, |range| range.start)
     }
 }
 
-/// Greatest length of a colour leaf of so many entries before compression (bytes).
+/// Returns the largest size of a colour leaf of `entries` entries before compression (bytes).
 fn max_raw_len(entries: u32) -> u64 {
     10 + u64::from(entries) * MAX_ENTRY
 }
 
 const _: () = assert!(10 + MAX_LEAF_ENTRIES as u64 * MAX_ENTRY < u32::MAX as u64 && MAX_LEAVES * LEAF_RECORD <= 6144);
 
-/// Reads the colours of pages. Memory: one directory leaf with its colour leaf, and a page.
+/// Reads the colours of pages. Memory: one directory leaf with its colour leaf, and one page.
 #[derive(Debug)]
 pub struct ColourReader {
     archive: Archive,
@@ -454,12 +456,12 @@ pub struct ColourReader {
     decoder: PageDecoder,
     occupancy: Occupancy,
     bytes: Vec<u8>,
-    /// Number of the leaf at hand, its keys, and where their colours lie.
+    /// Index of the loaded leaf, its keys, and where their colours lie.
     leaf: Option<(usize, Vec<PageKey>, Vec<ColourEntry>)>,
 }
 
 impl ColourReader {
-    /// A reader of the colours of `archive`; `None` if it has none. One read, of an overview level two.
+    /// Opens the colours of `archive`; `None` if it has none. Takes one read, or two for an overview level.
     pub fn new(archive: &Archive) -> Result<Option<Self>> {
         let mut archive = archive.whole();
         if let Some(range) = archive.catalog().level_colours_range() {
@@ -472,15 +474,15 @@ impl ColourReader {
         Ok(Some(Self { archive, table, decoder, occupancy, bytes: Vec::new(), leaf: None }))
     }
 
-    /// The colours of the page of an entry of the archive. Up to four reads: directory leaf and colour leaf, which are
-    /// kept for the next page, the page and its colours.
+    /// Reads the colours of the page of `entry`. Takes up to four reads: directory leaf and colour leaf, which are kept
+    /// for the next page, the page, and its colours.
     pub fn colours(&mut self, entry: &PageEntry) -> Result<Colours> {
         let place = self.find(entry.key)?;
         let page = self.archive.page_with(entry, &mut self.decoder)?;
         self.decode(&place, entry.key, &page)
     }
 
-    /// As [`colours`](Self::colours), where the page is at hand: with its inferred matter.
+    /// Like [`colours`](Self::colours), but takes an already decoded page, which must include its inferred spans.
     pub fn colours_of(&mut self, key: PageKey, page: &Page) -> Result<Colours> {
         let place = self.find(key)?;
         self.decode(&place, key, page)
@@ -491,7 +493,7 @@ impl ColourReader {
         place.decode(key, page, &self.bytes)
     }
 
-    /// Where the colours of page `key` lie.
+    /// Finds where the colours of page `key` lie. Takes up to two reads; fails if the archive has no such page.
     pub fn find(&mut self, key: PageKey) -> Result<ColourEntry> {
         let unknown = || Error::parameter(format!("page {key}"), "the archive has no such page");
         let index = self.archive.leaf_of(key).ok_or_else(unknown)?;
@@ -504,28 +506,29 @@ impl ColourReader {
         entries.get(at).copied().ok_or_else(unknown)
     }
 
-    /// Where the colours of the pages of directory leaf `index` lie. One read.
+    /// Returns where the colours of the pages of directory leaf `index` lie. Takes one read.
     pub(super) fn leaf_entries(&self, index: usize) -> Result<Vec<ColourEntry>> {
         let stored = read(&self.archive, self.table.leaf_range(index))?;
         self.archive.catalog().decode_colour_leaf(&self.table, index, &stored)
     }
 
-    /// Where the colours lie: of an archive with those of its levels, which come first; of a level its own (bytes).
+    /// Returns the bytes of the colours: for an archive those of its levels, which come first, and its own; for a level
+    /// its own.
     pub fn bytes(&self) -> Range<u64> {
         self.archive.catalog().colours_section().unwrap_or(0..0)
     }
 
-    /// Voxels with a colour, as the archive states them.
+    /// Returns the number of coloured voxels that the archive states.
     pub(super) fn stated_voxels(&self) -> u64 {
         self.archive.header().colours.map_or(0, |colours| colours.voxels)
     }
 
-    /// Where the section begins.
+    /// Returns where the section begins (byte offset).
     pub(super) fn start(&self) -> u64 {
         self.archive.catalog().colours_start()
     }
 
-    /// Where the blocks end.
+    /// Returns where the blocks end (byte offset).
     pub(super) fn blocks_end(&self) -> u64 {
         let first = self.table.leaves.first();
         first.map_or(self.archive.catalog().colour_table_range().map_or(0, |range| range.start), |first| first.offset)
@@ -539,7 +542,7 @@ impl ColourReader {
         Ok(())
     }
 
-    /// The block at `place` of page `key`, whose content is `page`, as it lies there; `None` if it has no colours.
+    /// Reads the block at `place` of page `key`, whose content is `page`; `None` if it has no colours.
     pub(super) fn block(&mut self, place: &ColourEntry, key: PageKey, page: &Page) -> Result<Option<ColourBlock>> {
         if place.len == 0 {
             return Ok(None);
@@ -557,12 +560,12 @@ impl ColourReader {
         }
     }
 
-    /// Voxels of the page whose block was read last.
+    /// Returns the voxels of the page whose block was read last.
     pub(super) fn occupancy(&self) -> &Occupancy {
         &self.occupancy
     }
 
-    /// The colours of page `key`, whose content is `page`, for another archive; they are decoded to be checked.
+    /// Returns the colours of page `key`, whose content is `page`, for another archive. Decodes them as a check.
     pub(super) fn copied(&mut self, key: PageKey, page: &Page) -> Result<EncodedColours> {
         let place = self.find(key)?;
         let Some(block) = self.block(&place, key, page)? else { return Ok(EncodedColours::default()) };
@@ -570,14 +573,14 @@ impl ColourReader {
         Ok(EncodedColours { bytes: self.bytes.clone(), voxels: block.count(), coarse })
     }
 
-    /// Whether `block`, which was read last, has the one encoding of its content (rule K9).
+    /// Returns whether the bytes of `block`, which was read last, are the canonical encoding of its content (rule K9).
     pub(super) fn is_canonical(&self, block: &mut ColourBlock, encoder: &mut ColourEncoder) -> bool {
         let mut again = Vec::with_capacity(self.bytes.len());
         block.encode(&self.occupancy, encoder, &mut again);
         again == self.bytes
     }
 
-    /// The colours of those voxels of `page` that `part`, cut from it, has as well.
+    /// Returns the colours of those voxels of `page` that are also in `part`, which was cut from it.
     pub(super) fn part(
         &mut self,
         key: PageKey,
@@ -593,7 +596,7 @@ impl ColourReader {
     }
 }
 
-/// The bytes of `range`, whose length a rule of the format bounds.
+/// Reads the bytes of `range`, whose length a rule of the format bounds.
 fn read(archive: &Archive, range: Range<u64>) -> Result<Vec<u8>> {
     let mut bytes = vec![0; (range.end - range.start) as usize];
     archive.source().read_at(range.start, &mut bytes)?;

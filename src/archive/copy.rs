@@ -1,4 +1,4 @@
-//! Putting pages of one archive into another: content that occurs again is neither read nor decoded again.
+//! Copying pages into another archive. Repeated content is read and decoded once.
 
 use super::FORMAT_VERSION;
 use super::colours::EncodedColours;
@@ -13,10 +13,11 @@ use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
 use std::sync::Arc;
 
-/// Coarse spans that are kept, of all contents together: 4 MiB.
+/// Limit on the coarse spans kept for all contents together: 4 MiB.
 const COARSE_KEPT: usize = 1 << 19;
 
-/// Puts pages whose content is told by a `K`. Memory: about 150 bytes for each of the last 65,536 contents, and 4 MiB.
+/// Writes pages whose content is identified by a `K`. Memory: about 150 bytes for each of the last 65,536 contents, and
+/// 4 MiB.
 pub(super) struct Copier<K> {
     known: HashMap<K, Known>,
     /// Oldest first.
@@ -24,11 +25,11 @@ pub(super) struct Copier<K> {
     coarse_kept: usize,
 }
 
-/// Content that was put.
+/// Content that was already handled.
 struct Known {
     /// `None` for content that is left out.
     placed: Option<Placed>,
-    /// What it gives to overview levels; `None` where that is forgotten. Empty where there are no levels.
+    /// Contribution to overview levels; `None` once dropped to save memory, empty without levels.
     coarse: Option<Arc<[CoarseSpan]>>,
 }
 
@@ -37,8 +38,8 @@ impl<K: Copy + Eq + Hash> Copier<K> {
         Self { known: HashMap::new(), order: VecDeque::new(), coarse_kept: 0 }
     }
 
-    /// Puts the page `key` of this content, with its own `colours`, into `writer`. `make` reads and encodes it, where that is needed; a page that
-    /// it leaves out is `None`.
+    /// Writes page `key` with this `content` and its own `colours`. Calls `make` to read and encode the page only if
+    /// its content is new; `make` returns `None` for a page to leave out.
     pub fn put(
         &mut self,
         writer: &mut ArchiveWriter,
@@ -76,7 +77,7 @@ impl<K: Copy + Eq + Hash> Copier<K> {
     }
 }
 
-/// What a head says that this version cannot write, in words.
+/// Describes what the header contains that this version cannot write, if anything.
 pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
     let (major, minor) = header.version;
     let newer = minor > FORMAT_VERSION.1;

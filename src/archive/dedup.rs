@@ -1,16 +1,16 @@
-//! Sharing of equal pages (chapter 9): which of the last 65,536 distinct pages has these very bytes.
+//! Sharing of equal pages (chapter 9): finds candidates among the last 65,536 distinct pages.
 //!
-//! The hash only finds a candidate; the writer compares bytes before it shares, so no collision, chance or malice, can
-//! give a page the content of another. The window is a constant of the format's writer, never of the memory budget, so
-//! that the same pages make the same file on any machine. Memory: about 4 MiB when full.
+//! The hash only finds a candidate. The writer compares bytes before it shares, so no collision, accidental or
+//! deliberate, can give a page the content of another. The window is a constant and does not depend on the memory
+//! budget, so the same pages give the same file on any machine. Memory: about 4 MiB when full.
 
 use super::directory::Extent;
 use std::collections::{HashMap, VecDeque};
 
-/// How many distinct pages are remembered.
+/// Number of distinct pages remembered.
 pub(super) const WINDOW: usize = 1 << 16;
 
-/// The most recent distinct pages, by the hash of their bodies.
+/// The most recent distinct pages, keyed by the hash of their bodies.
 #[derive(Debug, Default)]
 pub(super) struct Window {
     by_hash: HashMap<u64, Extent>,
@@ -19,12 +19,12 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// A page whose body has this hash and whose length is `len`, if one is remembered.
+    /// Returns the remembered page whose body has this hash and whose length is `len` (bytes), if any.
     pub fn candidate(&self, hash: u64, len: u32) -> Option<Extent> {
         self.by_hash.get(&hash).copied().filter(|extent| extent.len == len)
     }
 
-    /// Remembers a page, in place of another of the same hash.
+    /// Remembers a page; it replaces another of the same hash.
     pub fn insert(&mut self, hash: u64, extent: Extent) {
         if self.order.len() == WINDOW
             && let Some((oldest, offset)) = self.order.pop_front()
@@ -46,7 +46,7 @@ mod tests {
         let mut window = Window::default();
         let extent = |offset: u64| Extent { offset, len: 30, crc: 0 };
         for offset in 0..WINDOW as u64 + 2 {
-            // Page 1 is put in again late under its hash.
+            // Page 1 is inserted again late, under the same hash.
             window.insert(if offset == 9 { 1 } else { offset }, extent(offset));
         }
         assert_eq!(window.candidate(0, 30), None);

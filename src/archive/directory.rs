@@ -1,7 +1,7 @@
-//! Directory leaves: sorted entries, one per page, column by column (chapter 4).
+//! Directory leaves: sorted entries, one per page, stored column by column (chapter 4).
 //!
-//! In: entries in ascending key order. Out: the bytes of a leaf before compression, about 10 bytes an entry after it.
-//! Memory: one leaf, at most 2²⁰ entries.
+//! Entries come in ascending key order; a compressed leaf takes about 10 bytes per entry. Memory: one leaf, at most 2²⁰
+//! entries.
 
 use crate::codec::{ByteReader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
 use crate::frame::{MAX_INDEX, PAGE_SLICES, PageKey};
@@ -9,52 +9,52 @@ use crate::slice::{PageSize, Span};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// A stretch of bytes of the archive with its checksum.
+/// Byte range of the archive with its checksum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Extent {
-    /// First byte [bytes from the start of the archive].
+    /// First byte (offset from the start of the archive).
     pub offset: u64,
     /// Length (bytes).
     pub len: u32,
-    /// CRC32C of the page as its leader holds it.
+    /// CRC32C from the page's leader.
     pub crc: u32,
 }
 
-/// Where the content of a page is found.
+/// Where the content of a page is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Storage {
     /// In bytes of its own.
     Stored(Extent),
-    /// In the bytes of an earlier page of equal content.
+    /// In the bytes of an earlier page with equal content.
     Shared(Extent),
-    /// Nowhere: every pixel holds this one span.
+    /// In the directory: every pixel holds this one span.
     Uniform(Span),
 }
 
-/// A page as the directory tells of it.
+/// Directory entry of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageEntry {
-    /// Which page.
+    /// Key of the page.
     pub key: PageKey,
-    /// Slices of the page with matter: bit `k` for slice `64·layer + k`. Never 0.
+    /// Slices of the page that contain solid: bit `k` for slice `64·layer + k`. Never 0.
     pub slices: u64,
-    /// How large the page is in memory; of a uniform page always [`PageSize::UNIFORM`].
+    /// Size of the page in memory; always [`PageSize::UNIFORM`] for a uniform page.
     pub size: PageSize,
-    /// Where its content is.
+    /// Where its content is stored.
     pub storage: Storage,
 }
 
-/// What the directory says of the content of a page: entries of equal content hold equal pages.
+/// Identity of a page's content by its directory entry: entries of equal content hold equal pages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Content {
-    /// Shared bytes count as stored ones.
+    /// Never [`Storage::Shared`]: shared bytes count as stored ones.
     storage: Storage,
     slices: u64,
     size: PageSize,
 }
 
 impl PageEntry {
-    /// What the page holds, whichever page it is.
+    /// Returns the identity of the page's content, independent of its key.
     pub fn content(&self) -> Content {
         let storage = match self.storage {
             Storage::Shared(extent) => Storage::Stored(extent),
@@ -63,7 +63,7 @@ impl PageEntry {
         Content { storage, slices: self.slices, size: self.size }
     }
 
-    /// Bytes to read for the content; `None` for a uniform page, which needs no read.
+    /// Returns the bytes to read for the content; `None` for a uniform page, which needs no read.
     pub fn extent(&self) -> Option<Extent> {
         match self.storage {
             Storage::Stored(extent) | Storage::Shared(extent) => Some(extent),
@@ -71,37 +71,37 @@ impl PageEntry {
         }
     }
 
-    /// Bytes of memory that the page takes once decoded; exact, and checked when it is.
+    /// Returns the exact memory that the page takes once decoded (bytes). Decoding checks it.
     pub fn weight_bytes(&self) -> usize {
         self.size.weight_bytes(self.slices)
     }
 
-    /// Lowest and highest slice with matter, as indices of the grid.
+    /// Returns the lowest and highest slice that contain solid, as grid indices.
     pub fn slice_range(&self) -> (i64, i64) {
         let floor = self.key.layer as i64 * PAGE_SLICES;
         (floor + self.slices.trailing_zeros() as i64, floor + 63 - self.slices.leading_zeros() as i64)
     }
 }
 
-/// Kinds of entries in the order of their codes.
+/// Codes of the entry kinds.
 const STORED: u8 = 0;
 const SHARED: u8 = 1;
 const UNIFORM: u8 = 2;
 
-/// Least and greatest bytes of an entry before compression.
+/// Smallest and largest entry before compression (bytes).
 const MIN_ENTRY: usize = 1 + 1 + 1 + 4;
 const MAX_ENTRY: usize = 10 + 5 + 1 + 8 + 5 + 10 + 4 + 1 + 3;
 
-/// Greatest layer and tile index in magnitude (toward −∞ one more).
+/// Largest layer and tile index; the smallest is `-MAX_TILE - 1`.
 const MAX_TILE: i32 = (MAX_INDEX / PAGE_SLICES) as i32;
 
-/// Greatest length of a leaf of `entries` entries before compression (bytes).
+/// Returns the largest size of a leaf of `entries` entries before compression (bytes).
 pub(super) fn max_raw_len(entries: u32) -> u64 {
     10 + entries as u64 * MAX_ENTRY as u64
 }
 
-/// The bytes of a leaf before compression. `entries` are ascending and not empty; their offsets count from the start
-/// of the pages section, and the stored pages among them lie one after the other from `base`, which moves behind them.
+/// Encodes a leaf before compression. `entries` are ascending and not empty; their offsets count from the start of the
+/// pages section. The stored pages among them are contiguous from `base`, which advances to their end.
 pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u8>) {
     out.clear();
     put_varint(out, *base);
@@ -147,9 +147,9 @@ pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u
     }
 }
 
-/// The entries of a leaf one after the other, straight from its columns: a leaf takes no more memory than its bytes.
+/// Iterator over a leaf's entries, decoded directly from its columns: it takes no more memory than the leaf's bytes.
 ///
-/// Every entry is checked by rules D3 to D8 and D11 when it comes; after a broken rule there are no more.
+/// It checks each entry against rules D3 to D8 and D11, and ends after a broken rule.
 #[derive(Debug)]
 pub(super) struct LeafEntries {
     raw: Vec<u8>,
@@ -158,7 +158,7 @@ pub(super) struct LeafEntries {
 }
 
 impl LeafEntries {
-    /// Of the leaf with the bytes `raw` and the place `leaf`.
+    /// Opens the leaf with bytes `raw`, described by `leaf`.
     pub fn new(raw: Vec<u8>, leaf: LeafPlace) -> Result<Self> {
         match Cursor::new(&raw, &leaf) {
             Ok(cursor) => Ok(Self { raw, leaf, cursor }),
@@ -166,7 +166,7 @@ impl LeafEntries {
         }
     }
 
-    /// Where in the archive the stored pages of the leaf lie, if all its entries are sound (bytes).
+    /// Checks all remaining entries and returns the archive bytes of the leaf's stored pages.
     pub fn check(&self) -> Result<Range<u64>> {
         let mut cursor = self.cursor.clone();
         while cursor.next(&self.raw, &self.leaf).map_err(|violation| self.leaf.broken(violation))?.is_some() {}
@@ -184,10 +184,10 @@ impl Iterator for LeafEntries {
     }
 }
 
-/// What the rest of an archive says of a leaf.
+/// Description of a leaf by the rest of the archive.
 #[derive(Debug, Clone)]
 pub(super) struct LeafPlace {
-    /// Number of the leaf, and where it lies in the archive (bytes).
+    /// Index of the leaf, and its byte offset in the archive.
     pub index: usize,
     pub offset: u64,
     pub entries: u32,
@@ -195,26 +195,26 @@ pub(super) struct LeafPlace {
     pub first: PageKey,
     /// Key of the next leaf's first entry.
     pub end: Option<PageKey>,
-    /// The pages section in the archive (bytes).
+    /// Bytes of the pages section in the archive.
     pub pages: Range<u64>,
 }
 
 impl LeafPlace {
-    /// The error for a rule that the leaf breaks.
+    /// Returns the error for a rule that the leaf breaks.
     pub fn broken(&self, violation: Violation) -> Error {
         violation.at(format!("directory leaf {}", self.index), self.offset)
     }
 }
 
-/// A place in each column of a leaf.
+/// Position in each column of a leaf.
 #[derive(Debug, Clone)]
 struct Cursor {
-    /// Where the next stored page lies, from the start of the pages section.
+    /// Offset of the next stored page from the start of the pages section (bytes).
     next: u64,
-    /// Entries given, and those with bytes among them.
+    /// Number of entries already returned, and how many of them have bytes.
     given: usize,
     given_paged: usize,
-    /// Entries with bytes.
+    /// Entries with bytes, in the whole leaf.
     paged: usize,
     last: Option<(u64, PageKey)>,
     columns: Column,
@@ -229,7 +229,7 @@ struct Cursor {
     spans: usize,
 }
 
-/// The rest of a column of varints.
+/// Remaining bytes of a column of varints.
 #[derive(Debug, Clone, Copy)]
 struct Column {
     at: usize,
@@ -237,7 +237,7 @@ struct Column {
 }
 
 impl Column {
-    /// The column of `count` varints that begins at `at`, and ends in `raw` before `end`.
+    /// Finds the column of `count` varints that begins at `at` and ends before `end`.
     fn of(raw: &[u8], at: usize, end: usize, count: usize) -> Result<Self, Violation> {
         let rest = raw.get(at..end).unwrap_or(&[]);
         let mut left = count;
@@ -253,7 +253,7 @@ impl Column {
 
     #[inline]
     fn varint(&mut self, raw: &[u8]) -> Result<u64, Violation> {
-        // Most are of one byte.
+        // Most varints take one byte.
         match raw[..self.end].get(self.at) {
             Some(&byte) if byte < 0x80 => {
                 self.at += 1;
@@ -271,7 +271,7 @@ impl Column {
     }
 }
 
-/// The 32-bit number at `at`.
+/// Reads the little-endian u32 at `at`.
 fn word(raw: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([raw[at], raw[at + 1], raw[at + 2], raw[at + 3]])
 }
@@ -296,7 +296,7 @@ impl Cursor {
         let (shared, uniform) = (of_kind(SHARED), of_kind(UNIFORM));
         let paged = count - uniform;
         let masks = kinds + count;
-        // The spans end the leaf, so what is between them and the masks is found from both sides.
+        // The spans end the leaf, so the columns between masks and spans are bounded from both sides.
         let spans = len.checked_sub(4 * uniform).filter(|&spans| spans >= masks + 8 * paged).ok_or_else(short)?;
         let lengths = Column::of(raw, masks + 8 * paged, spans, paged)?;
         let distances = Column::of(raw, lengths.end, spans, shared)?;
@@ -422,7 +422,7 @@ impl Cursor {
     }
 }
 
-/// Whether the grid has a page of this key.
+/// Returns whether the grid has a page with this key.
 pub(super) fn key_in_grid(key: PageKey) -> bool {
     [key.tx, key.ty, key.layer].iter().all(|index| (-MAX_TILE - 1..=MAX_TILE).contains(index))
 }
@@ -432,7 +432,7 @@ pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Entries as a writer makes them, with a gap in the pages before the first of them.
+    /// Entries like a writer makes them, with a gap in the pages before the first.
     pub fn entries() -> impl Strategy<Value = Vec<PageEntry>> {
         let key = (-3i32..4, -3i32..4, -40i32..40);
         let place = (0u8..3, 25u32..5000, any::<u32>(), 1u64.., 0u32..16000, 0u32..300);

@@ -1,4 +1,4 @@
-//! Cutting a region out of an archive: an archive of its own whose answers inside the region are those of the whole.
+//! Extraction of a region into an archive of its own, which answers queries inside the region like the whole.
 
 use super::colours::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
@@ -14,13 +14,13 @@ use crate::slice::{Inferred, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 use std::path::Path;
 
-/// What an extraction made.
+/// Result of an extraction.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Extracted {
-    /// Head of the new archive.
+    /// Header of the new archive.
     pub header: Header,
-    /// What the archive holds beside matter, points and reference system, and the extract does not, in words.
+    /// Contents of the archive, besides solid, points and reference system, that the extract lacks, as text.
     pub dropped: Vec<String>,
 }
 
@@ -31,21 +31,22 @@ struct Region {
     slices: (i64, i64),
 }
 
-/// First and last of `range` in a page that begins at `start`, of 64; `None` if they do not meet.
+/// Returns the first and last index (0 to 63) of `range` in a page that begins at `start`, or `None` if they do not
+/// meet.
 fn within(range: (i64, i64), start: i64) -> Option<(u32, u32)> {
     let (first, last) = ((range.0 - start).max(0), (range.1 - start).min(TILE_PIXELS - 1));
     (first <= last).then_some((first as u32, last as u32))
 }
 
 impl Region {
-    /// The pixels and slices around `bounds`, and one more on every side: what touches the region's faces, seen from
-    /// inside, may lie in the neighbour.
+    /// Returns the pixels and slices of `bounds` and one more on every side, because what touches a face of the region
+    /// from inside may lie in the neighbour.
     fn around(frame: &Frame, (min, max): &Bounds) -> Self {
         let pixels = |axis: usize| (frame.pixel_of(min[axis]) - 1, frame.pixel_of(max[axis]) + 1);
         Self { i: pixels(0), j: pixels(1), slices: (frame.slice_of(min[2]) - 1, frame.slice_of(max[2]) + 1) }
     }
 
-    /// The part of page `key` that lies in the region; `None` if there is none.
+    /// Returns the part of page `key` that lies in the region, if any.
     fn part_of(&self, key: PageKey) -> Option<PagePart> {
         let parts = [(self.i, key.tx), (self.j, key.ty), (self.slices, key.layer)];
         let [px, py, slices] = parts.map(|(range, at)| within(range, i64::from(at) * TILE_PIXELS));
@@ -64,7 +65,7 @@ struct PagePart {
 impl PagePart {
     const WHOLE: Self = Self { px: (0, 63), py: (0, 63), slices: (0, 63) };
 
-    /// What `page` has here, built in `builder`, and which spans of that are inferred.
+    /// Returns the content of `page` in this box, built in `builder`, and marks which of its spans are inferred.
     fn cut(&self, page: &Page, inferred: &Inferred, builder: &mut PageBuilder) -> (Page, Inferred) {
         let Self { px, py, slices } = *self;
         let (low, high) = (slices.0 * SLICE_QUANTA as u32, (slices.1 + 1) * SLICE_QUANTA as u32);
@@ -97,12 +98,14 @@ impl PagePart {
 
 const _: () = assert!(PAGE_SLICES == TILE_PIXELS, "pages are cut alike along all axes");
 
-/// Writes the part of `archive` in `bounds` as an archive of its own to `output`.
+/// Writes the part of `archive` in `bounds` (m) as a new archive to `output`.
 ///
-/// Whole pixels and slices are kept, and one more on every side, so that any query that stays within `bounds` is
-/// answered as by the whole; spans are cut at slices. Point counts stay those of the conversion; the bounds are cut.
-/// Metadata of unknown tags are left out: they may tell of what was cut away. Cost: the directory, and the pages that
-/// meet the region.
+/// Keeps whole pixels and slices, and one more on every side, so any query that stays within `bounds` gets the same
+/// answer as in the whole archive. Spans are cut at slices. Point counts stay those of the conversion; the bounds are
+/// cut. Metadata of unknown tags is dropped because it may describe what was cut away.
+///
+/// Fails if `bounds` are inverted or NaN, if `output` exists and `overwrite` is false, or if `monitor` cancels. Cost:
+/// reads the directory and the pages that meet the region.
 pub fn extract(
     archive: &Archive,
     bounds: &Bounds,
@@ -111,7 +114,7 @@ pub fn extract(
     monitor: &dyn Monitor,
 ) -> Result<Extracted> {
     let (min, max) = bounds;
-    // Written so that NaN fails.
+    // Negated so that NaN fails.
     if !(0..3).all(|axis| min[axis] <= max[axis]) {
         return Err(Error::parameter(Parameter::Bounds, format!("no region lies between {min:?} and {max:?}")));
     }
@@ -173,7 +176,7 @@ pub fn extract(
 }
 
 impl Region {
-    /// The part of `whole` in the region, `None` if there is none.
+    /// Returns the part of `whole` in the region, if any.
     fn bounds(&self, frame: &Frame, whole: &Bounds) -> Option<Bounds> {
         let least =
             [frame.edge_of_pixel(self.i.0), frame.edge_of_pixel(self.j.0), frame.bottom_of_slice(self.slices.0)];

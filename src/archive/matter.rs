@@ -1,4 +1,4 @@
-//! Where the matter of an archive lies on the grid, and whether the bounds in the head fit it (chapter 8, rule T6).
+//! Extent of an archive's solid on the grid, and the check that the bounds in the head fit it (chapter 8, rule T6).
 
 use super::head::Bounds;
 use crate::codec::Violation;
@@ -6,25 +6,25 @@ use crate::frame::{Frame, MAX_INDEX, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PI
 use crate::plan::{Plan, PlanOptions};
 use crate::slice::PageBounds;
 
-/// Edges of a page (pixels, pixels, quanta); bounds may end so far outside the matter.
+/// Edges of a page (pixels, pixels, quanta); bounds may reach this far beyond the solid.
 const PAGE: [i64; 3] = [TILE_PIXELS, TILE_PIXELS, PAGE_QUANTA];
 /// Grid units of a pixel or slice along each axis.
 const UNITS: [i64; 3] = [1, 1, SLICE_QUANTA];
 
-/// The least box around all matter: pixels along x and y, quanta along z, both ends inclusive.
+/// Smallest box around all solid: pixels along x and y, quanta along z, both ends inclusive.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Matter {
     range: Option<([i64; 3], [i64; 3])>,
 }
 
-/// What bounds of one axis may be on the grid.
+/// Allowed grid positions of the bounds along one axis.
 struct Allowed {
     min: (i64, i64),
     max: (i64, i64),
 }
 
 impl Matter {
-    /// Adds the matter of a page.
+    /// Adds the solid of a page.
     pub fn add(&mut self, key: PageKey, page: &PageBounds) {
         let corner = [i64::from(key.tx), i64::from(key.ty), i64::from(key.layer)];
         let place = |axis: usize, at: u32| corner[axis] * PAGE[axis] + i64::from(at);
@@ -37,7 +37,7 @@ impl Matter {
         }
     }
 
-    /// The bounds of whole pixels and quanta around the matter (m).
+    /// Returns the bounds of whole pixels and quanta around the solid (m); `None` without solid.
     pub fn bounds(&self, frame: &Frame) -> Option<Bounds> {
         let (min, max) = self.range?;
         let edges = |i: i64, j: i64, height: f64| [frame.edge_of_pixel(i), frame.edge_of_pixel(j), height];
@@ -47,7 +47,7 @@ impl Matter {
         Some((min.map(|v| v + 0.0), max.map(|v| v + 0.0)))
     }
 
-    /// Checks rule T6 for `bounds` of an archive of `plan`; `is_part` of one that holds a part of a conversion.
+    /// Checks rule T6 for the `bounds` of an archive of `plan`; `is_part` if it holds one part of a conversion.
     pub fn check(&self, plan: &Plan, is_part: bool, bounds: Option<&Bounds>) -> Result<(), Violation> {
         let Some((min, max)) = bounds else {
             let wrong = |around| Violation::new("T6", format!("bounds around the matter, {around:?}"), "no bounds");
@@ -69,7 +69,8 @@ impl Matter {
         Ok(())
     }
 
-    /// `bounds` with those faces moved to the matter that break rule T6; `None` where there is nothing to move them to.
+    /// Moves the faces of `bounds` that break rule T6 to the solid; returns `None` if they break it and there is no
+    /// solid.
     pub fn fit(&self, plan: &Plan, is_part: bool, bounds: Option<Bounds>) -> Option<Bounds> {
         if self.check(plan, is_part, bounds.as_ref()).is_ok() {
             return bounds;
@@ -94,7 +95,7 @@ impl Matter {
         let Some((least, greatest)) = self.range.map(|(min, max)| (min[axis], max[axis])) else {
             return Allowed { min: (-end, end), max: (-end, end) };
         };
-        // Points of voxels that were dropped lie within the bounds, and a part has the bounds of all triangles.
+        // Points of dropped voxels count for the bounds, and a part has the bounds of all triangles.
         let PlanOptions { min_points, drop_floaters, remove_moving, .. } = plan.options;
         let close = min_points == 1 && drop_floaters == 0 && !remove_moving && !is_part;
         let margin = if close { PAGE[axis] } else { 2 * end };
@@ -110,12 +111,14 @@ impl Matter {
     }
 }
 
-/// Whether matter may lie beyond the bounds: a part in which holes are closed has floor that follows from points of other parts.
+/// Returns whether solid may lie beyond the bounds: in a part with filled holes, floor may follow from points of other
+/// parts.
 fn borrows(plan: &Plan, is_part: bool) -> bool {
     is_part && plan.options.fill_holes > 0
 }
 
-/// Where bounds lie: the pixels that hold their ends, quanta at or below and at or above theirs.
+/// Returns the grid position of bounds: the pixels that hold their ends, the quanta at or below the minimum and at or
+/// above the maximum.
 fn on_grid(frame: &Frame, min: &[f64; 3], max: &[f64; 3]) -> ([i64; 3], [i64; 3]) {
     let pixels = |of: &[f64; 3]| [frame.pixel_of(of[0]), frame.pixel_of(of[1])];
     let ([x0, y0], [x1, y1]) = (pixels(min), pixels(max));

@@ -1,8 +1,8 @@
-//! Joining the parts of a conversion (chapter 9): the bytes of the whole as a single run would have written them.
+//! Merge of the parts of a conversion (chapter 9) into the bytes that a single run would have written.
 //!
-//! In: archives with a `SHRD` record. Their columns follow one another, so their pages only need to be put one after the
-//! other; sharing, directory and head are made anew, since they look across parts. Every page is decoded and checked on
-//! its way. Memory: that of one writer and one page.
+//! Parts are archives with a `SHRD` record. Their columns are adjacent, so their pages are copied in order; sharing,
+//! directory and head are rebuilt because they span parts. Every copied page is decoded and checked. Memory: one writer
+//! and one page.
 
 use super::colours::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
@@ -22,28 +22,28 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-/// Most ranges of missing parts that a message lists.
+/// Most ranges of missing parts in a message.
 const MOST_RANGES: usize = 8;
 
-/// What a merge did.
+/// Result of a merge.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Merged {
-    /// Head of the whole.
+    /// Header of the merged archive.
     pub header: Header,
-    /// Coordinate reference system of the whole, empty if unknown.
+    /// Coordinate reference system, empty if unknown.
     pub crs: String,
-    /// Units in which the inputs came.
+    /// Units of the inputs.
     pub units: Vec<LengthUnit>,
-    /// Whether the archive was written; `false` if the target already had its bytes.
+    /// True if the archive was written; false if the target already had its bytes.
     pub written: bool,
-    /// Copies of parts that are among the others, and were left out.
+    /// Parts that were left out because they are copies of others.
     pub copies: Vec<PathBuf>,
-    /// What the parts hold beside points and reference system and the whole could not keep, in words.
+    /// Records of the parts that the merged archive does not keep, as text.
     pub dropped: Vec<String>,
 }
 
-/// One part. It is closed while others are worked on: there may be more parts than a program may hold open.
+/// One part. Its file is closed while others are processed, since parts may exceed the limit on open files.
 struct OpenShard<'a> {
     path: &'a Path,
     header: Header,
@@ -71,7 +71,7 @@ impl<'a> OpenShard<'a> {
         Ok(Self { path, header: archive.header().clone(), shard, crs, units, read, noise, unknown })
     }
 
-    /// The archive once more.
+    /// Opens the archive again; fails if its header changed in between.
     fn reopen(&self) -> Result<Archive> {
         let archive = Archive::open(self.path).map_err(|error| named(self.path, error))?;
         match *archive.header() == self.header {
@@ -80,7 +80,7 @@ impl<'a> OpenShard<'a> {
         }
     }
 
-    /// What parts must have in common to belong together.
+    /// Returns what all parts must have in common: plan, plan file, number of parts.
     fn family(&self) -> (u128, u128, u32) {
         (self.header.plan_hash, self.shard.plan_file, self.shard.count)
     }
@@ -90,7 +90,7 @@ impl<'a> OpenShard<'a> {
     }
 }
 
-/// An error about the content of the archive at `path`, with its name.
+/// Adds the path to an error about the content of an archive.
 fn named(path: &Path, error: Error) -> Error {
     match error {
         Error::Format { .. } | Error::Unsupported { .. } => {
@@ -101,21 +101,23 @@ fn named(path: &Path, error: Error) -> Error {
     }
 }
 
-/// Joins the archives `shards`, given in any order, into `output`: byte for byte what one run over the whole input
-/// writes. All parts of one plan file must be there; what is missing, foreign or damaged is refused by name. Where `output`
-/// has the right bytes already it is left alone; another archive is replaced only if `overwrite` says so, a part never.
+/// Merges the archives `shards`, in any order, into `output`: byte for byte what one run over the whole input writes.
 ///
-/// Cost: every page is read and decoded once. Nothing appears under the name before all of it is right.
+/// Needs all parts of one plan file. Errors name parts that are missing, foreign or damaged. Leaves `output` alone if
+/// it already has the right bytes; replaces another archive only with `overwrite`, and never one of the parts.
+///
+/// Cost: reads and decodes every page once. `output` appears only when it is complete.
 pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn Monitor) -> Result<Merged> {
     join(shards, None, output, overwrite, monitor)
 }
 
-/// As [`merge`], of neighbouring parts alone: joins them into part `part.0` of `part.1` of a coarser cut, to be merged with the
-/// other parts of that cut. So thousands of parts join as a tree, each node on a machine of its own, and the bytes of the whole stay
-/// those of a single run.
+/// Merges neighbouring parts into part `part.0` of `part.1` of a coarser division, to be merged with its other parts.
 ///
-/// Part 1 of the coarser cut begins with the first part, and its last part ends with the last one; the parts of a cut that do not
-/// follow one another are refused when they are merged.
+/// Thousands of parts can be merged as a tree, each node on its own machine, and the final archive still has the bytes
+/// of a single run. Otherwise like [`merge`].
+///
+/// The first part of the coarser division must begin with the first part, and its last must end with the last one.
+/// Parts of a division that are not adjacent are refused by the merge that joins them.
 pub fn merge_run(
     shards: &[PathBuf],
     part: (u32, u32),
@@ -149,7 +151,7 @@ fn join(
     if let Some(colours) = first.header.colours {
         writer.set_colours(colours.plan);
     }
-    // Of one plan file, so that all say the same, unless somebody changed it in between.
+    // Parts of one plan file agree, unless one was modified.
     let noise = first.noise.filter(|_| parts.iter().all(|part| part.noise == first.noise));
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), noise, ..Totals::default() };
     for part in &parts {
@@ -167,7 +169,7 @@ fn join(
     Ok(Merged { header, crs, units, written, copies, dropped })
 }
 
-/// The part of a coarser cut that reaches from `first` to `last`.
+/// Returns the part of a coarser division that reaches from `first` to `last`.
 fn coarser((index, count): (u32, u32), first: &OpenShard<'_>, last: &OpenShard<'_>) -> Result<Shard> {
     let shard = Shard { index, count, first: first.shard.first, last: last.shard.last, ..first.shard };
     if shard.is_sound() {
@@ -180,7 +182,7 @@ fn coarser((index, count): (u32, u32), first: &OpenShard<'_>, last: &OpenShard<'
     Err(Error::parameter(Parameter::Shard, reason))
 }
 
-/// What the parts together read of inputs that other parts read too.
+/// Joins the lists of inputs that several parts read; fails if there are more than one archive may list.
 fn all_read<'a>(reads: impl Iterator<Item = &'a InputRead>) -> Result<Vec<InputRead>> {
     let all: BTreeMap<u32, &InputRead> = reads.map(|read| (read.input, read)).collect();
     if all.len() > InputRead::MOST {
@@ -190,7 +192,7 @@ fn all_read<'a>(reads: impl Iterator<Item = &'a InputRead>) -> Result<Vec<InputR
     Ok(all.into_values().cloned().collect())
 }
 
-/// Metadata of unknown tags that say the same in all parts, and what does not.
+/// Returns metadata of unknown tags that all parts agree on, and describes the rest.
 fn common_records(parts: &[OpenShard<'_>]) -> (Unknown, Vec<String>) {
     let all: BTreeMap<&Tag, &Vec<u8>> =
         parts.iter().flat_map(|part| &part.unknown).map(|(tag, content)| (tag, content)).collect();
@@ -206,11 +208,11 @@ fn common_records(parts: &[OpenShard<'_>]) -> (Unknown, Vec<String>) {
     (common, dropped)
 }
 
-/// The parts from first to last, and the names of copies; refuses what does not make one whole, or one run of neighbours.
+/// Sorts the parts and sets aside copies. Fails unless they form one whole, or one run of neighbours.
 fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>>, Vec<PathBuf>)> {
     let mut families: BTreeMap<_, usize> = BTreeMap::new();
     parts.iter().for_each(|part| *families.entry(part.family()).or_default() += 1);
-    // The stranger among several is the one that most others do not know.
+    // With several families, report a part outside the largest one.
     let common = families.into_iter().max_by_key(|&(_, members)| members).map(|(family, _)| family);
     let Some(common) = common else { return Ok((parts, Vec::new())) };
     let mut ordered: BTreeMap<u32, OpenShard<'_>> = BTreeMap::new();
@@ -273,7 +275,7 @@ fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>
     Ok((ordered, copies))
 }
 
-/// Refuses parts of which one read another content of an input than another.
+/// Fails if two parts read different content of the same input.
 fn same_inputs(parts: &[OpenShard<'_>]) -> Result<()> {
     let mut first: HashMap<u32, (&OpenShard<'_>, u128)> = HashMap::new();
     for part in parts {
@@ -319,7 +321,7 @@ fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
     Ok(true)
 }
 
-/// Puts all pages of `part` into `writer`, which is of `plan`.
+/// Copies all pages of `part` into `writer`, whose plan is `plan`, and checks the part's totals.
 fn copy(part: &OpenShard<'_>, plan: &Plan, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
     let encoder = PageEncoder::of_plan(plan).for_levels(writer.has_levels());
@@ -371,7 +373,7 @@ fn copy(part: &OpenShard<'_>, plan: &Plan, writer: &mut ArchiveWriter, monitor: 
     Ok(())
 }
 
-/// Adds what `part` says of its points: each point of the input counts in exactly one part.
+/// Adds the point counts of `part`; each input point counts in exactly one part.
 fn add(totals: &mut Totals, part: &OpenShard<'_>) -> Result<()> {
     let header = &part.header;
     for (sum, more) in [
@@ -389,7 +391,7 @@ fn add(totals: &mut Totals, part: &OpenShard<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The least bounds around both.
+/// Returns the smallest bounds around both.
 fn joined(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
     let (Some((min, max)), Some((other_min, other_max))) = (a, b) else { return a.or(b) };
     let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));

@@ -1,4 +1,4 @@
-//! Metadata: tagged records of any kind (chapter 7). Those of unknown tags are kept as they are.
+//! Metadata: tagged records (chapter 7). Records with unknown tags are kept unchanged.
 
 use super::head::{MAX_METADATA, hex};
 use super::shard::{InputRead, Shard};
@@ -9,22 +9,22 @@ use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Name of a record; records ascend by it.
+/// Name of a record; records are sorted by it.
 pub(super) type Tag = [u8; 4];
 
 /// Tag of the coordinate reference system, as the input states it.
 const CRS: Tag = *b"CRS ";
 
-/// Tag of the noise of the scan by which the tolerance was chosen.
+/// Tag of the scan noise from which the tolerance was chosen.
 const NOISE: Tag = *b"NOIS";
 
-/// Tag of what a part read of inputs that other parts read too.
+/// Tag of the inputs that a part read and other parts read, too.
 const READ: Tag = *b"READ";
 
 /// Tag of the part of a conversion that the archive holds.
 const SHARD: Tag = *b"SHRD";
 
-/// Records of tags that this version does not know, ascending and each once.
+/// Records with tags that this version does not know, ascending and without duplicates.
 pub(super) type Unknown = Vec<(Tag, Vec<u8>)>;
 
 /// Tag of the units that were applied to the inputs.
@@ -34,29 +34,29 @@ const UNIT_LEN: usize = 16;
 /// Most units of inputs that one archive can state.
 pub const MAX_UNITS: usize = 256;
 
-/// What the metadata say.
+/// Decoded metadata.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Metadata {
     /// Coordinate reference system, empty if unknown.
     pub crs: String,
-    /// Which part of a conversion the archive holds; `None` for a whole.
+    /// Part of a conversion that the archive holds; `None` for a whole one.
     pub shard: Option<Shard>,
-    /// What a part read of inputs that other parts read too; in order of their numbers.
+    /// Inputs that a part read and other parts read, too, ordered by number.
     pub read: Vec<InputRead>,
-    /// Units of the inputs, ascending and each once; none if unknown.
+    /// Units of the inputs, ascending and without duplicates; empty if unknown.
     pub units: Vec<LengthUnit>,
-    /// Noise of the scan, if the tolerance was chosen by it.
+    /// Noise of the scan, if the tolerance was chosen from it.
     pub noise: Option<Noise>,
     pub unknown: Unknown,
 }
 
-/// A tag for people: its characters, others escaped.
+/// Returns a printable tag, with other characters escaped.
 pub(super) fn tag_name(tag: &Tag) -> String {
     tag.escape_ascii().to_string()
 }
 
 impl Metadata {
-    /// The metadata block, at most 1 MiB; what is not known makes no record.
+    /// Encodes the metadata block; unknown values get no record. Fails if it would exceed 1 MiB.
     pub fn encode(&self) -> Result<Vec<u8>> {
         let read = (!self.read.is_empty()).then(|| InputRead::encode(&self.read));
         let shard = self.shard.as_ref().map(Shard::encode);
@@ -85,7 +85,7 @@ impl Metadata {
         Ok(out)
     }
 
-    /// What the metadata block `bytes` says.
+    /// Decodes the metadata block and checks it against `crc` (rules M1 to M7).
     pub fn decode(bytes: &[u8], crc: u32) -> Result<Self, Violation> {
         let found = crc::crc32c(bytes);
         if found != crc {
@@ -123,7 +123,7 @@ impl Metadata {
     }
 }
 
-/// Rule M7.
+/// Decodes the noise record (rule M7).
 fn decode_noise(content: &[u8]) -> Result<Noise, Violation> {
     let mut reader = ByteReader::new(content, "M7");
     let noise = Noise { noise_m: reader.f64()?, regions: reader.u64()?, region_m: reader.f64()? };
@@ -138,7 +138,7 @@ fn decode_noise(content: &[u8]) -> Result<Noise, Violation> {
     Ok(noise)
 }
 
-/// Rule M5.
+/// Decodes the units (rule M5).
 fn decode_units(content: &[u8]) -> Result<Vec<LengthUnit>, Violation> {
     let (records, rest) = content.as_chunks::<UNIT_LEN>();
     let wrong = |found: String| Violation::new("M5", "1 to 256 units, ascending, of 1e-9 to 1e9 m", found);

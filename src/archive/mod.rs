@@ -1,9 +1,11 @@
-//! The slice archive: one file of pages under a directory (`spec/slice-archive.md`; files here follow its chapters).
+//! Slice archive: one file of pages and a directory of them. The modules follow the chapters of
+//! `spec/slice-archive.md`.
 //!
-//! In: pages in ascending [`PageKey`](crate::frame::PageKey) order. Out: a file that appears complete under its name or
-//! not at all, and from it the pages again, by key, in at most three reads (head, directory leaf, page). Memory: the
-//! writer holds a few MiB however large the archive ([`ArchiveWriter`]); a reader holds the root directory
-//! (at most 16 KiB) and one leaf.
+//! An archive takes pages in ascending [`PageKey`](crate::frame::PageKey) order. The file appears under its name when
+//! it is complete, or not at all. A page is read by its key in at most three reads: head, directory leaf, page.
+//!
+//! Memory: the writer holds a few MiB however large the archive is ([`ArchiveWriter`]); a reader holds the root
+//! directory (at most 16 KiB in the file) and one leaf.
 
 mod head;
 
@@ -65,7 +67,7 @@ pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 
-/// Version of the format that is written, and the latest that is read: major, minor.
+/// Format version that is written, and the newest that is read: (major, minor).
 pub const FORMAT_VERSION: (u16, u16) = (1, 0);
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! Opening an archive without files, threads or a clock (chapter 10): which bytes to fetch, and what they say.
+//! Opening of an archive without files, threads or a clock (chapter 10): which bytes to fetch, and what they say.
 //!
-//! In: stretches of the archive, in any order and from anywhere. Out: the ranges that are still missing, then the
-//! [`Catalog`]. Memory: at most the 16 KiB of the longest head, and a footer.
+//! [`Opening`] takes pieces of the archive in any order and from anywhere. It reports the ranges still missing, then
+//! returns the [`Catalog`]. Memory: at most 16 KiB for the longest head, and a footer.
 //!
-//! The caller moves the bytes:
+//! The caller fetches the bytes:
 //!
 //! ```
 //! use slicewalk::archive::{Catalog, Opened, Opening};
@@ -24,20 +24,21 @@ use super::head::{self, FOOTER, MAGIC, MAX_HEAD};
 use crate::Result;
 use std::ops::Range;
 
-/// What an [`Opening`] needs, or what came of it.
+/// State of an [`Opening`].
 #[derive(Debug, Clone, PartialEq)]
 pub enum Opened {
-    /// These bytes, in ascending order and apart; at most 16 KiB in all.
+    /// Ranges still missing, ascending and disjoint; at most 16 KiB and a footer in all.
     Wants(Vec<Range<u64>>),
-    /// Head and footer are sound and belong together.
+    /// The catalog: head and footer are sound and belong together.
     Ready(Box<Catalog>),
 }
 
-/// Gathers the head and the footer of an archive.
+/// Collects the head and the footer of an archive.
 ///
-/// Asks for both at once if the length of the archive is known, else for the head first, which states it: two requests, and
-/// one for an archive of at most 16 KiB. All damage of head and footer is found, and missing bytes; bytes behind the
-/// footer only if the length is known. What was found stays: the same bytes give the same error again.
+/// Asks for both at once if the length of the archive is known; otherwise first for the head, which states the length.
+/// That is two requests, or one for an archive of at most 16 KiB. Finds all damage of head and footer, and missing
+/// bytes; finds bytes after the footer only if the length is known. Results are stable: the first bytes received for a
+/// place count, and an error stays.
 #[derive(Debug, Clone)]
 pub struct Opening {
     file_len: Option<u64>,
@@ -46,7 +47,7 @@ pub struct Opening {
 }
 
 impl Opening {
-    /// Begins to open an archive of this length (bytes), if it is known.
+    /// Begins to open an archive of `file_len` bytes, if that is known.
     pub fn new(file_len: Option<u64>) -> Self {
         let start = Piece::new(0..file_len.unwrap_or(u64::MAX).min(MAX_HEAD as u64));
         let mut opening = Self { file_len: None, start, footer: None };
@@ -56,7 +57,7 @@ impl Opening {
         opening
     }
 
-    /// The archive is `len` bytes long: said by a source that learned it with its first answer. The first length counts.
+    /// Sets the length of the archive (bytes) when the source learns it with its first answer. The first length counts.
     pub fn ends_at(&mut self, len: u64) {
         if self.file_len.is_none() {
             self.file_len = Some(len);
@@ -64,8 +65,8 @@ impl Opening {
         }
     }
 
-    /// Takes the bytes of the archive from `offset` on. More than were asked for are welcome, and fewer; of bytes that
-    /// come twice the first count.
+    /// Adds bytes of the archive that begin at `offset`. They may be more or fewer than requested; of bytes that arrive
+    /// twice, the first count.
     pub fn give(&mut self, offset: u64, bytes: &[u8]) {
         self.start.give(offset, bytes);
         if self.footer.is_none()
@@ -78,7 +79,7 @@ impl Opening {
         }
     }
 
-    /// The bytes that are missing, or the catalog. Asked again without news it answers the same.
+    /// Returns the missing ranges or the catalog. Repeated calls without new bytes return the same.
     pub fn next(&self) -> Result<Opened> {
         let known = self.start.known();
         if known.len() >= MAGIC.len() || self.start.is_complete() {
@@ -91,7 +92,7 @@ impl Opening {
         let start = &self.start.bytes;
         let file_len = self.file_len.or(self.stated_len()).unwrap_or(start.len() as u64);
         let (header, leaves) = head::decode(start, file_len)?;
-        // A head that decodes leaves room for a footer behind it.
+        // A head that decodes leaves room for a footer after it.
         let mut footer = [0; FOOTER];
         if let Some(piece) = &self.footer {
             footer.copy_from_slice(&piece.bytes);
@@ -100,7 +101,7 @@ impl Opening {
         Ok(Opened::Ready(Box::new(Catalog::new(header, leaves))))
     }
 
-    /// What is missing of either piece, joined where the two meet.
+    /// Returns the missing ranges of both pieces, joined where they meet.
     fn wants(&self) -> Vec<Range<u64>> {
         let missing = [Some(&self.start), self.footer.as_ref()].into_iter().flatten().flat_map(|piece| &piece.missing);
         let mut wants: Vec<Range<u64>> = Vec::new();
@@ -113,12 +114,12 @@ impl Opening {
         wants
     }
 
-    /// The length that the head states, once so much of it is there.
+    /// Returns the length that the head states (bytes), once enough of it has arrived.
     fn stated_len(&self) -> Option<u64> {
         head::stated_len(self.start.known())
     }
 
-    /// Expects a footer before byte `len`, and no head behind it.
+    /// Expects a footer before byte `len`, and no head after it.
     fn expect_end(&mut self, len: u64) {
         self.start.cut(len);
         if let Some(at) = len.checked_sub(FOOTER as u64) {
@@ -130,12 +131,12 @@ impl Opening {
     }
 }
 
-/// A stretch of the archive that comes in pieces.
+/// Range of the archive that arrives in pieces.
 #[derive(Debug, Clone)]
 struct Piece {
     at: u64,
     bytes: Vec<u8>,
-    /// In ascending order, not empty, and apart.
+    /// Missing ranges: ascending, not empty, disjoint.
     missing: Vec<Range<u64>>,
 }
 
@@ -161,7 +162,7 @@ impl Piece {
         self.missing = left;
     }
 
-    /// Expects nothing from byte `len` on.
+    /// Drops everything from byte `len` on.
     fn cut(&mut self, len: u64) {
         let keep = len.saturating_sub(self.at).min(self.bytes.len() as u64);
         self.bytes.truncate(keep as usize);
@@ -169,7 +170,7 @@ impl Piece {
         self.missing.retain(|gap| gap.start < gap.end);
     }
 
-    /// The bytes before the first gap.
+    /// Returns the bytes before the first gap.
     fn known(&self) -> &[u8] {
         let end = self.missing.first().map_or(self.bytes.len(), |gap| (gap.start - self.at) as usize);
         &self.bytes[..end]
@@ -189,7 +190,7 @@ mod tests {
     use proptest::prelude::*;
     use std::sync::LazyLock;
 
-    /// Archives without pages, of less than 16 KiB and of more: the larger has much to say about its coordinates.
+    /// Archives without pages, shorter and longer than 16 KiB; the longer one has a long reference system.
     static SMALL: LazyLock<(Header, Vec<u8>)> = LazyLock::new(|| archive(10));
     static LARGE: LazyLock<(Header, Vec<u8>)> = LazyLock::new(|| archive(100_000));
 
@@ -214,7 +215,7 @@ mod tests {
         assert_eq!((piece.known(), piece.is_complete()), (&[[7; 10], [8; 10], [9; 10]].concat()[..], true));
     }
 
-    /// Opens `file`, answering each want with exactly its bytes; the requests.
+    /// Opens `file`, answering each request with exactly its bytes; returns the number of requests.
     fn requests(file: &[u8], mut opening: Opening) -> (usize, Result<Catalog>) {
         let mut rounds = 0;
         loop {
@@ -247,7 +248,7 @@ mod tests {
             let (rounds, catalog) = requests(large, Opening::new(len));
             assert_eq!((rounds, catalog.unwrap().header()), (expected, header));
         }
-        // All of it at once, asked for or not.
+        // All bytes at once, requested or not.
         let mut opening = Opening::new(None);
         opening.give(0, large);
         assert!(matches!(opening.next(), Ok(Opened::Ready(_))));
@@ -275,7 +276,8 @@ mod tests {
     }
 
     proptest! {
-        /// Any pieces in any order, doubled and overlapping: the same catalog, and never more than 16 KiB asked for.
+        /// Pieces in any order, duplicated and overlapping, give the same catalog; at most 16 KiB and a footer are
+        /// requested.
         #[test]
         fn pieces_may_come_in_any_order(
             pieces in proptest::collection::vec((any::<prop::sample::Index>(), 0usize..9000), 0..40), known: bool
@@ -296,7 +298,7 @@ mod tests {
             prop_assert_eq!(catalog.unwrap(), requests(file, Opening::new(None)).1.unwrap());
         }
 
-        /// Whatever a file says, nothing is sized by it and nothing panics.
+        /// Damaged bytes cause no panic and no large allocation.
         #[test]
         fn damaged_heads_never_panic(at: prop::sample::Index, value: u8, known: bool) {
             let mut file = SMALL.1.clone();

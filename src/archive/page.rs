@@ -1,4 +1,4 @@
-//! Pages as they lie in the file: a leader that tells what they are, and the encoded page (chapter 5).
+//! Stored pages: a leader that identifies the page, then the encoded page (chapter 5).
 
 use super::colours::EncodedColours;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
@@ -15,44 +15,44 @@ use xxhash_rust::xxh3::xxh3_64;
 
 /// First bytes of a page.
 pub(super) const MAGIC: [u8; 4] = *b"\x89PAG";
-/// First bytes of a page of an overview level, which must never pass for one of the archive.
+/// First bytes of a page of an overview level, which must never be taken for a page of the archive.
 pub(super) const LEVEL_MAGIC: [u8; 4] = *b"\x89LVL";
 /// Length of a page's leader (bytes).
 pub(super) const LEADER: usize = 24;
-/// Greatest length of a page with its leader (bytes).
+/// Largest page with its leader (bytes).
 pub(super) const MAX_STORED_PAGE: usize = LEADER + MAX_BODY;
 
-/// A page ready to be put into an archive.
+/// Encoded page, ready for an archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EncodedPage {
-    /// Leader and body; empty for a page that one span tells.
+    /// Leader and body; empty for a uniform page.
     pub(super) bytes: Vec<u8>,
     pub(super) uniform: Option<Span>,
-    /// Identity of the body, for sharing.
+    /// Hash of the body, to find equal pages.
     pub(super) hash: u64,
     pub(super) key: PageKey,
-    /// Slices of the page with matter.
+    /// Slices of the page that contain solid, as bits.
     pub slices: u64,
     pub(super) size: PageSize,
-    /// `None` without matter.
+    /// Extent of the solid; `None` for an empty page.
     pub(super) bounds: Option<PageBounds>,
-    /// Number of voxels with matter, and how many of them hold obstacle.
+    /// Number of occupied voxels, and how many of them contain an obstacle.
     pub voxels: (u64, u64),
-    /// Number of voxels whose matter is inferred alone.
+    /// Number of voxels whose solid is only inferred.
     pub inferred: u64,
-    /// What the page gives to overview levels, if it is to give anything.
+    /// Contribution to overview levels, if there are to be any.
     pub(super) coarse: Option<Arc<[CoarseSpan]>>,
-    /// Colours of its voxels, for an archive that gets colours.
+    /// Colours of its voxels, for an archive with colours.
     pub(super) colours: EncodedColours,
 }
 
 impl EncodedPage {
-    /// Bytes that the page takes in the archive, unless it shares those of another.
+    /// Returns the size of the page in the archive (bytes), unless it shares the bytes of another.
     pub fn len_bytes(&self) -> usize {
         self.bytes.len()
     }
 
-    /// The page with these colours of its voxels.
+    /// Returns the page with `colours` for its voxels.
     pub fn with_colours(self, colours: EncodedColours) -> Self {
         Self { colours, ..self }
     }
@@ -61,9 +61,9 @@ impl EncodedPage {
         leader_crc(&self.bytes)
     }
 
-    /// A page of one archive, to be put into another under `key`: `bytes` are those of its extent, `page` what they
-    /// hold, and which spans of that are inferred. The body stays as it is; of a shared page the leader names another key and is made anew. `levels`: whether the
-    /// other archive has overview levels.
+    /// Copies a page of one archive for another, under `key`. `bytes` are those of its extent, `page` and `inferred`
+    /// its content; `levels` is true if the other archive has overview levels. The body stays as it is; the leader is
+    /// rebuilt because that of a shared page names another key.
     pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred, levels: bool) -> Self {
         let Some(body) = bytes.get(LEADER..).filter(|body| !body.is_empty()) else {
             return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page, inferred, levels) };
@@ -96,28 +96,28 @@ impl EncodedPage {
         Self { hash: xxh3_64(&bytes[LEADER..]), bytes, ..self }
     }
 
-    /// The bytes that decide whether two pages are equal.
+    /// Returns the bytes that decide whether two pages are equal.
     pub(super) fn body(&self) -> &[u8] {
         &self.bytes[LEADER..]
     }
 }
 
-/// Checksum that a leader states.
+/// Returns the checksum that a leader states.
 pub(super) fn leader_crc(bytes: &[u8]) -> u32 {
     u32::from_le_bytes([bytes[20], bytes[21], bytes[22], bytes[23]])
 }
 
-/// Checksum of what a page's own covers of its leader.
+/// Returns the checksum of the leader's part that the page checksum covers.
 pub(super) fn covered_crc(leader: &[u8]) -> u32 {
     crc::crc32c(&leader[..20])
 }
 
-/// Checksum of a page: its leader up to the checksum, then its body.
+/// Returns the checksum of a page: its leader up to the checksum, then its body.
 fn page_crc(bytes: &[u8]) -> u32 {
     crc::crc32c_append(covered_crc(bytes), &bytes[LEADER..])
 }
 
-/// A leader without length and checksum.
+/// Returns a leader without length and checksum.
 fn leader(magic: [u8; 4], key: PageKey) -> Vec<u8> {
     let mut bytes = magic.to_vec();
     for index in [key.tx, key.ty, key.layer] {
@@ -135,45 +135,46 @@ fn seal(bytes: &mut [u8]) {
     bytes[20..24].copy_from_slice(&crc.to_le_bytes());
 }
 
-/// Encodes pages; one per thread. Equal pages give equal bytes, whatever was encoded before.
+/// Encodes pages; use one per thread. Equal pages give equal bytes, whatever was encoded before.
 #[derive(Debug)]
 pub struct PageEncoder {
     encoder: Encoder,
     magic: [u8; 4],
-    /// Whether pages are prepared for overview levels above them.
+    /// True if pages are prepared for overview levels.
     levels: bool,
     body: Vec<u8>,
 }
 
 impl PageEncoder {
-    /// An encoder for pages of an archive with this grid and no tolerance, with its own scratch memory (about 2 MiB once used).
+    /// Creates an encoder for pages of an archive on this grid, without tolerance. Memory: about 2 MiB of scratch once
+    /// used.
     pub fn new(frame: Frame) -> Self {
         Self { encoder: Encoder::new(frame, 0), magic: MAGIC, levels: true, body: Vec::new() }
     }
 
-    /// An encoder for pages of an archive of this plan.
+    /// Creates an encoder for pages of an archive of `plan`.
     pub fn of_plan(plan: &Plan) -> Self {
         let encoder = Encoder::new(plan.frame, plan.tolerance_quanta());
         Self { encoder, magic: MAGIC, levels: true, body: Vec::new() }
     }
 
-    /// Whether pages are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
-    /// less if they are not; one with levels refuses pages that are not.
+    /// Sets whether pages are prepared for overview levels, which is the default. Encoding is cheaper without; an
+    /// archive with levels refuses pages that are not prepared.
     pub fn for_levels(self, levels: bool) -> Self {
         Self { levels, ..self }
     }
 
-    /// The page of another archive under `key`; see [`EncodedPage::copied`].
+    /// Copies a page of another archive under `key`; see [`EncodedPage::copied`].
     pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred) -> EncodedPage {
         EncodedPage::copied(key, bytes, page, inferred, self.levels)
     }
 
-    /// An encoder for pages of overview levels.
+    /// Creates an encoder for pages of overview levels.
     pub(super) fn of_levels() -> Self {
         Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
     }
 
-    /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).
+    /// Returns whether `bytes`, with leader, are the canonical encoding of `page` (rule P10).
     pub(super) fn gives(&mut self, page: &Page, inferred: &Inferred, bytes: &[u8]) -> bool {
         if !self.encoder.admits(page) {
             return false;
@@ -188,8 +189,8 @@ impl PageEncoder {
         self.encode_inferred(key, page, &Inferred::new())
     }
 
-    /// Encodes `page`, some of whose spans are inferred, under `key`. Only archives whose plan
-    /// [fills holes](crate::plan::PlanOptions::fill_holes) take such pages.
+    /// Encodes `page`, of which the spans in `inferred` are inferred, under `key`. Only archives whose plan [fills
+    /// holes](crate::plan::PlanOptions::fill_holes) accept such pages.
     pub fn encode_inferred(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
         let encoded = self.without_bytes(key, page, inferred);
         if encoded.uniform.is_some() || encoded.bounds.is_none() {
@@ -200,8 +201,8 @@ impl PageEncoder {
         encoded.with_bytes(bytes)
     }
 
-    /// As [`encode_inferred`](Self::encode_inferred), with heights coarsened by up to the tolerance of the plan; some spans may
-    /// become one: the page as it was encoded comes with it. It must hold matter.
+    /// Like [`encode_inferred`](Self::encode_inferred), but coarsens heights by up to the tolerance of the plan. Spans
+    /// may merge, so the coarsened page is returned, too. `page` must not be empty.
     pub fn encode_lossy(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> (EncodedPage, Page) {
         let mut bytes = leader(self.magic, key);
         let (page, inferred) = self.encoder.encode_lossy(page, inferred, &mut bytes);
@@ -209,14 +210,14 @@ impl PageEncoder {
         (if encoded.uniform.is_some() { encoded } else { encoded.with_bytes(bytes) }, page)
     }
 
-    /// All but the bytes.
+    /// Returns the encoded page without its bytes.
     fn without_bytes(&self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
         let uniform = if inferred.is_empty() { uniform_span(page) } else { None };
         EncodedPage { uniform, ..EncodedPage::without_bytes(key, page, inferred, self.levels) }
     }
 }
 
-/// The span that every pixel of the page holds and nothing else, if so.
+/// Returns the span that every pixel of the page holds as its only one, if there is such a span.
 fn uniform_span(page: &Page) -> Option<Span> {
     if page.span_count() != (TILE_PIXELS * TILE_PIXELS) as usize {
         return None;
@@ -225,49 +226,50 @@ fn uniform_span(page: &Page) -> Option<Span> {
     page.columns().all(|(_, _, spans)| spans == [span]).then_some(span)
 }
 
-/// Decodes pages; one per thread.
+/// Decodes pages; use one per thread.
 #[derive(Debug, Default)]
 pub struct PageDecoder {
     decoder: Decoder,
     builder: PageBuilder,
-    /// Whether inferred spans are left out.
+    /// True if inferred spans are left out.
     ignore_inferred: bool,
-    /// Whether what the decoder says of inferred spans is of the last page.
+    /// True if the inferred spans held by the decoder belong to the last page.
     is_marked: bool,
-    /// Bytes of the page in work, for whoever reads them.
+    /// Buffer for the bytes of the current page, used by readers.
     pub(super) bytes: Vec<u8>,
 }
 
 impl PageDecoder {
-    /// A decoder with its own scratch memory (about 200 KiB, more for pages of many spans).
+    /// Creates a decoder. Memory: about 200 KiB of scratch, more for pages of many spans.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A decoder of pages of up to this size, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    /// Creates a decoder for pages of up to this size, which needs at most [`scratch_bytes`](Self::scratch_bytes) of
+    /// memory.
     pub fn for_size(size: PageSize) -> Self {
         Self { decoder: Decoder::for_spans(size.words() as usize), ..Self::default() }
     }
 
-    /// Bytes of scratch memory of a decoder made [`for_size`](Self::for_size).
+    /// Returns the scratch memory of a decoder created by [`for_size`](Self::for_size) (bytes).
     pub fn scratch_bytes(size: PageSize) -> usize {
         Decoder::scratch_bytes(size.words() as usize) + PageBuilder::scratch_bytes(0)
     }
 
-    /// Whether pages come without their inferred spans from now on; they then differ from what their entries say of slices and
-    /// size, and may hold no matter at all.
+    /// Sets whether later pages come without their inferred spans. They then differ from the slices and size of their
+    /// entries, and may be empty.
     pub fn set_ignore_inferred(&mut self, ignore: bool) {
         self.ignore_inferred = ignore;
     }
 
-    /// Which spans of the page decoded last are inferred; none if they were left out.
+    /// Returns which spans of the last decoded page are inferred; none if they were left out.
     pub fn inferred(&self) -> &Inferred {
         static NONE: Inferred = Inferred::NONE;
         if self.is_marked && !self.ignore_inferred { self.decoder.inferred() } else { &NONE }
     }
 
-    /// The page of `entry` from `bytes`, those of its [`extent`](PageEntry::extent); none are needed for a uniform
-    /// page. Errors of the [`Format`](crate::Error::Format) family name the rule that `bytes` break.
+    /// Decodes the page of `entry` from `bytes`, those of its [`extent`](PageEntry::extent); a uniform page needs none.
+    /// [`Format`](crate::Error::Format) errors name the broken rule.
     pub fn decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page> {
         let offset = entry.extent().map_or(0, |extent| extent.offset);
         self.check_and_decode(entry, bytes).map_err(|violation| violation.at(format!("page {}", entry.key), offset))
@@ -291,14 +293,13 @@ impl PageDecoder {
         Ok(page)
     }
 
-    /// The page whose leader and body are `bytes`, whatever its leader says.
+    /// Decodes the page with leader and body `bytes` and ignores what its leader says.
     pub(super) fn decode_body(&mut self, bytes: &[u8]) -> Result<Page, Violation> {
         self.is_marked = true;
         self.decoder.decode(&bytes[LEADER..])
     }
 
-    /// The page that `bytes` are by their own word, without a directory entry that tells of it: its key and what it
-    /// holds; `None` if they are no sound page.
+    /// Decodes a page without a directory entry: returns its own key and its content, or `None` if it is not sound.
     pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, Page)> {
         let key = own_key(bytes).filter(|&key| key_in_grid(key))?;
         Some((key, self.decode_body(bytes).ok()?))
@@ -314,7 +315,7 @@ impl PageDecoder {
     }
 }
 
-/// Length with its leader of the page that begins at the start of `bytes`, by its own word; `None` if none begins there.
+/// Returns the length, with leader, that the page at the start of `bytes` states; `None` if no page begins there.
 pub(super) fn stated_len(bytes: &[u8]) -> Option<usize> {
     if bytes.len() <= LEADER || bytes[..4] != MAGIC {
         return None;
@@ -323,13 +324,13 @@ pub(super) fn stated_len(bytes: &[u8]) -> Option<usize> {
     (len > LEADER && len <= MAX_STORED_PAGE).then_some(len)
 }
 
-/// The key of the page that `bytes` are by their own word; `None` if its length or checksum is wrong.
+/// Returns the key that the page `bytes` states; `None` if its length or checksum is wrong.
 pub(super) fn own_key(bytes: &[u8]) -> Option<PageKey> {
     let right = stated_len(bytes)? == bytes.len() && page_crc(bytes) == leader_crc(bytes);
     right.then(|| Leader::of(bytes).key)
 }
 
-/// The fields of a leader.
+/// Fields of a leader.
 struct Leader {
     key: PageKey,
     body_len: u32,
@@ -337,7 +338,7 @@ struct Leader {
 }
 
 impl Leader {
-    /// Of `bytes`, which are at least as long as a leader.
+    /// Decodes the fields from `bytes`, which must hold a whole leader.
     fn of(bytes: &[u8]) -> Self {
         let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         let key = PageKey { tx: word(4) as i32, ty: word(8) as i32, layer: word(12) as i32 };
@@ -345,12 +346,12 @@ impl Leader {
     }
 }
 
-/// The key that the leader of the page `bytes` states, where `bytes` are those of `extent` (rules P1 and P2).
+/// Checks the leader of the page `bytes`, read from `extent`, and returns its key (rules P1 and P2).
 pub(super) fn check_leader(extent: Extent, bytes: &[u8]) -> Result<PageKey, Violation> {
     if bytes.len() != extent.len as usize || bytes.len() <= LEADER {
         return Err(Violation::new("P1", format!("a page of {} bytes", extent.len), bytes.len()));
     }
-    // Which of the two it is to be follows from the directory's checksum, too; `verify` looks.
+    // Accept both: the directory's checksum already settles which one is right, and `verify` checks it.
     if bytes[..4] != MAGIC && bytes[..4] != LEVEL_MAGIC {
         return Err(Violation::new("P1", hex(&MAGIC), hex(&bytes[..4])));
     }
@@ -366,7 +367,7 @@ pub(super) fn check_leader(extent: Extent, bytes: &[u8]) -> Result<PageKey, Viol
     Ok(leader.key)
 }
 
-/// Rule P3: the bytes of `entry`, of which the leader states `key`, are its own or those of an earlier page.
+/// Checks rule P3: the key in the leader is that of `entry`, or of an earlier page if the bytes are shared.
 pub(super) fn check_key(entry: &PageEntry, key: PageKey) -> Result<(), Violation> {
     let fits = match entry.storage {
         Storage::Shared(_) => key < entry.key,
@@ -378,7 +379,7 @@ pub(super) fn check_key(entry: &PageEntry, key: PageKey) -> Result<(), Violation
     }
 }
 
-/// Rules P9 and P11: a page with matter in `slices`, and of this size, is what `entry` says.
+/// Checks rules P9 and P11: `entry` states the occupied slices and the size of its page.
 pub(super) fn check_entry(entry: &PageEntry, slices: u64, size: PageSize) -> Result<(), Violation> {
     if slices != entry.slices {
         let expected = format!("slices {:016x} as in the directory", entry.slices);

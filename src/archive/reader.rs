@@ -1,4 +1,4 @@
-//! Reading an archive: head and footer at once, directory leaves and pages on demand (chapter 10).
+//! Reading of an archive: head and footer at once, directory leaves and pages on demand (chapter 10).
 
 use super::catalog::Catalog;
 use super::directory::{Content, LeafEntries, PageEntry};
@@ -21,9 +21,9 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 /// Most bytes of leaves read at once, unless a single leaf is longer.
 const LEAVES: u64 = 1 << 20;
 
-/// An open archive. Any number of threads may read from it at once.
+/// Open archive. Any number of threads may read from it at once.
 ///
-/// Memory: the root directory (at most 512 leaves, 24 KiB) and the leaf that [`find`](Self::find) used last.
+/// Memory: the root directory (at most 512 leaves, 20 KiB) and the leaf last used by [`find`](Self::find).
 pub struct Archive {
     source: Arc<dyn ByteSource>,
     catalog: Catalog,
@@ -32,26 +32,27 @@ pub struct Archive {
 }
 
 impl Archive {
-    /// Opens the archive at `path`, to be read by position: a file that is cut later gives errors. Two reads.
-    /// With the feature `remote` the path may be an address, as for [`RemoteSource`](crate::bytes::RemoteSource).
+    /// Opens the archive at `path` for positioned reads, with two reads. A file that is truncated later gives errors.
+    ///
+    /// With the feature `remote`, the path may be an address, as for [`RemoteSource`](crate::bytes::RemoteSource).
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::from_source(open_named(path.as_ref())?).map_err(|error| name_stranger(path.as_ref(), error))
     }
 
-    /// Opens the archive at `path` mapped into memory. Condition, as for [`MapSource`]: nobody may write to or cut the
-    /// file while it is open, or the process ends with a signal; replacing it by rename is safe.
+    /// Opens the archive at `path` mapped into memory. As for [`MapSource`], the file must not be written to or
+    /// truncated while it is open, or the process ends with a signal; replacing it by rename is safe.
     pub fn map(path: impl AsRef<Path>) -> Result<Self> {
         let source = MapSource::open(&path)?;
         Self::from_source(Box::new(source)).map_err(|error| name_stranger(path.as_ref(), error))
     }
 
-    /// Opens the archive that `bytes` are.
+    /// Opens an archive held in memory.
     pub fn from_bytes(bytes: Vec<u8>) -> Result<Self> {
         Self::from_source(Box::new(MemorySource::new(bytes)))
     }
 
-    /// Opens an archive with at most two reads: its first 16 KiB, and its footer if that lies beyond them. Finds any
-    /// damage of head and footer, and bytes that are missing or too many; pages and leaves are checked when read.
+    /// Opens an archive with at most two reads: its first 16 KiB, and its footer if that lies beyond them. Fails on any
+    /// damage of head and footer, and on missing or extra bytes; leaves and pages are checked when they are read.
     pub fn from_source(source: Box<dyn ByteSource>) -> Result<Self> {
         let mut opening = Opening::new(Some(source.len()));
         loop {
@@ -66,29 +67,29 @@ impl Archive {
         }
     }
 
-    /// An archive whose head is known, whatever the state of the rest.
+    /// Creates an archive from a known head, whatever the state of the rest.
     pub(super) fn from_parts(source: Arc<dyn ByteSource>, catalog: Catalog) -> Self {
         Self { source, catalog, levels: OnceLock::new(), found: Mutex::new(None) }
     }
 
-    /// The same archive, whose pages come without inferred matter: what was scanned and nothing else (guarantee G2). So do those of
-    /// stores and streams of it. Header, directory and overview levels stay as they are.
+    /// Returns the archive with inferred spans ignored: its pages, and those of stores and streams on it, then hold
+    /// only what was scanned (guarantee G2). Header, directory and overview levels stay as they are.
     pub fn ignoring_inferred(self) -> Self {
         Self::from_parts(self.source, self.catalog.ignoring_inferred())
     }
 
-    /// The same bytes, of which `catalog` says more.
+    /// Returns an archive on the same bytes with `catalog` in place of its own.
     pub(super) fn with_catalog(&self, catalog: Catalog) -> Self {
         Self::from_parts(self.source.clone(), catalog)
     }
 
-    /// The same archive with inferred matter.
+    /// Returns the archive with inferred spans included.
     pub(super) fn whole(&self) -> Self {
         Self::from_parts(self.source.clone(), self.catalog.whole())
     }
 
-    /// The overview levels, finest first; none if the archive was written without, has too few pages for any, or is a level
-    /// itself. One read, the first time.
+    /// Returns the overview levels, finest first; none if the archive was written without levels, has too few pages for
+    /// any, or is a level itself. Takes one read, the first time.
     pub fn levels(&self) -> Result<&[Level]> {
         if let Some(levels) = self.levels.get() {
             return Ok(levels);
@@ -100,9 +101,10 @@ impl Archive {
         Ok(self.levels.get_or_init(|| levels))
     }
 
-    /// Overview level `number` (1 is the finest) as an archive of its own on a coarser grid, for a store, a stream and every
-    /// query. It reads from the same source; its metadata are empty. A [`ColourReader`](super::ColourReader) of it reads its colours,
-    /// if the archive has some.
+    /// Returns overview level `number` (1 is the finest) as an archive of its own on a coarser grid; stores, streams
+    /// and all queries accept it. It reads from the same source; its metadata is empty. A
+    /// [`ColourReader`](super::ColourReader) on it reads its colours, if the archive has any. Fails if there is no such
+    /// level.
     pub fn level(&self, number: u32) -> Result<Self> {
         let levels = self.levels()?;
         let level = levels.iter().find(|level| level.number() == number).ok_or_else(|| {
@@ -115,8 +117,8 @@ impl Archive {
         Ok(Self::from_parts(self.source.clone(), level.catalog().clone()))
     }
 
-    /// As [`level`](Self::level), from the bytes of the level alone ([`Level::bytes`]): for programs that fetch bytes
-    /// themselves. Fails if there are more or fewer. Its colours lie elsewhere: it has none.
+    /// Like [`level`](Self::level), but from the bytes of the level alone ([`Level::bytes`]), for programs that fetch
+    /// bytes themselves. Fails if `bytes` are more or fewer. The level has no colours, since those lie elsewhere.
     pub fn of_level(level: &Level, bytes: Vec<u8>) -> Result<Self> {
         let range = level.bytes();
         let len = range.end - range.start;
@@ -128,47 +130,47 @@ impl Archive {
         Ok(Self::from_parts(source, level.catalog().without_level_colours()))
     }
 
-    /// What is known of the archive without another read.
+    /// Returns what is known of the archive without another read.
     pub fn catalog(&self) -> &Catalog {
         &self.catalog
     }
 
-    /// What the head says about the whole.
+    /// Returns the decoded header.
     pub fn header(&self) -> &Header {
         self.catalog.header()
     }
 
-    /// Grid and options of the conversion.
+    /// Returns grid and options of the conversion.
     pub fn plan(&self) -> &Plan {
         &self.header().plan
     }
 
-    /// The grid.
+    /// Returns the grid.
     pub fn frame(&self) -> &Frame {
         &self.header().plan.frame
     }
 
-    /// Where the bytes come from.
+    /// Returns the source of the bytes.
     pub fn source(&self) -> &dyn ByteSource {
         &*self.source
     }
 
-    /// The coordinate reference system as the input stated it, empty if unknown. One read.
+    /// Returns the coordinate reference system as the input stated it, empty if unknown. Takes one read.
     pub fn crs(&self) -> Result<String> {
         Ok(self.metadata()?.crs)
     }
 
-    /// Which part of a conversion the archive holds, if it was converted in parts. One read.
+    /// Returns the part of a conversion that the archive holds, if it was converted in parts. Takes one read.
     pub fn shard(&self) -> Result<Option<Shard>> {
         Ok(self.metadata()?.shard)
     }
 
-    /// The noise of the scan, if the tolerance was chosen by it. One read.
+    /// Returns the noise of the scan, if the tolerance was chosen from it. Takes one read.
     pub fn noise(&self) -> Result<Option<Noise>> {
         Ok(self.metadata()?.noise)
     }
 
-    /// The units in which the inputs came, ascending and each once; none if unknown. One read.
+    /// Returns the units of the inputs, ascending and without duplicates; empty if unknown. Takes one read.
     pub fn units(&self) -> Result<Vec<LengthUnit>> {
         Ok(self.metadata()?.units)
     }
@@ -177,33 +179,36 @@ impl Archive {
         self.catalog.decode_metadata(&read(&*self.source, self.catalog.metadata_range())?)
     }
 
-    /// Number of directory leaves.
+    /// Returns the number of directory leaves.
     pub fn leaf_count(&self) -> usize {
         self.catalog.leaf_count()
     }
 
-    /// The leaf whose entries could include `key`; no read.
+    /// Returns the leaf whose entries could include `key`. Takes no read.
     pub fn leaf_of(&self, key: PageKey) -> Option<usize> {
         self.catalog.leaf_of(key)
     }
 
-    /// Key of the first entry of leaf `index`; no read.
+    /// Returns the key of the first entry of leaf `index`. Takes no read.
     pub fn leaf_first(&self, index: usize) -> PageKey {
         self.catalog.leaf_first(index)
     }
 
-    /// Entries of leaf `index`, ascending. One read of about 10 bytes an entry.
+    /// Returns the entries of leaf `index`, ascending. Takes one read of about 10 bytes per entry.
     pub fn leaf(&self, index: usize) -> Result<Vec<PageEntry>> {
         self.open_leaf(index)?.collect()
     }
 
-    /// As [`leaf`](Self::leaf), entry by entry. A rule may turn out to be broken after some of them.
+    /// Like [`leaf`](Self::leaf), but decodes entries lazily, so a broken rule may show up only after some of them.
     pub(super) fn open_leaf(&self, index: usize) -> Result<LeafEntries> {
         self.catalog.open_leaf(index, &read(&*self.source, self.catalog.leaf_range(index))?)
     }
 
-    /// All entries in ascending order, leaf by leaf. A leaf that cannot be read is one error, and the next follows. An
-    /// archive that has more than 2²² pages without bytes, and more than one for 16 of its bytes, gives one error alone.
+    /// Iterates over all entries in ascending order, leaf by leaf. A leaf that cannot be read gives one error; the next
+    /// leaf follows.
+    ///
+    /// Gives a single error and no entries if more than 2²² pages (2¹⁶ with overview levels) have no bytes of their own
+    /// and they exceed one for every 16 bytes of the archive.
     pub fn entries(&self) -> impl Iterator<Item = Result<PageEntry>> + '_ {
         let limits = self.header().check_repeats().err();
         let leaves = if limits.is_some() { 0 } else { self.leaf_count() };
@@ -219,7 +224,8 @@ impl Archive {
         limits.map(Err).into_iter().chain(leaves)
     }
 
-    /// As [`open_leaf`](Self::open_leaf), of leaves one after the other: `ahead` holds the bytes of some in one read.
+    /// Like [`open_leaf`](Self::open_leaf), for sequential reading: `ahead` caches the bytes of several leaves from one
+    /// read.
     fn leaf_ahead(&self, index: usize, ahead: &mut (Range<u64>, Vec<u8>)) -> Result<LeafEntries> {
         let leaf = self.catalog.leaf_range(index);
         if leaf.start < ahead.0.start || leaf.end > ahead.0.end {
@@ -230,7 +236,7 @@ impl Archive {
                 _ => false,
             };
             let bytes = match read(&*self.source, leaf.start..end) {
-                // Bytes that cannot be read are the fault of the leaf that they belong to.
+                // Report a read error only for the leaf whose bytes fail.
                 Err(error) if end > leaf.end && is_lasting(&error) => read(&*self.source, leaf.clone())?,
                 read => read?,
             };
@@ -240,7 +246,8 @@ impl Archive {
         self.catalog.open_leaf(index, &ahead.1[start..start + (leaf.end - leaf.start) as usize])
     }
 
-    /// The entry of a page; `None` if the archive has no matter there. One read, or none in the leaf of the last call.
+    /// Returns the entry of a page; `None` if the archive has no such page. Takes one read, or none if the last call
+    /// used the same leaf.
     pub fn find(&self, key: PageKey) -> Result<Option<PageEntry>> {
         let Some(index) = self.leaf_of(key) else { return Ok(None) };
         let lock = || self.found.lock().unwrap_or_else(PoisonError::into_inner);
@@ -256,18 +263,18 @@ impl Archive {
         Ok(entries.binary_search_by_key(&key, |entry| entry.key).ok().map(|at| entries[at]))
     }
 
-    /// The page of an entry. One read, none for a uniform page.
+    /// Reads the page of `entry`. Takes one read, or none for a uniform page.
     pub fn page(&self, entry: &PageEntry) -> Result<Page> {
         self.page_with(entry, &mut PageDecoder::new())
     }
 
-    /// As [`page`](Self::page), with the scratch memory of `decoder`, for loading many.
+    /// Like [`page`](Self::page), but reuses the scratch memory of `decoder`, for loading many pages.
     pub fn page_with(&self, entry: &PageEntry, decoder: &mut PageDecoder) -> Result<Page> {
         decoder.set_ignore_inferred(self.catalog.ignores_inferred());
         let mut bytes = std::mem::take(&mut decoder.bytes);
         bytes.clear();
         if let Some(extent) = entry.extent() {
-            // The length was checked with the leaf; an entry made by hand is checked here.
+            // Decoding a leaf bounds the length; an entry made by hand is checked here.
             if extent.len as usize > super::page::MAX_STORED_PAGE {
                 return Err(Error::limit("bytes of a page", extent.len, super::page::MAX_STORED_PAGE));
             }
@@ -280,7 +287,7 @@ impl Archive {
     }
 }
 
-/// Reads pages one after the other. One with the content of the last is neither read nor decoded again.
+/// Reads pages in turn. A page with the same content as the last one is neither read nor decoded again.
 #[derive(Debug)]
 pub struct PageReader<'a> {
     archive: &'a Archive,
@@ -289,12 +296,12 @@ pub struct PageReader<'a> {
 }
 
 impl<'a> PageReader<'a> {
-    /// A reader of the pages of `archive`. Memory: one page, and the scratch memory of a [`PageDecoder`].
+    /// Creates a reader of the pages of `archive`. Memory: one page, and the scratch memory of a [`PageDecoder`].
     pub fn new(archive: &'a Archive) -> Self {
         Self { archive, decoder: PageDecoder::new(), last: None }
     }
 
-    /// The page of an entry, as by [`Archive::page`].
+    /// Reads the page of `entry`; see [`Archive::page`].
     pub fn page(&mut self, entry: &PageEntry) -> Result<&Page> {
         let content = entry.content();
         let last = match self.last.take() {
@@ -304,7 +311,7 @@ impl<'a> PageReader<'a> {
         Ok(&self.last.insert(last).1)
     }
 
-    /// As [`page`](Self::page), and which of its spans are inferred.
+    /// Like [`page`](Self::page), and also returns which of its spans are inferred.
     pub fn page_and_inferred(&mut self, entry: &PageEntry) -> Result<(&Page, &Inferred)> {
         self.page(entry)?;
         match &self.last {
@@ -314,7 +321,7 @@ impl<'a> PageReader<'a> {
     }
 }
 
-/// The bytes of `range`, whose length a rule of the format bounds.
+/// Reads the bytes of `range`, whose length a rule of the format bounds.
 fn read(source: &dyn ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
     let mut bytes = vec![0; (range.end - range.start) as usize];
     source.read_at(range.start, &mut bytes)?;
@@ -327,7 +334,7 @@ impl std::fmt::Debug for Archive {
     }
 }
 
-/// An error of opening the file at `path`: what is no archive at all is told by its name, for it may be anything.
+/// Adds the path to the error about a file that is not an archive.
 fn name_stranger(path: &Path, error: Error) -> Error {
     match error {
         Error::Format { rule: rule @ "H1", expected, found, .. } => {

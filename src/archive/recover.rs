@@ -1,10 +1,11 @@
-//! Making an archive again from what is left of a damaged one (chapter 9).
+//! Recovery of a damaged archive (chapter 9).
 //!
-//! Sound leaves of a sound head tell of every page that they had; a leaf that is lost leaves a gap in the pages section,
-//! in which pages are found by their leaders. So do pages that are not where their leaf has them. Uniform and shared
-//! pages are only told of by leaves: those of a lost leaf are lost. Without a head the plan must come from elsewhere, and
-//! pages are looked for in the whole file. Memory: 9 MiB of the file, 40 bytes for each page of a gap, one leaf and
-//! one writer.
+//! Sound leaves of a sound head list all their pages. A lost leaf leaves a gap in the pages section, where pages are
+//! found by their leaders; so are pages that are not where their leaf puts them. Only leaves describe uniform and
+//! shared pages, so those of a lost leaf are lost. Without a head, the caller must supply the plan, and the whole file
+//! is searched for pages.
+//!
+//! Memory: 9 MiB of the file, 40 bytes for each page of a gap, one leaf and one writer.
 
 use super::catalog::Catalog;
 use super::colours::{ColourReader, EncodedColours};
@@ -27,42 +28,43 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What a recovery found.
+/// Result of a recovery.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Recovered {
-    /// Head of the new archive.
+    /// Header of the new archive.
     pub header: Header,
-    /// Whether the damaged archive's head was sound.
+    /// True if the damaged archive's head was sound.
     pub head: bool,
-    /// Directory leaves: how many were sound, and how many there were; `None` if only a sound head could tell.
+    /// Directory leaves: number of sound ones and of all; `None` without a sound head.
     pub leaves: Option<(usize, usize)>,
     /// Pages found: with bytes of their own, shared, uniform.
     pub found: Pages,
-    /// Pages that the head counts and that were not found; `None` if only a sound head could tell.
+    /// Pages that the head counts and that were not found; `None` without a sound head.
     pub lost: Option<Pages>,
-    /// Whether reference system and other metadata are lost or unknown.
+    /// True if reference system and other metadata are lost or unknown.
     pub metadata_lost: bool,
-    /// What was sound and could not be kept, in words.
+    /// Sound contents that could not be kept, as text.
     pub dropped: Vec<String>,
-    /// What broke a rule and keeps it in the new archive, in words.
+    /// Corrections of broken rules in the new archive, as text.
     pub mended: Vec<String>,
-    /// Whether the new archive has the very bytes that the damaged one had when it was whole.
+    /// True if the new archive equals the undamaged one byte for byte.
     pub identical: bool,
 }
 
 impl Recovered {
-    /// Whether the new archive is known to hold all that the damaged one held when it was whole.
+    /// Returns whether the new archive is known to hold everything that the undamaged one held.
     pub fn is_complete(&self) -> bool {
         self.lost.is_some_and(|lost| lost.total() == 0) && !self.metadata_lost && self.dropped.is_empty()
     }
 }
 
-/// Writes to `output` an archive of every page of the archive at `path` that is still sound. `plan` is that of the
-/// archive; it is needed only where the head is damaged, and refused if a sound head says otherwise.
+/// Writes all sound pages of the archive at `path` to a new archive `output`. `plan` is needed only if the head is
+/// damaged; if the head is sound and has another plan, the call fails.
 ///
-/// Whatever the damage, the new archive keeps every rule. Its point counts are those of the conversion, or 0 if the head
-/// that told them is lost. Cost: one pass over the file, all pages decoded and encoded again.
+/// The new archive keeps every rule, whatever the damage. Its point counts are those of the conversion, or 0 if the
+/// head that stated them is lost. Fails if no sound page is left. Cost: one pass over the file; all pages are decoded
+/// and encoded again.
 pub fn recover(
     path: &Path,
     plan: Option<&Plan>,
@@ -102,7 +104,7 @@ pub fn recover(
         columns: None,
         encoded_anew: 0,
         entries_wrong: 0,
-        // Without their table no colours are found.
+        // Without their table, no colours can be found.
         colours: old.as_ref().and_then(|archive| ColourReader::new(archive).ok().flatten()),
         colours_found: 0,
     };
@@ -128,7 +130,7 @@ pub fn recover(
     Ok(recovered)
 }
 
-/// Head and leaves, if all of the head is there and right; the rest of the file may be cut.
+/// Decodes header and leaves if the whole head is present and sound; the rest of the file may be missing.
 fn sound_head(source: &FileSource) -> Option<Catalog> {
     let mut start = vec![0; MAX_HEAD];
     let there = source.len().min(MAX_HEAD as u64) as usize;
@@ -138,8 +140,8 @@ fn sound_head(source: &FileSource) -> Option<Catalog> {
     (header.bytes.head <= there as u64).then(|| Catalog::new(header, leaves))
 }
 
-/// Whether the archive at `output`, whose head is `header`, has the head that `source` begins with. By the checksums in it
-/// the rest is then the same as well.
+/// Returns whether the archive at `output`, whose header is `header`, has the same head as `source`. Its checksums then
+/// imply that the rest is the same, too.
 fn same_head(source: &FileSource, output: &Path, header: &Header) -> Result<bool> {
     let mut heads = [vec![0; header.bytes.head as usize], vec![0; header.bytes.head as usize]];
     if source.len() < header.bytes.head {
@@ -150,7 +152,7 @@ fn same_head(source: &FileSource, output: &Path, header: &Header) -> Result<bool
     Ok(heads[0] == heads[1])
 }
 
-/// A recovery under way.
+/// State of a recovery.
 struct Rescue<'a> {
     source: &'a FileSource,
     monitor: &'a dyn Monitor,
@@ -161,9 +163,9 @@ struct Rescue<'a> {
     found: Pages,
     /// First and last column with a page.
     columns: Option<(u64, u64)>,
-    /// Pages that were not in the one encoding of their content.
+    /// Pages that did not have the canonical encoding.
     encoded_anew: u64,
-    /// Pages of which the directory said something else than they hold.
+    /// Pages whose directory entry did not match their content.
     entries_wrong: u64,
     colours: Option<ColourReader>,
     /// Voxels whose colours were found.
@@ -171,12 +173,13 @@ struct Rescue<'a> {
 }
 
 impl Rescue<'_> {
-    /// Takes what the sound leaves list, and what is found in the gaps that the others leave; how many are sound.
+    /// Recovers the pages that sound leaves list, and those found in the gaps of the others. Returns the number of
+    /// sound leaves.
     fn by_directory(&mut self, archive: &Archive) -> Result<usize> {
         let header = archive.header();
         let place = |index| archive.open_leaf(index).ok().and_then(|entries| entries.check().ok());
         let places: Vec<Option<Range<u64>>> = (0..archive.leaf_count()).map(place).collect();
-        // If neither leaves nor metadata are where the head has them, nothing may be: bytes were lost or added.
+        // If neither leaves nor metadata are where the head puts them, nothing may be: bytes were lost or added.
         let in_place = places.iter().any(Option::is_some) || archive.metadata().is_ok();
         let mut from = header.pages_offset();
         let mut index = 0;
@@ -210,7 +213,8 @@ impl Rescue<'_> {
         Ok(places.iter().flatten().count())
     }
 
-    /// The stored pages of a leaf that are not where it has them, but between neighbours that are, within `range`.
+    /// Finds, within `range`, the stored pages of a leaf that are not where it puts them but between neighbours that
+    /// are.
     fn displaced(&self, archive: &Archive, leaf: usize, range: Range<u64>) -> Result<BTreeMap<PageKey, Found>> {
         let (mut displaced, mut missed, mut from) = (BTreeMap::new(), BTreeSet::new(), range.start);
         let mut find = |missed: &mut BTreeSet<PageKey>, range| -> Result<()> {
@@ -238,13 +242,13 @@ impl Rescue<'_> {
         Ok(displaced)
     }
 
-    /// Takes the pages that are found in the bytes `range`.
+    /// Recovers the pages found in the bytes `range`.
     fn gap(&mut self, range: Range<u64>, keys: impl Fn(PageKey) -> bool, to_the_leaf: bool) -> Result<()> {
         let found = find_pages(self.source, range, keys, to_the_leaf, self.monitor)?;
         found.iter().try_for_each(|found| self.found(found))
     }
 
-    /// Takes a page that was found by its leader.
+    /// Recovers a page that was found by its leader.
     fn found(&mut self, found: &Found) -> Result<()> {
         let mut bytes = vec![0; found.len];
         self.source.read_at(found.offset, &mut bytes)?;
@@ -258,8 +262,8 @@ impl Rescue<'_> {
         self.count(key, found.len as u64)
     }
 
-    /// Takes the page of an entry, if it is sound. A page with bytes of its own counts by its leader: what the entry says
-    /// of its content may be wrong.
+    /// Recovers the page of an entry, if it is sound. For a page with bytes of its own its leader counts, because the
+    /// content in the entry may be wrong.
     fn listed(&mut self, archive: &Archive, entry: &PageEntry) -> Result<()> {
         let Self { writer, copier, decoder, encoder, encoded_anew, entries_wrong, colours, .. } = self;
         let read = |decoder: &mut PageDecoder| match entry.storage {
@@ -295,7 +299,7 @@ impl Rescue<'_> {
         if self.monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
     }
 
-    /// Gives the new archive what the rest of the `old` one still tells.
+    /// Completes the new archive with what the rest of the `old` one still states.
     fn finish(mut self, old: Option<&Archive>, leaves: Option<(usize, usize)>) -> Result<Recovered> {
         let (mut dropped, mut mended) = (Vec::new(), Vec::new());
         let header = old.map(Archive::header);
@@ -356,7 +360,7 @@ impl Rescue<'_> {
     }
 }
 
-/// The page at `extent` by its own word; its bytes are then those of `decoder`.
+/// Reads and decodes the page at `extent` by its leader, and leaves its bytes in `decoder`.
 fn own_page(archive: &Archive, extent: Extent, decoder: &mut PageDecoder) -> Option<(PageKey, Page)> {
     let mut bytes = std::mem::take(&mut decoder.bytes);
     bytes.resize(extent.len as usize, 0);
@@ -366,7 +370,8 @@ fn own_page(archive: &Archive, extent: Extent, decoder: &mut PageDecoder) -> Opt
     page
 }
 
-/// The page for the new archive, of which the old one has `bytes`; counts pages that were not in the one encoding of their coding.
+/// Prepares the page with the old `bytes` for the new archive; if they are not the canonical encoding, encodes it again
+/// and increments `anew`.
 fn in_the_one_encoding(
     encoder: &mut PageEncoder,
     anew: &mut u64,

@@ -1,6 +1,6 @@
-//! Reading many pages: neighbours in one read, some reads at the same time.
+//! Reading of many pages: adjacent pages in one read, several reads in parallel.
 //!
-//! In: entries in any order. Out: their pages in that order. Memory: 1 MiB for each of four threads beyond the pages.
+//! Pages come back in the order of their entries. Memory: 1 MiB for each of four threads, besides the pages.
 
 use super::directory::PageEntry;
 use super::page::PageDecoder;
@@ -15,12 +15,12 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// Most bytes of one read, unless a single page is longer.
 const LONGEST: u64 = 1 << 20;
-/// Most pages of one read: pages may share bytes, or have none.
+/// Most pages of one read, since pages may share bytes or have none.
 const MOST: usize = 1 << 12;
-/// Reads at the same time.
+/// Parallel reads.
 const TOGETHER: usize = 4;
 
-/// Bytes of the archive, and the pages in them: a range of the order in which pages are read.
+/// Bytes of one read, and its pages as a range of the read order.
 #[derive(Debug, PartialEq)]
 struct Run {
     bytes: Range<u64>,
@@ -28,8 +28,8 @@ struct Run {
 }
 
 impl Archive {
-    /// The pages of `entries`. Fails with the first read or page in the order of their bytes that fails, and with
-    /// [`Error::Interrupted`] when `monitor` asks to stop.
+    /// Reads the pages of `entries`, and returns them in the order given. Fails with the error that comes first in byte
+    /// order, and with [`Error::Interrupted`] if `monitor` cancels.
     pub(crate) fn pages(&self, entries: &[PageEntry], monitor: &dyn Monitor) -> Result<Vec<Page>> {
         let mut order: Vec<usize> = (0..entries.len()).collect();
         order.sort_by_key(|&number| bytes_of(&entries[number]).start);
@@ -65,7 +65,7 @@ impl Archive {
                 match read(number, &mut decoder, &mut bytes) {
                     Ok(more) => pages.extend(more),
                     Err(error) => {
-                        // Runs before this one are under way: the first error stays the first.
+                        // Earlier runs still finish, so the first error in order wins.
                         next.store(runs.len(), Relaxed);
                         return Err((number, error));
                     }
@@ -97,12 +97,12 @@ impl Archive {
     }
 }
 
-/// Where the bytes of a page lie; none for a uniform one.
+/// Returns the bytes of a page; empty for a uniform one.
 fn bytes_of(entry: &PageEntry) -> Range<u64> {
     entry.extent().map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
 }
 
-/// The reads for the pages of `entries`, which `order` sorts by their bytes.
+/// Plans the reads for the pages of `entries`, which `order` sorts by their bytes.
 fn runs(entries: &[PageEntry], order: &[usize]) -> Vec<Run> {
     let mut runs: Vec<Run> = Vec::new();
     for (at, &number) in order.iter().enumerate() {

@@ -1,12 +1,11 @@
-//! Finding pages by their leaders, where no sound leaf tells of them (chapter 9).
+//! Search for pages by their leaders, without a sound leaf (chapter 9).
 //!
-//! A page counts if its checksum is right and its content sound, wherever it lies; the bytes of a page with a right
-//! checksum are searched no further. Of all pages found the longest run with ascending keys is taken: a page with a
-//! wrong key costs itself and no other.
+//! A page counts if its checksum is right and its content sound, wherever it lies; the search skips the bytes of a page
+//! with a right checksum. Of all pages found, the longest run with ascending keys is kept, so a page with a wrong key
+//! costs only itself.
 //!
-//! A leader may be forged in every byte, and claim 6 MiB each time. The checksum of any stretch therefore follows from
-//! the checksums of what lies before its ends: a search takes time linear in the bytes, and memory of 9 MiB and 40
-//! bytes a page.
+//! Leaders may be forged at every byte, each claiming 3.8 MiB. The checksum of any range is therefore derived from
+//! checksums of prefixes: a search takes time linear in the bytes, and memory of 9 MiB and 40 bytes per page.
 
 use super::page::{self, MAX_STORED_PAGE, PageDecoder};
 use crate::bytes::ByteSource;
@@ -18,14 +17,14 @@ use std::ops::Range;
 /// Bytes of the file held at once.
 const CHUNK: usize = 8 << 20;
 const _: () = assert!(MAX_STORED_PAGE < CHUNK);
-/// Most bytes of work for a byte searched: two stretches to sum a leader, and the window once for what it moves on by.
+/// Most work per byte searched: two steps of checksum for each leader, and the share of reading and moving the window.
 const WORK_A_BYTE: u64 = (2 * Sums::STEP / page::MAGIC.len() + 2 * CHUNK / (CHUNK - MAX_STORED_PAGE) + 1) as u64;
-/// Bytes read at once where more cannot be read.
+/// Bytes read at once where larger reads fail.
 const SECTOR: usize = 4096;
 /// First bytes of a zstd frame, and so of a directory leaf.
 const FRAME: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
 
-/// Where a sound page lies.
+/// Location of a sound page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Found {
     pub key: PageKey,
@@ -33,8 +32,8 @@ pub(super) struct Found {
     pub len: usize,
 }
 
-/// Sound pages in the bytes `range` of `source` with keys in `keys`: their longest ascending run, in the order in which
-/// they lie. With `to_the_leaf` the search ends where a page is followed by a directory leaf or a page of a level.
+/// Finds sound pages with keys in `keys` in the bytes `range` of `source`, and returns their longest ascending run in
+/// file order. With `to_the_leaf`, the search ends where a page is followed by a directory leaf or a page of a level.
 pub(super) fn find_pages(
     source: &dyn ByteSource,
     range: Range<u64>,
@@ -65,14 +64,16 @@ pub(super) fn find_pages(
             break;
         }
     }
-    // However leaders are forged: one takes at least its magic, and the window moves on by what pages leave of it.
+    // The bound holds for forged leaders, too: each takes at least its magic, and the window advances by what a page
+    // leaves of it.
     debug_assert!(window.work <= WORK_A_BYTE * (window.start + window.at as u64 - start) + 2 * CHUNK as u64);
     Ok(longest_ascending(&found))
 }
 
-/// The longest run of pages, not necessarily neighbours, whose keys ascend (Fredman 1975).
+/// Returns the longest subsequence of pages with ascending keys (Fredman 1975).
 fn longest_ascending(found: &[Found]) -> Vec<Found> {
-    // Of the runs of each length the one with the least last key, by that page; and before each page the one before it.
+    // `ends[n]`: last page of the run of length `n + 1` whose last key is smallest. `before[n]`: page before page `n`
+    // in its run.
     let (mut ends, mut before): (Vec<usize>, Vec<usize>) = (Vec::new(), Vec::with_capacity(found.len()));
     for (at, page) in found.iter().enumerate() {
         let len = ends.partition_point(|&end| found[end].key < page.key);
@@ -92,17 +93,17 @@ fn longest_ascending(found: &[Found]) -> Vec<Found> {
     run
 }
 
-/// A part of the file that moves on.
+/// Sliding window over the file.
 struct Window<'a> {
     source: &'a dyn ByteSource,
-    /// The end of the search in the file.
+    /// End of the search (byte offset in the file).
     end: u64,
     bytes: Vec<u8>,
-    /// Where in the file the bytes begin, and where in them the search is.
+    /// File offset of the bytes, and position of the search in them.
     start: u64,
     at: usize,
     sums: Sums,
-    /// Bytes summed, moved or read so far.
+    /// Bytes already summed, moved or read.
     work: u64,
 }
 
@@ -117,7 +118,7 @@ impl<'a> Window<'a> {
         self.at += bytes;
     }
 
-    /// Moves to the next leader and returns where in the file it lies.
+    /// Moves to the next leader and returns its offset in the file.
     fn find_leader(&mut self) -> Option<u64> {
         loop {
             let rest = &self.bytes[self.at..];
@@ -125,7 +126,7 @@ impl<'a> Window<'a> {
                 self.at += begin;
                 return Some(self.start + self.at as u64);
             }
-            // The last bytes may be the first ones of a leader.
+            // The last bytes may begin a leader.
             self.at = self.bytes.len() - rest.len().min(page::MAGIC.len() - 1);
             if !self.refill() {
                 return None;
@@ -133,7 +134,7 @@ impl<'a> Window<'a> {
         }
     }
 
-    /// The length of the page that begins here, if its checksum is right.
+    /// Returns the length of the page that begins here, if its checksum is right.
     fn page_len(&mut self) -> Option<usize> {
         if !self.reaches(page::LEADER + 1) {
             return None;
@@ -149,7 +150,7 @@ impl<'a> Window<'a> {
         self.reaches(bytes.len()) && self.bytes[self.at..].starts_with(bytes)
     }
 
-    /// Whether there are `len` bytes from here on; reads them if so.
+    /// Returns whether `len` bytes follow from here; reads them if so.
     fn reaches(&mut self, len: usize) -> bool {
         if self.bytes.len() - self.at >= len {
             return true;
@@ -157,7 +158,7 @@ impl<'a> Window<'a> {
         self.start + (self.at + len) as u64 <= self.end && self.refill()
     }
 
-    /// Forgets what lies before the place of the search and reads on behind it; whether there was more.
+    /// Drops the bytes before the position and reads more; returns whether there were any.
     fn refill(&mut self) -> bool {
         self.bytes.drain(..self.at);
         self.start += self.at as u64;
@@ -168,7 +169,7 @@ impl<'a> Window<'a> {
         self.bytes.resize(have + more, 0);
         let (from, new) = (self.start + have as u64, &mut self.bytes[have..]);
         if self.source.read_at(from, new).is_err() {
-            // A disk that fails in places: what cannot be read holds no page.
+            // On a failing disk, treat unreadable sectors as zeros: they hold no page.
             for (at, sector) in (from..).step_by(SECTOR).zip(new.chunks_mut(SECTOR)) {
                 if self.source.read_at(at, sector).is_err() {
                     sector.fill(0);
@@ -181,7 +182,7 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Checksums of the bytes before every multiple of [`Sums::STEP`], from which those of any stretch follow.
+/// Checksums of the prefixes that end at multiples of [`Sums::STEP`]; those of any range follow from them.
 #[derive(Default)]
 struct Sums {
     before: Vec<u32>,
@@ -200,7 +201,7 @@ impl Sums {
         Self { before: sums.collect() }
     }
 
-    /// The checksum of what has the checksum `sum`, followed by the bytes `range` of those that these sums are of.
+    /// Returns the checksum `sum` continued over `range` of `bytes`, the bytes that these sums were computed from.
     fn appended(&self, sum: u32, bytes: &[u8], range: Range<usize>) -> u32 {
         let before = |end: usize| {
             let step = (end / Self::STEP).min(self.before.len().saturating_sub(1));
@@ -211,7 +212,7 @@ impl Sums {
     }
 }
 
-/// `x⁸` to the power of 2ⁿ, modulo the polynomial.
+/// `x⁸` to the power of 2ⁿ, modulo the CRC32C polynomial.
 const POWERS: [u32; 24] = {
     let mut powers = [1 << 23; 24];
     let mut n = 1;
@@ -223,7 +224,7 @@ const POWERS: [u32; 24] = {
 };
 const _: () = assert!(CHUNK < 1 << POWERS.len());
 
-/// The product of two polynomials modulo that of CRC32C; as in checksums, the highest bit is the constant term.
+/// Returns the product of two polynomials modulo that of CRC32C. As in checksums, the highest bit is the constant term.
 const fn multiplied(a: u32, mut b: u32) -> u32 {
     let (mut product, mut bit) = (0, 32);
     while bit > 0 {
@@ -236,7 +237,7 @@ const fn multiplied(a: u32, mut b: u32) -> u32 {
     product
 }
 
-/// What `sum` becomes by `len` bytes, less what these bytes add themselves.
+/// Returns `sum` advanced over `len` zero bytes, without the CRC's initial and final inversion.
 fn shifted(sum: u32, len: usize) -> u32 {
     let powers = POWERS.iter().enumerate().filter(|(bit, _)| len >> bit & 1 == 1);
     powers.fold(sum, |sum, (_, power)| multiplied(*power, sum))
@@ -254,7 +255,7 @@ mod tests {
         find_pages(&MemorySource::new(bytes), range, |_| true, false, &NoMonitor).unwrap()
     }
 
-    /// What a search may take is stated, and checked, where it ends.
+    /// `find_pages` asserts the bound on its work where it ends.
     #[test]
     fn forged_leaders_take_work_linear_in_their_bytes() {
         for (period, claim) in [(24, MAX_STORED_PAGE - page::LEADER), (24, 3 << 20), (20, 1 << 20), (4, 0)] {

@@ -1,4 +1,4 @@
-//! The records that make an archive one part of several that were converted apart (chapter 7, tags `SHRD` and `READ`).
+//! Records that mark an archive as one of several parts converted separately (chapter 7, tags `SHRD` and `READ`).
 
 use crate::codec::{ByteReader, Violation};
 use std::ops::RangeInclusive;
@@ -8,24 +8,24 @@ pub const MAX_SHARDS: u32 = 1 << 16;
 /// Length of the record's content (bytes).
 const LEN: usize = 40;
 
-/// Which part of a conversion an archive holds. Parts of the same plan file and count make a whole: their columns follow one
-/// another from the first tile column of the grid to the last.
+/// Part of a conversion that an archive holds. Parts with the same plan file and count make a whole: their columns are
+/// adjacent, from the first tile column of the grid to the last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
-    /// Number of the part [1..=count].
+    /// Number of the part (1..=count).
     pub index: u32,
-    /// Number of all parts [1..=65536].
+    /// Number of all parts (1..=65536).
     pub count: u32,
     /// First tile column of the part (see [`PageKey::column`](crate::frame::PageKey::column)).
     pub first: u64,
-    /// Last tile column of the part; all matter of the input between the two is in it.
+    /// Last tile column of the part. The part holds all solid of the input from `first` to `last`.
     pub last: u64,
-    /// Identity of the plan file (plan, unit, inputs): parts of different ones are never merged.
+    /// Identity of the plan file (plan, unit, inputs). Parts of different plan files are never merged.
     pub plan_file: u128,
 }
 
 impl Shard {
-    /// The tile columns of the part.
+    /// Returns the tile columns of the part.
     pub fn columns(&self) -> RangeInclusive<u64> {
         self.first..=self.last
     }
@@ -69,26 +69,26 @@ impl std::fmt::Display for Shard {
     }
 }
 
-/// What a part read of an input that other parts read too: by this `merge` finds parts of different versions of it.
+/// Record of an input that several parts read; with it, `merge` detects parts that read different versions.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputRead {
     /// Number of the input in the plan file.
     pub input: u32,
-    /// Hash of all that was read of it, in whatever order.
+    /// Hash of everything that was read of it, independent of the order.
     pub hash: u128,
-    /// Name of the file without folders, for messages; its first 255 bytes are kept.
+    /// File name without folders, for messages; its first 255 bytes are kept.
     pub name: String,
 }
 
 impl InputRead {
-    /// Most inputs in one record: with names cut short they fit the metadata.
+    /// Most inputs in one record; with shortened names they fit the metadata.
     pub const MOST: usize = 1 << 15;
     /// Bytes of an input without its name.
     const LEN: usize = 21;
-    /// Bytes of all names; where they take more, none is kept.
+    /// Most bytes of all names; if they take more, none is stored.
     const MOST_NAMES: usize = 1 << 17;
 
-    /// The part of the name that is kept.
+    /// Returns the part of the name that is kept.
     fn short_name(&self) -> &str {
         let mut end = self.name.len().min(usize::from(u8::MAX));
         while !self.name.is_char_boundary(end) {
@@ -110,7 +110,7 @@ impl InputRead {
         out
     }
 
-    /// Rule M6.
+    /// Decodes the record (rule M6).
     pub(super) fn decode(content: &[u8]) -> Result<Vec<Self>, Violation> {
         let mut all: Vec<Self> = Vec::new();
         let mut rest = content;

@@ -1,7 +1,7 @@
-//! Directory entries of an archive in the making: a few in memory, the rest in a temporary file.
+//! Directory entries of an archive that is being written: a few in memory, the rest in a temporary file.
 //!
-//! How many entries a leaf holds depends on how many there are in all, so leaves are made at the end. Memory: 1.5 MiB
-//! for any number of pages; disk: 40 bytes a page beyond the first 32,768. A [`Spool`] holds what waits for the pages to end.
+//! The number of entries per leaf depends on the total, so leaves are written at the end. Memory: 1.5 MiB for any
+//! number of pages. Disk: 40 bytes per page beyond the first 32,768. A [`Spool`] buffers bytes that follow the pages.
 
 use super::directory::{Extent, PageEntry, Storage, encode_leaf};
 use super::head::Leaf;
@@ -16,27 +16,27 @@ use std::path::{Path, PathBuf};
 /// Entries kept in memory.
 const KEPT: usize = 1 << 15;
 const RECORD: usize = 40;
-/// Bytes of a spool in memory.
+/// Bytes of a spool kept in memory.
 const SPOOL_KEPT: usize = 1 << 18;
 
-/// The entries so far, in the order in which they came.
+/// Entries in the order in which they were added.
 #[derive(Debug)]
 pub(super) struct Entries {
     files: Files,
     target: PathBuf,
     file: Option<Temporary>,
-    /// How many entries the file holds.
+    /// Number of entries in the file.
     spilled: u64,
     tail: Vec<PageEntry>,
 }
 
 impl Entries {
-    /// No entries; a temporary file, once needed, lies beside `target`.
+    /// Creates an empty list; a temporary file, once needed, lies beside `target`.
     pub fn new(files: &Files, target: &Path) -> Self {
         Self { files: files.clone(), target: target.to_path_buf(), file: None, spilled: 0, tail: Vec::new() }
     }
 
-    /// Number of entries.
+    /// Returns the number of entries.
     pub fn len(&self) -> u64 {
         self.spilled + self.tail.len() as u64
     }
@@ -57,7 +57,7 @@ impl Entries {
         Ok(())
     }
 
-    /// Replaces `out` by the `count` entries from number `first` on.
+    /// Replaces `out` with `count` entries, from index `first` on.
     pub fn read(&self, first: u64, count: usize, out: &mut Vec<PageEntry>) -> Result<()> {
         out.clear();
         let from_file = self.spilled.saturating_sub(first).min(count as u64) as usize;
@@ -74,7 +74,7 @@ impl Entries {
     }
 }
 
-/// Gives the bytes of all leaves of `leaf_entries` entries, and returns what the root directory says of them.
+/// Passes the bytes of all leaves, of `leaf_entries` entries each, to `give` and returns their root records.
 pub(super) fn write_leaves(
     all: &Entries,
     leaf_entries: u32,
@@ -140,7 +140,7 @@ fn entry(record: &[u8]) -> Option<PageEntry> {
     Some(PageEntry { key, slices, size, storage })
 }
 
-/// Bytes that are read back once, in order.
+/// Buffer of bytes that are read back once, in order.
 #[derive(Debug)]
 pub(super) struct Spool {
     kept: Vec<u8>,
@@ -151,12 +151,12 @@ pub(super) struct Spool {
 }
 
 impl Spool {
-    /// Empty; a temporary file, once needed, lies beside `target`.
+    /// Creates an empty spool; a temporary file, once needed, lies beside `target`.
     pub fn new(files: &Files, target: &Path) -> Self {
         Self { kept: Vec::new(), files: files.clone(), file: None, written: 0, beside: target.to_path_buf() }
     }
 
-    /// Bytes so far.
+    /// Returns the number of bytes added.
     pub fn len(&self) -> u64 {
         self.written + self.kept.len() as u64
     }
@@ -176,7 +176,7 @@ impl Spool {
         Ok(())
     }
 
-    /// Gives all bytes in order, in pieces.
+    /// Passes all bytes to `give` in order, in pieces.
     pub fn read(&self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let mut piece = vec![0; SPOOL_KEPT.min(self.written as usize)];
         let mut at = 0;

@@ -1,4 +1,4 @@
-//! The archive as a whole: what is put comes back, by key and in order, and the same pages make the same file.
+//! The archive as a whole: pages come back by key and in order, and the same pages give the same file.
 
 use super::*;
 use crate::bytes::{ByteSource, MemorySource};
@@ -71,7 +71,7 @@ fn sound(archive: &Archive) -> VerifySummary {
     summary
 }
 
-/// Counts reads.
+/// Source that counts reads.
 struct Counted(MemorySource, AtomicU64);
 
 impl ByteSource for Counted {
@@ -165,7 +165,7 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     let page = |at: u64| {
         let mut builder = PageBuilder::default();
         let spans = [Span::new(at as u32 % 16000, 16100, at.is_multiple_of(2)).unwrap()];
-        // Every 100th page equals others; the rest differ by their pixels.
+        // Every 100th page equals others; the rest differ in their pixels.
         let pixel = if at.is_multiple_of(100) { 5 } else { (at / 16000 + 1) as u32 };
         for px in 0..pixel {
             assert!(builder.set_column(px, 9, &spans));

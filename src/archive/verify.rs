@@ -1,9 +1,11 @@
-//! Verifying an archive: every byte is read and every rule checked; findings are listed and work goes on (chapter 8).
+//! Verification of an archive: reads every byte, checks every rule, lists findings and continues (chapter 8).
 //!
-//! Opening has checked head and footer, and that the sections fill the file without gap. What is left: the leaves
-//! cover every page once and in order, every page is sound and canonical, and the totals and bounds of the head are true.
-//! Memory: the bytes of one leaf, 1 MiB of pages, and what was found of the last 65,536 stored pages (about 8 MiB): a page
-//! that shares their bytes is checked by that. Time: linear in the bytes of the pages and in their number.
+//! Opening has checked head and footer, and that the sections fill the file without gaps. Verification checks that the
+//! leaves list every page once and in order, that every page is sound and canonical, and that the totals and bounds in
+//! the head are right.
+//!
+//! Memory: the bytes of one leaf, 1 MiB of pages, and the results of the last 65,536 stored pages (about 8 MiB), which
+//! also serve pages that share their bytes. Time: linear in the bytes of the pages and in their number.
 
 use super::colour_check::ColourCheck;
 use super::dedup::WINDOW;
@@ -22,24 +24,24 @@ use crate::{Error, Result};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-/// Coarse spans that are kept, of all contents together: 4 MiB.
+/// Limit on the coarse spans kept for all contents together: 4 MiB.
 const COARSE_KEPT: usize = 1 << 19;
 /// Bytes of pages read at once.
 const CHUNK: u64 = 1 << 20;
 
-/// One rule that an archive breaks.
+/// Violation of one rule.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Finding {
-    /// Rule id of the specification; `S1` if bytes could not be read at all.
+    /// Rule of the specification; `S1` if bytes could not be read at all.
     pub rule: &'static str,
     /// Part of the archive.
     pub part: String,
-    /// First byte of the part.
+    /// First byte of the part (offset from the start of the archive).
     pub offset: u64,
-    /// What the rule asks for.
+    /// Content that the rule requires.
     pub expected: String,
-    /// What the bytes say.
+    /// Content of the archive.
     pub found: String,
 }
 
@@ -50,27 +52,30 @@ impl std::fmt::Display for Finding {
     }
 }
 
-/// What a verification went through.
+/// Result of a verification.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct VerifySummary {
     /// Number of findings; 0 means that the archive is sound.
     pub findings: u64,
     /// Bytes read and checked.
     pub bytes: u64,
-    /// Pages of sound entries.
+    /// Pages with sound entries.
     pub pages: Pages,
     /// Tiles of sound pages.
     pub tiles: Tiles,
     /// Voxels of sound pages.
     pub voxels: Voxels,
-    /// Lowest and highest slice of the entries.
+    /// Lowest and highest occupied slice of the entries.
     pub slices: Option<(i64, i64)>,
 }
 
 impl Archive {
-    /// Reads and checks every byte and goes on after a finding. Gives the first [`LISTED`] findings of each rule to `findings`;
-    /// the summary counts all. Fails only if `monitor` asks to stop, and for archives of which [`entries`](Self::entries)
-    /// refuses to give all pages. Cost: one pass over the file, each stored page decoded and encoded again.
+    /// Reads and checks every byte and continues after a finding. Passes the first [`LISTED`] findings of each rule to
+    /// `findings`; the summary counts all.
+    ///
+    /// Fails if `monitor` cancels, if this is an overview level, and for archives whose pages
+    /// [`entries`](Self::entries) refuses to list. Cost: one pass over the file; each stored page is decoded and
+    /// encoded again.
     pub fn verify(&self, monitor: &dyn Monitor, findings: &mut dyn FnMut(Finding)) -> Result<VerifySummary> {
         if self.catalog().ignores_inferred() {
             return self.whole().verify(monitor, findings);
@@ -117,7 +122,7 @@ impl Archive {
                     return Err(Error::Interrupted);
                 }
                 pass.error(error, &format!("directory leaf {index}"), header.directory_offset());
-                // Where the pages of the next leaf begin can no longer be known.
+                // Where the pages of the next leaf begin is now unknown.
                 pass.next = None;
                 pass.lost_leaf = true;
             }
@@ -127,14 +132,14 @@ impl Archive {
     }
 }
 
-/// How many findings of one rule a verification lists; it counts the others.
+/// Most findings of one rule that a verification lists; the rest are only counted.
 pub const LISTED: u64 = 1000;
-/// Pages between two looks at the monitor.
+/// Pages between checks for cancellation.
 const STRIDE: u64 = 1 << 12;
 /// Pixels of a page.
 const PIXELS: u64 = (TILE_PIXELS * TILE_PIXELS) as u64;
 
-/// What a sound page adds to the totals.
+/// Contribution of a sound page to the totals.
 #[derive(Debug, Clone, Copy)]
 struct Facts {
     voxels: (u64, u64),
@@ -147,7 +152,7 @@ impl Facts {
         Some(Self { voxels: page.voxel_counts(), inferred: inferred.voxel_count(page), bounds: page.bounds()? })
     }
 
-    /// Of a page whose pixels all hold the one `span`.
+    /// Returns the facts of a page whose pixels all hold the one `span`.
     fn of_uniform(span: Span) -> Self {
         let voxels = PIXELS * u64::from(span.slice_mask().count_ones());
         let obstacle = if span.is_obstacle() { voxels } else { 0 };
@@ -155,7 +160,7 @@ impl Facts {
     }
 }
 
-/// A stored page that was seen: its entry, and what its bytes hold or break.
+/// A stored page already checked: its entry, and its facts or the rule that it breaks.
 struct Seen {
     extent: Extent,
     slices: u64,
@@ -166,28 +171,28 @@ struct Seen {
 struct Pass<'a> {
     archive: &'a Archive,
     findings: &'a mut dyn FnMut(Finding),
-    /// Findings so far by rule.
+    /// Number of findings by rule.
     counts: HashMap<&'static str, u64>,
     summary: VerifySummary,
     decoder: PageDecoder,
     encoder: PageEncoder,
-    /// Bytes read ahead, and where they begin.
+    /// Offset of the bytes read ahead, and the bytes.
     chunk: (u64, Vec<u8>),
     /// Where the next stored page must begin; unknown after a damaged leaf.
     next: Option<u64>,
-    /// Some stored pages are not known because the leaf that tells of them is damaged.
+    /// True if stored pages are unknown because their leaf is damaged.
     lost_leaf: bool,
     /// The most recent stored pages, which later ones may share; ascending.
     stored: VecDeque<Seen>,
-    /// The part of a conversion that the archive says it holds.
+    /// Part of a conversion that the archive claims to hold.
     shard: Option<Shard>,
-    /// Where the matter of sound pages lies.
+    /// Extent of the solid of sound pages.
     matter: Matter,
     levels: Option<LevelCheck<'a>>,
-    /// What contents give to levels, as many as are kept, and how many spans that is.
+    /// Contributions to levels by content, up to the limit, and their number of spans.
     coarse: HashMap<Content, Arc<[CoarseSpan]>>,
     coarse_kept: usize,
-    /// `None` without colours, and where their table is damaged.
+    /// `None` without colours, or if their table is damaged.
     colours: Option<ColourCheck>,
     colour_decoder: PageDecoder,
 }
@@ -205,7 +210,7 @@ impl Pass<'_> {
 
     fn colour_table(&mut self) {
         let header = self.archive.header();
-        // Those of levels come first, whose table is checked with the levels.
+        // Colours of levels come first; their table is checked with the levels.
         let start = header.level_colours().map_or(Some(header.colours_offset()), |place| {
             let range = place.table();
             let mut table = vec![0; (range.end - range.start) as usize];
@@ -218,7 +223,7 @@ impl Pass<'_> {
         }
     }
 
-    /// Takes the colour leaf of directory leaf `index`.
+    /// Loads the colour leaf of directory leaf `index`.
     fn colour_leaf(&mut self, index: usize) {
         if let Some(check) = &mut self.colours
             && let Err(error) = check.open_leaf(index)
@@ -228,8 +233,8 @@ impl Pass<'_> {
         }
     }
 
-    /// Checks the colours of the next page of the leaf, of a page that is not sound only where they lie; what they give to levels,
-    /// where there are some.
+    /// Checks the colours of the leaf's next page and returns their contribution to levels, if there are any. For a
+    /// page that is not sound, checks only where its colours lie.
     fn page_colours(&mut self, entry: &PageEntry, sound: bool) -> Box<[CoarseColour]> {
         let Some(mut check) = self.colours.take() else { return Box::default() };
         let checked = self.check_colours(&mut check, entry, sound);
@@ -241,7 +246,7 @@ impl Pass<'_> {
         })
     }
 
-    /// Rules K4 to K9.
+    /// Checks rules K4 to K9.
     fn check_colours(
         &mut self,
         check: &mut ColourCheck,
@@ -256,7 +261,7 @@ impl Pass<'_> {
         Ok(block.map_or_else(Box::default, |block| coarse_colours(check.occupancy(), block.rgb())))
     }
 
-    /// Counts a finding of `rule`, and lists it if there are not too many.
+    /// Counts a finding of `rule`, and lists it unless there are too many.
     fn report(&mut self, rule: &'static str, finding: impl FnOnce() -> Finding) {
         self.summary.findings += 1;
         let count = self.counts.entry(rule).or_default();
@@ -278,7 +283,7 @@ impl Pass<'_> {
         }
     }
 
-    /// A finding about the page of `entry`.
+    /// Reports a finding about the page of `entry`.
     fn page(&mut self, entry: &PageEntry, rule: &'static str, found: impl FnOnce() -> (String, String)) {
         self.report(rule, || {
             let offset = entry.extent().map_or(0, |extent| extent.offset);
@@ -333,7 +338,7 @@ impl Pass<'_> {
         }
     }
 
-    /// What the page of `entry` gives to levels; `None` if something is wrong with it, or with a page before.
+    /// Returns the contribution of the page of `entry` to levels; `None` after any finding.
     fn coarse_of(&mut self, entry: &PageEntry) -> Option<Arc<[CoarseSpan]>> {
         if self.summary.findings > 0 {
             return None;
@@ -364,7 +369,7 @@ impl Pass<'_> {
         }
     }
 
-    /// Stored pages lie one after the other (rule D9), and keep the rules of pages.
+    /// Checks a stored page: it follows the previous one (rule D9) and keeps the rules of pages.
     fn stored(&mut self, entry: &PageEntry, extent: Extent) -> Option<Facts> {
         let tiles = u64::from(entry.slices.count_ones());
         self.summary.pages.stored += 1;
@@ -400,8 +405,8 @@ impl Pass<'_> {
         self.stored.push_back(Seen { extent, slices: entry.slices, size: entry.size, verdict });
     }
 
-    /// Shared pages lie where a recent stored one does (rule D10), and keep the rules that that one keeps. Rule P3 follows:
-    /// a stored page has the key of an entry before.
+    /// Checks a shared page: it lies where a recent stored one does (rule D10), and inherits the result of that page.
+    /// Rule P3 follows, because a stored page has the key of an earlier entry.
     fn shared(&mut self, entry: &PageEntry, extent: Extent) -> Option<Facts> {
         self.summary.pages.shared += 1;
         self.summary.tiles.stored += u64::from(entry.slices.count_ones());
@@ -417,7 +422,7 @@ impl Pass<'_> {
                 self.page(entry, rule, || (expected, found));
                 None
             }
-            // What it shares may be of the lost leaf.
+            // The page that it shares may belong to the lost leaf.
             None if self.lost_leaf => None,
             None => {
                 self.page(entry, "D10", || (format!("one of the last {WINDOW} stored pages"), format!("{extent:?}")));
@@ -459,7 +464,7 @@ impl Pass<'_> {
         Ok(verdict.map_err(Box::new))
     }
 
-    /// Makes the chunk hold `extent` and returns where in the chunk it begins.
+    /// Loads `extent` into the chunk and returns where in the chunk it begins.
     fn read_ahead(&mut self, extent: Extent) -> Result<usize> {
         let (start, bytes) = &mut self.chunk;
         let end = extent.offset + extent.len as u64;
@@ -469,7 +474,7 @@ impl Pass<'_> {
             *start = extent.offset;
             bytes.resize(ahead, 0);
             if self.archive.source().read_at(extent.offset, bytes).is_err() {
-                // Something in the chunk cannot be read; maybe not what is wanted now.
+                // Part of the chunk cannot be read, perhaps not the page itself.
                 bytes.clear();
                 bytes.resize(extent.len as usize, 0);
                 if let Err(error) = self.archive.source().read_at(extent.offset, bytes) {
@@ -481,8 +486,8 @@ impl Pass<'_> {
         Ok((extent.offset - self.chunk.0) as usize)
     }
 
-    /// Rules D9, T1 to T4 and T6: the pages end where the directory begins, and the head counts and bounds what is
-    /// there. Says nothing about totals where damage makes them wrong anyway.
+    /// Checks rules D9, T1 to T4 and T6: the pages end where the colours begin, and counts and bounds in the head are
+    /// right. After any finding it skips the totals, which the damage would falsify.
     fn totals(&mut self) {
         let header = self.archive.header();
         let pages_end = header.colours_offset();

@@ -1,4 +1,4 @@
-//! Writing an archive: pages in key order, then the directory, then the head, then the name (chapter 9).
+//! Writing of an archive: pages in key order, directory, head, then rename (chapter 9).
 
 #[cfg(feature = "convert")]
 mod unnamed;
@@ -25,53 +25,54 @@ use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Bytes collected before they are written. An archive whose pages all fit gets a head of exact length, so this is a
-/// constant of the bytes and must never follow a memory budget.
+/// Bytes buffered before they are written. An archive whose pages all fit gets a head of exact length, so this constant
+/// affects the bytes and must not depend on a memory budget.
 const BUFFER: usize = 1 << 20;
 
-/// What the conversion counted beyond the pages themselves.
+/// Counts and metadata of the conversion, besides the pages.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Totals {
     /// Points read from the input.
     pub points_read: u64,
-    /// Points that made voxels.
+    /// Points accumulated into voxels.
     pub points_kept: u64,
     /// Points that the input marks as withheld.
     pub points_withheld: u64,
     /// Points of excluded classes.
     pub points_excluded: u64,
-    /// Least and greatest coordinates of the kept points (m); `None` stands for those of the matter. Writing fails
-    /// where they do not fit the matter (rule T6).
+    /// Smallest and largest coordinates of the kept points (m); `None` uses the bounds of the solid. Writing fails if
+    /// they do not fit the solid (rule T6).
     pub bounds: Option<Bounds>,
     /// Coordinate reference system as the input states it, at most 1 MiB; empty if unknown.
     pub crs: String,
-    /// Units in which the inputs came, ascending and each once, at most 256; none if unknown.
+    /// Units of the inputs, ascending and without duplicates, at most 256; empty if unknown.
     pub units: Vec<LengthUnit>,
-    /// Noise of the scan, if the tolerance was chosen by it.
+    /// Noise of the scan, if the tolerance was chosen from it.
     pub noise: Option<Noise>,
 }
 
 impl Totals {
-    /// The point counts of another archive.
+    /// Copies the point counts of another archive.
     pub(super) fn of_points(header: &Header) -> Self {
         let &Header { points_read, points_kept, points_withheld, points_excluded, .. } = header;
         Self { points_read, points_kept, points_withheld, points_excluded, ..Self::default() }
     }
 }
 
-/// Writes an archive that appears complete under its name, or not at all.
+/// Writes an archive, which appears under its name when it is complete, or not at all.
 ///
 /// Memory: about 9 MiB however many pages there are (1 MiB of pages, 1.5 MiB of entries, 4 MiB to find equal pages, one
-/// directory leaf). Disk: the archive, and 40 bytes a page while it is written. Dropping the writer removes its files.
+/// directory leaf). Disk: the archive, and 40 bytes per page while it is written. Dropping the writer removes its
+/// files.
 #[derive(Debug)]
 pub struct ArchiveWriter {
     output: Output,
     plan: Plan,
     /// Bytes not yet written to the file.
     buffer: Vec<u8>,
-    /// Bytes after the head that the file holds.
+    /// Bytes after the head that are in the file.
     flushed: u64,
-    /// Where the bytes after the head begin, as long as nothing shorter is known.
+    /// Where the bytes after the head begin; [`MAX_HEAD`] until the exact length of the head is known.
     base: u64,
     entries: Entries,
     window: Window,
@@ -85,7 +86,7 @@ pub struct ArchiveWriter {
     unknown: Unknown,
 }
 
-/// A page that was put: what its entry says, and what it takes to find its bytes again.
+/// A page already added: its entry, and what is needed to refer to its bytes again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
     storage: Storage,
@@ -98,19 +99,19 @@ pub(super) struct Placed {
 }
 
 impl ArchiveWriter {
-    /// Starts an archive of `plan` that will be called `target`, and replace an older archive if `overwrite` says so (see
+    /// Starts an archive of `plan` at `target`, and replaces an older archive there if `overwrite` is true (see
     /// [`output`](crate::output)).
     pub fn create(target: &Path, plan: &Plan, overwrite: bool) -> Result<Self> {
         Self::begin(target, plan, Existing::replaced_if(overwrite), Protected::default())
     }
 
-    /// As [`create`](Self::create), and replaces nothing that is protected.
+    /// Like [`create`](Self::create), but replaces nothing that is protected.
     pub(super) fn begin(target: &Path, plan: &Plan, existing: Existing, protected: Protected) -> Result<Self> {
         plan.options.check()?;
         Self::on(Output::create(target, OutputKind::Archive(existing), protected)?, plan)
     }
 
-    /// Starts an archive of `plan` that will be `output`.
+    /// Starts an archive of `plan` in `output`.
     pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
         plan.options.check()?;
         let counts = Header {
@@ -155,12 +156,12 @@ impl ArchiveWriter {
         })
     }
 
-    /// The plan of the archive.
+    /// Returns the plan of the archive.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Gives the archive overview levels: before its first page.
+    /// Adds overview levels to the archive. Must precede the first page.
     pub fn set_levels(&mut self) {
         debug_assert!(self.last.is_none(), "levels are of all pages");
         self.levels = Some(LevelWriter::new(&self.plan, self.output.files(), self.output.beside()));
@@ -168,7 +169,7 @@ impl ArchiveWriter {
         self.colour_levels();
     }
 
-    /// Gives the archive colours of `plan`: before its first page.
+    /// Adds colours of `plan` to the archive. Must precede the first page.
     pub fn set_colours(&mut self, plan: ColourPlan) {
         debug_assert!(self.last.is_none(), "every page says which colours it has");
         self.colours = Some(ColourWriter::new(plan, self.output.files(), self.output.beside()));
@@ -176,50 +177,50 @@ impl ArchiveWriter {
         self.colour_levels();
     }
 
-    /// Gives levels colours where there are both.
+    /// Adds colours to the levels if the archive has both.
     fn colour_levels(&mut self) {
         if let (Some(levels), Some(colours)) = (&mut self.levels, &self.colours) {
             levels.set_colours(colours.plan);
         }
     }
 
-    /// How the colours of the archive are made, if it gets some.
+    /// Returns how the colours of the archive are made, if it has any.
     pub fn colours(&self) -> Option<ColourPlan> {
         self.colours.as_ref().map(|colours| colours.plan)
     }
 
-    /// Whether the archive gets overview levels.
+    /// Returns whether the archive has overview levels.
     pub fn has_levels(&self) -> bool {
         self.levels.is_some()
     }
 
-    /// Makes the archive a part of a conversion; its pages must lie in the columns of `shard`.
+    /// Marks the archive as a part of a conversion; its pages must lie in the columns of `shard`.
     pub fn set_shard(&mut self, shard: Shard) {
         self.shard = Some(shard);
     }
 
-    /// Says what a part read of inputs that other parts read too, in order of their numbers.
+    /// Sets the inputs that this part read and other parts read, too, ordered by number.
     pub fn set_read(&mut self, read: Vec<InputRead>) {
         self.read = read;
     }
 
-    /// Gives the archive metadata of tags that this version does not know.
+    /// Adds metadata of tags that this version does not know.
     pub(super) fn set_unknown(&mut self, unknown: Unknown) {
         self.unknown = unknown;
     }
 
-    /// `bounds` with those faces moved to the matter of the pages so far that do not fit it.
+    /// Moves the faces of `bounds` that do not fit the solid of the pages added, and returns the result.
     pub(super) fn fit(&self, bounds: Option<Bounds>) -> Option<Bounds> {
         self.matter.fit(&self.plan, self.shard.is_some(), bounds)
     }
 
-    /// Adds a page. Keys must ascend, and the page must hold matter, be encoded under this key and, if the archive gets
-    /// overview levels, [`for_levels`](super::PageEncoder::for_levels).
+    /// Adds a page. Keys must ascend. The page must not be empty and must be encoded under this key; if the archive has
+    /// overview levels, it must be prepared [for levels](super::PageEncoder::for_levels).
     pub fn put(&mut self, key: PageKey, page: EncodedPage) -> Result<()> {
         self.put_placed(key, &page).map(drop)
     }
 
-    /// As [`put`](Self::put); what it takes to put the same content again.
+    /// Like [`put`](Self::put), and returns what is needed to add the same content again.
     pub(super) fn put_placed(&mut self, key: PageKey, page: &EncodedPage) -> Result<Placed> {
         self.check_key(key)?;
         if page.key != key {
@@ -250,7 +251,8 @@ impl ArchiveWriter {
         Ok(placed)
     }
 
-    /// Puts the content of `like`, which was put before, under `key` as well; `false` if it must be put with its bytes.
+    /// Adds the content of `like`, which was added before, under `key`. Returns `false` if it must be added with its
+    /// bytes, because the window no longer holds them.
     pub(super) fn put_again(
         &mut self,
         key: PageKey,
@@ -285,7 +287,7 @@ impl ArchiveWriter {
         Ok(())
     }
 
-    /// Adds an entry whose bytes have their place, and counts it.
+    /// Adds an entry whose bytes are placed, and counts it.
     fn push(&mut self, key: PageKey, placed: &Placed, coarse: &[CoarseSpan], colours: &EncodedColours) -> Result<()> {
         if self.levels.is_some() && !colours.bytes.is_empty() && colours.coarse.is_none() {
             return Err(Error::parameter(
@@ -352,7 +354,7 @@ impl ArchiveWriter {
         }
     }
 
-    /// Appends to the bytes after the head. What was appended in one call lies wholly in the buffer or in the file.
+    /// Appends to the bytes after the head. The bytes of one call are either all in the buffer or all in the file.
     fn append(&mut self, bytes: &[u8]) -> Result<()> {
         if self.buffer.len() + bytes.len() > BUFFER {
             self.flush()?;
@@ -371,12 +373,12 @@ impl ArchiveWriter {
     }
 
     /// Writes directory, metadata, footer and head, and publishes the archive under its name. On any error but
-    /// [`Error::NotDurable`] nothing appears there, and what was there stays.
+    /// [`Error::NotDurable`] nothing appears there, and an older file stays.
     pub fn finish(self, totals: Totals) -> Result<Header> {
         Ok(self.finish_or_keep(totals)?.0)
     }
 
-    /// As [`finish`](Self::finish), and whether the archive was written (see [`Existing::KeepSame`]).
+    /// Like [`finish`](Self::finish), and also returns whether the archive was written (see [`Existing::KeepSame`]).
     pub(super) fn finish_or_keep(mut self, totals: Totals) -> Result<(Header, bool)> {
         let header = self.complete(totals)?;
         Ok((header, self.output.publish()?))
@@ -430,7 +432,7 @@ impl ArchiveWriter {
         header.metadata_crc = crc::crc32c(&metadata);
         header.leaf_entries = leaf_entries;
         let head = head::encode(&header, &leaves);
-        // Totals that contradict each other would make an archive that nobody can open.
+        // Inconsistent totals would make an archive that cannot be opened.
         head::decode(&[&head[..], &[0; head::FOOTER]].concat(), header.file_len)?;
 
         self.append(&head::encode_footer(header.file_len, &head))?;
@@ -439,7 +441,7 @@ impl ArchiveWriter {
         Ok(header)
     }
 
-    /// Those of the matter, or `given` ones that fit it.
+    /// Returns the bounds of the solid, or the `given` ones if they fit it.
     fn bounds(&self, given: Option<Bounds>) -> Result<Option<Bounds>> {
         if given.is_none() {
             return Ok(self.matter.bounds(&self.plan.frame));

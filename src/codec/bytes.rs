@@ -1,11 +1,11 @@
-//! Little-endian numbers and varints from bytes that nobody vouches for (specification, chapter 2).
+//! Little-endian numbers and varints from untrusted bytes (specification, chapter 2).
 
 use super::Violation;
 
 /// Longest varint (bytes): 64 bits in groups of 7.
 pub const MAX_VARINT: usize = 10;
 
-/// Takes numbers off the front of a byte string; a shortage breaks the rule it was made with.
+/// Reads numbers from the front of a byte string. Missing bytes break the rule that it was created with.
 #[derive(Debug)]
 pub struct ByteReader<'a> {
     rest: &'a [u8],
@@ -13,12 +13,12 @@ pub struct ByteReader<'a> {
 }
 
 impl<'a> ByteReader<'a> {
-    /// Reads `bytes`; running short or finding a varint that is not canonical breaks `rule`.
+    /// Creates a reader of `bytes`. Missing bytes and varints that are not canonical break `rule`.
     pub fn new(bytes: &'a [u8], rule: &'static str) -> Self {
         Self { rest: bytes, rule }
     }
 
-    /// The next `len` bytes.
+    /// Reads `len` bytes.
     pub fn take(&mut self, len: usize) -> Result<&'a [u8], Violation> {
         let Some((head, rest)) = self.rest.split_at_checked(len) else {
             return Err(Violation::new(self.rule, format!("{len} more bytes"), self.rest.len()));
@@ -27,29 +27,29 @@ impl<'a> ByteReader<'a> {
         Ok(head)
     }
 
-    /// The next `N` bytes as an array.
+    /// Reads `N` bytes as an array.
     pub fn array<const N: usize>(&mut self) -> Result<[u8; N], Violation> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(N)?);
         Ok(array)
     }
 
-    /// The next 32-bit number.
+    /// Reads a 32-bit number.
     pub fn u32(&mut self) -> Result<u32, Violation> {
         self.array().map(u32::from_le_bytes)
     }
 
-    /// The next 64-bit number.
+    /// Reads a 64-bit number.
     pub fn u64(&mut self) -> Result<u64, Violation> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// The next 64-bit float, by its bits.
+    /// Reads a 64-bit float by its bits.
     pub fn f64(&mut self) -> Result<f64, Violation> {
         self.array().map(f64::from_le_bytes)
     }
 
-    /// The next varint: 7 bits a byte, lowest first, high bit set on all but the last; no leading zero group.
+    /// Reads a varint: 7 bits per byte, lowest first, high bit set on all but the last; no leading zero group.
     pub fn varint(&mut self) -> Result<u64, Violation> {
         let mut value = 0u64;
         for (at, &byte) in self.rest.iter().enumerate().take(MAX_VARINT) {
@@ -66,12 +66,12 @@ impl<'a> ByteReader<'a> {
         Err(Violation::new(self.rule, "a varint in its shortest form", format!("{:02x?}", self.start())))
     }
 
-    /// Bytes left.
+    /// Returns the number of bytes left.
     pub fn len(&self) -> usize {
         self.rest.len()
     }
 
-    /// Whether nothing is left.
+    /// Returns whether nothing is left.
     pub fn is_empty(&self) -> bool {
         self.rest.is_empty()
     }
@@ -90,7 +90,7 @@ pub fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Maps small numbers of either sign to small numbers: 0, -1, 1, -2, 2 ... to 0, 1, 2, 3, 4 ...
+/// Maps small numbers of either sign to small numbers: 0, −1, 1, −2, 2 ... to 0, 1, 2, 3, 4 ...
 pub fn zigzag(value: i64) -> u64 {
     (value << 1 ^ value >> 63) as u64
 }
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn refuses_varints_that_are_long_or_cut() {
-        // Bit 64 of a number.
+        // Sets bit 64.
         let too_great = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 2];
         for bad in [&[][..], &[0x80], &[0x80, 0], &too_great, &[0xFF; 10], &[0xFF; 11]] {
             assert_eq!(ByteReader::new(bad, "D3").varint().unwrap_err().rule, "D3");

@@ -1,31 +1,32 @@
-//! Colours of the voxels of a page as bytes (specification, chapter 17).
+//! Encoding of the colours of a page's voxels (specification, chapter 17).
 //!
-//! A colour is three numbers of steps: of luma, and of two differences of channels (the reversible YCoCg of Malvar and Sullivan,
-//! 2003). Each is predicted from voxels around that are coded already, and what is left is coded with adaptive models. A
-//! block states its steps; the writer takes the widest ones whose mean difference from the exact colours, in CIELAB, stays
-//! within the error that was asked for. Steps of 1 keep 8-bit colours as they are.
+//! A colour is three numbers of steps: of luma, and of two channel differences (the reversible YCoCg of Malvar and
+//! Sullivan, 2003). Each is predicted from surrounding voxels that are already coded; the residual is coded with
+//! adaptive models. A block states its steps. The writer takes the widest steps whose mean difference from the exact
+//! colours, in CIELAB, stays within the requested error. Steps of 1 keep 8-bit colours unchanged.
 
 use super::rans::{Bit, Coder, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation, unzigzag, zigzag};
 use crate::colour::{Lab, LabTable, difference, to_8_bits};
 use crate::slice::{Colours, Occupancy};
 
-/// First byte of a block: its model.
+/// First byte of a block, which names its coding.
 const MODEL: u8 = 1;
 /// Bytes of a block before its symbols.
 const LEAD: usize = 4;
-/// Most symbols of a voxel: whether it has a colour, and for each number a nibble, its bits, and the bits themselves.
+/// Most symbols of a voxel: whether it has a colour, and for each number a 4-bit symbol, its number of bits, and the
+/// bits themselves.
 const VOXEL_SYMBOLS: usize = 1 + 3 * 3;
-/// Greatest length of a block (bytes): a page has no more voxels than it could have spans.
+/// Largest block (bytes): a page has no more voxels than it could have spans.
 pub const MAX_COLOUR_BLOCK: usize = LEAD + 4 + 2 * VOXEL_SYMBOLS * MAX_PAGE_SPANS;
-/// Greatest difference of channels, and greatest luma.
+/// Largest channel difference, and largest luma.
 const GREATEST: i32 = 255;
-/// In place of luma: no colour.
+/// Marks a voxel without colour, in place of luma.
 const ABSENT: i16 = i16::MIN;
-/// Widest steps of luma that are tried.
+/// Widest step of luma that is tried.
 const MOST_STEP: u8 = 48;
 
-/// Number of models of each kind of number.
+/// Number of contexts for each kind of number.
 const CONTEXTS: usize = 24;
 
 #[derive(Clone)]
@@ -35,12 +36,13 @@ struct Models {
     long: [Nibble; 3],
 }
 
-/// Weights of a residual in places around which neighbours differ by more and more.
+/// Returns a residual model whose weights fall more slowly for a larger `shift`, for places where neighbours differ
+/// more.
 const fn falling(shift: u32) -> Nibble {
     let mut weights = [1u16; 16];
     let mut at = 0;
     while at < 15 {
-        // Halves every 2^shift symbols.
+        // Halve every 2^shift symbols.
         weights[at] = 1 + (4096 >> (at as u32 >> shift)) as u16;
         at += 1;
     }
@@ -68,22 +70,22 @@ const FRESH: Models = Models {
     long: [const { Nibble::new([8, 8, 8, 8, 4, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]) }; 3],
 };
 
-/// The content of a block.
+/// Decoded colour block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ColourBlock {
-    /// Quanta of a step of luma and of the two differences, each at least 1.
+    /// Quanta per step of luma and of the two differences, each at least 1.
     steps: [u8; 3],
-    /// Numbers of steps, in order of voxels; the first is [`ABSENT`] where there is no colour.
+    /// Numbers of steps, in voxel order; the first is [`ABSENT`] without a colour.
     values: Vec<[i16; 3]>,
 }
 
-/// The steps that go with a step of luma. One step of each makes about the same difference in CIELAB.
+/// Returns the steps that belong to a step of luma. One step of each makes about the same difference in CIELAB.
 fn steps_for(luma: u8) -> [u8; 3] {
     let n = u32::from(luma);
     [luma, ((n * 9 + 4) / 8).max(1) as u8, ((n * 5 + 4) / 8).max(1) as u8]
 }
 
-/// Division by a number above 1 that is known early: a multiplication. Exact for quotients of numbers below 2¹⁷ by ones below 2¹⁵.
+/// Division by a constant above 1 as a multiplication. Exact for dividends below 2¹⁷ and divisors below 2¹⁵.
 #[derive(Debug, Clone, Copy, Default)]
 struct Divisor {
     half: u32,
@@ -95,13 +97,13 @@ impl Divisor {
         Self { half: divisor / 2, reciprocal: ((1 << 32) / divisor as u64 + 1) as u32 }
     }
 
-    /// `value / divisor`, rounded down.
+    /// Returns `value / divisor`, rounded down.
     #[inline]
     fn floor(self, value: u32) -> i32 {
         ((u64::from(value) * u64::from(self.reciprocal)) >> 32) as i32
     }
 
-    /// `value / divisor`, rounded to the nearest, halves away from zero.
+    /// Returns `value / divisor`, rounded to nearest, halves away from zero.
     #[inline]
     fn nearest(self, value: i32) -> i16 {
         let found = self.floor(value.unsigned_abs() + self.half);
@@ -109,7 +111,7 @@ impl Divisor {
     }
 }
 
-/// Divisors by twice a weight of neighbours.
+/// Divisors by twice a sum of neighbour weights.
 const BY_WEIGHT: [Divisor; 16] = {
     let mut all = [Divisor { half: 0, reciprocal: 0 }; 16];
     let mut weight = 1;
@@ -119,20 +121,20 @@ const BY_WEIGHT: [Divisor; 16] = {
     }
     all
 };
-/// Greatest sum of the weights of neighbours.
+/// Largest sum of neighbour weights.
 const MOST_WEIGHT: usize = 3 + 3 + 3 + 1 + 2;
 const _: () = assert!(MOST_WEIGHT < 16);
 
-/// `sum / weight`, rounded to the nearest, halves up.
+/// Returns `sum / weight`, rounded to nearest, halves up.
 #[inline]
 fn mean(sum: i32, weight: i32) -> i32 {
-    // Moved above zero by whole quotients.
+    // Shift above zero by whole quotients.
     const ABOVE: i32 = 1 << 9;
     let above = (2 * sum + weight + 2 * weight * ABOVE) as u32;
     BY_WEIGHT[weight as usize & 15].floor(above) - ABOVE
 }
 
-/// The 8-bit colour of luma and differences.
+/// Returns the 8-bit colour of luma and differences.
 #[inline]
 fn rgb_of([y, co, cg]: [i32; 3]) -> [u8; 3] {
     let t = y - (cg >> 1);
@@ -141,7 +143,7 @@ fn rgb_of([y, co, cg]: [i32; 3]) -> [u8; 3] {
     [b + co, g, b].map(|channel| channel.clamp(0, GREATEST) as u8)
 }
 
-/// Luma and differences of an 8-bit colour; [`rgb_of`] gives it back.
+/// Returns luma and differences of an 8-bit colour; [`rgb_of`] inverts this.
 #[inline]
 fn ycocg([r, g, b]: [u8; 3]) -> [i32; 3] {
     let [r, g, b] = [r, g, b].map(i32::from);
@@ -151,7 +153,7 @@ fn ycocg([r, g, b]: [u8; 3]) -> [i32; 3] {
     [t + (cg >> 1), co, cg]
 }
 
-/// Luma and differences of a 16-bit colour, in 257ths of those of 8 bits: no halves are lost.
+/// Returns luma and differences of a 16-bit colour, in 1/257 of the 8-bit units, which keeps halves.
 #[inline]
 fn in_257ths(colour: [u16; 3]) -> [i32; 3] {
     let [r, g, b] = colour.map(i32::from);
@@ -178,14 +180,14 @@ impl Quantiser {
         self.of_257ths(in_257ths(colour))
     }
 
-    /// Of luma and differences in 257ths, unless all steps are 1.
+    /// Quantises luma and differences in 1/257 of the 8-bit units. Not for steps that are all 1.
     #[inline]
     fn of_257ths(&self, all: [i32; 3]) -> [i16; 3] {
         [0, 1, 2].map(|at| self.divisors[at].nearest(all[at]))
     }
 }
 
-/// What [`Quantiser`] makes of a colour, for steps of any width, by divisions.
+/// Quantises like [`Quantiser`], for steps of any width, with plain divisions.
 fn numbers(colour: [u16; 3], steps: [u8; 3]) -> [i16; 3] {
     if steps == [1; 3] {
         return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
@@ -197,19 +199,19 @@ fn numbers(colour: [u16; 3], steps: [u8; 3]) -> [i16; 3] {
     })
 }
 
-/// The colour of numbers of steps.
+/// Returns the colour for numbers of steps.
 #[inline]
 fn restored(value: [i16; 3], steps: [u8; 3]) -> [u8; 3] {
     rgb_of(std::array::from_fn(|at| i32::from(value[at]) * i32::from(steps[at])))
 }
 
-/// CIELAB of the 8-bit colours that were asked for last: those of a page are few, and asked for again for each width of steps.
+/// Cache of CIELAB values of 8-bit colours: a page has few, and each step width asks for them again.
 #[derive(Debug, Clone)]
 struct RecentLabs(Box<[(u32, Lab); 1 << RecentLabs::BITS]>);
 
 impl Default for RecentLabs {
     fn default() -> Self {
-        // No colour has this number.
+        // Not the number of any colour.
         Self(Box::new([(u32::MAX, [0.0; 3]); 1 << Self::BITS]))
     }
 }
@@ -228,24 +230,24 @@ impl RecentLabs {
     }
 }
 
-/// Finds the widest steps that keep within an error; its scratch is reused. Memory: 24 bytes a voxel of a page.
+/// Finds the widest steps within an error; keeps its scratch memory: 24 bytes per voxel of a page.
 #[derive(Debug, Clone, Default)]
 struct Stepper {
-    /// Of each colour: luma and differences in 257ths, and CIELAB.
+    /// Luma and differences of each colour in 1/257 of the 8-bit units, and CIELAB.
     exact: [Vec<i32>; 3],
     labs: [Vec<f32>; 3],
     recent: RecentLabs,
 }
 
 impl Stepper {
-    /// Colours that are looked at in one go, so that the arithmetic compiles to vector instructions.
+    /// Colours per batch, so that the arithmetic compiles to vector instructions.
     const BATCH: usize = 64;
-    /// Colours for which room is kept from page to page.
+    /// Colours for which memory is kept from page to page.
     const KEPT: usize = 1 << 14;
 
-    /// The step of luma for these colours; `None` if there is none.
+    /// Returns the step of luma for these colours; `None` if there are no colours.
     ///
-    /// Cost: about five times a look at each voxel.
+    /// Cost: about five passes over the voxels.
     fn luma(&mut self, colours: &[Option<[u16; 3]>], error_milli: u16) -> Option<u8> {
         if error_milli == 0 {
             return colours.iter().any(Option::is_some).then_some(1);
@@ -254,7 +256,7 @@ impl Stepper {
         let count = self.exact[0].len();
         let most = f64::from(error_milli) / 1000.0 * count as f64;
         let (mut low, mut high) = (1, if count > 0 { MOST_STEP } else { 1 });
-        // The widest that fits, where wider ones err more; one that fits in any case.
+        // Binary search. If wider steps did not always err more, the result still fits.
         while low < high {
             let middle = (low + high).div_ceil(2);
             if self.fits(middle, most) { low = middle } else { high = middle - 1 }
@@ -278,7 +280,7 @@ impl Stepper {
         }
     }
 
-    /// Whether the differences add up to no more than `most` with this step of luma, which is more than 1.
+    /// Returns whether the differences sum to at most `most` with this step of luma, which must be above 1.
     fn fits(&mut self, luma: u8, most: f64) -> bool {
         const BATCH: usize = Stepper::BATCH;
         let (table, Self { exact: [y, co, cg], labs: [l, a, b], recent }) = (LabTable::get(), self);
@@ -299,7 +301,7 @@ impl Stepper {
             for (number, ((&l, &a), &b)) in exact.enumerate() {
                 apart[number] = difference([found[0][number], found[1][number], found[2][number]], [l, a, b]);
             }
-            // In order: sums of floats depend on it. It only grows.
+            // Summed in order, since float sums depend on it. The sum never falls.
             sum = apart[..all.len()].iter().fold(sum, |sum, &apart| sum + f64::from(apart));
             if sum > most {
                 return false;
@@ -310,8 +312,9 @@ impl Stepper {
 }
 
 impl ColourBlock {
-    /// Of exact colours (16 bits a channel) of voxels in order, with steps whose mean difference from them is at most
-    /// `error_milli` thousandths of ΔE*ab, or those of 8 bits where none wider are. `None` if there is no colour.
+    /// Quantises exact colours (16 bits a channel) of voxels in order, with the widest steps whose mean difference is
+    /// at most `error_milli` thousandths of ΔE*ab, or 8-bit colours if no wider steps fit. `None` if there is no
+    /// colour.
     pub fn quantise(colours: &[Option<[u16; 3]>], error_milli: u16, encoder: &mut ColourEncoder) -> Option<Self> {
         let steps = steps_for(encoder.stepper.luma(colours, error_milli)?);
         let quantiser = Quantiser::new(steps);
@@ -319,7 +322,7 @@ impl ColourBlock {
         Some(Self { steps, values: colours.iter().map(value).collect() })
     }
 
-    /// The numbers of those voxels of `occupancy` that `part` has as well, for a page cut from this one.
+    /// Returns the colours of those voxels of `occupancy` that are also in `part`, which was cut from the page.
     pub fn part(&self, occupancy: &Occupancy, part: &Occupancy) -> Option<Self> {
         let value = |(pixel, k)| {
             let number = occupancy.find(pixel, k)?;
@@ -329,23 +332,23 @@ impl ColourBlock {
         values.iter().any(|value| value[0] != ABSENT).then_some(Self { steps: self.steps, values })
     }
 
-    /// Whether the numbers are those that exact colours (16 bits a channel) of the same voxels become with the steps of the block.
+    /// Returns whether exact colours (16 bits a channel) of the same voxels quantise to this block with its steps.
     pub fn is_of(&self, colours: &[Option<[u16; 3]>]) -> bool {
         let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| numbers(colour, self.steps));
         self.values.len() == colours.len() && self.values.iter().zip(colours).all(|(own, colour)| *own == value(colour))
     }
 
-    /// Number of voxels with a colour.
+    /// Returns the number of coloured voxels.
     pub fn count(&self) -> u64 {
         self.values.iter().filter(|value| value[0] != ABSENT).count() as u64
     }
 
-    /// Colours in order of voxels.
+    /// Returns the colours in voxel order.
     pub fn rgb(&self) -> impl Iterator<Item = Option<[u8; 3]>> + '_ {
         self.values.iter().map(|&value| (value[0] != ABSENT).then(|| restored(value, self.steps)))
     }
 
-    /// The colours.
+    /// Returns the block as [`Colours`] of the voxels of `occupancy`.
     pub fn colours(&self, occupancy: Occupancy) -> Option<Colours> {
         let colour = |&value: &[i16; 3]| {
             let [r, g, b] = restored(value, self.steps);
@@ -354,7 +357,7 @@ impl ColourBlock {
         Colours::new(occupancy, self.values.iter().map(colour).collect())
     }
 
-    /// Appends the bytes of the block, whose voxels are those of `occupancy`.
+    /// Appends the encoded block, whose voxels are those of `occupancy`.
     pub fn encode(&mut self, occupancy: &Occupancy, encoder: &mut ColourEncoder, out: &mut Vec<u8>) {
         debug_assert_eq!(occupancy.len(), self.values.len());
         out.push(MODEL);
@@ -364,7 +367,7 @@ impl ColourBlock {
         encoder.rans.finish(out);
     }
 
-    /// The block of a page with these voxels from its bytes; rules K5 to K7 are checked.
+    /// Decodes the block of a page with the voxels of `occupancy`; checks rules K5 to K7.
     pub fn decode(bytes: &[u8], occupancy: &Occupancy) -> Result<Self, Violation> {
         let Some((&[model, a, b, c], coded)) = bytes.split_first_chunk::<LEAD>() else {
             return Err(Violation::new("K5", "a model and three steps", format!("{} bytes", bytes.len())));
@@ -389,7 +392,7 @@ impl ColourBlock {
     }
 }
 
-/// Encodes blocks; keeps its scratch.
+/// Encodes blocks; keeps its scratch memory.
 #[derive(Debug, Default)]
 pub struct ColourEncoder {
     rans: RansEncoder,
@@ -398,20 +401,20 @@ pub struct ColourEncoder {
 }
 
 impl ColourEncoder {
-    /// Whether colours are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
-    /// less if they are not; one with levels refuses colours that are not.
+    /// Sets whether colours are prepared for overview levels, which is the default. Encoding is cheaper without; an
+    /// archive with levels refuses colours that are not prepared.
     pub fn for_levels(self, levels: bool) -> Self {
         Self { without_levels: !levels, ..self }
     }
 
-    /// Whether colours are prepared for overview levels.
+    /// Returns whether colours are prepared for overview levels.
     pub fn is_for_levels(&self) -> bool {
         !self.without_levels
     }
 }
 
-/// What is known around a voxel: of each number its weighted sum, its least and its greatest value. Four lanes of 16 bits, of which the
-/// last is idle, compile to vector instructions; no sum has more bits.
+/// Surroundings of a voxel: for each number the weighted sum, minimum and maximum of the neighbours. Four lanes of 16
+/// bits, the last one idle, compile to vector instructions; no sum needs more bits.
 struct Near {
     weight: i32,
     sum: [i16; 4],
@@ -437,22 +440,22 @@ impl Near {
     }
 }
 
-/// Class of a spread between neighbours, 0 to 7.
+/// Returns the class of a spread between neighbours (0 to 7).
 #[inline]
 fn class(spread: i32) -> usize {
     const CLASSES: [u8; 12] = [0, 1, 2, 3, 3, 4, 4, 5, 5, 5, 6, 6];
     CLASSES.get(spread as usize).map_or(7, |&class| usize::from(class))
 }
 
-/// Voxels of a pixel below a slice.
+/// Returns the number of voxels of a pixel below a slice.
 #[inline]
 fn rank(mask: u64, slice: u32) -> usize {
     let below = mask & ((1u64 << slice) - 1);
-    // Mostly none; not every processor counts bits in one instruction.
+    // Usually 0, and not every processor counts bits in one instruction.
     if below == 0 { 0 } else { below.count_ones() as usize }
 }
 
-/// Goes through the voxels with a coder, which reads or writes `values`; whether all numbers are within their range.
+/// Passes the voxels through `coder`, which reads or writes `values`. Returns whether all numbers are in range.
 fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]], coder: &mut C) -> bool {
     let mut models = Box::new(FRESH);
     let mut sound = true;
@@ -493,7 +496,7 @@ fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]]
                 near.add(value, 3);
             }
             for ((their_mask, their_first), weight) in around {
-                // The voxel beside this one, else the one below that, else the one above.
+                // The neighbour's voxel at the same height, else the one below, else the one above.
                 for slice in [k, k.wrapping_sub(1), k + 1] {
                     if slice < 64 && their_mask >> slice & 1 == 1 {
                         let value = values[their_first + rank(their_mask, slice)];
@@ -534,14 +537,14 @@ fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]]
     sound
 }
 
-/// A number that is mostly small.
+/// Codes a number that is usually small.
 #[inline]
 fn coder_number<C: Coder>(coder: &mut C, models: &mut Models, channel: usize, context: usize, value: u32) -> u32 {
     let short = coder.nibble(&mut models.number[channel][context], value.min(15));
     if short < 15 {
         return short;
     }
-    // One more than the rest has its highest bit at `bits`.
+    // `rest + 1` has its highest bit at `bits`.
     let rest = value.wrapping_sub(15).wrapping_add(1);
     let bits = coder.nibble(&mut models.long[channel], 31 - rest.max(1).leading_zeros().min(31)).min(12);
     let low = if bits > 0 { coder.raw(bits, rest & ((1 << bits) - 1)) } else { 0 };
@@ -644,14 +647,14 @@ mod tests {
             let found = block.colours(occupancy.clone()).unwrap();
             prop_assert_eq!(found.count(), block.count());
             let error = mean_error(&colours, &found);
-            // Where 8 bits are not enough, those are taken.
+            // If no wider steps fit, 8-bit colours are taken.
             prop_assert!(block.steps == [1; 3] || error <= f64::from(error_milli) / 1000.0 + 1e-4, "{}", error);
             if error_milli == 0 {
                 for (exact, (.., found)) in colours.iter().zip(found.voxels()) {
                     prop_assert_eq!(exact.map(|exact| exact.map(to_8_bits)), found);
                 }
             }
-            // Bytes that nobody vouches for end in an error or in some block.
+            // Damaged bytes give an error or some block.
             let mut damaged = bytes.clone();
             let at = random() as usize % damaged.len();
             damaged[at] ^= 1 << (random() % 8);

@@ -1,21 +1,21 @@
-//! One zstd frame around a directory leaf (specification, chapters 2 and 4).
+//! A zstd frame around a directory leaf (specification, chapters 2 and 4).
 //!
-//! Frames are made at a fixed level by one thread, without dictionary or zstd's own checksum, and always state their
-//! content size, so that a reader allocates what is needed and no more. Equal input gives equal frames as long as the
-//! zstd library stays the same; a reader accepts any conforming frame.
+//! Frames are compressed at a fixed level by one thread, without dictionary or zstd's own checksum. They always state
+//! their content size, so a reader allocates exactly what is needed. Equal input gives equal frames for the same
+//! version of the zstd library; a reader accepts any conforming frame.
 
 use super::Violation;
 use zstd::bulk::{Compressor, Decompressor};
 use zstd::zstd_safe;
 
-/// Compression level: part of what makes equal pages equal files.
+/// Compression level. It is fixed so that equal pages give equal files.
 pub const LEVEL: i32 = 1;
 
 /// Compresses byte strings.
 pub struct Packer(Compressor<'static>);
 
 impl Packer {
-    /// A packer with its own zstd state (about 1 MiB once used).
+    /// Creates a packer with its own zstd state (about 1 MiB once used).
     pub fn new() -> Self {
         Self(Compressor::new(LEVEL).expect("memory for the state of a compressor"))
     }
@@ -49,14 +49,14 @@ pub struct Unpacker {
 }
 
 impl Unpacker {
-    /// An unpacker with its own zstd state (about 150 KiB).
+    /// Creates an unpacker with its own zstd state (about 150 KiB).
     pub fn new() -> Self {
         let state = Decompressor::new().expect("memory for the state of a decompressor");
         Self { state, raw: Vec::new() }
     }
 
-    /// The content of `frame`, which must be exactly one zstd frame that states a content size of at most `max_len`
-    /// bytes; otherwise it breaks `rule`.
+    /// Returns the content of `frame`, which must be exactly one zstd frame with a stated content size of at most
+    /// `max_len` bytes; anything else breaks `rule`.
     pub fn unpack(&mut self, frame: &[u8], max_len: usize, rule: &'static str) -> Result<&[u8], Violation> {
         let wrong = |found: String| Violation::new(rule, "one zstd frame with its content size", found);
         let len = match zstd_safe::get_frame_content_size(frame) {
@@ -81,7 +81,7 @@ impl Unpacker {
 }
 
 impl Unpacker {
-    /// What was unpacked last, kept without a copy.
+    /// Returns the last unpacked content without a copy.
     pub fn into_content(self) -> Vec<u8> {
         self.raw
     }

@@ -1,14 +1,14 @@
-//! Pages whose heights may be moved outwards: which heights within a tolerance take few bytes.
+//! Lossy pages: chooses heights within a tolerance that take few bytes.
 //!
-//! Heights go onto steps as far apart as the tolerance allows, bottoms down and tops up, so that what lies between two steps is
-//! not coded at all. Where a scan has steps of its own, several of them are taken together: with a tolerance of 1.25 cm, heights
-//! in whole centimetres become even ones. Steps half as wide leave most heights a choice; it falls on what the models of the
-//! coder expect at that place. Of few such ways the one with the shortest symbols is taken, page by page.
+//! Heights move onto steps as far apart as the tolerance allows, bottoms down and tops up, so nothing between two steps
+//! is coded. If a scan has steps of its own, several of them are combined: with a tolerance of 1.25 cm, heights in
+//! whole centimetres become even ones. Steps half as wide leave most heights a choice, which the models of the length
+//! estimate make. Of the few grids tried, each page takes the one with the shortest symbols.
 //!
-//! Ends that cannot move, above all where the border of a page cuts matter, lie on no wide step and take a symbol for heights
-//! beside the steps. Nor does a page choose its steps: they are found in its heights, and where these are few and alike, that
-//! may be wider ones than they were chosen on. A page with many such ends may get narrow steps, which reach them; heights then
-//! follow what is expected, but for some first ones that stay as they are, so that no wider steps suit them all.
+//! Ends that cannot move, mostly where the border of a page cuts a solid, lie on no wide step and take the symbol of
+//! slice boundaries. The encoder finds a page's steps from its heights alone, so with few and similar heights it may
+//! find wider steps than those chosen here. A page with many fixed ends may get narrow steps, which reach them; heights
+//! then follow the prediction, except for the first few, which stay exact so that no wider steps fit all of them.
 
 use super::estimate::{Candidates, Given, Scratch, Traversal, choose, length_on};
 use super::rans::RansEncoder;
@@ -17,47 +17,48 @@ use super::step_grid::{End, HeightsOf, LEAST_HEIGHTS, ONE, StepGrid};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
 
-/// Phases of steps that are compared.
+/// Phases of a step that are compared.
 const PHASES: u64 = 8;
-/// Most pairs of spans by which they are compared.
+/// Most pairs of spans used to compare phases.
 const MOST_PAIRS: usize = 1024;
-/// Of so many spans more than one must have an end that stays on a slice boundary for narrow steps to be tried.
+/// Try narrow steps if more than 1 in `CUT_SPANS` spans has an end that stays on a slice boundary.
 const CUT_SPANS: usize = 16;
-/// So many spans stay true to the scan on narrow steps.
+/// Number of spans that keep exact heights on narrow steps.
 const TRUE_SPANS: usize = 8;
-/// After each so many rows of pixels a way is compared with the shortest one, once that has taken an eighth of all it takes.
+/// Rows of pixels between comparisons of a grid with the shortest one. They start where that one has spent an eighth of
+/// its length.
 const ROWS: u32 = 8;
-/// A way that then takes more by one part in so many is given up.
+/// A grid is given up if it then needs over 1/`HOPELESS` more.
 const HOPELESS: u64 = 48;
-/// What a height takes that lies below the lowest step, in that comparison.
+/// Cost (bits) of a height below the lowest step, when phases are compared.
 const BELOW: u32 = 20;
 
-/// How far the ends of a span may move (quanta): from the first to the second.
+/// Range in which each end of a span may lie (quanta): first and last height.
 #[derive(Debug, Clone, Copy)]
 struct Room {
     bottom: (u32, u32),
     top: (u32, u32),
 }
 
-/// A page whose heights may be moved outwards; its memory is reused.
+/// Lossy encoding of a page; its memory is reused.
 #[derive(Debug, Default)]
 pub struct Lossy {
-    /// Blocks with matter, and with matter in all pixels.
+    /// Masks of the occupied blocks, and of those occupied in all pixels.
     blocks: (u64, u64),
-    /// Per pixel, and one more: number of its first span.
+    /// Index of the first span of each pixel, and one more.
     first: Vec<u32>,
     spans: Vec<Span>,
     room: Vec<Room>,
-    /// Whether some spans are so close to each other that steps may not suit them.
+    /// True if some spans are so close to each other that steps may not suit them.
     is_close: bool,
-    /// Whether many ends must stay on slice boundaries.
+    /// True if many ends must stay on slice boundaries.
     is_cut: bool,
     heights: Vec<(u32, End)>,
     tried: Tried,
     best: Tried,
 }
 
-/// A way to be tried, beside the shortest one so far and what that takes.
+/// A grid being tried, with the costs of the shortest one before.
 struct Attempt<'a> {
     loose: &'a Lossy,
     shortest: Option<&'a (u64, RowCosts)>,
@@ -65,10 +66,10 @@ struct Attempt<'a> {
     is_given_up: bool,
 }
 
-/// What the rows before each that is a multiple of [`ROWS`] take (1/64 bit).
+/// Cost of the rows before each multiple of [`ROWS`] (1/64 bit).
 type RowCosts = [u64; PIXELS / 64 / ROWS as usize];
 
-/// Heights on steps, and their symbols.
+/// Heights on a grid, and their symbols.
 #[derive(Debug)]
 pub struct Tried {
     pub grid: StepGrid,
@@ -83,8 +84,9 @@ impl Default for Tried {
 }
 
 impl Lossy {
-    /// A page that takes few bytes and holds all matter of `page`: bottoms are up to `tolerance` (quanta) lower, tops as much
-    /// higher. Spans of one kind between which no gap is left become one. Returns the step grid that they lie on, too.
+    /// Returns a page that takes few bytes and covers all solid of `page`: bottoms are up to `tolerance` (quanta)
+    /// lower, tops up to `tolerance` higher. Spans of one kind without a gap between them merge. Also returns the step
+    /// grid of the heights.
     pub fn simplify(
         &mut self,
         (of, steps): (&HeightsOf, &[u64]),
@@ -99,7 +101,7 @@ impl Lossy {
             let Some(costs) = self.try_on(grid, before, scratch) else { continue };
             let mut length = self.tried.encoder.cost();
             if self.is_cut {
-                // Other steps may be found in the heights than those they were chosen on.
+                // The encoder may find other steps in the heights than those they were chosen on.
                 let page = self.built(&self.tried, builder);
                 telling_heights(&page, &mut self.heights);
                 let grid = StepGrid::find_short(of, steps, &self.heights).unwrap_or(StepGrid::QUANTA);
@@ -113,7 +115,8 @@ impl Lossy {
         (self.built(&self.best, builder), self.best.grid)
     }
 
-    /// Chooses heights on `grid`, and returns what its rows take; `None` if that is hopelessly more than those of the `shortest` way.
+    /// Chooses heights on `grid` and returns the cost of its rows, or `None` if it was given up as longer than the
+    /// `shortest` one.
     fn try_on(
         &mut self,
         grid: StepGrid,
@@ -129,7 +132,7 @@ impl Lossy {
         (!is_given_up).then_some(costs)
     }
 
-    /// The page of the spans of `tried`.
+    /// Builds the page of the spans of `tried`.
     fn built(&self, tried: &Tried, builder: &mut RowBuilder) -> Page {
         let occupied = || self.first.windows(2).enumerate().filter(|(_, ends)| ends[0] < ends[1]);
         let mut rows = [0u64; 64];
@@ -170,7 +173,7 @@ impl Lossy {
                         below_room.top = own.top;
                         continue;
                     }
-                    // They may meet on the slice boundary between them, if they differ in kind.
+                    // Spans of different kinds may meet on the slice boundary between them.
                     let border = below.top().next_multiple_of(SLICE);
                     if !is_same && border <= span.bottom() {
                         below_room.top.1 = border.min(below_room.top.1);
@@ -190,11 +193,11 @@ impl Lossy {
         let cut = room.iter().flat_map(|room| [&room.bottom, &room.top]).filter(fixed).count();
         *is_cut = cut * CUT_SPANS > spans.len();
         heights.extend(room.iter().flat_map(|room| [(room.bottom.1, End::Bottom), (room.top.0, End::Top)]));
-        // Those on slice boundaries may be cuts, and say nothing.
+        // Heights on slice boundaries may be cuts, so they reveal no steps.
         heights.retain(|(height, _)| height % SLICE != 0);
     }
 
-    /// The steps that are tried.
+    /// Returns the grids to try.
     fn grids(&self, of: &HeightsOf, tolerance: u32) -> Vec<StepGrid> {
         if self.heights.len() < LEAST_HEIGHTS || self.is_close || tolerance == 0 {
             return vec![StepGrid::QUANTA];
@@ -211,7 +214,7 @@ impl Lossy {
         }
         let on = |(number, step): (usize, u32)| {
             let step = u64::from(step);
-            // Choices make up for a phase.
+            // A choice of heights makes up for a bad phase.
             let phases = if number == 0 { PHASES.min(step) } else { 1 };
             self.with_best_phase(
                 step * ONE as u64,
@@ -220,14 +223,14 @@ impl Lossy {
         };
         let mut all: Vec<StepGrid> = steps(tolerance).enumerate().filter_map(on).collect();
         if let (true, HeightsOf::Scan(frame), Some(wide)) = (self.is_cut, of, all.last()) {
-            // Those of the tolerance end there, but steps that scans have are looked for, too.
+            // The wide steps end there; scans have narrower ones, and the encoder looks for those, too.
             let narrow = StepGrid::steps_of_scans(frame).filter_map(|step| StepGrid::new(step, 0)).last();
             all.extend(narrow.filter(|narrow| narrow.step < wide.step));
         }
         all
     }
 
-    /// Steps of this distance (1/2³² quantum) at the phase of `phases` that suits the heights best.
+    /// Returns the grid of this step (1/2³² quantum) with the one of `phases` that suits the heights best.
     fn with_best_phase(&self, step: u64, phases: impl Iterator<Item = u64>) -> Option<StepGrid> {
         let grids = phases.filter_map(|phase| StepGrid::new(step, phase % step));
         let all: Vec<StepGrid> = grids.collect();
@@ -238,7 +241,8 @@ impl Lossy {
         all.into_iter().min_by_key(|grid| pairs.iter().map(|pair| changes(grid, pair)).sum::<u32>())
     }
 
-    /// Spans and those of the same number to the west of them, some hundred all over the page.
+    /// Returns up to [`MOST_PAIRS`] pairs, spread over the page, of a span and the span with the same index to the
+    /// west.
     fn pairs(&self) -> Vec<[Span; 2]> {
         let every = self.spans.len() / MOST_PAIRS + 1;
         let mut pairs = Vec::with_capacity(MOST_PAIRS);
@@ -257,8 +261,8 @@ impl Lossy {
     }
 }
 
-/// The `scanned` page, whose heights were chosen on a grid, with the inferred spans of the `exact` one: on the grid too,
-/// but where scanned matter has come to lie. One that this covers is left out.
+/// Adds the inferred spans of the `exact` page to the `scanned` page, whose heights were chosen on `grid`. They move
+/// onto the grid, too, but not into scanned solid; inferred spans that it covers are dropped.
 pub fn with_inferred(
     (scanned, grid): (&Page, StepGrid),
     (exact, inferred): (&Page, &Inferred),
@@ -302,7 +306,7 @@ pub fn with_inferred(
     (builder.build(), marks)
 }
 
-/// How far two spans differ on steps, in bits about.
+/// Returns how much two spans differ on a grid (roughly in bits).
 fn changes(grid: &StepGrid, pair: &[Span; 2]) -> u32 {
     let ends = pair.map(|span| {
         let bottom = grid.at_or_above(span.bottom() + 1) as i32 - 1;
@@ -313,16 +317,17 @@ fn changes(grid: &StepGrid, pair: &[Span; 2]) -> u32 {
     bits(ends[0].0, ends[1].0) + bits(ends[0].1, ends[1].1) + below
 }
 
-/// Steps of heights where a scan has none (quanta), by a tolerance of so many quanta: one for each height, or a choice of two.
+/// Returns steps (quanta) for a scan without steps of its own: one that gives each height a single choice, and one that
+/// gives it two.
 fn steps(tolerance: u32) -> impl Iterator<Item = u32> {
     [1, 2].into_iter().map(move |parts| ((tolerance + 1) / parts).min(SLICE)).filter(|&step| step >= 2)
 }
 
-/// Most steps of a scan that are taken together: where more of them fit into the tolerance, steps without regard to them do as well.
+/// Most steps of a scan that are combined. If more fit the tolerance, steps that ignore them do as well.
 const MOST_TOGETHER: u64 = 6;
 
-/// How many steps of a scan, `step` apart (1/2³² quantum), can be taken together within the tolerance (quanta), two quanta of
-/// which go into rounding; at most a slice.
+/// Returns how many steps of a scan, `step` apart (1/2³² quantum), fit into the tolerance (quanta) and a slice. Two
+/// quanta of the tolerance go to rounding.
 fn together(step: u64, tolerance: u32) -> Option<u64> {
     let slice = u64::from(SLICE) * ONE as u64;
     if !(2 * ONE as u64..=slice).contains(&step) {
@@ -332,7 +337,7 @@ fn together(step: u64, tolerance: u32) -> Option<u64> {
     Some(most.min(slice / step)).filter(|&most| most <= MOST_TOGETHER)
 }
 
-/// Steps (1/2³² quantum) that heights may have been put on, on this grid and within a tolerance of so many quanta.
+/// Returns all steps (1/2³² quantum) that lossy encoding may use on this grid with a tolerance of `tolerance` quanta.
 pub fn all_steps(frame: &Frame, tolerance: u32) -> Vec<u64> {
     if tolerance == 0 {
         return Vec::new();
@@ -345,14 +350,15 @@ pub fn all_steps(frame: &Frame, tolerance: u32) -> Vec<u64> {
     all
 }
 
-/// A height that an end may get: the quantum, the step or the next above, and the step and how far off it if it is on one.
+/// Candidate height of an end: the quantum, its step or the next one above, and, if it is on a step, the step and the
+/// offset from its usual height.
 type Choice = (u32, u32, Option<(u32, i32)>);
 
-/// Most heights that an end has to choose from.
+/// Most candidate heights of an end.
 const MOST_CHOICES: usize = 3;
 
-/// The heights that an end may get: all steps of its room if they are few, else the one that follows the expected step, and the one
-/// nearest to the exact height; without an expected step that one alone.
+/// Candidate heights of an end: all steps in its range if they are few; otherwise the one that follows the predicted
+/// step, and the one nearest to the exact height. Without a prediction only the latter.
 struct Choices {
     list: [Choice; MOST_CHOICES],
     len: usize,
@@ -360,12 +366,12 @@ struct Choices {
 
 impl Choices {
     fn of(grid: &StepGrid, end: End, (low, high): (u32, u32), expected: Option<i32>) -> Self {
-        // The first step of the room and the last, by their usual heights.
+        // First and last step of the range, by their usual heights.
         let up = if end == End::Top { 1 } else { 0 };
         let first = grid.at_or_above(low.saturating_sub(up));
         let Some(last) = grid.at_or_above(high + 1 - up).checked_sub(1).filter(|&last| first <= last) else {
-            // A slice boundary; or as it is, which the steps of a scan reach but for its rounding. In steps of the tolerance a height
-            // beside a step would make it none of the page's.
+            // Take a slice boundary, or keep the exact height, which the steps of a scan reach except for rounding.
+            // With steps of the tolerance, a height beside a step would stop the encoder from finding those steps.
             let (exact, border) = match end {
                 End::Bottom => (high, high / SLICE * SLICE),
                 End::Top => (low, low.next_multiple_of(SLICE)),
@@ -392,8 +398,8 @@ impl Choices {
     }
 }
 
-/// The expected height, or step, if it lies in the room; else a third of the way across it, since the surface has left the expected one
-/// and may go on.
+/// Returns the expected height or step if it is in the range. Otherwise goes a third of the way across, because the
+/// surface has left the prediction and may continue to do so.
 fn follow(expected: i32, (low, high): (u32, u32)) -> u32 {
     let (low, high) = (low as i32, high as i32);
     let height = match expected {
@@ -429,7 +435,7 @@ impl<'a> Given<'a> for &mut Attempt<'a> {
     fn chosen(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_>) -> Span {
         let number = self.loose.first[at.0] as usize + at.1;
         let room = self.loose.room[number];
-        // The first heights, if there is much to choose from, are true to the scan.
+        // The first spans keep exact heights if there is much to choose from.
         let is_free = number >= TRUE_SPANS;
         let (grid, thickness) = (&walk.grid, candidates.thickness);
         let with = |bottom: u32, top: u32| Span::new(bottom, top, span.is_obstacle()).unwrap_or(span);
@@ -468,7 +474,8 @@ mod tests {
         Frame::new(0.05, 0.15).unwrap()
     }
 
-    /// Encodes `page` within the tolerance, and checks that the result holds all of it and no more than the tolerance allows.
+    /// Encodes `page` within the tolerance, and checks that the result covers all of it and exceeds it by no more than
+    /// the tolerance.
     fn check(page: &Page, tolerance: u32) -> (Page, usize) {
         let mut encoder = Encoder::new(frame(), tolerance);
         let (mut body, mut again) = (Vec::new(), Vec::new());
@@ -486,7 +493,8 @@ mod tests {
                     "{first:?} {span:?}"
                 );
                 let mut last = first;
-                // A span of another kind and no height may lie on the slice boundary where this one ends; it is not in it.
+                // A span of another kind without height may lie on the slice boundary where this one ends; it is not
+                // part of it.
                 let is_in = |next: &&Span| next.top() <= span.top() && next.is_obstacle() == first.is_obstacle();
                 while let Some(next) = exact.next_if(is_in) {
                     assert!(next.bottom() - last.top() <= 2 * tolerance, "{last:?} {next:?}");
@@ -500,7 +508,7 @@ mod tests {
         (loose, body.len())
     }
 
-    /// `page` with heights in steps of so many quanta, as far as its spans are apart then.
+    /// Rounds the heights of `page` to steps of `step` quanta, as long as its spans stay apart.
     fn in_steps(page: &Page, step: u32) -> Page {
         let mut builder = PageBuilder::default();
         for (px, py, spans) in page.columns() {
@@ -550,7 +558,7 @@ mod tests {
                 _ => encoder.encode_lossy(&scanned, &Inferred::NONE, &mut again).0,
             };
             prop_assert_eq!(marks.without(&loose, &mut builder), alone);
-            // Inferred matter lies in that of the page, or within the tolerance of where it was.
+            // Inferred spans lie in the result, or within the tolerance of their place.
             for (px, py, mask) in inferred.pixels() {
                 let own = page.column(px, py).iter().enumerate().filter(|(at, _)| mask >> (at & 63) & 1 == 1);
                 for (_, span) in own {
@@ -562,7 +570,7 @@ mod tests {
         }
     }
 
-    /// A floor with noise of some quanta on a slope.
+    /// A sloping floor with noise of `noise` quanta.
     fn floor(unit: u32, noise: u32) -> Page {
         let mut builder = PageBuilder::default();
         for pixel in 0..PIXELS as u32 {

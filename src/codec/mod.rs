@@ -1,11 +1,11 @@
-//! Codecs: pages to bytes and back, no files, no clocks, no threads.
+//! Codecs: encode pages to bytes and decode them. No files, clocks or threads.
 //!
-//! In: a [`Page`]. Out: at most [`MAX_BODY`] bytes, and from them the same page again. Memory:
-//! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
+//! A [`Page`] becomes at most [`MAX_BODY`] bytes, which decode to the same page. Memory: scratch of at most a few MiB
+//! per codec object. `spec/slice-archive.md`, chapter 6, describes the bytes.
 //!
-//! The first byte of an encoded page says whether marks of inferred spans come before its spans. Decoders take hostile bytes: every
-//! number is checked before it sizes, indexes or bounds a loop, and a broken rule comes back as a [`Violation`], which the archive
-//! turns into an error with its place in the file.
+//! The first byte of an encoded page says whether marks of inferred spans precede its spans. Decoders accept hostile
+//! bytes: they check every number before it sizes, indexes or bounds a loop, and report a broken rule as a
+//! [`Violation`], which the archive turns into an error with its place in the file.
 
 mod bytes;
 mod colours;
@@ -32,31 +32,31 @@ use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
 use rows::telling_heights;
 use step_grid::{End, HeightsOf, StepGrid};
 
-/// Most spans that a page can hold: 64 in each of its 4,096 pixels.
+/// Most spans in a page: 64 in each of its 4,096 pixels.
 pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
 /// Most bytes of the marks of inferred spans: their number, and one byte for each run of up to 127 spans.
 const MAX_MARKS: usize = 3 + MAX_PAGE_SPANS + MAX_PAGE_SPANS / 127 + 1;
-/// Greatest length of an encoded page (bytes).
+/// Largest encoded page (bytes).
 pub const MAX_BODY: usize = 1 + MAX_MARKS + page::MAX_LEN;
 
-/// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
+/// Violation of a rule of the specification; [`Violation::at`] adds its place in the archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Violation {
-    /// Rule id of the specification.
+    /// Rule of the specification.
     pub rule: &'static str,
-    /// What the rule asks for.
+    /// Content that the rule requires.
     pub expected: String,
-    /// What the bytes say.
+    /// Content of the bytes.
     pub found: String,
 }
 
 impl Violation {
-    /// The violation of `rule`.
+    /// Creates the violation of `rule`.
     pub fn new(rule: &'static str, expected: impl ToString, found: impl ToString) -> Self {
         Self { rule, expected: expected.to_string(), found: found.to_string() }
     }
 
-    /// As an error about `part` of the archive, which begins at byte `offset`.
+    /// Returns the error about `part` of the archive, which begins at byte `offset`.
     pub fn at(self, part: impl Into<String>, offset: u64) -> Error {
         Error::format(self.rule, part, offset, self.expected, self.found)
     }
@@ -64,33 +64,33 @@ impl Violation {
 
 /// First byte of an encoded page without inferred spans.
 const PLAIN: u8 = 3;
-/// First byte of an encoded page with inferred spans: which floor spans these are comes before the spans.
+/// First byte of an encoded page with inferred spans: marks of these floor spans precede the spans.
 const MARKED: u8 = 4;
 
-/// Encodes pages; keeps its scratch, so that a page costs no allocation.
+/// Encodes pages; keeps its scratch memory, so that a page costs no allocation.
 #[derive(Debug)]
 pub struct Encoder {
     of: HeightsOf,
-    /// How far heights may be moved (quanta), and the steps that they may have been put on then.
+    /// How far heights may move (quanta), and the steps that they may have been put on.
     tolerance: u32,
     steps: Vec<u64>,
-    /// Made with the first page.
+    /// Allocated with the first page.
     scratch: Option<Box<page::Scratch>>,
     heights: Vec<(u32, End)>,
     lossy: lossy::Lossy,
-    /// Made with the first page whose heights are moved.
+    /// Allocated with the first page whose heights are moved.
     estimate: Option<Box<estimate::Scratch>>,
     builder: RowBuilder,
 }
 
 impl Encoder {
-    /// An encoder for pages of an archive with this grid and heights coarsened by up to `tolerance` (quanta).
+    /// Creates an encoder for pages of an archive on this grid, with heights coarsened by up to `tolerance` (quanta).
     pub fn new(frame: Frame, tolerance: u32) -> Self {
         let steps = lossy::all_steps(&frame, tolerance);
         Self { tolerance, steps, ..Self::with(HeightsOf::Scan(frame)) }
     }
 
-    /// An encoder for pages of overview levels.
+    /// Creates an encoder for pages of overview levels.
     pub fn of_levels() -> Self {
         Self::with(HeightsOf::Level)
     }
@@ -108,13 +108,13 @@ impl Encoder {
         }
     }
 
-    /// Appends the encoding of `page`, at most [`MAX_BODY`] bytes. The page must hold a span, and one of a level lie on its steps. Equal
-    /// pages have equal encodings, whatever was encoded before.
+    /// Appends the encoding of `page`, at most [`MAX_BODY`] bytes. The page must contain a span; one of a level must
+    /// lie on the level's steps. Equal pages have equal encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
         self.encode_inferred(page, &Inferred::NONE, out);
     }
 
-    /// Appends the encoding of a page some of whose spans are inferred; otherwise like [`encode`](Self::encode).
+    /// Appends the encoding of a page with inferred spans; otherwise like [`encode`](Self::encode).
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         put_marks(page, inferred, out);
         telling_heights(page, &mut self.heights);
@@ -127,9 +127,10 @@ impl Encoder {
         self.of.admits(page)
     }
 
-    /// Encodes a page that takes fewer bytes and holds all that `page` holds, and returns it: bottoms are up to the tolerance lower,
-    /// tops up to the tolerance higher. Spans of one kind between which that leaves no gap become one. Without its inferred spans,
-    /// which are returned too, the page is what it would be if there had been none.
+    /// Encodes and returns a page that takes fewer bytes and covers all that `page` covers: bottoms are up to the
+    /// tolerance lower, tops up to the tolerance higher. Spans of one kind without a gap between them merge.
+    ///
+    /// Also returns the inferred spans. Without them, the page equals the encoding of a page that never had any.
     pub fn encode_lossy(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> (Page, Inferred) {
         let Self { of, tolerance, steps, estimate, lossy, builder, .. } = self;
         let estimate = estimate.get_or_insert_default();
@@ -149,7 +150,7 @@ impl Encoder {
     }
 }
 
-/// Appends which spans of a page are inferred, and before that whether any are.
+/// Appends the first byte and, if there are any, the marks of inferred spans.
 fn put_marks(page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
     if inferred.is_empty() {
         return out.push(PLAIN);
@@ -160,7 +161,7 @@ fn put_marks(page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
     runs.iter().for_each(|&run| put_varint(out, run.into()));
 }
 
-/// Decodes pages; keeps its scratch, so that a page costs no more than its own allocations.
+/// Decodes pages; keeps its scratch memory, so that a page costs no more than its own allocations.
 #[derive(Debug, Default)]
 pub struct Decoder {
     scratch: page::Scratch,
@@ -170,7 +171,8 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder of pages of up to `spans` spans, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    /// Creates a decoder for pages of up to `spans` spans, which needs at most [`scratch_bytes`](Self::scratch_bytes)
+    /// of memory.
     pub fn for_spans(spans: usize) -> Self {
         let mut decoder = Self::default();
         decoder.rows.reserve(spans);
@@ -178,12 +180,13 @@ impl Decoder {
         decoder
     }
 
-    /// Bytes of scratch memory of a decoder made [`for_spans`](Self::for_spans).
+    /// Returns the scratch memory of a decoder created by [`for_spans`](Self::for_spans) (bytes).
     pub fn scratch_bytes(spans: usize) -> usize {
         page::Scratch::decoding_bytes() + RowBuilder::own_bytes(spans) + PageBuilder::scratch_bytes(spans)
     }
 
-    /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 and P12 are errors.
+    /// Decodes the page of `body` (rules P5 to P8 and P12). Time: linear in the length of `body` and the number of
+    /// spans.
     pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
         self.inferred.clear();
         match body.split_first() {
@@ -202,7 +205,7 @@ impl Decoder {
     fn decode_marked(&mut self, marked: &[u8]) -> Result<Page, Violation> {
         let mut reader = ByteReader::new(marked, "P12");
         let count = reader.varint()?;
-        // Each takes a byte or more, and the state follows.
+        // Each run takes at least one byte, and the states follow.
         if count < 2 || count % 2 == 1 || count > reader.len() as u64 {
             return Err(Violation::new("P12", "an even number of runs, 2 or more, inside the page", count));
         }
@@ -222,23 +225,23 @@ impl Decoder {
         Ok(page)
     }
 
-    /// Which spans of the page decoded last are inferred.
+    /// Returns which spans of the last decoded page are inferred.
     pub fn inferred(&self) -> &Inferred {
         &self.inferred
     }
 
-    /// The page decoded last, which is `page`, without its inferred spans.
+    /// Returns `page`, which was decoded last, without its inferred spans.
     pub fn scanned(&mut self, page: &Page) -> Page {
         self.inferred.without(page, &mut self.builder)
     }
 }
 
-/// A span as it is stored in directories: bottom in bits 0..14, top in bits 14..28, obstacle in bit 28.
+/// Returns a span in the form stored in directories: bottom in bits 0..14, top in bits 14..28, obstacle in bit 28.
 pub fn span_bits(span: Span) -> u32 {
     span.bottom() | span.top() << 14 | (span.is_obstacle() as u32) << 28
 }
 
-/// The span of [`span_bits`]; `None` if the bits make none.
+/// Inverse of [`span_bits`]; `None` if the bits are not a span.
 pub fn span_from_bits(bits: u32) -> Option<Span> {
     let field = |shift: u32| bits >> shift & 0x3FFF;
     (bits >> 29 == 0).then(|| Span::new(field(0), field(14), bits >> 28 & 1 == 1)).flatten()

@@ -1,10 +1,10 @@
-//! Entropy coding: a range variant of asymmetric numeral systems (Duda 2013, arXiv:1311.2540) with adaptive models
-//! (specification, chapter 6).
+//! Entropy coding: rANS, a range variant of asymmetric numeral systems (Duda 2013, arXiv:1311.2540), with one state and
+//! adaptive models (specification, chapter 6). Colours are coded with it.
 //!
-//! Symbols become bits by how probable a model holds them; the models learn from what went before, so that a page
-//! carries no tables. One walk over the content serves encoder and decoder: it hands each value to a [`Coder`] and goes
-//! on with the value that comes back. The state is 32 bits wide and moves in words of 16, probabilities have 15 bits:
-//! a symbol takes a multiplication, a word at most, and no division when decoding.
+//! Symbols take bits according to their probability in a model. Models learn from earlier symbols, so the bytes contain
+//! no tables. One walk over the content serves encoder and decoder: it passes each value to a [`Coder`] and continues
+//! with the value returned. The state has 32 bits and moves in words of 16 bits; probabilities have 15 bits. A symbol
+//! takes one multiplication and at most one word; decoding needs no division.
 
 use super::Violation;
 use std::sync::OnceLock;
@@ -12,27 +12,28 @@ use std::sync::OnceLock;
 /// Bits of a probability.
 pub(super) const SCALE_BITS: u32 = 15;
 pub(super) const SCALE: u32 = 1 << SCALE_BITS;
-/// Least state between two symbols, and the state that coding starts from.
+/// Smallest state between two symbols, and the initial state.
 const LOW: u32 = 1 << 16;
-/// Most bits that [`Coder::raw`] takes.
+/// Most bits of one [`Coder::raw`].
 pub const MAX_RAW_BITS: u32 = 15;
 
-/// How fast models learn: a probability moves by 1/2ⁿ of the way, `n` by the symbols seen so far.
+/// Learning rates: a probability moves by 1/2ⁿ of the distance, with `n` by the number of symbols seen.
 const RATES: [u8; 16] = [2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 6];
 const BIT_RATES: [u8; 16] = [1, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4, 5, 5, 5];
-/// Least probability of a bit's rarer value.
+/// Smallest number of slots of a bit's rarer value.
 const BIT_FLOOR: u16 = 32;
 
 /// Adaptive probabilities of 16 symbols.
 #[derive(Debug, Clone)]
 pub struct Nibble {
-    /// Symbols before each, cumulated, of `SCALE - 16`: one part in `SCALE` is every symbol's own.
+    /// Cumulative probability of the symbols before each, out of `SCALE - 16`; every symbol has one more slot of its
+    /// own.
     below: [i16; 16],
     seen: u8,
 }
 
 impl Nibble {
-    /// Probabilities in proportion to `weights`.
+    /// Creates a model with probabilities proportional to `weights`.
     pub const fn new(weights: [u16; 16]) -> Self {
         let (mut sum, mut index) = (0u32, 0);
         while index < 16 {
@@ -50,7 +51,7 @@ impl Nibble {
         Self { below, seen: 0 }
     }
 
-    /// First slot of `symbol` [0..16] and the number of its slots.
+    /// Returns the first slot of `symbol` (0..16) and its number of slots.
     #[inline]
     fn slots(&self, symbol: u32) -> (u32, u32) {
         let start = |symbol: u32| self.below[symbol as usize & 15] as u32 + symbol;
@@ -58,7 +59,7 @@ impl Nibble {
         (start(symbol), end - start(symbol))
     }
 
-    /// What `symbol` would take (1/64 bit).
+    /// Returns the cost of `symbol` (1/64 bit).
     #[inline]
     pub fn cost(&self, symbol: u32) -> u32 {
         cost_of(self.slots(symbol).1)
@@ -84,13 +85,13 @@ impl Nibble {
     }
 }
 
-/// Fractions of a bit in which lengths of symbols are counted.
+/// Units per bit in which costs are counted.
 pub const COST_BIT: u32 = 64;
 /// log₂(1 + i/64), in 1/64.
 const LOG: [u8; 64] = {
     let (mut table, mut at) = ([0; 64], 0);
     while at < 64 {
-        // Squaring doubles the logarithm: its bits come out one by one.
+        // Squaring doubles the logarithm, which yields its bits in turn.
         let (mut power, mut bits, mut rounds) = ((64 + at as u64) << 24, 0u8, 0);
         while rounds < 6 {
             power = (power * power) >> 30;
@@ -107,15 +108,15 @@ const LOG: [u8; 64] = {
     table
 };
 
-/// What a symbol of `count` slots takes (1/64 bit).
+/// Returns the cost of a symbol with `count` slots (1/64 bit).
 #[inline]
 fn cost_of(count: u32) -> u32 {
     SCALE_BITS * COST_BIT - log(count.into())
 }
 
-/// What symbols of so many slots take together (1/64 bit).
+/// Returns the total cost of symbols (1/64 bit).
 fn cost_of_all(slots: &[(u16, u16)]) -> u64 {
-    // A product of four, which fits into 64 bits, has one logarithm.
+    // The product of four counts fits into 64 bits and needs only one logarithm.
     const _: () = assert!(4 * SCALE_BITS < u64::BITS);
     let log_of = |slots: &[(u16, u16)]| u64::from(log(slots.iter().map(|&(_, count)| u64::from(count)).product()));
     let (fours, rest) = slots.as_chunks::<4>();
@@ -123,7 +124,7 @@ fn cost_of_all(slots: &[(u16, u16)]) -> u64 {
     slots.len() as u64 * u64::from(SCALE_BITS * COST_BIT) - logs
 }
 
-/// The logarithm of `count` to the base 2, rounded down to 1/64.
+/// Returns the binary logarithm of `count`, rounded down to 1/64.
 #[inline]
 fn log(count: u64) -> u32 {
     let whole = count.ilog2();
@@ -135,13 +136,13 @@ fn log(count: u64) -> u32 {
 /// Adaptive probability of a bit.
 #[derive(Debug, Clone)]
 pub struct Bit {
-    /// Slots, of `SCALE`, of a one; they are the highest.
+    /// Slots of a one, out of `SCALE`; they are the highest.
     ones: u16,
     seen: u8,
 }
 
 impl Bit {
-    /// A bit that is one with probability `ones / 32768`, between 32 and 32736.
+    /// Creates the model of a bit that is one with probability `ones / 32768`; `ones` is 32 to 32736.
     pub const fn new(ones: u16) -> Self {
         Self { ones, seen: 0 }
     }
@@ -152,7 +153,7 @@ impl Bit {
         if bit { (SCALE - ones, ones) } else { (0, SCALE - ones) }
     }
 
-    /// What `bit` would take (1/64 bit).
+    /// Returns the cost of `bit` (1/64 bit).
     #[inline]
     pub fn cost(&self, bit: bool) -> u32 {
         cost_of(self.slots(bit).1)
@@ -170,28 +171,29 @@ impl Bit {
     }
 }
 
-/// One end of the coding: takes the value to write and returns it, or takes any and returns the one read.
+/// Encoder or decoder. An encoder writes the given value and returns it; a decoder ignores it and returns the value
+/// read.
 pub trait Coder {
-    /// A symbol below 16.
+    /// Codes a symbol below 16.
     fn nibble(&mut self, model: &mut Nibble, symbol: u32) -> u32;
-    /// A bit.
+    /// Codes a bit.
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
-    /// `bits` bits [1..=15] of equal probability.
+    /// Codes `bits` bits (1..=15) of equal probability.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
 }
 
 /// Writes symbols; reusable.
 #[derive(Debug, Default)]
 pub struct RansEncoder {
-    /// What the first symbols take (1/64 bit), and how many these are.
+    /// Cost of the first symbols (1/64 bit), and their number.
     cost: (u64, usize),
-    /// First slot and number of slots of each symbol. What is decoded first is encoded last, so they wait here.
+    /// First slot and number of slots of each symbol, buffered because symbols are encoded in reverse.
     slots: Vec<(u16, u16)>,
     words: Vec<u16>,
 }
 
-/// ⌊2⁶⁴ / n⌋ + 1 for each number of slots but 1, for which it is 2⁶⁴ − 1: with it, a division is a multiplication. Made when it is
-/// first wanted, and shared by all encoders: it takes 256 KiB.
+/// ⌊2⁶⁴ / n⌋ + 1 for each number `n` of slots, and 2⁶⁴ − 1 for 1, to divide by multiplication. Computed on first use
+/// and shared by all encoders (256 KiB).
 static INVERSES: OnceLock<Vec<u64>> = OnceLock::new();
 
 pub(super) fn inverses() -> &'static [u64] {
@@ -199,23 +201,23 @@ pub(super) fn inverses() -> &'static [u64] {
     INVERSES.get_or_init(|| (0..=u64::from(SCALE)).map(inverse).collect())
 }
 
-/// `state / count` by the inverse of `count` [1..=`SCALE`]: it errs by less than `state / 2⁶⁴`, and no quotient lies closer
-/// below the next whole number than `1 / SCALE`. Of a `count` of 1 it is one less.
+/// Returns `state / count` by the inverse of `count` (1..=`SCALE`). The error is below `state / 2⁶⁴`, and no quotient
+/// is closer than `1 / SCALE` below the next whole number. For a `count` of 1 the result is one too small.
 #[inline]
 fn quotient(state: u32, inverse: u64) -> u32 {
     ((u128::from(state) * u128::from(inverse)) >> 64) as u32
 }
 
-/// The state after a symbol of these slots (the first, how many), all words that had to go out before it gone.
+/// Returns the state after a symbol with these slots (first, number); words must have been emitted before.
 #[inline]
 pub(super) fn pushed(state: u32, (start, count): (u32, u32), inverses: &[u64]) -> u32 {
-    // Makes up for the quotient by 1.
+    // Compensates for the quotient that is one too small.
     let start = start + if count == 1 { SCALE - 1 } else { 0 };
     state + start + quotient(state, inverses[count as usize]) * (SCALE - count)
 }
 
 impl RansEncoder {
-    /// Forgets all symbols.
+    /// Drops all symbols.
     pub fn clear(&mut self) {
         self.slots.clear();
         self.cost = (0, 0);
@@ -229,7 +231,7 @@ impl RansEncoder {
         let (mut state, mut length) = (LOW, 0);
         for &(start, count) in slots.iter().rev() {
             let slots = (u32::from(start), u32::from(count));
-            // Whether a word goes out is hard to foresee, so each is written, and stays if it is to.
+            // Whether a word is emitted is hard to predict, so write it always and count it if it is.
             words[length] = state as u16;
             let goes_out = u64::from(state) >= u64::from(count) << 17;
             length += usize::from(goes_out);
@@ -240,7 +242,7 @@ impl RansEncoder {
         out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));
     }
 
-    /// Length of all symbols so far but for rounding (1/64 bit).
+    /// Returns the cost of all symbols pushed (1/64 bit), except for rounding.
     pub fn cost(&mut self) -> u64 {
         let (cost, counted) = self.cost;
         self.cost = (cost + cost_of_all(&self.slots[counted..]), self.slots.len());
@@ -277,7 +279,8 @@ impl Coder for RansEncoder {
     }
 }
 
-/// Reads symbols from bytes that nobody vouches for: reading beyond the end gives some symbols, and an error at the end.
+/// Reads symbols from untrusted bytes. Reading past the end gives arbitrary symbols, and an error from
+/// [`finish`](Self::finish).
 #[derive(Debug)]
 pub struct RansDecoder<'a> {
     state: u32,
@@ -286,7 +289,8 @@ pub struct RansDecoder<'a> {
 }
 
 impl<'a> RansDecoder<'a> {
-    /// Reads what [`RansEncoder::finish`] wrote; fewer than 4 bytes, an odd number, or a state too low break `rule`.
+    /// Starts reading what [`RansEncoder::finish`] wrote. Fewer than 4 bytes, an odd number, or a state that is too low
+    /// break `rule`.
     pub fn new(bytes: &'a [u8], rule: &'static str) -> Result<Self, Violation> {
         let wrong = || Violation::new(rule, "a state of 4 bytes, 65536 or more, and whole words", bytes.len());
         let (state, words) = bytes.split_first_chunk::<4>().ok_or_else(wrong)?;
@@ -298,7 +302,7 @@ impl<'a> RansDecoder<'a> {
         Ok(Self { state, words, short: false })
     }
 
-    /// Requires that all words are read and the state is back where coding began; otherwise breaks `rule`.
+    /// Checks that all words were read and the state is back at its initial value. Anything else breaks `rule`.
     pub fn finish(self, rule: &'static str) -> Result<(), Violation> {
         if self.short || !self.words.is_empty() || self.state != LOW {
             let found = if self.short { "too few".into() } else { format!("{} words left", self.words.len()) };

@@ -1,4 +1,4 @@
-//! The pixels of a page row by row, as the codec walks over them, and folded differences.
+//! Pixels of a page row by row, as the codec visits them, and folded differences.
 
 use super::step_grid::End;
 use crate::frame::SLICE_QUANTA;
@@ -24,12 +24,12 @@ pub(super) fn unfold(folded: u32) -> i32 {
     (folded >> 1) as i32 ^ -((folded & 1) as i32)
 }
 
-/// A page to write.
+/// Spans of a page in row order, for encoding.
 pub(super) struct Rows<'a> {
     pub page: &'a Page,
-    /// Spans of the block's row in work that are still to come.
+    /// Spans still to come in the current row of the current block.
     pub rest: &'a [Span],
-    /// Which row that is.
+    /// That row: x of the block, y of the pixels.
     row: (u32, u32),
 }
 
@@ -38,7 +38,7 @@ impl<'a> Rows<'a> {
         Self { page, rest: &[], row: (u32::MAX, 0) }
     }
 
-    /// The spans of a pixel with matter; all such pixels are asked for in row order.
+    /// Returns the spans of an occupied pixel. All occupied pixels must be asked for in row order.
     #[inline]
     pub fn at(&mut self, px: u32, py: u32) -> &'a [Span] {
         let row = (px / BLOCK_PIXELS, py);
@@ -49,7 +49,7 @@ impl<'a> Rows<'a> {
         self.next(px % BLOCK_PIXELS)
     }
 
-    /// The spans of the next pixel, of this lane.
+    /// Returns the spans of the pixel in `lane`, the next one of the block's row.
     #[inline]
     pub fn next(&mut self, lane: u32) -> &'a [Span] {
         let count = self.rest.iter().take_while(|span| span.lane() == lane).count();
@@ -59,13 +59,13 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// The heights of `page` that say which steps it has.
+/// Collects the heights of `page` that reveal its steps.
 pub(super) fn telling_heights(page: &Page, heights: &mut Vec<(u32, End)>) {
     heights.clear();
     for spans in page.spans_of_blocks() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
     }
-    // Heights on slice boundaries may be those of cuts, and say nothing.
+    // Heights on slice boundaries may be cuts, so they reveal no steps.
     heights.retain(|(height, _)| height % SLICE != 0);
 }
 

@@ -1,8 +1,9 @@
-//! The steps that heights come in: a scan stored in centimetres has no heights between them (specification, chapter 6).
+//! Step grid: the steps that heights lie on, since a scan stored in centimetres has no heights between them
+//! (specification, chapter 6).
 //!
-//! Heights of a page are quanta, of which a step takes several or many: coding which step a height is, instead of which
-//! quantum, saves the bits of the difference. The steps are found in the heights alone, so that neither the layer nor a
-//! file's header matters: same content, same bytes.
+//! Heights of a page are quanta, and a step spans several of them: coding the number of the step instead of the quantum
+//! saves bits. Steps are found from the heights alone, independent of the layer and of any file header, so equal
+//! content gives equal bytes.
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::slice::{Page, Span};
@@ -10,11 +11,11 @@ use crate::slice::{Page, Span};
 /// Fractional bits of [`StepGrid`]'s numbers.
 pub const FRACTION_BITS: u32 = 32;
 pub const ONE: i64 = 1 << FRACTION_BITS;
-/// How far a height may lie off its step (in 1/2³² quantum): coordinates were rounded, and so is the step.
+/// Tolerance of a height off its step (1/2³² quantum), because coordinates and the step were rounded.
 const SLACK: i64 = 1 << 14;
 /// Fewest heights from which a grid saves more than the 10 bytes that it takes.
 pub const LEAST_HEIGHTS: usize = 32;
-/// Steps looked for (m), coarse to fine: decimals of metres, feet and US survey feet, as LAS files are scaled.
+/// Steps to look for (m), coarse to fine: decimals of metres, feet and US survey feet, as LAS files are scaled.
 const STEPS_M: [f64; 14] = [
     0.1,
     0.1 * 0.3048,
@@ -32,21 +33,22 @@ const STEPS_M: [f64; 14] = [
     0.0001,
 ];
 
-/// Step of the heights of overview levels (quanta): a third of a slice. Heights of a page that has none between slices lie on slices.
+/// Step of heights in overview levels (quanta): a third of a slice. Pages whose heights are all on slice boundaries use
+/// whole slices.
 pub const LEVEL_STEP: u32 = SLICE_QUANTA as u32 / 3;
 
-/// What heights of a page are, and with that the steps that they may lie on.
+/// Origin of a page's heights, which determines the possible steps.
 #[derive(Debug, Clone, Copy)]
 pub enum HeightsOf {
-    /// Of a scan on this grid.
+    /// A scan on this grid.
     Scan(Frame),
-    /// Of an overview level.
+    /// An overview level.
     Level,
 }
 
 impl HeightsOf {
-    /// Returns whether `page` has an encoding. Every page of a scan has, at worst with every quantum as a step; heights of levels must
-    /// lie on thirds of a slice.
+    /// Returns whether `page` has an encoding. Every page of a scan has one, at worst with every quantum as a step;
+    /// heights of levels must lie on thirds of a slice.
     pub fn admits(&self, page: &Page) -> bool {
         let on_step = |span: &Span| span.bottom().is_multiple_of(LEVEL_STEP) && span.top().is_multiple_of(LEVEL_STEP);
         matches!(self, Self::Scan(_)) || page.spans_of_blocks().all(|spans| spans.iter().all(on_step))
@@ -62,7 +64,7 @@ pub struct StepGrid {
     pub phase: u64,
 }
 
-/// The ends of a span differ in how they are rounded to quanta: outwards.
+/// End of a span; ends are rounded outwards to quanta.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
     /// Rounded down.
@@ -72,28 +74,28 @@ pub enum End {
 }
 
 impl StepGrid {
-    /// Every quantum is a step.
+    /// Grid on which every quantum is a step.
     pub const QUANTA: Self = Self { step: ONE as u64, phase: 0 };
 
-    /// The grid of `step` and `phase`; `None` unless the step is 2 to 255 quanta and above the phase.
+    /// Returns the grid of `step` and `phase`; `None` unless the step is 2 to 255 quanta and larger than the phase.
     pub fn new(step: u64, phase: u64) -> Option<Self> {
         ((2 * ONE as u64..=SLICE_QUANTA as u64 * ONE as u64).contains(&step) && phase < step)
             .then_some(Self { step, phase })
     }
 
-    /// Whether the steps are the quanta themselves.
+    /// Returns whether the steps are the quanta themselves.
     #[inline]
     pub fn is_quanta(&self) -> bool {
         self.step == ONE as u64
     }
 
-    /// The quantum that step `index` [0..2¹⁴] lies in.
+    /// Returns the quantum that step `index` (0..2¹⁴) lies in.
     #[inline]
     pub fn floor(&self, index: u32) -> i32 {
         ((self.phase + index as u64 * self.step) >> FRACTION_BITS) as i32
     }
 
-    /// The first step at or above `height` (quanta).
+    /// Returns the first step at or above `height` (quanta).
     #[inline]
     pub fn at_or_above(&self, height: u32) -> u32 {
         if self.is_quanta() {
@@ -102,14 +104,14 @@ impl StepGrid {
         ((height as u64) << FRACTION_BITS).saturating_sub(self.phase).div_ceil(self.step) as u32
     }
 
-    /// Height that a point on step `index` gives a span's `end`, unless rounding says otherwise.
+    /// Returns the usual height for a span's `end`: that of a point on step `index` without rounding errors.
     #[inline]
     pub fn usual(&self, index: u32, end: End) -> i32 {
         self.floor(index) + (end == End::Top && !self.is_quanta()) as i32
     }
 
-    /// Step of `height` (quanta) as a span's `end`, and how far the height lies from the [`usual`](Self::usual) one
-    /// [-1..=1]; `None` if the height lies on no step.
+    /// Returns the step of `height` (quanta) as a span's `end`, and its offset from the [`usual`](Self::usual) height
+    /// (−1..=1); `None` if the height lies on no step.
     #[inline]
     pub fn index(&self, height: u32, end: End) -> Option<(u32, i32)> {
         if self.is_quanta() {
@@ -122,24 +124,25 @@ impl StepGrid {
         })
     }
 
-    /// The grid of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, else the coarsest of those
-    /// that scans have; of a page of an overview level, that of the level, on which they lie if the level [admits](HeightsOf::admits) them.
+    /// Finds the grid of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, or else
+    /// the coarsest of the usual steps of scans. For an overview level, returns the level's grid, on which all heights
+    /// lie that it [admits](HeightsOf::admits).
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
     }
 
-    /// As [`find`](Self::find), with the phase that most zeros end, of all at which the heights lie on steps.
+    /// Like [`find`](Self::find), but takes the phase with the most trailing zeros among all that fit.
     pub fn find_short(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         Self::find_with(of, steps, heights, |step, low, high| {
             let whole = low.div_euclid(step) * step;
             let (low, high) = (low - whole, high - whole);
-            // The highest bit in which the end differs from what lies before the start.
+            // Highest bit in which the last phase differs from the one before the first.
             let bit = ((low - 1) ^ high).checked_ilog2().unwrap_or(0);
             if low <= 0 || high >= step { 0 } else { high >> bit << bit }
         })
     }
 
-    /// `phase` chooses from the first to the last of the phases of a step at which the heights lie on steps.
+    /// Finds a grid; `phase` gets the step and the first and last phase that fit, and returns one of them.
     fn find_with(
         of: &HeightsOf,
         steps: &[u64],
@@ -162,16 +165,17 @@ impl StepGrid {
         steps.iter().copied().chain(Self::steps_of_scans(frame)).find_map(with_step)
     }
 
-    /// Steps that scans have on this grid (1/2³² quantum), coarse to fine; some are out of the limits of a grid.
+    /// Returns the steps that scans have on this grid (1/2³² quantum), coarse to fine; some exceed the limits of a
+    /// grid.
     pub fn steps_of_scans(frame: &Frame) -> impl Iterator<Item = u64> {
         let slice_m = frame.slice_m();
         STEPS_M.iter().map(move |step_m| (step_m * SLICE_QUANTA as f64 / slice_m * ONE as f64 + 0.5).floor() as u64)
     }
 
-    /// The first and the last phase at which the heights lie on steps.
+    /// Returns the first and last phase at which all heights lie on steps.
     fn phases_of(&self, heights: &[(u32, End)]) -> Option<(i64, i64)> {
-        // Where the point of a height can be: within the quantum that was rounded away. Not below the floor of the page,
-        // where there is no step: a top of one quantum would have none.
+        // Range of the point of a height: within the quantum that was rounded away, but not below the floor of the
+        // page. There are no steps there, so a top of one quantum would have none.
         let point = |(height, end): (u32, End)| {
             let low = (height as i64 - (end == End::Top) as i64) * ONE;
             ((low - SLACK).max(0), low + ONE + SLACK)

@@ -1,10 +1,10 @@
-//! Pages through the coder and back.
+//! Round trips of pages through the codec.
 
 use super::*;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-/// Spans of pixels, as a page holds them: a smooth floor, a wall, noise, or all 64 slices, in a part of the pixels.
+/// Pages with a smooth floor, a wall, noise, or all 64 slices, in a part of the pixels.
 pub fn pages() -> impl Strategy<Value = Page> {
     let column = proptest::collection::btree_map(0u32..64, (0u32..250, 0u32..4, any::<bool>()), 1..5);
     let noise = proptest::collection::btree_map((0u32..64, 0u32..64), column, 1..150);
@@ -46,7 +46,7 @@ fn encoded(page: &Page) -> Vec<u8> {
     body
 }
 
-/// `page` with heights on centimetres, as far as its spans are apart then.
+/// Rounds the heights of `page` to centimetres, as long as its spans stay apart.
 fn in_centimetres(page: &Page) -> Page {
     let mut builder = PageBuilder::default();
     for (px, py, spans) in page.columns() {

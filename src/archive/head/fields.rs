@@ -1,4 +1,4 @@
-//! The fixed fields of a head from their bytes, each checked (rules H4 to H10).
+//! Decodes and checks the fixed fields of a head (rules H4 to H10).
 
 use super::super::FORMAT_VERSION;
 use super::super::colours::{ColourHead, LEAF_RECORD};
@@ -15,7 +15,8 @@ use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use xxhash_rust::xxh3::xxh3_128;
 
-/// The header from the bytes that the checksum of the head covers, and how many leaves the root directory has.
+/// Decodes the header from the bytes that the head's checksum covers. Also returns the number of leaves in the root
+/// directory.
 pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     let at = |violation: Violation| violation.at("head", 0);
     let mut reader = ByteReader::new(&covered[MAGIC.len()..FIXED], "H2");
@@ -105,7 +106,7 @@ pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     rest().map_err(at)
 }
 
-/// What the reserved fields say of levels, and the length of their section (rules H10 and L1).
+/// Decodes the level fields and the length of the levels section (rules H10 and L1).
 fn decode_levels(is_known: bool, features: u64, reserved: &[u8]) -> Result<(Option<Levels>, u64), Violation> {
     let has_levels = features & LEVELS != 0;
     if !has_levels && is_known && reserved.iter().any(|&byte| byte != 0) {
@@ -128,7 +129,7 @@ fn decode_levels(is_known: bool, features: u64, reserved: &[u8]) -> Result<(Opti
     Ok((Some(levels), len))
 }
 
-/// Number of inferred voxels by the reserved fields behind those of levels (rules H7 and H10).
+/// Decodes the number of inferred voxels, which follows the level fields (rules H7 and H10).
 fn decode_inferred(is_known: bool, features: u64, plan: &Plan, reserved: &[u8]) -> Result<u64, Violation> {
     let fills = features & INFERRED != 0;
     if fills != (plan.options.fill_holes > 0) {
@@ -142,7 +143,7 @@ fn decode_inferred(is_known: bool, features: u64, plan: &Plan, reserved: &[u8]) 
     if fills { ByteReader::new(reserved, "H2").u64() } else { Ok(0) }
 }
 
-/// What the last reserved fields say of colours, and the length of their section (rules H10 and K1).
+/// Decodes the colour fields, the last of the reserved ones, and the length of the colours section (rules H10 and K1).
 fn decode_colours(is_known: bool, features: u64, reserved: &[u8]) -> Result<(Option<ColourHead>, u64), Violation> {
     if features & COLOURS == 0 {
         if is_known && reserved.iter().any(|&byte| byte != 0) {
@@ -224,7 +225,8 @@ fn decode_slices(first: i64, last: i64) -> Result<Option<(i64, i64)>, Violation>
     }
 }
 
-/// Rules H8 and H9: numbers that must fit together whatever the rest of the file says.
+/// Checks that counts and section lengths are consistent, independent of the rest of the file (rules H8, H9, and K1 for
+/// the number of coloured voxels).
 fn check_sums(header: &Header) -> Result<(), Violation> {
     let Header { tiles, voxels, pages, bytes, .. } = header;
     let parts = [header.points_kept, header.points_withheld, header.points_excluded];

@@ -1,4 +1,4 @@
-//! The footer: the end that proves that an archive is complete (chapter 8).
+//! Footer: marks the archive as complete (chapter 8).
 
 use super::{CRC, FOOTER, hex};
 use crate::Result;
@@ -8,7 +8,7 @@ use crate::codec::Violation;
 /// Last bytes of an archive.
 pub(in crate::archive) const END_MAGIC: [u8; 8] = *b"\x89ALS\r\n\x1a\n";
 
-/// The footer of an archive of `file_len` bytes whose head is `head`.
+/// Encodes the footer of an archive of `file_len` bytes whose head is `head`.
 pub(in crate::archive) fn encode_footer(file_len: u64, head: &[u8]) -> [u8; FOOTER] {
     let mut out = [0; FOOTER];
     out[..8].copy_from_slice(&file_len.to_le_bytes());
@@ -19,7 +19,7 @@ pub(in crate::archive) fn encode_footer(file_len: u64, head: &[u8]) -> [u8; FOOT
     out
 }
 
-/// Checks the footer `bytes` of an archive of `file_len` bytes whose head is `head`.
+/// Checks the footer `bytes` of an archive of `file_len` bytes whose head is `head` (rules F1 to F3).
 pub(in crate::archive) fn check_footer(bytes: &[u8; FOOTER], file_len: u64, head: &[u8]) -> Result<()> {
     let at = |violation: Violation| violation.at("footer", file_len - FOOTER as u64);
     let expected = encode_footer(file_len, head);

@@ -1,96 +1,96 @@
-//! What a head says: counts, lengths and places, checked when they were decoded.
+//! Header of an archive: counts, lengths and offsets, checked by decoding.
 
 use super::super::colours::{ColourHead, LEAF_RECORD, LevelColours};
 use super::super::levels::Levels;
 use crate::plan::Plan;
 use crate::{Error, Result};
 
-/// How many tiles (one slice of a page, where it holds matter) an archive has.
+/// Number of tiles in an archive. A tile is one slice of a page that contains solid.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tiles {
-    /// All tiles with matter.
+    /// All occupied tiles.
     pub occupied: u64,
-    /// Those whose page has bytes of its own or shares those of another; the rest are uniform.
+    /// Tiles whose page has bytes of its own or shares those of another; the rest belong to uniform pages.
     pub stored: u64,
-    /// Those whose page has bytes of its own.
+    /// Tiles whose page has bytes of its own.
     pub unique: u64,
 }
 
-/// How many voxels an archive has.
+/// Number of voxels in an archive.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Voxels {
-    /// Voxels with matter.
+    /// All occupied voxels.
     pub occupied: u64,
-    /// Those with obstacle.
+    /// Voxels that contain an obstacle.
     pub obstacle: u64,
-    /// Those whose matter is inferred alone: floor that closes holes of the scan.
+    /// Voxels whose solid is only inferred: floor that closes holes of the scan.
     pub inferred: u64,
 }
 
-/// How many pages of each kind an archive has.
+/// Number of pages in an archive, by storage.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Pages {
     /// Pages with bytes of their own.
     pub stored: u64,
-    /// Pages with the bytes of an earlier one.
+    /// Pages that share the bytes of an earlier one.
     pub shared: u64,
-    /// Pages told by one span.
+    /// Pages described by one span.
     pub uniform: u64,
 }
 
 impl Pages {
-    /// Pages of all kinds.
+    /// Returns the number of all pages.
     pub fn total(&self) -> u64 {
         self.stored.saturating_add(self.shared).saturating_add(self.uniform)
     }
 }
 
-/// Lengths of the sections in the order in which they lie, without gap; the footer ends the file (bytes).
+/// Lengths of the sections (bytes), in file order without gaps; the footer ends the file.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sections {
     /// Header and root directory.
     pub head: u64,
     /// Pages.
     pub pages: u64,
-    /// Colours of voxels.
+    /// Colours of voxels, including those of overview levels.
     pub colours: u64,
     /// Overview levels: their pages and directories.
     pub levels: u64,
-    /// Leaf directories.
+    /// Directory leaves.
     pub directory: u64,
     /// Metadata block.
     pub metadata: u64,
 }
 
-/// Least and greatest coordinates (m).
+/// Smallest and largest coordinates (m).
 pub type Bounds = ([f64; 3], [f64; 3]);
 
-/// What the head of an archive says about the whole.
+/// Decoded header of an archive.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Header {
-    /// Version of the format: major, minor.
+    /// Version of the format: (major, minor).
     pub version: (u16, u16),
-    /// Features that a reader must know.
+    /// Features that a reader must know, as bits.
     pub features_required: u64,
-    /// Features that a reader may ignore.
+    /// Features that a reader may ignore, as bits.
     pub features_optional: u64,
     /// Length of the archive (bytes).
     pub file_len: u64,
     /// Grid and options of the conversion.
     pub plan: Plan,
-    /// Identity of the plan: archives of equal hash can be compared and merged.
+    /// Identity of the plan: archives with equal hashes can be compared and merged.
     pub plan_hash: u128,
     /// Points read from the input.
     pub points_read: u64,
-    /// Points that made voxels.
+    /// Points accumulated into voxels.
     pub points_kept: u64,
     /// Points that the input marks as withheld.
     pub points_withheld: u64,
     /// Points of excluded classes.
     pub points_excluded: u64,
-    /// Least and greatest coordinates of the kept points (m); `None` without points.
+    /// Smallest and largest coordinates of the kept points (m); `None` without points.
     pub bounds: Option<Bounds>,
-    /// Lowest and highest slice with matter, inclusive; `None` without matter.
+    /// Lowest and highest occupied slice, inclusive; `None` without solid.
     pub slices: Option<(i64, i64)>,
     /// Tiles.
     pub tiles: Tiles,
@@ -104,22 +104,23 @@ pub struct Header {
     pub metadata_crc: u32,
     /// Entries in each directory leaf but the last.
     pub leaf_entries: u32,
-    /// Where the overview levels are told of; `None` if the archive was written without.
+    /// Table of overview levels; `None` if the archive was written without levels.
     pub levels: Option<Levels>,
-    /// What is said of colours; `None` if the archive was written without.
+    /// Colour fields; `None` if the archive was written without colours.
     pub colours: Option<ColourHead>,
-    /// Which overview level this is the head of; 0 for the archive itself.
+    /// Overview level that this header describes; 0 for the archive itself.
     pub level: u32,
 }
 
-/// Pages without bytes of their own that are gone through however small the archive is, and bytes for each one more.
+/// Limit on pages without bytes of their own in any archive, and archive bytes required for each page beyond it.
 const MOST_REPEATS: u64 = 1 << 22;
 const BYTES_A_REPEAT: u64 = 16;
-/// As [`MOST_REPEATS`] where each page adds its spans to overview levels.
+/// Like [`MOST_REPEATS`], for archives with levels, where each page adds its spans to them.
 const MOST_REPEATS_WITH_LEVELS: u64 = 1 << 16;
 
 impl Header {
-    /// Refuses to go through all pages of an archive that makes so many of so few bytes that it would take minutes and more.
+    /// Fails if the archive expands to more pages than its bytes justify, so that a pass over them would take minutes
+    /// or longer.
     pub(in crate::archive) fn check_repeats(&self) -> Result<()> {
         let repeats = self.pages.shared.saturating_add(self.pages.uniform);
         let least = if self.levels.is_some() { MOST_REPEATS_WITH_LEVELS } else { MOST_REPEATS };
@@ -134,7 +135,7 @@ impl Header {
         Ok(())
     }
 
-    /// Where the colours of the overview levels are told of; `None` if levels have none.
+    /// Returns the table that locates the colours of overview levels; `None` if levels have none.
     pub(in crate::archive) fn level_colours(&self) -> Option<LevelColours> {
         let (levels, colours) = (self.levels?, self.colours?);
         let leaves = self.pages.total().div_ceil(u64::from(self.leaf_entries.max(1)));
@@ -142,27 +143,27 @@ impl Header {
         (levels.count > 0).then(|| LevelColours::new(levels.count, self.colours_offset(), end, colours.plan))
     }
 
-    /// Offset of the pages (bytes).
+    /// Returns the offset of the pages (bytes).
     pub fn pages_offset(&self) -> u64 {
         self.bytes.head
     }
 
-    /// Offset of the colours, where the pages end (bytes).
+    /// Returns the offset of the colours, where the pages end (bytes).
     pub fn colours_offset(&self) -> u64 {
         self.bytes.head + self.bytes.pages
     }
 
-    /// Offset of the overview levels (bytes).
+    /// Returns the offset of the overview levels (bytes).
     pub fn levels_offset(&self) -> u64 {
         self.colours_offset() + self.bytes.colours
     }
 
-    /// Offset of the leaf directories (bytes).
+    /// Returns the offset of the directory leaves (bytes).
     pub fn directory_offset(&self) -> u64 {
         self.levels_offset() + self.bytes.levels
     }
 
-    /// Offset of the metadata block (bytes).
+    /// Returns the offset of the metadata block (bytes).
     pub fn metadata_offset(&self) -> u64 {
         self.directory_offset() + self.bytes.directory
     }

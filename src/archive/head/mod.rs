@@ -1,6 +1,7 @@
-//! Head and footer: fixed header fields, root directory, and the end that proves completeness (chapters 3 and 8).
+//! Head and footer: fixed header fields, root directory, and the footer that marks a complete archive (chapters 3 and
+//! 8).
 //!
-//! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
+//! A head is checked as a whole: magic, length, checksum, then version and features, then every field.
 
 mod fields;
 mod footer;
@@ -20,7 +21,7 @@ use crate::colour::{ColourScale, ColourSource};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
 use crate::output::DRAFT_MAGIC;
 
-/// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
+/// Largest head, and the length of a head whose size was not known in advance (bytes).
 pub(super) const MAX_HEAD: usize = 16_384;
 /// Length of the fixed fields (bytes).
 pub(super) const FIXED: usize = 384;
@@ -29,15 +30,15 @@ pub(super) const ROOT_RECORD: usize = 28;
 const CRC: usize = 4;
 /// Length of the footer (bytes).
 pub(super) const FOOTER: usize = 24;
-/// Most leaves that a root directory holds.
+/// Most leaves in a root directory.
 pub(super) const MAX_LEAVES: usize = 512;
-/// Entries of a leaf in an archive that needs no more than [`MAX_LEAVES`] such leaves.
+/// Entries of a leaf in an archive that needs at most [`MAX_LEAVES`] leaves of this size.
 pub(super) const MIN_LEAF_ENTRIES: u32 = 4096;
 /// Most entries of a leaf.
 pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
-/// Greatest length of the metadata block (bytes).
+/// Largest metadata block (bytes).
 pub(super) const MAX_METADATA: u64 = 1 << 20;
-/// Where the length of the archive lies in the head.
+/// Bytes of the head that state the length of the archive.
 const FILE_LEN: std::ops::Range<usize> = 32..40;
 /// Bit of `features_required`: holes were filled, so pages may hold inferred spans.
 pub(super) const INFERRED: u64 = 1;
@@ -45,21 +46,21 @@ pub(super) const INFERRED: u64 = 1;
 pub(super) const LEVELS: u64 = 1;
 /// Bit of `features_optional`: the archive has colours, and so have its levels.
 pub(super) const COLOURS: u64 = 2;
-/// Where the fields of levels end among those that were reserved first, and those of inferred matter.
+/// Ends of the level fields and of the inferred-voxel count within the reserved bytes.
 const LEVELS_END: usize = 19;
 const INFERRED_END: usize = LEVELS_END + 8;
-/// Bytes of what the head says of colours.
+/// Bytes of the colour fields.
 const COLOURS_LEN: usize = 32;
 const _: () = assert!(325 + INFERRED_END + COLOURS_LEN == FIXED);
-/// Where the canonical bytes of the plan lie in the head.
+/// Bytes of the head that hold the plan in canonical form.
 const PLAN: std::ops::Range<usize> = 56..128;
 
-/// Length of a head for `leaves` leaves without padding (bytes).
+/// Returns the length of a head for `leaves` leaves without padding (bytes).
 pub(super) fn exact_len(leaves: usize) -> usize {
     FIXED + leaves * ROOT_RECORD + CRC
 }
 
-/// The head of an archive, as long as `header` says: at least [`exact_len`] and at most [`MAX_HEAD`].
+/// Encodes the head of an archive, padded to the length that `header` states: [`exact_len`] to [`MAX_HEAD`] bytes.
 pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     let mut out = Vec::with_capacity(header.bytes.head as usize);
     out.extend(MAGIC);
@@ -125,7 +126,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     out
 }
 
-/// Rule H1, of the first bytes of a file.
+/// Checks the magic at the start of a file (rule H1).
 pub(super) fn check_magic(bytes: &[u8]) -> Result<()> {
     let magic = &bytes[..bytes.len().min(MAGIC.len())];
     if magic == DRAFT_MAGIC {
@@ -141,13 +142,13 @@ pub(super) fn check_magic(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Length of the archive (bytes) that the first bytes of a head state, unchecked; `None` if they are too few.
+/// Returns the length of the archive (bytes) that a head states, unchecked; `None` if `bytes` are too few.
 pub(super) fn stated_len(bytes: &[u8]) -> Option<u64> {
     bytes.get(FILE_LEN)?.try_into().ok().map(u64::from_le_bytes)
 }
 
-/// Header and leaves from the first bytes of a file of `file_len` bytes, and how many of the bytes are the head's.
-/// `bytes` must reach to the end of the file or [`MAX_HEAD`] bytes far.
+/// Decodes header and leaves from the first bytes of a file of `file_len` bytes. `bytes` must reach to the end of the
+/// file or hold at least [`MAX_HEAD`] bytes.
 pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)> {
     let at = |violation: Violation| violation.at("head", 0);
     check_magic(bytes)?;

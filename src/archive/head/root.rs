@@ -1,16 +1,16 @@
-//! The root directory: one record a leaf (chapter 3).
+//! Root directory: one record per leaf (chapter 3).
 
 use super::{Header, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, ROOT_RECORD};
 use crate::codec::{ByteReader, Violation};
 use crate::frame::PageKey;
 
-/// A leaf as the root directory tells of it.
+/// Record of a leaf in the root directory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::archive) struct Leaf {
-    /// Key of its first entry.
+    /// Key of the leaf's first entry.
     pub first: PageKey,
     pub entries: u32,
-    /// Offset from the start of the directory section; implied by the lengths of the leaves before it.
+    /// Offset from the start of the directory section (bytes), the sum of the lengths of the leaves before.
     pub offset: u64,
     pub stored_len: u32,
     pub raw_len: u32,
@@ -28,7 +28,8 @@ impl Leaf {
     }
 }
 
-/// Entries of a leaf in a directory of so many entries: as few as fit the root directory.
+/// Returns the entries per leaf for a directory of `total` entries: the fewest for which the leaves fit the root
+/// directory.
 pub(in crate::archive) fn leaf_entries(total: u64) -> u32 {
     let mut entries = MIN_LEAF_ENTRIES;
     while total.div_ceil(entries as u64) > MAX_LEAVES as u64 {
@@ -37,7 +38,7 @@ pub(in crate::archive) fn leaf_entries(total: u64) -> u32 {
     entries
 }
 
-/// The root directory from the bytes between the fixed fields and the head's checksum.
+/// Decodes the root directory from the bytes between the fixed fields and the head's checksum (rules R1 to R4).
 pub(in crate::archive) fn decode_root(
     bytes: &[u8],
     leaf_count: usize,

@@ -1,10 +1,11 @@
-//! Making all levels in the pass that writes, checks or copies an archive: pages come in the order of the archive and go out in
-//! the order of each level.
+//! Builds all levels in the pass that writes, checks or copies an archive. Pages arrive in the order of the archive and
+//! leave in the order of each level.
 //!
-//! In: the coarse spans of each page, and its coarse colours. Out: pages of levels and the sums of their colours, by [`Give`]. The 16
-//! columns of pages under one column of a level follow each other in the order of pages, so a level holds one column of its own and
-//! gives it away when the next one begins. Memory: 2 MiB of spans for each of at most 16 levels, and 1.3 MiB of colours; what does
-//! not fit is sorted in temporary files.
+//! Takes the coarse spans and colours of each page; passes pages of levels and sums of their colours to [`Give`]. In
+//! page order, the 16 columns of pages under one column of a level are adjacent, so each level holds one column and
+//! emits it when the next one begins.
+//!
+//! Memory: 2 MiB of spans for each of at most 16 levels, and 1.3 MiB of colours; the rest is sorted in temporary files.
 
 use super::coarse::{CoarseSpan, above, coarse, is_sparse, on_slices};
 use super::colours::{CoarseColour, ColourRecord, VoxelSum, coarser};
@@ -19,29 +20,29 @@ use std::iter::Peekable;
 use std::path::{Path, PathBuf};
 use std::vec::Drain;
 
-/// Greatest number of levels: then every tile index is 0 or −1.
+/// Most levels; beyond them every tile index is 0 or −1.
 pub const MAX_LEVELS: usize = 16;
-/// Records of a sorted run read at once, and written.
+/// Records of a sorted run read at once, and written at once.
 const PIECE: usize = 128;
 const PIECE_WRITTEN: usize = 1 << 14;
 const OBSTACLE: u16 = 1 << 15;
 
-/// Takes a page of the level with this number, less 1, and the sums of the colours in its voxels, in their order.
+/// Receives a page: the level number minus 1, the key, the page, and the colour sums of its voxels in order.
 pub type Give<'a> = dyn FnMut(usize, PageKey, &Page, &[VoxelSum]) -> Result<()> + 'a;
 
-/// The levels above pages that come in the order of the archive.
+/// Builds the levels above pages that arrive in the order of the archive.
 #[derive(Debug)]
 pub struct LevelBuilder {
     levels: Vec<Growing>,
-    /// Levels that the grid leaves room for.
+    /// Levels that the grid allows.
     most: usize,
-    /// How files are written, and beside what temporary ones lie; `None` for the system's folder for them.
+    /// How files are written, and the target that temporary files lie beside; `None` for the system's temporary folder.
     files: Files,
     beside: Option<PathBuf>,
     builder: PageBuilder,
 }
 
-/// A level and what it takes to tell whether there is one.
+/// A level under construction, with what decides whether it exists.
 #[derive(Debug, Default)]
 struct Growing {
     column: Option<u64>,
@@ -50,7 +51,7 @@ struct Growing {
     /// Pages of the level below, and whether one lies beyond the eight around the origin, which no level can join.
     pages_below: u64,
     beyond_origin: bool,
-    /// Pages that come before it is known that there is such a level: at most eight.
+    /// Pages held back until the level is known to exist: at most eight.
     held: Vec<(PageKey, Page, Vec<VoxelSum>)>,
 }
 
@@ -61,8 +62,8 @@ impl Growing {
 }
 
 impl LevelBuilder {
-    /// No levels yet, over pages on the grid `frame`; temporary files lie beside `target`, or where the system
-    /// has them.
+    /// Creates a builder without levels over pages on the grid `frame`. Temporary files lie beside `target`, or in the
+    /// system's temporary folder.
     pub fn new(frame: &Frame, files: &Files, target: Option<&Path>) -> Self {
         let most = (1..=MAX_LEVELS as u32).take_while(|&number| frame.coarser(number).is_some()).count();
         Self {
@@ -74,7 +75,7 @@ impl LevelBuilder {
         }
     }
 
-    /// Adds the page `key` of the archive by its coarse spans and colours. Keys ascend.
+    /// Adds page `key` of the archive by its coarse spans and colours. Keys must ascend.
     pub fn add(
         &mut self,
         key: PageKey,
@@ -85,7 +86,7 @@ impl LevelBuilder {
         self.add_below(0, key, spans, &mut colours.iter().map(CoarseColour::place_and_sum), give)
     }
 
-    /// Gives the pages that are left, and returns the number of levels.
+    /// Emits the remaining pages and returns the number of levels.
     pub fn finish(&mut self, give: &mut Give<'_>) -> Result<usize> {
         let mut at = 0;
         while self.levels.get(at).is_some_and(Growing::exists) {
@@ -95,7 +96,7 @@ impl LevelBuilder {
         Ok(at)
     }
 
-    /// Adds a page of the level below number `at`.
+    /// Adds a page of the level below level index `at`.
     fn add_below(
         &mut self,
         at: usize,
@@ -128,7 +129,7 @@ impl LevelBuilder {
         Ok(())
     }
 
-    /// Gives the pages of the column that level `at` holds.
+    /// Emits the pages of the column that level index `at` holds.
     fn give_column(&mut self, at: usize, give: &mut Give<'_>) -> Result<()> {
         let level = &mut self.levels[at];
         let Some(column) = level.column.take() else { return Ok(()) };
@@ -147,7 +148,7 @@ impl LevelBuilder {
         if let Some((layer, page)) = last {
             self.give_page(at, PageKey::from_column(column, layer), page, sums.of(layer)?, give)?;
         }
-        // Their memory serves the next column.
+        // Reuse the memory for the next column.
         drop((sorted, sums));
         (self.levels[at].spans, self.levels[at].colours) = (spans, colours);
         Ok(())
@@ -175,14 +176,14 @@ impl LevelBuilder {
     }
 }
 
-/// A span of a level, in the order of layers, pixels and bottoms.
+/// A span of a level; records sort by layer, pixel and bottom.
 #[derive(Debug, Clone, Copy, Default)]
 struct Record {
-    /// Layer (plus 2³¹) in the bits from 32 on, pixel in those from 16 on, bottom below.
+    /// Layer (plus 2³¹) from bit 32, pixel from bit 16, bottom in the lowest 16 bits.
     place: u64,
-    /// Top, and above it whether the span is an obstacle.
+    /// Top, with [`OBSTACLE`] set for an obstacle.
     top: u16,
-    /// Spans of the level below that became this one.
+    /// Spans of the level below that were merged into this one.
     joined: u16,
 }
 
@@ -226,14 +227,14 @@ impl Sortable for Record {
     }
 }
 
-/// The sums of colours of one layer of a column after the other.
+/// Colour sums of a column, read layer by layer.
 struct LayerSums<'a> {
     sorted: Sorted<'a, ColourRecord>,
     next: Option<ColourRecord>,
 }
 
 impl LayerSums<'_> {
-    /// Those of `layer`; layers ascend.
+    /// Returns the sums of `layer`. Layers must ascend.
     fn of(&mut self, layer: i32) -> Result<Vec<VoxelSum>> {
         let mut found = Vec::new();
         loop {
@@ -253,18 +254,18 @@ impl LayerSums<'_> {
     }
 }
 
-/// Makes pages of records in their order.
+/// Builds pages from records in order.
 struct Pages {
     builder: PageBuilder,
     layer: Option<i32>,
     pixel: u32,
-    /// Spans of the level below that the page in work joins.
+    /// Spans of the level below that the current page merges.
     below: u64,
     spans: Vec<Span>,
 }
 
 impl Pages {
-    /// Takes a span; the page that ends before it.
+    /// Adds a span, and returns the page that it ends, if any.
     fn take(&mut self, record: Record) -> Option<(i32, Page)> {
         let (layer, pixel) = (record.layer(), record.pixel());
         let ended = if self.layer != Some(layer) { self.finish() } else { None };
@@ -275,7 +276,7 @@ impl Pages {
         self.below += u64::from(record.joined);
         let (bottom, top) = (record.place as u32 & 0xFFFF, u32::from(record.top & !OBSTACLE));
         let obstacle = record.top & OBSTACLE != 0;
-        // Of two pages below, one above the other.
+        // Merge spans that meet where two pages below lie one above the other.
         let span = match self.spans.last().copied().filter(|last| last.top() == bottom) {
             Some(last) => {
                 self.spans.pop();
@@ -295,7 +296,7 @@ impl Pages {
         }
     }
 
-    /// The page in work.
+    /// Returns the current page, if it has spans.
     fn finish(&mut self) -> Option<(i32, Page)> {
         self.end_pixel();
         let layer = self.layer.take();
@@ -310,28 +311,28 @@ impl Pages {
     }
 }
 
-/// What is sorted by its place, which nothing else shares.
+/// Record sorted by its place, which is unique.
 pub trait Sortable: Copy {
-    /// Records held in memory.
+    /// Records kept in memory.
     const KEPT: usize;
     /// Bytes of a record.
     const LEN: usize;
 
     fn place(&self) -> u64;
 
-    /// Appends its bytes.
+    /// Appends the record's bytes.
     fn put(&self, out: &mut Vec<u8>);
 
-    /// From its bytes.
+    /// Decodes a record from its bytes.
     fn of(bytes: &[u8]) -> Self;
 }
 
-/// Sorts records, in memory and beyond [`Sortable::KEPT`] of them in a temporary file.
+/// Sorts records in memory, and in a temporary file beyond [`Sortable::KEPT`] of them.
 #[derive(Debug)]
 struct Sorter<R> {
     records: Vec<R>,
     file: Option<Temporary>,
-    /// Where the sorted runs in the file end, in records.
+    /// Ends of the sorted runs in the file (records).
     runs: Vec<u64>,
 }
 
@@ -366,7 +367,7 @@ impl<R: Sortable> Sorter<R> {
         Ok(())
     }
 
-    /// All records in order; forgets them.
+    /// Returns all records in order and leaves the sorter empty.
     fn sorted(&mut self) -> Result<Sorted<'_, R>> {
         self.records.sort_unstable_by_key(R::place);
         let file = self.file.take();
@@ -383,12 +384,12 @@ impl<R: Sortable> Sorter<R> {
     }
 }
 
-/// Records in order.
+/// Iterates over sorted records.
 struct Sorted<'a, R> {
     kept: Peekable<Drain<'a, R>>,
     file: Option<Temporary>,
     runs: Vec<Run<R>>,
-    /// The least place of each run that has records left.
+    /// Smallest place of each run that has records left.
     heads: BinaryHeap<Reverse<(u64, usize)>>,
 }
 
@@ -410,15 +411,15 @@ impl<R: Sortable> Sorted<'_, R> {
 
 /// A sorted run in the file.
 struct Run<R> {
-    /// The next record that is not read, and the end.
+    /// Next record to read, and the end (records).
     at: u64,
     end: u64,
-    /// Records read, last first.
+    /// Records already read, last first.
     read: Vec<R>,
 }
 
 impl<R: Sortable> Run<R> {
-    /// Place of the next record.
+    /// Returns the place of the next record, reading more if necessary.
     fn peek(&mut self, file: &Temporary) -> Result<Option<u64>> {
         if self.read.is_empty() && self.at < self.end {
             let count = (self.end - self.at).min(PIECE as u64);

@@ -1,4 +1,4 @@
-//! Checking the levels of an archive against its pages: they are made once more and compared, page by page.
+//! Verifies the levels of an archive: rebuilds them from its pages and compares page by page.
 //!
 //! Memory: that of a [`LevelBuilder`], and one directory leaf and one page of each level, with their colours.
 
@@ -17,10 +17,10 @@ use crate::frame::PageKey;
 use crate::slice::{Inferred, Occupancy, Page};
 use crate::{Error, Result};
 
-/// Compares the levels of an archive with those that its pages make.
+/// Compares the levels of an archive with those rebuilt from its pages.
 pub struct LevelCheck<'a> {
     builder: LevelBuilder,
-    /// Whether all pages so far were sound: else nothing can be said of what levels should hold.
+    /// True while all pages were sound; otherwise the expected content of levels is unknown.
     comparing: bool,
     levels: Vec<Checked<'a>>,
     scratch: Scratch,
@@ -30,27 +30,27 @@ struct Scratch {
     decoder: PageDecoder,
     encoder: PageEncoder,
     bytes: Vec<u8>,
-    /// What is wrong, until it is taken.
+    /// Findings that were not taken yet.
     found: Vec<Error>,
 }
 
-/// A level and how far it was read.
+/// A level and the progress of reading it.
 struct Checked<'a> {
     number: u32,
     source: &'a dyn ByteSource,
     catalog: &'a Catalog,
     leaf: usize,
     entries: Option<LeafEntries>,
-    /// Where the next stored page begins.
+    /// Where the next stored page begins (byte offset).
     next: u64,
-    /// Whether something of it is wrong: one finding is enough.
+    /// True after the first finding; a level reports only one.
     broken: bool,
-    /// Its colours, as long as nothing of them is wrong.
+    /// Check of its colours, until they show a violation.
     colours: Option<ColourCheck>,
 }
 
 impl<'a> LevelCheck<'a> {
-    /// Of the levels of `archive`. Fails if their table is damaged.
+    /// Starts the check of the levels of `archive`. Fails if their table is damaged.
     pub fn new(archive: &'a Archive) -> Result<Self> {
         let levels = archive.levels()?.iter().map(|level| Checked {
             number: level.number(),
@@ -67,7 +67,7 @@ impl<'a> LevelCheck<'a> {
         for level in &mut levels {
             match ColourCheck::of_level(&archive.level(level.number)?) {
                 Ok(colours) => level.colours = colours,
-                // Damage of their common table is the same for all.
+                // Damage of the common table shows up in every level; report it once.
                 Err(error) if found.iter().any(|other: &Error| other.to_string() == error.to_string()) => {}
                 Err(error) => found.push(error),
             }
@@ -81,17 +81,17 @@ impl<'a> LevelCheck<'a> {
         })
     }
 
-    /// What is wrong, once.
+    /// Takes the findings collected since the last call.
     pub fn found(&mut self) -> Vec<Error> {
         std::mem::take(&mut self.scratch.found)
     }
 
-    /// Compares no further: a page of the archive is not sound.
+    /// Stops comparing, because a page of the archive is not sound.
     pub fn give_up(&mut self) {
         self.comparing = false;
     }
 
-    /// Takes the page `key` of the archive by its coarse spans and colours. Keys ascend.
+    /// Adds page `key` of the archive by its coarse spans and colours. Keys must ascend.
     pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan], colours: &[CoarseColour]) {
         let Self { builder, comparing, levels, scratch } = self;
         if *comparing {
@@ -106,7 +106,7 @@ impl<'a> LevelCheck<'a> {
         }
     }
 
-    /// Takes the end of the pages.
+    /// Ends the pages and checks what is left of each level.
     pub fn finish(&mut self) {
         let Self { builder, comparing, levels, scratch } = self;
         if *comparing {
@@ -179,7 +179,7 @@ impl Checked<'_> {
         }
     }
 
-    /// The next page of the level is `key` and holds what `page` does.
+    /// Checks that the next page of the level is `key` and equals `page`.
     fn compare(&mut self, key: PageKey, page: &Page, sums: &[VoxelSum], scratch: &mut Scratch) -> Result<()> {
         let entry = self.next_entry(scratch)?;
         let Some(entry) = entry.filter(|entry| entry.key == key) else {
@@ -195,7 +195,7 @@ impl Checked<'_> {
         Ok(())
     }
 
-    /// Checks the colours of the page `key`, whose content is `page`; they are those of `sums`, if these are known.
+    /// Checks the colours of page `key`, whose content is `page`, against `sums` if these are known.
     fn page_colours(&mut self, key: PageKey, page: &Page, sums: Option<&[VoxelSum]>, scratch: &mut Scratch) {
         if let Some(Err(error)) = self.colours.as_mut().map(|check| check_colours(check, key, page, sums)) {
             self.colours = None;
@@ -203,7 +203,7 @@ impl Checked<'_> {
         }
     }
 
-    /// A sound page in the place and the one encoding that it must have.
+    /// Reads a page; checks that it lies where it must and has the canonical encoding.
     fn page(&mut self, entry: &PageEntry, Scratch { decoder, encoder, bytes, .. }: &mut Scratch) -> Result<Page> {
         bytes.clear();
         let name = format!("page {} of level {}", entry.key, self.number);
@@ -229,7 +229,8 @@ impl Checked<'_> {
         }
     }
 
-    /// Goes through the entries that are left, of which there is none if all were `compared`, and to the end of the pages.
+    /// Checks the remaining entries, of which there must be none if all were `compared`, and that the pages end where
+    /// they must.
     fn rest(&mut self, compared: bool, scratch: &mut Scratch) -> Result<()> {
         while let Some(entry) = self.next_entry(scratch)? {
             if compared {
@@ -247,7 +248,8 @@ impl Checked<'_> {
         }
     }
 
-    /// Blocks end where they must (rule K8), and are of as many voxels as the table says (rule K10), if all were `compared`.
+    /// Checks that blocks end where they must (rule K8) and, if all pages were `compared`, that the number of coloured
+    /// voxels matches the table (rule K10).
     fn colours_end(&mut self, compared: bool, scratch: &mut Scratch) {
         let Some(check) = self.colours.take() else { return };
         let counted = match check.stated_voxels() {
@@ -260,7 +262,7 @@ impl Checked<'_> {
     }
 }
 
-/// Rules K4 to K9, and that the colours are the means of those below (rule K12).
+/// Checks rules K4 to K9, and that the colours are the means of those below (rule K12).
 fn check_colours(check: &mut ColourCheck, key: PageKey, page: &Page, sums: Option<&[VoxelSum]>) -> Result<()> {
     let Some(place) = check.place(key)? else { return Ok(()) };
     let block = check.block(&place, key, page)?;

@@ -1,48 +1,48 @@
-//! What a level knows of the level below: 4 × 4 pixels as one, four slices as one, heights moved outwards.
+//! Coarsening of a page for the level above: 4 × 4 pixels become one, four slices become one, heights move outwards.
 //!
-//! In: a page. Out: the spans that it gives to its page of the level above. All spans of 16 pixels go into one pixel; their
-//! bottoms go down and their tops up to thirds of a slice of the level; those that then share a
-//! slice or a height become one span, an obstacle if any of them is. So no matter is lost, and the result does not depend on
-//! any order. Pages in which few spans become one are [sparse](is_sparse), and their heights go on to whole slices.
+//! All spans of 16 pixels go into one pixel. Their bottoms move down and their tops up to thirds of a slice of the
+//! level. Spans that then share a slice or a height merge into one, an obstacle if any of them is. So no solid is lost,
+//! and the result does not depend on the order of spans. Pages in which few spans merge are [sparse](is_sparse); their
+//! heights move on to whole slices.
 
 use crate::codec::LEVEL_STEP;
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA};
 use crate::slice::{Page, PageBuilder, Span};
 
-/// Pixels of a level along one edge of a pixel of the level above, and slices in one of its slices.
+/// Pixels of a level along an edge of a pixel of the level above, and slices in one of its slices.
 pub const FACTOR: u32 = 4;
 const SLICE: u32 = SLICE_QUANTA as u32;
-/// Pixels along an edge, slices, and quanta that a page takes in the level above.
+/// Pixels along an edge, slices, and quanta that a page covers in the level above.
 pub const PIXELS: u32 = 64 / FACTOR;
 pub const SLICES: u32 = PAGE_SLICES as u32 / FACTOR;
 const QUANTA: u32 = PAGE_QUANTA as u32 / FACTOR;
 const _: () = assert!(PIXELS * PIXELS == 256 && SLICES == 16);
 
-/// A span that a page gives to the level above.
+/// A span that a page contributes to the level above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CoarseSpan {
     /// `16·y + x` in the part of the upper page that the lower one covers.
     pixel: u8,
     obstacle: bool,
-    /// Spans of the lower page that became this one (1..=1024).
+    /// Spans of the lower page that merged into this one (1..=1024).
     joined: u16,
-    /// Quanta of the level above the lower page's floor (0..=4080).
+    /// Heights above the lower page's floor, in quanta of the level above (0..=4080).
     bottom: u16,
     top: u16,
 }
 
-/// Key of the page of the level above that covers the page `key`.
+/// Returns the key of the page of the level above that covers page `key`.
 pub fn above(key: PageKey) -> PageKey {
     PageKey { tx: key.tx >> 2, ty: key.ty >> 2, layer: key.layer >> 2 }
 }
 
-/// Which of the four pages along an axis that one of the level above covers.
+/// Returns the position (0..=3) of a page along an axis within its page of the level above.
 pub fn part(index: i32) -> u32 {
     (index & 3) as u32
 }
 
 impl CoarseSpan {
-    /// Pixel (`64·y + x`), bottom and top in the page of the level above, for a span that page `key` gives.
+    /// Returns pixel (`64·y + x`), bottom and top in the page of the level above of a span of page `key`.
     pub fn place(&self, key: PageKey) -> (u32, u32, u32) {
         let (x, y) = (u32::from(self.pixel) % PIXELS, u32::from(self.pixel) / PIXELS);
         let pixel = (part(key.ty) * PIXELS + y) * 64 + part(key.tx) * PIXELS + x;
@@ -54,13 +54,14 @@ impl CoarseSpan {
         self.obstacle
     }
 
-    /// Spans of the lower page that became this one.
+    /// Returns the number of spans of the lower page that merged into this one.
     pub fn joined(&self) -> u16 {
         self.joined
     }
 }
 
-/// The spans that `page` gives to the level above, by pixel and from below. Cost: one pass over its spans.
+/// Returns the spans that `page` contributes to the level above, by pixel and from bottom to top. Cost: one pass over
+/// its spans.
 pub fn coarse(page: &Page) -> Vec<CoarseSpan> {
     let mut out = Vec::new();
     for y in 0..PIXELS {
@@ -81,17 +82,17 @@ pub fn coarse(page: &Page) -> Vec<CoarseSpan> {
     out
 }
 
-/// The spans of one pixel of the level, joined as they come.
+/// Spans of one pixel of the level, merged as they are added.
 #[derive(Default)]
 struct Cell {
-    /// Slices with matter, those joined to the next, and those with an obstacle.
+    /// Occupied slices, those joined to the next slice, and those with an obstacle, as bit masks.
     slices: u16,
     joined: u16,
     obstacles: u16,
-    /// Lowest bottom and highest top of the spans that begin and end in a slice.
+    /// Lowest bottom of the spans that begin in a slice, and highest top of those that end there.
     low: [u16; SLICES as usize],
     high: [u16; SLICES as usize],
-    /// Spans that begin in a slice.
+    /// Number of spans that begin in a slice.
     began: [u16; SLICES as usize],
 }
 
@@ -135,7 +136,7 @@ impl Cell {
         }
     }
 
-    /// Whether the span in `slice` goes on into the next one.
+    /// Returns whether the span in `slice` continues into the next slice.
     fn goes_on(&self, slice: usize) -> bool {
         let next = slice + 1;
         let boundary = (next as u32 * SLICE) as u16;
@@ -146,15 +147,16 @@ impl Cell {
     }
 }
 
-/// Whether a page of a level of `spans` spans is sparse: the `below` spans that it joins are fewer than four for one.
+/// Returns whether a page of a level with `spans` spans is sparse: on average, fewer than four of the `below` spans
+/// merged into each.
 ///
-/// A surface that is scanned closely becomes a sixteenth of its spans. On a sparse scan each span of a level stands for two or
-/// three points, and heights would cost as much as those of the points themselves.
+/// A densely scanned surface shrinks to a sixteenth of its spans. On a sparse scan each span of a level stands for two
+/// or three points, and heights would cost as much as those of the points themselves.
 pub fn is_sparse(spans: u64, below: u64) -> bool {
     4 * spans > below
 }
 
-/// A page of a level with heights moved outwards to whole slices; spans that then touch become one.
+/// Moves the heights of a page of a level outwards to whole slices; spans that then touch merge.
 pub fn on_slices(page: &Page, builder: &mut PageBuilder) -> Page {
     builder.clear();
     let mut spans: Vec<Span> = Vec::new();
@@ -178,7 +180,8 @@ mod tests {
     use crate::codec::pages;
     use proptest::prelude::*;
 
-    /// The rule as the specification states it, for one pixel: join what shares a slice or a height until nothing does.
+    /// Reference for one pixel, as the specification states the rule: merge spans that share a slice or a height until
+    /// none do.
     fn joined(mut spans: Vec<(u32, u32, bool)>) -> Vec<(u32, u32, bool)> {
         let last = |span: &(u32, u32, bool)| (span.0 / SLICE).max(span.1.saturating_sub(1) / SLICE);
         spans.sort_unstable();
@@ -224,7 +227,7 @@ mod tests {
         #[test]
         fn on_slices_spans_join_by_the_rule(page in pages()) {
             let mut builder = PageBuilder::default();
-            // As pages of levels are: one span a slice.
+            // Like pages of levels, with at most one span in a slice.
             for (px, py, spans) in page.columns() {
                 let spans = joined(spans.iter().map(|s| (s.bottom(), s.top(), s.is_obstacle())).collect());
                 let spans: Vec<_> = spans.iter().filter_map(|&(bottom, top, kind)| Span::new(bottom, top, kind)).collect();

@@ -1,7 +1,7 @@
-//! What a level knows of the colours below: of each of its voxels the sum over the archive's voxels in it that have a colour.
+//! Colours of levels: for each voxel of a level, the sum over the archive's coloured voxels inside.
 //!
-//! In: the decoded colours of a page. Out: sums by voxel of the level above. They are sums of integers, so no order changes them, and
-//! those of all levels are of the archive's own voxels: no level adds to the error of another.
+//! Sums are of integers, so they do not depend on the order. The sums of all levels are over the archive's own voxels,
+//! so errors do not add up from level to level.
 
 use super::build::Sortable;
 use super::coarse::{FACTOR, PIXELS, SLICES, above, part};
@@ -9,19 +9,19 @@ use crate::colour::ColourSum;
 use crate::frame::PageKey;
 use crate::slice::Occupancy;
 
-/// Greatest value of a channel.
+/// Largest value of a channel.
 const WHITE: u16 = 255;
 /// Voxels of a level that a page of the level below covers.
 const CELLS: usize = (PIXELS * PIXELS * SLICES) as usize;
 
-/// The colours that a page of the archive gives to one voxel of level 1.
+/// Colour sum that a page of the archive contributes to one voxel of level 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CoarseColour {
     /// `16·y + x` in the part of the upper page that the lower one covers.
     pixel: u8,
     /// Slice in that part (0..=15).
     slice: u8,
-    /// Voxels with a colour (1..=64), and the sums of their channels.
+    /// Number of coloured voxels (1..=64), and the sums of their channels.
     n: u8,
     sum: [u16; 3],
 }
@@ -32,19 +32,19 @@ impl CoarseColour {
     }
 }
 
-/// Number among the voxels that a page gives for voxel `k` of pixel `64·y + x` of it.
+/// Returns the index, among the voxels of the level that a page covers, of slice `k` in the page's pixel `64·y + x`.
 #[inline]
 fn cell(pixel: usize, k: u32) -> usize {
     let (x, y) = (pixel as u32 & 63, pixel as u32 >> 6);
     ((y / FACTOR * PIXELS + x / FACTOR) * SLICES + k / FACTOR) as usize
 }
 
-/// Pixel and slice of voxel `cell`.
+/// Returns pixel and slice of voxel index `cell`.
 fn place(cell: usize) -> (u8, u8) {
     ((cell / SLICES as usize) as u8, (cell % SLICES as usize) as u8)
 }
 
-/// What a page gives to level 1, in order of pixels and slices, by the decoded colours of its voxels.
+/// Returns the contribution of a page to level 1, ordered by pixel and slice, from the decoded colours of its voxels.
 pub fn coarse_colours(occupancy: &Occupancy, colours: impl Iterator<Item = Option<[u8; 3]>>) -> Box<[CoarseColour]> {
     let mut sums = vec![(0u8, [0u16; 3]); CELLS];
     for ((pixel, k), colour) in occupancy.voxels().zip(colours) {
@@ -61,7 +61,7 @@ pub fn coarse_colours(occupancy: &Occupancy, colours: impl Iterator<Item = Optio
     .collect()
 }
 
-/// The sum of a voxel of a level.
+/// Colour sum of a voxel of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VoxelSum {
     /// `64·y + x` in the page.
@@ -71,7 +71,7 @@ pub struct VoxelSum {
     pub sum: ColourSum,
 }
 
-/// What a page of a level gives to the level above.
+/// Returns the contribution of a page of a level to the level above: pixel, slice and sum.
 pub fn coarser(voxels: &[VoxelSum]) -> Vec<(u8, u8, ColourSum)> {
     if voxels.is_empty() {
         return Vec::new();
@@ -90,8 +90,10 @@ pub fn coarser(voxels: &[VoxelSum]) -> Vec<(u8, u8, ColourSum)> {
     .collect()
 }
 
-/// Exact colours (16 bits a channel) of the voxels of a page of a level, from sums in order of pixels and slices. A sum may be of no
-/// voxel: matter that only touches a boundary from above is one with what ends there, and then belongs to the slice below.
+/// Returns exact colours (16 bits a channel) of the voxels of a page of a level, from sums ordered by pixel and slice.
+///
+/// A sum may belong to no voxel: a span that only touches a slice boundary from above merges with one that ends there,
+/// and then belongs to the slice below.
 pub fn exact(occupancy: &Occupancy, sums: &[VoxelSum]) -> Vec<Option<[u16; 3]>> {
     let mut sums = sums.iter().peekable();
     let own = |place: (usize, u32)| {
@@ -102,16 +104,16 @@ pub fn exact(occupancy: &Occupancy, sums: &[VoxelSum]) -> Vec<Option<[u16; 3]>> 
     occupancy.voxels().map(own).collect()
 }
 
-/// The sum of a voxel of a level, in the order of layers, pixels and slices.
+/// Colour sum of a voxel of a level; records sort by layer, pixel and slice.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColourRecord {
-    /// Layer (plus 2³¹) in the bits from 32 on, pixel in those from 16 on, slice below.
+    /// Layer (plus 2³¹) from bit 32, pixel from bit 16, slice in the lowest bits.
     place: u64,
     sum: ColourSum,
 }
 
 impl ColourRecord {
-    /// For the voxel in `slice` of `pixel` (`16·y + x`) that page `below` gives.
+    /// Creates the record of the voxel in `slice` of `pixel` (`16·y + x`) that page `below` contributes to.
     pub fn new(below: PageKey, (pixel, slice, sum): (u8, u8, ColourSum)) -> Self {
         let (x, y) = (u32::from(pixel) % PIXELS, u32::from(pixel) / PIXELS);
         let pixel = (part(below.ty) * PIXELS + y) * 64 + part(below.tx) * PIXELS + x;
@@ -158,7 +160,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     proptest! {
-        /// By the rule: each voxel divided by four.
+        /// Reference: voxel indices divided by four.
         #[test]
         fn sums_are_those_of_the_voxels_inside(page in pages(), seed: u32, key in any::<[i8; 3]>()) {
             let occupancy = Occupancy::of(&page);

@@ -1,12 +1,13 @@
-//! Overview levels: the whole archive coarser and coarser, for a first look, for distant views and for long rays.
+//! Overview levels: coarser copies of the archive. They serve first looks, distant views and long rays.
 //!
-//! Level 1 has pixels of 4t and slices of 4σ, each further level four times those of the one before it, up to one page (or
-//! the eight pages around the origin). Pages, directory leaves and queries of a level are those of an archive on a coarser
-//! grid: [`Archive::level`](super::Archive::level) opens one as an archive of its own, which a [`Store`](crate::store::Store),
-//! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers. A level errs towards
-//! "hit": what is clear in it is clear in the archive. Its pages hold all matter of the pages below, its heights are moved
-//! outwards to thirds of its slices (whole ones where the scan is sparse), and a floor that shares a slice with an obstacle is
-//! part of it.
+//! Level 1 has pixels of 4t and slices of 4σ; each further level is four times coarser, up to one page (or the eight
+//! pages around the origin). Pages, directory leaves and queries of a level are those of an archive on a coarser grid:
+//! [`Archive::level`](super::Archive::level) opens it as an archive of its own, which a [`Store`](crate::store::Store),
+//! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers.
+//!
+//! A level errs towards "hit": space that is free in it is free in the archive. Its pages cover all solid of the pages
+//! below, its heights are moved outwards to thirds of its slices (to whole slices where the scan is sparse), and floor
+//! that shares a slice with an obstacle becomes part of the obstacle.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -24,9 +25,9 @@
 //! # Ok::<(), slicewalk::Error>(())
 //! ```
 //!
-//! Without files, a program fetches ranges itself: first the table of levels, then all of one level, or, by a
-//! [`Loader`](crate::store::Loader) on `level.catalog().clone()`, those pages of one that are near. The coarsest level lies
-//! last, before the table, so one read of the end of [`Catalog::levels_section`](super::Catalog::levels_section) brings both.
+//! A program without files fetches ranges itself: first the table of levels, then all of one level, or only its nearby
+//! pages, with a [`Loader`](crate::store::Loader) on `level.catalog().clone()`. The coarsest level lies last, before
+//! the table, so one read of the end of [`Catalog::levels_section`](super::Catalog::levels_section) brings both.
 //!
 //! ```
 //! use slicewalk::archive::{Archive, Catalog};
@@ -47,11 +48,12 @@
 //! }
 //! ```
 //!
-//! Where the archive has colours, so have its levels: a voxel of a level has the mean colour of the archive's voxels in it.
-//! [`ColourReader`](super::ColourReader) reads those of a level as it reads those of an archive; they lie in the section of colours.
+//! If the archive has colours, its levels have them, too: a voxel of a level has the mean colour of the archive's
+//! voxels inside. [`ColourReader`](super::ColourReader) reads colours of a level like those of an archive; they lie in
+//! the colours section.
 //!
-//! Levels follow from the pages and their colours alone, so whatever writes an archive makes them anew in the pass in which it writes: a
-//! conversion, a merge of parts, an extract, a recovery. `verify` makes them once more and compares.
+//! Levels follow from the pages and their colours alone, so everything that writes an archive rebuilds them in the same
+//! pass: a conversion, a merge of parts, an extract, a recovery. `verify` rebuilds them and compares.
 
 mod build;
 mod check;
@@ -72,10 +74,10 @@ use crate::codec::{ByteReader, Packer, Unpacker, Violation};
 use crate::frame::Frame;
 use std::ops::Range;
 
-/// Where the levels of an archive are told of.
+/// Table of overview levels, as the head describes it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Levels {
-    /// Number of levels; 0 where the pages are too few for any.
+    /// Number of levels; 0 if the archive has too few pages for any.
     pub count: u32,
     /// Length of the table of levels (bytes).
     pub table_len: u32,
@@ -91,37 +93,37 @@ pub struct Level {
 }
 
 impl Level {
-    /// Which level: pixels and slices are 4 to this power times those of the archive.
+    /// Returns the level's number `n`: pixels and slices are 4ⁿ times those of the archive.
     pub fn number(&self) -> u32 {
         self.number
     }
 
-    /// The level's grid.
+    /// Returns the level's grid.
     pub fn frame(&self) -> &Frame {
         &self.catalog.header().plan.frame
     }
 
-    /// Directory of the level's pages. Its header has the level's grid, pages and slices; bounds and points are those of
-    /// the archive, tiles and voxels are not counted.
+    /// Returns the directory of the level's pages. Its header has the level's grid, pages and slices; bounds and points
+    /// are those of the archive; tiles and voxels are not counted and stay 0.
     pub fn catalog(&self) -> &Catalog {
         &self.catalog
     }
 
-    /// Where in the archive pages and directory of the level lie (bytes).
+    /// Returns the bytes of the archive that hold the level's pages and directory.
     pub fn bytes(&self) -> Range<u64> {
         let header = self.catalog.header();
         header.pages_offset()..header.metadata_offset()
     }
 }
 
-/// Greatest length of a table before compression (bytes).
+/// Largest table before compression (bytes).
 const MAX_TABLE: usize = MAX_LEVELS * (FIXED + MAX_LEAVES * head::ROOT_RECORD);
-/// Greatest length of a table in the file (bytes).
+/// Largest table in the file (bytes).
 pub(super) const MAX_STORED_TABLE: u32 = MAX_TABLE as u32 + (1 << 16);
-/// Bytes of a level's record before those of its leaves.
+/// Bytes of a level's record before its leaves.
 const FIXED: usize = 40;
 
-/// A level as the table tells of it.
+/// Record of a level in the table.
 pub(super) struct LevelRecord {
     pub pages_len: u64,
     pub pages: Pages,
@@ -135,7 +137,7 @@ impl LevelRecord {
     }
 }
 
-/// The table of levels, as it lies in the file.
+/// Encodes the table of levels, compressed.
 pub(super) fn encode_table(levels: &[LevelRecord]) -> Vec<u8> {
     let mut raw = Vec::new();
     for level in levels {
@@ -151,7 +153,7 @@ pub(super) fn encode_table(levels: &[LevelRecord]) -> Vec<u8> {
     table
 }
 
-/// The levels of the archive with this head, from the bytes of its table.
+/// Decodes the levels of the archive with this header from the bytes of its table (rules L2 to L4).
 pub(super) fn decode_table(header: &Header, table: &[u8]) -> Result<Vec<Level>, Violation> {
     let Some(levels) = header.levels.filter(|levels| levels.count > 0) else { return Ok(Vec::new()) };
     let crc = crc::crc32c(table);

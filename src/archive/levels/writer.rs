@@ -1,6 +1,7 @@
-//! Levels of an archive that is being written: their pages wait until those of the archive are complete.
+//! Levels of an archive that is being written, buffered until the archive's own pages are complete.
 //!
-//! Memory: 256 KiB of pages, 1.5 MiB of entries and 512 KiB of colours a level; the rest waits in temporary files beside the archive.
+//! Memory per level: 256 KiB of pages, 1.5 MiB of entries and 512 KiB of colours; the rest waits in temporary files
+//! beside the archive.
 
 use super::super::colours::{ColourWriter, EncodedColours, LevelPart, encode_level_colours};
 use super::super::directory::{Extent, PageEntry, Storage};
@@ -21,18 +22,18 @@ use crate::plan::Plan;
 use crate::slice::{Occupancy, Page};
 use std::path::{Path, PathBuf};
 
-/// Makes and holds the levels of an archive.
+/// Builds and buffers the levels of an archive.
 #[derive(Debug)]
 pub struct LevelWriter {
     builder: LevelBuilder,
     made: Made,
 }
 
-/// What was made so far.
+/// Levels encoded up to now.
 #[derive(Debug)]
 struct Made {
     encoder: PageEncoder,
-    /// How colours are made, if there are to be some.
+    /// How colours are encoded, if there are any.
     colours: Option<ColourPlan>,
     colour_encoder: ColourEncoder,
     occupancy: Occupancy,
@@ -41,7 +42,7 @@ struct Made {
     beside: PathBuf,
 }
 
-/// The pages of one level.
+/// Pages of one level.
 #[derive(Debug)]
 struct LevelPages {
     bytes: Spool,
@@ -51,7 +52,7 @@ struct LevelPages {
 }
 
 impl LevelWriter {
-    /// Of an archive of `plan`; temporary files lie beside `target`.
+    /// Creates the writer for an archive of `plan`; temporary files lie beside `target`.
     pub fn new(plan: &Plan, files: &Files, target: &Path) -> Self {
         let made = Made {
             encoder: PageEncoder::of_levels(),
@@ -65,12 +66,12 @@ impl LevelWriter {
         Self { builder: LevelBuilder::new(&plan.frame, files, Some(target)), made }
     }
 
-    /// Gives levels colours of `plan`: before the first page.
+    /// Adds colours of `plan` to the levels. Must precede the first page.
     pub fn set_colours(&mut self, plan: ColourPlan) {
         self.made.colours = Some(plan);
     }
 
-    /// Adds the page `key` of the archive by its coarse spans and colours. Keys ascend.
+    /// Adds page `key` of the archive by its coarse spans and colours. Keys must ascend.
     pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan], colours: &[CoarseColour]) -> Result<()> {
         let Self { builder, made } = self;
         builder.add(key, spans, colours, &mut |level, key, page, sums| made.put(level, key, page, sums))
@@ -84,7 +85,7 @@ impl LevelWriter {
         Ok(())
     }
 
-    /// Gives all bytes of the colours of levels, in order; their length.
+    /// Passes all bytes of the levels' colours to `give`, in order, and returns their number.
     pub fn finish_colours(&mut self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<u64> {
         let Made { levels, files, beside, .. } = &mut self.made;
         let (mut parts, mut told) = (Spool::new(files, beside), Vec::new());
@@ -105,7 +106,8 @@ impl LevelWriter {
         Ok(table.len() as u64 + parts.len())
     }
 
-    /// Gives all bytes of the levels section, in order; what the head says of it, and its length (bytes).
+    /// Passes all bytes of the levels section to `give`, in order. Returns the level fields of the head and the length
+    /// of the section (bytes).
     pub fn finish(self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(Levels, u64)> {
         let (mut records, mut len) = (Vec::new(), 0);
         let made = self.made;

@@ -1,4 +1,4 @@
-//! Archives that are read back before they have a name: a conversion that looks at its own pages once more.
+//! Archives that are read back before they are named: a conversion uses one to read its own pages again.
 
 use super::{ArchiveWriter, Totals};
 use crate::Result;
@@ -7,7 +7,7 @@ use crate::bytes::ByteSource;
 use crate::output::Output;
 use std::path::Path;
 
-/// An archive that is complete and has no name.
+/// Complete archive without a name.
 struct Written {
     output: Output,
     len: u64,
@@ -24,13 +24,13 @@ impl ByteSource for Written {
 }
 
 impl ArchiveWriter {
-    /// A file for temporary data of the same work, in `folder`.
+    /// Creates a file in `folder` for temporary data of the same conversion.
     pub(crate) fn scratch(&self, folder: &Path) -> Result<Output> {
         let name = self.output.beside().file_name().unwrap_or_default();
         Output::scratch(self.output.files(), &folder.join(name))
     }
 
-    /// The archive that was written, to be read once before it is gone: it never gets a name.
+    /// Completes the archive and opens it for reading once. It never gets a name and is removed afterwards.
     pub(crate) fn read_back(mut self, totals: Totals) -> Result<Archive> {
         let len = self.complete(totals)?.file_len;
         Archive::from_source(Box::new(Written { output: self.output, len }))

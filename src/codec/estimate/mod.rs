@@ -1,8 +1,8 @@
-//! Estimated length of a page with heights on a step grid: how lossy pages choose among heights (`lossy`).
+//! Estimated length of a page with heights on a step grid, by which lossy encoding (`lossy`) chooses heights.
 //!
-//! In: a page, or spans that may move. Out: lengths in 1/64 bit. The estimate has models of its own, simpler than those of the page
-//! coding: each span is predicted from its neighbours in the west, north-west, north and north-east, and how well these agree
-//! chooses the model. It walks over a page in the coding's order, so a caller can stop when a candidate has become too long.
+//! Lengths are in 1/64 bit. The estimate has its own models, simpler than those of the page coding: each span is
+//! predicted from its neighbours in the west, north-west, north and north-east, and their agreement selects the model.
+//! It visits a page in coding order, so a caller can stop once a candidate is too long.
 
 mod near;
 
@@ -14,16 +14,16 @@ use crate::slice::{BLOCK_PIXELS, Page, Span};
 pub(super) use near::Candidates;
 use near::{bits, candidates, neighbours};
 
-/// Bits of a grid's step and phase: 8 before the point, 32 behind it.
+/// Bits of a grid's step and phase: 8 before the binary point, 32 after it.
 const GRID_BITS: u32 = 40;
 
-/// A span as it is coded.
+/// A coded span.
 #[derive(Debug, Clone, Copy, Default)]
 struct Coded {
     /// Heights (quanta).
     bottom: u16,
     top: u16,
-    /// Steps of the grid.
+    /// Numbers of steps on the grid.
     bottom_step: u16,
     top_step: u16,
     obstacle: bool,
@@ -35,30 +35,30 @@ impl Coded {
     }
 }
 
-/// Models of residuals: weights of the lengths of folded residuals, as six scans have them in the mean.
+/// Initial models of residuals: weights of the lengths of folded residuals, averaged over six scans.
 const RESIDUAL: Nibble = Nibble::new([60, 40, 60, 90, 130, 160, 160, 130, 90, 60, 40, 30, 30, 25, 10, 1]);
 const COUNT: Nibble = Nibble::new([800, 120, 40, 20, 10, 5, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1]);
 const HALF: Bit = Bit::new(1 << 14);
-/// Within a length, small residuals are more common than great ones.
+/// Among residuals of one length, small ones are more common.
 const FALLING: [Bit; 16] = [const { Bit::new(13 << 10) }; 16];
 const QUARTER: Bit = Bit::new(1 << 13);
 const RARE: Bit = Bit::new(1 << 10);
 
-/// Everything that learns. Made anew for each page, so that a page can be read alone.
+/// All adaptive models, reset for each page because pages are read independently.
 #[derive(Debug, Clone)]
 pub(super) struct Models {
-    /// By the kinds of the blocks in the west and north: matter at all, and in all pixels.
+    /// By the states of the blocks in the west and north: whether a block is occupied at all, and in all pixels.
     occupied: [Bit; 9],
     full: [Bit; 9],
     /// By the six pixels before.
     pixel: [Bit; 64],
-    /// By the counts of spans in the west and north, 3 for more.
+    /// By the numbers of spans in the west and north, capped at 3.
     count: [Nibble; 16],
     bottom: [Nibble; 16],
     thickness: [Nibble; 80],
     /// Highest bit below the leading one, by end and length.
     second: [[Bit; 16]; 2],
-    /// Whether a height is off its step's usual one, by end and by what was last said of that step; and which way.
+    /// Whether a height is off its step's usual one, by end and by what that step had last; and in which direction.
     off: [[Bit; 4]; 2],
     up: [Bit; 2],
     /// By obstacles among the candidates, number of candidates, and whether the span is thick.
@@ -78,14 +78,14 @@ const FRESH: Models = Models {
     kind: [HALF; 50],
 };
 
-/// Spans coded so far and where each pixel's begin; reused from page to page.
+/// Spans already coded and where each pixel's begin; reused from page to page.
 #[derive(Debug)]
 pub struct Scratch {
     models: Box<Models>,
-    /// Per pixel in row order, and one more: index of its first span. Valid up to the pixel in work.
+    /// Index of the first span of each pixel, in row order, and one more. Valid up to the current pixel.
     first: Box<[u32]>,
     spans: Vec<Coded>,
-    /// Per end and step: 0, or 1 + how far the height lay off the usual one when the step came last [1..=3].
+    /// Per end and step: 0 if the step has not occurred, 1 if it last had its usual height, 2 if not.
     last_off: Box<[[u8; 1 << 14]; 2]>,
     encoder: RansEncoder,
     column: Vec<Span>,
@@ -104,7 +104,7 @@ impl Default for Scratch {
     }
 }
 
-/// A walk over a page, with its symbols so far.
+/// State of a walk over a page, with the symbols already coded.
 pub(super) struct Traversal<'a> {
     coder: RansEncoder,
     pub grid: StepGrid,
@@ -113,8 +113,8 @@ pub(super) struct Traversal<'a> {
 }
 
 impl Traversal<'_> {
-    /// What a height of `end` would take (1/64 bit) near step `expected`, which steps of `context` code: a step, and how far
-    /// the height lies off its usual one; or a slice boundary.
+    /// Returns the cost (1/64 bit) of a height of `end` with the models of `context`, if step `expected` is predicted.
+    /// `step` is the height's step and its offset from the usual height; `None` is a slice boundary.
     #[inline]
     pub fn cost(&self, end: End, context: usize, expected: i32, step: Option<(u32, i32)>) -> u32 {
         let side = end as usize;
@@ -138,7 +138,7 @@ impl Traversal<'_> {
         cost
     }
 
-    /// Codes which blocks are occupied, and which in all pixels, by their masks.
+    /// Codes which blocks are occupied, and which in all pixels, given as masks.
     fn blocks(&mut self, (occupied, full): (u64, u64)) {
         for block in 0..64 {
             let kind = |exists: bool, back: u32| {
@@ -168,7 +168,7 @@ impl Traversal<'_> {
         }
     }
 
-    /// Codes `height` near step `expected`, which steps of `context` code. Returns its step.
+    /// Codes `height` with the models of `context`, if step `expected` is predicted. Returns its step.
     #[inline]
     fn height(&mut self, end: End, context: usize, expected: i32, height: u32) -> u32 {
         let side = end as usize;
@@ -177,7 +177,8 @@ impl Traversal<'_> {
             End::Top => &mut self.models.thickness[..],
         };
         let Some((index, off)) = self.grid.index(height, end) else {
-            // Cut at a slice boundary, between the steps. Other heights all have steps, or the grid would not be theirs.
+            // A span cut at a slice boundary ends between steps. All other heights have steps, or the grid is not one
+            // of this page.
             debug_assert!(height.is_multiple_of(SLICE), "no step for {height} {end:?}");
             self.coder.nibble(&mut models[context], 15);
             self.coder.raw(7, height / SLICE);
@@ -205,18 +206,18 @@ impl Traversal<'_> {
     }
 }
 
-/// Where the values of a walk come from.
+/// Source of the values of a walk.
 pub(super) trait Given<'a> {
-    /// Blocks with matter, blocks with matter in all pixels.
+    /// Returns masks of the occupied blocks and of those occupied in all pixels.
     fn blocks(&self) -> (u64, u64);
-    /// The spans of a pixel; all pixels of blocks with matter are asked for in row order.
+    /// Returns the spans of a pixel. All pixels of occupied blocks are asked for in row order.
     fn spans(&mut self, px: u32, py: u32) -> &'a [Span];
-    /// `span`, the one of number `_at.1` in pixel `_at.0`, or what it is to be in its place.
+    /// Returns `span`, which is number `_at.1` in pixel `_at.0`, or the span to code in its place.
     #[inline]
     fn chosen(&self, span: Span, _at: (usize, usize), _: &Candidates, _: &Traversal<'_>) -> Span {
         span
     }
-    /// Whether the walk goes on with a row of pixels; `cost` tells what the rows before it take (1/64 bit).
+    /// Returns whether to continue with a row of pixels; `cost` returns the cost of the rows before it (1/64 bit).
     #[inline]
     fn goes_on(&mut self, _row: u32, _cost: impl FnOnce() -> u64) -> bool {
         true
@@ -242,25 +243,25 @@ impl<'a> Given<'a> for Rows<'a> {
     }
 }
 
-/// Which of the six pixels before the one in work have matter.
+/// Occupancy of the six pixels before the current one.
 #[derive(Default)]
 struct Before {
-    /// West 2, west.
+    /// The two pixels to the west.
     west: u64,
-    /// Of the row to the north, the pixel to the west, and the others from the one in work on.
+    /// In the row to the north: the pixel to the west, and those from the current column on.
     north_west: u64,
     north: u64,
-    /// The next row to the north, from the pixel in work on.
+    /// In the next row to the north: the pixels from the current column on.
     north_2: u64,
 }
 
 impl Before {
-    /// Before the first pixel of a row, under two others.
+    /// Returns the state before the first pixel of a row, below two others.
     fn row(north: u64, north_2: u64) -> Self {
         Self { north, north_2, ..Self::default() }
     }
 
-    /// West 2, west, north-west, north, north-east, north 2, from the lowest bit up.
+    /// Returns the context: west 2, west, north-west, north, north-east, north 2, from the lowest bit up.
     #[inline]
     fn context(&self) -> usize {
         (self.west | self.north_west << 2 | (self.north & 3) << 3 | (self.north_2 & 1) << 5) as usize
@@ -273,7 +274,7 @@ impl Before {
         (self.north, self.north_2) = (self.north >> 1, self.north_2 >> 1);
     }
 
-    /// Passes the row of a block without matter.
+    /// Skips the row of an empty block.
     fn pass_block(&mut self) {
         self.west = 0;
         self.north_west = self.north >> (BLOCK_PIXELS - 1) & 1;
@@ -281,7 +282,7 @@ impl Before {
     }
 }
 
-/// Walks over the page of `given` and hands each occupied pixel's spans to `give`.
+/// Walks over the page of `given` and passes the spans of each occupied pixel to `give`.
 fn walk<'a>(
     coder: RansEncoder,
     grid: StepGrid,
@@ -298,7 +299,7 @@ fn walk<'a>(
     let mut traversal = Traversal { coder, grid, models, last_off };
     let (occupied, full) = given.blocks();
     traversal.blocks((occupied, full));
-    // Occupied pixels of the row in work and of the one before.
+    // Occupied pixels of the current row and of the one before.
     let (mut row, mut row_north) = (0u64, 0u64);
     let mut before = Before::default();
     first[0] = 0;
@@ -362,7 +363,7 @@ fn walk<'a>(
     traversal.coder
 }
 
-/// Length of `page` on `grid` (1/64 bit).
+/// Returns the estimated length of `page` on `grid` (1/64 bit).
 pub(super) fn length_on(grid: StepGrid, page: &Page, scratch: &mut Scratch) -> u64 {
     let mut encoder = std::mem::take(&mut scratch.encoder);
     encoder.clear();
@@ -371,7 +372,7 @@ pub(super) fn length_on(grid: StepGrid, page: &Page, scratch: &mut Scratch) -> u
     scratch.encoder.cost()
 }
 
-/// Walks over what `given` chooses on the grid of `tried`: leaves there its spans and their symbols.
+/// Walks over what `given` chooses on the grid of `tried`, and stores its spans and symbols there.
 pub(super) fn choose<'a>(given: impl Given<'a>, tried: &mut Tried, scratch: &mut Scratch) {
     let Tried { grid, encoder, spans } = tried;
     let mut coder = std::mem::take(encoder);
@@ -381,7 +382,7 @@ pub(super) fn choose<'a>(given: impl Given<'a>, tried: &mut Tried, scratch: &mut
     *encoder = walk(coder, *grid, scratch, given, |column| spans.extend_from_slice(column));
 }
 
-/// A bit that says whether there is a grid, then its step and phase, 10 bits at a time, highest first.
+/// Codes a bit that is 1 if there is a grid, then its step and phase, 10 bits at a time, highest first.
 fn code_grid(coder: &mut RansEncoder, given: StepGrid) {
     if coder.raw(1, u32::from(!given.is_quanta())) == 1 {
         for number in [given.step, given.phase] {

@@ -1,21 +1,21 @@
-//! What the four neighbours coded already say of the next span of a pixel.
+//! Prediction of a pixel's next span from the four neighbours coded before.
 
 use super::Coded;
 
-/// What the neighbours say of the next span: its candidates in them.
+/// Prediction of the next span from its candidates in the neighbours.
 pub struct Candidates {
     count: usize,
     obstacles: usize,
-    /// Expected step of the bottom, and thickness (steps).
+    /// Expected step of the bottom, and expected thickness (steps).
     pub bottom: i32,
     pub thickness: i32,
-    /// Greatest less least among the candidates (steps).
+    /// Maximum less minimum among the candidates (steps).
     bottom_spread: u32,
     thickness_spread: u32,
 }
 
-/// The spans of the four neighbours coded already (west, north, north-west, north-east) that are still to be passed by
-/// the spans of the pixel in work.
+/// Spans of the four neighbours coded before (west, north, north-west, north-east) that the current pixel has not
+/// passed yet, as index ranges.
 pub(super) type Neighbours = [std::ops::Range<u32>; 4];
 
 pub(super) fn neighbours(first: &[u32], pixel: usize) -> Neighbours {
@@ -26,9 +26,9 @@ pub(super) fn neighbours(first: &[u32], pixel: usize) -> Neighbours {
     [of(px > 0, 1), of(below_first_row, 64), of(below_first_row && px > 0, 65), of(below_first_row && px < 63, 63)]
 }
 
-/// Looks for the candidates of the span above `below` and moves past the neighbours' spans that `below` rules out.
+/// Finds the candidates for the span above `below`, and moves past the neighbours' spans that `below` rules out.
 ///
-/// A median follows edges where a mean would blur them: on six scans, the second least of four neighbours took 2 %
+/// A median follows edges where a mean would blur them: on six scans, the second smallest of four neighbours took 2 %
 /// fewer bytes than the mean of the middle two.
 #[inline]
 pub(super) fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Option<Coded>) -> Candidates {
@@ -70,13 +70,13 @@ fn second_least([a, b, c, d]: [i32; 4]) -> i32 {
     least.min(rest)
 }
 
-/// Number of bits of `value`.
+/// Returns the number of bits of `value`.
 #[inline]
 pub(super) fn bits(value: u32) -> u32 {
     u32::BITS - value.leading_zeros()
 }
 
-/// Class of a size by its number of bits: 0 to 2, 3, 4, 5, 6, 7, 8 to 9, more.
+/// Returns the class of a size by its number of bits: 0 to 2, 3, 4, 5, 6, 7, 8 to 9, more.
 #[inline]
 fn class(size: u32) -> usize {
     const CLASSES: [u8; 16] = [0, 0, 0, 1, 2, 3, 4, 5, 6, 6, 7, 7, 7, 7, 7, 7];
@@ -84,7 +84,7 @@ fn class(size: u32) -> usize {
 }
 
 impl Candidates {
-    /// Model of the bottom.
+    /// Returns the context of the bottom.
     #[inline]
     pub fn bottom_context(&self) -> usize {
         match self.count {
@@ -94,13 +94,13 @@ impl Candidates {
         }
     }
 
-    /// Part of the model of the kind [0..25].
+    /// Returns the context of the kind (0..25).
     #[inline]
     pub fn kind_context(&self) -> usize {
         self.obstacles * 5 + self.count
     }
 
-    /// Model of the thickness.
+    /// Returns the context of the thickness.
     #[inline]
     pub fn thickness_context(&self) -> usize {
         let agreement = match self.count {

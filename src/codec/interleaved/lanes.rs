@@ -1,11 +1,11 @@
-//! Sixteen bounds at once, by what the processor has.
+//! Operations on sixteen bounds at once, by processor features.
 
 use super::SCALE;
 
-/// The slots at which 16 symbols end; the last is `SCALE`, which as a signed number is the least.
+/// Slots at which the 16 symbols end. The last is `SCALE`, the smallest number as a signed one.
 pub type Ends = [i16; 16];
 
-/// Where ends go when a symbol comes: all slots but one each to it.
+/// Targets of the ends for each coded symbol: it gets all slots, except one for each other symbol.
 pub static TARGETS: [Ends; 16] = {
     let (mut targets, mut at) = ([[SCALE as i16; 16]; 16], 0);
     while at < 16 * 15 {
@@ -17,16 +17,16 @@ pub static TARGETS: [Ends; 16] = {
     targets
 };
 
-/// What a processor can do; a value of it says that this one can.
+/// Processor features. A value of the type proves that this processor has them.
 pub trait Lanes: Copy {
-    /// The symbol [0..16] that `slot` belongs to.
+    /// Returns the symbol (0..16) that `slot` belongs to.
     fn symbol(self, ends: &Ends, slot: i16) -> u32;
 
-    /// Moves each of `ends` by 1/2ʳᵃᵗᵉ of the way to that of `targets`, rounded down.
+    /// Moves each of `ends` by 1/2ʳᵃᵗᵉ of its distance to `targets`, rounded down.
     fn approach(self, ends: &mut Ends, targets: &Ends, rate: u8);
 }
 
-/// What every processor can do that the library is built for.
+/// Features of every processor that the library is built for.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Base;
 
@@ -43,7 +43,7 @@ impl Lanes for Base {
     }
 }
 
-/// The same for every processor.
+/// Implementation for any processor.
 #[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 mod portable {
     use super::Ends;
@@ -78,7 +78,7 @@ mod x86 {
     #[inline(always)]
     fn load(all: &Ends) -> [__m128i; 2] {
         let first = all.as_ptr().cast::<__m128i>();
-        // SAFETY: 16 numbers are two times 16 bytes, read wherever they lie; every x86-64 has SSE2.
+        // SAFETY: 16 numbers are two times 16 bytes, and unaligned loads are allowed; every x86-64 has SSE2.
         unsafe { [_mm_loadu_si128(first), _mm_loadu_si128(first.add(1))] }
     }
 
@@ -109,12 +109,13 @@ mod x86 {
         }
     }
 
-    /// Processors with AVX2 and what came with it.
+    /// AVX2 and the features that come with it.
     #[derive(Debug, Clone, Copy)]
     pub struct Avx2(());
 
     impl Avx2 {
-        /// `None` where the processor has not all that functions may use that are handed this: AVX2, BMI, BMI2 and LZCNT.
+        /// Returns `None` unless the processor has everything that functions with this argument may use: AVX2, BMI,
+        /// BMI2 and LZCNT.
         pub fn detect() -> Option<Self> {
             let has = is_x86_feature_detected!("avx2")
                 && is_x86_feature_detected!("bmi1")
@@ -127,12 +128,13 @@ mod x86 {
     impl Lanes for Avx2 {
         #[inline(always)]
         fn symbol(self, ends: &Ends, slot: i16) -> u32 {
-            // SAFETY: 16 numbers are 32 bytes, read wherever they lie; a value of `Avx2` exists only where the processor has it.
+            // SAFETY: 16 numbers are 32 bytes, and unaligned loads are allowed; a value of `Avx2` exists only if the
+            // processor has AVX2.
             let above = unsafe {
                 let ends = _mm256_loadu_si256(ends.as_ptr().cast());
                 _mm256_movemask_epi8(_mm256_cmpgt_epi16(ends, _mm256_set1_epi16(slot)))
             };
-            // Two bits for each end.
+            // Two bits per end.
             (above as u32 | 1 << 30).trailing_zeros() / 2
         }
 
@@ -167,7 +169,7 @@ mod tests {
     proptest! {
         #[test]
         fn processors_agree(ends: Ends, targets: Ends, one in 0i16..=i16::MAX, rate in 0u8..8) {
-            // Ends and targets are slots: their differences fit.
+            // Ends and targets are slots, so their differences fit.
             let slots = |all: Ends| {
                 let mut slots = all.map(|slot| slot & i16::MAX);
                 slots[15] = SCALE as i16;

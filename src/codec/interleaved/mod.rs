@@ -1,9 +1,10 @@
-//! Entropy coding in two strands: the ideas of [`super::rans`], arranged for a processor that does several things at once
-//! (specification, section 6.7).
+//! Interleaved rANS: the entropy coding of [`super::rans`] with two states, for processors with parallel units
+//! (specification, chapter 6).
 //!
-//! Symbols belong to one of two states whose words lie in one list, in the order in which they are wanted: while one state waits
-//! for a table, the other goes on. Bits that no model could foretell lie apart, from the end of the bytes backwards, and cost a
-//! shift. Nothing branches on what is read: a symbol is found by comparing it with all 16 bounds at once.
+//! Each symbol belongs to one of two states. Both take words from one list, in the order in which they need them; while
+//! one state waits for memory, the other proceeds. Bits that no model can predict are stored separately, backwards from
+//! the end of the bytes, and cost a shift. No branch depends on decoded data: a symbol is found by comparing its slot
+//! with all 16 bounds at once.
 
 mod lanes;
 
@@ -15,33 +16,33 @@ use lanes::TARGETS;
 pub use lanes::{Base, Lanes};
 use std::hint::select_unpredictable;
 
-/// Least state between two symbols, and the states that coding starts from.
+/// Smallest state between two symbols, and the initial states.
 const LOW: u32 = 1 << 16;
 /// Bytes of the two states.
 const STATES: usize = 8;
-/// Most bits that [`Strands::raw`] takes.
+/// Most bits of one [`Strands::raw`].
 pub const MAX_RAW_BITS: u32 = 28;
 
-/// How fast models learn: bounds move by 1/2ⁿ of the way, `n` by the symbols seen so far.
+/// Learning rates: bounds move by 1/2ⁿ of the distance, with `n` by the number of symbols seen.
 const RATES: [u8; 16] = [3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 6];
 const BIT_RATES: [u8; 16] = [1, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4, 5, 5, 5];
-/// How many symbols a model has seen with one more; it stops to count at 15.
+/// Number of symbols seen after one more; counting stops at 15.
 const ONE_MORE: [u8; 16] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 15];
-/// Least probability of a bit's rarer value.
+/// Smallest number of slots of a bit's rarer value.
 const BIT_FLOOR: i32 = 32;
 
-/// Adaptive probabilities of 16 symbols, in one line of the cache.
+/// Adaptive probabilities of 16 symbols, in one cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub struct Nibble {
-    /// First slot of each symbol, which is 0 for the first, and where the last one ends.
+    /// First slot of each symbol, 0 for the first, and the end of the last one.
     slots: [i16; 17],
-    /// How many symbols were seen, up to 15.
+    /// Number of symbols seen, up to 15.
     seen: u8,
 }
 
 impl Nibble {
-    /// Probabilities in proportion to `weights`.
+    /// Creates a model with probabilities proportional to `weights`.
     pub const fn new(weights: [u16; 16]) -> Self {
         let (mut sum, mut index) = (0, 0);
         while index < 16 {
@@ -59,7 +60,7 @@ impl Nibble {
         Self { slots, seen: 0 }
     }
 
-    /// First slot of `symbol` [0..16] and the number of its slots.
+    /// Returns the first slot of `symbol` (0..16) and its number of slots.
     #[inline(always)]
     fn slots(&self, symbol: u32) -> (u32, u32) {
         let symbol = symbol as usize & 15;
@@ -85,23 +86,23 @@ impl Nibble {
 /// Adaptive probability of a bit.
 #[derive(Debug, Clone, Copy)]
 pub struct Bit {
-    /// Slots, of `SCALE`, of a one; they are the highest.
+    /// Slots of a one, out of `SCALE`; they are the highest.
     ones: u16,
-    /// How many were seen, up to 15.
+    /// Number of bits seen, up to 15.
     seen: u8,
 }
 
 impl Bit {
-    /// A bit that is one with probability `ones / 32768`, between 32 and 32736.
+    /// Creates the model of a bit that is one with probability `ones / 32768`; `ones` is 32 to 32736.
     pub const fn new(ones: u16) -> Self {
         Self { ones, seen: 0 }
     }
 
-    /// First slot of `bit` and the number of its slots.
+    /// Returns the first slot of `bit` and its number of slots.
     #[inline(always)]
     fn slots(&self, bit: bool) -> (u32, u32) {
         let ones = u32::from(self.ones);
-        // Which bit it is nobody can foresee, so nothing branches on it.
+        // The bit is unpredictable, so avoid a branch.
         (select_unpredictable(bit, SCALE - ones, 0), select_unpredictable(bit, ones, SCALE - ones))
     }
 
@@ -115,18 +116,18 @@ impl Bit {
     }
 }
 
-/// One end of the coding: takes the value to write and returns it, or takes any and returns the one read. `S` [0..2] is the strand
-/// that a symbol belongs to.
+/// Encoder or decoder. An encoder writes the given value and returns it; a decoder ignores it and returns the value
+/// read. `S` (0..2) is the state that a symbol belongs to.
 pub trait Strands {
-    /// Whether values are taken.
+    /// True for an encoder.
     const WRITES: bool;
-    /// A symbol below 16.
+    /// Codes a symbol below 16.
     fn nibble<const S: usize>(&mut self, model: &mut Nibble, symbol: u32) -> u32;
-    /// A bit.
+    /// Codes a bit.
     fn bit<const S: usize>(&mut self, model: &mut Bit, bit: bool) -> bool;
-    /// `bits` bits [0..=`MAX_RAW_BITS`] of equal probability.
+    /// Codes `bits` bits (0..=`MAX_RAW_BITS`) of equal probability.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
-    /// Comes before every four nibbles and bits, each of which takes one word at most.
+    /// Loads words. Must precede every four symbols and bits, each of which takes at most one word.
     fn refill(&mut self) {}
 }
 
@@ -134,30 +135,32 @@ pub trait Strands {
 #[derive(Debug, Default)]
 pub struct InterleavedEncoder<L = Base> {
     lanes: L,
-    /// First slot, strand (bit 15) and number of slots (from bit 16) of each symbol. What is decoded first is encoded last, so they wait here.
+    /// First slot, state (bit 15) and number of slots (from bit 16) of each symbol, buffered because symbols are
+    /// encoded in reverse.
     symbols: Vec<u32>,
     words: Vec<u16>,
-    /// Raw bits, lowest first; those that make no four bytes yet wait in `rest`.
+    /// Raw bits, lowest first; up to 31 bits that do not fill four bytes yet are in `rest`.
     bytes: Vec<u8>,
     rest: u64,
     rest_bits: u32,
 }
 
 impl<L: Lanes> InterleavedEncoder<L> {
-    /// This one, for a processor with `lanes`.
+    /// Returns this encoder for a processor with `lanes`.
     pub fn with_lanes<M: Lanes>(self, lanes: M) -> InterleavedEncoder<M> {
         let Self { symbols, words, bytes, rest, rest_bits, .. } = self;
         InterleavedEncoder { lanes, symbols, words, bytes, rest, rest_bits }
     }
 
-    /// Forgets all symbols.
+    /// Drops all symbols.
     pub fn clear(&mut self) {
         self.symbols.clear();
         self.bytes.clear();
         (self.rest, self.rest_bits) = (0, 0);
     }
 
-    /// Appends the bytes of all symbols since [`clear`](Self::clear): the states (u32 each), their words (u16), the raw bits backwards.
+    /// Appends the bytes of all symbols since [`clear`](Self::clear): the states (u32 each), their words (u16), the raw
+    /// bits backwards.
     pub fn finish(&mut self, out: &mut Vec<u8>) {
         let Self { symbols, words, bytes, rest, rest_bits, .. } = self;
         let inverses = inverses();
@@ -166,7 +169,7 @@ impl<L: Lanes> InterleavedEncoder<L> {
         for &symbol in symbols.iter().rev() {
             let (start, strand, count) = (symbol & (SCALE - 1), symbol as usize >> 15 & 1, symbol >> 16);
             let mut state = states[strand];
-            // Whether a word goes out is hard to foresee, so each is written, and stays if it is to.
+            // Whether a word is emitted is hard to predict, so write it always and count it if it is.
             words[length] = state as u16;
             let goes_out = u64::from(state) >= u64::from(count) << 17;
             length += usize::from(goes_out);
@@ -216,21 +219,23 @@ impl<L: Lanes> Strands for InterleavedEncoder<L> {
     }
 }
 
-/// Reads symbols from bytes that nobody vouches for: reading beyond the end gives some symbols, and an error at the end.
+/// Reads symbols from untrusted bytes. Reading past the end gives arbitrary symbols, and an error from
+/// [`finish`](Self::finish).
 #[derive(Debug)]
 pub struct InterleavedDecoder<'a, L = Base> {
     lanes: L,
     states: [u32; 2],
     bytes: &'a [u8],
-    /// The words to come, the next one lowest, as many as the last [`refill`](Strands::refill) left; then zeros.
+    /// Next words, the first one lowest, as far as the last [`refill`](Strands::refill) loaded them; then zeros.
     words: u64,
-    /// Bits of the states and of the words taken, and how many raw bits were read.
+    /// Bits of the states and of the words taken, and number of raw bits read.
     taken: usize,
     bits: usize,
 }
 
 impl<'a, L: Lanes> InterleavedDecoder<'a, L> {
-    /// Reads what [`InterleavedEncoder::finish`] wrote; fewer than 8 bytes or a state too low break `rule`.
+    /// Starts reading what [`InterleavedEncoder::finish`] wrote. Fewer than 8 bytes or a state that is too low break
+    /// `rule`.
     pub fn new(bytes: &'a [u8], lanes: L, rule: &'static str) -> Result<Self, Violation> {
         let wrong = || Violation::new(rule, "two states of 4 bytes, 65536 or more each", bytes.len());
         let (states, _) = bytes.split_first_chunk::<STATES>().ok_or_else(wrong)?;
@@ -242,8 +247,8 @@ impl<'a, L: Lanes> InterleavedDecoder<'a, L> {
         Ok(Self { lanes, states, bytes, words: 0, taken: 8 * STATES, bits: 0 })
     }
 
-    /// Requires that words and raw bits fill the bytes, with zeros up to a whole byte between them, and that the states are back where
-    /// coding began; otherwise breaks `rule`.
+    /// Checks that words and raw bits fill the bytes, with zero bits in the byte between them, and that the states are
+    /// back at their initial value. Anything else breaks `rule`.
     pub fn finish(self, rule: &'static str) -> Result<(), Violation> {
         let (len, at) = (self.bytes.len(), self.taken / 8);
         let used = at + self.bits.div_ceil(8);
@@ -271,7 +276,7 @@ impl<'a, L: Lanes> InterleavedDecoder<'a, L> {
         self.taken += word_bits;
     }
 
-    /// The 64 bits from bit `self.bits` on, less up to 7.
+    /// Returns 64 bits from bit `self.bits` on, of which up to 7 are missing.
     #[inline(always)]
     fn window(&self) -> u64 {
         let end = self.bytes.len().saturating_sub(self.bits / 8);
@@ -284,7 +289,7 @@ impl<'a, L: Lanes> InterleavedDecoder<'a, L> {
 impl<L: Lanes> Strands for InterleavedDecoder<'_, L> {
     const WRITES: bool = false;
 
-    // A browser loads all code before the first picture; a copy for each place costs it more than the calls.
+    // A browser loads all code before the first picture; inlined copies cost it more than the calls.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn nibble<const S: usize>(&mut self, model: &mut Nibble, _: u32) -> u32 {
@@ -321,7 +326,7 @@ impl<L: Lanes> Strands for InterleavedDecoder<'_, L> {
     }
 }
 
-/// The words in `rest`, fewer than 8 bytes, the first one lowest; half a word is none.
+/// Returns the words in `rest`, fewer than 8 bytes, the first one lowest; an odd last byte is ignored.
 #[cold]
 fn last_words(rest: &[u8]) -> u64 {
     let words = rest.as_chunks::<2>().0;
@@ -349,7 +354,7 @@ mod tests {
         proptest::collection::vec(one, 0..600)
     }
 
-    /// Symbols of models 0 and 2 go to strand 0, of model 1 to strand 1.
+    /// Symbols of models 0 and 2 go to state 0, those of model 1 to state 1.
     fn run(coder: &mut impl Strands, symbols: &[Symbol], mut each: impl FnMut(&Symbol, u32)) {
         let mut nibbles = [const { Nibble::new([1; 16]) }; 3];
         let mut bits = [const { Bit::new(1 << 14) }; 3];
@@ -409,7 +414,7 @@ mod tests {
         for often in 0..16 {
             let mut model = Nibble::new([1; 16]);
             for round in 0..4000u32 {
-                // Now and then any other, so that bounds move both ways.
+                // Occasionally another symbol, so that bounds move both ways.
                 model.learn(Base, if round % 50 == 7 { round / 50 % 16 } else { often });
                 let ends: Vec<_> = (0..16).map(|symbol| model.slots(symbol)).collect();
                 assert!(ends.iter().all(|&(_, count)| count > 0 && count < SCALE), "{ends:?}");

@@ -1,17 +1,17 @@
-//! Heights as symbols: a residual and how many bits say the rest of it.
+//! Heights as symbols: a residual's class and the remaining bits.
 
 use super::BOUNDARY;
 use crate::codec::interleaved::Strands;
 use crate::codec::rows::{SLICE, fold};
 use crate::codec::step_grid::{End, StepGrid};
 
-/// Residuals that a symbol stands for: the least, and how many bits say which.
+/// Smallest residual of each symbol, and number of bits that select one of its residuals.
 pub struct Alphabet {
     pub least: [u16; 16],
     pub bits: [u8; 16],
 }
 
-/// Where every quantum is a step, and where not: few steps have small residuals.
+/// Alphabets for grids where every quantum is a step, and for others, where steps are few and residuals small.
 pub static ALPHABETS: [Alphabet; 2] = [
     Alphabet {
         least: [0, 1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 0],
@@ -24,11 +24,11 @@ pub static ALPHABETS: [Alphabet; 2] = [
 ];
 
 impl Alphabet {
-    /// Symbol of a folded residual.
+    /// Returns the symbol of a folded residual.
     #[inline]
     pub fn symbol(&self, residual: u32) -> u32 {
         let bits = u32::BITS - residual.leading_zeros();
-        // No symbol stands for more than one length below 1024, nor for less than half of one.
+        // Below 1024, a symbol covers at most one length, and at least half of one.
         let mut symbol = bits.min(14);
         while symbol > 0 && u32::from(self.least[symbol as usize]) > residual {
             symbol -= 1;
@@ -40,11 +40,11 @@ impl Alphabet {
     }
 }
 
-/// A height as it is coded.
+/// A height to code.
 #[derive(Clone, Copy, Default)]
 pub struct Given {
     height: u32,
-    /// `None` for a slice boundary that lies on no step.
+    /// Step and offset from its usual height; `None` for a slice boundary that lies on no step.
     pub step: Option<(u32, i32)>,
 }
 
@@ -54,11 +54,11 @@ impl Given {
         Self { height, step: grid.index(height, end) }
     }
 
-    /// The symbol, and its bits, near step `expected`.
+    /// Returns the symbol and its bits if step `expected` is predicted.
     #[inline(always)]
     pub fn symbol(&self, alphabet: &Alphabet, expected: i32) -> (u32, u32) {
         let Some((step, _)) = self.step else {
-            // Other heights all have steps, or the grid would not be theirs.
+            // All other heights have steps, or the grid is not one of this page.
             debug_assert!(self.height.is_multiple_of(SLICE), "no step for {}", self.height);
             return (BOUNDARY, self.height / SLICE);
         };
@@ -73,7 +73,8 @@ impl Given {
     }
 }
 
-/// A bit that says whether there is a grid, then its step and phase: how many zeros end it, and the rest of its 40 bits.
+/// Codes a bit that is 1 if there is a grid, then its step and phase: the number of trailing zeros, and the rest of its
+/// 40 bits. Returns `None` if what is decoded is not a grid.
 pub fn code_grid(coder: &mut impl Strands, given: StepGrid) -> Option<StepGrid> {
     if coder.raw(1, u32::from(!given.is_quanta())) == 0 {
         return Some(StepGrid::QUANTA);

@@ -1,8 +1,9 @@
-//! The page coding: spans predicted from their neighbours, in two interleaved streams of symbols (specification, chapter 6).
+//! Page coding: spans predicted from their neighbours, coded with two interleaved rANS states (specification, chapter
+//! 6).
 //!
-//! First which pixels have matter, then pixel by pixel their spans. What four neighbours say is weighed for bottoms and thicknesses
-//! at once, and a height is one symbol and some bits as they are. One walk serves encoder and decoder, on each processor with what
-//! that has.
+//! Occupied pixels come first, then pixel by pixel their spans. Four neighbours are combined for bottoms and
+//! thicknesses at once, and a height is one symbol and some raw bits. One walk serves encoder and decoder, compiled for
+//! each set of processor features.
 
 mod heights;
 mod models;
@@ -20,29 +21,31 @@ use heights::{ALPHABETS, Alphabet, Given, code_grid};
 use models::{Models, fresh};
 use near::{Seen, expected, pack};
 
-/// Greatest length of an encoding (bytes): states; of a span five symbols of at most a word, and 28 bits; of a pixel whether it has
-/// matter, and its spans in five symbols or fewer; of a block two symbols; of the grid two numbers of 46 bits.
+/// Largest encoding (bytes): two states; per span five symbols of at most a word each, and 28 bits; per pixel its
+/// occupancy and at most five symbols for its number of spans; per block two symbols; for the grid two numbers of 46
+/// bits.
 pub const MAX_LEN: usize = 8 + MAX_PAGE_SPANS * (10 + 4) + 2 * (64 * 64 * (1 + 5) + 2 * 64) + 12;
 
 /// Symbol of a slice boundary; its bits are the number of the slice.
 const BOUNDARY: u32 = 15;
-/// Most spans of a row, each pixel's with an end.
+/// Most spans of a row, with an end marker for each pixel.
 const ROW: usize = 64 * (MAX_COLUMN as usize + 1);
-/// Steps, and a place for heights that have none.
+/// Number of steps, and a place for heights that have none.
 const STEPS: usize = (1 << 14) + 1;
 const NO_STEP: usize = 1 << 14;
 
-/// What a span adds to its neighbours' contexts of the kind, and what an obstacle adds besides; the sum of four is below 50.
+/// Contribution of a span, and of an obstacle in addition, to the kind context of later neighbours; the context of four
+/// stays below 50.
 const CANDIDATE: u8 = 2;
 const OBSTACLE: u8 = 10;
 
-/// A row of pixels as those after it see it, with one pixel more on each side.
+/// A row of pixels as later pixels see it, with one more pixel on each side.
 #[derive(Debug)]
 struct Row {
-    /// The lowest span of each pixel, and what it adds to contexts of the kind.
+    /// Lowest span of each pixel, and its contribution to kind contexts.
     lowest: [Seen; 66],
     kinds: [u8; 66],
-    /// Where the pixel's spans are in [`Scratch::seen`], and from bit 16 on their number up to 3.
+    /// Index of the pixel's first span in [`Scratch::seen`]; from bit 16 on its number of spans, up to 3.
     places: [u32; 66],
 }
 
@@ -50,23 +53,26 @@ impl Row {
     const EMPTY: Self = Self { lowest: [Seen::NONE; 66], kinds: [0; 66], places: [0; 66] };
 }
 
-/// What the walk remembers; reused from page to page.
+/// State of the walk; reused from page to page.
 #[derive(Debug)]
 pub struct Scratch {
     models: Box<Models>,
-    /// New models by alphabet; a table of them would be a tenth of what a browser loads for a decoder.
+    /// Initial models by alphabet, computed at run time: as a constant table they would be a tenth of a browser's
+    /// decoder download.
     fresh: Box<[Models; 2]>,
-    /// `NONE`, then the spans of two rows of pixels, the one in work and the one before; and what each adds to contexts of the kind.
+    /// `NONE`, then the spans of the current row of pixels and the one before; and the contribution of each to kind
+    /// contexts.
     seen: Box<[Seen; 1 + 2 * ROW]>,
     kinds: Box<[u8; 1 + 2 * ROW]>,
     rows: Box<[Row; 2]>,
-    /// Per step, of bottoms and tops: 0, or 1 and how the height lay off the usual one when the step came last (1 above, 2 below).
+    /// Per step of bottoms and of tops: 0 if it has not occurred; else 1 if it last had its usual height, 2 if one
+    /// quantum above, 3 if one below.
     last_off: Box<[[u8; STEPS]; 2]>,
     encoder: InterleavedEncoder,
 }
 
 impl Scratch {
-    /// Bytes that decoding takes, whatever the page.
+    /// Returns the memory for decoding (bytes), independent of the page.
     pub fn decoding_bytes() -> usize {
         let spans = size_of::<[Seen; 1 + 2 * ROW]>() + size_of::<[u8; 1 + 2 * ROW]>() + size_of::<[Row; 2]>();
         size_of::<Self>() + 3 * size_of::<Models>() + spans + 2 * STEPS
@@ -87,23 +93,23 @@ impl Default for Scratch {
     }
 }
 
-/// How a height lies off the usual one, as [`Scratch::last_off`] keeps it.
+/// Returns the offset from the usual height that an entry of [`Scratch::last_off`] stands for.
 #[inline]
 fn off_of(last: u8) -> i32 {
     [0, 0, 1, -1][usize::from(last) & 3]
 }
 
-/// A span as it is coded.
+/// A coded span.
 struct Coded {
     seen: Seen,
-    /// Heights (quanta), as far as they make a span.
+    /// Heights (quanta), which may not form a valid span.
     bottom: i32,
     top: i32,
     obstacle: bool,
 }
 
 impl Coded {
-    /// The span, which comes after the one `below` in its pixel.
+    /// Returns the span, which comes after the one `below` in its pixel, or the violation of rule P8.
     #[inline(always)]
     fn span(&self, below: Option<Span>) -> Result<Span, Violation> {
         let span = Span::new(self.bottom as u32, self.top as u32, self.obstacle);
@@ -119,14 +125,14 @@ impl Coded {
         Violation::new("P8", "spans inside the page and apart, lowest first", found)
     }
 
-    /// What it adds to contexts of the kind.
+    /// Returns its contribution to kind contexts.
     #[inline(always)]
     fn kind(&self) -> u8 {
         CANDIDATE + if self.obstacle { OBSTACLE } else { 0 }
     }
 }
 
-/// What a walk codes spans with.
+/// State for coding spans.
 struct Walk<'a, C> {
     coder: C,
     grid: StepGrid,
@@ -134,12 +140,13 @@ struct Walk<'a, C> {
     alphabet: &'static Alphabet,
     models: &'a mut Models,
     last_off: &'a mut [[u8; STEPS]; 2],
-    /// [Step and thickness](pack) where no candidate says them.
+    /// [Step and thickness](pack) predicted without candidates.
     last: u32,
 }
 
 impl<C: Strands> Walk<'_, C> {
-    /// The number of spans of a pixel whose neighbours have as many as `context` says; more than 64 if the bytes are wrong.
+    /// Codes the number of spans of a pixel; `context` holds those of its neighbours. Returns more than 64 for invalid
+    /// bytes.
     #[inline(always)]
     fn count(&mut self, context: u32, given: usize) -> u32 {
         let model = &mut self.models.count[context as usize & 15];
@@ -154,14 +161,14 @@ impl<C: Strands> Walk<'_, C> {
         }
     }
 
-    /// The next span of a pixel, the last one or not; `kinds` is what its candidates, `near`, add to contexts of the kind. Takes three
-    /// symbols, or refills.
+    /// Codes the next span of a pixel; `is_last` if no other follows. `kinds` is the kind context of its candidates,
+    /// `near`. Takes three symbols, or refills.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn span(&mut self, near: [Seen; 4], kinds: u8, is_last: bool, given: Option<&Span>) -> Coded {
         let Self { coder, grid, alphabet, models, last_off, .. } = self;
         let expected = expected(near, self.last);
-        // What is to be written, if something is.
+        // Values to write, if encoding.
         let [mut bottom_given, mut top_given] = [Given::default(); 2];
         let (mut bottom_symbol, mut top_symbol) = ((0, 0), (0, 0));
         if let Some(span) = given {
@@ -218,7 +225,8 @@ impl<C: Strands> Walk<'_, C> {
             }
         }
         let thick = top_step - bottom_step;
-        // Of the pixel's next span the bottom lies above this one's top; the next pixel's may lie where this one's does.
+        // A pixel's next span lies above this one; a new pixel's first span probably lies at the same height as this
+        // one.
         self.last = pack(if is_last { bottom_step } else { top_step }, thick);
         let is_thick = top - bottom > SLICE as i32 / 4;
         let model = &mut models.kind[usize::from(kinds + u8::from(is_thick)) & 63];
@@ -227,7 +235,7 @@ impl<C: Strands> Walk<'_, C> {
     }
 }
 
-/// Walks over `page`, or the one that the coder reads, and hands each span to `taker`.
+/// Walks over `page`, or the page that `coder` reads, and passes each span to `taker`.
 #[inline(always)]
 fn walk<C: Strands>(
     mut coder: C,
@@ -275,7 +283,7 @@ fn walk<C: Strands>(
                 let places = [own.places[px], north.places[px], north.places[px + 1], north.places[px + 2]];
                 let mut places = places.map(|place| place as usize & 0xFFFF);
                 for index in 1..count {
-                    // Past the neighbours' spans that the one below rules out; mostly one in each.
+                    // Pass the neighbours' spans that the one below rules out; usually one in each.
                     for place in &mut places {
                         *place += usize::from(seen[*place].bottom() <= below.top() as i32);
                         while seen[*place].bottom() <= below.top() as i32 {
@@ -300,17 +308,17 @@ fn walk<C: Strands>(
     Ok(walk.coder)
 }
 
-/// Takes what a walk finds.
+/// Receives what a walk finds.
 trait Taker {
-    /// Begins a page with matter in these pixels.
+    /// Begins a page with these occupied pixels, one mask per row.
     fn begin(&mut self, rows: &[u64; 64]);
-    /// The next span, of a pixel with this x.
+    /// Receives the next span of the pixel with this x.
     fn take(&mut self, px: u32, span: Span);
-    /// There are no more spans in this pixel.
+    /// Ends the pixel.
     fn end_pixel(&mut self, px: u32, py: u32);
 }
 
-/// Where the spans are known.
+/// For encoding, where the spans are known.
 impl Taker for () {
     fn begin(&mut self, _: &[u64; 64]) {}
 
@@ -341,7 +349,7 @@ impl Taker for &mut RowBuilder {
 pub fn encode(grid: StepGrid, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
     #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
     if let Some(lanes) = Avx2::detect() {
-        // SAFETY: the processor has what the function asks for.
+        // SAFETY: the processor has the features that the function requires.
         return unsafe { encode_avx2(lanes, grid, page, scratch, out) };
     }
     encode_with(Base, grid, page, scratch, out);
@@ -364,11 +372,11 @@ fn encode_with(lanes: impl Lanes, grid: StepGrid, page: &Page, scratch: &mut Scr
     }
 }
 
-/// Fills `builder` from the encoding `body`.
+/// Decodes `body` into `builder` (rules P6 to P8).
 pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> Result<(), Violation> {
     #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
     if let Some(lanes) = Avx2::detect() {
-        // SAFETY: the processor has what the function asks for.
+        // SAFETY: the processor has the features that the function requires.
         return unsafe { decode_avx2(lanes, body, scratch, builder) };
     }
     decode_with(Base, body, scratch, builder)

@@ -1,46 +1,46 @@
-//! What learns, and how it begins.
+//! Symbol models of the page coding, and their initial state.
 
 use super::BOUNDARY;
 use crate::codec::interleaved::{Bit, Nibble};
 
-/// Weights around the most common symbol of a height, at 15.
+/// Weights around the most common symbol of a height, which is at index 15.
 const SHAPE: [u16; 31] =
     [8, 8, 8, 8, 8, 8, 8, 8, 12, 16, 20, 35, 60, 110, 210, 300, 110, 45, 20, 12, 8, 6, 4, 3, 2, 2, 2, 2, 2, 2, 2];
-/// The most common symbol of a bottom, by context, and of a thickness, by its class, where it is not 0.
+/// Most common symbol of a bottom, by context, and of a thickness, by its class unless that is 0.
 const BOTTOM_PEAKS: [[usize; 16]; 2] =
     [[9, 6, 4, 6, 7, 9, 9, 9, 3, 3, 4, 5, 6, 6, 8, 10], [8, 6, 2, 7, 8, 11, 9, 9, 1, 2, 5, 6, 8, 9, 10, 12]];
 const THICKNESS_PEAKS: [[usize; 8]; 2] = [[0, 3, 5, 6, 7, 8, 9, 11], [0, 6, 7, 8, 9, 10, 11, 12]];
-/// Weights of thicknesses where thin ones are expected.
+/// Weights of thicknesses where thin spans are expected.
 const THIN: [[u16; 16]; 2] = [
     [450, 30, 60, 60, 60, 70, 80, 80, 70, 50, 30, 15, 6, 3, 2, 2],
     [300, 95, 95, 45, 60, 30, 85, 80, 70, 50, 35, 30, 20, 5, 2, 5],
 ];
-/// Weights of numbers of spans, by the greater of those in the west and north: up to 1, 2, 3 or more.
+/// Weights of numbers of spans, by the larger of those in the west and north: up to 1, 2, 3 or more.
 const COUNTS: [[u16; 16]; 3] = [
     [880, 80, 20, 6, 3, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1],
     [450, 390, 100, 30, 10, 5, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1],
     [200, 280, 240, 120, 60, 35, 20, 10, 5, 2, 1, 1, 1, 1, 1, 1],
 ];
-/// By how many of six pixels before have matter.
+/// By the number of occupied pixels among the six before.
 const PIXELS_BEFORE: [u16; 7] = [3300, 8500, 17000, 19500, 21500, 24000, 28000];
 const RARE: u16 = 1 << 10;
 
-/// Everything that learns. Made anew for each page, so that a page can be read alone.
+/// All adaptive models, reset for each page because pages are read independently.
 #[derive(Debug, Clone)]
 pub struct Models {
     pub count: [Nibble; 16],
     pub bottom: [Nibble; 16],
     pub thickness: [Nibble; 80],
-    /// How heights lie off the usual ones of their steps: three ways of the bottom, three of the top.
+    /// Offsets of bottom and top from the usual heights of their steps: three by three cases.
     pub off: Nibble,
-    /// By the kinds of the blocks in the west and north: matter at all, and in all pixels.
+    /// By the states of the blocks in the west and north: whether a block is occupied at all, and in all pixels.
     pub matter: [Bit; 9],
     pub full: [Bit; 9],
     /// By the six pixels before.
     pub pixel: [Bit; 64],
-    /// Whether heights lie otherwise off their steps than when these came last, by what is known of the steps.
+    /// Whether the offsets differ from those that the steps had last, by what is known of the steps.
     pub surprise: [Bit; 16],
-    /// By obstacles among the candidates, number of candidates, and whether the span is thick: the first 50.
+    /// By obstacles among the candidates, number of candidates, and whether the span is thick; 50 are used.
     pub kind: [Bit; 64],
 }
 
@@ -53,7 +53,7 @@ fn around(peak: usize) -> Nibble {
     Nibble::new(weights)
 }
 
-/// Models as pages of nine scans have them in the mean.
+/// Returns the initial models, averaged over pages of nine scans; `steps` is the index of the alphabet.
 pub fn fresh(steps: usize) -> Models {
     const UNSET: Nibble = Nibble::new([1; 16]);
     const RARELY: Bit = Bit::new(RARE);

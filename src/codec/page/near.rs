@@ -1,36 +1,35 @@
-//! What a pixel's neighbours say about its next span.
+//! Prediction of a pixel's next span from its neighbours.
 
-/// A span as those after it see it: step of its bottom, thickness in steps, bottom (quanta), and 1, as numbers of 16 bits, the first
-/// one lowest.
+/// A span as later spans see it: step of its bottom, thickness in steps, bottom (quanta), and 1, as four 16-bit
+/// numbers, the first one lowest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(transparent)]
 pub struct Seen(u64);
 
 impl Seen {
-    /// Ends the spans of a pixel: lies above every span, and is none.
+    /// Ends the spans of a pixel: lies above every span and does not count as a candidate.
     pub const NONE: Self = Self(0x7FFF_7FFF_7FFF);
 
-    /// Steps, thicknesses and heights are below 2¹⁵.
+    /// Packs a span. Steps, thicknesses and heights must be below 2¹⁵.
     #[inline(always)]
     pub fn new(step: i32, thick: i32, bottom: i32) -> Self {
         Self(1 << 48 | (bottom as u64 & 0xFFFF) << 32 | u64::from(pack(step, thick)))
     }
 
-    /// The bottom (quanta).
+    /// Returns the bottom (quanta).
     #[inline(always)]
     pub fn bottom(self) -> i32 {
         (self.0 >> 32) as i32 & 0xFFFF
     }
 }
 
-/// A step and a thickness.
+/// Packs a step and a thickness.
 #[inline(always)]
 pub fn pack(step: i32, thick: i32) -> u32 {
     step as u32 & 0xFFFF | (thick as u32) << 16
 }
 
-/// What the candidates say: step of the bottom and thickness that are expected, how many candidates there are, and the models of
-/// bottom and thickness.
+/// Prediction from the candidates: step of the bottom and thickness, and the contexts of both.
 pub struct Expected {
     pub low: i32,
     pub thick: i32,
@@ -38,7 +37,7 @@ pub struct Expected {
     pub thick_context: usize,
 }
 
-/// What is expected of a span with the candidates `near`; if these are none, what is [packed](pack) in `last`.
+/// Returns the prediction for a span with the candidates `near`; without candidates, the one [packed](pack) in `last`.
 #[inline(always)]
 pub fn expected(near: [Seen; 4], last: u32) -> Expected {
     let Weighed { least, second, spread, count } = weigh(near);
@@ -55,13 +54,13 @@ pub fn expected(near: [Seen; 4], last: u32) -> Expected {
     }
 }
 
-/// Zeros before the highest bit of `value`, of which 0 has as many as 1.
+/// Returns the number of leading zeros of `value`; 0 has as many as 1.
 #[inline(always)]
 fn zeros(value: u32) -> usize {
     (value | 1).leading_zeros() as usize & 31
 }
 
-/// Class of a number with so many [`zeros`], as in the adaptive model.
+/// Returns the class of a number with this many [`zeros`].
 const fn class(zeros: usize) -> u8 {
     match 32 - zeros {
         0..=2 => 0,
@@ -71,7 +70,8 @@ const fn class(zeros: usize) -> u8 {
     }
 }
 
-/// Contexts by the number of candidates and the [`zeros`] of their spread: of bottoms, and the last part of that of thicknesses.
+/// Contexts by the number of candidates and the [`zeros`] of their spread: of bottoms, and the last part of those of
+/// thicknesses.
 static CONTEXTS: [[[u8; 32]; 8]; 2] = {
     let (mut contexts, mut at) = ([[[0; 32]; 8]; 2], 0);
     while at < 5 * 32 {
@@ -96,8 +96,8 @@ static CLASSES_OF_THICKNESSES: [u8; 32] = {
     classes
 };
 
-/// Of the candidates' steps and thicknesses, [packed](pack): the least, the second least of all four, where what is missing is greater than all,
-/// and the difference of the greatest and the least; and how many candidates there are.
+/// Of the candidates' steps and thicknesses, [packed](pack): the minimum, the second smallest of all four (a missing
+/// one counts as the largest), and the maximum less the minimum; and the number of candidates.
 #[derive(Debug, PartialEq, Eq)]
 struct Weighed {
     least: u32,
@@ -111,7 +111,7 @@ use portable::weigh;
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 use sse2::weigh;
 
-/// The same for every processor.
+/// Implementation for any processor.
 #[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 mod portable {
     use super::{Seen, Weighed, pack};
@@ -121,7 +121,7 @@ mod portable {
         let of = |[a, b, c, d]: [i16; 4]| {
             let (least_ab, most_ab, least_cd, most_cd) = (a.min(b), a.max(b), c.min(d), c.max(d));
             let (least, second) = (least_ab.min(least_cd), least_ab.max(least_cd).min(most_ab.min(most_cd)));
-            // The next number of what is missing is the least of all.
+            // A missing number plus 1 wraps to the smallest, so the maximum ignores it.
             let most = [a, b, c, d].map(|one| one.wrapping_add(1)).into_iter().fold(i16::MIN, i16::max).wrapping_sub(1);
             [least, second, most.wrapping_sub(least)].map(i32::from)
         };
@@ -135,7 +135,7 @@ mod portable {
     }
 }
 
-/// All fields of four spans at once.
+/// Processes all fields of four spans at once.
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 mod sse2 {
     use super::{Seen, Weighed};
@@ -156,7 +156,7 @@ mod sse2 {
             let (least_ab, most_ab, least_cd, most_cd) = (min(a, b), max(a, b), min(c, d), max(c, d));
             let least = min(least_ab, least_cd);
             let second = min(max(least_ab, least_cd), min(most_ab, most_cd));
-            // The next number of what is missing is the least of all.
+            // A missing number plus 1 wraps to the smallest, so the maximum ignores it.
             let most_next = max(max(next(a), next(b)), max(next(c), next(d)));
             let spread = _mm_sub_epi16(_mm_sub_epi16(most_next, one), least);
             let low = |all: __m128i| _mm_cvtsi128_si32(all) as u32;

@@ -1,11 +1,11 @@
-//! Which pixels have matter: squares first, then pixel by pixel where a square is neither empty nor full.
+//! Occupied pixels: blocks first, then single pixels in blocks that are neither empty nor full.
 
 use super::models::Models;
 use crate::codec::Violation;
 use crate::codec::interleaved::{Bit, Strands};
 use crate::slice::Page;
 
-/// Which pixels have matter, as a mask for each row.
+/// Codes the occupied pixels and returns a mask for each row.
 #[inline(always)]
 pub fn occupancy<C: Strands>(coder: &mut C, models: &mut Models, given: Option<&Page>) -> Result<[u64; 64], Violation> {
     let pixels_given = |block: u32| given.map_or(0, |page| page.block_at(block).pixels());
@@ -40,7 +40,7 @@ pub fn occupancy<C: Strands>(coder: &mut C, models: &mut Models, given: Option<&
                 continue;
             }
             let pixels = (pixels_given(block) >> (8 * (py % 8))) as u32;
-            // From the pixel to the west of the block on, as far as the page has pixels.
+            // From the pixel west of the block on, without pixels outside the page.
             let from_west = |row: u64| {
                 row.rotate_right((8 * bx + 63) & 63) as u32
                     & if bx == 0 { !1 } else { !0 }
