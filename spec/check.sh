@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# spec/check.sh [FOLDER]: compares the second reader (reader.py, written from the specification alone) with ours: on the
-# samples, and on archives converted just now, by the programs that lie built in FOLDER, or are built. Needs Python 3.10 or
+# spec/check.sh [FOLDER]: compares the second reader (reader.py, written from the specification alone) with Slicewalk on the
+# samples and on archives that it converts. FOLDER has the built programs; without it they are built. Needs Python 3.10 or
 # newer and, once, its package index for `zstandard`.
 set -euo pipefail
 export PYTHONDONTWRITEBYTECODE=1

@@ -1,9 +1,10 @@
-"""Colours of voxels: chapter 17 of slice-archive.md."""
+"""Colours of voxels: chapter 10 of slice-archive.md."""
 
 import struct
+from bisect import bisect_right
 
 from encoding import Bytes, crc32c, unpack_frame
-from page import SIDE, Refused, Symbols, bits, need, nibbles, slices_of
+from page import B, LOW, SCALE, SIDE, Bits, Symbols, need, slices_of, starts, unfold
 
 MOST_BLOCK = 5242888
 CLASSES = (0, 1, 2, 3, 3, 4, 4, 5, 5, 5, 6, 6)
@@ -12,20 +13,20 @@ SOURCES = "rgb", "intensity", "class"
 
 
 def read_head(head):
-    """What the head says of colours; `pages_len` is then that of the pages alone."""
+    """The fields of colours; `pages_len` is then that of the pages alone."""
     head.colours_len = head.voxels_coloured = 0
     head.levels_have_colours = False
-    head.has_colours = head.minor >= 3 and head.features_optional & 2 == 2
+    head.has_colours = head.features_optional & 2 == 2
     fields = head.reserved[27:]
     if not head.has_colours:
-        need(head.minor > 5 or not any(fields), "H10", "reserved bytes are not zero")
+        need(head.minor > 0 or not any(fields), "H10", "reserved bytes are not zero")
         return
     fields = struct.unpack("<QQIHHHB5s", fields)
     head.colours_len, head.voxels_coloured, head.colours_crc, head.colour_low, head.colour_high = fields[:5]
     head.colour_error, head.colour_source, zero = fields[5:]
     right = 1 <= head.colour_source <= 3 and head.colour_low < head.colour_high
-    need(right and (head.minor > 5 or not any(zero)), "K1", f"colours {fields}")
-    head.levels_have_colours = head.minor >= 4 and head.features_optional & 8 == 8 and head.level_count > 0
+    need(right and (head.minor > 0 or not any(zero)), "K1", f"colours {fields}")
+    head.levels_have_colours = head.level_count > 0
     tables = 12 * head.leaf_count + (20 * head.level_count + 4 if head.levels_have_colours else 0)
     need(tables <= head.colours_len, "K1", f"colours of {head.colours_len} bytes")
     need(head.colours_len <= head.pages_len, "L1", f"colours of {head.colours_len} bytes")
@@ -65,7 +66,70 @@ def read_leaf(section, leaf, count, blocks_end):
     return blocks
 
 
-def klass(v):
+# Section 10.2: blocks, and their coder of one state.
+
+N = [2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 6]
+
+
+def moved(at, target, rate):
+    """`at`, moved towards `target` by 1 / 2^rate of the way, which is rounded towards zero."""
+    return at + (target - at >> rate if target > at else -(at - target >> rate))
+
+
+class ColourSymbols(Symbols):
+    def learn(self, index, value):
+        first, seen = self.models[index]
+        targets = (i if i <= value else 32752 + i for i in range(17))
+        self.models[index] = [[moved(f, target, N[seen]) for f, target in zip(first, targets)], min(seen + 1, 15)]
+
+
+class ColourBits(Bits):
+    def learn(self, index, value):
+        ones, seen = self.models[index]
+        self.models[index] = [moved(ones, 32736 if value else 32, B[seen]), min(seen + 1, 15)]
+
+
+class ColourDecoder:
+    """Takes symbols from the bytes of a block."""
+
+    def __init__(self, data):
+        need(len(data) >= 4 and len(data) % 2 == 0, "K6", f"{len(data)} bytes of state and shorts")
+        self.state = int.from_bytes(data[:4], "little")
+        need(self.state >= LOW, "K6", f"state {self.state} at the start")
+        self.shorts = [int.from_bytes(data[at : at + 2], "little") for at in range(len(data) - 2, 2, -2)]
+
+    def _take(self, start, count):
+        state = count * (self.state >> 15) + self.state % SCALE - start
+        if state < LOW:
+            need(self.shorts, "K6", "shorts are missing")
+            state = state << 16 | self.shorts.pop()
+        self.state = state
+
+    def symbol(self, models, index):
+        first = models.first(index)
+        value = bisect_right(first, self.state % SCALE, 0, 16) - 1
+        self._take(first[value], first[value + 1] - first[value])
+        models.learn(index, value)
+        return value
+
+    def bit(self, models, index):
+        ones = models.ones(index)
+        value = int(self.state % SCALE >= SCALE - ones)
+        self._take(*((SCALE - ones, ones) if value else (0, SCALE - ones)))
+        models.learn(index, value)
+        return value
+
+    def raw(self, n):
+        value = self.state % SCALE >> 15 - n
+        self._take(value << 15 - n, 1 << 15 - n)
+        return value
+
+    def finish(self):
+        left = len(self.shorts)
+        need(self.state == LOW and not left, "K6", f"state {self.state}, {left} shorts at the end")
+
+
+def class_of(v):
     return CLASSES[v] if v < len(CLASSES) else 7
 
 
@@ -82,31 +146,27 @@ def number_models():
         falling = [1 + (4096 >> (i >> s)) for i in range(15)]
         return falling + [1 + (falling[14] >> 1)]
 
-    return [
-        [nibbles(f"number[{i}][{context}]", 1, weights(context)) for context in range(24)] for i in range(3)
-    ]
+    return [ColourSymbols(f"number[{i}]", [starts(weights(c)) for c in range(24)]) for i in range(3)]
 
 
 def read_block(data, voxels):
     """Steps, and the numbers of `voxels`, pairs of pixel and slice; None for those without a colour."""
     need(len(data) >= 4 and data[0] == 1 and all(data[1:4]), "K5", f"a block that begins with {data[:4].hex()}")
     steps = data[1:4]
-    try:
-        found, sound = walk(Symbols(b"\1" + data[4:]), steps, voxels)
-    except Refused as refused:
-        raise Refused("K6", str(refused)) from None
+    found, sound = walk(ColourDecoder(data[4:]), steps, voxels)
     need(sound and any(found.values()), "K7", "numbers beyond colours, or no colour")
     return steps, found
 
 
-def walk(symbols, steps, voxels):
-    present, number, long = bits("present", 4, 31744), number_models(), nibbles("long", 3, LONG)
+def walk(decoder, steps, voxels):
+    present, number = ColourBits("present", [31744] * 4), number_models()
+    long = ColourSymbols("long", [starts(LONG)] * 3)
     last, a, b, sound = (128 // steps[0], 0, 0), 1, 1, True
     limits = [(255 + step // 2) // step for step in steps]
     found, top = {}, {}
     for pixel, k in voxels:
         px, py = pixel % SIDE, pixel // SIDE
-        p = symbols.bit(present, 2 * a + b)
+        p = decoder.bit(present, 2 * a + b)
         a, b = p, a
         found[pixel, k] = None
         if not p:
@@ -129,19 +189,19 @@ def walk(symbols, steps, voxels):
                 expected = (2 * mean + total) // (2 * total)
             else:
                 expected = top.get(pixel, last)[i]
-            s = (7, 5)[len(near)] if len(near) < 2 else klass(max(column) - min(column))
+            s = (7, 5)[len(near)] if len(near) < 2 else class_of(max(column) - min(column))
             context = s + 8 * (min(max(len(near) - 1, 0), 2) if i == 0 else before)
-            n = symbols.nibble(number[i][context], 0)
+            n = decoder.symbol(number[i], context)
             if n == 15:
-                e = min(symbols.nibble(long, i), 12)
-                n = 14 + (1 << e) + (symbols.raw(e) if e else 0)
-            value = expected + (-(n + 1 >> 1) if n & 1 else n >> 1)
+                e = decoder.symbol(long, i)
+                n = 14 + (1 << e) + (decoder.raw(e) if e else 0)
+            value = expected + unfold(n)
             before = min(n + 1 >> 1, 2)
             least = 0 if i == 0 else -limits[i]
             sound = sound and least <= value <= limits[i]
             values.append(max(least, min(limits[i], value)))
         found[pixel, k] = last = top[pixel] = tuple(values)
-    symbols.finish()
+    decoder.finish()
     return found, sound
 
 
@@ -203,8 +263,8 @@ def level_parts(head, section):
     size = 20 * head.level_count
     right = crc32c(section[:size]) == int.from_bytes(section[size : size + 4], "little")
     need(right, "K11", "the checksum of the table of levels in the colours is wrong")
-    told, place, parts = list(struct.iter_unpack("<QQI", section[:size])), size + 4, []
-    for length, voxels, crc in reversed(told):
+    records, place, parts = list(struct.iter_unpack("<QQI", section[:size])), size + 4, []
+    for length, voxels, crc in reversed(records):
         need(length <= len(section) - 12 * head.leaf_count - place, "K11", "colours of levels beyond their section")
         parts.insert(0, (section[place : place + length], voxels, crc))
         place += length

@@ -95,6 +95,15 @@ class Bytes:
         return -(value + 1 >> 1) if value & 1 else value >> 1
 
 
+def varint(value):
+    """The bytes of a varint."""
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    return bytes(out) + bytes([value])
+
+
 def unpack_frame(data, content_len, rule):
     """The content of exactly one zstd frame, of `content_len` bytes if that is known."""
     need(data[:4] == b"\x28\xb5\x2f\xfd", rule, "no zstd frame")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compares the symbols that slice-archive.md shows, chapter 12, with those that reader.py prints today."""
+"""Compares the symbols that slice-archive.md shows, chapter 14, with those that reader.py prints today."""
 
 import pathlib
 import subprocess

@@ -6,9 +6,10 @@ import sys
 
 import colours
 from encoding import crc32c, xxh3_128
-from page import FIFTH, THIRD, need
+from page import need
 
-MAGIC = b"\x89SLIC\r\n\x1a"
+MAGIC = b"\x89SLA\r\n\x1a\n"
+DRAFT_MAGIC = b"\x89SLIC\r\n\x1a"
 FOOTER_LEN = 24
 FIXED_LEN = 384
 RECORD_LEN = 28
@@ -36,6 +37,7 @@ def plain(number, low, high):
 
 class Head:
     def __init__(self, data):
+        need(data[:8] != DRAFT_MAGIC, "H1", "an archive of an unreleased version; convert the scan again")
         need(data[:8] == MAGIC, "H1", "not a slice archive")
         need(len(data) >= 412, "H2", f"{len(data)} bytes")
         head_len = int.from_bytes(data[12:16], "little")
@@ -45,7 +47,7 @@ class Head:
         need(crc32c(head[:-4]) == self.crc, "H3", "the checksum of the head is wrong")
         self.__dict__.update(zip(NAMES, FIXED.unpack(head[:FIXED_LEN])))
         need(self.major == 1, "H4", f"version {self.major} is not supported")
-        need(self.features_required <= 3, "H5", f"features {self.features_required:#x} are not supported")
+        need(self.features_required <= 1, "H5", f"features {self.features_required:#x} are not supported")
         need(self.file_len == len(data), "H6", f"{len(data)} bytes, should have {self.file_len}")
         self.check_plan()
         self.read_inferred()
@@ -62,11 +64,10 @@ class Head:
         self.root = check_root(self.pages, self.leaf_entries, self.leaf_count, records, self.directory_len)
 
     def read_levels(self):
-        """Where the levels of chapter 15 are told of; `pages_len` is then that of the pages alone."""
-        self.has_levels = self.minor >= 1 and self.features_optional & 1 == 1
+        """The fields of chapter 9; `pages_len` is then without the levels."""
+        self.has_levels = self.features_optional & 1 == 1
         zero = self.has_levels or not any(self.reserved[: LEVELS.size])
-        need(self.minor > 5 or zero, "H10", "reserved bytes are not zero")
-        self.level_step = THIRD if self.minor >= 4 and self.features_optional & 4 else FIFTH
+        need(self.minor > 0 or zero, "H10", "reserved bytes are not zero")
         self.level_count = self.levels_len = self.table_len = self.table_crc = 0
         if self.has_levels:
             fields = LEVELS.unpack(self.reserved[: LEVELS.size])
@@ -77,14 +78,13 @@ class Head:
         self.pages_len -= self.levels_len
 
     def read_inferred(self):
-        """What the head says of inferred matter, chapter 16."""
+        """The fields of inferred spans."""
         self.fill_holes = self.up >> 2
         fills = self.features_required & 1 == 1
-        self.braided = self.features_required & 2 == 2
-        right = fills == (self.fill_holes > 0) and self.minor >= (5 if self.braided else 2 if fills else 0)
-        need(right, "H7", f"holes of {self.fill_holes} pixels, features {self.features_required}, minor {self.minor}")
+        right = fills == (self.fill_holes > 0)
+        need(right, "H7", f"holes of {self.fill_holes} pixels, features {self.features_required}")
         zero = fills or not any(self.reserved[INFERRED])
-        need(self.minor > 5 or zero, "H10", "reserved bytes are not zero")
+        need(self.minor > 0 or zero, "H10", "reserved bytes are not zero")
         self.voxels_inferred = int.from_bytes(self.reserved[INFERRED], "little") if fills else 0
 
     def check_plan(self):

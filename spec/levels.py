@@ -1,4 +1,4 @@
-"""Overview levels: chapter 15 of slice-archive.md."""
+"""Overview levels: chapter 9 of slice-archive.md."""
 
 import struct
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ FACTOR = 4
 
 
 class Level:
-    """A level as the table tells of it; `pages` and `directory` are its bytes."""
+    """A level by its record in the table; `pages` and `directory` are its bytes."""
 
 
 def read_table(head, section):
@@ -61,8 +61,8 @@ def joined(spans):
     return out
 
 
-def above(pages, step):
-    """The pages of the next level, with heights on steps: columns of 64 x 64 pixels by key, as `pages` are."""
+def above(pages):
+    """The pages of the next level: columns of 64 x 64 pixels by key, as `pages` are."""
     level, below = {}, {}
     for (tx, ty, layer), columns in pages.items():
         key = tx >> 2, ty >> 2, layer >> 2
@@ -74,11 +74,11 @@ def above(pages, step):
                 x, y = (SIDE * (tx & 3) + at % SIDE) // FACTOR, (SIDE * (ty & 3) + at // SIDE) // FACTOR
                 pixel = upper.setdefault(SIDE * y + x, [])
                 for bottom, top, obstacle in spans:
-                    low, high = bottom // (FACTOR * step) * step, -(-top // (FACTOR * step)) * step
+                    low, high = bottom // (FACTOR * THIRD) * THIRD, -(-top // (FACTOR * THIRD)) * THIRD
                     pixel.append((floor + low, floor + high, obstacle))
     out = {key: [joined(upper.get(at, [])) for at in range(SIDE * SIDE)] for key, upper in level.items()}
     for key, columns in out.items():
-        if step == THIRD and 4 * sum(map(len, columns)) > below[key]:
+        if 4 * sum(map(len, columns)) > below[key]:
             out[key] = [joined(map(to_slices, spans)) for spans in columns]
     return out
 
@@ -95,7 +95,7 @@ def levels_of(head, pages):
     while len(pages) > 1 and any(index not in (0, -1) for key in pages for index in key) and number <= 16:
         if max(head.pixel_size, head.slice_height) * FACTOR**number > 1e6:
             return
-        pages = above(pages, head.level_step)
+        pages = above(pages)
         yield dict(sorted(pages.items(), key=lambda page: (column_of(*page[0][:2]), page[0][2])))
         number += 1
 
@@ -107,7 +107,7 @@ def check_levels(head, levels, pages, coloured, read_entries, read_columns):
     need(len(made) == len(levels), "L5", f"{len(levels)} levels, should be {len(made)}")
     shown = []
     for level, wanted in zip(levels, made):
-        like = SimpleNamespace(root=level.root, pages_len=level.pages_len, braided=head.braided)
+        like = SimpleNamespace(root=level.root, pages_len=level.pages_len)
         entries = read_entries(like, level.directory)
         need(all(entry.kind != "shared" for entry in entries), "D10", "a shared page in a level")
         kinds = [sum(entry.kind == kind for entry in entries) for kind in ("stored", "shared", "uniform")]
@@ -115,7 +115,7 @@ def check_levels(head, levels, pages, coloured, read_entries, read_columns):
         keys = [(entry.tx, entry.ty, entry.layer) for entry in entries]
         need(keys == list(wanted), "L5", f"pages of level {level.number}")
         for entry, key in zip(entries, keys):
-            columns = read_columns(entry, level.pages, head)
+            columns = read_columns(entry, level.pages)
             need(columns == wanted[key], "L5", f"page {key} of level {level.number} is not what the pages below make")
         shown.append({"pages": len(entries), "pixel_size": head.pixel_size * FACTOR**level.number})
         if parts:

@@ -1,16 +1,15 @@
 """Encoded pages: chapters 1 and 6 of slice-archive.md."""
 
+from bisect import bisect_right
+
 SIDE = 64
 TOP = 16320
 SLICE = 255
-FIFTH, THIRD = SLICE // 5, SLICE // 3
+THIRD = SLICE // 3
 ONE = 1 << 32  # a quantum, in the unit of steps
 STEPS = 1 << 14
-
-N = [2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 6]
-B = [1, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4, 5, 5, 5]
-COUNT_WEIGHTS = [800, 120, 40, 20, 10, 5, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-HEIGHT_WEIGHTS = [60, 40, 60, 90, 130, 160, 160, 130, 90, 60, 40, 30, 30, 25, 10, 1]
+PLAIN, MARKED = 3, 4
+MOST_PAGE_SPANS = 1 << 18
 
 
 class Refused(Exception):
@@ -26,345 +25,207 @@ def need(condition, rule, text):
         raise Refused(rule, text)
 
 
-# Section 6.1: symbols.
+def fold(v):
+    return -2 * v - 1 if v < 0 else 2 * v
 
 
-class Models(list):
-    """Models of one name, each a list of its state and how many symbols it has seen."""
-
-    def __init__(self, name, states):
-        super().__init__([state, 0] for state in states)
-        self.name = name
+def unfold(v):
+    return -(v + 1 >> 1) if v & 1 else v >> 1
 
 
-def bits(name, count, ones):
-    return Models(name, [ones] * count)
+# Section 6.1: the coder. Decoder and encoder have the same methods: each takes the value to write and returns it, or takes
+# any and returns the one that it reads.
+
+LOW = 1 << 16
+SCALE = 1 << 15
+N = [3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 6]
+B = [1, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4, 5, 5, 5]
 
 
-def nibbles(name, count, weights):
-    total = sum(weights)
-    below = [32752 * sum(weights[:i]) // total for i in range(16)]
-    return Models(name, [below] * count)
+def starts(weights):
+    """The first slots of a new symbol model of 16 weights."""
+    return [i + 32752 * sum(weights[:i]) // sum(weights) for i in range(17)]
 
 
 class Symbols:
-    """Takes symbols from a body; `trace`, if any, is told of each with the state after it, and of what they mean."""
+    """Models of symbols of one name: of each the first slots, and how many symbols it has seen."""
 
-    def __init__(self, body, trace=None):
-        self.trace = trace
-        need(len(body) >= 5 and len(body) % 2 == 1, "P6", f"a body of {len(body)} bytes")
-        self.state = int.from_bytes(body[1:5], "little")
-        need(self.state >= 65536, "P6", f"state {self.state} at the start")
-        self.words = [int.from_bytes(body[at : at + 2], "little") for at in range(len(body) - 2, 4, -2)]
+    def __init__(self, name, models):
+        self.name, self.models = name, [[first, 0] for first in models]
 
-    def _advance(self, slot, start, count):
-        state = count * (self.state >> 15) + slot - start
-        if state < 65536:
-            need(self.words, "P6", "words are missing")
-            state = state << 16 | self.words.pop()
-        self.state = state
+    def first(self, index):
+        return self.models[index][0]
 
-    def _done(self, name, value, start, count):
-        if self.trace:
-            self.trace(f"{name:14} {value:5}  {start:5} {count:5}  {self.state:08x}", True)
-        return value
+    def learn(self, index, value):
+        first, seen = self.models[index]
+        rate = N[seen]
+        moved = [f + ((i if i <= value else 32752 + i) - f >> rate) for i, f in enumerate(first)]
+        self.models[index] = [moved, min(seen + 1, 15)]
+
+
+class Bits:
+    """Models of bits of one name: of each the slots of 1, and how many bits it has seen."""
+
+    def __init__(self, name, ones):
+        self.name, self.models = name, [[count, 0] for count in ones]
+
+    def ones(self, index):
+        return self.models[index][0]
+
+    def learn(self, index, value):
+        ones, seen = self.models[index]
+        self.models[index] = [ones + ((32736 if value else 32) - ones >> B[seen]), min(seen + 1, 15)]
+
+
+class Decoder:
+    """Takes symbols from bytes; `trace`, if any, gets each with the state after it, and notes on what they mean."""
+
+    def __init__(self, data, trace=None):
+        self.data, self.trace = data, trace
+        need(len(data) >= 8, "P6", f"{len(data)} bytes of states")
+        self.states = [int.from_bytes(data[at : at + 4], "little") for at in (0, 4)]
+        need(min(self.states) >= LOW, "P6", f"states {self.states} at the start")
+        self.at, self.raw_bits = 8, 0
+
+    def _take(self, s, start, count):
+        state = count * (self.states[s] >> 15) + self.states[s] % SCALE - start
+        if state < LOW:
+            need(self.at + 2 <= len(self.data), "P6", "shorts are missing")
+            state = state << 16 | int.from_bytes(self.data[self.at : self.at + 2], "little")
+            self.at += 2
+        self.states[s] = state
 
     def note(self, text):
         if self.trace:
             self.trace(text, False)
 
-    def raw(self, n):
-        slot = self.state & 32767
-        value = slot >> (15 - n)
-        start, count = value << (15 - n), 1 << (15 - n)
-        self._advance(slot, start, count)
-        return self._done(f"raw({n})", value, start, count)
+    def symbol(self, s, models, index, _=0):
+        first = models.first(index)
+        value = bisect_right(first, self.states[s] % SCALE, 0, 16) - 1
+        return self._coded(s, models, index, value, first[value], first[value + 1] - first[value])
 
-    def nibble(self, models, index):
-        model = models[index]
-        below, seen = model
-        slot = self.state & 32767
-        value = 15
-        while below[value] + value > slot:
-            value -= 1
-        start = below[value] + value
-        end = below[value + 1] + value + 1 if value < 15 else 32768
-        self._advance(slot, start, end - start)
-        r = N[seen]
-        model[0] = [b - (b >> r) for b in below[: value + 1]] + [b + (32752 - b >> r) for b in below[value + 1 :]]
-        model[1] = min(seen + 1, 15)
-        return self._done(f"{models.name}[{index}]", value, start, end - start)
+    def bit(self, s, models, index, _=0):
+        ones = models.ones(index)
+        if self.states[s] % SCALE >= SCALE - ones:
+            return self._coded(s, models, index, 1, SCALE - ones, ones)
+        return self._coded(s, models, index, 0, 0, SCALE - ones)
 
-    def bit(self, models, index):
-        model = models[index]
-        ones, seen = model
-        slot = self.state & 32767
-        zeros = 32768 - ones
-        r = B[seen]
-        model[1] = min(seen + 1, 15)
-        if slot < zeros:
-            model[0] = ones - (ones - 32 >> r)
-            self._advance(slot, 0, zeros)
-            return self._done(f"{models.name}[{index}]", 0, 0, zeros)
-        model[0] = ones + (32736 - ones >> r)
-        self._advance(slot, zeros, ones)
-        return self._done(f"{models.name}[{index}]", 1, zeros, ones)
+    def _coded(self, s, models, index, value, start, count):
+        self._take(s, start, count)
+        models.learn(index, value)
+        if self.trace:
+            name = f"{models.name}[{index}]"
+            self.trace(f"{name:14} {value:5}  {start:5} {count:5}  {s}  {self.states[s]:08x}", True)
+        return value
+
+    def raw(self, n, _=0):
+        end = max(len(self.data) - self.raw_bits // 8, 0)
+        window = int.from_bytes(self.data[max(end - 5, 0) : end], "big")
+        value = window >> self.raw_bits % 8 & ((1 << n) - 1)
+        self.raw_bits += n
+        if self.trace:
+            self.trace(f"{f'raw({n})':14} {value:5}", True)
+        return value
 
     def finish(self):
-        need(self.state == 65536 and not self.words, "P6", f"state {self.state}, {len(self.words)} words at the end")
+        used = self.at + (self.raw_bits + 7) // 8
+        right = used == len(self.data) and self.states == [LOW, LOW]
+        need(right, "P6", f"{used} bytes needed of {len(self.data)}, states {self.states} at the end")
+        unused = self.data[self.at] >> self.raw_bits % 8 if self.raw_bits % 8 else 0
+        need(unused == 0, "P6", "bits are left")
 
 
-# Section 6.2: steps of heights.
+class Encoder:
+    """Collects symbols, and writes their bytes."""
+
+    trace = None
+
+    def __init__(self):
+        self.intervals, self.raw_value, self.raw_bits = [], 0, 0
+
+    def note(self, text):
+        pass
+
+    def symbol(self, s, models, index, value):
+        first = models.first(index)
+        self.intervals.append((s, first[value], first[value + 1] - first[value]))
+        models.learn(index, value)
+        return value
+
+    def bit(self, s, models, index, value):
+        ones = models.ones(index)
+        self.intervals.append((s, SCALE - ones, ones) if value else (s, 0, SCALE - ones))
+        models.learn(index, value)
+        return value
+
+    def raw(self, n, value):
+        assert 0 <= value < 1 << n
+        self.raw_value |= value << self.raw_bits
+        self.raw_bits += n
+        return value
+
+    def finish(self):
+        states, shorts = [LOW, LOW], []
+        for s, start, count in reversed(self.intervals):
+            state = states[s]
+            if state >= count << 17:
+                shorts.append(state % LOW)
+                state >>= 16
+            states[s] = (state // count << 15) + state % count + start
+        words = [state.to_bytes(4, "little") for state in states]
+        words += [short.to_bytes(2, "little") for short in reversed(shorts)]
+        return b"".join(words) + self.raw_value.to_bytes((self.raw_bits + 7) // 8, "big")
 
 
-class Lattice:
+# Section 6.2: the step grid.
+
+
+class StepGrid:
     def __init__(self, step=ONE, phase=0):
         self.step, self.phase = step, phase
-        self.every = step == ONE
+        self.is_quanta = step == ONE
 
     @classmethod
-    def read(cls, symbols):
-        if not symbols.raw(1):
+    def coded(cls, coder, given):
+        """The grid that a coder takes or reads."""
+        if not coder.raw(1, int(not given.is_quanta)):
             return cls()
-        step, phase = (
-            symbols.raw(10) << 30 | symbols.raw(10) << 20 | symbols.raw(10) << 10 | symbols.raw(10) for _ in range(2)
-        )
-        need(2 * ONE <= step <= 255 * ONE and phase < step, "P7", f"steps of {step} and phase {phase}")
+
+        def number(given):
+            zeros = coder.raw(6, (given & -given).bit_length() - 1 if given else 40)
+            need(zeros <= 40, "P7", f"{zeros} zeros end a number of 40 bits")
+            given >>= zeros
+            lower = min(40 - zeros, 20)
+            low = coder.raw(lower, given & ((1 << lower) - 1))
+            return (coder.raw(40 - zeros - lower, given >> lower) << lower | low) << zeros
+
+        step, phase = number(given.step), number(given.phase)
+        need(2 * ONE <= step <= SLICE * ONE and phase < step, "P7", f"steps of {step} and phase {phase}")
         return cls(step, phase)
 
-    def usual(self, end, i):
-        floor = self.phase + i * self.step >> 32
-        return floor if self.every else floor + end
+    def nominal(self, end, i):
+        return (self.phase + i * self.step >> 32) + (0 if self.is_quanta else end)
 
     def next(self, height):
-        return -((self.phase - height * ONE) // self.step)
-
-
-# Section 6.4: contexts.
-
-
-def klass(v):
-    return (0, 0, 0, 1, 2, 3, 4, 5, 6, 6)[v.bit_length()] if v.bit_length() < 10 else 7
-
-
-def spread(values):
-    return max(values) - min(values) if len(values) > 1 else 0
-
-
-class Span:
-    """A span with its steps; `codes` are how its heights were coded: None for a boundary, else step and offset."""
-
-    __slots__ = ("bottom", "top", "obstacle", "low", "high", "codes", "inferred")
-
-    def thickness(self):
-        return self.high - self.low
-
-
-class Page:
-    """The content of a page: `columns[64 * py + px]` are the spans of a pixel."""
-
-    def __new__(cls, body, trace=None):
-        return super().__new__(Braided if cls is Page and body[0] in (3, 4) else cls)
-
-    def __init__(self, body, trace=None):
-        need(body[0] in (1, 2, 3, 4), "P5", f"model {body[0]}")
-        self.model, runs = body[0], []
-        self.is_braided = self.model > 2
-        if self.model in (2, 4):
-            runs, body = read_runs(body)
-        self.read_spans(body, trace)
-        self.symbols.finish()
-        need(any(self.columns), "P6", "no pixel is occupied")
-        del self.symbols
-        self.mark(runs)
-
-    def read_spans(self, body, trace):
-        self.symbols = Symbols(body, trace)
-        self.lattice = Lattice.read(self.symbols)
-        self.count = nibbles("count", 16, COUNT_WEIGHTS)
-        self.heights = nibbles("bottom", 16, HEIGHT_WEIGHTS), nibbles("thickness", 80, HEIGHT_WEIGHTS)
-        self.second = [bits(f"second[{end}]", 16, 13312) for end in range(2)]
-        self.off = [Models(f"off[{end}]", [1024, 1024, 16384, 1024]) for end in range(2)]
-        self.up = bits("up", 2, 16384)
-        self.kind = bits("kind", 50, 16384)
-        self.last = {}, {}
-        self.coded_last = None
-        self.read_blocks()
-        self.read_pixels()
-
-    # Section 6.6: inferred spans.
-
-    def mark(self, runs):
-        floors = [span for column in self.columns for span in column if not span.obstacle]
-        need(sum(runs) <= len(floors), "P12", f"runs of {sum(runs)} of {len(floors)} floor spans")
-        at = 0
-        for number, run in enumerate(runs):
-            for span in floors[at : at + run]:
-                span.inferred = number % 2 == 1
-            at += run
-
-    # Section 6.3: pixels with matter.
-
-    def read_blocks(self):
-        matter, full = bits("matter", 9, 16384), bits("full", 9, 8192)
-        self.blocks = blocks = [0] * 64
-        for at in range(64):
-            west = blocks[at - 1] if at % 8 else 0
-            north = blocks[at - 8] if at >= 8 else 0
-            context = 3 * west + north
-            if self.symbols.bit(matter, context):
-                blocks[at] = 1 + self.symbols.bit(full, context)
-
-    def read_pixels(self):
-        pixel = bits("pixel", 64, 16384)
-        self.columns = columns = [[] for _ in range(SIDE * SIDE)]
-
-        def has(px, py):
-            return 0 <= px < SIDE and py >= 0 and bool(columns[SIDE * py + px])
-
-        for py in range(SIDE):
-            for px in range(SIDE):
-                block = self.blocks[py // 8 * 8 + px // 8]
-                if block == 1:
-                    context = (
-                        has(px - 2, py)
-                        + 2 * has(px - 1, py)
-                        + 4 * has(px - 1, py - 1)
-                        + 8 * has(px, py - 1)
-                        + 16 * has(px + 1, py - 1)
-                        + 32 * has(px, py - 2)
-                    )
-                    block = 2 * self.symbols.bit(pixel, context)
-                if block == 2:
-                    self.read_column(px, py)
-
-    # Section 6.4: spans.
-
-    def read_column(self, px, py):
-        def near(x, y):
-            return self.columns[SIDE * y + x] if 0 <= x < SIDE and y >= 0 else []
-
-        self.symbols.note(f"pixel ({px}, {py})")
-        west, north = near(px - 1, py), near(px, py - 1)
-        neighbours = [near for near in (west, north, near(px - 1, py - 1), near(px + 1, py - 1)) if near]
-        context = 4 * min(len(west), 3) + min(len(north), 3)
-        count, more = 1, 15
-        while more == 15 and count <= 64:
-            more = self.symbols.nibble(self.count, context)
-            count += more
-        need(count <= 64, "P7", f"{count} spans in pixel ({px}, {py})")
-        column = self.columns[SIDE * py + px]
-        for _ in range(count):
-            column.append(self.read_span(neighbours, column[-1] if column else None))
-
-    def read_span(self, neighbours, before):
-        if before is None:
-            candidates = [near[0] for near in neighbours]
-        else:
-            found = (next((span for span in near if span.bottom > before.top), None) for near in neighbours)
-            candidates = [span for span in found if span]
-        m = len(candidates)
-        lows = [span.low for span in candidates]
-        thicks = [span.thickness() for span in candidates]
-        if m >= 3:
-            bottom, thick = sorted(lows)[1], sorted(thicks)[1]
-        elif m:
-            bottom, thick = lows[0], thicks[0]
-        elif before:
-            bottom, thick = before.high, before.thickness()
-        elif self.coded_last:
-            bottom, thick = self.coded_last.low, self.coded_last.thickness()
-        else:
-            bottom, thick = 0, 0
-        low_class, thick_class = klass(spread(lows)), klass(spread(thicks))
-        if m < 2:
-            of_bottom, a = m, m
-        else:
-            of_bottom, a = 2 + low_class // 2 if m == 2 else 8 + low_class, 2 + thick_class
-        span = Span()
-        span.inferred = False
-        span.bottom, span.low, first = self.read_height(0, of_bottom, bottom)
-        context = 10 * klass(abs(thick)) + a
-        span.top, span.high, second = self.read_height(1, context, span.low + thick)
-        span.codes = first, second
-        obstacles = sum(near.obstacle for near in candidates)
-        span.obstacle = self.symbols.bit(self.kind, 2 * (5 * obstacles + m) + (span.top - span.bottom > 63))
-        if self.symbols.trace:
-            kind = "obstacle" if span.obstacle else "floor"
-            steps = "" if self.lattice.every else f" (steps {span.low}, {span.high})"
-            text = f"{kind} {span.bottom} ..= {span.top}{steps}; {m} candidates, expected {bottom}, thickness {thick}"
-            self.symbols.note(text)
-        check_span(span.bottom, span.top, "P8")
-        self.check_apart(before, span)
-        self.coded_last = span
-        return span
-
-    @staticmethod
-    def check_apart(before, span):
-        if before:
-            touching = span.bottom == before.top and span.bottom % SLICE == 0 and span.obstacle != before.obstacle
-            need(span.bottom > before.top or touching, "P8", f"spans to {before.top} and from {span.bottom}")
-
-    def read_height(self, end, context, expected):
-        symbols = self.symbols
-        n = symbols.nibble(self.heights[end], context)
-        if n == 15:
-            height = symbols.raw(7) * SLICE
-            return height, self.lattice.next(height), None
-        residual = min(n, 1)
-        if n >= 2:
-            residual = 2 | symbols.bit(self.second[end], n)
-            if n > 2:
-                residual = residual << (n - 2) | symbols.raw(n - 2)
-        residual = -(residual + 1 >> 1) if residual & 1 else residual >> 1
-        step = (expected + residual) % STEPS
-        offset = 0
-        if not self.lattice.every:
-            last = self.last[end].get(step, 0)
-            if symbols.bit(self.off[end], last):
-                offset = 1 if symbols.bit(self.up, end) else -1
-            self.last[end][step] = 2 if offset else 1
-        return self.lattice.usual(end, step) + offset, step, (step, offset)
-
-    # Section 6.5: the one encoding. The symbols of a page are those of a writer, if blocks, steps and heights are
-    # coded as a writer must; states and words follow from the symbols.
-
-    def check_encoding(self, slice_height, moved=0, level_step=None):
-        for at, kind in enumerate(self.blocks):
-            first = at // 8 * 8 * SIDE + at % 8 * 8
-            pixels = [bool(self.columns[first + SIDE * y + x]) for y in range(8) for x in range(8)]
-            true_kind = 2 if all(pixels) else int(any(pixels))
-            need(kind == true_kind, "P10", f"block {at} has kind {kind}, should have {true_kind}")
-        spans = [span for column in self.columns for span in column]
-        heights = [(end, height) for span in spans for end, height in enumerate((span.bottom, span.top))]
-        mine = self.lattice.step, self.lattice.phase
-        # Coarsened heights of archives before 1.3 are on none but the steps of scans.
-        lattices = [find_lattice(heights, slice_height, moved, level_step, self.choose)]
-        lattices += [find_lattice(heights, slice_height)] if moved and self.model < 3 else []
-        need(mine in lattices, "P10", f"step and phase are {mine}, should be {lattices[0]}")
-        codes = (code for span in spans for code in span.codes)
-        for (end, height), code in zip(heights, codes):
-            best = self.code_of(end, height)
-            need(code == best, "P10", f"height {height} is coded as {code}, should be {best}")
-
-    @staticmethod
-    def choose(low, high, step):
-        return (low + high) // 2 % step
+        return max(-((self.phase - height * ONE) // self.step), 0)
 
     def code_of(self, end, height):
+        """The step that codes a height, and how far it lies off the nominal one; None if no step does."""
         for offset in (0, 1, -1):
-            if self.lattice.every:
-                step = height
-            else:
-                step = max(self.lattice.next(height - offset - end), 0)
-            if step < STEPS and self.lattice.usual(end, step) + offset == height:
-                return step, offset
+            i = height if self.is_quanta else self.next(height - offset - end)
+            if i < STEPS and self.nominal(end, i) + offset == height:
+                return i, offset
         return None
 
 
-# Section 6.7: models 3 and 4.
+# Section 6.4 and appendix B: tables and models.
 
-RATES = [3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 6]
+LEAST = (
+    [0, 1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 0],
+    [0, 1, 2, 3, 4, 6, 8, 16, 32, 64, 128, 256, 512, 1024, 4096, 0],
+)
+BITS = [0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 7], [0, 0, 0, 0, 1, 1, 3, 4, 5, 6, 7, 8, 9, 12, 14, 7]
+BOUNDARY = 15
 SHAPE = [8, 8, 8, 8, 8, 8, 8, 8, 12, 16, 20, 35, 60, 110, 210, 300, 110, 45, 20, 12, 8, 6, 4, 3] + [2] * 7
 BOTTOM_PEAKS = [9, 6, 4, 6, 7, 9, 9, 9, 3, 3, 4, 5, 6, 6, 8, 10], [8, 6, 2, 7, 8, 11, 9, 9, 1, 2, 5, 6, 8, 9, 10, 12]
 THICKNESS_PEAKS = [0, 3, 5, 6, 7, 8, 9, 11], [0, 6, 7, 8, 9, 10, 11, 12]
@@ -377,296 +238,316 @@ COUNTS = (
     [450, 390, 100, 30, 10, 5, 2] + [1] * 9,
     [200, 280, 240, 120, 60, 35, 20, 10, 5, 2] + [1] * 6,
 )
-PIXELS = [3300, 8500, 17000, 19500, 21500, 24000, 28000]
-LEAST = (
-    [0, 1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 0],
-    [0, 1, 2, 3, 4, 6, 8, 16, 32, 64, 128, 256, 512, 1024, 4096, 0],
-)
-BITS = [0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 7], [0, 0, 0, 0, 1, 1, 3, 4, 5, 6, 7, 8, 9, 12, 14, 7]
+OCCUPIED = [2600, 21500, 31000]
+FULL = [1500, 1500, 23000, 1500, 1500, 12500, 23000, 12500, 29000]
+PIXEL = [3300, 8500, 17000, 19500, 21500, 24000, 28000]
 
 
-def starts(weights):
-    return [(32752 * sum(weights[:i]) // sum(weights)) + i for i in range(16)]
-
-
-def peaked(peak):
+def around(peak):
     return starts([SHAPE[15 + i - peak] for i in range(15)] + [2])
 
 
-class Braid(Symbols):
-    """Takes symbols from a body of model 3; the strand of a symbol follows from its model."""
-
-    def __init__(self, body, trace=None):
-        self.trace, self.body = trace, body[1:]
-        need(len(self.body) >= 8, "P6", f"a body of {len(body)} bytes")
-        self.states = [int.from_bytes(self.body[at : at + 4], "little") for at in (0, 4)]
-        need(min(self.states) >= 65536, "P6", f"states {self.states} at the start")
-        self.at, self.taken = 8, 0
-
-    def _take(self, strand, slot, start, count):
-        state = count * (self.states[strand] >> 15) + slot - start
-        if state < 65536:
-            need(self.at + 2 <= len(self.body), "P6", "words are missing")
-            state = state << 16 | int.from_bytes(self.body[self.at : self.at + 2], "little")
-            self.at += 2
-        self.states[strand] = self.state = state
-
-    def raw(self, n):
-        value = int.from_bytes(self.body, "big") >> self.taken & ((1 << n) - 1)
-        self.taken += n
-        self.state = 0
-        return self._done(f"raw({n})", value, 0, 0)
-
-    def nibble(self, models, index, strand):
-        model = models[index]
-        first, seen = model
-        slot = self.states[strand] & 32767
-        value = max(i for i in range(16) if first[i] <= slot)
-        end = first[value + 1] if value < 15 else 32768
-        count = end - first[value]
-        self._take(strand, slot, first[value], count)
-        r = RATES[seen]
-        model[0] = [s + ((i + (32752 if i > value else 0) - s) >> r) for i, s in enumerate(first)]
-        model[1] = min(seen + 1, 15)
-        return self._done(f"{models.name}[{index}]", value, first[value], count)
-
-    def bit(self, models, index, strand):
-        model = models[index]
-        ones, seen = model
-        slot = self.states[strand] & 32767
-        value = int(slot >= 32768 - ones)
-        start, count = (32768 - ones, ones) if value else (0, 32768 - ones)
-        model[0] = ones + ((32736 if value else 32) - ones >> B[seen])
-        model[1] = min(seen + 1, 15)
-        self._take(strand, slot, start, count)
-        return self._done(f"{models.name}[{index}]", value, start, count)
-
-    def finish(self):
-        used = self.at + (self.taken + 7) // 8
-        need(used == len(self.body) and self.states == [65536] * 2, "P6", f"{used} bytes of {len(self.body)}, states {self.states}")
-        left = self.body[self.at] >> self.taken % 8 if self.taken % 8 else 0
-        need(left == 0, "P6", "bits are left")
+def kind_ones(context):
+    o, m, h = context // 10, context // 2 % 5, context % 2
+    return min(32768 * (2 * o + 3) // (2 * m + 4) if h else 32768 * (2 * o + 1) // (4 * m + 8), 32000)
 
 
-class Braided(Page):
-    """A page of model 3 or 4."""
+def class_of(v):
+    return (0, 0, 0, 1, 2, 3, 4, 5, 6, 6)[v.bit_length()] if v.bit_length() < 10 else 7
 
-    def read_spans(self, body, trace):
-        self.symbols = symbols = Braid(body, trace)
-        self.lattice = self.read_lattice()
-        some = 0 if self.lattice.every else 1
+
+class Span:
+    __slots__ = ("bottom", "top", "obstacle", "low", "high", "inferred")
+
+    def thick(self):
+        return self.high - self.low
+
+
+# Sections 6.3 and 6.4: pixels and spans.
+
+
+class Walk:
+    """Goes over a page with a coder, which reads it, or writes the `given` spans of each pixel."""
+
+    def __init__(self, coder, grid, given=None):
+        self.coder, self.grid, self.given = coder, grid, given
+        some = 0 if grid.is_quanta else 1
         self.least, self.extra = LEAST[some], BITS[some]
-        self.count = Models("count", [starts(COUNTS[max(i // 4, i % 4, 1) - 1]) for i in range(16)])
-        thickness = [starts(THIN_WEIGHTS[some])] * 10 + [peaked(THICKNESS_PEAKS[some][i // 10]) for i in range(10, 80)]
-        self.heights = Models("bottom", map(peaked, BOTTOM_PEAKS[some])), Models("thickness", thickness)
-        self.off = Models("off", [starts([1] * 16)])
-        self.surprise = bits("surprise", 16, 1024)
-        kinds = []
-        for i in range(50):
-            o, m, h = i // 10, i // 2 % 5, i % 2
-            kinds.append(min(32000, 32768 * (2 * o + 3) // (2 * m + 4) if h else 32768 * (2 * o + 1) // (4 * m + 8)))
-        self.kind = Models("kind", kinds)
+        thin = [starts(THIN_WEIGHTS[some])] * 10
+        thickness = thin + [around(THICKNESS_PEAKS[some][c // 10]) for c in range(10, 80)]
+        self.count = Symbols("count", [starts(COUNTS[max(c // 4, c % 4, 1) - 1]) for c in range(16)])
+        self.bottom = Symbols("bottom", map(around, BOTTOM_PEAKS[some]))
+        self.thickness = Symbols("thickness", thickness)
+        self.off = Symbols("off", [starts([1] * 16)])
+        self.surprise = Bits("surprise", [1024] * 16)
+        self.kind = Bits("kind", map(kind_ones, range(50)))
         self.last = {}, {}
         self.expected = 0, 0
-        self.read_matter()
-        for py in range(SIDE):
-            for px in range(SIDE):
-                if self.matter[SIDE * py + px]:
-                    self.read_column(px, py)
-        del symbols
-
-    def read_lattice(self):
-        if not self.symbols.raw(1):
-            return Lattice()
-
-        def number():
-            zeros = self.symbols.raw(6)
-            need(zeros <= 40, "P7", f"{zeros} zeros end a number of 40 bits")
-            low = min(40 - zeros, 20)
-            value = self.symbols.raw(low)
-            return (value | self.symbols.raw(40 - zeros - low) << low) << zeros
-
-        step, phase = number(), number()
-        need(2 * ONE <= step <= 255 * ONE and phase < step, "P7", f"steps of {step} and phase {phase}")
-        return Lattice(step, phase)
-
-    def read_matter(self):
-        kinds = [(west, north) for west in range(3) for north in range(3)]
-        matter = Models("matter", [[2600, 21500, 31000][min(sum(kind), 2)] for kind in kinds])
-        full = Models("full", [1500, 1500, 23000, 1500, 1500, 12500, 23000, 12500, 29000])
-        pixel = Models("pixel", [PIXELS[i.bit_count()] for i in range(64)])
-        self.blocks = blocks = [0] * 64
-        for at in range(64):
-            context = 3 * (blocks[at - 1] if at % 8 else 0) + (blocks[at - 8] if at >= 8 else 0)
-            if self.symbols.bit(matter, context, 0):
-                blocks[at] = 1 + self.symbols.bit(full, context, 1)
+        self.code_pixels()
         self.columns = [[] for _ in range(SIDE * SIDE)]
-        self.matter = found = [0] * (SIDE * SIDE)
+        for pixel in range(SIDE * SIDE):
+            if self.occupied[pixel]:
+                self.code_column(pixel % SIDE, pixel // SIDE)
+
+    def fill_of(self, square):
+        """The fill of a square of the page that is to be written."""
+        first = square // 8 * 8 * SIDE + square % 8 * 8
+        occupied = [bool(self.given[first + SIDE * y + x]) for y in range(8) for x in range(8)]
+        return 2 if all(occupied) else int(any(occupied))
+
+    def code_pixels(self):
+        sums = [c // 3 + c % 3 for c in range(9)]
+        occupied, full = Bits("occupied", [OCCUPIED[min(s, 2)] for s in sums]), Bits("full", FULL)
+        pixel = Bits("pixel", [PIXEL[c.bit_count()] for c in range(64)])
+        fills = [0] * 64
+        for at in range(64):
+            fill = self.fill_of(at) if self.given else 0
+            context = 3 * (fills[at - 1] if at % 8 else 0) + (fills[at - 8] if at >= 8 else 0)
+            if self.coder.bit(0, occupied, context, int(fill > 0)):
+                fills[at] = 1 + self.coder.bit(1, full, context, int(fill == 2))
+        self.occupied = found = [0] * (SIDE * SIDE)
 
         def has(px, py):
             return found[SIDE * py + px] if 0 <= px < SIDE and py >= 0 else 0
 
-        places = ((-2, 0), (-1, 0), (-1, -1), (0, -1), (1, -1), (0, -2))
+        places = (-2, 0), (-1, 0), (-1, -1), (0, -1), (1, -1), (0, -2)
         for py in range(SIDE):
             for px in range(SIDE):
-                block = blocks[py // 8 * 8 + px // 8]
-                if block == 1:
-                    context = sum(has(px + x, py + y) << at for at, (x, y) in enumerate(places))
-                    found[SIDE * py + px] = self.symbols.bit(pixel, context, px % 2)
-                elif block == 2:
-                    found[SIDE * py + px] = 1
+                at, fill = SIDE * py + px, fills[py // 8 * 8 + px // 8]
+                if fill == 1:
+                    context = sum(has(px + x, py + y) << bit for bit, (x, y) in enumerate(places))
+                    given = int(bool(self.given[at])) if self.given else 0
+                    found[at] = self.coder.bit(px % 2, pixel, context, given)
+                else:
+                    found[at] = fill // 2
 
-    def read_column(self, px, py):
-        def near(x, y):
+    def code_column(self, px, py):
+        def spans(x, y):
             return self.columns[SIDE * y + x] if 0 <= x < SIDE and y >= 0 else []
 
-        self.symbols.note(f"pixel ({px}, {py})")
-        around = near(px - 1, py), near(px, py - 1), near(px - 1, py - 1), near(px + 1, py - 1)
-        context = 4 * min(len(around[0]), 3) + min(len(around[1]), 3)
-        count, more = 1, 15
-        while more == 15 and count <= 64:
-            more = self.symbols.nibble(self.count, context, 1)
-            count += more
-        need(count <= 64, "P7", f"{count} spans in pixel ({px}, {py})")
+        self.coder.note(f"pixel ({px}, {py})")
+        near = spans(px - 1, py), spans(px, py - 1), spans(px - 1, py - 1), spans(px + 1, py - 1)
+        given = self.given[SIDE * py + px] if self.given else []
+        context = 4 * min(len(near[0]), 3) + min(len(near[1]), 3)
+        number, more = 1, 15
+        while more == 15 and number <= 64:
+            more = self.coder.symbol(1, self.count, context, max(min(len(given) - number, 15), 0))
+            number += more
+        need(number <= 64, "P7", f"{number} spans in pixel ({px}, {py})")
         column = self.columns[SIDE * py + px]
-        for _ in range(count):
-            column.append(self.read_span(around, column[-1] if column else None))
-        self.expected = column[-1].low, column[-1].thickness()
+        for at in range(number):
+            column.append(self.code_span(near, column[-1] if column else None, given[at] if given else None))
+        # For the first span of the next pixel, if it has no candidates.
+        self.expected = column[-1].low, column[-1].thick()
 
-    def read_span(self, around, before):
+    def code_span(self, near, before, given):
         top = before.top if before else -1
-        found = (next((span for span in near if span.bottom > top), None) for near in around)
+        found = (next((span for span in spans if span.bottom > top), None) for spans in near)
         candidates = [span for span in found if span]
         m, o = len(candidates), sum(span.obstacle for span in candidates)
-        lows = sorted(span.low for span in candidates)
-        thicks = sorted(span.thickness() for span in candidates)
-        if m:
-            low, thick = (values[1 if m > 2 else 0] for values in (lows, thicks))
-        else:
-            low, thick = self.expected
-        low_class, thick_class = klass(spread(lows)), klass(spread(thicks))
-        if m < 2:
-            of_bottom, a = m, m
-        else:
-            of_bottom, a = 2 + low_class // 2 if m == 2 else 8 + low_class, 2 + thick_class
-        codes = self.symbols.nibble(self.heights[0], of_bottom, 0), self.symbols.nibble(
-            self.heights[1], 10 * klass(abs(thick)) + a, 1
+        lows, thicks = sorted(span.low for span in candidates), sorted(span.thick() for span in candidates)
+        e, thick = (lows[m > 2], thicks[m > 2]) if m else self.expected
+        x, a = m, m
+        if m >= 2:
+            low_class, thick_class = class_of(lows[-1] - lows[0]), class_of(thicks[-1] - thicks[0])
+            x, a = (8 + low_class if m > 2 else 2 + low_class // 2), 2 + thick_class
+        numbers, values, offsets = self.codes_of(given, e, thick) if given else ((0, 0), (0, 0), (0, 0))
+        codes = (
+            self.coder.symbol(0, self.bottom, x, numbers[0]),
+            self.coder.symbol(1, self.thickness, 10 * class_of(abs(thick)) + a, numbers[1]),
         )
         extra = [self.extra[code] for code in codes]
-        both = self.symbols.raw(sum(extra))
-        values = both & ((1 << extra[0]) - 1), both >> extra[0]
+        both = self.coder.raw(sum(extra), values[0] | values[1] << extra[0])
         span = Span()
         span.inferred = False
-        steps, heights, expected = [], [], low
-        for end, (code, value) in enumerate(zip(codes, values)):
-            if code == 15:
-                heights.append(value * SLICE)
-                steps.append(self.lattice.next(value * SLICE))
-            else:
-                residual = self.least[code] + value
-                residual = -(residual + 1 >> 1) if residual & 1 else residual >> 1
-                steps.append((expected + residual) % STEPS)
-                heights.append(self.lattice.usual(end, steps[-1]))
-            expected = steps[0] + thick
-        offsets = [0, 0]
-        if not self.lattice.every:
-            known = [0 if code == 15 else last.get(step, 0) for code, last, step in zip(codes, self.last, steps)]
-            offsets = [(0, 0, 1, -1)[k] for k in known]
-            if self.symbols.bit(self.surprise, 4 * known[0] + known[1], 1):
-                value = min(self.symbols.nibble(self.off, 0, 1), 8)
-                offsets = [value // 3 - 1, value % 3 - 1]
-            for code, last, step, offset in zip(codes, self.last, steps, offsets):
-                if code < 15:
-                    last[step] = (1, 2, 3)[offset]
-        span.low, span.high = steps
-        span.bottom, span.top = (height + offset for height, offset in zip(heights, offsets))
-        span.codes = [None if code == 15 else (step, offset) for code, step, offset in zip(codes, steps, offsets)]
-        span.obstacle = self.symbols.bit(self.kind, 2 * (5 * o + m) + (span.top - span.bottom > 63), 0)
-        if self.symbols.trace:
+        span.bottom, span.low = self.height(0, codes[0], both & ((1 << extra[0]) - 1), e)
+        span.top, span.high = self.height(1, codes[1], both >> extra[0], span.low + thick)
+        if not self.grid.is_quanta:
+            self.code_offsets(span, codes, offsets)
+        h = int(span.top > span.bottom + 63)
+        span.obstacle = self.coder.bit(0, self.kind, 2 * (5 * o + m) + h, given[2] if given else 0)
+        if self.coder.trace:
             kind = "obstacle" if span.obstacle else "floor"
-            self.symbols.note(f"{kind} {span.bottom} ..= {span.top}; {m} candidates, expected {low}, thickness {thick}")
+            steps = "" if self.grid.is_quanta else f" (steps {span.low}, {span.high})"
+            text = f"{kind} {span.bottom} ..= {span.top}{steps}; {m} candidates, expected {e}, thickness {thick}"
+            self.coder.note(text)
         check_span(span.bottom, span.top, "P8")
-        self.check_apart(before, span)
-        self.expected = span.high, span.thickness()
+        check_apart(before, span)
+        self.expected = span.high, span.thick()
         return span
 
-    @staticmethod
-    def choose(low, high, step):
-        whole = low // step * step
-        low, high = low - whole, high - whole
-        if low <= 0 or high >= step:
-            return 0
-        bit = ((low - 1) ^ high).bit_length() - 1
-        return high >> bit << bit
+    def height(self, end, code, value, expected):
+        if code == BOUNDARY:
+            return SLICE * value, self.grid.next(SLICE * value)
+        step = (expected + unfold(self.least[code] + value)) % STEPS
+        return self.grid.nominal(end, step), step
+
+    def code_offsets(self, span, codes, given):
+        steps = span.low, span.high
+        known = [0 if code == BOUNDARY else last.get(step, 0) for code, last, step in zip(codes, self.last, steps)]
+        offsets = [(0, 0, 1, -1)[k] for k in known]
+        if self.coder.bit(1, self.surprise, 4 * known[0] + known[1], int(list(given) != offsets)):
+            value = min(self.coder.symbol(1, self.off, 0, 3 * (given[0] + 1) + given[1] + 1), 8)
+            offsets = [value // 3 - 1, value % 3 - 1]
+        for code, last, step, offset in zip(codes, self.last, steps, offsets):
+            if code != BOUNDARY:
+                last[step] = (1, 2, 3)[offset]
+        span.bottom += offsets[0]
+        span.top += offsets[1]
+
+    def codes_of(self, given, e, thick):
+        """Section 6.6: symbol, its bits and offset of both heights of a span that is to be written."""
+        numbers, values, offsets, steps = [], [], [], []
+        for end, height in enumerate(given[:2]):
+            code = self.grid.code_of(end, height)
+            if code is None:
+                need(height % SLICE == 0, "P10", f"height {height} lies on no step")
+                steps.append(self.grid.next(height))
+                numbers.append(BOUNDARY)
+                values.append(height // SLICE)
+                offsets.append(0)
+                continue
+            expected = steps[0] + thick if end else e
+            folded = fold((code[0] - expected + STEPS // 2) % STEPS - STEPS // 2)
+            numbers.append(bisect_right(self.least, folded, 0, 15) - 1)
+            values.append(folded - self.least[numbers[-1]])
+            offsets.append(code[1])
+            steps.append(code[0])
+        return numbers, values, offsets
 
 
-def read_runs(body):
-    """The runs of a body of model 2 or 4, and the same as a body of model 1 or 3."""
-    from encoding import Bytes  # which needs this module itself
+class Page:
+    """The content of a page: `columns[64 * py + px]` are the spans of a pixel."""
 
-    content = Bytes(body[1:], "P12")
+    def __init__(self, body, trace=None):
+        need(body[0] in (PLAIN, MARKED), "P5", f"first byte {body[0]}")
+        self.body = body
+        runs, data = read_runs(body[1:]) if body[0] == MARKED else ([], body[1:])
+        decoder = Decoder(data, trace)
+        walk = Walk(decoder, StepGrid.coded(decoder, StepGrid()))
+        decoder.finish()
+        self.columns = walk.columns
+        need(any(self.columns), "P6", "no pixel is occupied")
+        self.mark(runs)
+
+    def floors(self):
+        return [span for column in self.columns for span in column if not span.obstacle]
+
+    # Section 6.5: inferred spans.
+
+    def mark(self, runs):
+        floors, at = self.floors(), 0
+        need(sum(runs) <= len(floors), "P12", f"runs of {sum(runs)} of {len(floors)} floor spans")
+        for number, run in enumerate(runs):
+            for span in floors[at : at + run]:
+                span.inferred = number % 2 == 1
+            at += run
+
+    def runs(self):
+        runs = [0]
+        for span in self.floors():
+            if span.inferred == (len(runs) % 2 == 1):
+                runs.append(0)
+            runs[-1] += 1
+        return runs[: len(runs) // 2 * 2]
+
+    # Section 6.6: the one encoding.
+
+    def check_encoding(self, slice_height, moved=0, of_level=False):
+        from encoding import varint  # which needs this module itself
+
+        spans = [span for column in self.columns for span in column]
+        heights = [(end, height) for span in spans for end, height in enumerate((span.bottom, span.top))]
+        heights = [(end, height) for end, height in heights if height % SLICE]
+        grid = level_grid(heights) if of_level else find_grid(heights, slice_height, moved)
+        encoder = Encoder()
+        StepGrid.coded(encoder, grid)
+        Walk(encoder, grid, [[(span.bottom, span.top, span.obstacle) for span in column] for column in self.columns])
+        runs = self.runs()
+        need(not (of_level and runs), "P10", "inferred spans in a page of a level")
+        marks = b"".join(map(varint, [len(runs), *runs])) if runs else b""
+        body = bytes([MARKED if runs else PLAIN]) + marks + encoder.finish()
+        differs = next((at for at, pair in enumerate(zip(body, self.body)) if pair[0] != pair[1]), len(body))
+        need(body == self.body, "P10", f"another encoding of its content from byte {differs} on")
+
+
+def read_runs(data):
+    """The runs at the start of a body's rest, and what follows them."""
+    from encoding import Bytes
+
+    content = Bytes(data, "P12")
     count = content.varint()
-    left = len(body) - 1 - content.at
+    left = len(data) - content.at
     need(count % 2 == 0 and 2 <= count <= left, "P12", f"{count} runs in {left} bytes")
     runs = [content.varint() for _ in range(count)]
-    need(all(1 <= run <= 1 << 18 for run in runs[1:]) and runs[0] <= 1 << 18, "P12", f"runs {runs}")
-    return runs, bytes([body[0] - 1]) + body[1 + content.at :]
+    need(all(1 <= run <= MOST_PAGE_SPANS for run in runs[1:]) and runs[0] <= MOST_PAGE_SPANS, "P12", f"runs {runs}")
+    return runs, data[content.at :]
 
 
-def find_lattice(heights, slice_height, moved=0, level_step=None, choose=Page.choose):
-    """Step and phase that a writer uses, by the tolerance in quanta; in a page of a level by its step."""
-    heights = [(end, height) for end, height in heights if height % SLICE]
-    if level_step == THIRD:
-        return (THIRD if heights else SLICE) * ONE, 0
+def level_grid(heights):
+    """The grid of a page of a level, by its heights between slices."""
+    return StepGrid((THIRD if heights else SLICE) * ONE)
+
+
+def find_grid(heights, slice_height, moved):
+    """The grid of a page of an archive, by its heights between slices and the tolerance in quanta."""
     if len(heights) < 32:
-        return ONE, 0
-    if level_step:
-        return fit(heights, [level_step * ONE], choose)
+        return StepGrid()
     foot, us_foot = 0.3048, 1200
     units = [0.1, 0.1 * foot, 0.1 * us_foot / 3937, 0.01, 0.005, 0.01 * foot, 0.01 * us_foot / 3937, 0.002, 0.001]
     units += [0.0005, 0.001 * foot, 0.001 * us_foot / 3937, 0.00025, 0.0001]
-    scans = [int(unit * 255 / slice_height * ONE + 0.5) for unit in units]
-    return fit(heights, steps_within(scans, moved) + scans, choose)
+    scanned = [int(unit * 255 / slice_height * ONE + 0.5) for unit in units]
+    for step in coarse_steps(scanned, moved) + scanned:
+        if 2 * ONE <= step <= SLICE * ONE:
+            phase = phase_of(heights, step)
+            if phase is not None:
+                return StepGrid(step, phase)
+    return StepGrid()
 
 
-def steps_within(scans, moved):
-    """Steps that heights may have been put on within a tolerance of so many quanta."""
+def coarse_steps(scanned, moved):
+    """Steps that heights may have been moved to within a tolerance of `moved` quanta."""
     if moved == 0:
         return []
     steps = []
-    for step in scans:
-        if 2 * ONE <= step <= 255 * ONE:
-            most = min(max(moved - 2, 0) * ONE // step + 1, 255 * ONE // step)
+    for step in scanned:
+        if 2 * ONE <= step <= SLICE * ONE:
+            most = min(max(moved - 2, 0) * ONE // step + 1, SLICE * ONE // step)
             if most <= 6:
                 steps += [count * step for count in (most, (most + 1) // 2) if count > 1]
-    return steps + [min((moved + 1) // parts, 255) * ONE for parts in (1, 2)]
+    return steps + [min((moved + 1) // parts, SLICE) * ONE for parts in (1, 2)]
 
 
-def fit(heights, steps, choose):
-    """The first of `steps` that all heights are on, with the phase that `choose` takes."""
-    slack = 1 << 14
-    for step in steps:
-        if not 2 * ONE <= step <= 255 * ONE:
-            continue
-        first = None
-        for end, height in heights:
-            low, high = max((height - end) * ONE - slack, 0), (height - end + 1) * ONE + slack
-            if first is None:
-                first, left = low, [low, high]
-            away = (low - first + step // 2) // step * step
-            left = [max(left[0], low - away), min(left[1], high - away)]
-            if left[0] > left[1]:
-                break
-        else:
-            return step, choose(*left, step)
-    return ONE, 0
+def phase_of(heights, step):
+    """The phase that puts all heights on steps; None if there is none."""
+    slack, first = 1 << 14, None
+    for end, height in heights:
+        start, stop = max((height - end) * ONE - slack, 0), (height - end + 1) * ONE + slack
+        if first is None:
+            first, low, high = start, start, stop
+        back = (start - first + step // 2) // step * step
+        low, high = max(low, start - back), min(high, stop - back)
+        if low > high:
+            return None
+    whole = low // step * step
+    low, high = low - whole, high - whole
+    if low <= 0 or high >= step:
+        return 0
+    bit = (low - 1 ^ high).bit_length() - 1
+    return high >> bit << bit
 
 
-# Chapter 1: spans, slices, blocks and words.
+# Chapters 1 and 4: spans, slices, blocks and words.
 
 
 def check_span(bottom, top, rule):
     need(0 <= bottom <= top <= TOP and bottom < TOP, rule, f"a span from {bottom} to {top}")
+
+
+def check_apart(before, span):
+    if before:
+        touching = span.bottom == before.top and span.bottom % SLICE == 0 and span.obstacle != before.obstacle
+        need(span.bottom > before.top or touching, "P8", f"spans to {before.top} and from {span.bottom}")
 
 
 def slices_of(bottom, top):

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A second reader of slice archives, written from slice-archive.md alone.
 
-reader.py ARCHIVE              checks every rule and prints what the archive holds in short
+reader.py ARCHIVE              checks every rule and prints a summary of the archive
 reader.py ARCHIVE --json       prints all content as JSON
 reader.py ARCHIVE --symbols N  prints the symbols of the page of entry N, from 0, one a line
 reader.py ARCHIVE --twin FILE  compares content, or the rule that is broken, with a JSON file
@@ -23,12 +23,11 @@ from head import INDEX, Head
 from levels import check_levels, read_table
 from page import SIDE, SLICE, TOP, Page, Refused, check_span, need, size_of, slices_of
 
-END_MAGIC = b"\x89CILS\r\n\x1a"
+END_MAGIC = b"\x89ALS\r\n\x1a\n"
 PAGE_MAGIC = b"\x89PAG"
 LEVEL_MAGIC = b"\x89LVL"
 LEADER_LEN = 24
-# Most bytes of a page of models 1 and 2, and of 3 and 4.
-LONGEST_PAGE = 6299951, 3983681
+LONGEST_PAGE = 3983681
 TILE = 1 << 30
 WINDOW = 65536
 
@@ -47,12 +46,12 @@ class Entry:
         return self.column, self.layer
 
     def same(self):
-        """What a shared entry has in common with the stored one."""
+        """The fields that a shared entry has in common with the stored one."""
         return self.offset, self.length, self.crc, self.mask, self.blocks, self.words
 
 
-def read_leaf(data, record, end_key, pages_len, longest):
-    """Entries of a leaf, whose keys end below `end_key`; no page has more than `longest` bytes."""
+def read_leaf(data, record, end_key, pages_len):
+    """Entries of a leaf, whose keys end below `end_key`."""
     column, layer, count, stored_len, raw_len, crc = record
     need(crc32c(data) == crc, "D1", "the checksum of a leaf is wrong")
     need(raw_len <= 10 + 47 * count, "D2", f"{raw_len} bytes for {count} entries")
@@ -94,7 +93,7 @@ def read_leaf(data, record, end_key, pages_len, longest):
         need(entry.mask, "D7", f"page {key} has no slices")
         sizes = 1 <= entry.blocks <= 64 and entry.words <= 524480
         need(sizes, "D11", f"page {key} of {entry.blocks} blocks and {entry.words} words")
-        need(25 <= entry.length <= longest, "D6", f"page {key} of {entry.length} bytes")
+        need(25 <= entry.length <= LONGEST_PAGE, "D6", f"page {key} of {entry.length} bytes")
         entry.offset = place
         if entry.kind == "stored":
             place += entry.length
@@ -119,10 +118,10 @@ def read_span(entry, word):
 # Chapter 5: pages.
 
 
-def read_page(entry, data, slice_height, braided, fills=False, moved=0, level_step=None):
-    """The page of an entry of an archive with `braided` pages or without; with the step of its heights, of a level."""
+def read_page(entry, data, slice_height=None, fills=False, moved=0, of_level=False):
+    """The page of an entry of an archive in which holes are closed or not, or of a level."""
     magic, tx, ty, layer, body_len, crc = struct.unpack("<4siiiII", data[:LEADER_LEN])
-    need(magic == (LEVEL_MAGIC if level_step else PAGE_MAGIC), "P1", "a page does not begin as one")
+    need(magic == (LEVEL_MAGIC if of_level else PAGE_MAGIC), "P1", "a page does not begin as one")
     need(body_len == len(data) - LEADER_LEN, "P1", f"a body of {body_len} bytes, not {len(data) - LEADER_LEN}")
     right = crc32c(data[:20] + data[LEADER_LEN:])
     need(crc == right == entry.crc, "P2", f"the checksum of a page is {right:#x}, not {crc:#x} and {entry.crc:#x}")
@@ -131,10 +130,7 @@ def read_page(entry, data, slice_height, braided, fills=False, moved=0, level_st
         need((tx, ty, layer) == (entry.tx, entry.ty, entry.layer), "P3", f"page {(tx, ty, layer)} is elsewhere")
     else:
         need(key is not None and key < entry.key(), "P3", f"page {(tx, ty, layer)} is shared by an earlier one")
-    models = (3, 4) if braided else (1, 2)
-    need(data[LEADER_LEN] in models, "P5", f"model {data[LEADER_LEN]}, not one of {models}")
     page = Page(data[LEADER_LEN:])
-    need(page.model % 2 == 1 or fills, "P13", "inferred matter in an archive without closed holes")
     mask = 0
     for column in page.columns:
         for span in column:
@@ -142,12 +138,13 @@ def read_page(entry, data, slice_height, braided, fills=False, moved=0, level_st
     need(mask == entry.mask, "P9", f"slices {mask:#x}, not {entry.mask:#x}")
     size = size_of(page.columns)
     need(size == (entry.blocks, entry.words), "P11", f"{size} blocks and words, not {(entry.blocks, entry.words)}")
-    page.check_encoding(slice_height, moved, level_step)
+    need(fills or of_level or not page.runs(), "P13", "inferred spans in an archive without closed holes")
+    page.check_encoding(slice_height, moved, of_level)
     return page
 
 
 def voxels_of(columns):
-    """Voxels with matter, with an obstacle, and with inferred matter alone; kind 2 is inferred floor."""
+    """Occupied voxels, those of obstacles, and inferred ones; kind 2 is inferred floor."""
     occupied = obstacle = inferred = 0
     for spans in columns:
         kinds = [0, 0, 0]
@@ -235,7 +232,7 @@ def read_entries(head, directory):
     entries, place, at, window = [], 0, 0, deque(maxlen=WINDOW)
     ends = [record[:2] for record in head.root[1:]] + [None]
     for record, end_key in zip(head.root, ends):
-        leaf = read_leaf(directory[at : at + record[3]], record, end_key, head.pages_len, LONGEST_PAGE[head.braided])
+        leaf = read_leaf(directory[at : at + record[3]], record, end_key, head.pages_len)
         at += record[3]
         for entry in leaf:
             if entry.kind == "stored":
@@ -252,15 +249,15 @@ def read_entries(head, directory):
 
 
 def box_of(columns):
-    """Least and greatest pixel x, pixel y and height of a page's matter."""
+    """Least and greatest pixel x, pixel y and height of the spans of a page."""
     pixels = [at for at, spans in enumerate(columns) if spans]
     xs, ys = [at % SIDE for at in pixels], [at // SIDE for at in pixels]
     bottoms, tops = [columns[at][0][0] for at in pixels], [columns[at][-1][1] for at in pixels]
     return (min(xs), min(ys), min(bottoms)), (max(xs), max(ys), max(tops))
 
 
-class Matter:
-    """The least box around all matter: pixels, and quanta along z."""
+class Extent:
+    """The least box around all spans: pixels, and quanta along z."""
 
     def __init__(self):
         self.low, self.high = [math.inf] * 3, [-math.inf] * 3
@@ -281,9 +278,9 @@ def moved_by(head):
     return min(255, math.floor(head.tolerance / (head.slice_height / 255)))
 
 
-def check_bounds(head, part, matter):
+def check_bounds(head, part, extent):
     borrows = part and head.fill_holes > 0
-    need(head.bounds or not head.pages or borrows, "T6", "matter without bounds")
+    need(head.bounds or not head.pages or borrows, "T6", "spans without bounds")
     if not head.bounds:
         return
     units = 1 / head.pixel_size, 1 / head.pixel_size, 255 / head.slice_height
@@ -298,11 +295,11 @@ def check_bounds(head, part, matter):
         if not head.pages or borrows:
             continue
         slack = moved if axis == 2 else 0
-        least, greatest = matter.low[axis], matter.high[axis]
-        need(low <= least + slack and greatest - slack <= high, "T6", f"{text}, of matter from {least} to {greatest}")
+        least, greatest = extent.low[axis], extent.high[axis]
+        need(low <= least + slack and greatest - slack <= high, "T6", f"{text}, of spans from {least} to {greatest}")
         margin = TOP if axis == 2 else SIDE
         near = least - margin <= low and high <= greatest + margin
-        need(near or not tight, "T6", f"{text}, far from matter from {least} to {greatest}")
+        need(near or not tight, "T6", f"{text}, far from spans from {least} to {greatest}")
 
 
 def check_entries(head, entries, part):
@@ -331,7 +328,7 @@ def read_archive(data):
     crs, part, units, noise = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
     occupied = obstacle = inferred = 0
-    matter = Matter()
+    extent = Extent()
     decoded, contents, all_columns = {}, [], {}
     for entry in entries:
         item = {
@@ -349,7 +346,7 @@ def read_archive(data):
             stored = pages[entry.offset : entry.offset + entry.length]
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
             if entry.kind == "stored" or entry.offset not in decoded:
-                page = read_page(entry, stored, head.slice_height, head.braided, head.fill_holes > 0, moved_by(head))
+                page = read_page(entry, stored, head.slice_height, head.fill_holes > 0, moved_by(head))
                 kind = lambda span: 2 if span.inferred else span.obstacle
                 kinds = [[(span.bottom, span.top, kind(span)) for span in column] for column in page.columns]
                 pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(kinds) if spans]
@@ -359,14 +356,14 @@ def read_archive(data):
             item |= {"offset": ends[0] + entry.offset, "length": entry.length}
             item |= {"blocks": entry.blocks, "words": entry.words}
         occupied, obstacle, inferred = (sum(pair) for pair in zip((occupied, obstacle, inferred), counts))
-        matter.add(entry, box)
+        extent.add(entry, box)
         contents.append(item)
         if head.has_levels or head.has_colours:
             all_columns[entry.tx, entry.ty, entry.layer] = columns
     check_entries(head, entries, part)
     right = (occupied, obstacle, inferred) == (head.voxels_occupied, head.voxels_obstacle, head.voxels_inferred)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles, {inferred} inferred")
-    check_bounds(head, part, matter)
+    check_bounds(head, part, extent)
     content = {"info": show(head, crs, part, units, noise), "pages": contents}
     keys = list(all_columns)
     blocks, parts = check_colours(head, colours, keys, all_columns.get)
@@ -379,12 +376,12 @@ def read_archive(data):
     return content
 
 
-def level_columns(entry, pages, head):
-    """What a page of a level holds, checked."""
+def level_columns(entry, pages):
+    """The spans of a page of a level, checked."""
     if entry.span:
         return [[entry.span]] * (SIDE * SIDE)
     stored = pages[entry.offset : entry.offset + entry.length]
-    page = read_page(entry, stored, None, head.braided, level_step=head.level_step)
+    page = read_page(entry, stored, of_level=True)
     return [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
 
 
@@ -455,7 +452,7 @@ def show_units(units):
 
 
 def show_symbols(data, entry):
-    """Model, value, interval and state after each symbol of a page, and what the symbols mean."""
+    """Model, value, interval, number and value of the state after each symbol of a page, and what the symbols mean."""
     if "offset" not in entry:
         sys.exit("reader.py: a uniform page has no symbols")
     number = iter(range(1 << 30))
