@@ -32,7 +32,7 @@ pub struct Along {
     guide: Vec<Point3<f64>>,
     /// Distance from the guide to the edge of the corridor (m).
     distance: f64,
-    /// Length along the guide that the route covers so far (m).
+    /// Length along the guide that the route already covers (m).
     done: f64,
     points: Vec<Point3<f64>>,
     piece: Option<Piece>,
@@ -65,7 +65,7 @@ impl Along {
         Self { pawn, to, guide: line, distance, done: 0.0, points, piece: None, widenings: 0, search, peak_bytes: 0 }
     }
 
-    /// Returns the peak of its memory so far (bytes).
+    /// Returns its peak memory (bytes).
     pub fn peak_bytes(&self) -> usize {
         self.peak_bytes
     }

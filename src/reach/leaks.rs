@@ -1,20 +1,21 @@
 //! Leaks: where a region ends although nothing is in the way.
 //!
-//! A pixel is *open* at a height if the body fits there and no matter lies under the middle of the feet within
-//! [`Pawn::max_drop`](super::Pawn::max_drop): it was not scanned, or it is deeper. A *rim* is made of the steps from standing places to open
-//! pixels, the *brinks*; those within two pixels of each other belong together. What one falls onto is decided at the rim: it is split where
-//! matter below ends, and where its depth changes by more than the climb height from one brink to the next. Stretches narrower than half of
-//! the pawn count as the longest one beside them.
+//! A pixel is *open* at a height if the body fits there and nothing supports the middle of the feet within
+//! [`Pawn::max_drop`](super::Pawn::max_drop): the ground was not scanned, or is deeper. The steps from standing places
+//! to open pixels are *brinks*; brinks within two pixels of each other make a *rim*. The rim decides what lies below a
+//! leak: it is split where the ground below ends, and where its depth changes by more than the climb height from one
+//! brink to the next. Stretches narrower than half of the pawn count as the longest one beside them.
 //!
-//! From each rim the open pixels are flooded at its height, to see whether they are closed in; open pixels that meet are one *gap*. One that
-//! goes on to the end of the scan, or over more than 2¹⁶ pixels, is not closed in. Each stretch of a rim is a leak:
+//! From each rim the open pixels are flooded at its height, to see whether they are enclosed; open pixels that meet are
+//! one *gap*. A gap that reaches the end of the scan, or has more than 2¹⁶ pixels, is not enclosed. Each stretch of a
+//! rim is a leak:
 //!
-//! - **hole**: the gap is closed in, and nothing was scanned below the stretch, or at least half of the gap's border is floor; stretches of one
-//!   gap below which the same lies are one hole;
-//! - **edge**: the gap is not closed in, and nothing was scanned below the stretch;
-//! - **ledge**: all others: what is below is deeper than the pawn drops.
+//! - **hole**: the gap is enclosed, and nothing was scanned below the stretch, or at least half of the gap's border is
+//!   floor; stretches of one gap with the same depth are one hole;
+//! - **edge**: the gap is not enclosed, and nothing was scanned below the stretch;
+//! - **ledge**: all others: the ground below is deeper than the pawn steps down.
 //!
-//! A gap that is narrower than half of the pawn is no leak: a walker passes over it, and a scan has many such gaps.
+//! A gap narrower than half of the pawn is not a leak: a walker passes over it, and a scan has many such gaps.
 
 use super::intervals::NONE;
 use super::pawn::WAYS;
@@ -28,16 +29,16 @@ use nalgebra::Point3;
 use std::collections::HashMap;
 use std::ops::ControlFlow;
 
-/// Most open pixels that are looked at before a gap counts as not closed in.
+/// Most open pixels of an enclosed gap.
 const MOST_PIXELS: usize = 1 << 16;
-/// Brinks this near each other belong together (pixels).
+/// Greatest distance between brinks of one rim (pixels).
 const TOGETHER: i32 = 2;
 /// Edge of a tile (pixels).
 const TILE: usize = 64;
-/// No number.
+/// Stands for no number.
 const NOTHING: u32 = u32::MAX;
 
-/// What kind of leak it is.
+/// Kind of a leak.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum LeakKind {
@@ -45,12 +46,12 @@ pub enum LeakKind {
     Hole,
     /// The edge of the scan.
     Edge,
-    /// A drop deeper than the pawn takes.
+    /// A drop deeper than the pawn steps down.
     Ledge,
 }
 
 impl LeakKind {
-    /// As `slicetool reach` writes it.
+    /// Returns the name that `slicetool reach` writes.
     pub fn name(self) -> &'static str {
         match self {
             Self::Hole => "hole",
@@ -64,30 +65,31 @@ impl LeakKind {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Leak {
-    /// Its middle: of a hole the open pixel, else the rim place, nearest to the mean of all; at the height of the rim (m).
+    /// Middle of the leak, at the height of the rim (m): the open pixel of a hole, or the place on another rim, that is
+    /// nearest to the mean of all.
     pub at: Point3<f64>,
-    /// Its greatest extent along x or y: of a hole itself, else of its rim (m).
+    /// Greatest extent along x or y, of the hole itself or else of the rim (m).
     pub width: f64,
-    /// How far below the rim the next matter lies: the middle one of all its depths; `None` if nothing was scanned below (m).
+    /// Depth of the ground below the rim (m): the median along the rim; `None` if nothing was scanned below.
     pub drop: Option<f64>,
-    /// What kind it is.
+    /// Kind of the leak.
     pub kind: LeakKind,
 }
 
-/// What lies at a pixel at the height of a rim.
+/// Content of a pixel at the height of a rim.
 #[derive(Clone, Copy, PartialEq)]
 enum There {
-    /// Nothing to stand on; how far down matter is (quanta).
+    /// Nothing to stand on; depth of the ground, if any (quanta).
     Open(Option<i32>),
     Floor,
     Matter,
-    /// Beyond the scan.
+    /// Outside of the scan.
     Outside,
 }
 
 impl Region {
-    /// All leaks, by place (y, x, z). Needs pages in the tiles that the open pixels lie in, and around them.
-    /// Fails where more matter lies over one tile than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    /// Returns all leaks, sorted by place (y, x, z). Needs the pages of the tiles that hold open pixels, and of those
+    /// around them. Fails if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Result<Answer<Vec<Leak>>> {
         let survey = Survey { region: self, standing, set, last: None, marks: Plane::new(NOTHING), gaps: Vec::new() };
         answer(survey.leaks())
@@ -122,7 +124,7 @@ impl<T: Copy> Plane<T> {
     }
 }
 
-/// Sets that are joined.
+/// Disjoint sets of numbers.
 struct Sets(Vec<u32>);
 
 impl Sets {
@@ -144,7 +146,7 @@ impl Sets {
         self.0[a.max(b) as usize] = a.min(b);
     }
 
-    /// The members of each set, by their first.
+    /// Returns the members of each set, ordered by their first.
     fn members(&mut self) -> Vec<Vec<u32>> {
         let mut members: Vec<Vec<u32>> = Vec::new();
         let mut number_of = vec![NOTHING; self.0.len()];
@@ -160,36 +162,36 @@ impl Sets {
     }
 }
 
-/// A step of a rim.
+/// A step from a standing place to an open pixel.
 #[derive(Clone, Copy)]
 struct Brink {
     place: u32,
     way: usize,
-    /// How far down matter lies (quanta).
+    /// Depth of the ground, if any (quanta).
     depth: Option<i32>,
 }
 
 /// Open pixels behind a rim.
 struct Gap {
     level: i32,
-    /// With the depth of what is below; empty if it is not closed in.
+    /// Open pixels with the depth of the ground; empty if the gap is not enclosed.
     pixels: Vec<([i32; 2], Option<i32>)>,
-    /// Border pixels with floor and with matter.
+    /// Numbers of border pixels with floor and with something solid.
     floor: usize,
     matter: usize,
     is_closed: bool,
-    /// Numbers of gaps that it meets.
+    /// Numbers of the gaps that it meets.
     meets: Vec<u32>,
 }
 
-/// Brinks that belong together.
+/// Neighbouring brinks of a rim with similar depth.
 struct Stretch {
     brinks: Vec<Brink>,
     /// Number of its gap.
     gap: u32,
 }
 
-/// The middle one of the depths; `None` if nothing lies below most of the brinks.
+/// Returns the median depth; `None` if there is no ground below most of the brinks.
 fn depth_of(brinks: &[Brink]) -> Option<i32> {
     let mut depths: Vec<i32> = brinks.iter().filter_map(|brink| brink.depth).collect();
     depths.sort_unstable();
@@ -201,7 +203,7 @@ impl Stretch {
         depth_of(&self.brinks)
     }
 
-    /// The least and the greatest depth.
+    /// Returns the least and the greatest depth.
     fn depths(&self) -> Option<[i32; 2]> {
         self.depth()?;
         let depths = || self.brinks.iter().filter_map(|brink| brink.depth);
@@ -213,7 +215,7 @@ struct Survey<'a, S> {
     region: &'a Region,
     standing: &'a mut StandingPlaces,
     set: &'a S,
-    /// The tile looked at last, and its number.
+    /// The last tile and its number.
     last: Option<([i32; 2], usize)>,
     /// Of each pixel twice the number of the gap that was flooded there last, and one more on its border.
     marks: Plane<u32>,
@@ -225,7 +227,7 @@ impl<S: PageSet> Survey<'_, S> {
         let brinks = self.brinks()?;
         let mut stretches = Vec::new();
         let mut rims = self.rims(&brinks);
-        // By height, so that marks of one storey are not hidden by those of another.
+        // By height, so that marks of one storey do not hide those of another.
         rims.sort_by_key(|(level, ..)| *level);
         for (level, members, own) in rims {
             let gap = self.gaps.len() as u32;
@@ -293,15 +295,15 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(brinks)
     }
 
-    /// The open pixel of a brink.
+    /// Returns the open pixel of a brink.
     fn beyond(&self, brink: &Brink) -> [i32; 2] {
         let pixel = self.region.pixels[brink.place as usize];
         let way = WAYS[brink.way];
         [pixel[0] + way[0], pixel[1] + way[1]]
     }
 
-    /// The rims: of each its height, its brinks, and the brinks of its stretches. It is the height of most of it: stairs have a rim at
-    /// each tread.
+    /// Returns the height of each rim, the numbers of its brinks, and the brinks of its stretches. The height is the
+    /// median: a rim beside stairs has one for each tread.
     fn rims(&self, brinks: &[Brink]) -> Vec<(i32, Vec<u32>, Vec<Vec<Brink>>)> {
         let (mut rims, mut stretches) = (Sets::new(brinks.len()), Sets::new(brinks.len()));
         let mut meets: Vec<[u32; 2]> = Vec::new();
@@ -321,7 +323,7 @@ impl<S: PageSet> Survey<'_, S> {
                     let far = self.beyond(before);
                     let is_near = (top_of(before) - top_of(brink)).abs() <= up
                         && (0..2).all(|axis| (far[axis] - beyond[axis]).abs() <= TOGETHER)
-                        // On the other side of a beam.
+                        // Not on the other side of a beam.
                         && before.way != (brink.way + 2) & 3;
                     if is_near {
                         rims.join(number as u32, other);
@@ -357,7 +359,8 @@ impl<S: PageSet> Survey<'_, S> {
         rims.into_iter().zip(members).map(|((level, own), members)| (level, members, own)).collect()
     }
 
-    /// Joins stretches narrower than half of the pawn to each other and to the longest one that they meet, of several to the deepest.
+    /// Joins stretches narrower than half of the pawn to each other, and to the longest one that they meet; of equally
+    /// long ones to the deepest.
     fn join_narrow(&self, brinks: &[Brink], stretches: &mut Sets, meets: &[[u32; 2]]) {
         let sizes = |stretches: &mut Sets| -> HashMap<u32, (bool, usize, i32)> {
             let size = |members: Vec<u32>| {
@@ -371,7 +374,7 @@ impl<S: PageSet> Survey<'_, S> {
         let before = sizes(stretches);
         for [a, b] in meets {
             let [a, b] = [stretches.root(*a), stretches.root(*b)];
-            // Joined ones keep the name of the first.
+            // A joined set keeps the name of its first member.
             if [a, b].iter().all(|root| before.get(root).is_some_and(|size| size.0)) {
                 stretches.join(a, b);
             }
@@ -452,7 +455,7 @@ impl<S: PageSet> Survey<'_, S> {
                 *self.marks.at(to) = 2 * number + u32::from(!is_open);
             }
             gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
-            // What lies farther off says nothing about the rim.
+            // A gap that is not enclosed need not be explored further.
             let Some((pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
             open.extend(WAYS.map(|way| [pixel[0] + way[0], pixel[1] + way[1]]));
             done += 1;
@@ -464,7 +467,7 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// Gaps that meet, as one.
+    /// Returns gaps that meet as one gap.
     fn joined(&mut self, members: &[u32]) -> Gap {
         let all = || members.iter().map(|gap| &self.gaps[*gap as usize]);
         Gap {
@@ -477,7 +480,7 @@ impl<S: PageSet> Survey<'_, S> {
         }
     }
 
-    /// Stretches of one gap below which the same lies, together.
+    /// Joins the stretches of one gap that have similar depths.
     fn alike(&self, stretches: Vec<Stretch>) -> Vec<Stretch> {
         let mut sets = Sets::new(stretches.len());
         let up = self.standing.grid.up;
@@ -498,7 +501,7 @@ impl<S: PageSet> Survey<'_, S> {
         sets.members().into_iter().map(together).collect()
     }
 
-    /// Extent along x and y of pixels that widen by `beyond` on each side (m).
+    /// Returns the extent along x and y of pixels, widened by `beyond` pixels on each side (m).
     fn extent(&self, pixels: impl Iterator<Item = [i32; 2]>, beyond: i32) -> [f64; 2] {
         let (mut low, mut high) = ([i32::MAX; 2], [i32::MIN; 2]);
         for pixel in pixels {
@@ -517,7 +520,8 @@ impl<S: PageSet> Survey<'_, S> {
         mean < self.standing.grid.pawn.body.half().min()
     }
 
-    /// Extent of a stretch; where it ends at matter the way goes on beside the middle of the pawn (m).
+    /// Returns the extent of a stretch (m). If it ends at something solid, the opening continues for the half of the
+    /// pawn beside its middle.
     fn rim_width(&mut self, stretch: &Stretch) -> Needs<f64> {
         let pixels: Vec<[i32; 2]> =
             stretch.brinks.iter().map(|brink| self.region.pixels[brink.place as usize]).collect();
@@ -542,7 +546,7 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(width)
     }
 
-    /// A leak at a stretch, or in the middle of its `hole`.
+    /// Returns the leak at a stretch, or in the middle of its `hole`.
     fn leak(&self, stretch: &Stretch, width: f64, hole: Option<[i32; 2]>) -> Leak {
         let pixel = |brink: &Brink| self.region.pixels[brink.place as usize];
         let [i, j] = hole.or_else(|| middle(&stretch.brinks, pixel).map(|brink| pixel(&brink))).unwrap_or_default();

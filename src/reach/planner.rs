@@ -71,7 +71,7 @@ impl Planner {
         Self { length, is_bounded: true, ..self }
     }
 
-    /// Returns the peak of its memory so far (bytes).
+    /// Returns its peak memory (bytes).
     pub fn peak_bytes(&self) -> usize {
         self.peak_bytes
     }

@@ -330,7 +330,7 @@ impl Walker {
         }
     }
 
-    /// Moves the pawn to `feet` (m), at rest. Does nothing if that is no valid place (NaN, or beyond ±10⁹ m).
+    /// Moves the pawn to `feet` (m), at rest. Does nothing if that is not a valid place (NaN, or beyond ±10⁹ m).
     pub fn place(&mut self, feet: Point3<f64>) {
         if is_place(&feet) {
             self.motion = Motion::at(feet);

@@ -18,7 +18,7 @@ pub(super) const BEHIND_M: f64 = 0.1;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Aim {
     pub place: Point2<f64>,
-    /// Least distance to the goal so far (m), and time since then (s).
+    /// Least distance to the goal until now (m), and time since it was reached (s).
     pub nearest: f64,
     pub since: f64,
     pub settled: bool,
