@@ -37,6 +37,12 @@ impl Lists {
         Self { width, height, starts, items: Vec::with_capacity(items) }
     }
 
+    /// Returns whether all lists are empty.
+    pub fn is_empty(&self) -> bool {
+        self.items.is_empty()
+    }
+
+    #[inline]
     pub fn at(&self, x: usize, y: usize) -> &[Interval] {
         let cell = y * self.width + x;
         &self.items[self.starts[cell] as usize..self.starts[cell + 1] as usize]

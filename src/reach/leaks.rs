@@ -21,12 +21,12 @@ use super::intervals::NONE;
 use super::pawn::WAYS;
 use super::region::{Region, middle};
 use super::standing::{Block, Kind, StandingPlaces};
+use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
 use crate::store::PageSet;
 use nalgebra::Point3;
-use std::collections::HashMap;
 use std::ops::ControlFlow;
 
 /// Most open pixels of an enclosed gap.
@@ -91,37 +91,42 @@ impl Region {
     /// Returns all leaks, sorted by place (y, x, z). Needs the pages of the tiles that hold open pixels, and of those
     /// around them. Fails if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Result<Answer<Vec<Leak>>> {
-        let survey = Survey { region: self, standing, set, last: None, marks: Plane::new(NOTHING), gaps: Vec::new() };
+        let survey = Survey { region: self, standing, set, last: None, marks: Vec::new(), gaps: Vec::new() };
         answer(survey.leaks())
     }
 }
 
-/// A value for each pixel of the tiles that were touched.
-struct Plane<T> {
-    numbers: HashMap<[i32; 2], usize>,
-    tiles: Vec<Box<[T]>>,
-    empty: T,
-    last: Option<([i32; 2], usize)>,
+/// Number of the last brink at each pixel, by tile.
+struct Firsts {
+    numbers: TileNumbers,
+    tiles: Vec<Box<[u32; TILE * TILE]>>,
 }
 
-impl<T: Copy> Plane<T> {
-    fn new(empty: T) -> Self {
-        Self { numbers: HashMap::new(), tiles: Vec::new(), empty, last: None }
+impl Firsts {
+    /// Returns the numbers from one pixel of row `j` to another one in the same tile; `None` if the tile has no brink.
+    fn row(&self, [from, to]: [i32; 2], j: i32) -> Option<&[u32]> {
+        let first = ((j & 63) << 6 | from & 63) as usize;
+        let tile = &self.tiles[self.numbers.get([from >> 6, j >> 6])?];
+        Some(&tile[first..first + (to - from) as usize + 1])
     }
 
-    #[inline]
-    fn at(&mut self, pixel: [i32; 2]) -> &mut T {
+    fn put(&mut self, pixel: [i32; 2], number: u32) -> u32 {
         let at = [pixel[0] >> 6, pixel[1] >> 6];
-        let number = match self.last {
-            Some((last, number)) if last == at => number,
-            _ => *self.numbers.entry(at).or_insert_with(|| {
-                self.tiles.push(vec![self.empty; TILE * TILE].into());
+        let tile = match self.numbers.get(at) {
+            Some(tile) => tile,
+            None => {
+                self.numbers.add(at);
+                self.tiles.push(Box::new([NOTHING; TILE * TILE]));
                 self.tiles.len() - 1
-            }),
+            }
         };
-        self.last = Some((at, number));
-        &mut self.tiles[number][(((pixel[1] & 63) << 6) | (pixel[0] & 63)) as usize]
+        std::mem::replace(&mut self.tiles[tile][cell(pixel)], number)
     }
+}
+
+/// Returns the number of a pixel in its tile.
+fn cell([i, j]: [i32; 2]) -> usize {
+    ((j & 63) << 6 | i & 63) as usize
 }
 
 /// Disjoint sets of numbers.
@@ -217,8 +222,9 @@ struct Survey<'a, S> {
     set: &'a S,
     /// The last tile and its number.
     last: Option<([i32; 2], usize)>,
-    /// Of each pixel twice the number of the gap that was flooded there last, and one more on its border.
-    marks: Plane<u32>,
+    /// For each tile of the standing places, twice the number of the last gap that was flooded at each pixel, plus one
+    /// on the border of the gap. Empty for tiles without gaps.
+    marks: Vec<Box<[u32]>>,
     gaps: Vec<Gap>,
 }
 
@@ -231,20 +237,22 @@ impl<S: PageSet> Survey<'_, S> {
         rims.sort_by_key(|(level, ..)| *level);
         for (level, members, own) in rims {
             let gap = self.gaps.len() as u32;
-            self.flood(level, members.iter().map(|brink| brinks[*brink as usize]).collect())?;
+            let rim: Vec<Brink> = members.iter().map(|brink| brinks[*brink as usize]).collect();
+            self.flood(level, &rim)?;
             stretches.extend(own.into_iter().map(|brinks| Stretch { brinks, gap }));
         }
         let mut sets = Sets::new(self.gaps.len());
         for gap in 0..self.gaps.len() {
             self.gaps[gap].meets.iter().for_each(|other| sets.join(gap as u32, *other));
         }
-        let mut stretches_of: HashMap<u32, Vec<Stretch>> = HashMap::new();
+        let mut stretches_of: Vec<Vec<Stretch>> = Vec::new();
+        stretches_of.resize_with(self.gaps.len(), Vec::new);
         for stretch in stretches {
-            stretches_of.entry(sets.root(stretch.gap)).or_default().push(stretch);
+            stretches_of[sets.root(stretch.gap) as usize].push(stretch);
         }
         let mut leaks = Vec::new();
         for members in sets.members() {
-            let Some(stretches) = stretches_of.remove(&members[0]) else { continue };
+            let stretches = std::mem::take(&mut stretches_of[members[0] as usize]);
             let gap = self.joined(&members);
             if gap.is_closed && (gap.pixels.is_empty() || self.is_narrow(&gap)) {
                 continue;
@@ -310,14 +318,12 @@ impl<S: PageSet> Survey<'_, S> {
         let up = self.standing.grid.up;
         let pixel_of = |brink: &Brink| self.region.pixels[brink.place as usize];
         let top_of = |brink: &Brink| self.region.tops[brink.place as usize];
-        let mut firsts = Plane::new(NOTHING);
+        let mut firsts = Firsts { numbers: TileNumbers::default(), tiles: Vec::new() };
         let mut next = vec![NOTHING; brinks.len()];
         for (number, brink) in brinks.iter().enumerate() {
             let [i, j] = pixel_of(brink);
             let beyond = self.beyond(brink);
-            let around = (j - TOGETHER..=j + TOGETHER).flat_map(|y| (i - TOGETHER..=i + TOGETHER).map(move |x| [x, y]));
-            for pixel in around {
-                let mut other = *firsts.at(pixel);
+            let mut meet = |mut other: u32| {
                 while other != NOTHING {
                     let before = &brinks[other as usize];
                     let far = self.beyond(before);
@@ -339,131 +345,195 @@ impl<S: PageSet> Survey<'_, S> {
                     }
                     other = next[other as usize];
                 }
+            };
+            for y in j - TOGETHER..=j + TOGETHER {
+                // The part of the row in each tile.
+                let (first, last) = (i - TOGETHER, i + TOGETHER);
+                let border = last & !63;
+                let parts = if first < border {
+                    [Some([first, border - 1]), Some([border, last])]
+                } else {
+                    [Some([first, last]), None]
+                };
+                for row in parts.into_iter().flatten().filter_map(|part| firsts.row(part, y)) {
+                    row.iter().for_each(|other| meet(*other));
+                }
             }
-            let first = firsts.at([i, j]);
-            next[number] = std::mem::replace(first, number as u32);
+            next[number] = firsts.put([i, j], number as u32);
         }
         self.join_narrow(brinks, &mut stretches, &meets);
-        let mut own: HashMap<u32, Vec<Vec<Brink>>> = HashMap::new();
+        // By the first brink of the rim.
+        let mut own: Vec<Vec<Vec<Brink>>> = vec![Vec::new(); brinks.len()];
         for members in stretches.members() {
             let of_stretch = members.iter().map(|brink| brinks[*brink as usize]).collect();
-            own.entry(rims.root(members[0])).or_default().push(of_stretch);
+            own[rims.root(members[0]) as usize].push(of_stretch);
         }
         let rim = |members: Vec<u32>| {
             let mut tops: Vec<i32> = members.iter().map(|brink| top_of(&brinks[*brink as usize])).collect();
             tops.sort_unstable();
-            (tops[tops.len() / 2], own.remove(&members[0]).unwrap_or_default())
+            let own = std::mem::take(&mut own[members[0] as usize]);
+            (tops[tops.len() / 2], members, own)
         };
-        let members = rims.members();
-        let rims: Vec<_> = members.iter().cloned().map(rim).collect();
-        rims.into_iter().zip(members).map(|((level, own), members)| (level, members, own)).collect()
+        rims.members().into_iter().map(rim).collect()
     }
 
     /// Joins stretches narrower than half of the pawn to each other, and to the longest one that they meet; of equally
     /// long ones to the deepest.
     fn join_narrow(&self, brinks: &[Brink], stretches: &mut Sets, meets: &[[u32; 2]]) {
-        let sizes = |stretches: &mut Sets| -> HashMap<u32, (bool, usize, i32)> {
-            let size = |members: Vec<u32>| {
+        // By the first brink of a stretch: whether the stretch is narrow, its length and its depth.
+        let sizes = |stretches: &mut Sets| -> Vec<Option<(bool, usize, i32)>> {
+            let mut sizes = vec![None; brinks.len()];
+            for members in stretches.members() {
                 let own: Vec<Brink> = members.iter().map(|brink| brinks[*brink as usize]).collect();
                 let extent = self.extent(own.iter().map(|brink| self.region.pixels[brink.place as usize]), 0);
                 let is_narrow = extent[0].max(extent[1]) < self.standing.grid.pawn.body.half().min();
-                (members[0], (is_narrow, own.len(), depth_of(&own).unwrap_or(i32::MAX)))
-            };
-            stretches.members().into_iter().map(size).collect()
+                sizes[members[0] as usize] = Some((is_narrow, own.len(), depth_of(&own).unwrap_or(i32::MAX)));
+            }
+            sizes
         };
         let before = sizes(stretches);
         for [a, b] in meets {
             let [a, b] = [stretches.root(*a), stretches.root(*b)];
             // A joined set keeps the name of its first member.
-            if [a, b].iter().all(|root| before.get(root).is_some_and(|size| size.0)) {
+            if [a, b].iter().all(|root| before[*root as usize].is_some_and(|size| size.0)) {
                 stretches.join(a, b);
             }
         }
         let after = sizes(stretches);
-        let mut longest: HashMap<u32, (usize, i32, u32)> = HashMap::new();
+        // The longest wide stretch that each narrow one meets.
+        let mut longest: Vec<Option<(usize, i32, u32)>> = vec![None; brinks.len()];
         for meet in meets {
             let roots = meet.map(|brink| stretches.root(brink));
             for [own, other] in [roots, [roots[1], roots[0]]] {
-                if let (Some((true, ..)), Some(&(false, size, depth))) = (after.get(&own), after.get(&other)) {
-                    let longest = longest.entry(own).or_default();
-                    *longest = (*longest).max((size, depth, other));
+                if let (Some((true, ..)), Some((false, size, depth))) = (after[own as usize], after[other as usize]) {
+                    let longest = &mut longest[own as usize];
+                    *longest = (*longest).max(Some((size, depth, other)));
                 }
             }
         }
-        longest.into_iter().for_each(|(own, (_, _, other))| stretches.join(own, other));
+        for (own, longest) in (0..).zip(longest) {
+            if let Some((_, _, other)) = longest {
+                stretches.join(own, other);
+            }
+        }
+    }
+
+    /// Returns the number of the tile with `pixel`, which lies in the grid.
+    #[inline]
+    fn tile(&mut self, pixel: [i32; 2]) -> Needs<usize> {
+        let at = [pixel[0] >> 6, pixel[1] >> 6];
+        if let Some((last, tile)) = self.last
+            && last == at
+        {
+            return ControlFlow::Continue(tile);
+        }
+        let tile = self.standing.tile(self.set, pixel)?;
+        self.last = Some((at, tile));
+        ControlFlow::Continue(tile)
     }
 
     fn there(&mut self, pixel: [i32; 2], level: i32) -> Needs<There> {
         if !self.standing.grid.is_inside(pixel) {
             return ControlFlow::Continue(There::Outside);
         }
-        let at = [pixel[0] >> 6, pixel[1] >> 6];
-        let tile = match self.last {
-            Some((last, tile)) if last == at => tile,
-            _ => self.standing.tile(self.set, pixel)?,
-        };
-        self.last = Some((at, tile));
+        let tile = self.tile(pixel)?;
+        ControlFlow::Continue(self.there_in(tile, pixel, level))
+    }
+
+    /// Returns the content of a pixel of a known tile at `level`.
+    #[inline]
+    fn there_in(&self, tile: usize, pixel: [i32; 2], level: i32) -> There {
         let grid = &self.standing.grid;
-        let column: &[Block] = self.standing.tiles[tile].column(pixel);
-        let (below, above) = column.split_at(column.partition_point(|block| block.top <= level + grid.up));
+        let tile = &self.standing.tiles[tile];
+        // Gaps lead far over tiles without anything, and most of their pixels hold nothing.
+        let column: &[Block] = if tile.blocks.is_empty() { &[] } else { tile.column(pixel) };
+        if column.is_empty() {
+            return There::Open(None);
+        }
+        // Few blocks lie above one another.
+        let (below, above) = column.split_at(column.iter().take_while(|block| block.top <= level + grid.up).count());
         let feet = below.last().map_or(level, |block| block.top.max(level));
         if above.first().is_some_and(|block| block.bottom - feet < grid.height) {
-            return ControlFlow::Continue(There::Matter);
+            return There::Matter;
         }
-        let Some(block) = below.last() else { return ControlFlow::Continue(There::Open(None)) };
+        let Some(block) = below.last() else { return There::Open(None) };
         if level - block.top <= grid.drop && block.kind != Kind::Bridge {
-            return ControlFlow::Continue(There::Floor);
+            return There::Floor;
         }
         let depth = (block.foot != NONE).then(|| level - block.foot);
         let is_deep = depth.is_none_or(|depth| depth > grid.drop);
-        ControlFlow::Continue(if is_deep { There::Open(depth) } else { There::Floor })
+        if is_deep { There::Open(depth) } else { There::Floor }
     }
 
     /// Floods the open pixels at `level` next to a rim.
-    fn flood(&mut self, level: i32, rim: Vec<Brink>) -> Needs<()> {
-        let number = self.gaps.len() as u32;
+    fn flood(&mut self, level: i32, rim: &[Brink]) -> Needs<()> {
         let mut gap = Gap { level, pixels: Vec::new(), floor: 0, matter: 0, is_closed: true, meets: Vec::new() };
+        // Tile of each pixel of the gap.
+        let mut tiles: Vec<u32> = Vec::new();
         let up = self.standing.grid.up;
-        let is_level = |brink: &&Brink| (self.region.tops[brink.place as usize] - level).abs() <= up;
-        let mut open: Vec<[i32; 2]> = rim.iter().filter(is_level).map(|brink| self.beyond(brink)).collect();
+        let region = self.region;
+        for brink in rim.iter().filter(|brink| (region.tops[brink.place as usize] - level).abs() <= up) {
+            self.visit(&mut gap, &mut tiles, self.beyond(brink), None)?;
+        }
         let mut done = 0;
         loop {
-            for to in std::mem::take(&mut open) {
-                let mark = *self.marks.at(to);
-                if mark >> 1 == number {
-                    continue;
-                }
-                let there = self.there(to, level)?;
-                if there == There::Outside {
-                    gap.is_closed = false;
-                    continue;
-                }
-                let is_open = matches!(there, There::Open(_));
-                if let There::Open(depth) = there {
-                    let met = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
-                    if let Some(met) = met.filter(|met| (met.level - level).abs() < self.standing.grid.height) {
-                        gap.is_closed &= met.is_closed;
-                        if gap.meets.last() != Some(&(mark >> 1)) {
-                            gap.meets.push(mark >> 1);
-                        }
-                        continue;
-                    }
-                    gap.pixels.push((to, depth));
-                }
-                gap.floor += usize::from(there == There::Floor);
-                gap.matter += usize::from(there == There::Matter);
-                *self.marks.at(to) = 2 * number + u32::from(!is_open);
-            }
             gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
             // A gap that is not enclosed need not be explored further.
-            let Some((pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
-            open.extend(WAYS.map(|way| [pixel[0] + way[0], pixel[1] + way[1]]));
+            let Some(&(pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
+            for way in WAYS {
+                let to = [pixel[0] + way[0], pixel[1] + way[1]];
+                let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+                let tile = is_same.then_some(tiles[done] as usize);
+                self.visit(&mut gap, &mut tiles, to, tile)?;
+            }
             done += 1;
         }
         if !gap.is_closed {
             gap.pixels = Vec::new();
         }
         self.gaps.push(gap);
+        ControlFlow::Continue(())
+    }
+
+    /// Adds a pixel to the next gap, as a part of it, of its border, or of a gap that it meets. `tile` is the pixel's
+    /// tile, if known.
+    #[inline]
+    fn visit(&mut self, gap: &mut Gap, tiles: &mut Vec<u32>, pixel: [i32; 2], tile: Option<usize>) -> Needs<()> {
+        let tile = match tile {
+            Some(tile) => tile,
+            None if self.standing.grid.is_inside(pixel) => self.standing.tile(self.set, pixel)?,
+            None => {
+                gap.is_closed = false;
+                return ControlFlow::Continue(());
+            }
+        };
+        if self.marks.len() <= tile {
+            self.marks.resize_with(self.standing.tiles.len(), Box::default);
+        }
+        if self.marks[tile].is_empty() {
+            self.marks[tile] = vec![NOTHING; TILE * TILE].into();
+        }
+        let number = self.gaps.len() as u32;
+        let mark = self.marks[tile][cell(pixel)];
+        if mark >> 1 == number {
+            return ControlFlow::Continue(());
+        }
+        let there = self.there_in(tile, pixel, gap.level);
+        if let There::Open(depth) = there {
+            let met = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
+            if let Some(met) = met.filter(|met| (met.level - gap.level).abs() < self.standing.grid.height) {
+                gap.is_closed &= met.is_closed;
+                if gap.meets.last() != Some(&(mark >> 1)) {
+                    gap.meets.push(mark >> 1);
+                }
+                return ControlFlow::Continue(());
+            }
+            gap.pixels.push((pixel, depth));
+            tiles.push(tile as u32);
+        }
+        gap.floor += usize::from(there == There::Floor);
+        gap.matter += usize::from(there == There::Matter);
+        self.marks[tile][cell(pixel)] = 2 * number + u32::from(!matches!(there, There::Open(_)));
         ControlFlow::Continue(())
     }
 

@@ -53,6 +53,7 @@ mod region;
 mod route;
 mod standing;
 mod storeys;
+mod tiles;
 
 pub use along::Along;
 pub use coarse::Coarse;

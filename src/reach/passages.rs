@@ -12,7 +12,6 @@
 use super::pawn::WAYS;
 use super::region::{NO_PLACE, Region, middle};
 use nalgebra::Point3;
-use std::collections::HashSet;
 
 /// A room is at least this factor and this number of pixels wider than its passages.
 const WIDER: f64 = 1.25;
@@ -99,21 +98,22 @@ impl Region {
         let mut borders: Vec<u32> = (0..self.len() as u32).filter(is_narrower).collect();
         borders.sort_by(|a, b| clearance(*b).total_cmp(&clearance(*a)).then(a.cmp(b)));
         let ends = Borders::new(self);
-        let (mut taken, mut middles): (HashSet<u32>, HashSet<u32>) = Default::default();
+        let (mut taken, mut is_middle) = (vec![false; self.len()], vec![false; self.len()]);
+        let mut level_of = vec![NO_PLACE; self.len()];
         let mut passages = Vec::new();
         for place in borders {
-            if taken.contains(&place) {
+            if taken[place as usize] {
                 continue;
             }
-            let middle = self.middle_of_its_level(place);
-            if self.standing[middle as usize] && middles.insert(middle) {
+            let middle = self.middle_of_its_level(place, &mut level_of);
+            if self.standing[middle as usize] && !std::mem::replace(&mut is_middle[middle as usize], true) {
                 passages.extend(self.passage(middle, &ends));
             }
             // The rest of the stretch, on both sides of it.
             let mut open = vec![place];
             while let Some(place) = open.pop() {
                 let near = self.around(place).chain([place]).filter(|next| across(*next).next().is_some());
-                open.extend(near.filter(|next| taken.insert(*next)));
+                open.extend(near.filter(|next| !std::mem::replace(&mut taken[*next as usize], true)));
             }
         }
         passages.sort_by(|a, b| a.width.total_cmp(&b.width));
@@ -122,13 +122,17 @@ impl Region {
 
     /// Returns the middle of the connected places with the same clearance as `place`: along a corridor all are as
     /// narrow.
-    fn middle_of_its_level(&self, place: u32) -> u32 {
+    /// `level_of` keeps the last place for which each place was visited.
+    fn middle_of_its_level(&self, place: u32, level_of: &mut [u32]) -> u32 {
         let (mut level, mut next) = (vec![place], 0);
-        let mut seen = HashSet::from([place]);
+        level_of[place as usize] = place;
         while next < level.len() {
             let same = |other: &u32| self.clearances[*other as usize] == self.clearances[place as usize];
-            let more: Vec<u32> = self.around(level[next]).filter(same).filter(|other| seen.insert(*other)).collect();
-            level.extend(more);
+            for other in self.around(level[next]).filter(same) {
+                if std::mem::replace(&mut level_of[other as usize], place) != place {
+                    level.push(other);
+                }
+            }
             next += 1;
         }
         middle(&level, |place| self.pixels[*place as usize]).unwrap_or(place)

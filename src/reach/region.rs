@@ -179,7 +179,8 @@ impl Flood {
             if !standing.grid.is_inside(to) {
                 continue;
             }
-            let other = standing.tile(set, to)?;
+            let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+            let other = if is_same { tile } else { standing.tile(set, to)? };
             let (column, next) = (standing.tiles[tile].column(pixel), standing.tiles[other].column(to));
             if let Step::To(reached) = standing.grid.step(column, place, next, number & 1)
                 && self.mark(standing, other, to, reached)

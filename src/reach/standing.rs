@@ -2,12 +2,12 @@
 
 use super::intervals::{Floors, Interval, Lists, NONE};
 use super::pawn::{Grid, Pawn, WAYS, gap};
+use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
 use crate::store::PageSet;
 use nalgebra::{Point2, Point3};
-use std::collections::HashMap;
 use std::ops::ControlFlow;
 
 /// Edge of a tile (pixels).
@@ -50,6 +50,7 @@ pub(super) struct Tile {
 }
 
 impl Tile {
+    #[inline]
     pub fn column(&self, [i, j]: [i32; 2]) -> &[Block] {
         let cell = (((j & 63) << 6) | (i & 63)) as usize;
         &self.blocks[self.starts[cell] as usize..self.starts[cell + 1] as usize]
@@ -105,14 +106,14 @@ const MOST_SNAP_M: f64 = 100.0;
 pub struct StandingPlaces {
     pub(super) grid: Grid,
     pub(super) tiles: Vec<Tile>,
-    numbers: HashMap<[i32; 2], usize>,
+    numbers: TileNumbers,
 }
 
 impl StandingPlaces {
     /// Creates the standing places of `pawn` in `set` without computing any tile. Fails for an invalid pawn, and for a
     /// set of pages larger than 2²⁴ tiles or 2¹⁶ layers.
     pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
-        Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: HashMap::new() })
+        Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: TileNumbers::default() })
     }
 
     /// Returns the pawn.
@@ -190,17 +191,17 @@ impl StandingPlaces {
 
     /// Returns the number of the tile with `pixel`, if it has been computed.
     pub(super) fn known(&self, pixel: [i32; 2]) -> Option<usize> {
-        self.numbers.get(&[pixel[0] >> 6, pixel[1] >> 6]).copied()
+        self.numbers.get([pixel[0] >> 6, pixel[1] >> 6])
     }
 
     /// Returns the number of the tile with `pixel`, which lies in the grid; computes it if necessary.
     pub(super) fn tile<S: PageSet>(&mut self, set: &S, pixel: [i32; 2]) -> Needs<usize> {
         let at = [pixel[0] >> 6, pixel[1] >> 6];
-        if let Some(&number) = self.numbers.get(&at) {
+        if let Some(number) = self.numbers.get(at) {
             return ControlFlow::Continue(number);
         }
         let tile = compute(set, &self.grid, at)?;
-        self.numbers.insert(at, self.tiles.len());
+        self.numbers.add(at);
         self.tiles.push(tile);
         ControlFlow::Continue(self.tiles.len() - 1)
     }
@@ -253,6 +254,9 @@ fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
     let corner = [0, 1].map(|axis| at[axis] * TILE as i32 - margin[axis]);
     let size = margin.map(|margin| TILE + 2 * margin as usize);
     let (matter, floors) = Lists::read(set, grid, corner, size)?;
+    if matter.is_empty() {
+        return ControlFlow::Continue(Tile { at, starts: vec![0; TILE * TILE + 1].into(), blocks: Box::default() });
+    }
     let under = matter.under(&grid.rects, grid.half, grid.height);
     let foot = matter.under(&[[grid.foot; 2]], margin.map(|margin| margin - 1), grid.height);
     let mut columns = Columns::default();
