@@ -1,5 +1,7 @@
 //! Where a pawn can stand and walk, beside brute force, closed forms, exact ways and the walker itself.
 
+#[path = "reach/brute.rs"]
+mod brute;
 #[path = "reach/coarse.rs"]
 mod coarse;
 mod common;
