@@ -1,5 +1,7 @@
 //! Standing places and walking, compared with brute force, closed forms, exact routes and the walker itself.
 
+#[path = "reach/brute.rs"]
+mod brute;
 #[path = "reach/coarse.rs"]
 mod coarse;
 mod common;

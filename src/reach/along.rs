@@ -1,7 +1,8 @@
-//! The exact way along a coarse one, in memory that does not grow with its length.
+//! Exact routes along coarse ones, in memory that does not grow with their length.
 //!
-//! A way planned on an overview level says about where to go. Piece by piece, the exact way is searched in a corridor about it: to a place
-//! some way ahead, of which the first stretch is kept. Where a corridor does not connect, it is widened.
+//! A route planned on an overview level shows roughly where to go. The exact route is searched piece by piece in a
+//! corridor around it: each search leads to a place some distance ahead, and the first stretch of the result is kept. A
+//! corridor that does not connect is widened.
 
 use super::route::Search;
 use super::{Flood, Pawn, Refusal, Region, Route, Spot, StandingPlaces};
@@ -10,28 +11,28 @@ use crate::store::PageSet;
 use crate::{Monitor, Result};
 use nalgebra::{Point2, Point3};
 
-/// How far ahead a piece is planned, and how much of it is kept (m).
+/// Length along the guide for which a piece is planned, and length of it that is kept (m).
 const AHEAD_M: f64 = 120.0;
 const KEPT_M: f64 = 100.0;
-/// A piece that leads less far along the guide leads nowhere (m).
+/// Least progress of a piece along the guide (m); with less, the search ends.
 const LEAST_PROGRESS_M: f64 = 1.0;
-/// How often a corridor is widened to twice its width.
+/// How often a corridor is doubled in width at most.
 const MOST_WIDENINGS: u32 = 4;
 
-/// The exact way along a coarse one.
+/// Search for the exact route along a coarse one.
 ///
 /// Memory: about 53 bytes for each standing place in 120 m of the corridor, and 16 KiB for each tile that it touches.
 ///
-/// The way is exact in that every place of it was checked at full resolution. It is the shortest one within its corridor, piece by
-/// piece: a shorter one may lead elsewhere.
+/// Every place of the route was checked at full resolution. Each piece is the shortest one within its corridor; a
+/// shorter route may lead elsewhere.
 #[derive(Debug)]
 pub struct Along {
     pawn: Pawn,
     to: Point3<f64>,
     guide: Vec<Point3<f64>>,
-    /// From the line to the edge of the corridor (m).
+    /// Distance from the guide to the edge of the corridor (m).
     distance: f64,
-    /// How far along the guide the way leads so far (m).
+    /// Length along the guide that the route already covers (m).
     done: f64,
     points: Vec<Point3<f64>>,
     piece: Option<Piece>,
@@ -47,14 +48,15 @@ struct Piece {
     from: Option<Spot>,
     to: Option<Spot>,
     flood: Option<Flood>,
-    /// What has been reached, while the way through it takes more pages.
+    /// The region reached, kept while its route needs more pages.
     region: Option<Region>,
-    /// Whether it leads to the end.
+    /// True if it leads to the end.
     is_last: bool,
 }
 
 impl Along {
-    /// The way of `pawn` from `from` to `to` (m) in a corridor that reaches `distance` (m) to both sides of `guide`: some pixels of its level.
+    /// Creates a search for the route of `pawn` from `from` to `to` (m) in a corridor that reaches `distance` (m) to
+    /// both sides of `guide`. A few pixels of the guide's level are a good distance.
     pub fn new(pawn: Pawn, from: Point3<f64>, to: Point3<f64>, guide: &Route, distance: f64) -> Self {
         let mut line = vec![from];
         line.extend(&guide.points);
@@ -63,15 +65,15 @@ impl Along {
         Self { pawn, to, guide: line, distance, done: 0.0, points, piece: None, widenings: 0, search, peak_bytes: 0 }
     }
 
-    /// Most bytes of memory that it took so far.
+    /// Returns its peak memory (bytes).
     pub fn peak_bytes(&self) -> usize {
         self.peak_bytes
     }
 
-    /// Goes on until the way is found, or pages are missing: load them and call again. Fails when `monitor` asks to stop, and where more matter
-    /// lies over one tile than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    /// Searches until the route is found or pages are missing: load them and call again. Fails if `monitor` asks to
+    /// stop, or if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     ///
-    /// [`Refusal::NotConnected`] says that no corridor connected, not that there is no way.
+    /// [`Refusal::NotConnected`] means that no corridor connected the ends, not that there is no route.
     pub fn go_on<S: PageSet>(
         &mut self,
         set: &S,
@@ -116,7 +118,7 @@ impl Along {
         }
     }
 
-    /// A way to about `ahead` along the guide (m); `None` where the corridor had to be widened first.
+    /// Returns a route to about `ahead` along the guide (m); `None` if the corridor had to be widened first.
     #[allow(clippy::type_complexity)]
     fn piece<S: PageSet>(
         &mut self,
@@ -175,7 +177,7 @@ impl Along {
         Ok(Answer::Known(Ok(route)))
     }
 
-    /// Keeps the first stretch of a piece, or all of the last one; whether that is the end.
+    /// Keeps the first stretch of a piece, or all of the last one. Returns whether that was the last one.
     fn keep(&mut self, route: &Route, is_last: bool) -> bool {
         let mut length = 0.0;
         for pair in route.points.windows(2) {
@@ -194,7 +196,8 @@ impl Along {
         self.guide.windows(2).map(|pair| (pair[1] - pair[0]).xy().norm()).sum()
     }
 
-    /// How far along the guide the place nearest to `at` is, from where the way leads so far up to a piece ahead (m).
+    /// Returns the length along the guide of its place nearest to `at` (m), between the length covered so far and one
+    /// piece more.
     fn nearest_length(&self, at: Point2<f64>) -> f64 {
         let (mut best, mut before) = ((f64::INFINITY, self.done), 0.0);
         for pair in self.guide.windows(2) {
@@ -214,7 +217,7 @@ impl Along {
     }
 }
 
-/// The place so far along a line (m), heights included.
+/// Returns the place `far` along a line (m, on the ground plan), with its height.
 fn point_at(line: &[Point3<f64>], far: f64) -> Point3<f64> {
     let mut left = far;
     for pair in line.windows(2) {
@@ -227,7 +230,7 @@ fn point_at(line: &[Point3<f64>], far: f64) -> Point3<f64> {
     line[line.len() - 1]
 }
 
-/// The line between two lengths along it (m), from `at` on.
+/// Returns the part of a line between two lengths along it (m), preceded by `at`.
 fn stretch(line: &[Point3<f64>], low: f64, high: f64, at: Point2<f64>) -> Vec<Point2<f64>> {
     let mut stretch = vec![at, point_at(line, low.max(0.0)).xy()];
     let mut before = 0.0;
@@ -241,7 +244,7 @@ fn stretch(line: &[Point3<f64>], low: f64, high: f64, at: Point2<f64>) -> Vec<Po
     stretch
 }
 
-/// The standing place nearest to `at` in plan, if one lies within `distance` (m).
+/// Returns the standing place nearest to `at` on the ground plan, if one lies within `distance` (m).
 fn nearest(region: &Region, at: Point3<f64>, distance: f64) -> Option<u32> {
     let far = |place: u32| (region.feet(place) - at).xy().norm();
     let all = (0..region.len() as u32).filter(|place| region.standing[*place as usize]);

@@ -1,16 +1,17 @@
-//! A way on an overview level: a good guess at where an exact one leads.
+//! Routes on overview levels: a good guess at where the exact route leads.
 //!
-//! A level holds all matter of the archive, moved outwards to whole units of height and joined over sixteen pixels and over slices. So
-//! matter on it cannot show that no way leads there, and a body that asks a level for all its room is refused at most doors. Here a step
-//! counts as possible where rounding alone may be what is in the way, and costs more the less likely that is: its *doubt*.
+//! A level holds all spans of the archive, rounded outwards to whole units of height and joined over sixteen pixels and
+//! over slices. So a span on it does not prove that the pawn cannot pass, and a search that needs room for the whole
+//! body fails at most doors. This search allows a step if rounding alone may explain the obstruction, and charges more
+//! the less likely that is: the *doubt* of the step.
 //!
-//! On a *fine* level, whose pixels are no wider than half of the body and whose slices are lower than the body, matter tells more. The
-//! pixel that the middle of the feet is over lies under the footprint whole, and no gap inside a span lets the body in. So the feet stand
-//! less than a unit below the top of a span or higher, and the head ends below the next span: a fine level has a way wherever the
-//! archive has one, but for some bridges.
+//! A level is *fine* if its pixels are no wider than half of the body and its slices are lower than the body. Then the
+//! pixel under the middle of the feet lies under the footprint as a whole, and no gap inside a span has room for the
+//! body. So the feet stand at least as high as one unit below the top of a span, and the head ends below the next span:
+//! a fine level has a route wherever the archive has one, except over some bridges.
 //!
-//! On coarser levels feet may stand anywhere in a span: a street and the wall beside it are one. What is taller than rounding explains
-//! costs its height.
+//! On coarser levels the feet may stand anywhere in a span: a street and the wall beside it are one span. What is
+//! taller than rounding explains costs its height.
 
 use super::distance::to_line;
 use super::intervals::Columns;
@@ -25,23 +26,23 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::ops::ControlFlow;
 
-/// Detour that a metre that only rounding explains is worth (m).
+/// Length of the detour that avoids a metre of doubt (m).
 const DETOUR: f64 = 40.0;
 /// Costs of steps of lengths 1 and √2 pixels.
 const STRAIGHT: u32 = 1000;
 const DIAGONAL: u32 = 1414;
-/// Greatest cost of the doubt of one step.
+/// Greatest cost of the doubt in one step.
 const MOST_COST: f64 = 1e6;
-/// Nodes looked at between two looks at the monitor.
+/// Nodes expanded between two checks of the monitor.
 const BETWEEN_LOOKS: usize = 1 << 12;
 const NO_NODE: u32 = u32::MAX;
-/// The eight neighbours; those at even places lie along the axes.
+/// The eight neighbours; those with even numbers lie along the axes.
 const AROUND: [[i32; 2]; 8] = [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]];
 
-/// Plans one way on an overview [level](crate::archive::Level), some steps at a time.
+/// Plans a route on an overview [level](crate::archive::Level), a bounded number of steps at a time.
 ///
-/// It does no I/O: load the pages that it names and go on. Memory: about 50 bytes for each span near the ways that it looks at, and
-/// 16 KiB for each tile.
+/// It does no I/O: load the pages that it reports and call it again. Memory: about 50 bytes for each span in the tiles
+/// that it touches, and 16 KiB for each of these tiles.
 #[derive(Debug)]
 pub struct Coarse {
     grid: Grid,
@@ -50,7 +51,7 @@ pub struct Coarse {
     /// Width of a pixel and of the body (quanta).
     pixel: i32,
     width: i32,
-    /// A line and the distance from it within which the way stays (m).
+    /// A line and the distance from it within which the route stays (m).
     corridor: Option<(Vec<Point2<f64>>, f64)>,
     tiles: HashMap<[i32; 2], Box<[u32]>>,
     nodes: Vec<Node>,
@@ -68,25 +69,26 @@ struct Node {
     top: i32,
     /// Bottom of the next span above.
     ceiling: i32,
-    /// Heights are multiples of this.
+    /// Common divisor of the heights in its page.
     unit: i32,
     obstacle: bool,
     cost: u32,
     from: u32,
 }
 
-/// What a step takes (quanta).
+/// Demands of a step (quanta).
 #[derive(Debug, Clone, Copy)]
 struct Step {
-    /// How much of it only rounding can explain.
+    /// The part that only rounding can explain.
     doubt: i32,
-    /// What it counts as beyond its length.
+    /// Cost in addition to its length.
     cost: i32,
 }
 
 impl Coarse {
-    /// Plans the way of `pawn` between two places (m) on `level`; in the air, the floor below counts. Fails for a pawn that is none and for a
-    /// set of pages that is too large, as [`StandingPlaces::new`](super::StandingPlaces::new) does.
+    /// Creates a plan for the route of `pawn` between two places (m) on `level`; in the air, the floor below counts.
+    /// Fails like [`StandingPlaces::new`](super::StandingPlaces::new) for an invalid pawn or a set of pages that is too
+    /// large.
     pub fn new<S: PageSet>(level: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
         let grid = Grid::new(level, pawn)?;
         let frame = &grid.frame;
@@ -111,7 +113,7 @@ impl Coarse {
         })
     }
 
-    /// Stays within `distance` (m) of a way, for instance of one on a coarser level.
+    /// Restricts the search to places within `distance` (m) of a route, for instance of one on a coarser level.
     #[must_use]
     pub fn near(mut self, guide: &Route, distance: f64) -> Self {
         let line = self.ends[..1].iter().chain(&guide.points).chain(&self.ends[1..]);
@@ -119,31 +121,32 @@ impl Coarse {
         self
     }
 
-    /// How much of the way that was found only rounding can explain: heights that the pawn climbs or lacks above its head, and matter that
-    /// it passes (m). 0 where the level shows nothing in the way.
+    /// Returns the doubt of the route that was found (m): heights to climb, missing headroom and spans to pass that
+    /// only rounding can explain. 0 if the level shows nothing in the way.
     pub fn doubt_m(&self) -> f64 {
         self.doubt_m
     }
 
-    /// Whether the level is so fine that its matter shows where the pawn cannot walk: then [`Refusal::NotConnected`] is all but sure.
+    /// Returns whether the level is fine enough to show where the pawn cannot walk: then [`Refusal::NotConnected`] is
+    /// nearly certain.
     pub fn is_fine(&self) -> bool {
         self.is_fine
     }
 
-    /// Spans that the search has looked at.
+    /// Returns the number of spans that the search has expanded.
     pub fn looked_at(&self) -> usize {
         self.looked_at
     }
 
-    /// Bytes of memory that it takes.
+    /// Returns its memory (bytes).
     pub fn memory_bytes(&self) -> usize {
         self.nodes.capacity() * size_of::<Node>()
             + self.heap.capacity() * size_of::<(Reverse<u32>, u32, u32)>()
             + self.tiles.len() * (64 * 64 + 1) * size_of::<u32>()
     }
 
-    /// Goes on for about `steps` spans. Fails when `monitor` asks to stop, and where more matter lies over one tile than any scan has
-    /// ([`Error::Limit`]).
+    /// Continues the search for at most `steps` spans. Fails if `monitor` asks to stop, or if a tile holds more spans
+    /// than any scan has ([`Error::Limit`]).
     pub fn go_on<S: PageSet>(&mut self, level: &S, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
         match self.run(level, steps, monitor) {
             ControlFlow::Continue(planned) => planned,
@@ -204,7 +207,7 @@ impl Coarse {
             let [right, up, left, down] = [0, 2, 4, 6].map(is_open);
             (is_narrow, is_beside) = (!(right || left) || !(up || down), !(right && up && left && down));
         }
-        // As wide as a pixel, and what its neighbours may leave.
+        // The body is wider than this pixel, and the neighbours may leave no room for the rest.
         let squeezed = if is_narrow { (self.width - self.pixel).max(0) } else { 0 };
         for (way, offset) in AROUND.into_iter().enumerate() {
             let (first, last) = around[way];
@@ -216,7 +219,7 @@ impl Coarse {
             for next in first..last {
                 let to = self.nodes[next as usize];
                 let Some(step) = self.step(&own, &to) else { continue };
-                // Around a corner the way leads over one of the pixels beside it.
+                // A diagonal step passes over one of the pixels beside it.
                 let mut beside = [around[way.saturating_sub(1)], around[(way + 1) % 8]].into_iter();
                 let is_over = |node: &Node| self.step(&own, node).is_some() && self.step(node, &to).is_some();
                 if !is_straight && !beside.any(|nodes| self.among(nodes).any(is_over)) {
@@ -236,10 +239,10 @@ impl Coarse {
         ControlFlow::Continue(())
     }
 
-    /// Steps over pixels without floor that the footprint spans, where nothing in them is in the way of the body.
+    /// Adds steps over pixels without floor that the footprint spans, if nothing in them obstructs the body.
     fn bridge<S: PageSet>(&mut self, level: &S, number: u32, way: [i32; 2], goal: u32) -> Needs<()> {
         let own = self.nodes[number as usize];
-        // Wherever the feet are, within the climb height above what is under them.
+        // The feet stand at most the climb height above what lies under their middle.
         let (knees, head) = (own.top + 2 * self.grid.up, own.top - own.unit + self.grid.height);
         for pixels in 1..=1 + self.width / self.pixel.max(1) {
             let pixel = [own.pixel[0] + pixels * way[0], own.pixel[1] + pixels * way[1]];
@@ -267,22 +270,22 @@ impl Coarse {
         self.nodes[first as usize..last as usize].iter()
     }
 
-    /// What quanta cost.
+    /// Returns the cost of `quanta` of doubt.
     fn cost(&self, quanta: i32) -> u32 {
         let pixels = f64::from(quanta) * self.grid.frame.quantum_m() / self.grid.frame.pixel_m();
         (pixels * DETOUR * f64::from(STRAIGHT)).min(MOST_COST) as u32
     }
 
-    /// Where in a span the feet may be (quanta).
+    /// Returns the lowest and the highest level at which the feet may stand in a span (quanta).
     fn floor(&self, node: &Node) -> [i32; 2] {
         [if self.is_fine { node.top - node.unit } else { node.bottom }, node.top]
     }
 
-    /// What a step between spans of neighbouring pixels takes; `None` where rounding cannot explain it either.
+    /// Returns the demands of a step between spans of neighbouring pixels; `None` if not even rounding explains it.
     fn step(&self, from: &Node, to: &Node) -> Option<Step> {
         let grid = &self.grid;
         let ([low, high], [next_low, next_high]) = (self.floor(from), self.floor(to));
-        // Feet rest on the highest matter under the footprint, at most the climb height above that under their middle.
+        // Feet rest on the highest span under the footprint, at most the climb height above the one under their middle.
         if next_low - high > 2 * grid.up || low - next_high > grid.up.saturating_add(grid.drop.max(grid.up)) {
             return None;
         }
@@ -295,7 +298,7 @@ impl Coarse {
         let takes = if rise > 0 { grid.up } else { grid.drop };
         let beyond = |takes: i32| (rise.abs() - takes).max(0);
         let thick = |least: i32| if self.is_fine { 0 } else { (to.top - to.bottom - least).max(0) };
-        // Of what rounding explains, the more the less likely.
+        // Obstacles on coarse levels are less likely to be floor.
         let unlikely = if to.obstacle && !self.is_fine { self.pixel / 4 } else { 0 };
         Some(Step {
             doubt: beyond(takes.max(unit)).saturating_add(lacking).saturating_add(thick(2 * to.unit + self.pixel)),
@@ -321,7 +324,7 @@ impl Coarse {
         line.windows(2).any(|ends| to_line(at, [ends[0], ends[1]]) <= *distance)
     }
 
-    /// The node that a place stands on, or one beside it.
+    /// Returns the node under a place, or one beside it.
     fn under<S: PageSet>(&mut self, level: &S, at: Point3<f64>) -> Needs<Option<u32>> {
         let Some(pixel) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
         let highest = self.grid.level(at.z).saturating_add(self.grid.up);
@@ -335,7 +338,7 @@ impl Coarse {
         ControlFlow::Continue(None)
     }
 
-    /// First and end of the nodes of a pixel, from below.
+    /// Returns the range of the nodes of a pixel, from below; reads its tile if necessary.
     fn column<S: PageSet>(&mut self, level: &S, pixel: [i32; 2]) -> Needs<(u32, u32)> {
         if !self.grid.is_inside(pixel) {
             return ControlFlow::Continue((0, 0));
@@ -348,14 +351,14 @@ impl Coarse {
         ControlFlow::Continue(self.known(pixel).unwrap_or((0, 0)))
     }
 
-    /// The same of a tile that was read.
+    /// Returns the range of the nodes of a pixel if its tile has been read.
     fn known(&self, pixel: [i32; 2]) -> Option<(u32, u32)> {
         let starts = self.tiles.get(&pixel.map(|pixel| pixel >> 6))?;
         let cell = (((pixel[1] & 63) << 6) | (pixel[0] & 63)) as usize;
         Some((starts[cell], starts[cell + 1]))
     }
 
-    /// The nodes of a tile; first one by pixel, and the end.
+    /// Reads the nodes of a tile. Returns the number of the first node of each pixel, and the end.
     fn read<S: PageSet>(&mut self, level: &S, at: [i32; 2]) -> Needs<Box<[u32]>> {
         let corner = at.map(|at| at * 64);
         let columns = Columns::under(level, &self.grid, corner, corner)?;
@@ -394,7 +397,7 @@ impl Coarse {
         ControlFlow::Continue(starts.into())
     }
 
-    /// The way that ends with this node.
+    /// Returns the route to a node.
     fn route(&mut self, last: u32) -> Route {
         let mut way = vec![last];
         while let Some(before) = way.last().map(|node| self.nodes[*node as usize].from).filter(|from| *from != NO_NODE)
@@ -407,7 +410,7 @@ impl Coarse {
             self.step(from, to).map(|step| step.doubt)
         });
         self.doubt_m = steps.map(f64::from).sum::<f64>() * self.grid.frame.quantum_m();
-        // As level as the spans allow.
+        // As level as the spans allow it.
         let mut z = self.ends[0].z;
         let place = |&node: &u32| {
             let node = &self.nodes[node as usize];
@@ -427,7 +430,7 @@ impl Coarse {
         let (mut points, mut at) = (vec![all[0]], 0);
         while at < end {
             let sees = |to: usize| self.is_clear(way[at], way[to]);
-            // By doubling, then by halving: what is seen is mostly all up to some place.
+            // Doubling, then bisection: visibility mostly ends at one place.
             let (mut near, mut step) = (at + 1, 2);
             while at + step <= end && sees(at + step) {
                 near = at + step;
@@ -445,7 +448,7 @@ impl Coarse {
         Route { points, length_m }
     }
 
-    /// Whether the straight line between two nodes leads over spans without doubt.
+    /// Returns whether the straight line between two nodes has no doubt.
     fn is_clear(&self, from: u32, to: u32) -> bool {
         let [first, last] = [from, to].map(|node| self.nodes[node as usize].pixel);
         let [dx, dy] = [0, 1].map(|axis| i64::from(last[axis]) - i64::from(first[axis]));
@@ -465,7 +468,8 @@ impl Coarse {
     }
 }
 
-/// What all heights of a page are multiples of (quanta): a third of a slice or so, in sparse pages a slice.
+/// Returns the greatest common divisor of all heights in a page (quanta): about a third of a slice, in sparse pages a
+/// slice.
 fn unit(slot: &impl PageSlot) -> i32 {
     let mut unit = SLICE_QUANTA as u32;
     for (.., column) in slot.page().into_iter().flat_map(|page| page.columns()) {

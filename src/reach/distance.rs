@@ -1,8 +1,9 @@
-//! Distance of each place from where its region ends.
+//! Distance of each place from the ends of its region.
 //!
-//! Each place knows the nearest pixel that ends its region as an offset; neighbours pass theirs on, nearest first (Danielsson's vector distance
-//! transform, over links instead of a plane: a region may lie above itself). That is a pixel with matter that stops the body, or one without
-//! ground that some footprint without any ground covers: what the footprint cannot span of a gap.
+//! Each place stores the offset of the nearest pixel that ends its region, and neighbours pass theirs on, nearest first
+//! (Danielsson's vector distance transform, over links instead of a plane, because a region may lie above itself). An
+//! end is a pixel whose spans stop the body, or a pixel of a footprint that has no ground at all, which is what the
+//! footprint cannot span of a gap.
 
 use super::pawn::{Grid, WAYS, gap};
 use super::region::NO_PLACE;
@@ -10,10 +11,10 @@ use nalgebra::Point2;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Where a step from a place leads nowhere.
+/// A step from a place that leads nowhere.
 pub struct End {
     pub place: u32,
-    /// From the place to the pixel of matter that stops the body, or to the middle of a footprint without ground (pixels).
+    /// From the place to the pixel that stops the body, or to the middle of a footprint without ground (pixels).
     pub offset: [i16; 2],
     pub is_open: bool,
 }
@@ -22,14 +23,15 @@ struct Spread<'a> {
     links: &'a [[u32; 4]],
     offsets: Vec<[i16; 2]>,
     queue: BinaryHeap<(Reverse<u64>, u32)>,
-    /// Of each place the last open end that was spread over it.
+    /// The last open end that was spread over each place.
     seen: Vec<u32>,
-    /// Whether matter stops a step from it.
+    /// True for places with a step that is stopped by something solid.
     stopped: Vec<bool>,
 }
 
 impl Spread<'_> {
-    /// Takes an offset if it is shorter than the one that `place` has; of two of one length the lesser, so that the order does not show.
+    /// Stores an offset for `place` if it is shorter than the present one. Of equally long ones the lesser wins, so
+    /// that the result does not depend on the order.
     fn offer(&mut self, place: u32, offset: [i16; 2]) {
         let key = |offset: [i16; 2]| (gap(offset.map(i32::from)), offset);
         let own = &mut self.offsets[place as usize];
@@ -39,7 +41,7 @@ impl Spread<'_> {
         }
     }
 
-    /// Neighbours that lead to a place and back, with the offset from them to it.
+    /// Returns the neighbours that are linked with a place in both directions, with the offset from them to it.
     fn beside(&self, place: u32) -> impl Iterator<Item = (u32, [i32; 2])> + use<> {
         let beside = self.links[place as usize];
         let leads =
@@ -47,8 +49,8 @@ impl Spread<'_> {
         (0..4).filter(move |way| leads[*way]).map(move |way| (beside[way], WAYS[(way + 2) & 3]))
     }
 
-    /// Offers the nearest pixel of a footprint without ground to the places whose gap to it is at most `reach`. Whether one of them is
-    /// stopped by matter.
+    /// Offers the nearest pixel of a footprint without ground to the places whose gap to it is at most `reach`. Returns
+    /// whether something solid stops a step from one of them.
     fn open(&mut self, grid: &Grid, number: u32, end: &End, reach: u64) -> bool {
         let mut is_stopped = false;
         let mut places = vec![(end.place, end.offset.map(i32::from))];
@@ -69,7 +71,7 @@ impl Spread<'_> {
     }
 }
 
-/// Distance from the middle of each place to the nearest end (m).
+/// Returns the distance from the middle of each place to the nearest end (m).
 pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
     let count = links.len();
     let mut spread = Spread {
@@ -84,12 +86,12 @@ pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
         spread.stopped[end.place as usize] = true;
     }
     for (number, end) in (0..).zip(ends.iter().filter(|end| end.is_open)) {
-        // Where matter keeps the body away, what lies beyond may still be nearest.
+        // Where something solid keeps the body away, the gap behind it may still be nearest.
         if spread.open(grid, 2 * number, end, gap([1, 0])) {
             spread.open(grid, 2 * number + 1, end, grid.corner);
         }
     }
-    // A place is as near to an end as one that it leads to, if that does not lead back.
+    // Distances also spread backwards over links that lead one way only.
     let mut one_way: Vec<(u32, u32, [i32; 2])> = Vec::new();
     for (place, own) in (0..).zip(links) {
         for (way, &link) in own.iter().enumerate().filter(|(_, link)| **link != NO_PLACE) {
@@ -118,11 +120,11 @@ pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
     spread.offsets.iter().map(metres).collect()
 }
 
-/// Distance of a place from the line between two others (m).
+/// Returns the distance of a place from the line between two others (m).
 pub fn to_line(at: Point2<f64>, [from, to]: [Point2<f64>; 2]) -> f64 {
     let along = to - from;
     let share = ((at - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
-    // A line of one place has no direction.
+    // A line between equal ends has no direction.
     let share = if share.is_finite() { share } else { 0.0 };
     (at - (from + along * share)).norm()
 }

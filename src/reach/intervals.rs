@@ -1,8 +1,8 @@
-//! Matter per pixel as sorted intervals, and their union over footprints.
+//! Spans per pixel as sorted intervals, and their union over footprints.
 //!
-//! Gaps in which the body does not fit are closed as soon as they show: a union only makes gaps smaller, so nothing is lost, and
-//! lists stay as short as the scene has storeys. Unions over windows double their length at each pass, for the union of a thing
-//! with itself changes nothing (van Herk's windows without the inverse).
+//! Gaps without room for the body are closed at once: a union only makes gaps smaller, so nothing is lost, and lists
+//! stay as short as the scene has storeys. Unions over windows double their length in each pass, because the union of a
+//! set with itself changes nothing (van Herk's windows without the inverse).
 
 use super::pawn::Grid;
 use super::{MOST_PAGES, MOST_SPANS, Needs, Stop};
@@ -10,7 +10,7 @@ use crate::frame::{PAGE_QUANTA, PageKey};
 use crate::store::{Missing, PageSet, PageSlot, note};
 use std::ops::ControlFlow;
 
-/// Matter from `bottom` to `top` (quanta); `floor` is the highest top of a floor span in it.
+/// Solid from `bottom` to `top` (quanta); `floor` is the highest top of a floor span in it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interval {
     pub bottom: i32,
@@ -18,7 +18,7 @@ pub struct Interval {
     pub floor: i32,
 }
 
-/// Of an interval without floor.
+/// Value of `floor` in an interval without floor.
 pub const NONE: i32 = i32::MIN;
 
 /// A list for each pixel of a rectangle, row by row.
@@ -37,6 +37,12 @@ impl Lists {
         Self { width, height, starts, items: Vec::with_capacity(items) }
     }
 
+    /// Returns whether all lists are empty.
+    pub fn is_empty(&self) -> bool {
+        self.items.is_empty()
+    }
+
+    #[inline]
     pub fn at(&self, x: usize, y: usize) -> &[Interval] {
         let cell = y * self.width + x;
         &self.items[self.starts[cell] as usize..self.starts[cell + 1] as usize]
@@ -46,8 +52,8 @@ impl Lists {
         self.starts.push(self.items.len() as u32);
     }
 
-    /// The spans of the pixels from `corner` on (pixels from the first tile's), gaps too low for the body closed, and the tops of those
-    /// that are floor; or the pages that it takes.
+    /// Reads the spans of the pixels from `corner` on (pixels from the first tile), with gaps too low for the body
+    /// closed, and the tops of the floors among them; or returns the pages that are needed.
     pub fn read<S: PageSet>(
         set: &S,
         grid: &Grid,
@@ -85,7 +91,7 @@ impl Lists {
         ControlFlow::Continue((lists, floors))
     }
 
-    /// The union over `length` neighbouring cells along an axis, from each cell on.
+    /// Returns the union over `length` neighbouring cells along an axis, from each cell on.
     fn windows(&self, length: usize, axis: usize, least: i32) -> Self {
         let (mut widened, mut have) = (None, 1);
         while have < length {
@@ -106,7 +112,8 @@ impl Lists {
         widened.unwrap_or_else(|| self.clone())
     }
 
-    /// The union over a footprint of `rects` about each pixel, without the outermost `half` pixels of the lists.
+    /// Returns the union over a footprint of `rects` around each pixel, without the outermost `half` pixels of the
+    /// lists.
     pub fn under(&self, rects: &[[i32; 2]], half: [i32; 2], least: i32) -> Self {
         let [half_x, half_y] = half.map(|half| half as usize);
         let (width, height) = (self.width - 2 * half_x, self.height - 2 * half_y);
@@ -140,12 +147,12 @@ pub struct Floors {
 }
 
 impl Floors {
-    /// The highest top from `low` to `high` in the `size` pixels from (`x`, `y`) on.
+    /// Returns the highest top from `low` to `high` in the `size` pixels from `at` on.
     pub fn highest(&self, at: [usize; 2], size: [usize; 2], [low, high]: [i32; 2]) -> Option<i32> {
         self.within(at, size).filter(|top| (low..=high).contains(top)).max()
     }
 
-    /// The lowest of them.
+    /// Returns the lowest top from `low` to `high` in the `size` pixels from `at` on.
     pub fn lowest(&self, at: [usize; 2], size: [usize; 2], [low, high]: [i32; 2]) -> Option<i32> {
         self.within(at, size).filter(|top| (low..=high).contains(top)).min()
     }
@@ -193,7 +200,7 @@ impl<'a, T: PageSlot> Columns<'a, T> {
         }
     }
 
-    /// Spans in all pages, at most one page's more than the limit.
+    /// Returns the number of spans in all pages; stops counting after the page that exceeds the limit.
     pub fn spans(&self) -> usize {
         let mut sum = 0;
         for page in self.slots.iter().copied().flatten().filter_map(PageSlot::page) {
@@ -221,11 +228,11 @@ fn push(items: &mut Vec<Interval>, own: usize, next: Interval, least: i32) {
     }
 }
 
-/// The union of two lists; gaps below `least` are closed, as they are in both.
+/// Appends the union of two lists; gaps below `least` are closed, as they are in both lists.
 #[inline]
 fn join(a: &[Interval], b: &[Interval], least: i32, to: &mut Vec<Interval>) {
     match (a, b) {
-        // Most pixels: nothing, or one floor.
+        // Most pixels hold nothing or a single floor.
         ([], _) => return to.extend_from_slice(b),
         (_, []) => return to.extend_from_slice(a),
         ([a], [b]) => {

@@ -1,43 +1,44 @@
 //! Leaks: where a region ends although nothing is in the way.
 //!
-//! A pixel is *open* at a height if the body fits there and no matter lies under the middle of the feet within
-//! [`Pawn::max_drop`](super::Pawn::max_drop): it was not scanned, or it is deeper. A *rim* is made of the steps from standing places to open
-//! pixels, the *brinks*; those within two pixels of each other belong together. What one falls onto is decided at the rim: it is split where
-//! matter below ends, and where its depth changes by more than the climb height from one brink to the next. Stretches narrower than half of
-//! the pawn count as the longest one beside them.
+//! A pixel is *open* at a height if the body fits there and nothing supports the middle of the feet within
+//! [`Pawn::max_drop`](super::Pawn::max_drop): the ground was not scanned, or is deeper. The steps from standing places
+//! to open pixels are *brinks*; brinks within two pixels of each other make a *rim*. The rim decides what lies below a
+//! leak: it is split where the ground below ends, and where its depth changes by more than the climb height from one
+//! brink to the next. Stretches narrower than half of the pawn count as the longest one beside them.
 //!
-//! From each rim the open pixels are flooded at its height, to see whether they are closed in; open pixels that meet are one *gap*. One that
-//! goes on to the end of the scan, or over more than 2¹⁶ pixels, is not closed in. Each stretch of a rim is a leak:
+//! From each rim the open pixels are flooded at its height, to see whether they are enclosed; open pixels that meet are
+//! one *gap*. A gap that reaches the end of the scan, or has more than 2¹⁶ pixels, is not enclosed. Each stretch of a
+//! rim is a leak:
 //!
-//! - **hole**: the gap is closed in, and nothing was scanned below the stretch, or at least half of the gap's border is floor; stretches of one
-//!   gap below which the same lies are one hole;
-//! - **edge**: the gap is not closed in, and nothing was scanned below the stretch;
-//! - **ledge**: all others: what is below is deeper than the pawn drops.
+//! - **hole**: the gap is enclosed, and nothing was scanned below the stretch, or at least half of the gap's border is
+//!   floor; stretches of one gap with the same depth are one hole;
+//! - **edge**: the gap is not enclosed, and nothing was scanned below the stretch;
+//! - **ledge**: all others: the ground below is deeper than the pawn steps down.
 //!
-//! A gap that is narrower than half of the pawn is no leak: a walker passes over it, and a scan has many such gaps.
+//! A gap narrower than half of the pawn is not a leak: a walker passes over it, and a scan has many such gaps.
 
 use super::intervals::NONE;
 use super::pawn::WAYS;
 use super::region::{Region, middle};
 use super::standing::{Block, Kind, StandingPlaces};
+use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
 use crate::store::PageSet;
 use nalgebra::Point3;
-use std::collections::HashMap;
 use std::ops::ControlFlow;
 
-/// Most open pixels that are looked at before a gap counts as not closed in.
+/// Most open pixels of an enclosed gap.
 const MOST_PIXELS: usize = 1 << 16;
-/// Brinks this near each other belong together (pixels).
+/// Greatest distance between brinks of one rim (pixels).
 const TOGETHER: i32 = 2;
 /// Edge of a tile (pixels).
 const TILE: usize = 64;
-/// No number.
+/// Stands for no number.
 const NOTHING: u32 = u32::MAX;
 
-/// What kind of leak it is.
+/// Kind of a leak.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum LeakKind {
@@ -45,12 +46,12 @@ pub enum LeakKind {
     Hole,
     /// The edge of the scan.
     Edge,
-    /// A drop deeper than the pawn takes.
+    /// A drop deeper than the pawn steps down.
     Ledge,
 }
 
 impl LeakKind {
-    /// As `slicetool reach` writes it.
+    /// Returns the name that `slicetool reach` writes.
     pub fn name(self) -> &'static str {
         match self {
             Self::Hole => "hole",
@@ -64,65 +65,71 @@ impl LeakKind {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Leak {
-    /// Its middle: of a hole the open pixel, else the rim place, nearest to the mean of all; at the height of the rim (m).
+    /// Middle of the leak, at the height of the rim (m): the open pixel of a hole, or the place on another rim, that is
+    /// nearest to the mean of all.
     pub at: Point3<f64>,
-    /// Its greatest extent along x or y: of a hole itself, else of its rim (m).
+    /// Greatest extent along x or y, of the hole itself or else of the rim (m).
     pub width: f64,
-    /// How far below the rim the next matter lies: the middle one of all its depths; `None` if nothing was scanned below (m).
+    /// Depth of the ground below the rim (m): the median along the rim; `None` if nothing was scanned below.
     pub drop: Option<f64>,
-    /// What kind it is.
+    /// Kind of the leak.
     pub kind: LeakKind,
 }
 
-/// What lies at a pixel at the height of a rim.
+/// Content of a pixel at the height of a rim.
 #[derive(Clone, Copy, PartialEq)]
 enum There {
-    /// Nothing to stand on; how far down matter is (quanta).
+    /// Nothing to stand on; depth of the ground, if any (quanta).
     Open(Option<i32>),
     Floor,
     Matter,
-    /// Beyond the scan.
+    /// Outside of the scan.
     Outside,
 }
 
 impl Region {
-    /// All leaks, by place (y, x, z). Needs pages in the tiles that the open pixels lie in, and around them.
-    /// Fails where more matter lies over one tile than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    /// Returns all leaks, sorted by place (y, x, z). Needs the pages of the tiles that hold open pixels, and of those
+    /// around them. Fails if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Result<Answer<Vec<Leak>>> {
-        let survey = Survey { region: self, standing, set, last: None, marks: Plane::new(NOTHING), gaps: Vec::new() };
+        let survey = Survey { region: self, standing, set, last: None, marks: Vec::new(), gaps: Vec::new() };
         answer(survey.leaks())
     }
 }
 
-/// A value for each pixel of the tiles that were touched.
-struct Plane<T> {
-    numbers: HashMap<[i32; 2], usize>,
-    tiles: Vec<Box<[T]>>,
-    empty: T,
-    last: Option<([i32; 2], usize)>,
+/// Number of the last brink at each pixel, by tile.
+struct Firsts {
+    numbers: TileNumbers,
+    tiles: Vec<Box<[u32; TILE * TILE]>>,
 }
 
-impl<T: Copy> Plane<T> {
-    fn new(empty: T) -> Self {
-        Self { numbers: HashMap::new(), tiles: Vec::new(), empty, last: None }
+impl Firsts {
+    /// Returns the numbers from one pixel of row `j` to another one in the same tile; `None` if the tile has no brink.
+    fn row(&self, [from, to]: [i32; 2], j: i32) -> Option<&[u32]> {
+        let first = ((j & 63) << 6 | from & 63) as usize;
+        let tile = &self.tiles[self.numbers.get([from >> 6, j >> 6])?];
+        Some(&tile[first..first + (to - from) as usize + 1])
     }
 
-    #[inline]
-    fn at(&mut self, pixel: [i32; 2]) -> &mut T {
+    fn put(&mut self, pixel: [i32; 2], number: u32) -> u32 {
         let at = [pixel[0] >> 6, pixel[1] >> 6];
-        let number = match self.last {
-            Some((last, number)) if last == at => number,
-            _ => *self.numbers.entry(at).or_insert_with(|| {
-                self.tiles.push(vec![self.empty; TILE * TILE].into());
+        let tile = match self.numbers.get(at) {
+            Some(tile) => tile,
+            None => {
+                self.numbers.add(at);
+                self.tiles.push(Box::new([NOTHING; TILE * TILE]));
                 self.tiles.len() - 1
-            }),
+            }
         };
-        self.last = Some((at, number));
-        &mut self.tiles[number][(((pixel[1] & 63) << 6) | (pixel[0] & 63)) as usize]
+        std::mem::replace(&mut self.tiles[tile][cell(pixel)], number)
     }
 }
 
-/// Sets that are joined.
+/// Returns the number of a pixel in its tile.
+fn cell([i, j]: [i32; 2]) -> usize {
+    ((j & 63) << 6 | i & 63) as usize
+}
+
+/// Disjoint sets of numbers.
 struct Sets(Vec<u32>);
 
 impl Sets {
@@ -144,7 +151,7 @@ impl Sets {
         self.0[a.max(b) as usize] = a.min(b);
     }
 
-    /// The members of each set, by their first.
+    /// Returns the members of each set, ordered by their first.
     fn members(&mut self) -> Vec<Vec<u32>> {
         let mut members: Vec<Vec<u32>> = Vec::new();
         let mut number_of = vec![NOTHING; self.0.len()];
@@ -160,36 +167,36 @@ impl Sets {
     }
 }
 
-/// A step of a rim.
+/// A step from a standing place to an open pixel.
 #[derive(Clone, Copy)]
 struct Brink {
     place: u32,
     way: usize,
-    /// How far down matter lies (quanta).
+    /// Depth of the ground, if any (quanta).
     depth: Option<i32>,
 }
 
 /// Open pixels behind a rim.
 struct Gap {
     level: i32,
-    /// With the depth of what is below; empty if it is not closed in.
+    /// Open pixels with the depth of the ground; empty if the gap is not enclosed.
     pixels: Vec<([i32; 2], Option<i32>)>,
-    /// Border pixels with floor and with matter.
+    /// Numbers of border pixels with floor and with something solid.
     floor: usize,
     matter: usize,
     is_closed: bool,
-    /// Numbers of gaps that it meets.
+    /// Numbers of the gaps that it meets.
     meets: Vec<u32>,
 }
 
-/// Brinks that belong together.
+/// Neighbouring brinks of a rim with similar depth.
 struct Stretch {
     brinks: Vec<Brink>,
     /// Number of its gap.
     gap: u32,
 }
 
-/// The middle one of the depths; `None` if nothing lies below most of the brinks.
+/// Returns the median depth; `None` if there is no ground below most of the brinks.
 fn depth_of(brinks: &[Brink]) -> Option<i32> {
     let mut depths: Vec<i32> = brinks.iter().filter_map(|brink| brink.depth).collect();
     depths.sort_unstable();
@@ -201,7 +208,7 @@ impl Stretch {
         depth_of(&self.brinks)
     }
 
-    /// The least and the greatest depth.
+    /// Returns the least and the greatest depth.
     fn depths(&self) -> Option<[i32; 2]> {
         self.depth()?;
         let depths = || self.brinks.iter().filter_map(|brink| brink.depth);
@@ -213,10 +220,11 @@ struct Survey<'a, S> {
     region: &'a Region,
     standing: &'a mut StandingPlaces,
     set: &'a S,
-    /// The tile looked at last, and its number.
+    /// The last tile and its number.
     last: Option<([i32; 2], usize)>,
-    /// Of each pixel twice the number of the gap that was flooded there last, and one more on its border.
-    marks: Plane<u32>,
+    /// For each tile of the standing places, twice the number of the last gap that was flooded at each pixel, plus one
+    /// on the border of the gap. Empty for tiles without gaps.
+    marks: Vec<Box<[u32]>>,
     gaps: Vec<Gap>,
 }
 
@@ -225,24 +233,26 @@ impl<S: PageSet> Survey<'_, S> {
         let brinks = self.brinks()?;
         let mut stretches = Vec::new();
         let mut rims = self.rims(&brinks);
-        // By height, so that marks of one storey are not hidden by those of another.
+        // By height, so that marks of one storey do not hide those of another.
         rims.sort_by_key(|(level, ..)| *level);
         for (level, members, own) in rims {
             let gap = self.gaps.len() as u32;
-            self.flood(level, members.iter().map(|brink| brinks[*brink as usize]).collect())?;
+            let rim: Vec<Brink> = members.iter().map(|brink| brinks[*brink as usize]).collect();
+            self.flood(level, &rim)?;
             stretches.extend(own.into_iter().map(|brinks| Stretch { brinks, gap }));
         }
         let mut sets = Sets::new(self.gaps.len());
         for gap in 0..self.gaps.len() {
             self.gaps[gap].meets.iter().for_each(|other| sets.join(gap as u32, *other));
         }
-        let mut stretches_of: HashMap<u32, Vec<Stretch>> = HashMap::new();
+        let mut stretches_of: Vec<Vec<Stretch>> = Vec::new();
+        stretches_of.resize_with(self.gaps.len(), Vec::new);
         for stretch in stretches {
-            stretches_of.entry(sets.root(stretch.gap)).or_default().push(stretch);
+            stretches_of[sets.root(stretch.gap) as usize].push(stretch);
         }
         let mut leaks = Vec::new();
         for members in sets.members() {
-            let Some(stretches) = stretches_of.remove(&members[0]) else { continue };
+            let stretches = std::mem::take(&mut stretches_of[members[0] as usize]);
             let gap = self.joined(&members);
             if gap.is_closed && (gap.pixels.is_empty() || self.is_narrow(&gap)) {
                 continue;
@@ -293,35 +303,33 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(brinks)
     }
 
-    /// The open pixel of a brink.
+    /// Returns the open pixel of a brink.
     fn beyond(&self, brink: &Brink) -> [i32; 2] {
         let pixel = self.region.pixels[brink.place as usize];
         let way = WAYS[brink.way];
         [pixel[0] + way[0], pixel[1] + way[1]]
     }
 
-    /// The rims: of each its height, its brinks, and the brinks of its stretches. It is the height of most of it: stairs have a rim at
-    /// each tread.
+    /// Returns the height of each rim, the numbers of its brinks, and the brinks of its stretches. The height is the
+    /// median: a rim beside stairs has one for each tread.
     fn rims(&self, brinks: &[Brink]) -> Vec<(i32, Vec<u32>, Vec<Vec<Brink>>)> {
         let (mut rims, mut stretches) = (Sets::new(brinks.len()), Sets::new(brinks.len()));
         let mut meets: Vec<[u32; 2]> = Vec::new();
         let up = self.standing.grid.up;
         let pixel_of = |brink: &Brink| self.region.pixels[brink.place as usize];
         let top_of = |brink: &Brink| self.region.tops[brink.place as usize];
-        let mut firsts = Plane::new(NOTHING);
+        let mut firsts = Firsts { numbers: TileNumbers::default(), tiles: Vec::new() };
         let mut next = vec![NOTHING; brinks.len()];
         for (number, brink) in brinks.iter().enumerate() {
             let [i, j] = pixel_of(brink);
             let beyond = self.beyond(brink);
-            let around = (j - TOGETHER..=j + TOGETHER).flat_map(|y| (i - TOGETHER..=i + TOGETHER).map(move |x| [x, y]));
-            for pixel in around {
-                let mut other = *firsts.at(pixel);
+            let mut meet = |mut other: u32| {
                 while other != NOTHING {
                     let before = &brinks[other as usize];
                     let far = self.beyond(before);
                     let is_near = (top_of(before) - top_of(brink)).abs() <= up
                         && (0..2).all(|axis| (far[axis] - beyond[axis]).abs() <= TOGETHER)
-                        // On the other side of a beam.
+                        // Not on the other side of a beam.
                         && before.way != (brink.way + 2) & 3;
                     if is_near {
                         rims.join(number as u32, other);
@@ -337,124 +345,147 @@ impl<S: PageSet> Survey<'_, S> {
                     }
                     other = next[other as usize];
                 }
+            };
+            for y in j - TOGETHER..=j + TOGETHER {
+                // The part of the row in each tile.
+                let (first, last) = (i - TOGETHER, i + TOGETHER);
+                let border = last & !63;
+                let parts = if first < border {
+                    [Some([first, border - 1]), Some([border, last])]
+                } else {
+                    [Some([first, last]), None]
+                };
+                for row in parts.into_iter().flatten().filter_map(|part| firsts.row(part, y)) {
+                    row.iter().for_each(|other| meet(*other));
+                }
             }
-            let first = firsts.at([i, j]);
-            next[number] = std::mem::replace(first, number as u32);
+            next[number] = firsts.put([i, j], number as u32);
         }
         self.join_narrow(brinks, &mut stretches, &meets);
-        let mut own: HashMap<u32, Vec<Vec<Brink>>> = HashMap::new();
+        // By the first brink of the rim.
+        let mut own: Vec<Vec<Vec<Brink>>> = vec![Vec::new(); brinks.len()];
         for members in stretches.members() {
             let of_stretch = members.iter().map(|brink| brinks[*brink as usize]).collect();
-            own.entry(rims.root(members[0])).or_default().push(of_stretch);
+            own[rims.root(members[0]) as usize].push(of_stretch);
         }
         let rim = |members: Vec<u32>| {
             let mut tops: Vec<i32> = members.iter().map(|brink| top_of(&brinks[*brink as usize])).collect();
             tops.sort_unstable();
-            (tops[tops.len() / 2], own.remove(&members[0]).unwrap_or_default())
+            let own = std::mem::take(&mut own[members[0] as usize]);
+            (tops[tops.len() / 2], members, own)
         };
-        let members = rims.members();
-        let rims: Vec<_> = members.iter().cloned().map(rim).collect();
-        rims.into_iter().zip(members).map(|((level, own), members)| (level, members, own)).collect()
+        rims.members().into_iter().map(rim).collect()
     }
 
-    /// Joins stretches narrower than half of the pawn to each other and to the longest one that they meet, of several to the deepest.
+    /// Joins stretches narrower than half of the pawn to each other, and to the longest one that they meet; of equally
+    /// long ones to the deepest.
     fn join_narrow(&self, brinks: &[Brink], stretches: &mut Sets, meets: &[[u32; 2]]) {
-        let sizes = |stretches: &mut Sets| -> HashMap<u32, (bool, usize, i32)> {
-            let size = |members: Vec<u32>| {
+        // By the first brink of a stretch: whether the stretch is narrow, its length and its depth.
+        let sizes = |stretches: &mut Sets| -> Vec<Option<(bool, usize, i32)>> {
+            let mut sizes = vec![None; brinks.len()];
+            for members in stretches.members() {
                 let own: Vec<Brink> = members.iter().map(|brink| brinks[*brink as usize]).collect();
                 let extent = self.extent(own.iter().map(|brink| self.region.pixels[brink.place as usize]), 0);
                 let is_narrow = extent[0].max(extent[1]) < self.standing.grid.pawn.body.half().min();
-                (members[0], (is_narrow, own.len(), depth_of(&own).unwrap_or(i32::MAX)))
-            };
-            stretches.members().into_iter().map(size).collect()
+                sizes[members[0] as usize] = Some((is_narrow, own.len(), depth_of(&own).unwrap_or(i32::MAX)));
+            }
+            sizes
         };
         let before = sizes(stretches);
         for [a, b] in meets {
             let [a, b] = [stretches.root(*a), stretches.root(*b)];
-            // Joined ones keep the name of the first.
-            if [a, b].iter().all(|root| before.get(root).is_some_and(|size| size.0)) {
+            // A joined set keeps the name of its first member.
+            if [a, b].iter().all(|root| before[*root as usize].is_some_and(|size| size.0)) {
                 stretches.join(a, b);
             }
         }
         let after = sizes(stretches);
-        let mut longest: HashMap<u32, (usize, i32, u32)> = HashMap::new();
+        // The longest wide stretch that each narrow one meets.
+        let mut longest: Vec<Option<(usize, i32, u32)>> = vec![None; brinks.len()];
         for meet in meets {
             let roots = meet.map(|brink| stretches.root(brink));
             for [own, other] in [roots, [roots[1], roots[0]]] {
-                if let (Some((true, ..)), Some(&(false, size, depth))) = (after.get(&own), after.get(&other)) {
-                    let longest = longest.entry(own).or_default();
-                    *longest = (*longest).max((size, depth, other));
+                if let (Some((true, ..)), Some((false, size, depth))) = (after[own as usize], after[other as usize]) {
+                    let longest = &mut longest[own as usize];
+                    *longest = (*longest).max(Some((size, depth, other)));
                 }
             }
         }
-        longest.into_iter().for_each(|(own, (_, _, other))| stretches.join(own, other));
+        for (own, longest) in (0..).zip(longest) {
+            if let Some((_, _, other)) = longest {
+                stretches.join(own, other);
+            }
+        }
+    }
+
+    /// Returns the number of the tile with `pixel`, which lies in the grid.
+    #[inline]
+    fn tile(&mut self, pixel: [i32; 2]) -> Needs<usize> {
+        let at = [pixel[0] >> 6, pixel[1] >> 6];
+        if let Some((last, tile)) = self.last
+            && last == at
+        {
+            return ControlFlow::Continue(tile);
+        }
+        let tile = self.standing.tile(self.set, pixel)?;
+        self.last = Some((at, tile));
+        ControlFlow::Continue(tile)
     }
 
     fn there(&mut self, pixel: [i32; 2], level: i32) -> Needs<There> {
         if !self.standing.grid.is_inside(pixel) {
             return ControlFlow::Continue(There::Outside);
         }
-        let at = [pixel[0] >> 6, pixel[1] >> 6];
-        let tile = match self.last {
-            Some((last, tile)) if last == at => tile,
-            _ => self.standing.tile(self.set, pixel)?,
-        };
-        self.last = Some((at, tile));
+        let tile = self.tile(pixel)?;
+        ControlFlow::Continue(self.there_in(tile, pixel, level))
+    }
+
+    /// Returns the content of a pixel of a known tile at `level`.
+    #[inline]
+    fn there_in(&self, tile: usize, pixel: [i32; 2], level: i32) -> There {
         let grid = &self.standing.grid;
-        let column: &[Block] = self.standing.tiles[tile].column(pixel);
-        let (below, above) = column.split_at(column.partition_point(|block| block.top <= level + grid.up));
+        let tile = &self.standing.tiles[tile];
+        // Gaps lead far over tiles without anything, and most of their pixels hold nothing.
+        let column: &[Block] = if tile.blocks.is_empty() { &[] } else { tile.column(pixel) };
+        if column.is_empty() {
+            return There::Open(None);
+        }
+        // Few blocks lie above one another.
+        let (below, above) = column.split_at(column.iter().take_while(|block| block.top <= level + grid.up).count());
         let feet = below.last().map_or(level, |block| block.top.max(level));
         if above.first().is_some_and(|block| block.bottom - feet < grid.height) {
-            return ControlFlow::Continue(There::Matter);
+            return There::Matter;
         }
-        let Some(block) = below.last() else { return ControlFlow::Continue(There::Open(None)) };
+        let Some(block) = below.last() else { return There::Open(None) };
         if level - block.top <= grid.drop && block.kind != Kind::Bridge {
-            return ControlFlow::Continue(There::Floor);
+            return There::Floor;
         }
         let depth = (block.foot != NONE).then(|| level - block.foot);
         let is_deep = depth.is_none_or(|depth| depth > grid.drop);
-        ControlFlow::Continue(if is_deep { There::Open(depth) } else { There::Floor })
+        if is_deep { There::Open(depth) } else { There::Floor }
     }
 
     /// Floods the open pixels at `level` next to a rim.
-    fn flood(&mut self, level: i32, rim: Vec<Brink>) -> Needs<()> {
-        let number = self.gaps.len() as u32;
+    fn flood(&mut self, level: i32, rim: &[Brink]) -> Needs<()> {
         let mut gap = Gap { level, pixels: Vec::new(), floor: 0, matter: 0, is_closed: true, meets: Vec::new() };
+        // Tile of each pixel of the gap.
+        let mut tiles: Vec<u32> = Vec::new();
         let up = self.standing.grid.up;
-        let is_level = |brink: &&Brink| (self.region.tops[brink.place as usize] - level).abs() <= up;
-        let mut open: Vec<[i32; 2]> = rim.iter().filter(is_level).map(|brink| self.beyond(brink)).collect();
+        let region = self.region;
+        for brink in rim.iter().filter(|brink| (region.tops[brink.place as usize] - level).abs() <= up) {
+            self.visit(&mut gap, &mut tiles, self.beyond(brink), None)?;
+        }
         let mut done = 0;
         loop {
-            for to in std::mem::take(&mut open) {
-                let mark = *self.marks.at(to);
-                if mark >> 1 == number {
-                    continue;
-                }
-                let there = self.there(to, level)?;
-                if there == There::Outside {
-                    gap.is_closed = false;
-                    continue;
-                }
-                let is_open = matches!(there, There::Open(_));
-                if let There::Open(depth) = there {
-                    let met = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
-                    if let Some(met) = met.filter(|met| (met.level - level).abs() < self.standing.grid.height) {
-                        gap.is_closed &= met.is_closed;
-                        if gap.meets.last() != Some(&(mark >> 1)) {
-                            gap.meets.push(mark >> 1);
-                        }
-                        continue;
-                    }
-                    gap.pixels.push((to, depth));
-                }
-                gap.floor += usize::from(there == There::Floor);
-                gap.matter += usize::from(there == There::Matter);
-                *self.marks.at(to) = 2 * number + u32::from(!is_open);
-            }
             gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
-            // What lies farther off says nothing about the rim.
-            let Some((pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
-            open.extend(WAYS.map(|way| [pixel[0] + way[0], pixel[1] + way[1]]));
+            // A gap that is not enclosed need not be explored further.
+            let Some(&(pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
+            for way in WAYS {
+                let to = [pixel[0] + way[0], pixel[1] + way[1]];
+                let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+                let tile = is_same.then_some(tiles[done] as usize);
+                self.visit(&mut gap, &mut tiles, to, tile)?;
+            }
             done += 1;
         }
         if !gap.is_closed {
@@ -464,7 +495,49 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// Gaps that meet, as one.
+    /// Adds a pixel to the next gap, as a part of it, of its border, or of a gap that it meets. `tile` is the pixel's
+    /// tile, if known.
+    #[inline]
+    fn visit(&mut self, gap: &mut Gap, tiles: &mut Vec<u32>, pixel: [i32; 2], tile: Option<usize>) -> Needs<()> {
+        let tile = match tile {
+            Some(tile) => tile,
+            None if self.standing.grid.is_inside(pixel) => self.standing.tile(self.set, pixel)?,
+            None => {
+                gap.is_closed = false;
+                return ControlFlow::Continue(());
+            }
+        };
+        if self.marks.len() <= tile {
+            self.marks.resize_with(self.standing.tiles.len(), Box::default);
+        }
+        if self.marks[tile].is_empty() {
+            self.marks[tile] = vec![NOTHING; TILE * TILE].into();
+        }
+        let number = self.gaps.len() as u32;
+        let mark = self.marks[tile][cell(pixel)];
+        if mark >> 1 == number {
+            return ControlFlow::Continue(());
+        }
+        let there = self.there_in(tile, pixel, gap.level);
+        if let There::Open(depth) = there {
+            let met = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
+            if let Some(met) = met.filter(|met| (met.level - gap.level).abs() < self.standing.grid.height) {
+                gap.is_closed &= met.is_closed;
+                if gap.meets.last() != Some(&(mark >> 1)) {
+                    gap.meets.push(mark >> 1);
+                }
+                return ControlFlow::Continue(());
+            }
+            gap.pixels.push((pixel, depth));
+            tiles.push(tile as u32);
+        }
+        gap.floor += usize::from(there == There::Floor);
+        gap.matter += usize::from(there == There::Matter);
+        self.marks[tile][cell(pixel)] = 2 * number + u32::from(!matches!(there, There::Open(_)));
+        ControlFlow::Continue(())
+    }
+
+    /// Returns gaps that meet as one gap.
     fn joined(&mut self, members: &[u32]) -> Gap {
         let all = || members.iter().map(|gap| &self.gaps[*gap as usize]);
         Gap {
@@ -477,7 +550,7 @@ impl<S: PageSet> Survey<'_, S> {
         }
     }
 
-    /// Stretches of one gap below which the same lies, together.
+    /// Joins the stretches of one gap that have similar depths.
     fn alike(&self, stretches: Vec<Stretch>) -> Vec<Stretch> {
         let mut sets = Sets::new(stretches.len());
         let up = self.standing.grid.up;
@@ -498,7 +571,7 @@ impl<S: PageSet> Survey<'_, S> {
         sets.members().into_iter().map(together).collect()
     }
 
-    /// Extent along x and y of pixels that widen by `beyond` on each side (m).
+    /// Returns the extent along x and y of pixels, widened by `beyond` pixels on each side (m).
     fn extent(&self, pixels: impl Iterator<Item = [i32; 2]>, beyond: i32) -> [f64; 2] {
         let (mut low, mut high) = ([i32::MAX; 2], [i32::MIN; 2]);
         for pixel in pixels {
@@ -517,7 +590,8 @@ impl<S: PageSet> Survey<'_, S> {
         mean < self.standing.grid.pawn.body.half().min()
     }
 
-    /// Extent of a stretch; where it ends at matter the way goes on beside the middle of the pawn (m).
+    /// Returns the extent of a stretch (m). If it ends at something solid, the opening continues for the half of the
+    /// pawn beside its middle.
     fn rim_width(&mut self, stretch: &Stretch) -> Needs<f64> {
         let pixels: Vec<[i32; 2]> =
             stretch.brinks.iter().map(|brink| self.region.pixels[brink.place as usize]).collect();
@@ -542,7 +616,7 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(width)
     }
 
-    /// A leak at a stretch, or in the middle of its `hole`.
+    /// Returns the leak at a stretch, or in the middle of its `hole`.
     fn leak(&self, stretch: &Stretch, width: f64, hole: Option<[i32; 2]>) -> Leak {
         let pixel = |brink: &Brink| self.region.pixels[brink.place as usize];
         let [i, j] = hole.or_else(|| middle(&stretch.brinks, pixel).map(|brink| pixel(&brink))).unwrap_or_default();

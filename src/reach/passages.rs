@@ -1,32 +1,33 @@
 //! Narrow places between wider ones: doors, corridors, gaps.
 //!
-//! The clearance of the places is a landscape whose peaks are the middles of rooms. Places are taken from the highest down; where
-//! two rooms meet that are both clearly wider than their meeting place, they stay apart (a watershed with a least
-//! prominence), else the smaller joins the larger. Each stretch along which two rooms touch may be a passage, at its widest place.
+//! The clearance of the places is a landscape whose peaks are the middles of rooms. Places are added from the highest
+//! down. Where two rooms meet that are both clearly wider than their meeting place, they stay apart (a watershed with a
+//! least prominence); otherwise the smaller one joins the larger. Each stretch along which two rooms touch is a
+//! candidate, at its widest place.
 //!
-//! It is one if what it leads through separates the rooms: on both sides lies the same border of the region, so that no way leads around, or
-//! borders at least twice as long as the passage is wide. What stands free on open ground makes none: a pole, a pit, a rough patch.
+//! It is a passage if it separates the rooms: the same border of the region lies on both sides, so that there is no way
+//! around, or borders at least twice as long as the passage is wide. Free-standing things on open ground make no
+//! passage: a pole, a pit, a rough patch.
 
 use super::pawn::WAYS;
 use super::region::{NO_PLACE, Region, middle};
 use nalgebra::Point3;
-use std::collections::HashSet;
 
-/// A room is wider than its passages by this factor at least, and by so many pixels.
+/// A room is at least this factor and this number of pixels wider than its passages.
 const WIDER: f64 = 1.25;
 const WIDER_PIXELS: f64 = 2.0;
-/// Least area of a room (m²); it is also at least the square of the passage's width. Smaller ones are niches.
+/// Least area of a room (m²), which is also at least the square of the passage's width. Smaller ones are niches.
 const LEAST_M2: f64 = 0.25;
-/// A border on one side alone is longer than the passage is wide, by this factor at least.
+/// A border that lies on one side only is at least this factor longer than the passage is wide.
 const LONGER: f64 = 2.0;
 
 /// A narrow place between two wider ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Passage {
-    /// Its middle, on the floor (m).
+    /// Middle of the passage, on the floor (m).
     pub at: Point3<f64>,
-    /// Clear width across it, within a pixel (m).
+    /// Clear width, exact to a pixel (m).
     pub width: f64,
 }
 
@@ -44,7 +45,7 @@ fn root(rooms: &[Room], mut room: u32) -> u32 {
 }
 
 impl Region {
-    /// The passages between the rooms of the region, narrowest first.
+    /// Returns the passages between the rooms of the region, narrowest first.
     pub fn passages(&self) -> Vec<Passage> {
         let mut order: Vec<u32> = (0..self.len() as u32).collect();
         order.sort_unstable_by(|a, b| {
@@ -86,67 +87,74 @@ impl Region {
         self.stretches(&room_of)
     }
 
-    /// Of each stretch along which two rooms touch the widest place.
+    /// Returns the passages among the stretches along which two rooms touch, each at the widest place of its stretch.
     fn stretches(&self, room_of: &[u32]) -> Vec<Passage> {
         let clearance = |place: u32| self.clearances[place as usize];
         let across =
             |place: u32| self.around(place).filter(move |next| room_of[*next as usize] != room_of[place as usize]);
-        // Of two places that touch the narrower one.
+        // The narrower one of two places that touch.
         let is_narrower =
             |place: &u32| across(*place).any(|next| (clearance(*place), *place) < (clearance(next), next));
         let mut borders: Vec<u32> = (0..self.len() as u32).filter(is_narrower).collect();
         borders.sort_by(|a, b| clearance(*b).total_cmp(&clearance(*a)).then(a.cmp(b)));
         let ends = Borders::new(self);
-        let (mut taken, mut middles): (HashSet<u32>, HashSet<u32>) = Default::default();
+        let (mut taken, mut is_middle) = (vec![false; self.len()], vec![false; self.len()]);
+        let mut level_of = vec![NO_PLACE; self.len()];
         let mut passages = Vec::new();
         for place in borders {
-            if taken.contains(&place) {
+            if taken[place as usize] {
                 continue;
             }
-            let middle = self.middle_of_its_level(place);
-            if self.standing[middle as usize] && middles.insert(middle) {
+            let middle = self.middle_of_its_level(place, &mut level_of);
+            if self.standing[middle as usize] && !std::mem::replace(&mut is_middle[middle as usize], true) {
                 passages.extend(self.passage(middle, &ends));
             }
-            // The rest of the stretch, on both of its sides.
+            // The rest of the stretch, on both sides of it.
             let mut open = vec![place];
             while let Some(place) = open.pop() {
                 let near = self.around(place).chain([place]).filter(|next| across(*next).next().is_some());
-                open.extend(near.filter(|next| taken.insert(*next)));
+                open.extend(near.filter(|next| !std::mem::replace(&mut taken[*next as usize], true)));
             }
         }
         passages.sort_by(|a, b| a.width.total_cmp(&b.width));
         passages
     }
 
-    /// Along a corridor all places are as narrow: the one in its middle.
-    fn middle_of_its_level(&self, place: u32) -> u32 {
+    /// Returns the middle of the connected places with the same clearance as `place`: along a corridor all are as
+    /// narrow.
+    /// `level_of` keeps the last place for which each place was visited.
+    fn middle_of_its_level(&self, place: u32, level_of: &mut [u32]) -> u32 {
         let (mut level, mut next) = (vec![place], 0);
-        let mut seen = HashSet::from([place]);
+        level_of[place as usize] = place;
         while next < level.len() {
             let same = |other: &u32| self.clearances[*other as usize] == self.clearances[place as usize];
-            let more: Vec<u32> = self.around(level[next]).filter(same).filter(|other| seen.insert(*other)).collect();
-            level.extend(more);
+            for other in self.around(level[next]).filter(same) {
+                if std::mem::replace(&mut level_of[other as usize], place) != place {
+                    level.push(other);
+                }
+            }
             next += 1;
         }
         middle(&level, |place| self.pixels[*place as usize]).unwrap_or(place)
     }
 
-    /// Neighbours along the axes.
+    /// Returns the neighbours along the axes.
     fn around(&self, place: u32) -> impl Iterator<Item = u32> + '_ {
         self.links[place as usize].iter().copied().filter(|link| *link != NO_PLACE)
     }
 
-    /// The passage at a place, if it is one. Its clear width leads from one end of the region across the place to the end on the other side.
+    /// Returns the passage at a place, if there is one. Its clear width leads from one end of the region across the
+    /// place to the end on the other side.
     fn passage(&self, place: u32, borders: &Borders) -> Option<Passage> {
         let pixel = self.grid.frame.pixel_m();
         let clear = |place: u32| f64::from(self.clearances[place as usize]) / pixel;
-        // The narrowest of eight lines through the place.
+        // The shortest of eight lines through the place.
         let across = |by: [i32; 2]| {
             let far = |by: [i32; 2]| {
                 let (mut at, mut steps, mut width) = (place, 0.0, clear(place));
                 while let Some(next) = self.hop(at, by) {
                     (at, steps) = (next, steps + f64::from(by[0]).hypot(f64::from(by[1])));
-                    // Beyond it hangs the body alone.
+                    // Beyond that only the body hangs over the edge.
                     if width > 0.0 && clear(at) > 0.0 {
                         width = steps + clear(at);
                     }
@@ -163,11 +171,11 @@ impl Region {
             border.is_some_and(|border| borders.length(border, self.grid.half) >= LONGER * pixels)
         };
         let separates = one == other || is_long(one) && is_long(other);
-        // Where its middle hangs over the edge on both sides the body alone leads across, not ground.
+        // If the middle of the body hangs over an edge on both sides, no ground leads across.
         (separates && pixels >= 1.0).then(|| Passage { at: self.feet(place), width: pixels * pixel })
     }
 
-    /// The step without a link that keeps a place from one a few pixels away.
+    /// Returns the step without a link between a place and the pixel a few pixels away.
     fn end_beside(&self, place: u32, by: [i32; 2]) -> Option<(u32, usize)> {
         let mut at = place;
         for (axis, by) in by.into_iter().enumerate() {
@@ -182,7 +190,7 @@ impl Region {
         None
     }
 
-    /// The place a few pixels away, over links one axis after the other.
+    /// Returns the place a few pixels away, following links along one axis and then along the other.
     fn hop(&self, place: u32, by: [i32; 2]) -> Option<u32> {
         let go = |from: u32, way: usize, count: i32| {
             (0..count).try_fold(from, |at, _| Some(self.links[at as usize][way]).filter(|link| *link != NO_PLACE))
@@ -197,11 +205,11 @@ impl Region {
     }
 }
 
-/// The borders of a region: closed lines of steps that lead nowhere.
+/// Borders of a region: closed lines of steps that lead nowhere.
 struct Borders {
     steps: Vec<(u32, usize)>,
     border_of: Vec<usize>,
-    /// Of each border the least and the greatest pixel beyond it along x and y, and whether ground is missing there.
+    /// Least and greatest pixel beyond each border along x and y, and whether ground is missing there.
     extents: Vec<([[i32; 2]; 2], bool)>,
 }
 
@@ -212,7 +220,7 @@ impl Borders {
         let steps: Vec<(u32, usize)> =
             (0..links.len() as u32).flat_map(|place| ways(place).map(move |way| (place, way))).collect();
         let number = |step: (u32, usize)| steps.binary_search(&step).ok();
-        // Along the border, which lies to the right.
+        // The next step along the border, which lies to the right.
         let next = |(place, way): (u32, usize)| {
             let side = (way + 1) & 3;
             let beside = links[place as usize][side];
@@ -250,7 +258,8 @@ impl Borders {
         self.steps.binary_search(&step).ok().map(|step| self.border_of[step])
     }
 
-    /// The extent along x or y of what ends the region there (pixels): the body keeps half of its width off matter, and hangs as far over gaps.
+    /// Returns the extent along x or y of what ends the region there (pixels): the body stays half of its width away
+    /// from solid, and hangs as far over gaps.
     fn length(&self, border: usize, half: [i32; 2]) -> f64 {
         let ([low, high], is_open) = self.extents[border];
         let along = |axis: usize| high[axis] - low[axis] + 1 + if is_open { 2 } else { -2 } * half[axis];

@@ -1,4 +1,4 @@
-//! A pawn on a grid: its sizes as numbers of pixels and quanta.
+//! A pawn on a grid: its dimensions in pixels and quanta.
 
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::store::PageSet;
@@ -6,30 +6,30 @@ use crate::walk::{Body, FLOOR_NEAR_M, pixels_beside};
 use crate::{Error, Parameter, Result};
 use std::sync::Arc;
 
-/// Lengths that differ by less are equal (pixels): rounding errors of `length / pixel`.
+/// Lengths that differ by less count as equal (pixels): rounding errors of `length / pixel`.
 const EQUAL: f64 = 1e-6;
-/// Greatest extent of a set of pages (tiles, layers): pixels and quanta fit 31 bits.
+/// Greatest extent of a set of pages (tiles, layers), so that pixels and quanta fit in 31 bits.
 const MOST_TILES: i64 = 1 << 24;
 const MOST_LAYERS: i64 = 1 << 16;
-/// Largest footprint (pixels to a side of the middle).
+/// Largest footprint (pixels to each side of the middle).
 const MOST_PIXELS: f64 = 512.0;
 
 /// The neighbours of a pixel, in the order of a place's links.
 pub(super) const WAYS: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 
-/// Who walks. All lengths in metres.
+/// Shape and abilities of the pawn that walks; lengths in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pawn {
-    /// Its shape.
+    /// Shape.
     pub body: Body,
     /// Highest step that it climbs (m, >= 0, less than its height).
     pub climb: f64,
-    /// Deepest drop that it takes (m, >= 0).
+    /// Deepest drop that it steps down (m, >= 0).
     pub max_drop: f64,
 }
 
 impl Pawn {
-    /// A pawn that climbs 0.35 m and steps down as far: wherever it gets it can come back from.
+    /// Returns a pawn that climbs 0.35 m and steps down as far, so that it can return from wherever it gets to.
     pub fn new(body: Body) -> Self {
         Self { body, climb: 0.35, max_drop: 0.35 }
     }
@@ -53,26 +53,26 @@ impl Pawn {
 pub(super) struct Grid {
     pub frame: Frame,
     pub pawn: Pawn,
-    /// First tile and lowest layer of the grid, and the number of its tiles along x and y: those of the set and a margin in which the
-    /// body may hang over the end of the scan.
+    /// First tile and lowest layer of the grid, and its number of tiles along x and y: those of the set, and a margin
+    /// in which the body may hang over the end of the scan.
     pub origin: [i32; 3],
     pub tiles: [i32; 2],
-    /// The footprint as a union of rectangles about the middle pixel: pixels to either side along x and y.
+    /// The footprint as a union of rectangles around the middle pixel: pixels to either side along x and y.
     pub rects: Vec<[i32; 2]>,
-    /// Of all of them the widest.
+    /// Half extent of their union (pixels).
     pub half: [i32; 2],
-    /// Gap to the farthest pixel at which the body can be stopped on a step.
+    /// Greatest [`gap`] to a pixel that can stop the body on a step.
     pub corner: u64,
-    /// Pixels outside of the footprint with gaps up to that, nearest first.
+    /// Pixels outside of the footprint with gaps up to `corner`, nearest first.
     pub around: Arc<[[i16; 2]]>,
-    /// Along x and y, whether a body has left the pixels behind it when it meets a step: then it needs room for its head above the
-    /// step on the pixels of the step's side alone.
+    /// Along x and y, true if the body has left the pixels behind it when it meets a step: then it needs headroom above
+    /// the step only on the pixels on the step's side.
     pub lets_go: [bool; 2],
-    /// Pixels to either side of the middle of the feet in which matter must lie.
+    /// Pixels to either side of the middle of the feet in which the feet need support.
     pub foot: i32,
-    /// Pixels within which a floor makes a step out of an edge.
+    /// Distance from the footprint within which a floor makes an edge a step (pixels).
     pub ahead: i32,
-    /// Height of the body, step up, step down, and how near floor must be (quanta).
+    /// Height of the body, greatest step up and down, and greatest distance of floor from the feet (quanta).
     pub height: i32,
     pub up: i32,
     pub drop: i32,
@@ -105,11 +105,12 @@ impl Grid {
         let half = [widest(0), widest(1)];
         // Far below what overflows, far above any building.
         let quanta = |metres: f64| (frame.quanta(metres) + EQUAL).min(f64::from(1 << 29)).floor() as i32;
-        // Where the scan lies in its tiles must not show: no place lies farther from matter than this.
+        // No place lies farther from a span than this, so the result does not depend on where the scan lies in its
+        // tiles.
         let margin = half.map(|half| i64::from((half + 64) / 64));
         let first = [0, 1].map(|axis| (i64::from(min[axis]) - margin[axis]).max(i64::from(i32::MIN)));
         let ahead = pixels_beside(frame.pixel_m()).min(MOST_PIXELS as i32);
-        // At a corner of the footprint; what is nearest to its middle may lie straight ahead, but no farther off.
+        // At a corner of the footprint: pixels straight ahead are no farther off.
         let corners = rects.iter().map(|[x, y]| gap([x + 1, *y]).max(gap([*x, y + 1])));
         let corner = corners.max().unwrap_or(0);
         Ok(Self {
@@ -126,14 +127,14 @@ impl Grid {
             rects,
             // Rounded up, so that a body that fits has room for rounding errors.
             height: quanta(pawn.body.height()) + 1,
-            // Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
+            // Floors are rounded to quanta, so a step of exactly the climb height may be stored one quantum higher.
             up: quanta(pawn.climb) + 1,
             drop: quanta(pawn.max_drop) + 1,
             near: quanta(FLOOR_NEAR_M).clamp(1, i32::from(i16::MAX)),
         })
     }
 
-    /// Pixel of a place (pixels from the first tile's); `None` outside the grid.
+    /// Returns the pixel of a place (pixels from the first tile); `None` outside the grid.
     pub fn pixel(&self, x: f64, y: f64) -> Option<[i32; 2]> {
         let mut pixel = [0; 2];
         for (axis, value) in [x, y].into_iter().enumerate() {
@@ -146,18 +147,18 @@ impl Grid {
         Some(pixel)
     }
 
-    /// Height in quanta, rounded down.
+    /// Returns a height in quanta, rounded down.
     pub fn level(&self, z: f64) -> i32 {
         let level = self.frame.quantum_floor(z) - i64::from(self.origin[2]) * PAGE_QUANTA;
         level.clamp(i64::from(i32::MIN / 2), i64::from(i32::MAX / 2)) as i32
     }
 
-    /// World coordinate of the middle of a pixel along an axis (m).
+    /// Returns the world coordinate of the middle of a pixel along an axis (m).
     pub fn middle(&self, pixel: i32, axis: usize) -> f64 {
         ((64 * i64::from(self.origin[axis]) + i64::from(pixel)) as f64 + 0.5) * self.frame.pixel_m()
     }
 
-    /// World height of a top (m).
+    /// Returns the world height of a top (m).
     pub fn z(&self, top: i32) -> f64 {
         self.frame.top_height(i64::from(self.origin[2]) * PAGE_QUANTA + i64::from(top))
     }
@@ -167,13 +168,15 @@ impl Grid {
     }
 }
 
-/// Gap between the middle of a pixel and another one `by` pixels away (half pixels, squared).
+/// Returns the squared distance from the middle of a pixel to the edge of another one `by` pixels away (half pixels,
+/// squared).
 pub(super) fn gap(by: [i32; 2]) -> u64 {
     let along = |by: i32| (2 * u64::from(by.unsigned_abs())).saturating_sub(1);
     along(by[0]).pow(2) + along(by[1]).pow(2)
 }
 
-/// Offsets of the pixels outside of a footprint with gaps of at most `corner`, as far as `widest`, nearest first.
+/// Returns the offsets of the pixels outside of a footprint with gaps of at most `corner`, up to `widest`, nearest
+/// first.
 fn around(rects: &[[i32; 2]], widest: [i32; 2], corner: u64) -> Vec<[i16; 2]> {
     let beside = |[x, y]: [i32; 2]| !rects.iter().any(|rect| x.abs() <= rect[0] && y.abs() <= rect[1]);
     let mut around: Vec<[i32; 2]> = (-widest[0]..=widest[0])
@@ -184,20 +187,21 @@ fn around(rects: &[[i32; 2]], widest: [i32; 2], corner: u64) -> Vec<[i16; 2]> {
     around.into_iter().map(|by| by.map(|by| by as i16)).collect()
 }
 
-/// Whether a body has left the pixels behind it when its front meets the next pixel.
+/// Returns whether a body has left the pixels behind it when its front meets the next pixel.
 ///
-/// In the middle of a pixel it enters `2 · beside + 1` pixels. Its front meets the next one up to half a pixel later, and it
-/// is as long as `2 · half` pixels: if that is no more than `2 · beside`, the last pixel lies behind it by then.
+/// From the middle of a pixel it enters `2 · beside + 1` pixels, and its front meets the next one at most half a pixel
+/// later. Its length is `2 · half` pixels: if that is at most `2 · beside`, the last pixel lies behind it by then.
 fn lets_go(half: f64) -> bool {
     2.0 * half - EQUAL <= f64::from(2 * beside(half))
 }
 
-/// Pixels beside the middle one whose inside an interval of half the length `half` (pixels) enters: walkers may touch matter.
+/// Returns the number of pixels to each side of the middle one whose interior an interval of half length `half`
+/// (pixels) enters: walkers may touch what is solid.
 fn beside(half: f64) -> i32 {
     ((half - 0.5 - EQUAL).ceil() as i32).max(0)
 }
 
-/// The pixels whose inside a disc about the middle of a pixel enters.
+/// Returns the pixels whose interior a disc around the middle of a pixel enters.
 fn disc(radius: f64) -> Vec<[i32; 2]> {
     let mut rects: Vec<[i32; 2]> = Vec::new();
     for row in 0..=beside(radius) {

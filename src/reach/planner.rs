@@ -1,4 +1,4 @@
-//! A route as a task that can wait and stop.
+//! Route planning as a task that can wait for pages and be cancelled.
 
 use super::{Flood, Pawn, Refusal, Region, Route, Search, Spot, StandingPlaces};
 use crate::query::Answer;
@@ -6,46 +6,48 @@ use crate::store::{Missing, PageSet};
 use crate::{Monitor, Result};
 use nalgebra::Point3;
 
-/// Ways are looked for up to this multiple of the straight line, and some metres for the way around what stands there (m).
+/// Routes are searched up to this multiple of the straight line, plus some metres for the way around obstacles at the
+/// ends (m).
 const STRETCH: f64 = 1.05;
 const ROUND_M: f64 = 4.0;
-/// By how much longer ones are looked for where none is found.
+/// Factor by which the search is extended if there is no route.
 const WIDER: f64 = 1.5;
 
-/// Where a [`Planner`] is.
+/// State of a [`Planner`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Planned {
-    /// The way, or why there is none.
+    /// The route, or why there is none.
     Done(std::result::Result<Route, Refusal>),
-    /// It takes these pages: load them and go on.
+    /// These pages are needed: load them and continue.
     NotLoaded(Missing),
-    /// It has more to do: go on when there is time.
+    /// The search is not finished: continue when there is time.
     Unfinished,
 }
 
-/// Plans one route, some steps at a time: it looks near the straight line first, and farther if the way leads farther.
+/// Plans one route, a bounded number of steps at a time: near the straight line first, and farther if the route leads
+/// farther.
 ///
-/// It does no I/O and holds no clock, so it runs in a browser's frame as well as on a thread; whoever drops it cancels it.
-/// [`Search`] plans many routes in one region faster.
+/// It does no I/O and reads no clock, so it runs within a browser's frame as well as on a thread; dropping it cancels
+/// the search. [`Search`] plans many routes in one region faster.
 #[derive(Debug)]
 pub struct Planner {
     ends: [Point3<f64>; 2],
     standing: StandingPlaces,
     spots: [Option<Spot>; 2],
     flood: Option<Flood>,
-    /// What has been reached, while the way through it takes more pages.
+    /// The region reached, kept while its route needs more pages.
     region: Option<Region>,
     search: Search,
     length: f64,
-    /// Whether longer ways are of no use.
+    /// True if longer routes are not wanted.
     is_bounded: bool,
     peak_bytes: usize,
 }
 
 impl Planner {
-    /// Plans the way of `pawn` between two places (m); in the air, the floor below counts. Fails for a pawn that is none and for a set of pages
-    /// that is too large, as [`StandingPlaces::new`] does.
+    /// Creates a plan for the route of `pawn` between two places (m); in the air, the floor below counts. Fails like
+    /// [`StandingPlaces::new`] for an invalid pawn or a set of pages that is too large.
     pub fn new<S: PageSet>(set: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
         let length = STRETCH * (to - from).xy().norm() + ROUND_M;
         let standing = StandingPlaces::new(set, pawn)?;
@@ -62,20 +64,20 @@ impl Planner {
         })
     }
 
-    /// Looks only where ways of up to this length lead (m), and no farther. [`Refusal::NotConnected`] then says that no way is so short; one
-    /// that is found may be a little longer.
+    /// Restricts the search to where routes of up to `length` (m) may lead. [`Refusal::NotConnected`] then means that
+    /// no route is that short; a route that is found may be a little longer.
     #[must_use]
     pub fn within(self, length: f64) -> Self {
         Self { length, is_bounded: true, ..self }
     }
 
-    /// Most bytes of memory that it took so far.
+    /// Returns its peak memory (bytes).
     pub fn peak_bytes(&self) -> usize {
         self.peak_bytes
     }
 
-    /// Goes on for about `steps` places, and to the end of one search. Fails when `monitor` asks to stop, and where more matter
-    /// lies over one tile than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    /// Continues for about `steps` places, or to the end of one search. Fails if `monitor` asks to stop, or if a tile
+    /// holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     pub fn go_on<S: PageSet>(&mut self, set: &S, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
         for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
             if self.spots[end].is_none() {
@@ -105,7 +107,7 @@ impl Planner {
         let bytes = self.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + search;
         self.peak_bytes = self.peak_bytes.max(bytes);
         self.region = None;
-        // What a way of this length can touch has been looked at; a shorter way lies in it whole.
+        // Everything that a route of this length can touch has been searched, and so every shorter route.
         let is_last = self.is_bounded || flood.is_whole();
         match route {
             Some(route) if is_last || route.length_m <= self.length => return Ok(Planned::Done(Ok(route))),

@@ -1,4 +1,4 @@
-//! What can be reached on foot from one place.
+//! Regions: all places that can be reached on foot from one place.
 
 use super::distance::{End, clearances, to_line};
 use super::pawn::{Grid, Pawn, WAYS};
@@ -12,12 +12,12 @@ use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::ops::ControlFlow;
 
-/// Of a link that leads nowhere.
+/// Number in a link that leads nowhere.
 pub(super) const NO_PLACE: u32 = u32::MAX;
-/// Steps between two looks at the monitor.
+/// Places between two checks of the monitor.
 const BETWEEN_LOOKS: usize = 1 << 14;
 
-/// A flood over neighbouring places, which can wait for pages.
+/// A flood over neighbouring places that can wait for pages.
 ///
 /// ```
 /// use nalgebra::Point3;
@@ -47,32 +47,32 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 /// ```
 #[derive(Debug)]
 pub struct Flood {
-    /// By number of a tile a bit for each of its blocks.
+    /// One bit for each block of each tile, by number of the tile.
     reached: Vec<Vec<u64>>,
-    /// Places reached whose neighbours have not been looked at.
+    /// Places reached whose neighbours have not been visited.
     open: Vec<([i32; 2], usize)>,
-    /// Of these, those outside of the ellipse or the corridor.
+    /// Places reached outside of the ellipse or the corridor.
     parked: Vec<([i32; 2], usize)>,
-    /// Two places and the length of the ways between them within which the flood stays (m).
+    /// Two places and the length of the paths between them within which the flood stays (m).
     ellipse: Option<([Point2<f64>; 2], f64)>,
     /// A line and the distance from it within which the flood stays (m).
     corridor: Option<(Vec<Point2<f64>>, f64)>,
 }
 
 impl Flood {
-    /// A flood from a standing place.
+    /// Creates a flood from a standing place.
     pub fn from(start: Spot) -> Self {
         Self::of(vec![(start.pixel, start.place)])
     }
 
-    /// A flood from all standing places of the set at once: what routes between any two of them need. Load what is missing, and
-    /// call again. Fails where more matter lies over one tile than any scan has ([`Error::Limit`]).
+    /// Creates a flood from all standing places of the set at once, for routes between any two of them. Load the pages
+    /// that are missing, and call again. Fails if a tile holds more spans than any scan has ([`Error::Limit`]).
     pub fn everywhere<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Result<Answer<Self>> {
         answer(Self::all(standing, set))
     }
 
     fn all<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Needs<Self> {
-        // Matter lies at most a pixel from the middle of the feet, so a place may lie in the next tile.
+        // The feet are supported within a pixel of their middle, so a place may lie in the next tile.
         let mut corners: Vec<[i32; 2]> = (0..set.column_count())
             .flat_map(|number| {
                 let (tx, ty, _) = set.column_at(number);
@@ -99,8 +99,8 @@ impl Flood {
         Self { reached: Vec::new(), open, parked: Vec::new(), ellipse: None, corridor: None }
     }
 
-    /// Stays where ways from one of `ends` to the other are no longer than `length` (m), to the width of a tile. A greater
-    /// length later goes on from there.
+    /// Restricts the flood to where paths from one of `ends` to the other are no longer than `length` (m), to within a
+    /// tile. A greater length later continues from there.
     pub fn within(&mut self, ends: [Point2<f64>; 2], length: f64) {
         if self.ellipse != Some((ends, length)) {
             self.ellipse = Some((ends, length));
@@ -108,7 +108,8 @@ impl Flood {
         }
     }
 
-    /// Stays within `distance` (m) of a line of these points. Another line or a greater distance later goes on from there.
+    /// Restricts the flood to places within `distance` (m) of a line of these points. Another line or a greater
+    /// distance later continues from there.
     pub fn along(&mut self, line: &[Point2<f64>], distance: f64) {
         if self.corridor.as_ref().is_none_or(|corridor| corridor.0 != line || corridor.1 != distance) {
             self.corridor = Some((line.to_vec(), distance));
@@ -116,13 +117,13 @@ impl Flood {
         }
     }
 
-    /// Whether there is nothing left outside of the ellipse or the corridor.
+    /// Returns whether everything has been reached, and nothing is left outside of the ellipse or the corridor.
     pub fn is_whole(&self) -> bool {
         self.parked.is_empty() && self.open.is_empty()
     }
 
-    /// Goes on until all is reached, or pages are missing: load them and call again. Fails when the monitor says so, and where more
-    /// matter lies over one tile than any scan has ([`Error::Limit`]).
+    /// Continues until everything is reached or pages are missing: load them and call again. Fails if `monitor` asks to
+    /// stop, or if a tile holds more spans than any scan has ([`Error::Limit`]).
     pub fn grow<S: PageSet>(
         &mut self,
         standing: &mut StandingPlaces,
@@ -135,7 +136,7 @@ impl Flood {
         })
     }
 
-    /// The same for at most `steps` places; whether all is reached.
+    /// Like [`grow`](Self::grow), but visits at most `steps` places. Returns whether everything is reached.
     pub fn grow_some<S: PageSet>(
         &mut self,
         standing: &mut StandingPlaces,
@@ -178,7 +179,8 @@ impl Flood {
             if !standing.grid.is_inside(to) {
                 continue;
             }
-            let other = standing.tile(set, to)?;
+            let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+            let other = if is_same { tile } else { standing.tile(set, to)? };
             let (column, next) = (standing.tiles[tile].column(pixel), standing.tiles[other].column(to));
             if let Step::To(reached) = standing.grid.step(column, place, next, number & 1)
                 && self.mark(standing, other, to, reached)
@@ -209,7 +211,7 @@ impl Flood {
         gap(&ends[0]) + gap(&ends[1]) <= length
     }
 
-    /// Whether the place was not reached before.
+    /// Marks a place as reached. Returns whether it was not reached before.
     fn mark(&mut self, standing: &StandingPlaces, tile: usize, pixel: [i32; 2], place: usize) -> bool {
         if self.reached.len() <= tile {
             self.reached.resize_with(standing.tiles.len(), Vec::new);
@@ -225,7 +227,7 @@ impl Flood {
         is_new
     }
 
-    /// Whether the flood has reached a place of the same standing places, without making a [`Region`].
+    /// Returns whether the flood has reached a place of the same standing places, without building a [`Region`].
     pub fn holds(&self, standing: &StandingPlaces, spot: &Spot) -> bool {
         let Some(tile) = standing.known(spot.pixel) else { return false };
         let bits = self.reached.get(tile).map_or(&[][..], |bits| bits);
@@ -233,13 +235,13 @@ impl Flood {
         bits.get(at >> 6).is_some_and(|word| word >> (at & 63) & 1 == 1)
     }
 
-    /// Bytes of memory that the flood takes now.
+    /// Returns the memory of the flood now (bytes).
     pub fn memory_bytes(&self) -> usize {
         let bits: usize = self.reached.iter().map(|bits| bits.capacity() * 8 + size_of::<Vec<u64>>()).sum();
         bits + (self.open.capacity() + self.parked.capacity()) * size_of::<([i32; 2], usize)>()
     }
 
-    /// All that has been reached, as a graph.
+    /// Returns all reached places as a graph.
     pub fn region(&self, standing: &StandingPlaces) -> Region {
         let mut order: Vec<usize> = (0..self.reached.len()).filter(|tile| !self.reached[*tile].is_empty()).collect();
         order.sort_unstable_by_key(|tile| [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]);
@@ -255,7 +257,7 @@ impl Flood {
             lowest_headroom: None,
             highest_step: None,
         };
-        // Per tile the number of each block's place.
+        // For each tile the place numbers of its blocks.
         let mut numbers: Vec<Vec<u32>> = vec![Vec::new(); self.reached.len()];
         for &tile in &order {
             let (own, bits) = (&standing.tiles[tile], &self.reached[tile]);
@@ -293,7 +295,7 @@ impl Flood {
                         let way = WAYS[number];
                         let to = [pixel[0] + way[0], pixel[1] + way[1]];
                         let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
-                        // Where the flood has not looked, the region goes on.
+                        // The region does not end where the flood has not been.
                         let Some(other) = (if is_same { Some(tile) } else { standing.known(to) }) else {
                             return NO_PLACE;
                         };
@@ -330,15 +332,15 @@ impl Flood {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Place {
-    /// Where the feet stand: the middle of a pixel, on the highest matter under the footprint (m).
+    /// Place of the feet: the middle of a pixel, on the highest span under the footprint (m).
     pub feet: Point3<f64>,
-    /// Distance from the middle of the feet to the nearest thing that the pawn cannot walk over, within a pixel (m): the matter that
-    /// stops its body, or ground beyond a ledge, a hole or the end of the scan. Gaps that its footprint spans do not count. Infinite
-    /// where nothing ends the region.
+    /// Distance from the middle of the feet to the nearest thing that the pawn cannot walk over, exact to a pixel (m):
+    /// something solid that stops its body, or missing ground beyond a ledge, a hole or the end of the scan. Gaps that
+    /// its footprint spans do not count. Infinite if nothing ends the region.
     pub clearance: f64,
 }
 
-/// All places that can be reached from one of them, with the steps between them.
+/// All places that can be reached from one of them, and the steps between them.
 ///
 /// Places are numbered by tile (y, then x), pixel and height, so equal scenes give equal regions.
 #[derive(Debug, Clone)]
@@ -346,41 +348,41 @@ pub struct Region {
     pub(super) grid: Grid,
     pub(super) pixels: Vec<[i32; 2]>,
     pub(super) tops: Vec<i32>,
-    /// Whether it is a standing place, not a bridge.
+    /// True for standing places, false for bridges.
     pub(super) standing: Vec<bool>,
     pub(super) links: Vec<[u32; 4]>,
     pub(super) clearances: Vec<f32>,
     /// Heights averaged over the places around (quanta).
     pub(super) levels: Vec<i32>,
-    /// What ways from some far places cost; empty unless prepared.
+    /// Costs of the routes from some distant places; empty unless prepared.
     pub(super) landmarks: Vec<[u32; LANDMARKS]>,
     lowest_headroom: Option<(i32, u32)>,
     highest_step: Option<(i32, u32)>,
 }
 
 impl Region {
-    /// Whether a place lies beside the end of the region, or beside a gap that the footprint spans.
+    /// Returns whether a place lies beside the end of the region, or beside a gap that the footprint spans.
     pub(super) fn is_beside_end(&self, place: u32) -> bool {
         let is_inner = |link: &u32| self.standing.get(*link as usize).is_some_and(|standing| *standing);
         !self.links[place as usize].iter().all(is_inner)
     }
 
-    /// The pawn.
+    /// Returns the pawn.
     pub fn pawn(&self) -> &Pawn {
         &self.grid.pawn
     }
 
-    /// Number of places, bridges included.
+    /// Returns the number of places, bridges included.
     pub fn len(&self) -> usize {
         self.pixels.len()
     }
 
-    /// Whether there is no place.
+    /// Returns whether the region has no places.
     pub fn is_empty(&self) -> bool {
         self.pixels.is_empty()
     }
 
-    /// All standing places, in order.
+    /// Returns all standing places, in order.
     pub fn places(&self) -> impl Iterator<Item = Place> + '_ {
         (0..self.len() as u32).filter(|place| self.standing[*place as usize]).map(|place| self.place(place))
     }
@@ -394,7 +396,7 @@ impl Region {
         Point3::new(self.grid.middle(i, 0), self.grid.middle(j, 1), self.grid.z(self.tops[number as usize]))
     }
 
-    /// Area of all standing places: a pixel each (m²). Where one lies above the other both count.
+    /// Returns the area of all standing places (m²): a pixel each. Places above one another all count.
     pub fn area_m2(&self) -> f64 {
         self.area_of(self.standing.iter().filter(|standing| **standing).count())
     }
@@ -403,19 +405,21 @@ impl Region {
         places as f64 * self.grid.frame.pixel_m().powi(2)
     }
 
-    /// The standing place with the least room above it, and that room (m); `None` if there is sky above all.
+    /// Returns the standing place with the least headroom, and its headroom (m); `None` if nothing lies above any
+    /// place.
     pub fn lowest_headroom(&self) -> Option<(Place, f64)> {
         self.lowest_headroom.map(|(room, place)| (self.place(place), f64::from(room) * self.grid.frame.quantum_m()))
     }
 
-    /// The highest step up between two neighbouring places, and its height (m).
+    /// Returns the place below the highest step up to a neighbouring place, and the height of that step (m); `None` if
+    /// there is no step up.
     pub fn highest_step(&self) -> Option<(Place, f64)> {
         self.highest_step.map(|(rise, place)| (self.place(place), f64::from(rise) * self.grid.frame.quantum_m()))
     }
 
-    /// The number of a place; `None` if it is not reached.
+    /// Returns the number of a place; `None` if it is not reached.
     pub(super) fn number(&self, spot: &Spot) -> Option<u32> {
-        // As places are numbered.
+        // The order in which places are numbered.
         let key = |[i, j]: [i32; 2], top: i32| (j >> 6, i >> 6, j & 63, i & 63, top);
         let (mut low, mut high) = (0, self.len());
         while low < high {
@@ -429,19 +433,19 @@ impl Region {
         (low < self.len() && (self.pixels[low], self.tops[low]) == (spot.pixel, spot.top)).then_some(low as u32)
     }
 
-    /// Whether a place has been reached.
+    /// Returns whether a place has been reached.
     pub fn holds(&self, spot: &Spot) -> bool {
         self.number(spot).is_some()
     }
 
-    /// Bytes of memory that the region takes.
+    /// Returns the memory of the region (bytes).
     pub fn memory_bytes(&self) -> usize {
         let place =
             size_of::<[i32; 2]>() + 2 * size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>();
         self.len() * place + size_of_val(&self.landmarks[..])
     }
 
-    /// Tiles that hold a place, as keys of the pages in their lowest layer.
+    /// Returns the tiles that hold a place, as keys of their pages in the lowest layer of the set.
     pub fn tiles(&self) -> Vec<PageKey> {
         let mut tiles: Vec<PageKey> = Vec::new();
         for pixel in &self.pixels {
@@ -454,7 +458,7 @@ impl Region {
     }
 }
 
-/// Of `items` the one whose pixel is nearest to the mean of all; of several the first along y, then x.
+/// Returns the item whose pixel is nearest to the mean of all; of several the first along y, then x.
 pub(super) fn middle<T: Copy>(items: &[T], pixel: impl Fn(&T) -> [i32; 2]) -> Option<T> {
     let count = items.len() as i64;
     let sum = |axis: usize| items.iter().map(|item| i64::from(pixel(item)[axis])).sum::<i64>();

@@ -1,20 +1,22 @@
-//! The shortest way between two places of a region.
+//! Shortest routes between two places of a region.
 //!
-//! A\* over steps to 16 neighbours (the eight, and knight's moves) finds a way at most 2.8 % longer than any in its cells; then
-//! each stretch is straightened if that makes it no longer. A straight stretch passes squares between four pixel centres, and all
-//! four must be places linked with each other: the footprint of a body anywhere inside such a square lies under the union of the
-//! footprints at its corners.
+//! A\* over steps to 16 neighbours (the eight, and knight's moves) finds a path at most 2.8 % longer than any through
+//! the same cells; then each stretch is straightened if that does not make it longer. A straight stretch crosses
+//! squares between four pixel centres, and all four must be places linked with each other: the footprint of a body
+//! anywhere inside such a square is covered by the union of the footprints at its corners.
 //!
-//! Lengths count heights, averaged over [`LEVEL_M`]: stairs count as ramps, and roughness not at all, but a way around a ridge is
-//! shorter than one over it.
+//! Lengths include heights, averaged over [`LEVEL_M`]: stairs count as ramps, and roughness not at all, but a route
+//! around a ridge may be shorter than one over it.
 //!
-//! A [`Walker`] then follows the way. A stretch that it cannot follow is divided; a step that it cannot take is left out of the next
-//! search. So every route can be walked, whatever the difference between steps over pixels and a body in between.
+//! Then a [`Walker`] follows the path. A stretch that it cannot follow is divided; a single step that it cannot take is
+//! excluded, and the search starts again. So every route can be walked, however steps over pixels differ from the
+//! motion of a body in between.
 //!
-//! A [prepared](Region::prepare) region guides the search around walls and up stairs; many routes share what that takes.
+//! A [prepared](Region::prepare) region guides the search around walls and up stairs; the cost of preparing is shared
+//! by many routes.
 //!
-//! Steps next to the end of the region count 2 % more and bridges 4 %, so that the way keeps a pixel away from walls and does not
-//! lead along gaps.
+//! Steps next to the end of the region cost 2 % more and bridges 4 %, so that the path keeps a pixel away from walls
+//! and does not follow gaps.
 
 use super::region::{NO_PLACE, Region};
 use super::standing::Spot;
@@ -32,37 +34,37 @@ use std::ops::ControlFlow;
 const STRAIGHT: u32 = 1000;
 const DIAGONAL: u32 = 1414;
 const KNIGHT: u32 = 2236;
-/// Places looked at between two looks at the monitor.
+/// Places expanded between two checks of the monitor.
 const BETWEEN_LOOKS: usize = 1 << 12;
-/// Places from which a prepared region knows what ways cost.
+/// Number of places from which a prepared region stores the costs of routes.
 pub(super) const LANDMARKS: usize = 8;
-/// Cost of a way that there is not.
+/// Cost of a place that cannot be reached.
 const UNREACHED: u32 = u32::MAX;
-/// Heights are averaged over about such a square (m), and over so many pixels to each side at most.
+/// Edge of the square over which heights are averaged, approximately (m), and most pixels to each side.
 const LEVEL_M: f64 = 0.6;
 const MOST_LEVELLED: i32 = 16;
-/// How often a way is searched again because the walker could not take a step of it.
+/// Most searches for one route, each without the steps that the walker could not take before.
 const MOST_SEARCHES: usize = 1 << 7;
-/// A walker that does not arrive in the time of the way, this many times over and so much longer (s), is lost.
+/// A walker fails if it takes longer than `PATIENCE` times the time of the path plus `PATIENCE_S` (s).
 const PATIENCE: f64 = 2.0;
 const PATIENCE_S: f64 = 1.0;
-/// How near the walker must come to a place (m).
+/// Distance from a place within which the walker has reached it (m).
 const THERE_M: f64 = 1e-6;
 
-/// Why there is no route.
+/// Reason why there is no route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// The pawn cannot stand where it begins.
+    /// The pawn cannot stand at the start.
     NotStandingFrom,
-    /// The pawn cannot stand where it ends.
+    /// The pawn cannot stand at the end.
     NotStandingTo,
-    /// No way leads there.
+    /// No route connects the two.
     NotConnected,
 }
 
 impl Refusal {
-    /// As `slicetool route` writes it.
+    /// Returns the name that `slicetool route` writes.
     pub fn name(self) -> &'static str {
         match self {
             Self::NotStandingFrom => "not_standing_from",
@@ -72,20 +74,21 @@ impl Refusal {
     }
 }
 
-/// A way.
+/// A route that a walker has followed.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Route {
-    /// Places to reach one after the other, the first and the last included; straight in between, but for steps (m).
+    /// Places to reach in order, both ends included (m). The route is straight between them, except for the heights of
+    /// steps.
     pub points: Vec<Point3<f64>>,
     /// Length of the lines between the points, heights included (m).
     pub length_m: f64,
 }
 
-/// Searches routes; keeps its memory from one to the next.
+/// Search for routes; reuses its memory from one to the next.
 #[derive(Debug, Default)]
 pub struct Search {
-    /// Per place the least cost so far, where it comes from, and the search that this belongs to.
+    /// For each place the least known cost, the place before it, and the search that set them.
     costs: Vec<u32>,
     from: Vec<u32>,
     search_of: Vec<u32>,
@@ -95,17 +98,17 @@ pub struct Search {
     goal: Goal,
     /// Steps that a walker could not take.
     refused: HashSet<(u32, u32)>,
-    /// The way that a walker follows, kept while pages are missing.
+    /// Path that a walker follows, kept while pages are missing.
     trial: Option<Trial>,
 }
 
-/// A way that a walker follows.
+/// A path that a walker follows.
 #[derive(Debug)]
 struct Trial {
     ends: [u32; 2],
     places: usize,
     way: Vec<u32>,
-    /// Numbers in the way: where the walker is, and where it is to go, the next one last.
+    /// Indices in `way`: the place of the walker, and the places to go to, the next one last.
     at: usize,
     next: Vec<usize>,
     walker: Walker,
@@ -113,13 +116,13 @@ struct Trial {
     searches: usize,
 }
 
-/// Where a search wants to get.
+/// Goal of a search.
 #[derive(Debug, Clone, Copy, Default)]
 struct Goal {
-    /// `None`: everywhere.
+    /// `None` to reach all places.
     place: Option<u32>,
     pixel: [i32; 2],
-    /// What it costs to get there from each landmark.
+    /// Cost to get there from each landmark.
     from_landmarks: [u32; LANDMARKS],
 }
 
@@ -129,14 +132,14 @@ impl Goal {
         Self { place: Some(place), pixel: region.pixels[place as usize], from_landmarks }
     }
 
-    /// No way from `place` costs less; [`UNREACHED`] if there is none.
+    /// Returns a lower bound of the cost from `place` to the goal; [`UNREACHED`] if no path leads there.
     #[inline]
     fn least_cost(&self, region: &Region, place: u32) -> u32 {
         if self.place.is_none() {
             return 0;
         }
         let mut least = least_cost(region.pixels[place as usize], self.pixel);
-        // A way from a landmark over this place to the goal costs no less than the cheapest one to the goal.
+        // A path from a landmark over this place to the goal costs at least as much as the cheapest one to the goal.
         for (&own, &to) in
             region.landmarks.get(place as usize).iter().flat_map(|own| own.iter().zip(&self.from_landmarks))
         {
@@ -152,24 +155,25 @@ impl Goal {
 }
 
 impl Search {
-    /// A search without memory.
+    /// Creates a search; it allocates memory when it is first used.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Places that the last search looked at.
+    /// Returns the number of places that the last search expanded.
     pub fn looked_at(&self) -> usize {
         self.looked_at
     }
 
-    /// Bytes of memory that it takes.
+    /// Returns its memory (bytes).
     pub fn memory_bytes(&self) -> usize {
         (self.costs.capacity() + self.from.capacity() + self.search_of.capacity()) * size_of::<u32>()
             + self.heap.capacity() * size_of::<(Reverse<u32>, u32, u32)>()
     }
 
-    /// The shortest way from one place of `region` to another, within 5 %; `None` if none leads there. A [`Walker`] has followed it in
-    /// `set`: load what is missing, and call again with the same arguments. Fails only when `monitor` asks to stop.
+    /// Returns a route between two places of `region` that is at most 5 % longer than the shortest one and that a
+    /// [`Walker`] has followed in `set`; `None` if there is no route. Load pages that are missing, and call again with
+    /// the same arguments. Fails only if `monitor` asks to stop.
     pub fn route<S: PageSet>(
         &mut self,
         set: &S,
@@ -184,7 +188,7 @@ impl Search {
         }
     }
 
-    /// The same between two numbered places.
+    /// Returns a route between two numbered places, like [`route`](Self::route).
     pub(super) fn between<S: PageSet>(
         &mut self,
         set: &S,
@@ -227,7 +231,7 @@ impl Search {
         }
     }
 
-    /// The shortest way without the steps refused so far.
+    /// Searches the shortest path without the refused steps, and puts a walker at its start.
     fn trial(
         &mut self,
         region: &Region,
@@ -294,12 +298,13 @@ impl Search {
         (self.search_of[at], self.costs[at], self.from[at]) = (self.search, cost, from);
         let rest = self.goal.least_cost(region, place);
         if rest != UNREACHED {
-            // Of equal estimates the one that is farthest on its way.
+            // Of equal estimates the one nearest to the goal comes first.
             self.heap.push((Reverse(cost.saturating_add(rest)), cost, place));
         }
     }
 
-    /// Steps to the neighbours of a place, by quarters: between two ways along the axes lie a diagonal and two knight's moves.
+    /// Offers the 16 neighbours of a place by quadrants: between two directions along the axes lie a diagonal and two
+    /// knight's moves.
     fn expand(&mut self, region: &Region, place: u32, cost: u32) {
         let links = region.links[place as usize];
         let weigh = |to: u32, length: u32| {
@@ -344,7 +349,7 @@ impl Search {
     }
 }
 
-/// No way over the sixteen steps is shorter.
+/// Returns the cost of the shortest path of the sixteen steps on open ground, a lower bound.
 #[inline]
 fn least_cost(from: [i32; 2], to: [i32; 2]) -> u32 {
     let [x, y] = [0, 1].map(|axis| from[axis].abs_diff(to[axis]));
@@ -357,11 +362,12 @@ fn least_cost(from: [i32; 2], to: [i32; 2]) -> u32 {
 }
 
 impl Region {
-    /// Prepares for many routes: from eight places far from each other finds what all ways cost, which tells a [`Search`] where not to look
-    /// (landmarks, after Goldberg and Harrelson, "Computing the shortest path", 2005). Routes stay the same to what their search counts as cost.
+    /// Prepares for many routes: stores the costs of the routes from eight distant places to all places, which show a
+    /// [`Search`] where not to look (landmarks, after Goldberg and Harrelson, "Computing the shortest path", 2005).
+    /// Routes keep the same search cost.
     ///
-    /// Takes the time of some nine routes that look at every place, and 32 bytes a place. Fails only when `monitor` asks to stop; the region
-    /// is then as before.
+    /// Takes the time of nine searches that expand every place, and 32 bytes for each place. Fails only if `monitor`
+    /// asks to stop; the region is then not prepared.
     pub fn prepare(&mut self, monitor: &dyn Monitor) -> Result<()> {
         self.landmarks = Vec::new();
         let Some(first) = self.in_largest_part() else { return Ok(()) };
@@ -369,7 +375,7 @@ impl Region {
         let mut landmarks = vec![[UNREACHED; LANDMARKS]; self.len()];
         let mut nearest = vec![UNREACHED; self.len()];
         let mut next = first;
-        // The first one only shows what is far off.
+        // The first search only finds a distant place.
         for number in 0..=LANDMARKS {
             search.run(self, next, None, monitor)?;
             let mut farthest = (0, next);
@@ -393,7 +399,7 @@ impl Region {
         Ok(())
     }
 
-    /// A place of the largest part whose places are linked with each other.
+    /// Returns a place of the largest linked part.
     fn in_largest_part(&self) -> Option<u32> {
         let mut seen = vec![false; self.len()];
         let mut largest = None;
@@ -417,7 +423,7 @@ impl Region {
         largest.map(|(_, first)| first)
     }
 
-    /// What a step costs whose length across the ground costs `across`.
+    /// Returns the cost of a step, given the cost `across` of its length on the ground plan.
     #[inline]
     fn length(&self, from: u32, to: u32, across: u32) -> u32 {
         let rise = self.levels[to as usize] - self.levels[from as usize];
@@ -428,7 +434,7 @@ impl Region {
         f64::from(across).hypot(up) as u32
     }
 
-    /// What the straight line between two places costs, if a body can walk it.
+    /// Returns the cost of the straight line between two places, if a body can walk it.
     fn straight(&self, a: u32, b: u32) -> Option<u32> {
         let [from, to] = [a, b].map(|place| self.pixels[place as usize].map(f64::from));
         let way = [to[0] - from[0], to[1] - from[1]];
@@ -444,7 +450,7 @@ impl Region {
         is_straight.then_some(sum)
     }
 
-    /// Averages heights over the places around each one.
+    /// Returns the heights, averaged over the places around each one.
     pub(super) fn levelled(&self) -> Vec<i32> {
         let far = ((LEVEL_M / 2.0 / self.grid.frame.pixel_m()) as i32).min(MOST_LEVELLED);
         let mut levels = self.tops.clone();
@@ -468,7 +474,8 @@ impl Region {
         levels
     }
 
-    /// Whether a body can walk straight from place `a` to place `b`; `each` gets the places near the line, in order.
+    /// Returns whether a body can walk straight from place `a` to place `b`; calls `each` with the places near the
+    /// line, in order.
     fn is_straight(&self, a: u32, b: u32, mut each: impl FnMut(u32)) -> bool {
         let (from, to) = (self.pixels[a as usize], self.pixels[b as usize]);
         let [dx, dy] = [0, 1].map(|axis| i64::from(to[axis]) - i64::from(from[axis]));
@@ -488,7 +495,7 @@ impl Region {
             return at == b;
         }
         let climbs = |a: u32, b: u32| (self.tops[a as usize] - self.tops[b as usize]).abs() <= self.grid.up;
-        // The corners of a square: nearest, beside it along x and along y, and opposite.
+        // The corners of a square: the nearest one, those beside it along x and along y, and the opposite one.
         let square = |near: u32, beside_x: Option<u32>, beside_y: Option<u32>| {
             let beside_x = beside_x.or_else(|| link(near, x))?;
             let beside_y = beside_y.or_else(|| link(near, y))?;
@@ -527,7 +534,8 @@ impl Region {
     }
 }
 
-/// The places of a way, as numbers in it and the last one first, between which it can be straight and is no longer then.
+/// Returns the places of a path, as indices in it and the last one first, between which it can be straight without
+/// becoming longer.
 fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
     let mut far = vec![0u64];
     for pair in way.windows(2) {
@@ -547,7 +555,7 @@ fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
                 .straight(way[at], way[to])
                 .is_some_and(|cost| u64::from(cost) <= far[to] - far[at] + u64::from(STRAIGHT) / 10)
         };
-        // By doubling, then by halving: what is seen is mostly all up to some place.
+        // Doubling, then bisection: visibility mostly ends at one place.
         let (mut near, mut step) = (at + 1, 2);
         while at + step < way.len() && sees(at + step) {
             near = at + step;
@@ -566,7 +574,7 @@ fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
 }
 
 impl Trial {
-    /// Follows the way to its end: the route, or the steps that the walker could not take.
+    /// Follows the path to its end. Returns the route, or the steps that the walker could not take.
     fn follow<S: PageSet>(&mut self, set: &S, region: &Region) -> Needs<std::result::Result<Route, Vec<(u32, u32)>>> {
         while let Some(&next) = self.next.last() {
             let [from, to] = [self.at, next].map(|at| self.way[at]);
@@ -581,7 +589,7 @@ impl Trial {
             } else if next - self.at > 1 {
                 self.next.push(self.at.midpoint(next));
             } else {
-                // What else of the way cannot be walked need not be found out search by search.
+                // Test the rest of the path at once, to save searches.
                 let mut refused = vec![(from, to)];
                 for pair in self.way[next..].windows(2) {
                     let [from, to] = [pair[0], pair[1]];
@@ -599,7 +607,7 @@ impl Trial {
     }
 }
 
-/// The walker at a place to which it goes straight, if it gets there.
+/// Returns the walker after it went straight to a place, if it got there.
 fn walked<S: PageSet>(set: &S, region: &Region, mut walker: Walker, place: u32) -> Needs<Option<Walker>> {
     let to = region.feet(place);
     let Ok(mut waypoints) = Waypoints::new(vec![to.xy()]) else { return ControlFlow::Continue(None) };
@@ -624,7 +632,7 @@ fn walked<S: PageSet>(set: &S, region: &Region, mut walker: Walker, place: u32) 
     ControlFlow::Continue(None)
 }
 
-/// Adds points between the last of `points` and `to` so that the line keeps within the climb height of the `profile`.
+/// Adds points between the last of `points` and `to` so that the line stays within the climb height of the `profile`.
 fn follow_heights(region: &Region, profile: &[Point3<f64>], to: Point3<f64>, points: &mut Vec<Point3<f64>>) {
     let Some(&from) = points.last() else { return };
     let way = (to - from).xy();

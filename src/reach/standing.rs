@@ -2,25 +2,25 @@
 
 use super::intervals::{Floors, Interval, Lists, NONE};
 use super::pawn::{Grid, Pawn, WAYS, gap};
+use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
 use crate::store::PageSet;
 use nalgebra::{Point2, Point3};
-use std::collections::HashMap;
 use std::ops::ControlFlow;
 
 /// Edge of a tile (pixels).
 const TILE: usize = 64;
-/// Of a [`Block`] without floor.
+/// Value of [`Block::floor`] without floor.
 const NO_FLOOR: i16 = i16::MIN;
 
-/// What an interval's top is good for.
+/// Use of the top of an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
-    /// No floor: too steep, or the top of something.
+    /// No floor: too steep, or the top of an obstacle.
     Refused,
-    /// Floor under the footprint, none under its middle; or the lower edge of a step.
+    /// Floor under the footprint without support under its middle; or the lower edge of a step.
     Bridge,
     /// A standing place.
     Standing,
@@ -31,13 +31,13 @@ pub(super) enum Kind {
 pub(super) struct Block {
     pub bottom: i32,
     pub top: i32,
-    /// How much higher the floor lies than the top, under the footprint or beside it (quanta), or [`NO_FLOOR`]; more than
+    /// Height of the floor above the top, under the footprint or beside it (quanta), or [`NO_FLOOR`]; more than
     /// [`Grid::near`] for the lower edge of a step.
     floor: i16,
     pub kind: Kind,
-    /// Highest matter under the middle of the feet, no higher than the top; [`NONE`] without any.
+    /// Highest solid under the middle of the feet, no higher than the top; [`NONE`] without any.
     pub foot: i32,
-    /// Where a step to a neighbour is stopped, the offset of the nearest pixel whose matter stops the body, else `[0, 0]`.
+    /// Offset of the nearest pixel that stops the body on a step to a neighbour; `[0, 0]` if no step is stopped.
     pub stop: [i16; 2],
 }
 
@@ -50,27 +50,28 @@ pub(super) struct Tile {
 }
 
 impl Tile {
+    #[inline]
     pub fn column(&self, [i, j]: [i32; 2]) -> &[Block] {
         let cell = (((j & 63) << 6) | (i & 63)) as usize;
         &self.blocks[self.starts[cell] as usize..self.starts[cell + 1] as usize]
     }
 
-    /// Number of a block of the tile by its number in its pixel's column.
+    /// Returns the number of a block in the tile, given its number in the column of its pixel.
     pub fn number(&self, [i, j]: [i32; 2], place: usize) -> usize {
         self.starts[(((j & 63) << 6) | (i & 63)) as usize] as usize + place
     }
 }
 
-/// Where a step to a neighbouring pixel ends.
+/// Outcome of a step to a neighbouring pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
-    /// On the block with this number in the pixel's column.
+    /// It ends on the block with this number in the pixel's column.
     To(usize),
-    /// Matter in the way, or no room for the head.
+    /// Something solid is in the way, or there is no headroom.
     Blocked,
-    /// On what is no floor.
+    /// It ends on something that is not floor.
     Refused,
-    /// Deeper than the pawn drops.
+    /// The ground there is deeper than the pawn steps down, or missing.
     Open,
 }
 
@@ -83,51 +84,51 @@ pub struct Spot {
     pub(super) top: i32,
 }
 
-/// A standing place that was found at or near another place.
+/// A standing place found at or near a requested place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Snapped {
     /// The place.
     pub spot: Spot,
-    /// Where the feet stand: the middle of a pixel (m).
+    /// Place of the feet: the middle of a pixel (m).
     pub feet: Point3<f64>,
-    /// Distance from the place that was asked for (m); 0 if the pawn can stand there.
+    /// Distance from the requested place (m); 0 if the pawn can stand there.
     pub moved: f64,
 }
 
-/// Farthest that a place is moved (m).
+/// Greatest distance by which a place is moved (m).
 const MOST_SNAP_M: f64 = 100.0;
 
-/// The standing places of one pawn in a set of pages, for the tiles that were asked for so far.
+/// Standing places of one pawn in a set of pages, computed tile by tile on request.
 ///
-/// Many regions and routes share it. Memory: see the [module text](super).
+/// Many regions and routes can share it. Memory: see the [module documentation](super).
 #[derive(Debug)]
 pub struct StandingPlaces {
     pub(super) grid: Grid,
     pub(super) tiles: Vec<Tile>,
-    numbers: HashMap<[i32; 2], usize>,
+    numbers: TileNumbers,
 }
 
 impl StandingPlaces {
-    /// The standing places of `pawn` in `set`; no tile is computed yet. Fails for a pawn that is none, and for a set of pages larger than
-    /// 2²⁴ tiles or 2¹⁶ layers.
+    /// Creates the standing places of `pawn` in `set` without computing any tile. Fails for an invalid pawn, and for a
+    /// set of pages larger than 2²⁴ tiles or 2¹⁶ layers.
     pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
-        Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: HashMap::new() })
+        Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: TileNumbers::default() })
     }
 
-    /// The pawn.
+    /// Returns the pawn.
     pub fn pawn(&self) -> &Pawn {
         &self.grid.pawn
     }
 
-    /// Bytes of memory that the tiles computed so far take.
+    /// Returns the memory of the computed tiles (bytes).
     pub fn memory_bytes(&self) -> usize {
         let tile = |tile: &Tile| size_of_val::<[u32]>(&tile.starts) + size_of_val::<[Block]>(&tile.blocks);
         self.tiles.iter().map(|own| tile(own) + 2 * size_of::<Tile>()).sum()
     }
 
-    /// The standing place under `at` (m); `None` if the pawn cannot stand there. That is the place below which matter begins,
-    /// as far down as that may be, or as far above as the pawn climbs. Fails where more matter lies over one tile than any scan has
+    /// Returns the standing place at or under `at` (m): on the highest solid below it, however deep, or above it by at
+    /// most the climb height. `None` if the pawn cannot stand there. Fails if a tile holds more spans than any scan has
     /// ([`Error::Limit`](crate::Error::Limit)).
     pub fn spot<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Result<Answer<Option<Spot>>> {
         answer(self.find(set, at))
@@ -145,10 +146,11 @@ impl StandingPlaces {
         ControlFlow::Continue(place.filter(fits).map(|place| Spot { pixel, place, top: column[place].top }))
     }
 
-    /// The standing place under `at` (m), as [`spot`](Self::spot) finds it, or the nearest one within `snap` (m).
+    /// Returns the standing place at or under `at` (m) like [`spot`](Self::spot), or else the nearest one within `snap`
+    /// (m).
     ///
-    /// Distances count across the ground and upwards; downwards only to places that something covers, for in the air the floor below
-    /// counts. Of places as near the first along y, then x, then z.
+    /// Distances count across the ground and upwards. Downwards they count only to places that something covers,
+    /// because in the air the floor below counts. Of equally near places the first along y, then x, then z wins.
     pub fn snapped<S: PageSet>(&mut self, set: &S, at: Point3<f64>, snap: f64) -> Result<Answer<Option<Snapped>>> {
         answer(self.snap(set, at, snap))
     }
@@ -187,33 +189,34 @@ impl StandingPlaces {
         Snapped { spot, feet, moved }
     }
 
-    /// Number of the tile with `pixel`, if it is computed.
+    /// Returns the number of the tile with `pixel`, if it has been computed.
     pub(super) fn known(&self, pixel: [i32; 2]) -> Option<usize> {
-        self.numbers.get(&[pixel[0] >> 6, pixel[1] >> 6]).copied()
+        self.numbers.get([pixel[0] >> 6, pixel[1] >> 6])
     }
 
-    /// Number of the tile with `pixel`, which lies in the set; computes it if need be.
+    /// Returns the number of the tile with `pixel`, which lies in the grid; computes it if necessary.
     pub(super) fn tile<S: PageSet>(&mut self, set: &S, pixel: [i32; 2]) -> Needs<usize> {
         let at = [pixel[0] >> 6, pixel[1] >> 6];
-        if let Some(&number) = self.numbers.get(&at) {
+        if let Some(number) = self.numbers.get(at) {
             return ControlFlow::Continue(number);
         }
         let tile = compute(set, &self.grid, at)?;
-        self.numbers.insert(at, self.tiles.len());
+        self.numbers.add(at);
         self.tiles.push(tile);
         ControlFlow::Continue(self.tiles.len() - 1)
     }
 }
 
 impl Grid {
-    /// Where the pawn gets from block `place` of `column` in the neighbouring pixel along an axis, with blocks `next`.
+    /// Returns where a step from block `place` of `column` leads in the neighbouring pixel along `axis`, which has the
+    /// blocks `next`.
     pub(super) fn step(&self, column: &[Block], place: usize, next: &[Block], axis: usize) -> Step {
         let (grid, from) = (self, column[place]);
         let limit = grid.limit(&from, next);
         let (below, above) = next.split_at(next.partition_point(|block| block.top <= limit));
         let to = below.last();
         let level = to.map_or(from.top, |block| block.top.max(from.top));
-        // Without anything to stand on the body goes on at its own height.
+        // Without ground the body continues at its own height.
         let fits = |above: Option<&Block>, level: i32| above.is_none_or(|block| block.bottom - level >= grid.height);
         let drops = to.is_none_or(|block| from.top - block.top > grid.drop);
         let is_step = to.is_some_and(|block| from.top - block.top <= grid.up.min(grid.drop));
@@ -230,9 +233,10 @@ impl Grid {
         }
     }
 
-    /// Height up to which a step from block `from` to a pixel with blocks `next` leads.
+    /// Returns the height up to which a step from block `from` to a pixel with blocks `next` may lead.
     pub(super) fn limit(&self, from: &Block, next: &[Block]) -> i32 {
-        // Climbing counts from the floor, so that no ledge is climbed in parts. An edge whose floor lies beyond is in the way.
+        // Climbing is measured from the floor, so that no ledge is climbed in parts. An edge whose floor is out of
+        // reach is in the way.
         let limit = match i32::from(from.floor) {
             above if above > self.near => from.top + above,
             floor => from.top.max(from.top + floor + self.up),
@@ -243,13 +247,16 @@ impl Grid {
     }
 }
 
-/// The blocks of the tile `at`, or the pages that it takes.
+/// Computes the blocks of the tile `at`, or returns the pages that are needed.
 fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
-    // A pixel more, for steps across the border of the tile.
+    // One more pixel, for steps across the border of the tile.
     let margin = grid.half.map(|half| half + grid.ahead + 1);
     let corner = [0, 1].map(|axis| at[axis] * TILE as i32 - margin[axis]);
     let size = margin.map(|margin| TILE + 2 * margin as usize);
     let (matter, floors) = Lists::read(set, grid, corner, size)?;
+    if matter.is_empty() {
+        return ControlFlow::Continue(Tile { at, starts: vec![0; TILE * TILE + 1].into(), blocks: Box::default() });
+    }
     let under = matter.under(&grid.rects, grid.half, grid.height);
     let foot = matter.under(&[[grid.foot; 2]], margin.map(|margin| margin - 1), grid.height);
     let mut columns = Columns::default();
@@ -293,7 +300,7 @@ impl Columns {
 
 fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot: &[Interval]) -> Block {
     let Interval { bottom, top, .. } = *interval;
-    // Under the footprint the highest floor is known.
+    // The interval knows the highest floor under the footprint.
     let floor = match interval.floor != NONE && top - interval.floor <= grid.near {
         true => Some(interval.floor),
         false => {
@@ -316,8 +323,8 @@ fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot
     Block { bottom, top, floor, kind, foot, stop: [0; 2] }
 }
 
-/// Offset of the nearest pixel of matter that stops a body on block `place` of the pixel `at` on a step to one of its neighbours; `[0, 0]`
-/// if none of these steps is stopped.
+/// Returns the offset of the nearest pixel whose spans stop a body on block `place` of the pixel `at` on a step to one
+/// of its neighbours; `[0, 0]` if no step is stopped.
 fn nearest_stop(
     grid: &Grid,
     matter: &Lists,
@@ -336,7 +343,8 @@ fn nearest_stop(
     };
     let highest = from.top + grid.up;
     let (mut nearest, mut is_wall) = ([0; 2], false);
-    // Takes a pixel if it is nearer and its matter stops the body; of two as near the lesser, so that the order does not show.
+    // Takes a pixel if it is nearer and stops the body. Of equally near ones the lesser wins, so that the result does
+    // not depend on the order.
     let mut offer = |by: [i32; 2], stops: &dyn Fn(&Interval) -> bool| {
         let is_nearer = nearest == [0; 2] || (gap(by), by) < (gap(nearest), nearest);
         if is_nearer && by != [0; 2] && pixel(by).iter().any(stops) {

@@ -1,22 +1,22 @@
 //! Storeys of a region.
 //!
-//! Places whose floors are at most 6 cm apart from neighbour to neighbour (ramps, terrain, rooms; not the treads of a stair)
-//! form a part. The largest part makes a storey, and takes all parts with it whose middle height lies within half of the pawn's
-//! height; of the rest the largest makes the next one, as long as it has two square metres. What is left, treads and landings, goes
-//! to the storey nearest in height.
+//! Neighbouring places at most 6 cm apart in height belong to one part (ramps, terrain, rooms; not the treads of a
+//! stair). The largest part makes a storey together with all parts whose median height lies within half of the pawn's
+//! height; the largest of the rest makes the next one, as long as it has two square metres. What remains, treads and
+//! landings, joins the storey nearest in height.
 
 use super::region::{NO_PLACE, Region};
 
-/// Highest step inside one part (m); at coarse pixels a pixel, for ramps rise as much.
+/// Highest step inside one part (m). With coarse pixels it is the pixel size, because ramps rise as much.
 const LEVEL_M: f64 = 0.06;
-/// Least area of a storey of its own (m²).
+/// Least area of a storey (m²); the largest part makes one whatever its area.
 const LEAST_M2: f64 = 2.0;
 
 /// A storey.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Storey {
-    /// Height: half of its area lies above, half below (m).
+    /// Median height of its area (m).
     pub z: f64,
     /// Area of its standing places (m²).
     pub area_m2: f64,
@@ -26,14 +26,14 @@ pub struct Storey {
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Storeys {
-    /// From the lowest up.
+    /// All storeys, from the lowest up.
     pub all: Vec<Storey>,
-    /// The number of each standing place's storey, in the order of [`Region::places`].
+    /// Number of the storey of each standing place, in the order of [`Region::places`].
     pub of: Vec<u16>,
 }
 
 impl Region {
-    /// Its storeys: floors that lie apart by more than half of the pawn's height.
+    /// Returns the storeys of the region: floors that lie more than half of the pawn's height apart.
     pub fn storeys(&self) -> Storeys {
         storeys(self)
     }
@@ -67,7 +67,7 @@ fn storeys(region: &Region) -> Storeys {
     let mut of = vec![0u16; region.len()];
     let mut tops: Vec<Vec<i32>> = vec![Vec::new(); heights.len()];
     for part in &parts {
-        // Treads of one flight part between the storeys that it joins.
+        // The treads of a flight are divided between the storeys that it joins.
         let middle = if part.tops.is_empty() { region.tops[part.members[0] as usize] } else { part.middle() };
         let nearest = (0..heights.len()).min_by_key(|storey| (heights[*storey] - middle).abs()).unwrap_or(0);
         tops[nearest].extend(&part.tops);
@@ -82,7 +82,7 @@ fn storeys(region: &Region) -> Storeys {
     Storeys { all: tops.iter_mut().map(storey).collect(), of }
 }
 
-/// Places joined by steps of at most `level`.
+/// Returns the parts: places joined by steps of at most `level`.
 fn parts(region: &Region, level: i32) -> Vec<Part> {
     let mut seen = vec![false; region.len()];
     let mut parts = Vec::new();

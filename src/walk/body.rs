@@ -8,8 +8,8 @@ use crate::{Error, Parameter, Result};
 use nalgebra::{Point3, Vector2, Vector3};
 use std::str::FromStr;
 
-/// Longest body (m), and in [`Config`](super::Config) the highest speeds (m/s) and the strongest gravity (m/s²): they bound
-/// the work of a tick.
+/// Limit of the size of a body (m), and of the speeds (m/s) and the gravity (m/s²) of a [`Config`](super::Config). It
+/// bounds the work of a tick.
 pub(super) const MOST: f64 = 1000.0;
 
 /// The shape of a pawn (m), standing on the middle of its bottom face.
@@ -33,7 +33,7 @@ pub enum Body {
     },
 }
 
-/// As the command line takes it: `box:WIDTHxDEPTHxHEIGHT` or `cylinder:RADIUSxHEIGHT` (m, above 0).
+/// Parses the form of the command line: `box:WIDTHxDEPTHxHEIGHT` or `cylinder:RADIUSxHEIGHT` (m, above 0).
 impl FromStr for Body {
     type Err = String;
 
@@ -50,14 +50,14 @@ impl FromStr for Body {
     }
 }
 
-/// A body from `lift` above its feet to its head.
+/// The part of a body between a height above its feet and its head.
 #[derive(Debug, Clone, Copy)]
 enum Part {
     Box(Aabb),
     Cylinder(Cylinder),
 }
 
-/// Calls a query with whichever shape a part is.
+/// Runs a query with the shape of a part.
 macro_rules! ask {
     ($part:expr, $shape:ident => $query:expr) => {
         match $part {
@@ -91,7 +91,7 @@ impl Body {
         }
     }
 
-    /// Refuses a body without extent, and one longer than [`MOST`].
+    /// Fails if a dimension is not above 0 or exceeds [`MOST`].
     pub(crate) fn check(&self) -> Result<()> {
         let size = 2.0 * self.half();
         for (what, length) in [("pawn's width", size.x), ("pawn's width", size.y), ("pawn's height", self.height())] {
@@ -105,7 +105,7 @@ impl Body {
 
     fn part(&self, feet: Point3<f64>, lift: f64) -> Part {
         let feet = feet + Vector3::new(0.0, 0.0, lift);
-        // Checked when the pawn was made: sizes are positive, and it never leaves the places where pawns can be.
+        // `Walker::new` has checked the sizes, and a pawn never leaves the range of valid places.
         match *self {
             Self::Box { x, y, height } => {
                 Part::Box(Aabb::standing(feet, Vector3::new(x, y, height - lift)).expect("a finite box"))
@@ -138,7 +138,7 @@ impl Body {
         ask!(self.part(feet, 0.0), shape => mean_floor_under(set, &shape, from, depth))
     }
 
-    /// The highest floor under the footprint's bounds, grown by `margin` (m).
+    /// Returns the highest floor under the bounds of the footprint, grown by `margin` (m).
     pub(super) fn floor_around<S: PageSet>(
         &self,
         set: &S,
@@ -152,7 +152,7 @@ impl Body {
         floor_under(set, &shape, from, depth)
     }
 
-    /// Whether an obstacle touches the body above `lift`.
+    /// Returns whether an obstacle touches the body above `lift`.
     pub(super) fn obstructed<S: PageSet>(&self, set: &S, feet: Point3<f64>, lift: f64) -> Answer<bool> {
         match ask!(self.part(feet, lift), shape => probe(set, &shape)) {
             Answer::Known(probe) => Answer::Known(probe.obstacle),

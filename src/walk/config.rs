@@ -1,24 +1,24 @@
-//! What a pawn is and can do.
+//! Shape and abilities of a pawn.
 
 use super::Body;
 use super::body::MOST;
 use crate::text::number;
 use crate::{Error, Parameter, Result};
 
-/// How a pawn answers matter in its way.
+/// How a pawn responds to something solid in its way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Response {
-    /// Exact sweeps; slides along walls.
+    /// Sweeps the body exactly and slides along walls.
     #[default]
     Slide,
     /// Steps of fixed length, halved while they collide (thesis, section 3.2.2); stands on the highest floor.
     Thesis,
-    /// As [`Thesis`](Self::Thesis), standing on the mean of the floor's heights.
+    /// [`Thesis`](Self::Thesis), but standing on the mean of the floor's heights.
     ThesisMean,
 }
 
-/// Numbers of a pawn. All lengths in metres, times in seconds. [`Walker::new`](super::Walker::new) refuses numbers outside
-/// these limits, which bound the work of a tick.
+/// Shape and abilities of a pawn; lengths in metres, times in seconds. [`Walker::new`](super::Walker::new) rejects
+/// values outside the limits, which bound the work of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Config {
     /// Its shape.
@@ -33,15 +33,16 @@ pub struct Config {
     pub terminal: f64,
     /// Length of a tick (s, 0.00001 to 1).
     pub tick_s: f64,
-    /// How it answers matter in its way.
+    /// Response to something solid in its way.
     pub response: Response,
-    /// It stops before ledges deeper than this, and before the edge of the scan (m, >= 0); `None`: it walks over them, and
-    /// falls, as it does with the responses of the thesis.
+    /// Deepest ledge that the pawn walks over (m, >= 0); it stops at deeper ones and at the edge of the scan. With
+    /// `None`, and with the responses of the thesis, it walks over any ledge and falls.
     pub max_drop: Option<f64>,
 }
 
 impl Config {
-    /// The pawn of the thesis: 0.5 × 0.5 × 1.8 m, 1.4 m/s, climbs 0.35 m.
+    /// Returns the defaults for `body`: 1.4 m/s, climbs 0.35 m, ticks of 1/240 s. The default body is that of the
+    /// thesis, 0.5 × 0.5 × 1.8 m.
     pub fn new(body: Body) -> Self {
         Self {
             body,

@@ -1,16 +1,16 @@
 //! Pawns that walk: gravity, floors, stairs, walls, ledges.
 //!
-//! In: a [`PageSet`] and where a pawn wants to go. Out: where it is, and why it stopped. A [`Walker`] is a few hundred
-//! bytes; a step allocates nothing, takes no lock and does no I/O.
+//! Input: a [`PageSet`] and a move input ([`Wish`]). Output: the place of the pawn, and the reason if it stopped. A
+//! [`Walker`] takes a few hundred bytes; a step allocates nothing, takes no lock and does no I/O.
 //!
-//! Time passes in ticks of fixed length ([`Config::tick_s`]), whatever the length of a frame: what is left of a frame
-//! is kept for the next one. So the way walked does not depend on the frame rate. It does not depend on what is in
-//! memory either: a tick that needs a page that is not there does not happen, the pawn waits in place and says which
-//! pages are missing. "Not loaded" is never free. A step is at most [`MOST_TICKS`] long, and gives back the rest.
+//! Time passes in ticks of fixed length ([`Config::tick_s`]). Leftover time carries over to the next frame, so the path
+//! does not depend on the frame rate. Nor does it depend on what is in memory: if a tick needs a page that is not
+//! loaded, it is postponed, and the pawn waits in place and reports the missing pages. "Not loaded" never counts as
+//! free. A step runs at most [`MOST_TICKS`] ticks and returns the time that is left.
 //!
-//! [`Response::Slide`] is ours: exact sweeps of the body (never steps and halving), up, forward and down over what is
-//! no higher than the pawn can climb, along walls and out of corners. [`Response::Thesis`] is that of the thesis,
-//! section 3.2.2, for comparison.
+//! [`Response::Slide`], the default, sweeps the body exactly instead of stepping and halving: up, forward and down over
+//! what is no higher than the climb height, along walls and out of corners. [`Response::Thesis`] is the response of the
+//! thesis (section 3.2.2), for comparison.
 
 mod body;
 mod change;
@@ -35,22 +35,22 @@ use nalgebra::{Point2, Point3, Vector2, Vector3};
 use progress::Progress;
 use std::ops::ControlFlow;
 
-/// What a pawn is doing.
+/// State of a pawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
-    /// On its feet: walking, or standing where it was told to.
+    /// On its feet: walking, or standing without wanting to move.
     Walking,
     /// In the air.
     Falling,
-    /// On its feet, wants to go on and makes no progress: it stands still, or has walked for a second and is still
-    /// where it was.
+    /// On its feet and without progress although it wants to move: it stands still, or has walked for a second without
+    /// getting anywhere.
     Blocked,
     /// At the last waypoint.
     Arrived,
 }
 
 impl State {
-    /// As `slicetool walk` writes it.
+    /// Returns the name that `slicetool walk` writes.
     pub fn name(self) -> &'static str {
         match self {
             Self::Walking => "walking",
@@ -61,38 +61,38 @@ impl State {
     }
 }
 
-/// What a pawn stands on.
+/// Ground under a pawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ground {
-    /// Floor no farther below its feet than [`FLOOR_NEAR_M`].
+    /// Floor at most [`FLOOR_NEAR_M`] below its feet, or beside them.
     Floor,
-    /// Matter without floor near its feet: something too steep to be climbed.
+    /// Something solid without floor near its feet: too steep to climb.
     Obstacle,
     /// Nothing.
     Air,
 }
 
-/// Why a pawn did not get where it wanted. Of several reasons in one step, the last.
+/// Reason why a pawn did not get where it wanted: the last one of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stop {
-    /// Matter higher than it can climb.
+    /// Something solid, higher than the pawn climbs.
     Wall,
-    /// Matter that it could climb, but without floor on or beside it: steeper than the slope limit.
+    /// Something low enough to climb, but without floor on or beside it: steeper than the slope limit.
     Steep,
-    /// A step, but no room for its head above it.
+    /// A step without headroom above it.
     Headroom,
-    /// Matter on two sides.
+    /// Something solid on two sides.
     Corner,
-    /// It was inside matter and has been pushed out, or could not be.
+    /// The pawn was inside something solid; it has been pushed out, or could not be.
     Inside,
-    /// A drop deeper than it takes ([`Config::max_drop`]).
+    /// A drop deeper than [`Config::max_drop`].
     Ledge,
-    /// Nothing was scanned below ([`Config::max_drop`]).
+    /// A drop with nothing scanned below (only with [`Config::max_drop`]).
     Void,
 }
 
 impl Stop {
-    /// As `slicetool walk --json` writes it.
+    /// Returns the name that `slicetool walk --json` writes.
     pub fn name(self) -> &'static str {
         match self {
             Self::Wall => "wall",
@@ -106,78 +106,79 @@ impl Stop {
     }
 }
 
-/// Where a pawn wants to go.
+/// Move input of a pawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wish {
-    /// Nowhere.
+    /// Stay in place.
     Stay,
-    /// This way, for as long as it may; a length below 1 means slower.
+    /// Move in this direction; a length below 1 means slower than full speed.
     Direction(Vector2<f64>),
-    /// To this place (m).
+    /// Move to this place (m).
     Toward(Point2<f64>),
 }
 
-/// What a step did.
+/// Outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepReport {
-    /// What the pawn is doing after it.
+    /// State after the step.
     pub state: State,
-    /// Why it did not get where it wanted, if so.
+    /// Reason why the pawn did not get where it wanted, if it did not.
     pub stop: Option<Stop>,
-    /// Pages without which it could not go on: it waits. `None` if it did not have to.
+    /// Pages that the pawn waits for; `None` if it does not wait.
     pub missing: Option<Missing>,
-    /// Time that it did not use (s), because it waits for pages or because a step is at most [`MOST_TICKS`] long. Pass it
-    /// to the next step (after loading the pages), or drop it: then the pawn has stood still for so long.
+    /// Unused time (s), because the pawn waits for pages or because a step runs at most [`MOST_TICKS`] ticks. Pass it
+    /// to the next step (after loading the pages), or drop it: then the pawn stood still for that time.
     pub unspent: f64,
-    /// Ticks that passed.
+    /// Number of ticks that passed.
     pub ticks: u32,
-    /// From where it was to where it is (m).
+    /// Displacement of the feet (m).
     pub moved: Vector3<f64>,
 }
 
 impl StepReport {
-    /// Whether it waits for pages.
+    /// Returns whether the pawn waits for pages.
     pub fn waits(&self) -> bool {
         self.missing.is_some()
     }
 
-    /// Number of pages that it waits for.
+    /// Returns the number of pages that the pawn waits for.
     pub fn missing_count(&self) -> usize {
         self.missing.map_or(0, |missing| missing.count())
     }
 }
 
-/// Floor counts as being at the pawn's feet down to so far below them (m): a pawn stands on the highest matter under
-/// it, be that a pebble, and is still on the floor.
+/// Depth below the feet down to which floor counts as being at the feet (m): a pawn that stands on a pebble is still on
+/// the floor.
 pub const FLOOR_NEAR_M: f64 = 0.05;
 
-/// Floor beside the footprint counts within this distance (m), rounded down to whole pixels, but to one at least: the edge of a step
-/// is an obstacle, its tread comes behind.
+/// Distance from the footprint within which floor beside it counts (m), rounded down to whole pixels, at least one: the
+/// edge of a step is an obstacle, and its tread lies behind.
 pub const BESIDE_M: f64 = 0.25;
 
-/// The same in pixels of `pixel` (m).
+/// Returns [`BESIDE_M`] in pixels of size `pixel` (m).
 pub(crate) fn pixels_beside(pixel: f64) -> i32 {
     ((BESIDE_M / pixel + 1e-6) as i32).max(1)
 }
 
-/// Most ticks of one step, so that its work is bounded however long the frame was: a machine may have slept for hours.
+/// Most ticks of one step. Bounds its work however long the frame was: a machine may have slept for hours.
 pub const MOST_TICKS: u32 = 256;
 
-/// Farthest place of a pawn along each axis (m); a [`Stream`](crate::store::Stream) takes hints as far out.
+/// Greatest coordinate of a pawn along each axis (m); a [`Stream`](crate::store::Stream) takes hints up to the same
+/// limit.
 const FARTHEST_M: f64 = 1e9;
 
-/// Whether a pawn can be there.
+/// Returns whether `feet` is a valid place for a pawn.
 fn is_place(feet: &Point3<f64>) -> bool {
     feet.iter().all(|v| v.abs() <= FARTHEST_M)
 }
 
-/// Less than this share of the way wanted is "blocked".
+/// A pawn that moves less than this share of the wanted distance in a step is blocked.
 const BLOCKED_BELOW: f64 = 0.01;
 
-/// Less than this share of the way wanted in one tick is none.
+/// A pawn that moves less than this share of the wanted distance in a tick has stalled.
 const STALLED_BELOW: f64 = 1e-6;
 
-/// The answer of a tick, or the pages that it needs.
+/// A value, or the pages that are needed to compute it.
 type Needs<T> = ControlFlow<Missing, T>;
 
 fn known<T>(answer: Answer<T>) -> Needs<T> {
@@ -187,28 +188,28 @@ fn known<T>(answer: Answer<T>) -> Needs<T> {
     }
 }
 
-/// All that changes about a pawn.
+/// Mutable state of a pawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Motion {
     feet: Point3<f64>,
     ground: Ground,
-    /// Height of the floor that it stood on last: climbing is measured from there, so that no ledge is climbed in parts
-    /// (m).
+    /// Height of the floor that it last stood on (m). Climbing is measured from there, so that no ledge is climbed in
+    /// several small steps.
     floor_z: f64,
     /// Speed of its fall (m/s); negative while it rises in a jump.
     falling: f64,
-    /// Of the thesis' response: its step as a share of the full one.
+    /// For the response of the thesis: step length as a share of the full one.
     step: f64,
-    /// Of ours: the rest of a way around an edge, and the way into the wall that it is for (m).
+    /// For [`Response::Slide`]: the rest of a detour around an edge (m), and the direction into the wall that it
+    /// serves.
     detour: Vector2<f64>,
     detour_for: Vector2<f64>,
-    /// On which side it goes around edges (1 left, -1 right, 0 either), how often it changed its mind about that, and how
-    /// far it has walked freely since (m).
+    /// Side on which it goes around edges (1 left, -1 right, 0 either), number of changes of that side, and distance
+    /// walked without contact since (m).
     hand: f64,
     changes: u32,
     free: f64,
-    /// Where it began to go around the edges that it is at, what it wanted then (m), and how often it has gone around one
-    /// since.
+    /// Place where the current series of detours began, the move wanted then (m), and the number of detours since.
     detours_from: Point2<f64>,
     detours_for: Vector2<f64>,
     detours: u32,
@@ -235,7 +236,7 @@ impl Motion {
     }
 }
 
-/// A pawn.
+/// A pawn that walks.
 ///
 /// ```
 /// use nalgebra::{Point3, Vector2};
@@ -265,15 +266,15 @@ pub struct Walker {
     motion: Motion,
     state: State,
     progress: Progress,
-    /// Part of a tick that is left of the time given so far (s).
+    /// Leftover time, less than a tick (s).
     rest_s: f64,
-    /// Whether it wanted to go on in the last tick, and stood.
+    /// True if it wanted to move in the last tick and stood still.
     stalled: bool,
 }
 
 impl Walker {
-    /// A pawn with its feet at `feet` (m, within ±10⁹). It falls to the floor below, or stands on it; it never gets
-    /// farther out than that.
+    /// Creates a pawn with its feet at `feet` (m, within ±10⁹). It falls to the floor below, or stands on it, and never
+    /// leaves that range.
     pub fn new(config: Config, feet: Point3<f64>) -> Result<Self> {
         config.check()?;
         if !is_place(&feet) {
@@ -283,38 +284,39 @@ impl Walker {
         Ok(Self { config, motion: Motion::at(feet), state: State::Walking, progress, rest_s: 0.0, stalled: false })
     }
 
-    /// Its numbers.
+    /// Returns the shape and abilities of the pawn.
     pub fn config(&self) -> &Config {
         &self.config
     }
 
-    /// Middle of its bottom face (m).
+    /// Returns the middle of its bottom face (m).
     pub fn feet(&self) -> Point3<f64> {
         self.motion.feet
     }
 
-    /// What it is doing.
+    /// Returns the state of the pawn.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// What it stands on.
+    /// Returns what the pawn stands on.
     pub fn ground(&self) -> Ground {
         self.motion.ground
     }
 
-    /// Speed of its fall (m/s); negative while it rises in a jump.
+    /// Returns the speed of its fall (m/s); negative while it rises in a jump.
     pub fn falling(&self) -> f64 {
         self.motion.falling
     }
 
-    /// What a [`Stream`](crate::store::Stream) needs to know to have every page there before a step asks for it: hint it
-    /// once a frame. `frame` is the grid of the pages.
+    /// Returns the motion hint with which a [`Stream`](crate::store::Stream) loads every page before a step needs it;
+    /// pass it on once a frame. `frame` is the grid of the pages.
     ///
-    /// The pawn may turn at any moment and walk off any ledge; its box is grown by all that a step looks at around it.
+    /// The pawn may turn at any moment and walk off any ledge, so the box of the hint covers everything that a step
+    /// queries around it.
     pub fn outlook(&self, frame: &Frame) -> Outlook {
         let config = &self.config;
-        // Around an edge of pixels, to floor ahead of a step; up a step, and down one.
+        // A detour around pixel edges, or floor beside the footprint; a step up, and a step down.
         let aside = config.body.half().add_scalar(BESIDE_M.max(frame.pixel_m()) + slide::EDGE_PIXELS * frame.pixel_m());
         let step = config.climb + FLOOR_NEAR_M + frame.slice_m();
         let up = config.body.height() + step;
@@ -328,7 +330,7 @@ impl Walker {
         }
     }
 
-    /// Puts it elsewhere (m), at rest. It stays where it is if no pawn can be there (NaN, or beyond ±10⁹ m).
+    /// Moves the pawn to `feet` (m), at rest. Does nothing if that is not a valid place (NaN, or beyond ±10⁹ m).
     pub fn place(&mut self, feet: Point3<f64>) {
         if is_place(&feet) {
             self.motion = Motion::at(feet);
@@ -337,22 +339,23 @@ impl Walker {
         }
     }
 
-    /// Lets `dt` (s, >= 0) pass while the pawn wants to go where `wish` says. A `dt` that is negative or not finite counts as 0.
+    /// Advances the pawn by `dt` (s, >= 0) with the move input `wish`. A `dt` that is negative or not finite counts as
+    /// 0.
     ///
-    /// At most [`MOST_TICKS`] pass; the rest comes back as [`unspent`](StepReport::unspent). A program that shows frames
-    /// drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a microsecond on a floor at
-    /// 5 cm.
+    /// At most [`MOST_TICKS`] ticks pass; the rest of the time is returned as [`unspent`](StepReport::unspent). An
+    /// interactive program drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a
+    /// microsecond on a floor at 5 cm.
     pub fn step<S: PageSet>(&mut self, set: &S, dt: f64, wish: Wish) -> StepReport {
         self.run(set, dt, |_, _| Some(wish))
     }
 
-    /// As [`step`](Self::step) while the pawn follows `waypoints`; it has [`Arrived`](State::Arrived) when it is on its
-    /// feet at the end.
+    /// Like [`step`](Self::step), but the pawn follows `waypoints`; it has [`Arrived`](State::Arrived) when it is on
+    /// its feet at the last one.
     pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, waypoints: &mut Waypoints) -> StepReport {
         self.run(set, dt, |feet, stalled| waypoints.wish(feet, stalled))
     }
 
-    /// Ticks, each with the wish for it; `None` at the end of the way.
+    /// Runs ticks, each with its own move input; `None` at the end of the waypoints.
     fn run<S: PageSet>(
         &mut self,
         set: &S,
@@ -370,7 +373,7 @@ impl Walker {
         };
         let mut time = self.rest_s + if dt.is_finite() { dt.max(0.0) } else { 0.0 };
         let mut wanted = 0.0;
-        // A frame is as many ticks as fit but for rounding errors.
+        // As many ticks as fit, but for rounding errors.
         while time >= tick * (1.0 - 1e-9) {
             if report.ticks == MOST_TICKS {
                 (report.unspent, time) = (time, 0.0);
@@ -406,10 +409,10 @@ impl Walker {
         report
     }
 
-    /// The way of one tick (m).
+    /// Returns the wanted move of one tick (m).
     fn way(&self, wish: Wish) -> Vector2<f64> {
         let far = self.config.speed * self.config.tick_s;
-        // Lengths beyond this are equal: their squares would not be finite.
+        // Longer vectors are shortened: their squares might not be finite.
         let bounded = |way: Vector2<f64>| way * (FARTHEST_M / way.amax().max(FARTHEST_M));
         match wish {
             Wish::Direction(way) if way.iter().all(|v| v.is_finite()) => {
@@ -424,7 +427,7 @@ impl Walker {
         }
     }
 
-    /// Judges a tick in which the pawn wanted `way` and began at `before`.
+    /// Updates the progress after a tick in which the pawn wanted `way` and began at `before`.
     fn note_progress(&mut self, way: Vector2<f64>, before: Point2<f64>) {
         let wanted = if self.motion.ground == Ground::Air { Vector2::zeros() } else { way };
         let gone = (self.motion.feet.xy() - before).norm();
@@ -432,7 +435,7 @@ impl Walker {
         self.progress.note(self.config.tick_s, wanted, before, self.motion.feet.xy());
     }
 
-    /// One tick; if it needs pages that are not in memory, nothing has changed.
+    /// Runs one tick; changes nothing if it needs pages that are not in memory.
     fn tick<S: PageSet>(&mut self, set: &S, way: Vector2<f64>) -> Needs<Option<Stop>> {
         let (mut motion, mut stop) = self.respond(set, way)?;
         if let Some(max_drop) = self.config.max_drop
@@ -440,7 +443,7 @@ impl Walker {
             && way != Vector2::zeros()
             && let Some(drop) = self.drop_at(set, &motion, max_drop)?
         {
-            // As if it had not wanted to go: what stands still stays, what falls falls straight.
+            // Repeat the tick without the move: a standing pawn stays, a falling one falls straight down.
             motion = self.respond(set, Vector2::zeros())?.0;
             stop = Some(drop);
         }
@@ -454,19 +457,19 @@ impl Walker {
             Response::Slide => slide::tick(&self.config, set, &mut motion, way)?,
             Response::Thesis | Response::ThesisMean => thesis::tick(&self.config, set, &mut motion, way)?,
         };
-        // Where the world of pawns ends it stays.
+        // A pawn at the limit of valid places stays there.
         if !is_place(&motion.feet) {
             motion = self.motion;
         }
         ControlFlow::Continue((motion, stop))
     }
 
-    /// Why the pawn must not get to `after`, if what is below lies more than `max_drop` under what it stands on, or stood on
-    /// before it fell.
+    /// Returns why the pawn must not get to `after`, if the ground there lies more than `max_drop` below the ground it
+    /// stands on, or stood on before it fell.
     fn drop_at<S: PageSet>(&self, set: &S, after: &Motion, max_drop: f64) -> Needs<Option<Stop>> {
         let before = &self.motion;
         let from = if before.ground == Ground::Air { before.floor_z } else { before.feet.z };
-        // Floors are stored to a quantum.
+        // Floors are rounded to quanta.
         let lowest = from - max_drop - set.frame().quantum_m() - slide::LEVEL_M;
         if after.ground != Ground::Air {
             return ControlFlow::Continue((after.feet.z < lowest).then_some(Stop::Ledge));
@@ -476,7 +479,7 @@ impl Walker {
         if known(body.sweep(set, after.feet, down))?.is_some() {
             return ControlFlow::Continue(None);
         }
-        // Down to the lowest matter that the set can hold.
+        // Down to the lowest slice that the set can hold.
         let bottom = set.bounds().map_or(0.0, |bounds| {
             let slice = i64::from(bounds.min[2]) * crate::frame::PAGE_SLICES;
             set.frame().bottom_of_slice(slice)

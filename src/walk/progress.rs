@@ -1,24 +1,26 @@
-//! Whether a pawn gets on: by where it gets to, not by how far it walks.
+//! Progress of a pawn, measured by where it gets to rather than by how far it walks.
 
 use nalgebra::{Point2, Vector2};
 
-/// A pawn is judged by so much time (s).
+/// Time over which progress is measured (s).
 const WINDOW_S: f64 = 1.0;
-/// It is stuck if it got no farther than this share of the way that it wanted, and of the way that it walked.
+/// A pawn is stuck if it got no farther than this share of the distance that it wanted to go, and of the distance that
+/// it walked.
 const SHARE: f64 = 0.25;
-/// But only if it knew where it wanted to: its ways add up to this share of their lengths.
+/// A pawn without a steady direction is never stuck: the sum of its wanted moves must be longer than this share of
+/// their lengths.
 const STRAIGHT: f64 = 0.5;
 
-/// The last second of a pawn on its feet; where it was then, if it is stuck.
+/// The current measurement of a pawn on its feet; if it is stuck, the measurement that showed it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Progress {
     from: Point2<f64>,
-    /// Sum of the ways wanted and of their lengths, length of those walked (m), and time (s), since it was there.
+    /// Since then: sum of the wanted moves and of their lengths, length walked (m), time (s).
     wanted: Vector2<f64>,
     wanted_m: f64,
     walked: f64,
     time: f64,
-    /// What it wanted in the second in which it got nowhere; zero if it is not stuck.
+    /// Sum of the wanted moves of the second without progress; zero if the pawn is not stuck.
     stuck_for: Vector2<f64>,
 }
 
@@ -28,17 +30,18 @@ impl Progress {
         Self { from: place, wanted: none, wanted_m: 0.0, walked: 0.0, time: 0.0, stuck_for: none }
     }
 
-    /// Whether it walked, and got nowhere.
+    /// Returns whether the pawn walked without getting anywhere.
     pub fn is_stuck(&self) -> bool {
         self.stuck_for != Vector2::zeros()
     }
 
-    /// A tick of `tick_s` in which it wanted `way` and went from `before` to `after`; in the air it wants nothing.
+    /// Adds a tick of `tick_s` in which the pawn wanted `way` and moved from `before` to `after`. In the air, `way` is
+    /// zero.
     pub fn note(&mut self, tick_s: f64, way: Vector2<f64>, before: Point2<f64>, after: Point2<f64>) {
         if way == Vector2::zeros()
             || self.is_stuck() && 2.0 * way.dot(&self.stuck_for) < way.norm() * self.stuck_for.norm()
         {
-            // It stands, or tries another direction.
+            // It stands on purpose, or tries another direction.
             *self = Self::at(after);
             return;
         }
@@ -67,8 +70,8 @@ mod tests {
 
     const TICK: f64 = 1.0 / 60.0;
 
-    /// Walks for some seconds by `step`, which gives the way wanted and the place after a tick; in how many of the last
-    /// second's ticks it was stuck.
+    /// Walks for some seconds by `step`, which returns the wanted move and the place after a tick. Returns in how many
+    /// ticks of the last second the pawn was stuck.
     fn stuck(seconds: usize, step: impl Fn(f64) -> (Vector2<f64>, Point2<f64>)) -> usize {
         let mut before = step(0.0).1;
         let (mut progress, mut count) = (Progress::at(before), 0);
@@ -85,19 +88,19 @@ mod tests {
     fn who_runs_round_and_round_is_stuck_and_who_creeps_is_not() {
         let far = 1.4 * TICK;
         let ahead = Vector2::x() * far;
-        // Round a circle of 10 cm while it wants ahead.
+        // Around a circle of 10 cm while it wants straight ahead.
         assert_eq!(stuck(3, |t| (ahead, Point2::new((14.0 * t).cos() * 0.1, (14.0 * t).sin() * 0.1))), 60);
         // Back and forth.
         assert_eq!(stuck(3, |t| (ahead, Point2::new(0.1 * (9.0 * t).sin(), 0.0))), 60);
-        // Along a wall, slowly; and round a circle because that is what it wants.
+        // Slowly along a wall; and around a circle on purpose.
         assert_eq!(stuck(3, |t| (ahead, Point2::new(0.05 * t, 0.0))), 0);
         let turning = |t: f64| Vector2::new(-(14.0 * t).sin(), (14.0 * t).cos()) * far;
         assert_eq!(stuck(3, |t| (turning(t), Point2::new((14.0 * t).cos() * 0.1, (14.0 * t).sin() * 0.1))), 0);
-        // There and back to where it came from; nearly as far back as there.
+        // Back and forth on purpose.
         let away = |t: f64| if (t % 1.0) < 0.5 { t % 1.0 } else { 1.0 - t % 1.0 };
         let way = |t: f64| if (t % 1.0) <= 0.5 { ahead } else { -ahead };
         assert_eq!(stuck(3, |t| (way(t), Point2::new(1.4 * away(t), 0.0))), 0);
-        // Blocked: that it does not move at all is seen at once, and not here.
+        // Standing still while blocked is detected elsewhere, at once.
         assert_eq!(stuck(3, |_| (ahead, Point2::origin())), 0);
     }
 

@@ -1,4 +1,4 @@
-//! Walking by exact sweeps: forward, up a step, along a wall, down to the ground.
+//! Walking by exact sweeps: forward, up steps, along walls, down to the ground.
 
 use super::{Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known, pixels_beside};
 use crate::query::SweepHit;
@@ -6,35 +6,36 @@ use crate::store::PageSet;
 use nalgebra::{Point3, Vector2, Vector3};
 use std::ops::ControlFlow;
 
-/// Contacts that one stride follows.
+/// Most contacts that one stride handles.
 const CONTACTS: usize = 4;
-/// Longest stride (m): a step is judged by what is under the body at the end of the stride.
+/// Longest stride (m). Whether the pawn can climb depends on what is under the body at the end of the stride.
 const STRIDE_M: f64 = 0.25;
-/// A way around an edge leads so far off the wall, and must gain so much (pixels).
+/// Distance from the wall of a detour around an edge (pixels). [`GAIN`] is the least progress against the wall that it
+/// must allow.
 const OFF: f64 = 0.3;
-/// Such a way is at most so long (pixels).
+/// Longest detour (pixels).
 pub(super) const EDGE_PIXELS: f64 = 4.0;
 const GAIN: f64 = 0.35;
-/// A pawn changes the side on which it goes around edges so often at most until it has walked so far without contact
-/// (pixels): else it might turn back and forth between two of them for ever.
+/// Most changes of the side on which a pawn goes around edges until it has walked [`FREE`] pixels without contact.
+/// Without a limit it might alternate between two edges for ever.
 const CHANGES: u32 = 2;
 const FREE: f64 = 4.0;
-/// So often at most it goes around edges without getting so far (pixels) from where it began to: each way gains a third of
-/// a pixel, but the wish may lead back.
+/// Most detours without getting [`AWAY`] pixels from where the first one began: each gains a third of a pixel, but the
+/// move input may lead back.
 const DETOURS: u32 = 12;
 const AWAY: f64 = 4.0;
-/// So much farther than need be, where there is room (pixels).
+/// Extra length of a detour where there is room (pixels).
 const CLEAR: f64 = 0.02;
-/// How often the pixel in which such a way ends is halved.
+/// Bisection steps for the end of a detour within its pixel.
 const NARROWINGS: usize = 3;
-/// Less than this part of a pixel is no more than touched.
+/// Overlap that counts as touching (pixels).
 const TOUCH: f64 = 1e-5;
-/// Ways shorter than this are none (m).
+/// Moves shorter than this count as zero (m).
 const NOTHING_M: f64 = 1e-9;
-/// Heights closer than this are equal: rounding errors at 10⁷ m (m).
+/// Heights closer than this count as equal (m): rounding errors at 10⁷ m.
 pub(super) const LEVEL_M: f64 = 1e-7;
 
-/// One tick: `way` across, then down.
+/// Runs one tick: `way` across the ground, then down.
 pub(super) fn tick<S: PageSet>(
     config: &Config,
     set: &S,
@@ -56,7 +57,7 @@ pub(super) fn tick<S: PageSet>(
             falls |= attempt.motion.ground == Ground::Air;
         }
         if attempt.motion.feet == before {
-            // Nor will the next stride get on.
+            // The next stride would not move it either.
             break;
         }
     }
@@ -78,13 +79,14 @@ impl<S: PageSet> Attempt<'_, S> {
         known(self.config.body.sweep(self.set, feet, by))
     }
 
-    /// Height up to which the pawn may step now.
+    /// Returns the height up to which the pawn may step now.
     fn limit(&self) -> f64 {
         self.motion.floor_z.max(self.motion.feet.z - self.config.climb) + self.reach()
     }
 
-    /// Height of the floor on which a pawn with its feet at `feet` stands: the highest at most [`FLOOR_NEAR_M`] below them under the
-    /// footprint, else the highest as near above or below them beside it, for the edge of a step is an obstacle.
+    /// Returns the height of the floor that a pawn with its feet at `feet` stands on: the highest one under the
+    /// footprint at most [`FLOOR_NEAR_M`] below the feet, else the highest one beside it as near above or below them,
+    /// because the edge of a step is an obstacle.
     fn floor_at(&self, feet: Point3<f64>) -> Needs<Option<f64>> {
         let under = self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M + LEVEL_M);
         match known(under)? {
@@ -93,25 +95,27 @@ impl<S: PageSet> Attempt<'_, S> {
         }
     }
 
-    /// The highest floor within [`BESIDE_M`](super::BESIDE_M) of the footprint, from `from` down to [`FLOOR_NEAR_M`] below the feet.
+    /// Returns the highest floor within [`BESIDE_M`](super::BESIDE_M) of the footprint, from `from` down to
+    /// [`FLOOR_NEAR_M`] below the feet.
     fn floor_beside(&self, feet: Point3<f64>, from: f64) -> Needs<Option<f64>> {
-        // Whole pixels, less what would touch the next one.
+        // Whole pixels, but without touching the next one.
         let pixel = self.set.frame().pixel_m();
         let margin = (f64::from(pixels_beside(pixel)) - TOUCH) * pixel;
         let depth = from - feet.z + FLOOR_NEAR_M + LEVEL_M;
         known(self.config.body.floor_around(self.set, feet, margin, from, depth))
     }
 
-    /// Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
+    /// Returns the climb height plus a quantum: floors are rounded to quanta, so a step of exactly the climb height may
+    /// be stored one quantum higher.
     fn reach(&self) -> f64 {
         self.config.climb + self.set.frame().quantum_m() + LEVEL_M
     }
 
-    /// Out of matter that the pawn was put into, or that has been loaded around it. Gives what is in the way of the first `stride`, if
-    /// that is what was asked.
+    /// Moves the pawn out of something solid that it was placed in, or that has been loaded around it. Returns the
+    /// obstruction of the first `stride` where the query has found it along the way.
     fn get_out(&mut self, stride: Vector2<f64>) -> Needs<Option<Option<SweepHit>>> {
         let feet = self.motion.feet;
-        // Any way tells whether the pawn is inside: the one that it wants to go, unless that may change.
+        // Any sweep shows whether the pawn is inside, so use the stride, unless a detour replaces it.
         let is_way = stride.norm() >= NOTHING_M && self.motion.detour == Vector2::zeros();
         let hit = self.sweep(feet, if is_way { stride.push(0.0) } else { Vector3::zeros() })?;
         if !hit.is_some_and(|hit| hit.begins_inside()) {
@@ -125,7 +129,8 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(None)
     }
 
-    /// Across by `way`, over steps and along walls; `first` is what is in the way, where that is known.
+    /// Moves across the ground by `way`, over steps and along walls; `first` is the result of the first sweep, if
+    /// known.
     fn stride(&mut self, way: Vector2<f64>, mut first: Option<Option<SweepHit>>) -> Needs<()> {
         let mut rest = way;
         let mut wall: Option<Vector2<f64>> = None;
@@ -170,7 +175,7 @@ impl<S: PageSet> Attempt<'_, S> {
             if self.round_the_edge(normal, into, rest, way)? {
                 break;
             }
-            // Between two walls, or turned back: the corner is where it ends.
+            // Between two walls, or turned back: the stride ends in the corner.
             if rest.dot(&way) <= 0.0 || wall.is_some_and(|wall| rest.dot(&wall) < -NOTHING_M) {
                 if rest.norm() > NOTHING_M {
                     self.stop = Some(Stop::Corner);
@@ -182,7 +187,7 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// After a free way the pawn may go around the next edge on either side.
+    /// Counts a move without contact; after enough of them the pawn may go around the next edge on either side.
     fn note_free(&mut self, way: f64) {
         self.motion.free += way;
         if self.motion.free > FREE * self.set.frame().pixel_m() {
@@ -190,7 +195,8 @@ impl<S: PageSet> Attempt<'_, S> {
         }
     }
 
-    /// Whether the ways around edges lead anywhere: away from where they began, unless the pawn has turned meanwhile.
+    /// Returns whether another detour is allowed: the last ones led away from where they began, or the pawn has turned
+    /// since.
     fn may_go_around(&mut self, wanted: Vector2<f64>) -> bool {
         let motion = &mut *self.motion;
         let away = (motion.feet.xy() - motion.detours_from).norm() > AWAY * self.set.frame().pixel_m();
@@ -201,7 +207,8 @@ impl<S: PageSet> Attempt<'_, S> {
         motion.detours < DETOURS
     }
 
-    /// On along a way around an edge, if there is one and the pawn still wants past it.
+    /// Continues a detour around an edge, if there is one and the pawn still wants past the edge. Returns whether it
+    /// did.
     fn go_around(&mut self, way: Vector2<f64>) -> Needs<bool> {
         let rest = self.motion.detour;
         if rest == Vector2::zeros() {
@@ -222,11 +229,10 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(true)
     }
 
-    /// Looks for a way sideways, if up to three pixels to the side the way into the wall with this `normal` is free.
+    /// Starts a detour sideways if up to three pixels to the side the path into the wall with this `normal` is free.
     ///
-    /// A wall across the grid is a flight of edges of pixels, before each of which a box would stand still and between
-    /// two of which a cylinder would rest, where before the true wall they slide on. So the one before the edges goes
-    /// around them, over several ticks.
+    /// A wall that crosses the grid is a staircase of pixel edges. A box would stop at each edge and a cylinder between
+    /// two of them, although both slide along the true wall. So the pawn goes around the edges, over several ticks.
     fn round_the_edge(
         &mut self,
         normal: Vector2<f64>,
@@ -240,9 +246,9 @@ impl<S: PageSet> Attempt<'_, S> {
         let (feet, pixel) = (self.motion.feet, self.set.frame().pixel_m());
         let left = Vector2::new(-normal.y, normal.x);
         let side = if along.dot(&left) < 0.0 { -left } else { left };
-        // A little off the wall, for a round body may rest between two edges.
+        // A little off the wall, because a round body may rest between two edges.
         let off = if normal.amax() < 0.999 { OFF } else { 0.0 };
-        // Against the way along the wall only where that is closed, or next to nothing.
+        // Against the direction along the wall only if that is closed or nearly zero.
         let closed = along.norm() < 0.25 * into
             || self.sweep(feet, (side * pixel).push(0.0))?.is_some_and(|hit| hit.fraction < 0.5);
         for pixels in [1.0, 2.0, 3.0] {
@@ -259,7 +265,7 @@ impl<S: PageSet> Attempt<'_, S> {
                 if !self.is_way_around(way(pixels, off), normal * pixel, off)? {
                     continue;
                 }
-                // No farther aside and off than need be: what is walked is to be near the true wall.
+                // No farther aside and off than necessary: the path should stay near the true wall.
                 let ([mut short, mut long], [mut near, mut far]) = ([pixels - 1.0, pixels], [0.0, off]);
                 for _ in 0..NARROWINGS {
                     let middle = (short + long) / 2.0;
@@ -271,7 +277,7 @@ impl<S: PageSet> Attempt<'_, S> {
                     let is_way = self.is_way_around(way(long, middle), normal * pixel, middle)?;
                     *(if is_way { &mut far } else { &mut near }) = middle;
                 }
-                // Clear of the edge, lest the next contact be with its corner and turn the pawn back.
+                // Clear of the edge, so that the next contact is not with its corner, which would turn the pawn back.
                 let clear = long + CLEAR;
                 if self.is_way_around(way(clear, far), normal * pixel, far)? {
                     long = clear;
@@ -285,7 +291,8 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(false)
     }
 
-    /// Whether the pawn can go `aside`, and from there on against the wall, whose normal is one `pixel` long.
+    /// Returns whether the pawn can move `aside` and then far enough against the wall, whose normal is `pixel` scaled
+    /// to a pixel.
     fn is_way_around(&self, aside: Vector2<f64>, pixel: Vector2<f64>, off: f64) -> Needs<bool> {
         let aside = aside.push(0.0);
         if self.sweep(self.motion.feet, aside)?.is_some() {
@@ -295,14 +302,14 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(on.is_none_or(|hit| hit.fraction * (1.0 + off) >= off + GAIN))
     }
 
-    /// Up, forward by `rest` and down, if what `hit` says to be in the way is a step with floor on it.
+    /// Moves up, forward by `rest` and down if the obstruction `hit` is a step with floor on it.
     fn climb(&mut self, rest: Vector2<f64>, hit: &SweepHit) -> Needs<Step> {
         let (feet, limit) = (self.motion.feet, self.limit());
         if hit.heights[1] > limit {
             return ControlFlow::Continue(Step::Refused(Stop::Wall));
         }
-        // As high as anything to be stepped on; or just over what is in the way, for what is behind may be out of
-        // reach.
+        // Up to the highest top within reach; or only just over the obstruction, because there may be no room above
+        // what lies behind it.
         let end = feet + rest.push(0.0);
         let highest = known(self.config.body.top(self.set, end, limit, limit - feet.z))?;
         let mut refused = Stop::Wall;
@@ -329,13 +336,13 @@ impl<S: PageSet> Attempt<'_, S> {
         let ahead = self.sweep(raised, rest.push(0.0))?;
         let gone = ahead.map_or(1.0, |hit| hit.fraction);
         if rest.norm() * gone < NOTHING_M {
-            // Too low a lintel, or more wall behind the step.
+            // A lintel that is too low, or more wall behind the step.
             let lowest = limit.max(feet.z + self.config.body.height() / 2.0);
             let over = ahead.is_some_and(|hit| hit.heights[0] > lowest);
             return ControlFlow::Continue(Step::Refused(if over { Stop::Headroom } else { Stop::Wall }));
         }
         let mut to = raised + (rest * gone).push(0.0);
-        // The fall back is at most the rise: what is lower is left to `stand`.
+        // Down at most by the rise; `stand` handles what is lower.
         match self.sweep(to, -lift)? {
             Some(hit) if hit.normal.z > 0.5 => to.z = hit.heights[1],
             Some(_) => {}
@@ -348,14 +355,14 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(Step::Done(gone))
     }
 
-    /// Down to the ground, at most the climb height; else the fall begins.
+    /// Moves down to the ground, at most by the climb height; if there is none, the pawn starts to fall.
     fn stand(&mut self) -> Needs<()> {
         let feet = self.motion.feet;
         let down = Vector3::new(0.0, 0.0, -self.reach());
         match self.sweep(feet, down)? {
             Some(hit) if hit.begins_inside() => self.stop = Some(Stop::Inside),
             Some(hit) => {
-                // The matter's own height, not a sum of ways: standing still is standing still, to the last bit.
+                // The stored height, not a sum of moves, so that a standing pawn keeps exactly the same height.
                 self.motion.feet.z = hit.heights[1];
                 self.note_ground(&hit)?;
             }
@@ -364,10 +371,11 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// What the pawn stands on after it came down on what it `hit`, and from where its next climb is measured.
+    /// Records what the pawn stands on after it came down on `hit`, and the floor from which its next climb is
+    /// measured.
     fn note_ground(&mut self, hit: &SweepHit) -> Needs<()> {
         let feet = self.motion.feet;
-        // Floor that stopped it is the highest under it.
+        // If floor stopped it, no floor under it is higher.
         let floor = if hit.obstacle { self.floor_at(feet)? } else { Some(feet.z) };
         self.motion.ground = if floor.is_some() { Ground::Floor } else { Ground::Obstacle };
         self.motion.floor_z = floor.unwrap_or(self.motion.floor_z.min(feet.z));
@@ -375,7 +383,7 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// One tick of free fall or of a jump, to the first matter.
+    /// Runs one tick of free fall or of a jump, up to the first contact.
     fn fall(&mut self) -> Needs<()> {
         let config = self.config;
         let before = self.motion.falling;
@@ -401,9 +409,9 @@ impl<S: PageSet> Attempt<'_, S> {
     }
 }
 
-/// What came of an attempt to climb.
+/// Outcome of an attempt to climb.
 enum Step {
-    /// Up, and forward by this share of the way.
+    /// The pawn went up, and forward by this share of the move.
     Done(f64),
     Refused(Stop),
 }

@@ -1,9 +1,9 @@
-//! The response of the thesis, section 3.2.2, as it is written there: for comparison, with its weaknesses.
+//! The response of the thesis (section 3.2.2) as written there, weaknesses included, for comparison.
 //!
-//! The pawn moves by steps of fixed length. Where an obstacle touches it above the climb height, it goes back to the
-//! place of its last step, and the step's length is halved; after a step without collision the length is reset. Its
-//! height is the highest floor (or the mean of all floors) under it up to the climb height. The thesis does not say how
-//! a pawn falls; here it falls by a step of each tick, and lands on floor that it then finds under it.
+//! The pawn moves by steps of fixed length. If an obstacle touches it above the climb height, it returns to the place
+//! of its last step and halves the step length; a step without collision resets the length. Its height is the highest
+//! floor (or the mean of all floors) under it up to the climb height. The thesis does not say how a pawn falls; here it
+//! falls once per tick and lands on floor that it then finds under it.
 
 use super::{Config, Ground, Motion, Needs, Response, Stop, known};
 use crate::store::PageSet;
@@ -33,7 +33,7 @@ pub(super) fn tick<S: PageSet>(
     }
     let fall = motion.falling * config.tick_s;
     motion.feet.z -= fall;
-    // From the climb height down to the feet, and as far below as it steps down, or has fallen.
+    // From the climb height down to the feet; on the ground, also down by the climb height.
     let (from, depth) = match motion.ground {
         Ground::Air => (motion.feet.z + config.climb, config.climb),
         _ => (motion.feet.z + config.climb, 2.0 * config.climb),

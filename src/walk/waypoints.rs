@@ -1,17 +1,17 @@
-//! Waypoints: places to reach one after the other.
+//! Waypoints: places to reach in order.
 
 use super::Wish;
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3};
 
-/// A place that the pawn cannot get any nearer to counts as reached within this distance (m).
+/// A waypoint counts as reached within this distance if the pawn cannot get any nearer (m).
 pub(super) const REACH_M: f64 = 0.01;
-/// Else it counts as reached within rounding errors, as a share of its coordinates and at least so much (m): beside it, a way
-/// through a gate as wide as the pawn would begin with a contact.
+/// Otherwise it counts as reached within rounding errors: this share of its coordinates, and at least this distance
+/// (m). Any farther off, a path through a gate as wide as the pawn would begin with a contact.
 const EXACT: f64 = 1e-15;
 const EXACT_M: f64 = 1e-15;
 
-/// Places to reach one after the other, in x and y (m).
+/// Places to reach in order, x and y (m).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Waypoints {
     places: Vec<Point2<f64>>,
@@ -19,7 +19,7 @@ pub struct Waypoints {
 }
 
 impl Waypoints {
-    /// The way over these places (m, finite). None at all is refused.
+    /// Creates the path over `places` (m). Fails if there are none, or if a coordinate is not finite.
     pub fn new(places: Vec<Point2<f64>>) -> Result<Self> {
         if places.is_empty() || !places.iter().all(|place| place.iter().all(|v| v.is_finite())) {
             return Err(Error::parameter("waypoints", "expected at least one place, all of them finite".to_owned()));
@@ -27,22 +27,22 @@ impl Waypoints {
         Ok(Self { places, next: 0 })
     }
 
-    /// The places.
+    /// Returns all places.
     pub fn places(&self) -> &[Point2<f64>] {
         &self.places
     }
 
-    /// Number of the place to be reached next; the number of places at the end.
+    /// Returns the index of the next place to reach, or the number of places if the last one has been reached.
     pub fn next(&self) -> usize {
         self.next
     }
 
-    /// Whether the last place has been reached.
+    /// Returns whether the last place has been reached.
     pub fn done(&self) -> bool {
         self.next == self.places.len()
     }
 
-    /// The wish of a pawn at `feet`, which made no progress in its last tick if it `stalled`; `None` at the end.
+    /// Returns the move input for a pawn at `feet` that did not move in its last tick if `stalled`; `None` at the end.
     pub(super) fn wish(&mut self, feet: Point3<f64>, mut stalled: bool) -> Option<Wish> {
         while let Some(place) = self.places.get(self.next) {
             let off = place - feet.xy();

@@ -1,10 +1,10 @@
 //! Flat worlds of floor, walls and gaps, drawn as text.
 
 use crate::common::{key, page};
-use slicewalk::frame::Frame;
+use slicewalk::frame::{Frame, PAGE_QUANTA};
 use slicewalk::slice::Span;
 use slicewalk::store::Store;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Pixel size (m).
 pub const T: f64 = 0.1;
@@ -36,6 +36,22 @@ pub fn store(frame: Frame, columns: impl IntoIterator<Item = ((i64, i64), Vec<Sp
         tiles.entry(tile).or_default().push((((i & 63) as u32, (j & 63) as u32), spans));
     }
     Store::from_pages(frame, tiles.into_iter().map(|((tx, ty), columns)| (key(tx, ty, 0), page(columns))))
+}
+
+/// Pages of spans by pixel with heights above layer 0 (quanta), as high as they reach; a span over the border of two pages is split there.
+pub fn layers(frame: Frame, columns: &HashMap<(i64, i64), Vec<(i64, i64, bool)>>) -> Store {
+    let mut pages: BTreeMap<(i32, i32, i32), BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
+    for (&(i, j), spans) in columns {
+        let (tx, ty, pixel) = ((i >> 6) as i32, (j >> 6) as i32, ((i & 63) as u32, (j & 63) as u32));
+        for &(bottom, top, is_obstacle) in spans {
+            for layer in bottom / PAGE_QUANTA..=(top - 1).max(bottom) / PAGE_QUANTA {
+                let [low, high] = [bottom, top].map(|z| (z - layer * PAGE_QUANTA).clamp(0, PAGE_QUANTA) as u32);
+                let span = Span::new(low, high, is_obstacle).unwrap();
+                pages.entry((tx, ty, layer as i32)).or_default().entry(pixel).or_default().push(span);
+            }
+        }
+    }
+    Store::from_pages(frame, pages.into_iter().map(|((tx, ty, layer), columns)| (key(tx, ty, layer), page(columns))))
 }
 
 /// Height of the floor (m).

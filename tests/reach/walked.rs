@@ -10,8 +10,8 @@ use slicewalk::store::Store;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::collections::BTreeMap;
 
-const T: f64 = 0.1;
-const SIGMA: f64 = 0.3;
+pub(super) const T: f64 = 0.1;
+pub(super) const SIGMA: f64 = 0.3;
 /// Edge of a scene (pixels).
 const EDGE: i64 = 70;
 /// Height of the lowest floor (quanta).
@@ -22,11 +22,11 @@ fn quanta(metres: f64) -> i64 {
 }
 
 /// Bottom and top (quanta), and whether it is an obstacle.
-type Solid = (i64, i64, bool);
+pub(super) type Solid = (i64, i64, bool);
 
 /// Spans by pixel.
 #[derive(Clone)]
-struct Scene(BTreeMap<(i64, i64), Vec<Solid>>);
+pub(super) struct Scene(BTreeMap<(i64, i64), Vec<Solid>>);
 
 impl Scene {
     fn rectangle(random: &mut Random, most: i64) -> [i64; 4] {
@@ -45,7 +45,7 @@ impl Scene {
         }
     }
 
-    fn random(seed: u64) -> Self {
+    pub(super) fn random(seed: u64) -> Self {
         let mut random = Random(seed);
         let mut scene = Self(BTreeMap::new());
         let noise = [0.0, 0.0, 0.01, 0.03][random.below(4) as usize];
@@ -136,14 +136,28 @@ impl Scene {
 
     /// The scene rotated by quarter turns, mirrored, and moved by a number of pixels.
     fn store(&self, turns: u64, mirrored: bool, by: [i64; 2]) -> Store {
-        let columns = self.0.iter().filter(|(_, spans)| !spans.is_empty()).map(|(&at, spans)| {
+        let span = |(bottom, top, steep): Solid| Span::new(bottom as u32, top as u32, steep).unwrap();
+        let columns = self.columns(turns, mirrored, by, 0);
+        flat::store(
+            Frame::new(T, SIGMA).unwrap(),
+            columns.map(|(at, spans)| (at, spans.into_iter().map(span).collect())),
+        )
+    }
+
+    /// Its spans by pixel, turned by quarters and mirrored, moved by so many pixels and raised by so many quanta.
+    pub(super) fn columns(
+        &self,
+        turns: u64,
+        mirrored: bool,
+        by: [i64; 2],
+        rise: i64,
+    ) -> impl Iterator<Item = ((i64, i64), Vec<Solid>)> {
+        self.0.iter().filter(|(_, spans)| !spans.is_empty()).map(move |(&at, spans)| {
             let (i, j) = turned(at, turns, mirrored);
-            let mut spans = spans.clone();
+            let mut spans: Vec<Solid> = spans.iter().map(|span| (span.0 + rise, span.1 + rise, span.2)).collect();
             spans.sort_unstable();
-            let span = |&(bottom, top, steep): &Solid| Span::new(bottom as u32, top as u32, steep).unwrap();
-            ((i + by[0], j + by[1]), spans.iter().map(span).collect())
-        });
-        flat::store(Frame::new(T, SIGMA).unwrap(), columns)
+            ((i + by[0], j + by[1]), spans)
+        })
     }
 }
 
@@ -157,7 +171,7 @@ fn turned((mut i, mut j): (i64, i64), turns: u64, mirrored: bool) -> (i64, i64) 
     (i, j)
 }
 
-fn bodies() -> [Body; 7] {
+pub(super) fn bodies() -> [Body; 7] {
     let cube = |x, y, height| Body::Box { x, y, height };
     let cylinder = |radius, height| Body::Cylinder { radius, height };
     [

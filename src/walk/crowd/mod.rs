@@ -1,23 +1,23 @@
-//! Many pawns in one world, which keep out of each other.
+//! Many pawns in one world that keep out of each other.
 //!
-//! Once per tick the pawns are sorted into a uniform grid, and by who goes first: whoever stands inside others, then whoever
-//! has the shortest way left. One after the other each shortens its way by what its neighbours leave of it, slides along
-//! the nearest one, passing on the right where it meets it head on, and takes its tick in the world. Where the world led it
-//! into a neighbour, it stays where it was; where it fell upon one, it stands on that one's head. The order makes the
-//! outcome the same on every machine.
+//! Once per tick the pawns are sorted into a uniform grid and by priority: first the pawns that overlap others, then by
+//! remaining distance, shortest first. In this order each pawn shortens its move to what its neighbours leave free,
+//! slides along the nearest one (passing on the right if they meet head on), and takes its tick in the world. If the
+//! world moved it into a neighbour, it stays where it was; if it fell onto one, it stands on that one's head. The fixed
+//! order makes the outcome the same on every machine.
 //!
-//! Sliding alone jams: two pawns with one place in a door hold each other up for ever. So a pawn that others hold up asks
-//! those who come after it to make way; they take their tick at once, away from it, and ask those behind them in turn.
-//! This is priority inheritance (Okumura, Machida, Défago and Tamura, *Priority Inheritance with Backtracking*, IJCAI
-//! 2019), with ways in place of cells: the first of all always finds a way where there is room, and whoever gets to its
-//! place makes another one the first. Pawns that stand inside each other part in the same manner, each by half of what it
-//! overlaps with every other, and all others make way for them. No pawn ever enters another.
+//! Sliding alone jams: two pawns that meet in a door would block each other for ever. So a pawn that others hold up
+//! asks those of lower priority to make way; they take their tick at once, away from it, and ask those behind them in
+//! turn. This is priority inheritance (Okumura, Machida, Défago and Tamura, *Priority Inheritance with Backtracking*,
+//! IJCAI 2019) with moves in place of cells: the first pawn always finds a path where there is room, and when it gets
+//! to its place another one becomes the first. Pawns that overlap part in the same manner, each by half of its overlap
+//! with every other, and all others make way for them. No pawn ever enters another.
 //!
-//! Not all can stand on one place. Those that want to the same one [settle](State::Arrived) around it: each stops when
-//! it gets no nearer, stands behind one that has settled, and reaches into the disc that all of them fill, loosely
-//! packed; so they settle from the middle out. Outside of the disc, or where walls leave less room, it walks around the
-//! others for a while before it settles behind them. A pawn that has settled stays until it wants to go elsewhere, or
-//! until the one behind which it settled is gone.
+//! Not all pawns can stand at one place. Those with the same goal [settle](State::Arrived) around it: a pawn stops when
+//! it gets no nearer, stands behind one that has settled, and reaches into the disc that all of them fill when loosely
+//! packed; so they settle from the middle outwards. Outside of the disc, or where walls leave less room, a pawn walks
+//! around the others for a while before it settles behind them. A settled pawn stays until it wants to go elsewhere, or
+//! until the one that it settled behind is gone.
 
 mod outline;
 mod room;
@@ -34,11 +34,12 @@ use room::{CHAIN, Turn, gains};
 use settle::{Aim, BEHIND_M, GIVES_UP_S, NEARER_M, PlaceKey, SETTLES_S, key_of, packed_radius};
 use std::ops::ControlFlow;
 
-/// A pawn that got no nearer to its place for so long (s) asks others to make way, until its way was free for as long.
+/// A pawn that got no nearer to its goal for this time (s) asks others to make way, until it has moved freely for as
+/// long.
 const HELD_UP_S: f64 = 0.5;
-/// A pawn that asked one which could not make way comes after that one for so long (s).
+/// A pawn whose request another one could not meet has its turns after that one for this time (s).
 const AFTER_S: f64 = 1.0;
-/// Pawns that stand inside each other part at this speed at least (m/s), and sideways if that gains nothing for so long (s).
+/// Least speed at which overlapping pawns part (m/s), and time without progress after which they try sideways (s).
 const PARTS_M_S: f64 = 1.0;
 const PARTS_S: f64 = 0.25;
 /// Pawns with a common clock.
@@ -48,45 +49,46 @@ pub struct Crowd {
     aims: Vec<Aim>,
     tick_s: f64,
     rest_s: f64,
-    /// Longest way of a pawn in a tick (m).
+    /// Longest move of a pawn in a tick (m).
     way: f64,
-    /// Edge of a cell (m): what a pawn can touch in a tick lies in its cell or in one of the eight around it.
+    /// Edge of a grid cell (m): the pawns that a pawn can touch in a tick are in its cell or in one of the eight around
+    /// it.
     cell: f64,
-    /// Of the tick: outlines now, places at its beginning, who had its turn.
+    /// State of the current tick: outlines now, places at its beginning, pawns that had their turn.
     outlines: Vec<Outline>,
     before: Vec<Point3<f64>>,
     done: Vec<bool>,
     grid: Vec<((i64, i64), u32)>,
-    /// Pawns that were pushed out of matter, farther than the cells allow for.
+    /// Pawns that were pushed out of something solid, farther than the cells allow for.
     strays: Vec<u32>,
-    /// Who goes first, with what decides on it.
+    /// Order of the turns, with the keys that decide it.
     order: Vec<(f64, u32, u32)>,
-    /// Area of every pawn, with the place that it wants to reach, in order.
+    /// Goal and footprint area of every pawn, sorted.
     wanted: Vec<(PlaceKey, f64)>,
 }
 
-/// What a step of a crowd did.
+/// Outcome of a step of a crowd.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CrowdReport {
-    /// Ticks that passed.
+    /// Number of ticks that passed.
     pub ticks: u32,
-    /// Pawns that are blocked.
+    /// Number of blocked pawns.
     pub blocked: usize,
-    /// Pawns in the air.
+    /// Number of pawns in the air.
     pub falling: usize,
-    /// Pawns that stand at the place they wanted to reach, or as near as others let them.
+    /// Number of pawns at their goal, or as near as others let them.
     pub arrived: usize,
-    /// Pawn ticks in which one waited for pages.
+    /// Number of ticks in which a pawn waited for pages, summed over the pawns.
     pub waits: usize,
-    /// The pages that the last of these waited for.
+    /// Pages that the last of these pawns waited for.
     pub missing: Option<Missing>,
-    /// Time that was not used (s), because a step is at most [`MOST_TICKS`] long. Pass it to the next step, or drop it.
+    /// Unused time (s), because a step runs at most [`MOST_TICKS`] ticks. Pass it to the next step, or drop it.
     pub unspent: f64,
 }
 
 impl Crowd {
-    /// A crowd of `walkers`, all with ticks of the same length; for 1,000 pawns 1/60 s is a good one. They may stand
-    /// inside each other: then they part.
+    /// Creates a crowd of `walkers`, all with ticks of the same length; 1/60 s suits 1,000 pawns. Pawns that overlap
+    /// part.
     pub fn new(walkers: Vec<Walker>) -> Result<Self> {
         let mut crowd = Self {
             walkers: Vec::new(),
@@ -109,13 +111,13 @@ impl Crowd {
         Ok(crowd)
     }
 
-    /// The pawns, by their numbers.
+    /// Returns the pawns, by number.
     pub fn walkers(&self) -> &[Walker] {
         &self.walkers
     }
 
-    /// Lets another pawn join, wherever it stands, and returns its number: that of pawns so far. Fails if its ticks are not
-    /// as long as those of the others. Allocates memory, which no step does.
+    /// Adds a pawn, wherever it stands, and returns its number. Fails if its ticks are not as long as those of the
+    /// others. Allocates memory, unlike a step.
     pub fn add(&mut self, walker: Walker) -> Result<usize> {
         let config = &walker.config;
         if self.walkers.is_empty() {
@@ -141,7 +143,7 @@ impl Crowd {
         Ok(count - 1)
     }
 
-    /// Takes the pawn of this number out; `None` if there is none. The numbers of those after it fall by one.
+    /// Removes and returns the pawn with this number, if there is one. Higher numbers fall by one.
     pub fn remove(&mut self, number: usize) -> Option<Walker> {
         if number >= self.walkers.len() {
             return None;
@@ -156,11 +158,11 @@ impl Crowd {
         Some(self.walkers.remove(number))
     }
 
-    /// Lets `dt` (s, >= 0) pass. `wish` says for each tick where the pawn of a number, with its feet at a place, wants
-    /// to go. A `dt` that is negative or not finite counts as 0.
+    /// Advances the crowd by `dt` (s, >= 0). In each tick, `wish` returns the move input of a pawn, given its number
+    /// and the place of its feet. A `dt` that is negative or not finite counts as 0.
     ///
-    /// At most [`MOST_TICKS`] pass; the rest comes back as [`unspent`](CrowdReport::unspent). Allocates nothing. Cost: that
-    /// of each walker, and about 100 ns per neighbour.
+    /// At most [`MOST_TICKS`] ticks pass; the rest of the time is returned as [`unspent`](CrowdReport::unspent).
+    /// Allocates nothing. Cost: that of each walker, and about 100 ns per neighbour.
     pub fn step<S: PageSet>(
         &mut self,
         set: &S,
@@ -211,7 +213,8 @@ impl Crowd {
         }
     }
 
-    /// What decides when pawn `n` has its turn: the way left (m), also of those after whom it goes, and how many these are.
+    /// Returns the sort keys of the turn of pawn `n`: the greatest remaining distance (m) of it and the pawns that it
+    /// goes after, and the number of these.
     fn rank(&self, n: usize) -> (f64, u32) {
         let left = |n: usize| {
             let aim = &self.aims[n];
@@ -247,10 +250,10 @@ impl Crowd {
         self.wanted.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     }
 
-    /// Pawns that may touch pawn `n` in this tick.
+    /// Returns the pawns that may touch pawn `n` in this tick.
     fn neighbours(&self, n: usize) -> impl Iterator<Item = usize> {
-        // Where it was when the grid was made: others may have moved since, by at most a way, and the cells allow for
-        // that.
+        // From its place when the grid was made: others may have moved since by at most one move, which the cells allow
+        // for.
         let (ci, cj) = self.cell_of(self.before[n]);
         let near = (ci - 1..=ci + 1).flat_map(move |i| {
             let first = self.grid.partition_point(|(cell, _)| *cell < (i, cj - 1));
@@ -260,7 +263,7 @@ impl Crowd {
         near.chain(self.strays.iter().map(|other| *other as usize)).filter(move |other| *other != n)
     }
 
-    /// The turn of pawn `n`, which is to go by `asked`.
+    /// Runs the turn of pawn `n`, which is to move by `asked`.
     fn go<S: PageSet>(&mut self, set: &S, n: usize, asked: Vector2<f64>, turn: Turn, report: &mut CrowdReport) {
         self.done[n] = true;
         let (before, own) = (self.walkers[n].motion, self.outlines[n]);
@@ -274,7 +277,7 @@ impl Crowd {
         if let Some(m) = entered
             && self.makes_way(m, n, turn)
         {
-            // Along a wall into somebody who makes way.
+            // It slid along a wall into a pawn that makes way.
             let (_, normal) = Outline::of(&self.walkers[n]).gap(&self.outlines[m]);
             self.walkers[n].motion = before;
             makes_way = self.make_way(set, m, n, -normal, turn, report);
@@ -282,20 +285,20 @@ impl Crowd {
             entered = self.entered(n, &own);
         }
         if entered.is_some() {
-            // It stays, and only falls.
+            // It stays, but may fall.
             self.walkers[n].motion = before;
             outcome = self.advance(set, n, Vector2::zeros());
             if self.entered(n, &own).is_some() {
                 self.walkers[n].motion = before;
             }
             if makes_way {
-                // On around an edge, once there is room.
+                // Resume the detour around an edge once there is room.
                 let motion = &mut self.walkers[n].motion;
                 (motion.detour, motion.detour_for) = (before.detour, before.detour_for);
             }
         }
         if turn.depth > 0 {
-            // It did not come here of its own will: the edges that it went around before count no more.
+            // Another pawn pushed it here, so its earlier detours no longer count.
             let motion = &mut self.walkers[n].motion;
             (motion.hand, motion.changes, motion.detours) = (0.0, 0, 0);
         }
@@ -323,7 +326,7 @@ impl Crowd {
         };
     }
 
-    /// A tick of pawn `n` in the world; it lands on whom it falls upon.
+    /// Runs a tick of pawn `n` in the world; it lands on pawns that it falls onto.
     fn advance<S: PageSet>(&mut self, set: &S, n: usize, way: Vector2<f64>) -> ControlFlow<Missing> {
         let before = self.walkers[n].motion.feet.z;
         let outcome = self.walkers[n].tick(set, way);
@@ -343,7 +346,7 @@ impl Crowd {
         outcome.map_continue(|_| ())
     }
 
-    /// In whom pawn `n`, which was at `own`, now is and was not before.
+    /// Returns a pawn that pawn `n` now overlaps and did not overlap at `own`.
     fn entered(&self, n: usize, own: &Outline) -> Option<usize> {
         let now = Outline::of(&self.walkers[n]);
         let enters = |m: &usize| *m != n && now.overlaps(&self.outlines[*m]) && !own.overlaps(&self.outlines[*m]);
@@ -354,7 +357,7 @@ impl Crowd {
         }
     }
 
-    /// Where pawn `n` wants to go in this tick; whether it has come as near to its place as it will.
+    /// Updates the aim of pawn `n` for this tick, and whether it has settled.
     fn aim(&mut self, n: usize, wish: Wish) {
         let mut aim = self.aims[n];
         match wish {
@@ -393,7 +396,7 @@ impl Crowd {
         aim.way = if aim.settled { Vector2::zeros() } else { walker.way(wish) };
         let (out, overlap) = self.way_out(n);
         if overlap > 0.0 {
-            // Where the straight way gains nothing it goes sideways, to either side by turns.
+            // If the straight way out gains nothing, it goes sideways, alternating sides.
             aim.waits += self.tick_s;
             if overlap < 0.98 * aim.overlap || !aim.parts {
                 (aim.overlap, aim.waits) = (overlap, 0.0);
@@ -409,7 +412,7 @@ impl Crowd {
         self.aims[n] = aim;
     }
 
-    /// The first neighbour of pawn `n` that has settled at `place` and stands close.
+    /// Returns the first neighbour of pawn `n` that has settled around `place` and stands close.
     fn settled_one_before(&self, n: usize, place: Point2<f64>) -> Option<usize> {
         let own = &self.outlines[n];
         self.neighbours(n).find(|m| {
@@ -419,7 +422,7 @@ impl Crowd {
     }
 }
 
-/// Room for `count` in all.
+/// Reserves room for `count` items in all.
 fn make_room<T>(list: &mut Vec<T>, count: usize) {
     list.reserve(count - list.len().min(count));
 }

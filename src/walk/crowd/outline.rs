@@ -1,22 +1,22 @@
-//! Pawns as others see them: how far apart they are, and when one in motion touches another.
+//! Outlines of pawns: gaps between them, and first contacts of moves.
 
 use crate::walk::{Body, Walker};
 use nalgebra::Vector2;
 
-/// Pawns closer than this touch (m).
+/// Gap up to which pawns touch (m).
 pub(super) const TOUCH_M: f64 = 1e-9;
 
-/// Pawns deeper in each other than this overlap (m): rounding errors at 10⁷ m are less.
+/// Depth from which pawns overlap (m): rounding errors at 10⁷ m are less.
 const OVERLAP_M: f64 = 2e-8;
 
-/// A pawn from above.
+/// Outline of a pawn: its footprint and its heights.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Outline {
     /// Middle of its footprint (m).
     pub center: Vector2<f64>,
     half: Vector2<f64>,
     round: bool,
-    /// Heights of its feet and of its head (m).
+    /// Heights of the feet and the head (m).
     pub low: f64,
     pub high: f64,
 }
@@ -33,7 +33,8 @@ impl Outline {
         }
     }
 
-    /// Gap to another pawn (m, negative inside it), and the way from it; infinite to one that is above or below.
+    /// Returns the gap to another pawn (m, negative inside it) and the direction away from it. The gap is infinite if
+    /// the other one is above or below.
     pub fn gap(&self, other: &Self) -> (f64, Vector2<f64>) {
         if self.low >= other.high || other.low >= self.high {
             return (f64::INFINITY, Vector2::x());
@@ -41,12 +42,13 @@ impl Outline {
         self.gap_across(other)
     }
 
-    /// Whether a part of one is in the other.
+    /// Returns whether the pawns overlap.
     pub fn overlaps(&self, other: &Self) -> bool {
         self.gap(other).0 < -OVERLAP_M
     }
 
-    /// The gap as seen from above. Two cylinders are round; a box and a cylinder keep apart as boxes do.
+    /// Returns the gap on the ground plan. Between two cylinders it is that of discs; a cylinder beside a box counts as
+    /// a box.
     pub fn gap_across(&self, other: &Self) -> (f64, Vector2<f64>) {
         let apart = self.center - other.center;
         if self.round && other.round {
@@ -61,7 +63,7 @@ impl Outline {
         (gaps[axis], normal)
     }
 
-    /// The share of `way` after which it touches another pawn, and the way from that.
+    /// Returns the share of the move `way` after which it touches another pawn, and the direction away from that one.
     pub fn meets(&self, other: &Self, way: Vector2<f64>) -> Option<(f64, Vector2<f64>)> {
         let (gap, normal) = self.gap(other);
         if gap == f64::INFINITY || gap > way.norm() {
@@ -71,7 +73,7 @@ impl Outline {
             let (apart, reach) = (self.center - other.center, self.half.x + other.half.x);
             let (a, b, c) = (way.norm_squared(), apart.dot(&way), apart.norm_squared() - reach * reach);
             let root = b * b - a * c;
-            // Along it is not towards it, whatever rounding says.
+            // A move along the other pawn is not towards it, in spite of rounding errors.
             if b >= -TOUCH_M * a.sqrt() || root <= 0.0 {
                 return None;
             }

@@ -1,4 +1,4 @@
-//! Room among others: what neighbours leave of a way, and who makes way for whom.
+//! Room among other pawns: the free part of a move, and making way.
 
 use super::outline::{Outline, TOUCH_M};
 use super::settle::key_of;
@@ -6,28 +6,29 @@ use super::{Crowd, CrowdReport};
 use crate::store::PageSet;
 use nalgebra::Vector2;
 
-/// At most so many pawns, one behind the other, make way for one.
+/// Longest chain of pawns that make way for one.
 pub(super) const CHAIN: usize = 16;
-/// Contacts that a way among others follows, and pawns that are asked to make way.
+/// Most contacts that a move handles, and most pawns that it asks to make way.
 const CONTACTS: usize = 2;
 const ASKED: usize = 4;
-/// Multiples of these fill a square evenly (Roberts, *The unreasonable effectiveness of quasirandom sequences*, 2018).
+/// Multiples of these fill a square evenly (Roberts, *The unreasonable effectiveness of quasirandom sequences*, 2018);
+/// see [`Crowd::direction`].
 const EVEN: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_2];
 
-/// Why a pawn takes its turn now.
+/// Reason for the turn of a pawn.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Turn {
-    /// How many made way for each other before it.
+    /// Length of the chain of pawns that made way before it.
     pub depth: usize,
-    /// Whether the first of them stands in others: then even those make way who stand.
+    /// True if the first one overlaps others: then even pawns that stand make way.
     pub parts: bool,
-    /// How far those go who make way (m).
+    /// Distance that pawns move to make way (m).
     pub far: f64,
 }
 
 impl Crowd {
-    /// The way of pawn `n` out of those that it stands in, half of what it overlaps with each; and what it overlaps in all
-    /// (m).
+    /// Returns the move of pawn `n` out of the pawns that it overlaps, half of the overlap with each, and the sum of
+    /// the overlaps (m).
     pub(super) fn way_out(&self, n: usize) -> (Vector2<f64>, f64) {
         let own = &self.outlines[n];
         let (mut out, mut overlap) = (Vector2::zeros(), 0.0);
@@ -40,13 +41,13 @@ impl Crowd {
         (out, overlap)
     }
 
-    /// Where pawn `n` goes from others on its very spot: each to a place of its own in a square around it.
+    /// Returns the move of pawn `n` away from others at exactly its place: each gets a different one in a square.
     fn direction(&self, n: usize) -> Vector2<f64> {
         Vector2::from(EVEN.map(|step| 2.0 * ((n + 1) as f64 * step).fract() - 1.0)) * self.way
     }
 
-    /// The first contact of pawn `n` on its way from `at` with a neighbour: after which share of the way, the way from that
-    /// one, and who it is. Those that it stands in leave it free.
+    /// Returns the first contact of pawn `n` with a neighbour on the move `way` from `at`: the share of the move, the
+    /// direction away from the neighbour, and its number. A pawn that parts ignores the pawns that it overlaps.
     fn first_contact(&self, n: usize, at: &Outline, way: Vector2<f64>) -> Option<(f64, Vector2<f64>, usize)> {
         let (own, parts) = (&self.outlines[n], self.aims[n].parts);
         let contacts = self.neighbours(n).filter_map(|m| {
@@ -56,7 +57,7 @@ impl Crowd {
         contacts.min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    /// What the neighbours of pawn `n` leave of a way; those that it may ask make way first.
+    /// Returns the part of a move that the neighbours of pawn `n` leave free. Those that it may ask make way first.
     pub(super) fn leave_room<S: PageSet>(
         &mut self,
         set: &S,
@@ -85,12 +86,12 @@ impl Crowd {
             }
             contacts += 1;
             if aside && share * rest.norm() < TOUCH_M {
-                // Closed: it tries the other side, and keeps to that.
+                // That side is closed: it changes to the other one.
                 self.aims[n].hand = -self.aims[n].hand;
             }
             rest = left - normal * left.dot(&normal).min(0.0);
             if rest.norm() < 0.25 * left.norm() && own_way {
-                // Head on: to the right, both of them.
+                // Head on: both move to the right.
                 rest = Vector2::new(-normal.y, normal.x) * (0.5 * self.aims[n].hand * left.norm());
                 aside = true;
             }
@@ -100,16 +101,16 @@ impl Crowd {
         gone
     }
 
-    /// Whether pawn `m` takes its turn to make way for pawn `n`: it comes after the first that asked, and wants somewhere
-    /// itself. For those who part, even those make way who stand.
+    /// Returns whether pawn `m` takes its turn now to make way for pawn `n`: it has had no turn yet, and wants to move
+    /// itself. For overlapping pawns, even those that stand make way.
     pub(super) fn makes_way(&self, m: usize, n: usize, turn: Turn) -> bool {
         let asks = turn.depth > 0 || turn.parts || self.aims[n].pushes;
         let aim = &self.aims[m];
         asks && turn.depth < CHAIN && !self.done[m] && !aim.parts && (turn.parts || aim.way != Vector2::zeros())
     }
 
-    /// Pawn `m` goes out of the way of pawn `n`, `away` from it and where it wants to besides; only sideways, if it got
-    /// nowhere in the last tick. Whether it gets anywhere.
+    /// Moves pawn `m` out of the way of pawn `n`: `away` from it and towards its own goal, or only sideways if it got
+    /// nowhere in the last tick. Returns whether it got anywhere.
     pub(super) fn make_way<S: PageSet>(
         &mut self,
         set: &S,
@@ -125,7 +126,7 @@ impl Crowd {
             side = Vector2::zeros();
         }
         if aim.closed && side.norm() < 0.1 * far {
-            // Rather away from where the other one wants to.
+            // To the side that lies away from the other one's goal.
             side = Vector2::new(-away.y, away.x) * far;
             if side.dot(&(self.outlines[m].center - other.place.coords)) < 0.0 {
                 side = -side;
@@ -137,14 +138,14 @@ impl Crowd {
         self.go(set, m, way, Turn { depth: turn.depth + 1, ..turn }, report);
         let gains = gains(way, self.outlines[m].center - from);
         if closed && !gains {
-            // It cannot, for now: then the other one makes way for it.
+            // It cannot for now, so the other one makes way for it.
             (self.aims[n].after, self.aims[n].after_s) = (Some(m), 0.0);
         }
         gains
     }
 }
 
-/// Whether who was to go by `asked` went anywhere near there.
+/// Returns whether a pawn that was to move by `asked` moved at least a tenth of it.
 pub(super) fn gains(asked: Vector2<f64>, moved: Vector2<f64>) -> bool {
     moved.dot(&asked) > 0.1 * asked.norm_squared()
 }
