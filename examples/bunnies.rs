@@ -6,10 +6,10 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::frame::Frame;
-use slicewalk::input::Units;
-use slicewalk::mesh::{MeshOptions, MeshSet, Triangle};
 use slicewalk::object::{Model, Object, touches};
 use slicewalk::plan::Up;
+use slicewalk_input::Units;
+use slicewalk_mesh::{MeshOptions, MeshSet, Triangle};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;

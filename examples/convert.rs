@@ -1,7 +1,7 @@
 //! Converts scans or meshes to an archive, with progress on standard error: `convert INPUT... OUT.slices`.
 
-use slicewalk::convert::{ConvertOptions, convert};
 use slicewalk::{Monitor, Warning};
+use slicewalk_convert::{ConvertOptions, convert};
 use std::path::PathBuf;
 
 /// Prints stages and warnings.

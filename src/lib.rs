@@ -8,23 +8,8 @@
 //!
 //! # Convert
 //!
-//! [`convert`](convert::convert) reads points and triangles in any order, in bounded memory, and publishes the archive
-//! when it is complete. The same points always give the same bytes.
-#![cfg_attr(
-    feature = "convert",
-    doc = r#"
-```no_run
-use slicewalk::convert::{ConvertOptions, PixelSize, convert};
-
-let mut options = ConvertOptions::new(vec!["scan.laz".into()], "scan.slices".into());
-options.pixel = PixelSize::Metres(0.05); // or PixelSize::Auto: four times the point spacing
-options.plan.max_slope_deg = 40.0;
-let report = convert(&options, &slicewalk::NoMonitor)?;
-println!("{} voxels", report.header.voxels.occupied);
-# Ok::<(), slicewalk::Error>(())
-```
-"#
-)]
+//! The program `sliceconv` and the crate `slicewalk-convert` read points and triangles in any order, in bounded memory,
+//! and publish the archive when it is complete. The same points always give the same bytes.
 //!
 //! # Open and query
 //!
@@ -94,89 +79,40 @@ println!("{} voxels", report.header.voxels.occupied);
 //!
 //! | task | module |
 //! |---|---|
-//! | convert scans and meshes, whole or in parts | [`convert`](mod@convert), [`input`], [`mesh`], [`plan`] |
 //! | read, check, merge, recover and cut archives | [`archive`], [`stats`] |
 //! | read bytes from other sources | [`bytes`] |
 //! | keep pages in memory | [`store`], [`slice`](mod@slice) |
 //! | query | [`query`], [`object`] |
 //! | walk | [`walk`] |
 //! | find where a pawn can walk, and routes | [`reach`] |
-//! | the grid, errors, progress, numbers as text | [`frame`], [`error`], [`monitor`], [`text`] |
+//! | the grid, options of archives, units, errors, progress | [`frame`], [`plan`], [`unit`], [`error`], [`monitor`] |
 //!
-//! Without default features the crate only reads: it has no conversion and needs nothing that a browser lacks.
-
-pub mod error;
-pub mod monitor;
-
-pub mod text;
-
-pub mod frame;
-
-pub mod colour;
-
-pub mod bytes;
-
-mod disk;
-
-pub mod plan;
-
-pub mod unit;
-
-#[cfg(feature = "convert")]
-pub mod input;
-
-pub mod mesh;
-
-#[cfg(feature = "convert")]
-mod voxel;
-
-pub mod slice;
-
-pub mod codec;
-
-pub mod output;
+//! Without features the crate needs nothing that a browser lacks.
 
 pub mod archive;
-
-pub mod stats;
-
-#[cfg(feature = "convert")]
-pub mod convert;
-
-// Modules shared by the programs of this workspace.
-#[cfg(feature = "convert")]
-#[doc(hidden)]
-pub mod info;
-
-#[cfg(feature = "convert")]
-#[doc(hidden)]
-pub mod size;
-
-#[cfg(feature = "cli")]
-pub mod terminal;
-
-pub mod store;
-
-pub mod query;
-
+pub mod codec;
 pub mod object;
-
+pub mod query;
+pub mod reach;
+pub mod slice;
+pub mod stats;
+pub mod store;
 pub mod walk;
 
 #[cfg(test)]
 #[path = "../tests/common/random.rs"]
 mod random;
-pub mod reach;
 
-pub use error::{Error, Parameter, Result};
-pub use monitor::{Monitor, NoMonitor, Warning};
 pub use nalgebra;
+pub use slicewalk_base::{Error, Monitor, NoMonitor, Parameter, Result, Warning};
+pub use slicewalk_base::{bytes, colour, error, frame, monitor, plan, unit};
+use slicewalk_base::{disk, output, raster, text};
 
 /// Compiles the examples in Markdown pages.
-#[cfg(all(doctest, feature = "convert"))]
+#[cfg(doctest)]
 mod pages {
     #[doc = include_str!("../README.md")]
     struct Readme;
     #[doc = include_str!("../docs/formats.md")]
-    struct Meshes;
+    struct Formats;
 }

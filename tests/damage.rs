@@ -399,13 +399,13 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     assert_eq!(changed(1, 1), ["D4"]);
     assert_eq!(changed(2, 1), ["D4"]);
     assert_eq!(changed(3, 3), ["D5"]);
-    assert_eq!(changed(3, 1), ["D6"], "a shared page needs a distance");
+    assert_eq!(changed(3, 1), ["D3"], "a shared page needs a distance");
     assert_eq!(changed(3, 2), ["D8"], "a uniform page needs a span");
     assert_eq!(changed(4, 0), ["D7"]);
     assert_eq!(changed(4, 2), ["P9"]);
     assert_eq!(changed(12, 24), ["D6"]);
-    assert_eq!(changed(12, 38), ["D6"]);
-    assert_eq!(changed(12, 36), ["P1", "D9"]);
+    assert_eq!(changed(12, 42), ["D6"]);
+    assert_eq!(changed(12, 40), ["P1", "D9"]);
     assert_eq!(changed(17, 64), ["D11"]);
     assert_eq!(changed(17, 1), ["P11"]);
     assert_eq!(changed(18, 2), ["P11"]);

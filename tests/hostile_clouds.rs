@@ -1,14 +1,13 @@
 //! Clouds that lie about their size are refused in little memory. A single test, because its allocator counts all
 //! memory.
-#![cfg(feature = "cli")]
 
 #[path = "common/heap.rs"]
 mod heap;
 #[path = "cloud/write.rs"]
 mod write;
 
-use slicewalk::input::{InputOptions, InputSet, PointDecoder};
 use slicewalk::{Error, NoMonitor};
+use slicewalk_input::{InputOptions, InputSet, PointDecoder};
 use std::path::Path;
 use write::{Cloud, E57, Pcd, Ply, e57, pcd, ply};
 

@@ -50,7 +50,7 @@ mod sync {
     }
 }
 
-#[path = "../src/convert/hand_over.rs"]
+#[path = "../crates/convert/src/hand_over.rs"]
 mod hand_over;
 
 use hand_over::{Closed, HandOver};

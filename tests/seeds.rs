@@ -9,7 +9,6 @@
 //! has had the inputs 1 to `SLICEWALK_FUZZ_RUNS`. The file has a line for each target, `NAME RUNS`, written after each
 //! batch, and one for each finding, `finding NAME INPUT`, which stays until it is fixed and the line removed by hand.
 //! `SLICEWALK_FUZZ_THREADS` sets the number of targets run concurrently, one by default.
-#![cfg(feature = "cli")]
 
 #[path = "common/random.rs"]
 mod random;

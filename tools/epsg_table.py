@@ -1,6 +1,6 @@
-"""Writes src/input/epsg_table.rs, the units of all EPSG systems, from the proj.db of an installed pyproj.
+"""Writes crates/input/src/epsg_table.rs, the units of all EPSG systems, from the proj.db of an installed pyproj.
 
-    pip install pyproj==3.8.0 && python tools/epsg_table.py > src/input/epsg_table.rs
+    pip install pyproj==3.8.0 && python tools/epsg_table.py > crates/input/src/epsg_table.rs
 """
 
 import os

@@ -10,7 +10,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 work=${1:-$(mktemp -d)}
 percent=${2:-100}
-cargo build --release --quiet --bin sliceconv
+cargo build --release --quiet -p sliceconv --bin sliceconv
 cargo build --release --quiet -p scangen --bin scangen
 bin=$PWD/target/release
 mkdir -p "$work/temp"

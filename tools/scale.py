@@ -2,7 +2,7 @@
 """Estimates cost and schedule of a large conversion: `tools/scale.py SURVEY [--workers N] [--parts N] [--seed S] ...`.
 
 The cost model multiplies measured constants; the schedule is simulated, with parts of unequal length, stragglers and workers
-that are lost. `tools/bench/results/costs.md` explains both and states where the constants come from. Equal arguments give equal output.
+that are lost. `tools/lab/results/costs.md` explains both and states where the constants come from. Equal arguments give equal output.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SURVEYS = {
 
 @dataclass(frozen=True)
 class Constants:
-    """Measured on the machine of `tools/bench/results/costs.md`; a core is one of its cores."""
+    """Measured on the machine of `tools/lab/results/costs.md`; a core is one of its cores."""
 
     points_a_second: float = 1.24e6
     """LAZ points that one thread converts per second."""

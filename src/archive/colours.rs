@@ -1,4 +1,4 @@
-//! Colours: a section with one block for each page that has coloured voxels (chapter 17).
+//! Colours: a section with one block for each page that has coloured voxels (chapter 10).
 //!
 //! The section holds the blocks in page order, then one *colour leaf* for each directory leaf, which locates the blocks
 //! of its pages, then a table of these leaves. Collision queries never read it. [`ColourReader`] reads colours page by

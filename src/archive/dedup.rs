@@ -1,4 +1,4 @@
-//! Sharing of equal pages (chapter 9): finds candidates among the last 65,536 distinct pages.
+//! Sharing of equal pages (chapter 12): finds candidates among the last 65,536 distinct pages.
 //!
 //! The hash only finds a candidate. The writer compares bytes before it shares, so no collision, accidental or
 //! deliberate, can give a page the content of another. The window is a constant and does not depend on the memory

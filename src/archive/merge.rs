@@ -1,4 +1,4 @@
-//! Merge of the parts of a conversion (chapter 9) into the bytes that a single run would have written.
+//! Merge of the parts of a conversion (appendix C) into the bytes that a single run would have written.
 //!
 //! Parts are archives with a `SHRD` record. Their columns are adjacent, so their pages are copied in order; sharing,
 //! directory and head are rebuilt because they span parts. Every copied page is decoded and checked. Memory: one writer

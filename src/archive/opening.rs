@@ -1,4 +1,4 @@
-//! Opening of an archive without files, threads or a clock (chapter 10): which bytes to fetch, and what they say.
+//! Opening of an archive without files, threads or a clock (chapter 11): which bytes to fetch, and what they say.
 //!
 //! [`Opening`] takes pieces of the archive in any order and from anywhere. It reports the ranges still missing, then
 //! returns the [`Catalog`]. Memory: at most 16 KiB for the longest head, and a footer.

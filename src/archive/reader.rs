@@ -1,4 +1,4 @@
-//! Reading of an archive: head and footer at once, directory leaves and pages on demand (chapter 10).
+//! Reading of an archive: head and footer at once, directory leaves and pages on demand (chapter 11).
 
 use super::catalog::Catalog;
 use super::directory::{Content, LeafEntries, PageEntry};

@@ -1,4 +1,4 @@
-//! Recovery of a damaged archive (chapter 9).
+//! Recovery of a damaged archive (appendix C).
 //!
 //! Sound leaves of a sound head list all their pages. A lost leaf leaves a gap in the pages section, where pages are
 //! found by their leaders; so are pages that are not where their leaf puts them. Only leaves describe uniform and

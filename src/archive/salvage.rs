@@ -1,4 +1,4 @@
-//! Search for pages by their leaders, without a sound leaf (chapter 9).
+//! Search for pages by their leaders, without a sound leaf (appendix C).
 //!
 //! A page counts if its checksum is right and its content sound, wherever it lies; the search skips the bytes of a page
 //! with a right checksum. Of all pages found, the longest run with ascending keys is kept, so a page with a wrong key

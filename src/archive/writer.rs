@@ -1,6 +1,5 @@
-//! Writing of an archive: pages in key order, directory, head, then rename (chapter 9).
+//! Writing of an archive: pages in key order, directory, head, then rename (chapter 12).
 
-#[cfg(feature = "convert")]
 mod unnamed;
 
 use super::FORMAT_VERSION;
@@ -112,7 +111,8 @@ impl ArchiveWriter {
     }
 
     /// Starts an archive of `plan` in `output`.
-    pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
+    #[doc(hidden)]
+    pub fn on(output: Output, plan: &Plan) -> Result<Self> {
         plan.options.check()?;
         let counts = Header {
             version: FORMAT_VERSION,

@@ -1,4 +1,4 @@
-//! Encoding of the colours of a page's voxels (specification, chapter 17).
+//! Encoding of the colours of a page's voxels (specification, chapter 10).
 //!
 //! A colour is three numbers of steps: of luma, and of two channel differences (the reversible YCoCg of Malvar and
 //! Sullivan, 2003). Each is predicted from surrounding voxels that are already coded; the residual is coded with

@@ -19,8 +19,10 @@ mod rows;
 mod step_grid;
 
 #[doc(hidden)]
+pub use bytes::ByteReader;
+#[doc(hidden)]
 pub use bytes::put_varint;
-pub(crate) use bytes::{ByteReader, unzigzag, zigzag};
+pub(crate) use bytes::{unzigzag, zigzag};
 pub use colours::{ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK};
 #[doc(hidden)]
 pub use compress::{Packer, Unpacker};
@@ -164,7 +166,8 @@ fn put_marks(page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
 /// Decodes pages; keeps its scratch memory, so that a page costs no more than its own allocations.
 #[derive(Debug, Default)]
 pub struct Decoder {
-    scratch: page::Scratch,
+    /// Allocated with the first page that is not uniform.
+    scratch: Option<Box<page::Scratch>>,
     rows: RowBuilder,
     builder: PageBuilder,
     inferred: Inferred,
@@ -198,7 +201,7 @@ impl Decoder {
     }
 
     fn decode_spans(&mut self, coded: &[u8]) -> Result<Page, Violation> {
-        page::decode(coded, &mut self.scratch, &mut self.rows)?;
+        page::decode(coded, self.scratch.get_or_insert_default(), &mut self.rows)?;
         Ok(self.rows.build())
     }
 

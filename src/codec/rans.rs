@@ -1,5 +1,5 @@
 //! Entropy coding: rANS, a range variant of asymmetric numeral systems (Duda 2013, arXiv:1311.2540), with one state and
-//! adaptive models (specification, chapter 6). Colours are coded with it.
+//! adaptive models (specification, section 10.2). Colours are coded with it.
 //!
 //! Symbols take bits according to their probability in a model. Models learn from earlier symbols, so the bytes contain
 //! no tables. One walk over the content serves encoder and decoder: it passes each value to a [`Coder`] and continues

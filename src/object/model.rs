@@ -3,8 +3,7 @@
 use super::fill::{Columns, fill};
 use super::tree::{Item, MOST_ITEMS, MOST_REACH, Tree};
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
-use crate::mesh::Triangle;
-use crate::mesh::raster::Raster;
+use crate::raster::{Raster, Triangle};
 use crate::store::{PageSet, PageSlot};
 use crate::{Error, Result};
 use nalgebra::Point3;

@@ -14,6 +14,7 @@ mod span;
 
 pub use colours::{Colours, Occupancy};
 pub use inferred::Inferred;
-pub(crate) use page::RowBuilder;
+#[doc(hidden)]
+pub use page::RowBuilder;
 pub use page::{BLOCK_PIXELS, BlockView, Page, PageBounds, PageBuilder, PageSize};
 pub use span::Span;

@@ -97,7 +97,8 @@ impl Span {
     /// Returns whether the span ends below `above`, or ends on its bottom at a slice boundary and differs from it in
     /// class. Neighbouring spans of a pixel satisfy this.
     #[inline]
-    pub(crate) fn lies_below(self, above: Self) -> bool {
+    #[doc(hidden)]
+    pub fn lies_below(self, above: Self) -> bool {
         let (top, bottom) = (self.top(), above.bottom());
         top < bottom
             || top == bottom && top.is_multiple_of(SLICE_QUANTA as u32) && self.is_obstacle() != above.is_obstacle()

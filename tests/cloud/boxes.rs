@@ -3,12 +3,12 @@
 
 use super::scans::Random;
 use super::write::Point;
-use super::{by_the_crate, data, plain};
+use super::{clouds::by_the_crate, data, plain};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,8 @@
 use serde_json::{Value, json};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry, Storage};
 use slicewalk::slice::Span;
-use slicewalk::{Error, NoMonitor, Result, info};
+use slicewalk::{Error, NoMonitor, Result};
+use slicewalk_convert::info;
 
 /// Content of an archive, or the first rule that it breaks.
 pub fn content_or_rule(bytes: Vec<u8>) -> Value {
@@ -17,6 +18,7 @@ pub fn content_or_rule(bytes: Vec<u8>) -> Value {
 pub fn rule_of(error: &Error) -> &'static str {
     match error {
         Error::Format { rule, .. } => rule,
+        Error::Unsupported { what, .. } if what.contains("H1") => "H1",
         Error::Unsupported { what, .. } if what.contains("H4") => "H4",
         Error::Unsupported { what, .. } if what.contains("H5") => "H5",
         error => panic!("{error}"),

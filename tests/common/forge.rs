@@ -76,7 +76,7 @@ impl Parts {
         put(&mut footer, 8, crc, 4);
         let crc = crc32c::crc32c(&footer);
         footer.extend(crc.to_le_bytes());
-        [&head[..], &self.pages, &stored, &self.metadata, &footer, b"\x89CILS\r\n\x1a"].concat()
+        [&head[..], &self.pages, &stored, &self.metadata, &footer, b"\x89ALS\r\n\x1a\n"].concat()
     }
 
     /// Replaces the encoding of the only page and recomputes lengths and checksums.
@@ -155,5 +155,5 @@ pub fn giant(template: &[u8], leaves: u32) -> Vec<u8> {
     footer.extend(crc.to_le_bytes());
     let footer_crc = crc32c::crc32c(&footer);
     footer.extend(footer_crc.to_le_bytes());
-    [&head[..], &leaf.repeat(leaves as usize), &footer, b"\x89CILS\r\n\x1a"].concat()
+    [&head[..], &leaf.repeat(leaves as usize), &footer, b"\x89ALS\r\n\x1a\n"].concat()
 }

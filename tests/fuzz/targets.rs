@@ -15,9 +15,9 @@ use slicewalk::bytes::testing::hold;
 use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
 use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
-use slicewalk::input::{InputOptions, InputSet, PointDecoder};
-use slicewalk::mesh::{MeshOptions, MeshSet};
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
+use slicewalk_input::{InputOptions, InputSet, PointDecoder};
+use slicewalk_mesh::{MeshOptions, MeshSet};
 use std::cell::RefCell;
 use std::hash::{Hash, Hasher};
 use std::path::PathBuf;
@@ -92,7 +92,6 @@ pub const TARGETS: &[Target] = &[
     ("pts", |bytes| read_scan("pts", bytes)),
     ("ptx", |bytes| read_scan("ptx", bytes)),
     ("e57", e57),
-    #[cfg(feature = "cli")]
     ("plan", plan),
 ];
 
@@ -348,9 +347,8 @@ pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
 }
 
 /// Reads any bytes as a plan; a plan that is read must be written as text that reads the same.
-#[cfg(feature = "cli")]
 pub fn plan(bytes: &[u8]) -> Read {
-    use slicewalk::convert::PlanFile;
+    use slicewalk_convert::PlanFile;
     let path = std::path::Path::new("/no folder/fuzz.json");
     hold(path, bytes);
     let plan = PlanFile::read(path).ok()?;

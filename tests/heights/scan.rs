@@ -7,9 +7,9 @@ pub use random::Random;
 use scangen::{Kind, Sample, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
 use slicewalk::plan::{Classifier, PlanOptions};
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::BTreeMap;
 
 /// Grid, file and rule of a conversion.

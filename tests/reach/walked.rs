@@ -310,10 +310,10 @@ fn the_walker_arrives_on_every_route_of_real_scans() {
     for (name, pixel, unit, body) in scans {
         let dir = tempfile::tempdir().unwrap();
         let mut options =
-            slicewalk::convert::ConvertOptions::new(vec![folder.join(name)], dir.path().join("scan.slices"));
-        options.pixel = slicewalk::convert::PixelSize::Metres(pixel);
-        options.units = slicewalk::input::Units::Factor(unit);
-        slicewalk::convert::convert(&options, &slicewalk::NoMonitor).unwrap();
+            slicewalk_convert::ConvertOptions::new(vec![folder.join(name)], dir.path().join("scan.slices"));
+        options.pixel = slicewalk_convert::PixelSize::Metres(pixel);
+        options.units = slicewalk_input::Units::Factor(unit);
+        slicewalk_convert::convert(&options, &slicewalk::NoMonitor).unwrap();
         let archive = slicewalk::archive::Archive::open(dir.path().join("scan.slices")).unwrap();
         let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
         let (mut standing, region) = everywhere(&store, Pawn::new(body));

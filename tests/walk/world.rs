@@ -7,12 +7,12 @@ use scangen::scene::build::{Builder, Wall};
 use scangen::{SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::input::Units;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{PageSet, Store};
 use slicewalk::walk::{Body, Config, State, StepReport, Walker, Waypoints};
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
+use slicewalk_input::Units;
 
 pub const T: f64 = 0.05;
 pub const BOX: Body = Body::Box { x: 0.5, y: 0.5, height: 1.8 };

@@ -25,13 +25,15 @@ impl ByteSource for Written {
 
 impl ArchiveWriter {
     /// Creates a file in `folder` for temporary data of the same conversion.
-    pub(crate) fn scratch(&self, folder: &Path) -> Result<Output> {
+    #[doc(hidden)]
+    pub fn scratch(&self, folder: &Path) -> Result<Output> {
         let name = self.output.beside().file_name().unwrap_or_default();
         Output::scratch(self.output.files(), &folder.join(name))
     }
 
     /// Completes the archive and opens it for reading once. It never gets a name and is removed afterwards.
-    pub(crate) fn read_back(mut self, totals: Totals) -> Result<Archive> {
+    #[doc(hidden)]
+    pub fn read_back(mut self, totals: Totals) -> Result<Archive> {
         let len = self.complete(totals)?.file_len;
         Archive::from_source(Box::new(Written { output: self.output, len }))
     }

@@ -96,7 +96,7 @@ impl PageBuilder {
 
 /// Collects the spans of a page whose pixels come in row order, which is cheaper than any order. Reusable.
 #[derive(Debug)]
-pub(crate) struct RowBuilder {
+pub struct RowBuilder {
     /// Occupied pixels of each row.
     rows: [u64; 64],
     /// End in `spans` of the eight pixels of a row that lie in one block; valid if one of them is occupied.

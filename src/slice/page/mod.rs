@@ -20,7 +20,7 @@ use super::span::Span;
 use crate::frame::{PAGE_QUANTA, TILE_PIXELS};
 
 pub use builder::PageBuilder;
-pub(crate) use builder::RowBuilder;
+pub use builder::RowBuilder;
 
 /// Edge of a block in pixels; its pixels are the bits of one `u64`.
 pub const BLOCK_PIXELS: u32 = 8;

@@ -86,7 +86,7 @@ impl Opened {
             "<slicewalk.{class} {level}{name:?}: {} voxels, pixel {} m, {} slices of {} m>",
             header.voxels.occupied,
             frame.pixel_m(),
-            slicewalk::info::slice_count(header),
+            slicewalk_convert::info::slice_count(header),
             frame.slice_m()
         )
     }
@@ -289,7 +289,7 @@ impl Archive {
     /// Number of slices from the lowest to the highest occupied one.
     #[getter]
     fn slices(&self) -> i64 {
-        slicewalk::info::slice_count(self.opened.archive.header())
+        slicewalk_convert::info::slice_count(self.opened.archive.header())
     }
 
     /// Number of occupied voxels.
@@ -321,7 +321,7 @@ impl Archive {
     /// >>> slicewalk.open("room.slices").info()["voxels"]["obstacle"] > 0
     /// True
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        dictionary(py, &self.opened.read(py, |opened| slicewalk::info::info(&opened.archive))?)
+        dictionary(py, &self.opened.read(py, |opened| slicewalk_convert::info::info(&opened.archive))?)
     }
 
     /// Loads all pages now. Ctrl-C interrupts it.

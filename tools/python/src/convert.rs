@@ -7,9 +7,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::Value;
 use slicewalk::archive::{merge as join, merge_run};
-use slicewalk::convert::PlanFile;
-use slicewalk::info::header_info;
-use slicewalk::output::{Existing, Output, OutputKind, Protected, check, upload_archive};
+use slicewalk_base::output::{Existing, Output, OutputKind, Protected, check, upload_archive};
+use slicewalk_convert::PlanFile;
+use slicewalk_convert::info::header_info;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -92,7 +92,7 @@ pub fn convert<'py>(
     asked.check_code()?;
     let started = Instant::now();
     let audience = Audience { progress, quiet: asked.quiet, ..Audience::default() };
-    let report = attended(py, &audience, None, |monitor| Ok(slicewalk::convert::convert(&asked.options, monitor)?))?;
+    let report = attended(py, &audience, None, |monitor| Ok(slicewalk_convert::convert(&asked.options, monitor)?))?;
     let mut facts = report.info();
     facts["seconds"] = started.elapsed().as_secs_f64().into();
     facts["warnings"] = audience.warnings.into_inner().into();

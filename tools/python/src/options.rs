@@ -6,12 +6,12 @@ use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use slicewalk::convert::{ColourMode, ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
-use slicewalk::input::{Columns, Units};
-use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{ClassSet, Classifier, Up};
-use slicewalk::size::parse_size;
 use slicewalk::{Error, Parameter};
+use slicewalk_convert::size::parse_size;
+use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
+use slicewalk_input::{Columns, Units};
+use slicewalk_mesh::MeshMode;
 use std::path::PathBuf;
 use std::str::FromStr;
 

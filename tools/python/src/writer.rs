@@ -8,7 +8,7 @@ use crate::options::Asked;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slicewalk::convert::PointWriter;
+use slicewalk_convert::PointWriter;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;

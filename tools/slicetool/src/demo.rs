@@ -5,10 +5,10 @@ use crate::{Failure, Outcome, show};
 use scangen::{Scene, Truth};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
 use slicewalk::walk::{Config, State, Walker, Waypoints};
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::hint::black_box;
@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::say("converting it");
     let mut options = ConvertOptions::new(vec![scan.clone()], output.clone());
     options.pixel = PixelSize::Metres(PIXEL_M);
-    options.units = slicewalk::input::Units::Factor(1.0);
+    options.units = slicewalk_input::Units::Factor(1.0);
     options.overwrite = true;
     options.plan.exclude_classes.insert(NOISE_CLASS);
     let started = Instant::now();
@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             laz_bytes as f64 / header.file_len as f64,
             header.voxels.occupied,
             header.voxels.obstacle,
-            slicewalk::info::slice_count(header)
+            slicewalk_convert::info::slice_count(header)
         ),
     );
 

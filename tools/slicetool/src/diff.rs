@@ -5,7 +5,7 @@ use serde_json::json;
 use slicewalk::archive::{Archive, ColourReader, PageEntry, PageReader};
 use slicewalk::colour::{LabTable, difference as lab_difference};
 use slicewalk::slice::{Colours, Inferred, Page, Span};
-use slicewalk::text::grouped;
+use slicewalk_base::text::grouped;
 use std::fmt::Write;
 use std::path::Path;
 

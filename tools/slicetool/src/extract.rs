@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use slicewalk::archive::{Bounds, Extracted, extract};
-use slicewalk::text::{counted, file_size, one_line};
+use slicewalk_base::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if arguments.json {
         let about = archive.crs().and_then(|crs| Ok((crs, archive.units()?)));
         let (crs, units) = about.map_err(|error| crate::broken(&arguments.archive, &error))?;
-        let mut facts = slicewalk::info::header_info(&header, &crs, &units);
+        let mut facts = slicewalk_convert::info::header_info(&header, &crs, &units);
         facts["dropped"] = dropped.into();
         return Ok(format!("{facts:#}\n"));
     }

@@ -7,10 +7,10 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Pawn, Snapped, StandingPlaces};
-use slicewalk::size::parse_size;
 use slicewalk::store::{MISSING_KEYS, Prefetch, Stream, StreamOptions, View};
-use slicewalk::text::finite_number;
 use slicewalk::walk::Body;
+use slicewalk_base::text::finite_number;
+use slicewalk_convert::size::parse_size;
 use std::path::{Path, PathBuf};
 
 /// Options of the pawn.

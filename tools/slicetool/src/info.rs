@@ -4,9 +4,11 @@ use crate::{Failure, Outcome, broken, say};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Header;
-use slicewalk::info::{INPUT_QUANTUM_M, colour_words, crs_name, info, noise_in_words, slice_count, units_in_words};
-use slicewalk::input::{InputOptions, InputSet};
-use slicewalk::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
+use slicewalk_base::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
+use slicewalk_convert::info::{
+    INPUT_QUANTUM_M, colour_words, crs_name, info, noise_in_words, slice_count, units_in_words,
+};
+use slicewalk_input::{InputOptions, InputSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -194,7 +196,7 @@ fn scan(path: &Path) -> String {
     let Ok(set) = InputSet::open(&[path.to_path_buf()], InputOptions::default(), &NoMonitor) else {
         return "a laser scan".into();
     };
-    let of_file = |file: &slicewalk::input::ScanFile| {
+    let of_file = |file: &slicewalk_input::ScanFile| {
         let version = file.version().map_or(String::new(), |(major, minor)| format!(" {major}.{minor}"));
         format!("a laser scan ({}{version}, {})", file.format(), counted(file.points_expected(), "point"))
     };

@@ -26,9 +26,9 @@ mod web;
 use clap::{Parser, Subcommand};
 use slicewalk::Parameter;
 use slicewalk::archive::Archive;
-use slicewalk::output::{Output, OutputKind, Protected};
-use slicewalk::terminal::Terminal;
-use slicewalk::text::lines;
+use slicewalk_base::output::{Output, OutputKind, Protected};
+use slicewalk_base::text::lines;
+use slicewalk_terminal::Terminal;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -234,7 +234,7 @@ pub fn cache_too_small(what: &str, cache: u64, needed: usize) -> Failure {
 
 /// Prints a line on standard error.
 pub fn say(line: &str) {
-    slicewalk::terminal::say(&format!("slicetool: {line}"));
+    slicewalk_terminal::say(&format!("slicetool: {line}"));
 }
 
 /// Monitor that shows progress on the terminal.

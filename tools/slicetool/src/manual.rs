@@ -2,8 +2,8 @@
 
 use crate::{Arguments, Failure, Outcome};
 use clap::CommandFactory;
-use slicewalk::output::{Output, OutputKind, Protected};
-use slicewalk::text::counted;
+use slicewalk_base::output::{Output, OutputKind, Protected};
+use slicewalk_base::text::counted;
 use std::path::Path;
 
 /// Prints completions for `shell`.

@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use slicewalk::archive::{merge, merge_run};
-use slicewalk::text::{counted, file_size, one_line};
+use slicewalk_base::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     };
     let copies: Vec<String> = merged.copies.iter().map(|path| one_line(&path.to_string_lossy()).into_owned()).collect();
     if *json {
-        let mut facts = slicewalk::info::header_info(&merged.header, &merged.crs, &merged.units);
+        let mut facts = slicewalk_convert::info::header_info(&merged.header, &merged.crs, &merged.units);
         facts["written"] = merged.written.into();
         facts["shards"] = (shards.len() - copies.len()).into();
         facts["copies_left_out"] = copies.into();

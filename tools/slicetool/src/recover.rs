@@ -3,8 +3,8 @@
 use crate::Outcome;
 use serde_json::json;
 use slicewalk::archive::{Pages, Recovered, recover};
-use slicewalk::convert::PlanFile;
-use slicewalk::text::{counted, file_size, grouped, one_line};
+use slicewalk_base::text::{counted, file_size, grouped, one_line};
+use slicewalk_convert::PlanFile;
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -3,9 +3,9 @@
 use crate::{Failure, Outcome, figures};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
-use slicewalk::info::slice_count;
 use slicewalk::slice::Span;
-use slicewalk::text::{finite_number, grouped, number, one_line, rounded, whole_number};
+use slicewalk_base::text::{finite_number, grouped, number, one_line, rounded, whole_number};
+use slicewalk_convert::info::slice_count;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 

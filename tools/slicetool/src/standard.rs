@@ -1,7 +1,7 @@
 //! `-` as a file name: standard input for tables, standard output for tables and PLY.
 
 use crate::{Failure, Outcome, say};
-use slicewalk::output::is_standard;
+use slicewalk_base::output::is_standard;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;

@@ -4,7 +4,7 @@ use crate::Outcome;
 use serde_json::{Map, Value, json};
 use slicewalk::archive::{Archive, ColourReader, Level};
 use slicewalk::stats::{Need, Stats};
-use slicewalk::text::{counted, grouped, memory_size};
+use slicewalk_base::text::{counted, grouped, memory_size};
 use std::fmt::Write;
 use std::path::Path;
 

@@ -3,7 +3,7 @@
 use crate::{Failure, Outcome};
 use serde_json::json;
 use slicewalk::archive::{Archive, LISTED};
-use slicewalk::text::{counted, one_line};
+use slicewalk_base::text::{counted, one_line};
 use std::fmt::Write;
 use std::path::Path;
 

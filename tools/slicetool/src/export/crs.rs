@@ -2,9 +2,9 @@
 
 use crate::Failure;
 use slicewalk::archive::Archive;
-use slicewalk::input::projected_epsg;
-use slicewalk::text::one_line;
 use slicewalk::unit::LengthUnit;
+use slicewalk_base::text::one_line;
+use slicewalk_input::projected_epsg;
 use std::path::Path;
 
 /// Keys of the GeoTIFF 1.0 specification, section 6.

@@ -6,7 +6,7 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use slicewalk::archive::{Archive, PageEntry, PageReader};
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
-use slicewalk::output::Output;
+use slicewalk_base::output::Output;
 use std::cmp::Reverse;
 use std::io::{BufWriter, Write};
 use std::path::Path;

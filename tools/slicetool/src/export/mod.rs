@@ -15,8 +15,8 @@ mod surface;
 
 use crate::{Failure, Outcome};
 use crs::Crs;
-use slicewalk::output::is_standard;
-use slicewalk::text::{counted, finite_number, grouped, number, one_line, whole_number};
+use slicewalk_base::output::is_standard;
+use slicewalk_base::text::{counted, finite_number, grouped, number, one_line, whole_number};
 use std::path::{Path, PathBuf};
 
 /// Options of `slicetool export`.

@@ -6,7 +6,7 @@ use crate::show::{BLUES, COLOURLESS, INFERRED};
 use e57::{E57Writer, Record, RecordDataType, RecordName, RecordValue};
 use slicewalk::archive::{Archive, ColourReader, PageReader};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use slicewalk::output::Output;
+use slicewalk_base::output::Output;
 use std::io::{self, BufWriter, IntoInnerError, Read, Seek, SeekFrom, Write};
 use std::mem::ManuallyDrop;
 use std::path::Path;

@@ -13,7 +13,7 @@ use crate::Failure;
 use serde_json::{Value, json};
 use slicewalk::archive::{Archive, PageReader};
 use slicewalk::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
-use slicewalk::output::Output;
+use slicewalk_base::output::Output;
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;

@@ -3,7 +3,7 @@
 use super::{Reach, geojson, map};
 use crate::Failure;
 use crate::ground::Loader;
-use slicewalk::output::{Output, is_standard};
+use slicewalk_base::output::{Output, is_standard};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 

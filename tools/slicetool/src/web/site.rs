@@ -5,7 +5,7 @@
 use super::page::INDEX;
 use super::{Show, ShowArguments, Shown, TABLE};
 use crate::{Failure, Outcome};
-use slicewalk::output::{Existing, Output, OutputKind, Protected};
+use slicewalk_base::output::{Existing, Output, OutputKind, Protected};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 

@@ -1,0 +1,335 @@
+//! Errors: one enum. Every message says what is wrong and where, what was expected and found, and what to do if
+//! anything helps.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Result of every fallible operation of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Error of this crate. New variants may be added.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system refused an action on a file.
+    #[error("{path}: cannot {action}: {source}{advice}", path = path.display(), advice = advice(way_out))]
+    #[non_exhaustive]
+    Io {
+        /// File or folder acted on.
+        path: PathBuf,
+        /// Attempted action, as a verb phrase: "open", "read 512 bytes at 4096".
+        action: String,
+        /// Reason given by the operating system.
+        source: io::Error,
+        /// Parameter that would help if changed.
+        way_out: Option<Parameter>,
+    },
+    /// An input file (scan or mesh) cannot be used.
+    #[error("{path}: {at}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
+    #[non_exhaustive]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// Position in the file: "header, byte 96", "point 1064", "LAZ chunk 3".
+        at: String,
+        /// Expected and found values, and what to do.
+        reason: String,
+        /// Parameter that would help if changed.
+        way_out: Option<Parameter>,
+    },
+    /// An archive breaks a rule of `spec/slice-archive.md`.
+    #[error("rule {rule}: {part} at byte {offset}: expected {expected}, found {found}")]
+    Format {
+        /// Rule id of the specification, for example `H1`.
+        rule: &'static str,
+        /// Part of the archive: "header", "directory leaf 3", "page (4, -2, 0)".
+        part: String,
+        /// Byte offset of the part in the archive.
+        offset: u64,
+        /// Requirement of the rule.
+        expected: String,
+        /// Content of the bytes.
+        found: String,
+    },
+    /// A value lies beyond a stated limit.
+    #[error("{what}: {value} is beyond the limit of {max}{advice}", advice = advice(way_out))]
+    #[non_exhaustive]
+    Limit {
+        /// Limited quantity, with what to do.
+        what: String,
+        /// Value found.
+        value: String,
+        /// Greatest (or least) value allowed.
+        max: String,
+        /// Parameter that would help if changed.
+        way_out: Option<Parameter>,
+    },
+    /// A valid file uses a feature that this version does not read.
+    #[error("{what}: not supported by this version ({version}); {way_out}")]
+    Unsupported {
+        /// Feature that the file uses.
+        what: String,
+        /// Version of this crate.
+        version: &'static str,
+        /// Advice for the user.
+        way_out: String,
+    },
+    /// A parameter has an invalid value.
+    #[error("{what}: {reason}")]
+    Parameter {
+        /// The parameter.
+        what: Parameter,
+        /// Reason for the refusal, and allowed values.
+        reason: String,
+    },
+    /// A file must not be written under this name; the existing file stays.
+    #[error("{path}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
+    #[non_exhaustive]
+    Output {
+        /// Name as given by the user.
+        path: PathBuf,
+        /// Reason for the refusal, and what to do.
+        reason: String,
+        /// Parameter that would help if changed.
+        way_out: Option<Parameter>,
+    },
+    /// A file is complete under its name, but its folder could not be synced: a power failure may restore the previous
+    /// state of the folder.
+    #[error(
+        "{path}: complete under this name, but its folder could not be synced: {source}; a power failure may undo that",
+        path = path.display()
+    )]
+    NotDurable {
+        /// The complete file.
+        path: PathBuf,
+        /// Reason given by the operating system.
+        source: io::Error,
+    },
+    /// The user or the calling program asked to stop; nothing was published.
+    #[error("interrupted: nothing was written")]
+    Interrupted,
+    /// A conversion failed and left temporary data from which another run can continue (`ConvertOptions::resume`).
+    #[error(
+        "{source}; resuming goes on from {points} points, {bytes} bytes of temporary data in {path}",
+        path = path.display()
+    )]
+    Resumable {
+        /// Reason of the failure.
+        source: Box<Error>,
+        /// Path of the temporary data.
+        path: PathBuf,
+        /// Length of the data (bytes).
+        bytes: u64,
+        /// Points of the input that need not be read again.
+        points: u64,
+    },
+}
+
+/// Subject of an [`Error::Parameter`], or a parameter that would help in another error ([`Error::way_out`]). A program
+/// that has its own option for the parameter names that option instead ([`Error::told`]).
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Parameter {
+    /// Edge of a pixel.
+    PixelSize,
+    /// Pixel size that should have followed from the input.
+    AutomaticPixelSize,
+    /// Height of a slice.
+    SliceHeight,
+    /// Steepest slope that can be stood on.
+    MaxSlope,
+    /// Tolerance to which heights may be coarsened.
+    Tolerance,
+    /// Least number of points in a voxel.
+    MinPoints,
+    /// Widest holes in floors that are closed.
+    FillHoles,
+    /// Source of colours.
+    Colour,
+    /// Greatest difference of colours.
+    ColourError,
+    /// Memory budget of a conversion.
+    Memory,
+    /// Number of worker threads.
+    Threads,
+    /// Folder for temporary data.
+    TempDir,
+    /// Memory budget of streamed pages.
+    Cache,
+    /// Permission to convert the readable part of incomplete input.
+    Incomplete,
+    /// Permission to replace an existing file.
+    Overwrite,
+    /// Unit of the input.
+    Units,
+    /// Columns of text that hold the coordinates.
+    Columns,
+    /// Part of a conversion.
+    Shard,
+    /// Resuming from the data of an earlier conversion.
+    Resume,
+    /// Positions of scanners.
+    Stations,
+    /// Names of scans and meshes.
+    Input,
+    /// Plan of a conversion or of a recovery.
+    Plan,
+    /// Region to cut out of an archive.
+    Bounds,
+    /// Parameter of a pawn or of its walk, by name: its speed, its climb height.
+    Pawn(&'static str),
+    /// Any other parameter, by name.
+    Other(String),
+}
+
+impl std::fmt::Display for Parameter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::PixelSize => "pixel size",
+            Self::AutomaticPixelSize => "automatic pixel size",
+            Self::SliceHeight => "slice height",
+            Self::MaxSlope => "maximum slope",
+            Self::Tolerance => "tolerance",
+            Self::MinPoints => "least points of a voxel",
+            Self::FillHoles => "widest holes to close",
+            Self::Colour => "colour",
+            Self::ColourError => "error of colours",
+            Self::Memory => "memory budget",
+            Self::Threads => "number of threads",
+            Self::TempDir => "folder for temporary data",
+            Self::Cache => "cache",
+            Self::Incomplete => "incomplete input",
+            Self::Overwrite => "replacing of files",
+            Self::Units => "unit of the input",
+            Self::Columns => "columns of text",
+            Self::Shard => "shard",
+            Self::Resume => "resuming",
+            Self::Stations => "stations",
+            Self::Input => "input",
+            Self::Plan => "plan",
+            Self::Bounds => "bounds",
+            Self::Pawn(name) => name,
+            Self::Other(name) => name,
+        })
+    }
+}
+
+impl Parameter {
+    /// Returns the advice for a caller of the library, as the end of a sentence.
+    pub fn advice(&self) -> String {
+        match self {
+            Self::PixelSize => "give a larger pixel size, or the unit of the input".into(),
+            Self::Units => "set the unit of the input".into(),
+            Self::Memory => "give more memory".into(),
+            Self::TempDir => "choose a folder with space for temporary data".into(),
+            Self::Cache => "give a larger cache".into(),
+            Self::Incomplete => "or allow incomplete input, to take what can be read".into(),
+            Self::Overwrite => "allow it to be replaced".into(),
+            Self::Plan => "give its plan".into(),
+            Self::Input => "check the name: a file, a folder, or a pattern such as tiles/*.laz".into(),
+            Self::Columns => "name the columns, such as x,y,z".into(),
+            other => format!("set the {other} otherwise"),
+        }
+    }
+}
+
+/// Returns the end of a message with this way out.
+fn advice(way_out: &Option<Parameter>) -> String {
+    way_out.as_ref().map_or_else(String::new, |parameter| format!("; {}", parameter.advice()))
+}
+
+impl<T: Into<String>> From<T> for Parameter {
+    fn from(name: T) -> Self {
+        Self::Other(name.into())
+    }
+}
+
+impl Error {
+    /// Makes an [`Error::Io`] for `path`.
+    pub fn io(path: impl AsRef<Path>, action: impl Into<String>, source: io::Error) -> Self {
+        Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source, way_out: None }
+    }
+
+    /// Makes an [`Error::Input`] for `path`.
+    pub fn input(path: impl AsRef<Path>, at: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into(), way_out: None }
+    }
+
+    /// Makes an [`Error::Output`] for `path`.
+    pub fn output(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
+        Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into(), way_out: None }
+    }
+
+    /// Makes an [`Error::Limit`].
+    pub fn limit(what: impl Into<String>, value: impl ToString, max: impl ToString) -> Self {
+        Self::Limit { what: what.into(), value: value.to_string(), max: max.to_string(), way_out: None }
+    }
+
+    /// Adds the parameter that would help if changed. Variants without a field for it stay unchanged.
+    pub fn with_way_out(mut self, parameter: Parameter) -> Self {
+        if let Self::Io { way_out, .. }
+        | Self::Input { way_out, .. }
+        | Self::Limit { way_out, .. }
+        | Self::Output { way_out, .. } = &mut self
+        {
+            *way_out = Some(parameter);
+        }
+        self
+    }
+
+    /// Returns the parameter that would help if changed.
+    pub fn way_out(&self) -> Option<&Parameter> {
+        match self {
+            Self::Io { way_out, .. }
+            | Self::Input { way_out, .. }
+            | Self::Limit { way_out, .. }
+            | Self::Output { way_out, .. } => way_out.as_ref(),
+            _ => None,
+        }
+    }
+
+    /// Returns the message with a program's own advice: `say` names its option, or returns `None` if it has none.
+    pub fn told(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
+        let text = self.to_string();
+        let said = self.way_out().and_then(|parameter| Some((parameter, say(parameter)?)));
+        match said.and_then(|(parameter, said)| Some((text.strip_suffix(&parameter.advice())?, said))) {
+            Some((start, said)) => format!("{start}{said}"),
+            None => text,
+        }
+    }
+
+    /// Makes an [`Error::Format`]; `rule` is the id in the specification.
+    pub fn format(
+        rule: &'static str,
+        part: impl Into<String>,
+        offset: u64,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Self {
+        Self::Format { rule, part: part.into(), offset, expected: expected.to_string(), found: found.to_string() }
+    }
+
+    /// Makes an [`Error::Parameter`].
+    pub fn parameter(what: impl Into<Parameter>, reason: impl Into<String>) -> Self {
+        Self::Parameter { what: what.into(), reason: reason.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_names_its_own_option_as_the_way_out() {
+        let error = Error::limit("points", 5, 4).with_way_out(Parameter::Memory);
+        assert_eq!(error.to_string(), "points: 5 is beyond the limit of 4; give more memory");
+        assert_eq!(
+            error.told(|_| Some("give more --memory")),
+            "points: 5 is beyond the limit of 4; give more --memory"
+        );
+        assert_eq!(error.told(|_| None), error.to_string());
+        let plain = Error::input("a.las", "header", "is short");
+        assert_eq!(plain.told(|_| Some("never said")), "a.las: header: is short");
+        assert_eq!(Error::Interrupted.with_way_out(Parameter::Memory).way_out(), None);
+    }
+}

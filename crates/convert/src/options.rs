@@ -1,0 +1,224 @@
+//! Options of a conversion.
+
+use super::plan_file::PlanFile;
+use crate::colour::ColourSource;
+use crate::input::{Columns, Units};
+use crate::mesh::MeshMode;
+use crate::plan::PlanOptions;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// Choice of the pixel size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum PixelSize {
+    /// Follows from the scans' own point spacing, or from the extent of the meshes if there is no scan (costs one more
+    /// pass over the input).
+    Auto,
+    /// Given in metres.
+    Metres(f64),
+}
+
+/// Parses the form of the command line: `auto`, or metres.
+impl FromStr for PixelSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "auto" => Ok(Self::Auto),
+            Ok(value) if value > 0.0 && value.is_finite() => Ok(Self::Metres(value)),
+            _ => Err("expected auto, or a length in metres above 0".into()),
+        }
+    }
+}
+
+/// Choice of the tolerance to which heights are coarsened.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Tolerance {
+    /// At most the scan's own noise (costs one more pass over the input).
+    Auto,
+    /// Given in metres.
+    Metres(f64),
+}
+
+/// Parses the form of the command line: `auto`, or metres.
+impl FromStr for Tolerance {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "auto" => Ok(Self::Auto),
+            Ok(value) if value.is_finite() => Ok(Self::Metres(value)),
+            _ => Err("expected auto, or a length in metres".into()),
+        }
+    }
+}
+
+/// Choice of the point values that become colours of voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum ColourMode {
+    /// The archive has no colours.
+    #[default]
+    Off,
+    /// RGB where the input has it, else intensity, else no colours. Values that are zero throughout count as missing.
+    Auto,
+    /// This source; an input without it is refused.
+    Of(ColourSource),
+}
+
+impl ColourMode {
+    /// Returns the name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Auto => "auto",
+            Self::Of(source) => source.name(),
+        }
+    }
+}
+
+/// Parses the form of the command line: `rgb`, `intensity`, `class`, `auto` or `off`.
+impl FromStr for ColourMode {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let all = ColourSource::ALL.map(Self::Of).into_iter().chain([Self::Auto, Self::Off]);
+        let found = all.into_iter().find(|mode| mode.name() == text);
+        found.ok_or_else(|| "expected rgb, intensity, class, auto or off".into())
+    }
+}
+
+/// Options of a conversion. The README shows the command line that sets them.
+#[derive(Debug, Clone)]
+pub struct ConvertOptions {
+    /// Files, folders and glob patterns.
+    pub inputs: Vec<PathBuf>,
+    /// The archive to write.
+    pub output: PathBuf,
+    /// Pixel size `t`.
+    pub pixel: PixelSize,
+    /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
+    pub slice_m: Option<f64>,
+    /// Other options that decide the content of the archive.
+    pub plan: PlanOptions,
+    /// True if the tolerance follows from the scan's own noise, overriding that of the plan (costs one more pass over
+    /// the input, shared with that for an automatic pixel size).
+    pub tolerance_auto: bool,
+    /// Width up to which holes in floors are closed by inferred floor (m; rounded down to whole pixels, 1 to 45).
+    /// `None` uses the value of the plan, which by default closes no holes.
+    pub fill_holes_m: Option<f64>,
+    /// Memory budget (bytes, at least 64 MiB).
+    pub memory_bytes: u64,
+    /// Worker threads (at least 1).
+    pub threads: usize,
+    /// Folder for temporary data.
+    pub temp_dir: PathBuf,
+    /// Unit of the input.
+    pub units: Units,
+    /// EPSG code for scans that state no reference system; a scan that states another is refused.
+    pub epsg: Option<u32>,
+    /// Columns of text without a header of its own; x, y and z come first by default.
+    pub columns: Option<Columns>,
+    /// How meshes become voxels.
+    pub mesh: MeshMode,
+    /// True if the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
+    pub levels: bool,
+    /// Source of the colours of voxels; off by default.
+    pub colour: ColourMode,
+    /// Greatest mean difference of a page's colours from the means of the points (ΔE*ab of CIELAB, 0 to 65.535); 0 is
+    /// exact to 8 bits.
+    pub colour_error: f64,
+    /// True if input that is only partly readable is converted with warnings instead of being refused.
+    pub allow_incomplete: bool,
+    /// Table of scanner positions with the columns `file,x,y,z` (also `source_id`, or `t` for paths by GPS time).
+    /// Needed if the plan removes moving points and a scan does not state its station, as E57 and PTX do.
+    pub stations: Option<PathBuf>,
+    /// File for the points that were removed as moving, as LAS.
+    pub removed: Option<PathBuf>,
+    /// True if an existing slice archive may be replaced; any other file never is.
+    pub overwrite: bool,
+    /// Plan file of this conversion, already applied to these options ([`PlanFile::apply_to`]); inputs other than its
+    /// own are refused.
+    pub plan_file: Option<PlanFile>,
+    /// True to continue from the temporary data that an earlier run of the same conversion left in
+    /// [`temp_dir`](Self::temp_dir), and to keep such data if this run fails. Without such data the conversion starts
+    /// from the beginning.
+    pub resume: bool,
+    /// Part to convert; `None` for the whole.
+    pub shard: Option<ShardOptions>,
+}
+
+impl ConvertOptions {
+    /// Default of [`colour_error`](Self::colour_error): a difference that is visible side by side, if at all.
+    pub const DEFAULT_COLOUR_ERROR: f64 = 2.0;
+    /// Sets the tolerance to which heights are coarsened.
+    pub fn set_tolerance(&mut self, tolerance: Tolerance) {
+        (self.tolerance_auto, self.plan.tolerance_m) = match tolerance {
+            Tolerance::Auto => (true, 0.0),
+            Tolerance::Metres(tolerance_m) => (false, tolerance_m),
+        };
+    }
+
+    /// Creates the defaults of the command line for these inputs and this output.
+    pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
+        Self {
+            inputs,
+            output,
+            pixel: PixelSize::Auto,
+            slice_m: None,
+            plan: PlanOptions::default(),
+            tolerance_auto: false,
+            fill_holes_m: None,
+            memory_bytes: 512 << 20,
+            threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
+            temp_dir: std::env::temp_dir(),
+            units: Units::Auto,
+            epsg: None,
+            columns: None,
+            mesh: MeshMode::Exact,
+            levels: false,
+            colour: ColourMode::Off,
+            colour_error: Self::DEFAULT_COLOUR_ERROR,
+            allow_incomplete: false,
+            stations: None,
+            removed: None,
+            overwrite: false,
+            plan_file: None,
+            resume: false,
+            shard: None,
+        }
+    }
+}
+
+/// Part of a conversion. Without a [`plan_file`](ConvertOptions::plan_file), every part computes the same plan from the
+/// inputs.
+#[derive(Debug, Clone, Copy)]
+pub struct ShardOptions {
+    /// Number of this part (1..=count).
+    pub index: u32,
+    /// Number of parts (1..=65536).
+    pub count: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Error, NoMonitor, Parameter, convert};
+
+    #[test]
+    fn options_that_do_no_work_are_refused_by_name() {
+        let refused = |change: fn(&mut ConvertOptions)| {
+            let mut options = ConvertOptions::new(vec!["none.las".into()], "none.slices".into());
+            change(&mut options);
+            match convert(&options, &NoMonitor) {
+                Err(Error::Parameter { what, .. }) => what,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(refused(|options| options.threads = 0), Parameter::Threads);
+        assert_eq!(refused(|options| options.memory_bytes = 0), Parameter::Memory);
+        assert_eq!(refused(|options| options.plan.min_points = 0), Parameter::MinPoints);
+    }
+}

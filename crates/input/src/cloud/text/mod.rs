@@ -1,0 +1,774 @@
+//! Clouds as text: XYZ, CSV, PTS, PTX.
+//!
+//! A [`Rows`] is a list of segments of rows. Plain text is cut into pieces of 4 MiB at line ends, which any number of
+//! threads parse; compressed text (gzip, zstd) is read by one thread. PTX states how many rows belong to a cloud, so
+//! its lines are counted when it is opened. Tables (XYZ, CSV, PTS) are not read through: [`decision`] examines their
+//! first rows, and the count in their first line is checked after all pieces are read ([`Tally`]).
+//!
+//! Sources: "Leica PTX / PTS format" as Cyclone writes it. PTX: columns, rows, four lines about the scanner, four rows
+//! of a matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means no return.
+
+mod decimal;
+mod decision;
+mod heading;
+mod layout;
+mod lines;
+mod tally;
+
+use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale};
+use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use crate::colour::ColourSource;
+use crate::columns::{TextColumn, TextLayout};
+use crate::losses::Findings;
+use crate::{Error, Monitor, Parameter, Result};
+use decision::{Beginning, Custom, Decision, decide, is_header};
+use heading::NameUnit;
+use layout::{Fault, Parsed, Places, RgbPlaces, RowLayout, Separator, ValueLayout};
+use lines::{Step, is_word};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use tally::{Count, Tally};
+
+pub(super) use decimal::short;
+pub(super) use lines::Lines;
+pub(super) use lines::Packing;
+pub use lines::unpacked_name;
+
+/// Bytes per piece of plain text.
+const PIECE_BYTES: u64 = 4 << 20;
+/// Maximum number of clouds per file.
+const MOST_CLOUDS: usize = 1 << 16;
+/// Number of rows examined to recognise a text.
+const LOOKED_AT: usize = 256;
+/// Number of comments kept from before them.
+const MOST_COMMENTS: usize = 64;
+/// Format name of tables whose columns a user may name.
+const TABLE: &str = "text";
+/// Number of points shown to people.
+const SHOWN_POINTS: usize = 3;
+
+/// Rows that belong together.
+#[derive(Debug, Clone)]
+struct Segment {
+    /// Offset of the first row in the text; `end`: offset after the last.
+    start: u64,
+    end: u64,
+    /// Approximate number of rows.
+    rows: u64,
+    /// Number of cells per row, if it is fixed.
+    cells: Option<usize>,
+    pose: Option<Pose>,
+    station: Option<[f64; 3]>,
+}
+
+impl Segment {
+    /// Returns the rows between two offsets, without a pose.
+    fn plain(start: u64, end: u64, rows: u64) -> Self {
+        Self { start, end, rows, cells: None, pose: None, station: None }
+    }
+}
+
+/// Rows of text with one point each.
+#[derive(Debug)]
+pub(super) struct Rows {
+    format: &'static str,
+    packing: Packing,
+    layout: RowLayout,
+    channels: Channels,
+    segments: Vec<Segment>,
+    /// `0 0 0` means no return.
+    zero_is_absent: bool,
+    stated: u64,
+    /// Number of points stated by the first line, which can only be checked by reading.
+    count: Option<Count>,
+    /// Tallies of pieces by their first byte.
+    found: Mutex<BTreeMap<u64, Tally>>,
+}
+
+/// Next item in a piece.
+enum Next<'a> {
+    Row(&'a [u8]),
+    TooLong,
+    /// No row for some time.
+    Pause,
+}
+
+/// How to parse rows, with the requested values.
+struct Reading<'a> {
+    layout: &'a RowLayout,
+    values: Option<ValueLayout<'a>>,
+    scale: Scale,
+}
+
+impl Reading<'_> {
+    #[inline]
+    fn parse(&self, row: &[u8], cells: Option<usize>) -> Parsed<[u16; 3]> {
+        match &self.values {
+            None => self.layout.parse(row, cells).map(|(at, class)| (at, class, None)),
+            Some(values) => {
+                let (at, class, numbers) = values.parse(row, cells)?;
+                Ok((at, class, numbers.map(|numbers| values.value(&numbers, &self.scale))))
+            }
+        }
+    }
+}
+
+impl Rows {
+    /// Returns the number of cells of a row that begins a cloud. In a file of several, clouds may differ: x, y, z;
+    /// these with intensity; or with intensity, red, green and blue. Rows of six have the colours elsewhere, so they
+    /// mix only with rows of three.
+    fn other_width(&self, segment: &Segment, row: &[u8]) -> Option<usize> {
+        let found = self.layout.separator().cells(row).ok()?.len();
+        let fits =
+            |a: usize, b: usize| a == 3 && [3, 4, 6, 7].contains(&b) || [4, 7].contains(&a) && [4, 7].contains(&b);
+        segment.cells.filter(|cells| self.format == "PTS" && (fits(*cells, found) || fits(found, *cells)))?;
+        Some(found)
+    }
+
+    /// Creates a cloud without rows.
+    fn empty(format: &'static str, packing: Packing, layout: RowLayout, channels: Channels) -> Self {
+        Self {
+            format,
+            packing,
+            layout,
+            channels,
+            segments: Vec::new(),
+            zero_is_absent: false,
+            stated: 0,
+            count: None,
+            found: Mutex::default(),
+        }
+    }
+
+    /// Returns the point of a row in the coordinates of the file, its class and its value; `None` if it has no return.
+    #[inline]
+    fn point<V>(
+        &self,
+        of: &Segment,
+        (at, class, value): ([f64; 3], Option<f64>, V),
+    ) -> Option<([f64; 3], Option<f64>, V)> {
+        if self.zero_is_absent && at == [0.0; 3] {
+            return None;
+        }
+        Some((of.pose.map_or(at, |pose| pose.apply(at)), class, value))
+    }
+
+    /// Creates an error about the row that `lines` returned last.
+    #[cold]
+    fn row_error(&self, fault: Fault, lines: &Lines<'_>) -> Error {
+        match fault.is_width && self.format == TABLE {
+            true => lines.error(fault.reason).with_way_out(Parameter::Columns),
+            false => {
+                lines.error(format!("{}; fetch or write it again", fault.reason)).with_way_out(Parameter::Incomplete)
+            }
+        }
+    }
+
+    /// Returns the number of points in a row that states one, as a PTS may do before each cloud.
+    fn count_in(&self, row: &[u8]) -> Option<u64> {
+        if self.count.is_some_and(|count| count.may_repeat) { whole_word(row) } else { None }
+    }
+
+    /// Passes the items of a piece, each with its offset and segment number, to `take` until it returns false.
+    fn each_row(
+        &self,
+        piece: &Piece,
+        source: &Source,
+        mut take: impl FnMut(u64, usize, Next<'_>, &Lines<'_>) -> Result<bool>,
+    ) -> Result<()> {
+        let is_packed = self.packing != Packing::Plain;
+        let mut part = piece.part;
+        let Some(first) = self.segments.get(part) else { return Ok(()) };
+        // A row belongs to the piece in which it begins.
+        let mut lines = match is_packed {
+            true => Lines::open(source, source.stamp().len(), self.packing, None)?,
+            false if piece.first == first.start => Lines::begin(source, piece.first),
+            false => Lines::begin_behind(source, piece.first - 1, piece.end)?,
+        };
+        let end = if is_packed { u64::MAX } else { piece.end };
+        while lines.position() < end {
+            let Some(step) = lines.step()? else { break };
+            let (at, next) = match step {
+                Step::Row(at, line) => (at, Next::Row(lines.at(line))),
+                Step::TooLong(at) => (at, Next::TooLong),
+                Step::Pause => (0, Next::Pause),
+            };
+            if let Next::Pause = next {
+                if take(at, part, next, &lines)? {
+                    continue;
+                }
+                break;
+            }
+            if at >= end {
+                break;
+            }
+            // Rows of the next cloud follow after its header.
+            while is_packed && self.segments.get(part).is_some_and(|segment| at >= segment.end) {
+                part += 1;
+            }
+            let Some(segment) = self.segments.get(part) else { break };
+            if at >= segment.start && !take(at, part, next, &lines)? {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Counts the rows of a piece without parsing them.
+    fn count_rows(&self, piece: &Piece, source: &Source, monitor: &dyn Monitor) -> Result<Tally> {
+        let (mut tally, mut rows) = (Tally::default(), 0u64);
+        self.each_row(piece, source, |_, _, next, _| {
+            rows += 1;
+            if (rows.is_multiple_of(1 << 16) || matches!(next, Next::Pause)) && monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            match next {
+                Next::Row(row) => match self.count_in(row) {
+                    Some(stated) => tally.add_count(stated),
+                    None => tally.add_row(),
+                },
+                Next::TooLong => tally.add_row(),
+                Next::Pause => {}
+            }
+            Ok(true)
+        })?;
+        Ok(tally)
+    }
+}
+
+impl Cloud for Rows {
+    fn format(&self) -> &'static str {
+        self.format
+    }
+
+    fn points_stated(&self) -> u64 {
+        self.stated
+    }
+
+    fn points_expected(&self) -> u64 {
+        self.segments.iter().map(|segment| segment.rows).fold(0, u64::saturating_add)
+    }
+
+    fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_> {
+        if self.packing != Packing::Plain {
+            let all = Piece { points: self.points_expected(), part: 0, first: 0, end: u64::MAX };
+            return Box::new(Some(all).into_iter().filter(|_| !self.segments.is_empty()));
+        }
+        Box::new(self.segments.iter().enumerate().flat_map(|(part, segment)| {
+            let bytes = segment.end - segment.start;
+            (0..bytes.div_ceil(PIECE_BYTES)).map(move |number| {
+                let first = segment.start + number * PIECE_BYTES;
+                let end = segment.end.min(first + PIECE_BYTES);
+                let share = u128::from(segment.rows) * u128::from(end - first) / u128::from(bytes);
+                Piece { points: share as u64, part, first, end }
+            })
+        }))
+    }
+
+    fn has_values(&self, source: ColourSource) -> bool {
+        if source == ColourSource::Class { self.layout.has_class() } else { self.channels.has(source) }
+    }
+
+    fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()> {
+        let mut sample = Sample::NOTHING;
+        if let Some(values) = self.layout.with_values(source).filter(|_| self.channels.is_open(source)) {
+            let pieces = self.pieces().count() as u64;
+            // Of compressed text, only the beginning is accessible.
+            let places = SAMPLE_PLACES.min(pieces);
+            let rows = SAMPLE_POINTS as u64 * (SAMPLE_PLACES / places.max(1));
+            let at = |place: u64| (place * (pieces - 1) / (places - 1).max(1)) as usize;
+            let mut wanted = (0..places).map(at).peekable();
+            for (_, piece) in self.pieces().enumerate().filter(|(number, _)| wanted.next_if_eq(number).is_some()) {
+                let mut left = rows;
+                self.each_row(&piece, file, |_, part, next, _| {
+                    // Invalid rows are refused when they are read in full.
+                    let Next::Row(row) = next else { return Ok(false) };
+                    if let Ok((_, _, Some(numbers))) = values.parse(row, self.segments[part].cells) {
+                        values.look(&numbers, &mut sample);
+                    }
+                    left -= 1;
+                    Ok(left > 0)
+                })?;
+            }
+        }
+        self.channels.settle(source, &sample);
+        Ok(())
+    }
+
+    fn depth(&self) -> Depth {
+        self.channels.depth()
+    }
+
+    fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
+        let (layout, scale) = (&self.layout, self.channels.scale());
+        let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
+        let mut tally = Tally::default();
+        // Cells per row of the current cloud, if not those of the first; and whether none of its rows has been read.
+        let (mut width, mut is_first) = (None, self.count.is_some());
+        let done = self.each_row(piece, source, |at, part, next, lines| {
+            taker.begin_cloud(part)?;
+            let segment = &self.segments[part];
+            let fault = match next {
+                Next::Row(row) => match reading.parse(row, width.or(segment.cells)) {
+                    Ok(row) => {
+                        is_first = false;
+                        tally.add_row();
+                        match self.point(segment, row) {
+                            Some((at, class, value)) => taker.push(at, class, value)?,
+                            None => taker.absent()?,
+                        }
+                        return Ok(true);
+                    }
+                    // Rows without a return may end before the colours.
+                    Err(_)
+                        if self.zero_is_absent && self.layout.parse(row, None).is_ok_and(|row| row.0 == [0.0; 3]) =>
+                    {
+                        tally.add_row();
+                        return taker.absent().map(|()| true);
+                    }
+                    Err(fault) => match self.count_in(row) {
+                        Some(stated) => {
+                            (width, is_first) = (None, true);
+                            tally.add_count(stated);
+                            return Ok(true);
+                        }
+                        None => {
+                            let other = is_first.then(|| self.other_width(segment, row)).flatten();
+                            match other.map(|other| reading.parse(row, Some(other))) {
+                                Some(Ok((at, class, value))) => {
+                                    (width, is_first) = (other, false);
+                                    tally.add_row();
+                                    return taker.push(at, class, value).map(|()| true);
+                                }
+                                _ => fault,
+                            }
+                        }
+                    },
+                },
+                Next::TooLong => Fault::too_long(),
+                // Lets the sink cancel the work.
+                Next::Pause => return taker.flush().map(|()| true),
+            };
+            tally.add_row();
+            if !taker.lose()? {
+                return Err(self.row_error(fault, lines));
+            }
+            tally.add_fault(at, fault.reason);
+            Ok(true)
+        });
+        // Recorded even if damage ended the piece.
+        self.found.lock().unwrap_or_else(PoisonError::into_inner).insert(piece.first, tally);
+        done.map(|()| 0)
+    }
+
+    fn check(&self, findings: &mut Findings<'_>, monitor: &dyn Monitor) -> Result<()> {
+        let mut found = std::mem::take(&mut *self.found.lock().unwrap_or_else(PoisonError::into_inner));
+        let source = || Source::open(findings.path, None);
+        // Pieces decoded by an earlier run have no tally; their rows are counted now.
+        let missing = self.pieces().filter(|piece| self.count.is_some() && !found.contains_key(&piece.first));
+        for piece in missing.collect::<Vec<_>>() {
+            found.insert(piece.first, self.count_rows(&piece, &source()?, monitor)?);
+        }
+        if let Some(count) = self.count {
+            tally::check_count(count, found.values(), findings)?;
+        }
+        let (lost, first) = tally::faults(found.values());
+        if let Some((at, reason)) = first {
+            let line = lines::number_at(&source()?, self.packing, at)?;
+            let (rows, more) =
+                if lost == 1 { ("row", String::new()) } else { ("rows", ", the first of them".to_owned()) };
+            findings.lose(format!("{lost} {rows} left out{more}: {line}: {reason}"))?;
+        }
+        Ok(())
+    }
+
+    fn state(&self) -> Vec<u8> {
+        let mut bytes: Vec<u8> = self.layout.bytes().collect();
+        bytes.extend([self.zero_is_absent.into(), self.packing as u8]);
+        for Segment { start, end, cells, pose, .. } in &self.segments {
+            let cells = cells.map_or(0, |cells| cells as u64);
+            bytes.extend([*start, *end, cells].into_iter().flat_map(u64::to_le_bytes));
+            bytes.extend(pose.iter().flat_map(Pose::bytes));
+        }
+        bytes
+    }
+
+    fn standpoints(&self) -> Vec<Standpoint> {
+        let of_segment = |(number, segment): (usize, &Segment)| match segment.station {
+            _ if segment.rows == 0 => Standpoint::Needless,
+            Some(at) => Standpoint::At(at),
+            None if self.format == "PTX" => {
+                let reason = "scanner position and matrix name different places";
+                Standpoint::Unknown(format!("cloud {}: {reason}", number + 1))
+            }
+            None => Standpoint::Unknown(format!("{} does not say where the scanner stood", self.format)),
+        };
+        self.segments.iter().enumerate().map(of_segment).collect()
+    }
+}
+
+/// Opens the lines of a text, after its byte order mark.
+fn begin<'a>(opening: &Opening<'a, '_>) -> Result<(Lines<'a>, Packing)> {
+    let packing = Packing::of(opening.source)?;
+    Ok((Lines::open(opening.source, opening.bytes, packing, Some(opening.monitor))?, packing))
+}
+
+/// Opens XYZ, CSV and other text in rows.
+pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let custom = if is_xyzrgb(opening.source.path()) { Custom::XyzRgb } else { Custom::Xyz };
+    open_table(opening, custom)
+}
+
+/// Opens PTS: the number of points, then that many rows; possibly repeated.
+pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    open_table(opening, Custom::Pts)
+}
+
+/// Returns whether the name indicates that red, green and blue follow the coordinates.
+fn is_xyzrgb(path: &Path) -> bool {
+    unpacked_name(path).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xyzrgb"))
+}
+
+fn parse_whole(text: &[u8]) -> Option<u64> {
+    std::str::from_utf8(text.trim_ascii()).ok()?.parse().ok()
+}
+
+/// Returns the whole number that is the only word of a row.
+fn whole_word(row: &[u8]) -> Option<u64> {
+    if is_word(row) { parse_whole(row) } else { None }
+}
+
+/// Lines before the rows of a table, and the first rows.
+#[derive(Default)]
+struct Start {
+    comments: Vec<Vec<u8>>,
+    /// Line that names the columns, and its number.
+    header: Option<(Vec<u8>, u64)>,
+    count: Option<u64>,
+    /// Offset of the first row, and its line number.
+    first: Option<(u64, u64)>,
+    rows: Vec<Vec<u8>>,
+    /// True if these are all rows.
+    is_whole: bool,
+}
+
+impl Start {
+    fn read(lines: &mut Lines<'_>, custom: Custom) -> Result<Self> {
+        let mut start = Self::default();
+        while start.rows.len() < LOOKED_AT {
+            let Some((at, line)) = lines.next()? else {
+                start.is_whole = true;
+                break;
+            };
+            let Some(line) = line else {
+                // After the first row, it is a bad row like any other.
+                if start.first.is_none() {
+                    return Err(lines.error(Fault::too_long().reason));
+                }
+                continue;
+            };
+            let text = line.trim_ascii();
+            let is_comment = text.starts_with(b"#") || text.starts_with(b"//");
+            if text.is_empty() || is_comment && start.first.is_some() {
+                continue;
+            }
+            if is_comment {
+                if start.comments.len() < MOST_COMMENTS && is_header(text) {
+                    start.comments.push(line.to_vec());
+                }
+                continue;
+            }
+            match whole_word(text) {
+                Some(count) if start.first.is_none() && start.count.is_none() => {
+                    start.count = Some(count);
+                    continue;
+                }
+                Some(_) if custom == Custom::Pts => continue,
+                _ => {}
+            }
+            let names = start.first.is_none() && is_header(text);
+            if start.first.is_some() || decision::is_row(text) && !names {
+                let line = line.to_vec();
+                start.first.get_or_insert((at, lines.number()));
+                start.rows.push(line);
+            } else if start.header.is_none() && (names || custom != Custom::Pts) {
+                let line = line.to_vec();
+                start.header = Some((line, lines.number()));
+            } else {
+                let what = if custom == Custom::Pts { "a number of points" } else { "numbers" };
+                let line = text.to_vec();
+                return Err(lines.expected(what, &line));
+            }
+        }
+        Ok(start)
+    }
+}
+
+/// Opens a table, whose rows may follow their count and the names of the columns.
+fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
+    let (mut lines, packing) = begin(opening)?;
+    let Start { comments, header, count, first, rows, is_whole } = Start::read(&mut lines, custom)?;
+    let format = if custom == Custom::Pts { "PTS" } else { TABLE };
+    let Some((start, first_line)) = first else {
+        if let Some(count) = count.filter(|&count| count > 0) {
+            opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
+        }
+        if let Some((header, line)) = header.filter(|(header, _)| !is_header(header)) {
+            let reason = format!("expected columns named x, y and z, found {}", super::shown(header.trim_ascii()));
+            return Err(opening.error(format!("line {line}"), reason).with_way_out(Parameter::Columns));
+        }
+        let layout = RowLayout::new(Places::of([0, 1, 2]), Separator::Blanks, false);
+        return Ok(Opened::new(Rows::empty(format, packing, layout, Channels::new(None, None))));
+    };
+    // A user names columns of tables; a PTS has a layout of its own.
+    let columns = opening.columns.filter(|_| custom != Custom::Pts);
+    let beginning =
+        Beginning { comments: &comments, header: header.as_ref().map(|(header, _)| &header[..]), rows: &rows };
+    let decided = decide(&beginning, columns, custom).map_err(|refusal| {
+        let line = header.as_ref().filter(|_| refusal.is_of_header).map_or(first_line, |header| header.1);
+        let at = format!("line {line}");
+        match custom {
+            Custom::Pts => {
+                let way_out = "give it the ending .txt and name its columns";
+                opening.error(at, format!("{}; {way_out}", refusal.reason))
+            }
+            _ => opening.error(at, refusal.reason).with_way_out(Parameter::Columns),
+        }
+    })?;
+    let Decision { layout, places, cells, names, units } = decided;
+    let kind = if custom == Custom::Pts && names.is_empty() { Kind::Custom } else { Kind::Any };
+    let channels = Channels::new(places.rgb.map(|_| kind), places.intensity.map(|_| Kind::Any));
+    let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
+    let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
+    let guess = if is_whole { rows.len() as u64 } else { opening.bytes / mean.max(1) };
+    // In compressed text and with several clouds, the first line or the guess may be far off.
+    let near = count.filter(|count| (guess / 2..=guess.saturating_mul(2)).contains(count));
+    let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess).max(1)) };
+    let text = text_layout(&layout, &places, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
+    let is_said = custom != Custom::Pts || !names.is_empty();
+    let said = is_said.then(|| format!("read as text: {text}"));
+    let may_repeat = custom == Custom::Pts;
+    let count = count.map(|stated| Count { stated: Some(stated), may_repeat });
+    let rows = Rows {
+        segments: vec![segment],
+        stated: count.and_then(|count| count.stated).unwrap_or(0),
+        count: count.or(may_repeat.then_some(Count { stated: None, may_repeat })),
+        ..Rows::empty(format, packing, layout, channels)
+    };
+    let mut opened = Opened { said, text: Some(text), ..Opened::new(rows) };
+    let length = |unit| match unit {
+        Some(NameUnit::Metres(metres)) => Some(metres),
+        _ => None,
+    };
+    opened.georeference.horizontal = length(units[0]).filter(|_| units[0] == units[1]);
+    opened.georeference.vertical = length(units[2]);
+    opened.georeference.degrees = units[0] == Some(NameUnit::Angle);
+    Ok(opened)
+}
+
+/// Returns the description of a layout for people: its columns and the first points.
+fn text_layout(
+    layout: &RowLayout,
+    places: &Places,
+    names: &[String],
+    rows: &[Vec<u8>],
+    point: impl Fn(&[u8]) -> Option<[f64; 3]>,
+) -> TextLayout {
+    let column = |holds, place: usize| TextColumn {
+        holds,
+        number: place + 1,
+        name: names.get(place).filter(|name| !name.is_empty()).cloned(),
+    };
+    let rgb = match places.rgb {
+        Some(RgbPlaces::Each([r, g, b])) => vec![("red", r), ("green", g), ("blue", b)],
+        None => Vec::new(),
+    };
+    let axes = ["x", "y", "z"].into_iter().zip(places.axes);
+    let class = places.class.map(|place| ("class", place));
+    let intensity = places.intensity.map(|place| ("intensity", place));
+    let all = axes.chain(class).chain(intensity).chain(rgb);
+    let points = rows.iter().filter_map(|row| point(row)).filter(|at| !at.iter().any(|v| v.is_nan()));
+    TextLayout {
+        separator: layout.separator().name(),
+        decimal_comma: layout.decimal_comma(),
+        columns: all.map(|(holds, place)| column(holds, place)).collect(),
+        first_points: points.take(SHOWN_POINTS).collect(),
+    }
+}
+
+fn check_clouds(clouds: usize, opening: &Opening<'_, '_>) -> Result<()> {
+    if clouds == MOST_CLOUDS {
+        let what = format!("clouds in {} (write it as several files)", opening.source.path().display());
+        return Err(Error::limit(what, format!("more than {MOST_CLOUDS}"), MOST_CLOUDS));
+    }
+    Ok(())
+}
+
+/// Header of a cloud in a PTX.
+struct PtxHead {
+    points: u64,
+    pose: Pose,
+    station: Option<[f64; 3]>,
+    /// True if its numbers have decimal commas.
+    decimal_comma: bool,
+}
+
+/// Reads the columns and rows of the next cloud in a PTX; if `may_seek`, skips lines until they come.
+fn ptx_size(lines: &mut Lines<'_>, may_seek: bool) -> Result<Option<[u64; 2]>> {
+    let mut columns = None;
+    while let Some(line) = lines.row()? {
+        match (columns, whole_word(&line)) {
+            (Some(columns), Some(rows)) => return Ok(Some([columns, rows])),
+            (None, Some(count)) => columns = Some(count),
+            (_, None) if may_seek => columns = None,
+            (None, None) => return Err(lines.expected("the number of columns of a cloud", &line)),
+            (Some(_), None) => return Err(lines.expected("the number of rows of a cloud", &line)),
+        }
+    }
+    match columns {
+        Some(_) if !may_seek => Err(lines.expected("the number of rows of a cloud", b"")),
+        _ => Ok(None),
+    }
+}
+
+fn ptx_head(lines: &mut Lines<'_>, [columns, rows]: [u64; 2]) -> Result<PtxHead> {
+    let (position, mut decimal_comma) = numbers(lines, 3)?;
+    for _ in 0..3 {
+        decimal_comma |= numbers(lines, 3)?.1;
+    }
+    let mut matrix = [[0.0; 3]; 4];
+    for (number, row) in matrix.iter_mut().enumerate() {
+        let (line, has_comma) = numbers(lines, 4)?;
+        decimal_comma |= has_comma;
+        row.copy_from_slice(&line[..3]);
+        if line[3] != if number == 3 { 1.0 } else { 0.0 } {
+            return Err(lines.error(format!("expected a matrix with the last column 0 0 0 1, found {}", line[3])));
+        }
+    }
+    let pose = Pose(matrix);
+    if !pose.is_finite() {
+        return Err(lines.error("the matrix has numbers that are not finite"));
+    }
+    let station = station(&position, &pose);
+    Ok(PtxHead { points: columns.saturating_mul(rows), pose, station, decimal_comma })
+}
+
+/// Opens PTX: clouds with a header of ten lines each.
+pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let (mut lines, packing) = begin(opening)?;
+    let (mut segments, mut stated, mut sample, mut decimal_comma) = (Vec::new(), 0u64, Vec::new(), false);
+    let (mut may_seek, mut number) = (false, 0);
+    loop {
+        let size = match ptx_size(&mut lines, may_seek) {
+            Err(Error::Input { at, reason, .. }) if opening.findings.allow_incomplete => {
+                opening.findings.lose(format!("{at}: {reason}; rows up to the next cloud are left out"))?;
+                may_seek = true;
+                continue;
+            }
+            size => size?,
+        };
+        let Some(size) = size else { break };
+        number += 1;
+        let head = match ptx_head(&mut lines, size) {
+            Err(Error::Input { at, reason, .. }) if opening.findings.allow_incomplete => {
+                let points = size[0].saturating_mul(size[1]);
+                stated = stated.saturating_add(points);
+                opening.findings.lose(format!("cloud {number} of {points} points is left out: {at}: {reason}"))?;
+                may_seek = true;
+                continue;
+            }
+            head => head?,
+        };
+        may_seek = false;
+        let PtxHead { points, pose, station, .. } = head;
+        decimal_comma |= head.decimal_comma;
+        let start = lines.position();
+        let wanted = if sample.is_empty() { LOOKED_AT } else { 1 };
+        let (found, first) = lines.keep_rows(points, true, wanted, opening.monitor)?;
+        stated = stated.saturating_add(points);
+        if found < points {
+            opening
+                .findings
+                .lose(format!("cloud {number}: its header states {points} points, {found} lines follow"))?;
+        }
+        let pose = Some(pose).filter(|pose| *pose != Pose::IDENTITY);
+        check_clouds(segments.len(), opening)?;
+        segments.push((
+            Segment { pose, station, ..Segment::plain(start, lines.position(), found) },
+            first.first().cloned(),
+        ));
+        if sample.is_empty() {
+            sample = first;
+        }
+    }
+    let mut layout = RowLayout::new(Custom::Ptx.places(7), Separator::Blanks, decimal_comma);
+    if !sample.is_empty() {
+        let beginning = Beginning { comments: &[], header: None, rows: &sample };
+        let decided = decide(&beginning, None, Custom::Ptx).map_err(|refusal| opening.error("rows", refusal.reason))?;
+        let has_points = sample.iter().any(|row| row.contains(&b'.'));
+        let decimal_comma = decided.layout.decimal_comma() || decimal_comma && !has_points;
+        layout = RowLayout::new(decided.places, decided.layout.separator(), decimal_comma);
+    }
+    // Intensity alone or with colours; clouds may differ in that.
+    let cells = |row: Option<Vec<u8>>| {
+        let cells = row.and_then(|row| layout.separator().cells(&row).ok().map(|cells| cells.len()));
+        cells.filter(|cells| [4, 7].contains(cells))
+    };
+    let segments: Vec<Segment> =
+        segments.into_iter().map(|(segment, first)| Segment { cells: cells(first), ..segment }).collect();
+    let places = Custom::Ptx.places(7);
+    let channels = Channels::new(Some(Kind::Custom), Some(Kind::Any));
+    let rows = Rows { segments, zero_is_absent: true, stated, ..Rows::empty("PTX", packing, layout, channels) };
+    let first = rows.segments.iter().find(|segment| segment.rows > 0);
+    let point = |row: &[u8]| {
+        let (at, class) = rows.layout.parse(row, None).ok()?;
+        rows.point(first?, (at, class, ())).map(|(at, _, ())| at)
+    };
+    let shown = Places { rgb: places.rgb.filter(|_| first.is_some_and(|first| first.cells == Some(7))), ..places };
+    let text = text_layout(&rows.layout, &shown, &[], &sample, point);
+    let mut opened = Opened { text: Some(text), ..Opened::new(rows) };
+    // By convention: Cyclone writes metres.
+    opened.georeference.horizontal = Some(1.0);
+    Ok(opened)
+}
+
+/// Returns the scanner position of a PTX cloud: the stated position, which should be where the matrix moves the origin.
+/// Programs that write only one of the two leave the other 0; `None` if both are present and differ.
+fn station(position: &[f64], pose: &Pose) -> Option<[f64; 3]> {
+    let stated: [f64; 3] = std::array::from_fn(|axis| position[axis]);
+    let moved = pose.apply([0.0; 3]);
+    let near = |a: f64, b: f64| (a - b).abs() <= 0.001 + 1e-6 * b.abs();
+    if !stated.iter().all(|v| v.is_finite()) {
+        return None;
+    }
+    match (stated == [0.0; 3], moved == [0.0; 3]) {
+        (true, _) => Some(moved),
+        // The points are in common coordinates already.
+        (_, true) => Some(stated).filter(|_| *pose == Pose::IDENTITY),
+        _ => (0..3).all(|axis| near(stated[axis], moved[axis])).then_some(moved),
+    }
+}
+
+/// Parses the numbers of the next row, at least `least` of them; also returns whether they have decimal commas.
+fn numbers(lines: &mut Lines<'_>, least: usize) -> Result<(Vec<f64>, bool)> {
+    let line = lines.row()?.unwrap_or_default();
+    let text = String::from_utf8_lossy(&line);
+    let words: Vec<&str> = text.split_ascii_whitespace().collect();
+    // As many words as numbers expected, some with a comma inside: these are decimal commas.
+    let has_comma = |word: &&str| word.contains(',');
+    let is_decimal = words.len() == least
+        && words.iter().any(has_comma)
+        && !words.iter().any(|word| word.ends_with(',') || word.contains('.'));
+    let numbers: Option<Vec<f64>> = match is_decimal {
+        true => words.iter().map(|word| word.replace(',', ".").parse().ok()).collect(),
+        false => {
+            let words = words.iter().flat_map(|word| word.split([',', ';'])).filter(|word| !word.is_empty());
+            words.map(|word| word.parse().ok()).collect()
+        }
+    };
+    match numbers.filter(|numbers| numbers.len() >= least) {
+        Some(numbers) => Ok((numbers, is_decimal)),
+        None => Err(lines.expected(&format!("{least} numbers of the header of a cloud"), &line)),
+    }
+}

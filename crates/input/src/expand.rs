@@ -1,0 +1,249 @@
+//! Expands the paths given by the user to a sorted list of scan files.
+//!
+//! Input: files, directories, glob patterns. Output: files sorted by path, each once. Memory: the list of paths.
+
+use super::losses::Losses;
+use super::{cloud, is_of_input, pattern};
+#[cfg(feature = "remote")]
+use crate::bytes::list;
+use crate::bytes::{FileId, Input, address, local, testing};
+use crate::{Error, Monitor, Parameter, Result};
+use std::collections::HashMap;
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// Expands `inputs` to files.
+///
+/// - A file is accepted whatever its name; its signature decides later.
+/// - A directory stands for the scans directly in it, by extension in any case: `.las`, `.laz`, `.e57`, `.pcd`,
+///   `.pts`, `.ptx`, `.xyz`, the last three also with `.gz` or `.zst`. Subdirectories are not entered, because tiles of
+///   one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
+/// - A path that does not exist and contains `*`, `?` or `[` is a pattern. It finds files with these extensions, and
+///   meshes and PLY only if the pattern has the same extension, because an export beside the scans is not input.
+///   Neither are tables: `.txt` and `.csv` must be named individually.
+///
+/// With `losses`, unreadable inputs are recorded there and reported to `monitor`, unless nothing else is left.
+pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    let mut left_out = None;
+    for input in inputs {
+        match expand_one(input, &mut found, losses, monitor) {
+            Err(error) if losses.is_some() && is_of_input(&error) => {
+                tell(losses, &error, monitor);
+                left_out = Some(error);
+            }
+            done => done?,
+        }
+    }
+    if found.is_empty() {
+        let none = || Error::parameter("INPUT", "no file was given; name scans, meshes, directories or patterns");
+        return Err(left_out.unwrap_or_else(none));
+    }
+    found.sort();
+    found.dedup();
+    let mut seen: HashMap<FileId, usize> = HashMap::new();
+    let mut once: Vec<PathBuf> = Vec::with_capacity(found.len());
+    for path in found {
+        // If the system returns no id, opening the file will report why.
+        let before = FileId::at(&path).and_then(|id| seen.insert(id, once.len()).map(|first| (id, first)));
+        match before {
+            Some((id, first)) => {
+                seen.insert(id, first);
+                let first = once[first].display();
+                monitor.warn(&format!("{}: the same file as {first}; it is read once", path.display()).into());
+            }
+            None => once.push(path),
+        }
+    }
+    Ok(once)
+}
+
+/// Reports that an input is left out.
+fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
+    if let Some(losses) = losses {
+        losses.note();
+        monitor.warn(&format!("incomplete: left out: {error}").into());
+    }
+}
+
+fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<()> {
+    if let Some(file) = local(input) {
+        return expand_one(&file, found, losses, monitor);
+    }
+    if let Some(address) = address(input) {
+        return objects(input, address, found);
+    }
+    if testing::held(input).is_some() {
+        found.push(input.to_path_buf());
+        return Ok(());
+    }
+    match fs::metadata(input) {
+        Ok(about) if about.is_dir() => directory(input, found),
+        Ok(_) => {
+            found.push(input.to_path_buf());
+            Ok(())
+        }
+        Err(_) if pattern::is_pattern(input) => {
+            let before = found.len();
+            let mut failed = |error: Error| match losses {
+                Some(_) => {
+                    tell(losses, &error, monitor);
+                    Ok(())
+                }
+                None => Err(error),
+            };
+            pattern::walk(input, monitor, &mut failed, &mut |path| {
+                if is_scan(path) || is_mesh_named(path) && same_ending(path, input) {
+                    found.push(path.to_path_buf());
+                }
+            })?;
+            if found.len() == before {
+                return Err(Error::input(input, "pattern", "it matches no scan; .txt and .csv are named one by one"));
+            }
+            Ok(())
+        }
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            Err(Error::io(input, "open", error).with_way_out(Parameter::Input))
+        }
+        Err(error) => Err(Error::io(input, "open", error)),
+    }
+}
+
+/// Expands an address: an object; `s3://bucket/folder/`, which stands for the scans directly in it; a pattern in an
+/// object store.
+#[cfg_attr(
+    not(feature = "remote"),
+    allow(unused_variables, reason = "opening it will say that addresses are not read")
+)]
+fn objects(input: &Path, address: &str, found: &mut Vec<PathBuf>) -> Result<()> {
+    #[cfg(feature = "remote")]
+    if !address.starts_with("http") {
+        let before = found.len();
+        let (bucket, key) = split_address(address);
+        if let Some(wild) = key.find(['*', '?', '[']) {
+            let pattern = glob::Pattern::new(key).map_err(|e| Error::input(input, "pattern", e.to_string()))?;
+            let folder = &key[..key[..wild].rfind('/').map_or(0, |at| at + 1)];
+            let deep = key[folder.len()..].contains('/');
+            // A leading dot is not special, as in patterns over folders.
+            let how = glob::MatchOptions { require_literal_separator: true, ..glob::MatchOptions::default() };
+            for name in list(&format!("{bucket}{folder}"), deep)? {
+                let path = PathBuf::from(&name);
+                let matches = pattern.matches_with(&decoded(split_address(&name).1), how);
+                if matches && (is_scan(&path) || is_mesh_named(&path) && same_ending(&path, input)) {
+                    found.push(path);
+                }
+            }
+            if found.len() == before {
+                return Err(Error::input(input, "pattern", "it matches no scan; .txt and .csv are named one by one"));
+            }
+            return Ok(());
+        }
+        if key.is_empty() || key.ends_with('/') {
+            found.extend(list(address, false)?.into_iter().map(PathBuf::from).filter(|path| is_scan(path)));
+            if found.len() == before {
+                let reason = "no scan lies in it (.txt, .csv and .ply are named one by one); folders inside are not \
+                              entered, name them or use a pattern such as s3://bucket/**/*.laz";
+                return Err(Error::input(input, "folder", reason));
+            }
+            return Ok(());
+        }
+    }
+    found.push(input.to_path_buf());
+    Ok(())
+}
+
+/// Splits an address into `s3://bucket/` and the key.
+#[cfg(feature = "remote")]
+fn split_address(address: &str) -> (&str, &str) {
+    let host = address.find("://").map_or(0, |at| at + 3);
+    let end = address[host..].find('/').map_or(address.len(), |at| host + at + 1);
+    address.split_at(end)
+}
+
+#[cfg(feature = "remote")]
+fn decoded(key: &str) -> String {
+    percent_encoding::percent_decode_str(key).decode_utf8_lossy().into_owned()
+}
+
+fn same_ending(path: &Path, other: &Path) -> bool {
+    path.extension().is_some_and(|e| other.extension().is_some_and(|f| e.eq_ignore_ascii_case(f)))
+}
+
+fn is_scan(path: &Path) -> bool {
+    cloud::is_found(path)
+        || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
+}
+
+/// Returns whether the name has the extension of a mesh.
+fn is_mesh_named(path: &Path) -> bool {
+    const ENDINGS: [&str; 5] = ["obj", "ply", "stl", "gltf", "glb"];
+    path.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
+}
+
+/// Returns whether a file is a mesh according to its extension. Exceptions: a file with the signature of a scan, and a
+/// PLY file without faces, which is a cloud.
+pub(super) fn is_mesh(path: &Path) -> bool {
+    let is_cloud = || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) && cloud::is_ply_cloud(path);
+    is_mesh_named(path) && !has_signature_of_scan(path) && !is_cloud()
+}
+
+fn has_signature_of_scan(path: &Path) -> bool {
+    let mut start = [0; 4];
+    // If the file cannot be read, opening it as a mesh will report why.
+    Input::open(path).is_ok_and(|(input, _)| input.read_up_to(0, &mut start).is_ok() && &start == b"LASF")
+}
+
+fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
+    let before = found.len();
+    let list = |e| Error::io(path, "list", e);
+    for entry in fs::read_dir(path).map_err(list)? {
+        let file = entry.map_err(list)?.path();
+        if is_scan(&file) && !file.is_dir() {
+            found.push(file);
+        }
+    }
+    if found.len() == before {
+        let reason = "no scan lies in it (.txt, .csv and .ply are named one by one); directories inside are not entered, \
+                      name them or use a pattern such as DIR/**/*.laz";
+        return Err(Error::input(path, "directory", reason));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slicewalk_base::NoMonitor;
+
+    #[test]
+    fn files_directories_and_patterns_give_each_scan_once_in_order_of_path() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["b.las", "a.LAZ", "c.txt", "sub/d.laz", "e.obj", "sub/f.PLY"] {
+            let path = dir.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, name).unwrap();
+        }
+        let names = |inputs: &[&str]| {
+            let inputs: Vec<_> = inputs.iter().map(|i| dir.path().join(i)).collect();
+            expand(&inputs, None, &NoMonitor).map(|paths| {
+                paths.iter().map(|p| p.file_name().unwrap().to_str().unwrap().to_string()).collect::<Vec<_>>()
+            })
+        };
+        assert_eq!(names(&["b.las", "a.LAZ"]).unwrap(), ["a.LAZ", "b.las"]);
+        assert_eq!(names(&["", "b.las", "sub/../b.las"]).unwrap(), ["a.LAZ", "b.las"]);
+        assert_eq!(names(&["**/*.laz"]).unwrap(), ["d.laz"]);
+        assert_eq!(names(&["?.*"]).unwrap(), ["a.LAZ", "b.las"]);
+        assert_eq!(names(&["**/*.PLY", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
+        assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
+        assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no scan"));
+        let missing = names(&["none.las"]).unwrap_err().to_string();
+        assert!(
+            missing.contains("cannot open")
+                && missing.ends_with("; check the name: a file, a folder, or a pattern such as tiles/*.laz")
+        );
+        fs::create_dir(dir.path().join("empty")).unwrap();
+        assert!(names(&["empty"]).unwrap_err().to_string().contains("no scan lies in it"));
+        assert!(expand(&[], None, &NoMonitor).is_err());
+    }
+}

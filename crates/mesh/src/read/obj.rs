@@ -1,0 +1,209 @@
+//! Wavefront OBJ: `v` and `f` of the text format; for colours also `vt`, `mtllib`, `usemtl` and the colours that many
+//! programs write after the coordinates of `v`. The rest is skipped.
+//!
+//! Reads the file twice: faces may refer to vertices that come later, while negative indices count back from the
+//! current line. Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
+
+use super::material::{Material, Materials};
+use super::polygon::Polygon;
+use super::text::Lines;
+use super::texture::Textures;
+use super::vertices::Vertices;
+use super::watch::Watch;
+use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
+use crate::Result;
+use crate::paint::{Paint, WHITE};
+use crate::text::shown;
+use std::path::{Path, PathBuf};
+
+/// Lines read for one batch of triangles.
+const LINES: usize = 512;
+
+pub(super) struct ObjReader {
+    lines: Lines,
+    vertices: Vertices,
+    /// Vertices defined before the current line.
+    before: u64,
+    polygon: Polygon,
+    colours: Option<ObjColours>,
+}
+
+/// Colour of a corner, and its texture coordinates.
+type CornerColour = (Option<[u8; 3]>, Option<[f64; 2]>);
+
+/// Colours of the faces of a file.
+struct ObjColours {
+    path: PathBuf,
+    /// Vertex colours; the first value is below 0 if a vertex has none.
+    corners: Vertices,
+    /// Texture coordinates.
+    places: Vertices,
+    /// Texture coordinates defined before the current line.
+    places_before: u64,
+    materials: Materials,
+    /// Material of the current faces.
+    material: Option<Material>,
+    /// Corners of the current face.
+    of_face: Vec<CornerColour>,
+}
+
+impl ObjColours {
+    /// Parses the colour after the coordinates of a vertex, which programs write as 0 to 1 or 0 to 255.
+    fn of_corner<'a>(lines: &Lines, words: &mut impl Iterator<Item = &'a [u8]>) -> [f64; 3] {
+        let mut next = || lines.number(words.next()).ok().filter(|value| value.is_finite());
+        match (next(), next(), next()) {
+            (Some(r), Some(g), Some(b)) => {
+                let white = if r.max(g).max(b) > 1.0 { 255.0 } else { 1.0 };
+                [r, g, b].map(|value| (value / white * 255.0 + 0.5).clamp(0.0, 255.0).floor())
+            }
+            _ => [-1.0; 3],
+        }
+    }
+
+    /// Returns the paint of the triangle with these corners of the face.
+    fn paint(&self, numbers: [usize; 3]) -> Paint {
+        let [a, b, c] = numbers.map(|number| self.of_face.get(number).copied().unwrap_or_default());
+        let at_corners = match (a.0, b.0, c.0) {
+            (Some(a), Some(b), Some(c)) => Some([a, b, c]),
+            _ => None,
+        };
+        let material = self.material.as_ref();
+        if let Some(Material { texture: Some(texture), placing, .. }) = material
+            && let (Some(a), Some(b), Some(c)) = (a.1, b.1, c.1)
+        {
+            let places = [a, b, c].map(|place| placing.of(place));
+            return Paint::Texture { texture: texture.clone(), places, tints: [WHITE; 3] };
+        }
+        match (at_corners, material.and_then(Material::flat)) {
+            (Some(colours), _) => Paint::Corners(colours),
+            (None, Some(colour)) => Paint::Flat(colour),
+            (None, None) => Paint::None,
+        }
+    }
+}
+
+/// Parses a vertex or texture coordinate index, with `before` of them defined before the line. The inner `None` means
+/// that there is no such element.
+fn number_of(word: &[u8], before: u64) -> Option<Option<u64>> {
+    match std::str::from_utf8(word).ok()?.parse::<i64>().ok()? {
+        index @ 1.. => Some(Some(index as u64 - 1)),
+        index @ ..=-1 => Some(before.checked_sub(index.unsigned_abs())),
+        0 => Some(None),
+    }
+}
+
+impl ObjReader {
+    pub(super) fn open(path: &Path, options: &MeshOptions, wants: Wants<'_>, watch: &mut Watch) -> Result<Self> {
+        let mut lines = Lines::open(path, true, wants.digest)?;
+        let share = MeshOptions { memory_bytes: options.memory_bytes / 3, ..options.clone() };
+        let mut vertices = Vertices::new(if wants.colours.is_some() { &share } else { options });
+        let mut colours = wants.colours.map(|alive| ObjColours {
+            path: path.to_path_buf(),
+            corners: Vertices::new(&share),
+            places: Vertices::new(&share),
+            places_before: 0,
+            materials: Materials::new(Textures::new(path, options.texture_bytes, wants.digest, alive)),
+            material: None,
+            of_face: Vec::new(),
+        });
+        while lines.next()? {
+            watch.step()?;
+            let mut words = lines.words();
+            match (words.next(), &mut colours) {
+                (Some(b"v"), None) => vertices.push(lines.corner(&mut words)?)?,
+                (Some(b"v"), Some(colours)) => {
+                    vertices.push(lines.corner(&mut words)?)?;
+                    colours.corners.push(ObjColours::of_corner(&lines, &mut words))?;
+                }
+                (Some(b"vt"), Some(colours)) => {
+                    let mut next = || words.next().and_then(|word| lines.number(Some(word)).ok()).unwrap_or(0.0);
+                    // OBJ counts v from the lower edge of the image.
+                    let (u, v) = (next(), 1.0 - next());
+                    colours.places.push([u, v, 0.0])?;
+                }
+                _ => {}
+            }
+        }
+        vertices.flush()?;
+        if let Some(colours) = &mut colours {
+            colours.corners.flush()?;
+            colours.places.flush()?;
+        }
+        let lines = Lines::open(path, true, wants.digest)?;
+        Ok(Self { lines, vertices, before: 0, polygon: Polygon::default(), colours })
+    }
+
+    fn face(&mut self, out: &mut MeshBatch, watch: &Watch) -> Result<()> {
+        self.polygon.clear();
+        self.colours.iter_mut().for_each(|colours| colours.of_face.clear());
+        for word in self.lines.words().skip(1).take_while(|word| !word.starts_with(b"#")) {
+            let mut parts = word.split(|&byte| byte == b'/');
+            let index = parts.next().unwrap_or(word);
+            let Some(number) = number_of(index, self.before) else {
+                return Err(self.lines.error(format!("expected the number of a corner, found {}", shown(word))));
+            };
+            let corner = match number {
+                Some(number) => self.vertices.get(number)?,
+                None => None,
+            };
+            let all = self.vertices.len();
+            let missing = || self.lines.error(format!("there is no corner {}: the file has {all}", shown(index)));
+            self.polygon.push(corner.ok_or_else(missing)?);
+            if let (Some(colours), Some(number)) = (&mut self.colours, number) {
+                let colour = colours.corners.get(number)?.filter(|colour| colour[0] >= 0.0);
+                let place = parts.next().and_then(|part| number_of(part, colours.places_before)).flatten();
+                let place = place.map(|place| colours.places.get(place)).transpose()?.flatten();
+                let colour = colour.map(|colour| colour.map(|value| value as u8));
+                colours.of_face.push((colour, place.map(|[u, v, _]| [u, v])));
+            }
+        }
+        let mut found = Vec::new();
+        let cut = self.polygon.triangles(|numbers| found.push(numbers), &|| watch.go_on())?;
+        for numbers in found {
+            let paint = self.colours.as_ref().map_or(Paint::None, |colours| colours.paint(numbers));
+            out.push(numbers.map(|number| self.polygon.corners()[number]), paint);
+        }
+        cut.map_err(|reason| self.lines.error(reason))
+    }
+}
+
+impl Triangles for ObjReader {
+    fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
+        for _ in 0..LINES {
+            if out.len() >= BATCH_TRIANGLES {
+                break;
+            }
+            if !self.lines.next()? {
+                return Ok(false);
+            }
+            watch.step()?;
+            let kind = self.lines.words().next();
+            match kind {
+                Some(b"v") => self.before += 1,
+                // `fo` is the obsolete name of `f`.
+                Some(b"f" | b"fo") => self.face(out, watch).or_else(|error| watch.lose(1, error))?,
+                _ => self.take_colours(watch)?,
+            }
+        }
+        Ok(true)
+    }
+}
+
+impl ObjReader {
+    /// Reads the line's colour statement, if colours are requested.
+    fn take_colours(&mut self, watch: &Watch) -> Result<()> {
+        let Self { lines, colours: Some(colours), .. } = self else { return Ok(()) };
+        let line = lines.line().trim_ascii();
+        let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
+        let rest = line[end..].trim_ascii();
+        let ObjColours { path, materials, material, places_before, .. } = colours;
+        match &line[..end] {
+            b"vt" => *places_before += 1,
+            b"usemtl" => *material = Some(materials.get(path, rest, watch)?),
+            // One name with blanks, or several names.
+            b"mtllib" => materials.read_all(path, rest, watch)?,
+            _ => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,102 @@
+//! Encodings of pages are those of the format, byte for byte: the same points make the same archive in every version.
+
+use crate::random;
+
+use random::Random;
+use slicewalk::codec::Encoder;
+use slicewalk::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
+use slicewalk::slice::{Inferred, Page, PageBuilder, Span};
+use xxhash_rust::xxh3::Xxh3;
+
+/// What a page holds.
+struct Terrain {
+    /// Of the instrument's heights (quanta), 0 for none; and deviation of its noise (steps, or quanta).
+    step: f64,
+    noise: f64,
+    /// Of a hundred pixels, how many have matter, and how many of these are obstacles.
+    dense: usize,
+    obstacles: usize,
+    /// Most floors above each other.
+    storeys: usize,
+}
+
+/// Thicknesses around every length of a number, so around every class of them (quanta).
+fn thickness(random: &mut Random) -> u32 {
+    let power = 1u32 << random.below(13u32);
+    (power + random.below(4u32)).saturating_sub(2)
+}
+
+fn page(terrain: &Terrain, random: &mut Random) -> Page {
+    let quanta = |height: f64, up: bool| {
+        let steps = if terrain.step > 0.0 { (height / terrain.step).round() * terrain.step } else { height };
+        let quanta = if up { steps.ceil() } else { steps.floor() };
+        quanta.clamp(0.0, (PAGE_QUANTA - 1) as f64) as u32
+    };
+    let slope = [random.between(-40.0, 40.0), random.between(-40.0, 40.0)];
+    let start = random.between(0.0, 9000.0);
+    let mut builder = PageBuilder::default();
+    for pixel in 0..64 * 64 {
+        if !random.chance(terrain.dense) {
+            continue;
+        }
+        let (px, py) = (pixel % 64, pixel / 64);
+        let mut spans: Vec<Span> = Vec::new();
+        for storey in 0..=random.below(terrain.storeys) {
+            let height = start + slope[0] * f64::from(px) + slope[1] * f64::from(py) + 2700.0 * storey as f64;
+            let bottom = height + terrain.noise * terrain.step.max(1.0) * random.normal();
+            let top = bottom + f64::from(thickness(random));
+            let (bottom, top) = (quanta(bottom, false), quanta(top, true).max(quanta(bottom, false)));
+            let slices = SLICE_QUANTA as u32;
+            let is_apart = spans.last().is_none_or(|last| last.top().div_ceil(slices) < bottom / slices);
+            spans.extend(Span::new(bottom, top, random.chance(terrain.obstacles)).filter(|_| is_apart));
+        }
+        assert!(spans.is_empty() || builder.set_column(px, py, &spans), "{spans:?}");
+    }
+    builder.build()
+}
+
+/// Pages of all kinds: flat and steep, with and without steps of an instrument, full and nearly empty.
+fn pages() -> impl Iterator<Item = Page> {
+    let mut random = Random(7);
+    let mut terrains = Vec::new();
+    for step in [0.0, 17.0, 8.5, 255.0] {
+        for noise in [0.0, 0.6, 30.0] {
+            for (dense, obstacles, storeys) in [(100, 3, 1), (80, 50, 3), (4, 100, 6)] {
+                terrains.push(Terrain { step, noise, dense, obstacles, storeys });
+            }
+        }
+    }
+    terrains.into_iter().map(move |terrain| page(&terrain, &mut random))
+}
+
+/// Bytes, and their hash, of all pages as `encode` has them.
+fn of_all(mut encode: impl FnMut(&Page, &mut Vec<u8>)) -> (usize, u64) {
+    let (mut hash, mut len, mut bytes) = (Xxh3::new(), 0, Vec::new());
+    for page in pages() {
+        bytes.clear();
+        encode(&page, &mut bytes);
+        hash.update(&bytes);
+        len += bytes.len();
+    }
+    (len, hash.digest())
+}
+
+#[test]
+fn pages_of_all_kinds_have_the_bytes_that_they_always_had() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let exact = |tolerance| {
+        let mut encoder = Encoder::new(frame, tolerance);
+        of_all(|page, out| encoder.encode(page, out))
+    };
+    let lossy = |tolerance| {
+        let mut encoder = Encoder::new(frame, tolerance);
+        of_all(|page, out| drop(encoder.encode_lossy(page, &Inferred::NONE, out)))
+    };
+    let found = [("exact", exact(0)), ("on steps of 90 quanta", exact(90)), ("30 quanta off", lossy(30))];
+    let expected = [
+        ("exact", (265_533, 0x50c1549edd9fdbe8)),
+        ("on steps of 90 quanta", (266_478, 0x799b_1de6_bed1_46b4)),
+        ("30 quanta off", (187_991, 0xea376079c3eee0f5)),
+    ];
+    assert_eq!(found, expected);
+}

@@ -1,0 +1,651 @@
+//! Sweeps, clearance and ways out of solid, compared with brute force over the spans and with dense steps of
+//! `overlaps`.
+
+mod infinite;
+use crate::scene;
+
+use nalgebra::{Point3, Vector3};
+use scene::{Random, Scene};
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS};
+use slicewalk::query::*;
+use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::store::{Missing, PageSet, Store};
+
+/// Rounding errors at 10⁷ m, of the library and of the tests (m).
+const SLACK: f64 = 1e-7;
+
+/// Boxes of all spans (m).
+fn boxes(scene: &Scene) -> Vec<([f64; 3], [f64; 3])> {
+    let (frame, quantum) = (&scene.frame, scene.frame.quantum_m());
+    let columns = scene.columns.iter();
+    columns
+        .flat_map(|(&(i, j), spans)| {
+            spans.iter().map(move |m| {
+                let low = [frame.edge_of_pixel(i), frame.edge_of_pixel(j), m.0 as f64 * quantum];
+                let high = [frame.edge_of_pixel(i + 1), frame.edge_of_pixel(j + 1), m.1 as f64 * quantum];
+                (low, high)
+            })
+        })
+        .collect()
+}
+
+/// First time at which the box `shape` meets one of `boxes` grown by `grow` (negative: shrunk).
+fn brute_box(boxes: &[([f64; 3], [f64; 3])], shape: &Aabb, motion: Vector3<f64>, grow: f64) -> Option<f64> {
+    let hits = boxes.iter().filter_map(|(low, high)| {
+        let (mut t0, mut t1) = (f64::NEG_INFINITY, f64::INFINITY);
+        for a in 0..3 {
+            // The shape as a point, the box enlarged by its size.
+            let (lo, hi) = (low[a] - grow - shape.max()[a], high[a] + grow - shape.min()[a]);
+            if lo > hi {
+                return None;
+            }
+            if motion[a] == 0.0 {
+                if lo >= 0.0 || hi <= 0.0 {
+                    return None;
+                }
+            } else {
+                t0 = t0.max((lo / motion[a]).min(hi / motion[a]));
+                t1 = t1.min((lo / motion[a]).max(hi / motion[a]));
+            }
+        }
+        (t0 < t1 && t1 > 0.0 && t0 <= 1.0).then_some(t0.max(0.0))
+    });
+    hits.min_by(f64::total_cmp)
+}
+
+/// Distance from a round shape moved by `way` to a box; negative inside.
+fn gap(low: &[f64; 3], high: &[f64; 3], center: Point3<f64>, radius: f64, height: Option<f64>) -> f64 {
+    let axis = |a: usize| (low[a] - center[a]).max(center[a] - high[a]).max(0.0);
+    match height {
+        None => Vector3::new(axis(0), axis(1), axis(2)).norm() - radius,
+        Some(height) => {
+            let up = (low[2] - center.z - height).max(center.z - high[2]);
+            (axis(0).hypot(axis(1)) - radius).max(up)
+        }
+    }
+}
+
+/// First time at which a round shape comes nearer than `near` to one of `boxes`. The gap is a convex function of time,
+/// so a search for its minimum and then for its first root finds it.
+fn brute_round(
+    boxes: &[([f64; 3], [f64; 3])],
+    center: Point3<f64>,
+    radius: f64,
+    height: Option<f64>,
+    motion: Vector3<f64>,
+    near: f64,
+) -> Option<f64> {
+    let hits = boxes.iter().filter_map(|(low, high)| {
+        let at = |t: f64| gap(low, high, center + motion * t, radius, height) - near;
+        let (mut a, mut b) = (0.0, 1.0);
+        for _ in 0..120 {
+            let (c, d) = (a + (b - a) / 3.0, b - (b - a) / 3.0);
+            if at(c) <= at(d) { b = d } else { a = c }
+        }
+        let least = [a, 0.0, 1.0].into_iter().min_by(|s, t| at(*s).total_cmp(&at(*t)))?;
+        if at(least) >= 0.0 {
+            return None;
+        }
+        let (mut a, mut b) = (0.0, least);
+        for _ in 0..60 {
+            let middle = 0.5 * (a + b);
+            if at(middle) < 0.0 { b = middle } else { a = middle }
+        }
+        Some(b)
+    });
+    hits.min_by(f64::total_cmp)
+}
+
+/// Motions of all kinds: along an axis, diagonal, tiny, as long as the scene and far longer.
+fn random_motion(scene: &Scene, random: &mut Random) -> Vector3<f64> {
+    let length = scene.frame.pixel_m() * [0.1, 2.0, 30.0, 3000.0][random.below(4)];
+    let mut motion = Vector3::from_fn(|_, _| random.between(-length, length));
+    for axis in 0..3 {
+        if random.chance(35) {
+            motion[axis] = 0.0;
+        }
+    }
+    motion
+}
+
+/// A box of at most a pawn's size, often with faces on edges of pixels and quanta.
+fn random_pawn(scene: &Scene, random: &mut Random) -> Aabb {
+    let t = scene.frame.pixel_m();
+    let a = scene.random_point(random);
+    let most = [0.0, 2.0, 12.0][random.below(3)];
+    let mut size = Vector3::from_fn(|_, _| t * random.between(0.0, most));
+    if random.chance(40) {
+        size = size.map(|v| (v / t).round() * t);
+    }
+    // Without height it could lie in the plane between two pages, or move across its own plane.
+    size.z = size.z.max(1e-3 * t);
+    Aabb::new(a, a + size).unwrap()
+}
+
+fn check(hit: Option<SweepHit>, early: Option<f64>, late: Option<f64>, motion: Vector3<f64>, what: &str) {
+    let tolerance = SLACK / motion.norm().max(SLACK);
+    if let Some(late) = late {
+        let at = hit.unwrap_or_else(|| panic!("{what}: no hit, expected one at {late}")).fraction;
+        assert!(at <= late + tolerance, "{what}: {hit:?} later than {late}");
+    }
+    if let Some(hit) = hit {
+        let early = early.unwrap_or_else(|| panic!("{what}: {hit:?}, expected none"));
+        assert!(hit.fraction >= early - tolerance, "{what}: {hit:?} earlier than {early}");
+        assert!((0.0..=1.0).contains(&hit.fraction) && (hit.distance - hit.fraction * motion.norm()).abs() < 1e-9);
+        let length = hit.normal.norm();
+        assert!(hit.begins_inside() && hit.fraction == 0.0 || (length - 1.0).abs() < 1e-9, "{what}: {hit:?}");
+        assert!(hit.normal.dot(&motion) <= SLACK * motion.norm(), "{what}: {hit:?} faces the motion {motion}");
+    }
+}
+
+#[test]
+fn boxes_stop_at_the_first_span() {
+    for (scene, mut random) in Scene::all() {
+        let (store, boxes) = (scene.store(), boxes(&scene));
+        for _ in 0..150 {
+            let (shape, motion) = (random_pawn(&scene, &mut random), random_motion(&scene, &mut random));
+            let Answer::Known(hit) = sweep(&store, &shape, motion) else { panic!("all pages are in memory") };
+            let (early, late) = (brute_box(&boxes, &shape, motion, SLACK), brute_box(&boxes, &shape, motion, -SLACK));
+            check(hit, early, late, motion, &format!("{shape:?} by {motion:?}"));
+        }
+    }
+}
+
+#[test]
+fn cylinders_and_spheres_stop_at_the_first_span() {
+    for (scene, mut random) in Scene::all() {
+        let (store, boxes) = (scene.store(), boxes(&scene));
+        if boxes.len() > 1000 {
+            continue;
+        }
+        for _ in 0..40 {
+            let motion = random_motion(&scene, &mut random);
+            let center = scene.random_point(&mut random);
+            let t = scene.frame.pixel_m();
+            let (r, h) = (t * random.between(0.1, 8.0), t * random.between(0.0, 20.0));
+            let known = |answer| match answer {
+                Answer::Known(hit) => hit,
+                Answer::NotLoaded(_) => panic!("all pages are in memory"),
+            };
+            let cylinder = known(sweep(&store, &Cylinder::new(center, r, h).unwrap(), motion));
+            let times = |height, near| brute_round(&boxes, center, r, height, motion, near);
+            let what = format!("{center} {r} {h} by {motion:?}");
+            check(cylinder, times(Some(h), SLACK), times(Some(h), -SLACK), motion, &format!("cylinder {what}"));
+            let sphere = known(sweep(&store, &Sphere::new(center, r).unwrap(), motion));
+            check(sphere, times(None, SLACK), times(None, -SLACK), motion, &format!("sphere {what}"));
+        }
+    }
+}
+
+#[test]
+fn before_a_contact_dense_steps_touch_nothing() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        for _ in 0..30 {
+            let (shape, motion) = (random_pawn(&scene, &mut random), random_motion(&scene, &mut random));
+            let Answer::Known(hit) = sweep(&store, &shape, motion) else { panic!("all pages are in memory") };
+            let moved = |by: Vector3<f64>, grow: f64| {
+                let grow = Vector3::repeat(grow);
+                Aabb::new(shape.min() + by - grow, shape.max() + by + grow).ok()
+            };
+            let until = hit.map_or(1.0, |hit| hit.fraction);
+            for step in 0..200 {
+                let inner = moved(motion * (until * f64::from(step) / 199.0), -SLACK);
+                let touches = inner.is_some_and(|inner| overlaps(&store, &inner) == Overlap::Hit);
+                assert!(!touches || hit.is_some_and(|hit| hit.begins_inside()), "{shape:?} by {motion:?}: {hit:?}");
+            }
+            if let Some(hit) = hit {
+                let outer = moved(motion * hit.fraction, SLACK).unwrap();
+                assert_eq!(overlaps(&store, &outer), Overlap::Hit, "{shape:?} by {motion:?}: {hit:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn after_a_contact_the_way_along_it_and_back_is_free() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        for _ in 0..100 {
+            let (shape, motion) = (random_pawn(&scene, &mut random), random_motion(&scene, &mut random));
+            let Answer::Known(Some(hit)) = sweep(&store, &shape, motion) else { continue };
+            if hit.begins_inside() {
+                continue;
+            }
+            let by = motion * hit.fraction;
+            let there = Aabb::new(shape.min() + by, shape.max() + by).unwrap();
+            let again = |motion| sweep(&store, &there, motion).known().flatten();
+            if let Some(back) = again(-by) {
+                // Rounding errors may let what was touched at the start stop the end of the way back.
+                assert!((1.0 - back.fraction) * by.norm() < SLACK, "{there:?} by {:?}: {back:?}", -by);
+            }
+            if motion.norm() > SLACK * 10.0 {
+                let on = again(motion * 2.0)
+                    .unwrap_or_else(|| panic!("{there:?} by {motion:?}: free after {hit:?} of {shape:?}"));
+                assert!(on.distance < SLACK && !on.begins_inside(), "{there:?} by {motion:?}: {on:?} after {hit:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn creeping_into_matter_never_gets_inside() {
+    for (scene, mut random) in Scene::all().take(30) {
+        let store = scene.store();
+        for _ in 0..20 {
+            let (mut shape, motion) = (random_pawn(&scene, &mut random), random_motion(&scene, &mut random));
+            let tiny = motion * (1e-10 / motion.norm().max(1e-10));
+            for _ in 0..30 {
+                match sweep(&store, &shape, motion).known().flatten() {
+                    Some(hit) if hit.begins_inside() => break,
+                    Some(hit) => {
+                        let by = motion * hit.fraction;
+                        shape = Aabb::new(shape.min() + by, shape.max() + by).unwrap();
+                    }
+                    None => break,
+                }
+                for _ in 0..20 {
+                    let hit = sweep(&store, &shape, tiny).known().flatten();
+                    assert!(hit.is_none_or(|hit| !hit.begins_inside()), "{shape:?} by {tiny:?}: {hit:?}");
+                    let by = tiny * hit.map_or(1.0, |hit| hit.fraction);
+                    shape = Aabb::new(shape.min() + by, shape.max() + by).unwrap();
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_answer_does_not_depend_on_where_pages_begin() {
+    // The same scene, moved by parts of a tile: boundaries lie elsewhere, everything else is the same bit for bit.
+    let (t, s) = (0.0625, 0.25);
+    let frame = Frame::new(t, s).unwrap();
+    let mut random = Random(7);
+    for _ in 0..60 {
+        let matter: Vec<_> = (0..400)
+            .map(|_| {
+                let axis = |random: &mut Random| random.below(40) as i64 - 20;
+                let bottom = random.below(255 * 12) as i64 - 255 * 6;
+                ((axis(&mut random), axis(&mut random)), bottom, random.chance(50))
+            })
+            .collect();
+        let store = |di: i64, dj: i64, ds: i64| {
+            let mut columns = scene::Columns::new();
+            for &((i, j), bottom, obstacle) in &matter {
+                // Within one slice, and one per pixel.
+                let base = bottom.div_euclid(255) * 255 + ds * 255;
+                let low = bottom + ds * 255;
+                columns.insert((i + di, j + dj), vec![(low, (low + 40).min(base + 250).max(low), obstacle)]);
+            }
+            Store::from_pages(frame, scene::pages_of(&columns))
+        };
+        let (here, there) = (store(0, 0, 0), store(37, -23, 29));
+        let shift = Vector3::new(37.0 * t, -23.0 * t, 29.0 * s);
+        for _ in 0..50 {
+            let mut steps = |n: usize, unit: f64| (random.below(n) as f64 - n as f64 / 2.0) * unit;
+            let at = Point3::new(steps(200, t / 4.0), steps(200, t / 4.0), steps(100, s / 8.0));
+            let shape = |by| Aabb::standing(at + by, Vector3::new(0.5, 0.5, 1.75)).unwrap();
+            let motion = Vector3::new(steps(64, t), steps(64, t), steps(16, s));
+            let (a, b) = (sweep(&here, &shape(Vector3::zeros()), motion), sweep(&there, &shape(shift), motion));
+            let (a, b) = (a.known().flatten(), b.known().flatten());
+            assert_eq!(a.is_some(), b.is_some());
+            if let (Some(a), Some(b)) = (a, b) {
+                assert!((a.fraction - b.fraction).abs() < 1e-12, "{a:?} {b:?}");
+                assert_eq!(a.normal, b.normal, "{a:?} {b:?}");
+                if a.begins_inside() {
+                    continue;
+                }
+                assert_eq!(a.obstacle, b.obstacle);
+                assert_eq!([a.pixel[0] + 37, a.pixel[1] - 23], b.pixel);
+            }
+        }
+    }
+}
+
+/// Pixel, top (quanta) and kind of each span of each page; a span that continues in another page has a top there, too.
+fn tops(scene: &Scene) -> Vec<([i64; 2], i64, bool)> {
+    let of_page = |(key, page): &(PageKey, Page)| -> Vec<_> {
+        let place = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
+        let base = i64::from(key.layer) * PAGE_QUANTA;
+        let pixels = (0..64 * 64).map(|pixel| (pixel % 64, pixel / 64));
+        let spans = pixels.flat_map(|(px, py)| {
+            let pixel = [place(key.tx, px), place(key.ty, py)];
+            page.column(px, py).iter().map(move |span| (pixel, base + i64::from(span.top()), span.is_obstacle()))
+        });
+        spans.collect()
+    };
+    scene.pages.iter().flat_map(of_page).collect()
+}
+
+#[test]
+fn tops_and_mean_floors_are_those_of_the_pixels_under_the_shape() {
+    let (mut found, mut means) = (0, 0);
+    for (scene, mut random) in Scene::all() {
+        let (store, frame, tops) = (scene.store(), &scene.frame, tops(&scene));
+        let edges = |n: i64| (frame.edge_of_pixel(n), frame.edge_of_pixel(n + 1));
+        for turn in 0..12 {
+            let pawn = random_pawn(&scene, &mut random);
+            let (min, max, middle) = (pawn.min(), pawn.max(), nalgebra::center(&pawn.min(), &pawn.max()));
+            let (from, depth) = (scene.random_point(&mut random).z, frame.slice_m() * random.between(0.0, 30.0));
+            let radius = frame.pixel_m() * random.between(0.1, 8.0);
+            // How deep the footprint reaches into a pixel; touching is not enough.
+            let in_box = |i: i64, j: i64| {
+                let deep = |a: usize, (low, high): (f64, f64)| max[a].min(high) - min[a].max(low);
+                deep(0, edges(i)).min(deep(1, edges(j)))
+            };
+            let in_disc = |i: i64, j: i64| {
+                let gap = |a: usize, (low, high): (f64, f64)| (low - middle[a]).max(middle[a] - high).max(0.0);
+                radius - gap(0, edges(i)).hypot(gap(1, edges(j)))
+            };
+            let (depth_in, answers): (&dyn Fn(i64, i64) -> f64, _) = match turn % 3 {
+                0 => (&in_box, (top_under(&store, &pawn, from, depth), mean_floor_under(&store, &pawn, from, depth))),
+                1 => {
+                    let cylinder = Cylinder::new(middle, radius, 1.0).unwrap();
+                    let mean = mean_floor_under(&store, &cylinder, from, depth);
+                    (&in_disc, (top_under(&store, &cylinder, from, depth), mean))
+                }
+                _ => {
+                    let sphere = Sphere::new(middle, radius).unwrap();
+                    let mean = mean_floor_under(&store, &sphere, from, depth);
+                    (&in_disc, (top_under(&store, &sphere, from, depth), mean))
+                }
+            };
+            let (top, mean) = (answers.0.known().unwrap(), answers.1.known().unwrap());
+            let what = format!("{pawn:?}, radius {radius}, from {from} by {depth}");
+            let window = frame.quantum_ceil(from - depth)..=frame.quantum_floor(from);
+            let [sure, possible] = [SLACK, -SLACK].map(|least| {
+                let under = tops.iter().filter(|(_, top, _)| window.contains(top));
+                under.filter(|([i, j], ..)| depth_in(*i, *j) > least).collect::<Vec<_>>()
+            });
+            let highest = |tops: &[&([i64; 2], i64, bool)]| {
+                tops.iter().map(|(_, top, _)| *top).max().map(|top| frame.top_height(top))
+            };
+            assert!(highest(&sure) <= top && top <= highest(&possible), "{what}: {top:?}");
+            found += usize::from(top.is_some());
+            if sure.len() == possible.len() {
+                let floors: Vec<_> =
+                    sure.iter().filter(|(.., obstacle)| !obstacle).map(|(_, top, _)| *top as f64).collect();
+                let expected = floors.iter().sum::<f64>() / floors.len() as f64 * frame.quantum_m();
+                assert_eq!(mean.is_some(), !floors.is_empty(), "{what}: {mean:?}");
+                assert!(mean.is_none_or(|mean| (mean - expected).abs() < 1e-9), "{what}: {mean:?}, not {expected}");
+                means += usize::from(mean.is_some());
+            }
+        }
+        let pawn = random_pawn(&scene, &mut random);
+        for (from, depth) in [(f64::NAN, 1.0), (1.0, f64::NAN), (f64::INFINITY, 1.0), (1.0, f64::INFINITY), (1.0, -1.0)]
+        {
+            assert_eq!(top_under(&store, &pawn, from, depth), Answer::Known(None), "from {from} by {depth}");
+            assert_eq!(mean_floor_under(&store, &pawn, from, depth), Answer::Known(None), "from {from} by {depth}");
+        }
+    }
+    assert!(found > 100 && means > 60, "{found} tops, {means} means");
+}
+
+#[test]
+fn clearance_is_the_distance_to_the_nearest_span() {
+    for (scene, mut random) in Scene::all() {
+        let (store, boxes) = (scene.store(), boxes(&scene));
+        for _ in 0..60 {
+            let shape = random_pawn(&scene, &mut random);
+            let max = scene.frame.pixel_m() * [0.5, 5.0, 200.0][random.below(3)];
+            let near = |answer: Answer<Option<f64>>, nearest: f64, what: &str| {
+                let Answer::Known(answer) = answer else { panic!("all pages are in memory") };
+                match answer {
+                    Some(distance) => assert!((distance - nearest).abs() < SLACK, "{what}: {distance}, {nearest}"),
+                    None => assert!(nearest > max - SLACK, "{what}: none, {nearest}"),
+                }
+            };
+            let apart = |(low, high): &([f64; 3], [f64; 3])| {
+                let gap = |a: usize| (low[a] - shape.max()[a]).max(shape.min()[a] - high[a]).max(0.0);
+                Vector3::new(gap(0), gap(1), gap(2)).norm()
+            };
+            let nearest = boxes.iter().map(apart).fold(f64::INFINITY, f64::min);
+            near(clearance(&store, &shape, max), nearest, "box");
+            let (center, r) = (shape.min(), scene.frame.pixel_m());
+            let sphere = Sphere::new(center, r).unwrap();
+            near(clearance(&store, &sphere, max), (scene.distance(center) - r).max(0.0), "sphere");
+        }
+    }
+}
+
+#[test]
+fn the_way_out_of_matter_is_free_and_the_shortest() {
+    for (scene, mut random) in Scene::all() {
+        let (store, boxes) = (scene.store(), boxes(&scene));
+        for _ in 0..40 {
+            let shape = random_pawn(&scene, &mut random);
+            let max = scene.frame.pixel_m() * 40.0;
+            let Answer::Known(out) = depenetrate(&store, &shape, max) else { panic!("all pages are in memory") };
+            let inside = |by: Vector3<f64>, grow: f64| {
+                let moved = Aabb::new(shape.min() + by, shape.max() + by).unwrap();
+                brute_box(&boxes, &moved, Vector3::zeros(), grow).is_some()
+            };
+            let Some(out) = out else {
+                assert!(inside(Vector3::zeros(), SLACK));
+                continue;
+            };
+            assert!(!inside(out, -SLACK), "{shape:?} pushed by {out:?}");
+            let distance = out.norm();
+            for step in 0..20 {
+                for axis in 0..3 {
+                    for sign in [1.0, -1.0] {
+                        let mut shorter = Vector3::zeros();
+                        shorter[axis] = sign * (distance - 2.0 * SLACK) * f64::from(step) / 20.0;
+                        assert!(distance < 3.0 * SLACK || inside(shorter, SLACK), "{shape:?}: {shorter:?} < {out:?}");
+                    }
+                }
+            }
+            let cylinder = Cylinder::new(shape.min(), scene.frame.pixel_m() * 3.0, 0.5).unwrap();
+            let sphere = Sphere::new(shape.min(), scene.frame.pixel_m() * 3.0).unwrap();
+            if let Some(Some(out)) = depenetrate(&store, &cylinder, max).known() {
+                let moved = Cylinder::new(shape.min() + out, cylinder.radius() - SLACK, 0.5).unwrap();
+                let still = boxes
+                    .iter()
+                    .any(|(low, high)| gap(low, high, moved.feet(), moved.radius(), Some(moved.height())) < -SLACK);
+                assert!(!still, "{cylinder:?} pushed by {out:?}");
+            }
+            if let Some(Some(out)) = depenetrate(&store, &sphere, max).known() {
+                let center = sphere.center() + out;
+                let still = boxes.iter().any(|(low, high)| gap(low, high, center, sphere.radius(), None) < -SLACK);
+                assert!(!still, "{sphere:?} pushed by {out:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn pages_not_in_memory_are_never_taken_for_free() {
+    for (scene, mut random) in Scene::all() {
+        let full = scene.store();
+        let some: Vec<_> = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(40)).collect();
+        for _ in 0..25 {
+            let (shape, motion) = (random_pawn(&scene, &mut random), random_motion(&scene, &mut random));
+            let max = scene.frame.pixel_m() * 20.0;
+            let mut store = scene.part(&some);
+            loop {
+                let (a, b, c) =
+                    (sweep(&store, &shape, motion), clearance(&store, &shape, max), depenetrate(&store, &shape, max));
+                let mut keys = Vec::new();
+                for missing in [missing(a), missing(b), missing(c)].into_iter().flatten() {
+                    assert!(missing.count() > 0);
+                    keys.extend_from_slice(missing.keys());
+                }
+                if let Answer::Known(hit) = a {
+                    let whole = sweep(&full, &shape, motion).known().flatten();
+                    let inside = |hit: Option<SweepHit>| hit.is_some_and(|hit| hit.begins_inside());
+                    assert!(hit == whole || inside(hit) && inside(whole), "{hit:?} {whole:?}");
+                }
+                if let Answer::Known(near) = b {
+                    assert_eq!(Answer::Known(near), clearance(&full, &shape, max));
+                }
+                if let Answer::Known(out) = c {
+                    assert_eq!(Answer::Known(out), depenetrate(&full, &shape, max));
+                }
+                if keys.is_empty() {
+                    break;
+                }
+                keys.sort();
+                keys.dedup();
+                assert_eq!(store.load(&keys), keys.len());
+            }
+        }
+    }
+}
+
+fn missing<T>(answer: Answer<T>) -> Option<Missing> {
+    match answer {
+        Answer::NotLoaded(missing) => Some(missing),
+        Answer::Known(_) => None,
+    }
+}
+
+#[test]
+fn who_stands_on_matter_touches_it_and_is_not_inside() {
+    // Quanta of 2⁻¹⁰ m, so that all heights are exact.
+    let frame = Frame::new(0.25, 255.0 / 1024.0).unwrap();
+    let mut builder = PageBuilder::default();
+    let floor = Span::new(0, 512, false).unwrap();
+    for pixel in 0..64 * 64 {
+        assert!(builder.set_column(pixel % 64, pixel / 64, &[floor]));
+    }
+    let key = PageKey { tx: 0, ty: 0, layer: 0 };
+    let store = Store::from_pages(frame, [(key, builder.build())]);
+    let (top, quantum, down) = (0.5, 1.0 / 1024.0, Vector3::new(0.0, 0.0, -1.0));
+    let standing = |z: f64, motion: Vector3<f64>| {
+        let at = Point3::new(4.0, 4.0, z);
+        let hits = [
+            sweep(&store, &Cylinder::new(at, 0.25, 1.0).unwrap(), motion),
+            sweep(&store, &Aabb::new(at, at + Vector3::new(0.5, 0.5, 1.0)).unwrap(), motion),
+        ];
+        hits.map(|hit| hit.known().unwrap())
+    };
+    for hit in standing(top, down) {
+        let hit = hit.unwrap();
+        assert!(hit.fraction == 0.0 && hit.normal == Vector3::z() && !hit.begins_inside(), "{hit:?}");
+    }
+    for hit in standing(top + quantum, down) {
+        let hit = hit.unwrap();
+        assert!((hit.distance - quantum).abs() < 1e-12 && hit.normal == Vector3::z(), "{hit:?}");
+    }
+    assert_eq!(standing(top, -down), [None; 2]);
+    for hit in standing(top - quantum, down) {
+        assert!(hit.unwrap().begins_inside());
+    }
+}
+
+/// The bounding box meets the edge all the way, the sphere never.
+#[test]
+fn a_sphere_passes_along_an_edge_that_is_further_than_its_radius() {
+    let frame = Frame::new(0.25, 255.0 / 256.0).unwrap();
+    let columns = (0..20).map(|i| ((i, 0), vec![(0, 256, false)])).collect();
+    let store = Store::from_pages(frame, scene::pages_of(&columns));
+    for (aside, hits) in [(0.4, false), (0.3, true)] {
+        for motion in [Vector3::x() * 3.0, Vector3::x() * -3.0] {
+            let from = if motion.x > 0.0 { -1.0 } else { 6.0 };
+            // From the upper edge of the row, as far to the side as above.
+            let sphere = Sphere::new([from, 0.25 + aside, 1.0 + aside].into(), 0.5).unwrap();
+            assert_eq!(sweep(&store, &sphere, motion).known().unwrap().is_some(), hits, "{aside} {motion:?}");
+        }
+    }
+}
+
+/// A body that comes down at the foot of a wall, or on an edge, lands: contact from above at the same moment counts.
+#[test]
+fn of_contacts_at_the_same_moment_landing_counts() {
+    // Pixels of 1/4 m, quanta of 1/256 m: all ends are exact.
+    let frame = Frame::new(0.25, 255.0 / 256.0).unwrap();
+    let (floor, wall) = ((0, 256, false), (300, 700, false));
+    for mirrored in [false, true] {
+        let mut columns = scene::Columns::new();
+        let pixel = |i: i64| if mirrored { -1 - i } else { i };
+        let mut store = |at: &[(i64, scene::Matter)]| {
+            columns.clear();
+            columns.extend(at.iter().flat_map(|&(i, matter)| (-3..6).map(move |j| ((pixel(i), j), vec![matter]))));
+            Store::from_pages(frame, scene::pages_of(&columns))
+        };
+        let side: f64 = if mirrored { -1.0 } else { 1.0 };
+        // Half a metre from the wall, half a metre above the floor.
+        let (from, to) = (0.25 * side, 0.5 * side);
+        let shape = Aabb::new([from.min(to), 0.25, 1.5].into(), [from.max(to), 0.5, 2.5].into()).unwrap();
+        let motion = Vector3::new(side, 0.0, -1.0);
+        let both = store(&[(2, floor), (3, floor), (4, wall)]);
+        let edge = store(&[(4, floor)]);
+        for store in [both, edge] {
+            let hit = sweep(&store, &shape, motion).known().unwrap().unwrap();
+            assert!((hit.fraction - 0.5).abs() < 1e-9 && hit.normal == Vector3::z(), "{hit:?}");
+        }
+        let hit = sweep(&store(&[(4, wall)]), &shape, motion).known().unwrap().unwrap();
+        assert!((hit.fraction - 0.5).abs() < 1e-9 && hit.normal == -side * Vector3::x(), "{hit:?}");
+    }
+}
+
+#[test]
+fn a_thin_wall_stops_at_any_speed() {
+    // One pixel thick, and one quantum thick from above.
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    for far in [0i64, 200_000_000] {
+        let columns: scene::Columns = (-40..40)
+            .flat_map(|j| {
+                let wall = ((far + 100, j), vec![(0, 3400, true)]);
+                (far - 20..far + 100).map(move |i| ((i, j), vec![(-7, -7, false)])).chain([wall])
+            })
+            .collect();
+        let store = Store::from_pages(frame, scene::pages_of(&columns));
+        let from = store.frame().edge_of_pixel(far);
+        for speed in [0.1, 1.4, 30.0, 300.0, 3e4, 3e8] {
+            for hz in [15.0, 60.0, 240.0] {
+                let mut pawn = Aabb::standing([from, 0.0, 0.1].into(), [0.5, 0.5, 1.8].into()).unwrap();
+                let step = Vector3::new(speed / hz, speed / hz * 0.01, 0.0);
+                let mut frames = 0;
+                let hit = loop {
+                    if let Answer::Known(Some(hit)) = sweep(&store, &pawn, step) {
+                        break hit;
+                    }
+                    pawn = Aabb::new(pawn.min() + step, pawn.max() + step).unwrap();
+                    frames += 1;
+                    assert!(frames < 100_000, "{speed} m/s");
+                };
+                assert_eq!((hit.normal, hit.obstacle), (-Vector3::x(), true));
+                assert!((pawn.max().x + hit.fraction * step.x - from - 5.0).abs() < 1e-6);
+                let fall = Vector3::new(0.0, 0.0, -speed / hz);
+                let high = Aabb::standing([from, 0.0, 100.0].into(), [0.5, 0.5, 1.8].into()).unwrap();
+                let Answer::Known(hit) = sweep(&store, &high, fall) else { panic!("in memory") };
+                assert_eq!(hit.is_some(), speed / hz > 101.0);
+                assert!(hit.is_none_or(|hit| hit.normal == Vector3::z() && !hit.obstacle));
+            }
+        }
+    }
+}
+
+#[test]
+fn long_and_endless_motions_are_answered_at_once() {
+    let (scene, _) = Scene::all().nth(4).unwrap();
+    let store = scene.store();
+    let shape = Aabb::standing(scene.origin - Vector3::new(1e6, 0.0, 0.0), Vector3::new(0.5, 0.5, 1.8)).unwrap();
+    for motion in [Vector3::new(1e9, 1e9, 1e9), Vector3::new(1e15, 0.0, 0.0), Vector3::new(-1e12, 1e12, 1.0)] {
+        assert!(matches!(sweep(&store, &shape, motion), Answer::Known(_)));
+    }
+    let endless = sweep(&store, &shape, Vector3::new(f64::NAN, 0.0, f64::INFINITY)).known().flatten();
+    assert!(endless.is_some_and(|hit| hit.begins_inside()));
+    let through = sweep(&store, &shape, Vector3::new(2e6, 0.0, 0.0));
+    assert!(matches!(through, Answer::Known(_)));
+}
+
+#[test]
+fn batches_answer_like_single_queries() {
+    let (scene, mut random) = Scene::all().nth(5).unwrap();
+    let store = scene.store();
+    let ways: Vec<_> =
+        (0..50).map(|_| (random_pawn(&scene, &mut random), random_motion(&scene, &mut random))).collect();
+    let mut hits = vec![Answer::Known(None); ways.len()];
+    sweep_batch(&store, &ways, &mut hits);
+    let shapes: Vec<_> = ways.iter().map(|way| way.0).collect();
+    let (mut near, mut out) = (vec![Answer::Known(None); ways.len()], vec![Answer::Known(None); ways.len()]);
+    clearance_batch(&store, &shapes, 1.0, &mut near);
+    depenetrate_batch(&store, &shapes, 1.0, &mut out);
+    for (n, (shape, motion)) in ways.iter().enumerate() {
+        assert_eq!(hits[n], sweep(&store, shape, *motion));
+        assert_eq!(near[n], clearance(&store, shape, 1.0));
+        assert_eq!(out[n], depenetrate(&store, shape, 1.0));
+    }
+}

@@ -1,0 +1,63 @@
+//! Standing places and walking, compared with brute force, closed forms, exact routes and the walker itself.
+
+mod brute;
+mod coarse;
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../common/data.rs"]
+mod data;
+mod ends;
+mod flat;
+mod leaks;
+mod oracle;
+mod plans;
+mod routes;
+mod scenes;
+mod walked;
+#[allow(dead_code)]
+#[path = "../walk/world.rs"]
+mod world;
+
+use nalgebra::Point3;
+use slicewalk::NoMonitor;
+use slicewalk::query::Answer;
+use slicewalk::reach::{Flood, Pawn, Region, Route, Search, Spot, StandingPlaces};
+use slicewalk::store::PageSet;
+
+/// Unwraps the answer of a set whose pages are all in memory.
+fn known<T>(answer: Answer<T>) -> T {
+    match answer {
+        Answer::Known(value) => value,
+        Answer::NotLoaded(missing) => panic!("{missing:?}"),
+    }
+}
+
+fn grown<S: PageSet>(standing: &mut StandingPlaces, set: &S, mut flood: Flood) -> Region {
+    known(flood.grow(standing, set, &NoMonitor).unwrap());
+    flood.region(standing)
+}
+
+/// Everything reachable from a place.
+fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, Region) {
+    let mut standing = StandingPlaces::new(set, pawn).unwrap();
+    let start =
+        known(standing.spot(set, from.into()).unwrap()).unwrap_or_else(|| panic!("{from:?} is no place to stand"));
+    let region = grown(&mut standing, set, Flood::from(start));
+    (standing, region)
+}
+
+/// All standing places.
+fn everywhere<S: PageSet>(set: &S, pawn: Pawn) -> (StandingPlaces, Region) {
+    let mut standing = StandingPlaces::new(set, pawn).unwrap();
+    let flood = known(Flood::everywhere(&mut standing, set).unwrap());
+    let region = grown(&mut standing, set, flood);
+    (standing, region)
+}
+
+fn spot<S: PageSet>(standing: &mut StandingPlaces, set: &S, at: Point3<f64>) -> Option<Spot> {
+    known(standing.spot(set, at).unwrap())
+}
+
+fn way<S: PageSet>(search: &mut Search, set: &S, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {
+    known(search.route(set, region, from, to, &NoMonitor).unwrap())
+}

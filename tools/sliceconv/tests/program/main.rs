@@ -1,0 +1,48 @@
+//! The program `sliceconv`, by its command line.
+
+#[path = "../../../../tests/cloud/boxes.rs"]
+mod boxes;
+#[path = "../../../../tests/cloud/coloured.rs"]
+mod coloured;
+#[path = "../../../../tests/common/data.rs"]
+mod data;
+#[path = "../../../../tests/mesh/files.rs"]
+mod files;
+#[path = "../../../../tests/common/full.rs"]
+mod full;
+#[path = "../../../../tests/cloud/plain.rs"]
+mod plain;
+#[path = "../../../../tests/mesh/sat.rs"]
+mod sat;
+#[path = "../../../../tests/common/scans.rs"]
+mod scans;
+#[path = "../../../../tests/common/store.rs"]
+mod store;
+#[path = "../../../../tests/mesh/truth.rs"]
+mod truth;
+#[path = "../../../../tests/cloud/write.rs"]
+mod write;
+
+mod cli;
+mod clouds;
+mod colours;
+mod determinism;
+mod faults;
+mod floaters;
+mod formats;
+mod holes;
+mod incomplete;
+mod input;
+mod memory;
+mod mesh_colours;
+mod meshes;
+mod moving;
+mod odd_files;
+mod outputs;
+mod resume;
+mod shards;
+mod stores;
+mod tables;
+mod tolerance;
+mod units;
+mod uploads;

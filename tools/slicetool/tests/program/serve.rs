@@ -1,0 +1,336 @@
+//! `slicetool serve` and `slicetool site`: the built binary, queried by a plain client over a socket.
+#![cfg(feature = "serve")]
+
+use scangen::{WriteSpec, write_las};
+use slicewalk::NoMonitor;
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
+use std::collections::HashMap;
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Longest wait for a server.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn archive(path: &Path, height: f64) {
+    let folder = tempfile::tempdir().unwrap();
+    let scan = folder.path().join("scan.las");
+    let step = |n: i32| f64::from(n) * 0.05 + 0.025;
+    let points: Vec<_> = (0..60).flat_map(|i| (0..60).map(move |j| [step(i), step(j), height])).collect();
+    write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], path.to_owned());
+    options.pixel = PixelSize::Metres(0.1);
+    options.overwrite = true;
+    convert(&options, &NoMonitor).unwrap();
+}
+
+/// Archives `a.slices` and `b.slices`, a page, and a secret beside it.
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    archive(&at.join("a.slices"), 0.35);
+    archive(&at.join("b.slices"), 1.35);
+    for (name, text) in [
+        ("page/index.html", "<title>page</title>"),
+        ("page/archives.json", "{}"),
+        ("page/assets/engine.wasm", "\0asm"),
+        ("page/assets/main.js", "let a;"),
+        ("page/.hidden", "secret"),
+        ("secret.txt", "secret"),
+    ] {
+        let path = at.join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+    folder
+}
+
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_slicetool"));
+    command.current_dir(folder).args(arguments).stdin(Stdio::null());
+    command
+}
+
+fn run(folder: &Path, arguments: &[&str]) -> Output {
+    command(folder, arguments).output().unwrap()
+}
+
+/// Checks that the command fails with one line, which is returned.
+fn refuses(folder: &Path, arguments: &[&str]) -> String {
+    let out = run(folder, arguments);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!((out.status.code(), out.stdout.len()), (Some(1), 0), "{arguments:?}: {said}");
+    assert!(said.lines().count() == 1 && said.starts_with("slicetool: "), "{arguments:?}: {said}");
+    said
+}
+
+struct Server {
+    child: Child,
+    address: String,
+}
+
+impl Server {
+    fn start(folder: &Path, arguments: &[&str]) -> Self {
+        let all = [&["serve"], arguments, &["--page", "page"]].concat();
+        let mut child = command(folder, &all).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim_end().strip_prefix("http://").and_then(|rest| rest.strip_suffix('/'));
+        let address = address.unwrap_or_else(|| panic!("{line:?}")).to_owned();
+        assert!(address.starts_with("127.0.0.1:"), "{line:?}");
+        Self { child, address }
+    }
+
+    /// Sends `GET path` with additional headers, each ending in `\r\n`.
+    fn get(&self, path: &str, headers: &str) -> Answer {
+        self.ask(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n{headers}Connection: close\r\n\r\n", self.address))
+    }
+
+    fn ask(&self, request: &str) -> Answer {
+        let mut stream = TcpStream::connect(&self.address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut bytes = Vec::new();
+        stream.read_to_end(&mut bytes).unwrap();
+        let end = bytes.windows(4).position(|four| four == b"\r\n\r\n").expect("a head");
+        let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
+        let mut lines = head.lines();
+        let status = lines.next().unwrap().split(' ').nth(1).unwrap().parse().unwrap();
+        let headers = lines.map(|line| line.split_once(": ").unwrap());
+        let headers = headers.map(|(name, value)| (name.to_ascii_lowercase(), value.to_owned())).collect();
+        Answer { status, headers, body: bytes[end + 4..].to_vec() }
+    }
+
+    /// Waits for the exit code.
+    #[cfg(unix)]
+    fn wait(&mut self) -> Option<i32> {
+        let end = Instant::now() + PATIENCE;
+        while Instant::now() < end {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status.code();
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        panic!("the server does not stop")
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+struct Answer {
+    status: u16,
+    headers: HashMap<String, String>,
+    body: Vec<u8>,
+}
+
+impl Answer {
+    fn header(&self, name: &str) -> &str {
+        self.headers.get(name).map_or("", String::as_str)
+    }
+}
+
+#[test]
+fn archives_are_served_by_ranges() {
+    let folder = folder();
+    let whole = fs::read(folder.path().join("a.slices")).unwrap();
+    let server = Server::start(folder.path(), &["a.slices"]);
+    let all = server.get("/a.slices", "");
+    assert_eq!((all.status, all.header("accept-ranges")), (200, "bytes"));
+    assert_eq!(all.header("content-type"), "application/octet-stream");
+    assert!(all.body == whole && all.header("last-modified").ends_with(" GMT"));
+    let tag = all.header("etag").to_owned();
+    assert!(tag.starts_with('"') && tag.len() > 10, "{tag}");
+
+    let part = server.get("/a.slices", "Range: bytes=10-29\r\n");
+    assert_eq!((part.status, part.header("etag")), (206, tag.as_str()));
+    assert_eq!(part.header("content-range"), format!("bytes 10-29/{}", whole.len()));
+    assert_eq!(part.body, whole[10..30]);
+    let end = server.get("/a.slices", "Range: bytes=-7\r\n");
+    assert_eq!((end.status, end.body.as_slice()), (206, &whole[whole.len() - 7..]));
+    let outside = server.get("/a.slices", "Range: bytes=99999999-\r\n");
+    assert_eq!((outside.status, outside.body.len()), (416, 0));
+    assert_eq!(outside.header("content-range"), format!("bytes */{}", whole.len()));
+
+    let same = server.get("/a.slices", &format!("Range: bytes=0-3\r\nIf-Range: {tag}\r\n"));
+    assert_eq!((same.status, same.body.len()), (206, 4));
+    let other = server.get("/a.slices", "Range: bytes=0-3\r\nIf-Range: \"other\"\r\n");
+    assert_eq!((other.status, other.body.len()), (200, whole.len()));
+    assert_eq!(server.get("/a.slices", &format!("If-None-Match: {tag}\r\n")).status, 304);
+    let host = format!("Host: {}\r\nConnection: close\r\n\r\n", server.address);
+    let head = server.ask(&format!("HEAD /a.slices HTTP/1.1\r\n{host}"));
+    assert_eq!(
+        (head.status, head.header("content-length"), head.body.len()),
+        (200, whole.len().to_string().as_str(), 0)
+    );
+    let post = server.ask(&format!("POST /a.slices HTTP/1.1\r\nContent-Length: 0\r\n{host}"));
+    assert_eq!((post.status, post.header("allow")), (405, "GET, HEAD"));
+}
+
+#[test]
+fn the_page_comes_with_its_types_and_policy_and_knows_the_archives() {
+    let folder = folder();
+    fs::create_dir(folder.path().join("other")).unwrap();
+    fs::copy(folder.path().join("b.slices"), folder.path().join("other/a.slices")).unwrap();
+    fs::rename(folder.path().join("b.slices"), folder.path().join("über b.slices")).unwrap();
+    let server = Server::start(folder.path(), &["a.slices", "über b.slices", "other/a.slices"]);
+    let index = server.get("/", "");
+    assert_eq!((index.status, index.header("content-type")), (200, "text/html; charset=utf-8"));
+    assert_eq!(index.body, b"<title>page</title>");
+    let policy = index.header("content-security-policy");
+    assert!(
+        policy.contains("script-src 'self' 'wasm-unsafe-eval';") && policy.contains("default-src 'none'"),
+        "{policy}"
+    );
+    assert_eq!(index.header("x-content-type-options"), "nosniff");
+    assert_eq!(server.get("/assets/engine.wasm", "").header("content-type"), "application/wasm");
+    assert_eq!(server.get("/assets/main.js?v=1", "").header("content-type"), "text/javascript; charset=utf-8");
+    let table: serde_json::Value = serde_json::from_slice(&server.get("/archives.json", "").body).unwrap();
+    let urls: Vec<_> = table["archives"].as_array().unwrap().iter().map(|a| a["url"].as_str().unwrap()).collect();
+    assert_eq!(urls, ["a.slices", "%C3%BCber%20b.slices", "a-2.slices"]);
+    let third = fs::read(folder.path().join("other/a.slices")).unwrap();
+    assert_eq!(server.get("/a-2.slices", "").body, third);
+    assert_eq!(server.get("/%C3%BCber%20b.slices", "Range: bytes=0-1\r\n").status, 206);
+}
+
+#[test]
+fn nothing_else_of_the_disk_is_served() {
+    let folder = folder();
+    let server = Server::start(folder.path(), &["a.slices"]);
+    #[cfg(unix)]
+    std::os::unix::fs::symlink("../secret.txt", folder.path().join("page/link.txt")).unwrap();
+    let absolute = format!(
+        "/{}",
+        folder.path().join("secret.txt").display().to_string().replace('\\', "/").trim_start_matches('/')
+    );
+    let paths = [
+        "/secret.txt",
+        "/../secret.txt",
+        "/assets/../../secret.txt",
+        "/%2e%2e/secret.txt",
+        "/..%2fsecret.txt",
+        "/..%5csecret.txt",
+        "//secret.txt",
+        "/.hidden",
+        "/page/index.html",
+        "/link.txt",
+        "/b.slices",
+        "/a.slices/",
+        "/A.slices",
+        "/%00",
+        "/%ff",
+        "/assets/",
+        absolute.as_str(),
+    ];
+    for path in paths {
+        let answer = server.get(path, "");
+        assert_eq!(answer.status, 404, "{path}");
+        assert!(!String::from_utf8_lossy(&answer.body).contains("secret"), "{path}");
+    }
+    // A foreign name that resolves to this machine must not read scans from the browser.
+    let foreign = server.ask("GET /a.slices HTTP/1.1\r\nHost: example.com\r\nConnection: close\r\n\r\n");
+    assert_eq!(foreign.status, 403);
+}
+
+#[cfg(unix)]
+#[test]
+fn links_in_the_page_are_not_followed() {
+    let folder = folder();
+    std::os::unix::fs::symlink("../secret.txt", folder.path().join("page/link.txt")).unwrap();
+    std::os::unix::fs::symlink("..", folder.path().join("page/up")).unwrap();
+    let server = Server::start(folder.path(), &["a.slices"]);
+    assert_eq!(server.get("/link.txt", "").status, 404);
+    assert_eq!(server.get("/up/secret.txt", "").status, 404);
+}
+
+#[test]
+fn a_replaced_archive_has_another_tag() {
+    let folder = folder();
+    let server = Server::start(folder.path(), &["a.slices"]);
+    let before = server.get("/a.slices", "Range: bytes=0-9\r\n");
+    archive(&folder.path().join("a.slices"), 0.95);
+    let after = server.get("/a.slices", &format!("Range: bytes=0-9\r\nIf-Range: {}\r\n", before.header("etag")));
+    assert_eq!(after.status, 200);
+    assert_ne!(before.header("etag"), after.header("etag"));
+    fs::remove_file(folder.path().join("a.slices")).unwrap();
+    assert_eq!(server.get("/a.slices", "").status, 404);
+}
+
+#[cfg(unix)]
+#[test]
+fn signals_stop_it_though_a_client_stays_connected() {
+    let folder = folder();
+    for (signal, code) in [("INT", 130), ("TERM", 143)] {
+        let mut server = Server::start(folder.path(), &["a.slices"]);
+        let idle = TcpStream::connect(&server.address).unwrap();
+        assert_eq!(server.get("/", "").status, 200);
+        let killed = Command::new("kill").args(["-s", signal, &server.child.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+        assert_eq!(server.wait(), Some(code), "{signal}");
+        drop(idle);
+    }
+}
+
+#[test]
+fn what_cannot_be_served_is_one_line() {
+    let folder = folder();
+    let at = folder.path();
+    let said = refuses(at, &["serve", "missing.slices", "--page", "page"]);
+    assert!(said.contains("missing.slices"), "{said}");
+    let said = refuses(at, &["serve", "secret.txt", "--page", "page"]);
+    assert!(said.contains("secret.txt"), "{said}");
+    let said = refuses(at, &["serve", "a.slices", "--page", "nowhere"]);
+    assert!(said.contains("nowhere") && said.contains("tools/viewer/build.sh"), "{said}");
+    let said = refuses(at, &["serve", "a.slices", "--page", "page", "--cloud", "secret.txt"]);
+    assert!(said.contains("secret.txt: not a COPC file"), "{said}");
+    let server = Server::start(at, &["a.slices"]);
+    let port = server.address.rsplit_once(':').unwrap().1.to_owned();
+    let said = refuses(at, &["serve", "a.slices", "--page", "page", "--port", &port]);
+    assert!(said.contains(&format!("--port {port}: cannot listen")), "{said}");
+    assert_eq!(run(at, &["serve"]).status.code(), Some(2));
+}
+
+/// Arguments that write the archive's site, plus `more`.
+fn site<'a>(archive: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["site", archive, "-o", "site", "--page", "page"], more].concat()
+}
+
+#[test]
+fn a_site_is_a_folder_for_any_host() {
+    let folder = folder();
+    let at = folder.path();
+    let out = run(at, &site("a.slices", &[]));
+    assert!(out.status.success() && String::from_utf8(out.stdout).unwrap().starts_with("site: "));
+    let read = |name: &str| fs::read(at.join("site").join(name)).unwrap_or_else(|_| panic!("{name}"));
+    assert_eq!(read("a.slices"), fs::read(at.join("a.slices")).unwrap());
+    assert_eq!((read("index.html"), read("assets/engine.wasm")), (b"<title>page</title>".into(), b"\0asm".into()));
+    let table: serde_json::Value = serde_json::from_slice(&read("archives.json")).unwrap();
+    assert_eq!(table, serde_json::json!({ "archives": [{ "name": "a.slices", "url": "a.slices" }], "cloud": null }));
+    assert!(!at.join("site/.hidden").exists());
+
+    // Again: the page is written again, the identical archive may stay.
+    fs::write(at.join("page/index.html"), "newer").unwrap();
+    assert!(run(at, &site("a.slices", &[])).status.success());
+    assert_eq!(read("index.html"), b"newer");
+    // A different archive of that name is kept unless forced.
+    fs::create_dir(at.join("new")).unwrap();
+    fs::rename(at.join("b.slices"), at.join("new/a.slices")).unwrap();
+    let said = refuses(at, &site("new/a.slices", &[]));
+    assert!(said.contains("--force"), "{said}");
+    assert_eq!(read("a.slices"), fs::read(at.join("a.slices")).unwrap());
+    assert!(run(at, &site("new/a.slices", &["--force"])).status.success());
+    assert_eq!(read("a.slices"), fs::read(at.join("new/a.slices")).unwrap());
+    // A file that the command reads is never replaced.
+    let said = refuses(at, &["site", "a.slices", "-o", ".", "--page", "page", "--force"]);
+    assert!(said.contains("a.slices"), "{said}");
+    let left: Vec<_> = fs::read_dir(at.join("site")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert!(left.iter().all(|name| !name.to_string_lossy().contains(".part")), "{left:?}");
+}
