@@ -183,6 +183,46 @@ impl StandingPlaces {
         ControlFlow::Continue(best.map(|(moved, spot)| self.snapped_to(spot, moved)))
     }
 
+    /// Returns all standing places over `at` (m), lowest first. If there are none, returns those over the nearest pixel
+    /// within `snap` (m) that has any.
+    ///
+    /// Distances are horizontal. Among equally near pixels, the first along y, then x, wins.
+    pub fn snapped_over<S: PageSet>(&mut self, set: &S, at: Point2<f64>, snap: f64) -> Result<Answer<Vec<Snapped>>> {
+        answer(self.snap_over(set, at, snap))
+    }
+
+    fn snap_over<S: PageSet>(&mut self, set: &S, at: Point2<f64>, snap: f64) -> Needs<Vec<Snapped>> {
+        let Some(middle) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(Vec::new()) };
+        let mut best = self.over(set, middle, 0.0)?;
+        if !best.is_empty() {
+            return ControlFlow::Continue(best);
+        }
+        let far = (snap.clamp(0.0, MOST_SNAP_M) / self.grid.frame.pixel_m()).ceil() as i32;
+        for pixel in (-far..=far).flat_map(|y| (-far..=far).map(move |x| [middle[0] + x, middle[1] + y])) {
+            let across = (Point2::new(self.grid.middle(pixel[0], 0), self.grid.middle(pixel[1], 1)) - at).norm();
+            let is_nearer = best.first().map_or(across <= snap, |best: &Snapped| across < best.moved);
+            if self.grid.is_inside(pixel) && is_nearer {
+                let found = self.over(set, pixel, across)?;
+                if !found.is_empty() {
+                    best = found;
+                }
+            }
+        }
+        ControlFlow::Continue(best)
+    }
+
+    /// Returns the standing places over `pixel`, lowest first.
+    fn over<S: PageSet>(&mut self, set: &S, pixel: [i32; 2], moved: f64) -> Needs<Vec<Snapped>> {
+        if !self.grid.is_inside(pixel) {
+            return ControlFlow::Continue(Vec::new());
+        }
+        let tile = self.tile(set, pixel)?;
+        let column = self.tiles[tile].column(pixel).iter().enumerate();
+        let standing = column.filter(|(_, block)| block.kind == Kind::Standing);
+        let spots = standing.map(|(place, block)| Spot { pixel, place, top: block.top });
+        ControlFlow::Continue(spots.map(|spot| self.snapped_to(spot, moved)).collect())
+    }
+
     fn snapped_to(&self, spot: Spot, moved: f64) -> Snapped {
         let [i, j] = spot.pixel;
         let feet = Point3::new(self.grid.middle(i, 0), self.grid.middle(j, 1), self.grid.z(spot.top));

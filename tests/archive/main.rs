@@ -2,8 +2,8 @@
 
 #[path = "../common/mod.rs"]
 mod common;
-#[path = "../common/random.rs"]
-mod random;
+
+use common::random;
 
 mod encodings;
 mod levels;

@@ -1,7 +1,6 @@
 //! Converts points to an archive through a LAS file, and reads its spans.
 
-#[path = "../common/random.rs"]
-mod random;
+use crate::random;
 pub use random::Random;
 
 use scangen::{Kind, Sample, WriteSpec, write_samples};

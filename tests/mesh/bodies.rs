@@ -1,12 +1,9 @@
 //! Bodies for object tests, and simple ways to compare them without code of the library.
 #![allow(dead_code, reason = "each test file uses a part")]
 
-#[path = "../common/data.rs"]
-mod data;
-#[path = "../common/random.rs"]
-mod random;
+pub use crate::random::Random;
 
-pub use random::Random;
+use crate::data;
 
 use super::files::{Triangle, read};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};

@@ -38,9 +38,12 @@ pub fn store(frame: Frame, columns: impl IntoIterator<Item = ((i64, i64), Vec<Sp
     Store::from_pages(frame, tiles.into_iter().map(|((tx, ty), columns)| (key(tx, ty, 0), page(columns))))
 }
 
-/// Pages of spans by pixel with heights above layer 0 (quanta), as high as they reach; a span over the border of two pages is split there.
-pub fn layers(frame: Frame, columns: &HashMap<(i64, i64), Vec<(i64, i64, bool)>>) -> Store {
-    let mut pages: BTreeMap<(i32, i32, i32), BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
+/// Spans of pixels: bottom and top above layer 0 (quanta), and whether they are obstacles.
+pub type Columns = HashMap<(i64, i64), Vec<(i64, i64, bool)>>;
+
+/// Pages of `columns`, as high as they reach; a span over the border of two pages is split there.
+pub fn layers(frame: Frame, columns: &Columns) -> Store {
+    let mut pages: BTreeMap<_, BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
     for (&(i, j), spans) in columns {
         let (tx, ty, pixel) = ((i >> 6) as i32, (j >> 6) as i32, ((i & 63) as u32, (j & 63) as u32));
         for &(bottom, top, is_obstacle) in spans {

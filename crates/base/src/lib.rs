@@ -1,6 +1,7 @@
 //! Foundation of the slicewalk crates: errors, progress, the grid, plans, units, colours, byte sources and atomic files.
 //!
 //! Programs use these through `slicewalk`, which re-exports what its interface needs. This crate makes no promise of its own.
+#![allow(clippy::len_without_is_empty, reason = "lengths of files, in bytes")]
 
 pub mod bytes;
 pub mod colour;

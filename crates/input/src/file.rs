@@ -87,8 +87,8 @@ pub(super) struct Reference {
     pub crs: Option<String>,
     pub no_unit: bool,
     pub degrees: bool,
-    /// How the file was interpreted, if that required guessing.
-    pub said: Option<String>,
+    /// A guess about the file that the user should check.
+    pub odd: Option<String>,
 }
 
 impl ScanFile {
@@ -185,9 +185,9 @@ impl ScanFile {
         options: &InputOptions,
         findings: &mut Findings,
     ) -> Result<(Self, Reference)> {
-        let Opened { cloud, georeference, said, text } = opened;
+        let Opened { cloud, georeference, odd, text } = opened;
         let (mut reference, unit) = settle(source.path(), georeference, options, findings)?;
-        reference.said = said;
+        reference.odd = odd;
         if cloud.points_expected() == 0 {
             findings.note("it holds no points");
         }

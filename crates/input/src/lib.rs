@@ -158,7 +158,7 @@ pub struct PointBatch {
 pub enum Tag {
     /// The source identifier of LAS.
     SourceId,
-    /// The time of the point.
+    /// The GPS time of the point.
     GpsTime,
 }
 
@@ -343,7 +343,7 @@ impl InputSet {
         let mut files: Vec<ScanFile> = Vec::with_capacity(paths.len());
         let common = Common::new(options.memory_bytes.max(16 << 20));
         let (mut systems, mut no_unit, mut degrees) = (crs::Systems::default(), Those::default(), Those::default());
-        let (mut left_out, mut said) = (None, BTreeMap::<String, Those>::new());
+        let (mut left_out, mut odd) = (None, BTreeMap::<String, Those>::new());
         let allow_incomplete = options.allow_incomplete;
         let open = |path: &PathBuf| {
             let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new(), points: 0 };
@@ -374,7 +374,7 @@ impl InputSet {
                     systems.add(files.len(), reference.crs);
                     no_unit.add(files.len(), reference.no_unit);
                     degrees.add(files.len(), reference.degrees);
-                    reference.said.into_iter().for_each(|text| said.entry(text).or_default().add(files.len(), true));
+                    reference.odd.into_iter().for_each(|text| odd.entry(text).or_default().add(files.len(), true));
                     files.push(file);
                 }
                 Err(error) if options.allow_incomplete && is_of_input(&error) => {
@@ -392,7 +392,7 @@ impl InputSet {
         if let Some(error) = left_out.filter(|_| files.is_empty() && meshes.is_empty()) {
             return Err(error);
         }
-        said.iter().for_each(|(text, those)| those.tell(&files, text, None, monitor));
+        odd.iter().for_each(|(text, those)| those.tell(&files, text, None, monitor));
         no_unit.tell(&files, "no unit of length is stated; metres are assumed", Some(Parameter::Units), monitor);
         degrees.tell(
             &files,

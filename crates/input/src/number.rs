@@ -61,18 +61,42 @@ impl Number {
     }
 }
 
-/// Parses a number in text, including the spellings of C libraries: `nan(ind)`, `1.#QNAN`, `-1.#IND`, `1.#INF`.
-pub fn decimal(word: &[u8]) -> Option<f64> {
+/// Words for a missing number other than `nan`: those of C libraries, databases and statistics programs.
+const NO_NUMBERS: [&str; 11] = ["nanq", "nans", "qnan", "snan", "na", "n/a", "#n/a", "<na>", "null", "none", "nil"];
+
+/// Parses a number in text: returns NaN for a word for a missing number, and `None` for any other text. `comma` is true
+/// for decimal commas.
+///
+/// In every format a NaN coordinate means no return, because programs mark those so. An infinite one is a loss: an
+/// overflow or a division by zero produced it from a measured point.
+pub fn decimal(word: &[u8], comma: bool) -> Option<f64> {
     let text = std::str::from_utf8(word).ok()?;
-    text.parse().ok().or_else(|| {
-        let lower = text.strip_prefix(['+', '-']).unwrap_or(text).to_ascii_lowercase();
-        let infinite = if text.starts_with('-') { f64::NEG_INFINITY } else { f64::INFINITY };
-        match lower.strip_prefix("1.#") {
-            Some(rest) if rest.starts_with("inf") => Some(infinite),
-            Some(_) => Some(f64::NAN),
-            None => (lower.starts_with("nan(") && lower.ends_with(')')).then_some(f64::NAN),
+    let mut points = [0; 64];
+    let number = match (comma, points.get_mut(..word.len())) {
+        (false, _) => text.parse().ok(),
+        // Beside decimal commas, a point separates thousands.
+        (true, Some(points)) if !word.contains(&b'.') => {
+            points.copy_from_slice(word);
+            points.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
+            std::str::from_utf8(points).ok().and_then(|text| text.parse().ok())
         }
-    })
+        (true, _) => None,
+    };
+    number.or_else(|| spelled(text))
+}
+
+/// Returns NaN or an infinity for the spellings of C libraries and other programs that Rust does not parse.
+#[cold]
+fn spelled(text: &str) -> Option<f64> {
+    let infinite = if text.starts_with('-') { f64::NEG_INFINITY } else { f64::INFINITY };
+    let word = text.strip_prefix(['+', '-']).unwrap_or(text);
+    match word.as_bytes() {
+        // Microsoft's C library: 1.#INF, 1.#QNAN, 1.#IND00, 1.#J, 1.$.
+        [b'1', b'.' | b',', b'#', b'I' | b'i', b'N' | b'n', b'F' | b'f', ..] => Some(infinite),
+        [b'1', b'.' | b',', b'#' | b'$', ..] => Some(f64::NAN),
+        [b'n' | b'N', b'a' | b'A', b'n' | b'N', b'(', .., b')'] => Some(f64::NAN),
+        _ => NO_NUMBERS.iter().any(|other| word.eq_ignore_ascii_case(other)).then_some(f64::NAN),
+    }
 }
 
 #[cfg(test)]
@@ -80,19 +104,52 @@ mod tests {
     use super::decimal;
 
     #[test]
-    fn numbers_are_read_in_every_spelling_of_c() {
-        for text in ["nan", "-nan", "NaN", "nan(ind)", "-nan(ind)", "-NAN(SNAN)", "1.#QNAN", "1.#QNAN0", "-1.#IND00"] {
-            assert!(decimal(text.as_bytes()).is_some_and(f64::is_nan), "{text}");
+    fn numbers_are_read_in_every_spelling() {
+        let missing = [
+            "nan",
+            "NaN",
+            "-nan",
+            "+NAN",
+            "nan(ind)",
+            "-nan(ind)",
+            "nan(snan)",
+            "-NAN(0x8000000000000)",
+            "NANQ",
+            "1.#QNAN",
+            "1.#QNAN0",
+            "-1.#IND",
+            "-1.#IND00",
+            "1.#J",
+            "-1.$",
+            "1,#QNAN",
+            "NA",
+            "n/a",
+            "#N/A",
+            "<NA>",
+            "null",
+            "NULL",
+            "None",
+            "nil",
+        ];
+        let infinite = ["inf", "+Infinity", "1.#INF", "1.#INFe+000", "1,#inf", "-inf", "-INFINITY", "-1.#INF00"];
+        for comma in [false, true] {
+            for word in missing {
+                assert!(decimal(word.as_bytes(), comma).is_some_and(f64::is_nan), "{word}");
+            }
+            for word in infinite {
+                let expected = if word.starts_with('-') { f64::NEG_INFINITY } else { f64::INFINITY };
+                assert_eq!(decimal(word.as_bytes(), comma), Some(expected), "{word}");
+            }
+            for word in ["", "-", "nand", "nano", "nan(", "0x10", "one", "1.QNAN", "1,234,5", "1.234,5", "--nan"] {
+                assert_eq!(decimal(word.as_bytes(), comma), None, "{word}");
+            }
         }
-        let infinite = ["inf", "-inf", "+Infinity", "1.#INF", "-1.#INF00"].map(|text| decimal(text.as_bytes()));
-        assert_eq!(
-            infinite.map(|v| v.map(|v| v > 0.0)),
-            [Some(true), Some(false), Some(true), Some(true), Some(false)]
-        );
-        assert!(infinite.iter().flatten().all(|v| v.is_infinite()));
-        assert_eq!(decimal(b"-1.5e3"), Some(-1500.0));
-        for text in ["", "nand", "nan(", "1.#", "1,5", "0x10", "one"] {
-            assert!(decimal(text.as_bytes()).is_none_or(|v| text == "1.#" && v.is_nan()), "{text}");
+        for (word, with_point, with_comma) in [
+            ("-1.5e3", Some(-1500.0), None),
+            ("1,5", None, Some(1.5)),
+            ("1e400", Some(f64::INFINITY), Some(f64::INFINITY)),
+        ] {
+            assert_eq!([false, true].map(|comma| decimal(word.as_bytes(), comma)), [with_point, with_comma], "{word}");
         }
     }
 }

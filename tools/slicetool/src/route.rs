@@ -41,6 +41,7 @@ pub struct Arguments {
     #[command(flatten)]
     walks: Walks,
     /// Use only the overview levels (`sliceconv --levels on`): immediate over any distance, but approximate
+    /// between exact ends
     #[arg(long)]
     coarse: bool,
     /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes. `-` is standard output
@@ -60,7 +61,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut bytes = 0;
     let mut ends = [(arguments.from, 0.0), (arguments.to, 0.0)];
     let (found, guess) = if arguments.coarse {
-        match on_levels(arguments, &archive, &mut bytes)? {
+        match on_levels(arguments, archive, &mut ends, &mut bytes)? {
             Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
             Err(refusal) => (Err(refusal), None),
         }
@@ -124,24 +125,17 @@ pub fn run(arguments: &Arguments) -> Outcome {
 /// A route, or the reason why there is none.
 type Found = Result<Route, Refusal>;
 
+/// Start and end, each with the distance that it was moved (m).
+type Ends = [(Point3<f64>, f64); 2];
+
 /// Finds the route in the archive itself: along a coarse route if that is known to be good enough, otherwise near the
 /// straight line first and then farther out. Moves `ends` to standing places and records by how much (m).
-fn find(
-    arguments: &Arguments,
-    archive: Archive,
-    ends: &mut [(Point3<f64>, f64); 2],
-    bytes: &mut usize,
-) -> Result<Found, Failure> {
+fn find(arguments: &Arguments, archive: Archive, ends: &mut Ends, bytes: &mut usize) -> Result<Found, Failure> {
     let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
     let pawn = arguments.walks.pawn();
-    let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
-    for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
-        match arguments.walks.snapped(&loader, &mut standing, ends[end].0)? {
-            Some(snapped) => ends[end] = (snapped.feet, snapped.moved),
-            None => return Ok(Err(refusal)),
-        }
+    if let Err(refusal) = stand(arguments, &loader, ends)? {
+        return Ok(Err(refusal));
     }
-    drop(standing);
     let ends = ends.map(|end| end.0);
     let straight = (ends[1] - ends[0]).xy().norm();
     let known = match straight > NEAR_M {
@@ -174,6 +168,18 @@ fn find(
     })
 }
 
+/// Moves the ends to standing places and records by how much (m).
+fn stand(arguments: &Arguments, loader: &Loader, ends: &mut Ends) -> Result<Result<(), Refusal>, Failure> {
+    let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
+    for (end, refusal) in ends.iter_mut().zip([Refusal::NotStandingFrom, Refusal::NotStandingTo]) {
+        match arguments.walks.snapped(loader, &mut standing, end.0)? {
+            Some(snapped) => *end = (snapped.feet, snapped.moved),
+            None => return Ok(Err(refusal)),
+        }
+    }
+    Ok(Ok(()))
+}
+
 /// Area that routes of this `length` can cover between two places that are `straight` apart (m²).
 fn ellipse_m2(straight: f64, length: f64) -> f64 {
     std::f64::consts::PI / 4.0 * length * (length.powi(2) - straight.powi(2)).max(0.0).sqrt()
@@ -202,14 +208,25 @@ fn on_level(arguments: &Arguments, archive: &Archive, number: u32) -> Result<Loa
     Loader::new(level, &arguments.archive, arguments.walks.cache())
 }
 
-/// Finds a route on the overview levels only.
-fn on_levels(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
+/// Finds a route on the overview levels only, between standing places of the archive.
+fn on_levels(
+    arguments: &Arguments,
+    archive: Archive,
+    ends: &mut Ends,
+    bytes: &mut usize,
+) -> Result<Result<Guess, Refusal>, Failure> {
     if archive.levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
         let path = arguments.archive.display();
         let text = format!("{path}: it has no overview levels; convert with --levels on, or leave out --coarse");
         return Err(Failure::Text(text));
     }
-    coarse(arguments, archive, [arguments.from, arguments.to], bytes)
+    let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
+    let standing = stand(arguments, &loader, ends)?;
+    *bytes = loader.memory_bytes();
+    match standing {
+        Ok(()) => coarse(arguments, loader.archive(), ends.map(|end| end.0), bytes),
+        Err(refusal) => Ok(Err(refusal)),
+    }
 }
 
 /// Returns the route on the coarsest level without doubt, otherwise that on the finest level that has one. A fine level

@@ -27,7 +27,8 @@ pub struct Arguments {
     /// Start of the feet (m); in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach in turn: columns x,y or x,y,z (a header is optional). `-` reads standard input
+    /// Places to reach in turn: columns x,y or x,y,z (a header is optional); only the z of the last place is used, by
+    /// --snap. `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
@@ -116,9 +117,14 @@ pub fn run(arguments: &Arguments) -> Outcome {
         },
         ..Config::new(arguments.pawn)
     };
-    let (start, moved) = start(arguments)?;
+    // Check the options before reading files.
+    Walker::new(config, arguments.start)?;
+    let (mut places, z) = waypoints(&arguments.waypoints)?;
+    let (start, moved, goal) = ends(arguments, places[places.len() - 1], z)?;
+    places.pop();
+    places.push(goal.place);
     let mut walker = Walker::new(config, start)?;
-    let mut route = Waypoints::new(waypoints(&arguments.waypoints)?)?;
+    let mut route = Waypoints::new(places)?;
     let stream = stream(arguments)?;
     let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;
     let frame_s = 1.0 / arguments.hz;
@@ -175,6 +181,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
             let [x, y, z] = start.into();
             crate::say(&format!("start moved by {moved:.2} m to {x:.2},{y:.2},{z:.2}, where the pawn can stand"));
         }
+        if goal.moved > 0.0 {
+            let ([x, y], moved): ([f64; 2], f64) = (goal.place.into(), goal.moved);
+            crate::say(&format!("last waypoint moved by {moved:.2} m to {x:.2},{y:.2}, where the pawn can stand"));
+        }
         crate::say(&format!("{name} at {end}; waypoint {next} of {places}; {late} pages late"));
     }
     let counters = stream.counters();
@@ -186,6 +196,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         "stop": stop.map(Stop::name),
         "end": [x, y, z],
         "from": end_json(start, moved),
+        "to": goal.json(feet.z),
         "waypoints_reached": next,
         "frame_us": { "p50": at(0.5), "p99": at(0.99), "p99.9": at(0.999), "max": at(1.0) },
         "reads": counters.reads,
@@ -202,21 +213,57 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if state == State::Blocked { Err(Failure::Result(result)) } else { Ok(result) }
 }
 
-/// Returns where the pawn starts and how far it was moved there (m): if it cannot stand at the requested place, it
-/// starts at the nearest place where it can.
-fn start(arguments: &Arguments) -> Result<(Point3<f64>, f64), Failure> {
-    let asked = (arguments.start, 0.0);
-    if arguments.snap.metres == 0.0 {
-        return Ok(asked);
+/// The last waypoint.
+struct Goal {
+    place: Point2<f64>,
+    /// Distance by which it was moved (m).
+    moved: f64,
+    /// Heights at which the pawn can stand there, otherwise the requested one (m).
+    heights: Vec<f64>,
+}
+
+impl Goal {
+    /// Returns the JSON of the waypoint, on the floor nearest to `z` (m).
+    fn json(&self, z: f64) -> serde_json::Value {
+        let height = self.heights.iter().copied().min_by(|a, b| (a - z).abs().total_cmp(&(b - z).abs()));
+        let mut json = end_json(Point3::new(self.place.x, self.place.y, height.unwrap_or_default()), self.moved);
+        if height.is_none() {
+            json["z"] = serde_json::Value::Null;
+        }
+        json
+    }
+}
+
+/// Returns where the pawn starts, how far it was moved there (m), and the last waypoint: if the pawn cannot stand at
+/// either, that one is moved to the nearest place within `--snap` where it can.
+fn ends(arguments: &Arguments, last: Point2<f64>, z: Option<f64>) -> Result<(Point3<f64>, f64, Goal), Failure> {
+    let mut goal = Goal { place: last, moved: 0.0, heights: z.into_iter().collect() };
+    let (asked, snap) = (arguments.start, arguments.snap.metres);
+    if snap == 0.0 {
+        return Ok((asked, 0.0, goal));
     }
     let drop = arguments.max_drop.unwrap_or(arguments.climb);
     let pawn = Pawn { climb: arguments.climb, max_drop: drop, ..Pawn::new(arguments.pawn) };
     let archive = arguments.inferred.open(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
     let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
-    // If the search does not fit in memory, the pawn stays; the walk itself reports how much it needs.
-    let found = loader.known(|view| standing.snapped(view, arguments.start, arguments.snap.metres)).ok().flatten();
-    Ok(found.filter(|found| found.moved > 0.0).map_or(asked, |found| (found.feet, found.moved)))
+    // If a search does not fit in memory, that end stays; the walk itself reports how much it needs.
+    let found = loader.known(|view| standing.snapped(view, asked, snap)).ok().flatten();
+    let (start, moved) =
+        found.filter(|found| found.moved > 0.0).map_or((asked, 0.0), |found| (found.feet, found.moved));
+    let found = match z {
+        Some(z) => {
+            let at = Point3::new(last.x, last.y, z);
+            loader.known(|view| standing.snapped(view, at, snap)).ok().flatten().into_iter().collect()
+        }
+        // Any floor will do: the floor that the waypoint means is known when the pawn gets there.
+        None => loader.known(|view| standing.snapped_over(view, last, snap)).unwrap_or_default(),
+    };
+    if let Some(first) = found.first() {
+        let place = if first.moved > 0.0 { first.feet.xy() } else { last };
+        goal = Goal { place, moved: first.moved, heights: found.iter().map(|found| found.feet.z).collect() };
+    }
+    Ok((start, moved, goal))
 }
 
 /// Describes why a pawn is blocked, and what to do.
@@ -292,8 +339,8 @@ fn step(
     }
 }
 
-/// Reads columns x,y: by name if there is a header, otherwise the first two.
-fn waypoints(path: &Path) -> Result<Vec<Point2<f64>>, Failure> {
+/// Reads columns x,y and the last row's z, if there is one: by name if there is a header, otherwise the first three.
+fn waypoints(path: &Path) -> Result<(Vec<Point2<f64>>, Option<f64>), Failure> {
     let (table, name) = crate::standard::table(path)?;
     let failed = |at: String, reason: String| Failure::Text(format!("{name}: {at}: {reason}"));
     let mut reader = csv::ReaderBuilder::new()
@@ -302,29 +349,29 @@ fn waypoints(path: &Path) -> Result<Vec<Point2<f64>>, Failure> {
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
         .from_reader(table);
-    let (mut places, mut columns) = (Vec::new(), None);
+    let (mut places, mut last_z, mut columns) = (Vec::new(), None, None);
     for row in reader.records() {
         let row = row.map_err(|e| failed("cannot read".into(), e.to_string()))?;
         let line = format!("line {}", row.position().map_or(0, |position| position.line()));
         let named = columns.is_none() && row.iter().any(|field| field.parse::<f64>().is_err());
-        let [x, y] = *columns.get_or_insert([0, 1]);
+        let ([x, y], z) = *columns.get_or_insert(([0, 1], Some(2)));
         if named {
-            let place = |name: &str| {
-                let found = row.iter().position(|field| field.eq_ignore_ascii_case(name));
-                found.ok_or_else(|| failed(line.clone(), format!("no column {name}; expected x,y")))
-            };
-            columns = Some([place("x")?, place("y")?]);
+            let find = |name: &str| row.iter().position(|field| field.eq_ignore_ascii_case(name));
+            let place =
+                |name: &str| find(name).ok_or_else(|| failed(line.clone(), format!("no column {name}; expected x,y")));
+            columns = Some(([place("x")?, place("y")?], find("z")));
             continue;
         }
+        let number = |at: usize| row.get(at)?.parse::<f64>().ok().filter(|v| v.is_finite());
         let value = |at: usize| {
             let field = row.get(at).unwrap_or_default();
-            let value = field.parse::<f64>().ok().filter(|v| v.is_finite());
-            value.ok_or_else(|| failed(line.clone(), format!("{field:?} is no number")))
+            number(at).ok_or_else(|| failed(line.clone(), format!("{field:?} is no number")))
         };
         places.push(Point2::new(value(x)?, value(y)?));
+        last_z = z.and_then(number);
     }
     if places.is_empty() {
         return Err(failed("line 1".into(), "no waypoint; expected rows of x,y".into()));
     }
-    Ok(places)
+    Ok((places, last_z))
 }

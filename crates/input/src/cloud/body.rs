@@ -148,7 +148,7 @@ impl Form {
             rest = behind;
             if role != NOTHING {
                 let wrong = || format!("value {}: expected a number, found {}", number + 1, shown(word));
-                found[role] = decimal(word).ok_or_else(wrong)?;
+                found[role] = decimal(word, false).ok_or_else(wrong)?;
             }
         }
         if rest.iter().all(is_blank) { Ok(found) } else { Err(self.uneven(self.count(row), row)) }
@@ -244,7 +244,7 @@ impl Values<'_> {
         };
         self.properties = rest;
         if property.list.is_some() {
-            let length = decimal(word).filter(|length| *length >= 0.0 && length.fract() == 0.0);
+            let length = decimal(word, false).filter(|length| *length >= 0.0 && length.fract() == 0.0);
             self.left = length.ok_or_else(|| format!("expected the length of a list, found {}", shown(word)))?;
         }
         Ok(())

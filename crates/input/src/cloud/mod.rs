@@ -101,15 +101,15 @@ pub(super) struct Piece {
 pub(super) struct Opened {
     pub cloud: Box<dyn Cloud>,
     pub georeference: Georeference,
-    /// How the file was interpreted, if that required guessing.
-    pub said: Option<String>,
+    /// A guess about the file that the user should check.
+    pub odd: Option<String>,
     /// Columns and first points of text.
     pub text: Option<TextLayout>,
 }
 
 impl Opened {
     fn new(cloud: impl Cloud + 'static) -> Self {
-        Self { cloud: Box::new(cloud), georeference: Georeference::default(), said: None, text: None }
+        Self { cloud: Box::new(cloud), georeference: Georeference::default(), odd: None, text: None }
     }
 }
 
@@ -367,9 +367,12 @@ impl Pose {
     const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]]);
 
     #[inline]
-    fn apply(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
-        let m = &self.0;
-        [0, 1, 2].map(|axis| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis])
+    fn apply(&self, at: [f64; 3]) -> [f64; 3] {
+        let ([x, y, z], m) = (at, &self.0);
+        let moved = [0, 1, 2].map(|axis| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis]);
+        let has_nan = |at: [f64; 3]| at.iter().any(|v| v.is_nan());
+        // Infinity times 0 is NaN, which would count as no return.
+        if has_nan(moved) && !has_nan(at) { [f64::INFINITY; 3] } else { moved }
     }
 
     fn is_finite(&self) -> bool {

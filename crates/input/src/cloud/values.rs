@@ -84,10 +84,12 @@ pub(super) struct Sample {
 impl Sample {
     pub const NOTHING: Self = Self { least: f64::INFINITY, most: f64::NEG_INFINITY };
 
-    /// Adds a number; NaN is ignored.
+    /// Adds a number; NaN and infinities are ignored.
     pub fn add(&mut self, value: f64) {
-        self.least = self.least.min(value);
-        self.most = self.most.max(value);
+        if value.is_finite() {
+            self.least = self.least.min(value);
+            self.most = self.most.max(value);
+        }
     }
 
     fn is_unit(&self) -> bool {

@@ -283,10 +283,14 @@ impl Numbers {
 
     /// Creates a decoder for numbers of `bits` bits: 8, 16 or 32.
     pub fn new(bits: u32, contexts: usize) -> Self {
+        // Copying a model is faster than computing an equal one.
+        let (size, largest) = (Model::new(bits as usize + 1), Model::new(1 << SYMBOL_BITS));
         Self {
-            sizes: (0..contexts).map(|_| Model::new(bits as usize + 1)).collect(),
+            sizes: vec![size; contexts].into(),
             small: BitModel::new(),
-            values: (1..=bits).map(|size| Model::new(1 << size.min(SYMBOL_BITS))).collect(),
+            values: (1..=bits)
+                .map(|size| if size < SYMBOL_BITS { Model::new(1 << size) } else { largest.clone() })
+                .collect(),
             modulus: 1u32.checked_shl(bits).unwrap_or(0),
             size: 0,
         }

@@ -88,7 +88,8 @@ impl Colours {
     pub const MOST_STEPS: usize = 1 + COLOUR_BYTES;
 
     pub fn new() -> Self {
-        Self { changes: Model::new(128), bytes: std::array::from_fn(|_| Model::new(256)) }
+        let byte = Model::new(256);
+        Self { changes: Model::new(128), bytes: std::array::from_fn(|_| byte.clone()) }
     }
 
     /// Decodes the colour after `last`.

@@ -243,6 +243,7 @@ impl Channel {
         let coordinates = Coordinates::new(&last);
         let time = last[TIME..].first_chunk().map_or(0, |&eight| i64::from_le_bytes(eight));
         let (return_number, count) = (last[RETURNS] & 15, last[RETURNS] >> 4);
+        let (changes, returns) = (Model::new(128), Model::new(16));
         Self {
             last,
             heights: [coordinates.z(); 8],
@@ -250,10 +251,10 @@ impl Channel {
             before: usize::from(return_number == 1) | usize::from(return_number >= count) << 1,
             intensities: [u16::from_le_bytes([last[INTENSITY], last[INTENSITY + 1]]); 8],
             steps: Default::default(),
-            changes: std::array::from_fn(|_| Model::new(128)),
+            changes: std::array::from_fn(|_| changes.clone()),
             other_channel: Model::new(3),
-            counts: std::array::from_fn(|_| Model::new(16)),
-            numbers: std::array::from_fn(|_| Model::new(16)),
+            counts: std::array::from_fn(|_| returns.clone()),
+            numbers: std::array::from_fn(|_| returns.clone()),
             number_of_same_time: Model::new(13),
             class: Lazily::new(64, 256),
             flags: Lazily::new(64, 64),

@@ -128,7 +128,7 @@ impl Lines {
     /// Parses a word of the line as a number.
     pub(super) fn number(&self, word: Option<&[u8]>) -> Result<f64> {
         let word = word.ok_or_else(|| self.error("expected a number, found the end of the line"))?;
-        decimal(word).ok_or_else(|| self.error(format!("expected a number, found {}", shown(word))))
+        decimal(word, false).ok_or_else(|| self.error(format!("expected a number, found {}", shown(word))))
     }
 
     /// Parses three words of the line as a position.

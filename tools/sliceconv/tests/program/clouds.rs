@@ -1,6 +1,7 @@
 //! Clouds in E57, PLY, PCD and text: each gives the archive of the same points as LAS, alone and mixed, also in parts.
 //! Damaged files are refused in one line; real files contain the points that other readers find in them.
 
+use crate::reading::{gzip, read};
 use crate::scans;
 use crate::write;
 
@@ -8,12 +9,10 @@ use e57::{CartesianCoordinate, E57Reader};
 use scangen::{WriteSpec, write_las};
 use scans::{Random, converts, data, refuses, verifies};
 use slicewalk::archive::{Archive, merge};
-use slicewalk::{Error, Monitor, NoMonitor, Warning};
-use slicewalk_input::{InputOptions, InputSet, PointCounts, PointDecoder};
+use slicewalk::{Error, NoMonitor};
+use slicewalk_input::{InputOptions, InputSet, PointCounts};
 use std::fs;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::path::Path;
 use write::{Cloud, E57, Pcd, Ply, Point, e57, pcd, ply, pts, ptx, rows};
 
 /// A step that 32-bit floats, decimal text and LAS represent exactly.
@@ -42,37 +41,6 @@ fn archive(folder: &Path, inputs: &[&str], options: &[&str]) -> Vec<u8> {
     let fixed = ["-o", "out.slices", "--force", "--quiet", "--temp-dir", ".", "--pixel", "0.25"];
     converts(folder, &[inputs, &fixed, options].concat());
     fs::read(folder.join("out.slices")).unwrap()
-}
-
-fn gzip(bytes: &[u8]) -> Vec<u8> {
-    let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    out.write_all(bytes).unwrap();
-    out.finish().unwrap()
-}
-
-/// Collects warnings.
-#[derive(Default)]
-struct Listener(Mutex<Vec<String>>);
-
-impl Monitor for Listener {
-    fn warn(&self, warning: &Warning) {
-        self.0.lock().unwrap().push(warning.to_string());
-    }
-}
-
-/// All kept points of files, their counts, and the warnings.
-fn read(paths: &[PathBuf], options: InputOptions) -> Result<(Vec<Point>, PointCounts, Vec<String>), Error> {
-    let listener = Listener::default();
-    let set = InputSet::open(paths, options, &listener)?;
-    let (mut found, mut counts, mut decoder) = (Vec::new(), PointCounts::default(), PointDecoder::new());
-    for chunk in set.chunks() {
-        counts += decoder.decode(&set, &chunk, &mut |batch| {
-            found.extend((0..batch.len()).map(|n| [batch.x[n], batch.y[n], batch.z[n]]));
-            Ok(())
-        })?;
-    }
-    set.check_complete(&listener)?;
-    Ok((found, counts, listener.0.into_inner().unwrap()))
 }
 
 fn read_one(path: &Path) -> Result<(Vec<Point>, PointCounts), Error> {
@@ -243,19 +211,20 @@ fn classes_systems_and_layouts_of_text_are_understood_and_said() {
     let at = |name: &str| folder.path().join(name);
     let classes = InputOptions { exclude_classes: [7].into_iter().collect(), ..InputOptions::default() };
     fs::write(at("a.csv"), "Classification;Y;X;Z\n2;1,5;2,5;3\n7;1;1;1\n").unwrap();
+    let layout = |name: &str, options| {
+        let set = InputSet::open(&[at(name)], options, &NoMonitor).unwrap();
+        set.files()[0].text_layout().unwrap().to_string()
+    };
     let (found, counts, said) = read(&[at("a.csv")], classes).unwrap();
     assert_eq!((found, counts.excluded), (vec![[2.5, 1.5, 3.0]], 1));
-    assert!(said.iter().any(|line| line.contains("separated by semicolons, decimal commas")), "{said:?}");
+    assert!(said.iter().all(|line| !line.contains("column")), "{said:?}");
+    assert!(layout("a.csv", classes).contains("separated by semicolons, decimal commas"));
     let columns = InputOptions { columns: Some("-,x,y,z,class".parse().unwrap()), ..classes };
     fs::write(at("b.txt"), "9 1 2 3 7 8\n9 4 5 6 1 8\n").unwrap();
-    let (found, _, said) = read(&[at("b.txt")], columns).unwrap();
+    let (found, _, _) = read(&[at("b.txt")], columns).unwrap();
     assert_eq!(found, [[4.0, 5.0, 6.0]]);
-    assert!(
-        said.iter()
-            .any(|line| line
-                .contains("x is column 2, y is column 3, z is column 4, class is column 5, separated by blanks")),
-        "{said:?}"
-    );
+    let words = "x is column 2, y is column 3, z is column 4, class is column 5, separated by blanks";
+    assert_eq!(layout("b.txt", columns), words);
     // A number of points before rows of XYZ, and comments between the rows.
     fs::write(at("c.xyz"), "2\n# two points\n1 2 3\n\n4 5 6\n").unwrap();
     assert_eq!(read_one(&at("c.xyz")).unwrap().0, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);

@@ -2,43 +2,24 @@
 //! of damaged files the smallest unit is left out where allowed, with its points counted.
 
 use crate::files;
+use crate::reading::{self, Listener};
 use crate::scans;
 use crate::write;
 
 use files::{Triangle, buffer, structure, write_glb};
 use scans::{converts, refuses, sliceconv};
-use slicewalk::{Error, Monitor, Warning};
-use slicewalk_input::{InputOptions, InputSet, PointCounts, PointDecoder, Units};
+use slicewalk::Error;
+use slicewalk_input::{InputOptions, PointCounts, Units};
 use slicewalk_mesh::{MeshOptions, MeshSet};
 use std::fs;
 use std::path::Path;
-use std::sync::Mutex;
 use write::{Cloud, E57, Pcd, Ply, Point, e57, pcd, ply};
 
-/// Collects warnings.
-#[derive(Default)]
-struct Listener(Mutex<Vec<String>>);
-
-impl Monitor for Listener {
-    fn warn(&self, warning: &Warning) {
-        self.0.lock().unwrap().push(warning.to_string());
-    }
-}
-
-/// The kept points of a file, their counts, and the warnings.
+/// Returns the kept points of a file, their counts, and the warnings.
 fn read_with(path: &Path, allow_incomplete: bool) -> Result<(Vec<Point>, PointCounts, String), Error> {
-    let listener = Listener::default();
     let options = InputOptions { allow_incomplete, ..InputOptions::default() };
-    let set = InputSet::open(&[path.to_path_buf()], options, &listener)?;
-    let (mut found, mut counts, mut decoder) = (Vec::new(), PointCounts::default(), PointDecoder::new());
-    for chunk in set.chunks() {
-        counts += decoder.decode(&set, &chunk, &mut |batch| {
-            found.extend((0..batch.len()).map(|n| [batch.x[n], batch.y[n], batch.z[n]]));
-            Ok(())
-        })?;
-    }
-    set.check_complete(&listener)?;
-    Ok((found, counts, listener.0.into_inner().unwrap().join("\n")))
+    let (found, counts, said) = reading::read(&[path.to_path_buf()], options)?;
+    Ok((found, counts, said.join("\n")))
 }
 
 fn read(path: &Path) -> Result<Vec<Point>, String> {
@@ -54,7 +35,7 @@ fn mesh_with(path: &Path, allow_incomplete: bool) -> Result<(Vec<Triangle>, Stri
     while feed.next(&mut batch, &listener).map_err(|error| error.to_string())? {
         found.extend_from_slice(&batch);
     }
-    Ok((found, listener.0.into_inner().unwrap().join("\n")))
+    Ok((found, listener.said().join("\n")))
 }
 
 fn mesh(path: &Path) -> Result<Vec<Triangle>, String> {

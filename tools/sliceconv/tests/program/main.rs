@@ -4,14 +4,16 @@
 mod boxes;
 #[path = "../../../../tests/cloud/coloured.rs"]
 mod coloured;
-#[path = "../../../../tests/common/data.rs"]
-mod data;
 #[path = "../../../../tests/mesh/files.rs"]
 mod files;
 #[path = "../../../../tests/common/full.rs"]
 mod full;
+#[path = "../../../../tests/common/las.rs"]
+mod las;
 #[path = "../../../../tests/cloud/plain.rs"]
 mod plain;
+#[path = "../../../../tests/common/reading.rs"]
+mod reading;
 #[path = "../../../../tests/mesh/sat.rs"]
 mod sat;
 #[path = "../../../../tests/common/scans.rs"]
@@ -23,6 +25,8 @@ mod truth;
 #[path = "../../../../tests/cloud/write.rs"]
 mod write;
 
+use scans::data;
+
 mod cli;
 mod clouds;
 mod colours;
@@ -33,6 +37,7 @@ mod formats;
 mod holes;
 mod incomplete;
 mod input;
+mod laz_files;
 mod memory;
 mod mesh_colours;
 mod meshes;

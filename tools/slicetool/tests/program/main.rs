@@ -2,13 +2,10 @@
 
 #[path = "../../../../tests/common/data.rs"]
 mod data;
-#[allow(dead_code)]
 #[path = "../../../../tests/common/forge.rs"]
 mod forge;
-#[allow(dead_code)]
 #[path = "../../../../tests/common/full.rs"]
 mod full;
-#[allow(dead_code)]
 #[path = "../../../../tests/common/store.rs"]
 mod store;
 

@@ -200,6 +200,17 @@ fn a_long_route_is_planned_on_levels_first_and_a_coarse_one_says_that_it_is() {
     assert!((straight - 0.3..1.05 * straight).contains(&length(&found)), "{found}");
     let walk = ["walk", "a.slices", "--start", "2,3,0.1", "--waypoints", "route.csv", "-o", "path.csv", "--json"];
     assert_eq!(json(&done(at, &walk))["state"], "arrived");
+    // Ends beside the floor are moved onto it, as those of an exact route are.
+    let beside = ["route", "a.slices", "--from", "2,10.4,0.1", "--to", "187,-10.4,0.1", "--json"];
+    let [exact, coarse] =
+        [&beside[..], &[&beside[..], &["--coarse"]].concat()].map(|arguments| json(&done(at, arguments)));
+    for end in ["from", "to"] {
+        assert_eq!(coarse[end], exact[end]);
+        assert!(coarse[end]["moved"].as_f64().is_some_and(|moved| (0.1..0.5).contains(&moved)), "{coarse}");
+    }
+    assert!(coarse["found"] == true && coarse["level"].is_number(), "{coarse}");
+    let off = json(&done(at, &[&beside[..], &["--coarse", "--snap", "0"]].concat()));
+    assert_eq!((&off["found"], &off["reason"]), (&false.into(), &"not_standing_from".into()));
     let folder = long_floor(false);
     let at = folder.path();
     let found = json(&done(at, &base));
@@ -356,4 +367,56 @@ fn a_start_or_an_end_beside_a_wall_is_moved_to_the_nearest_place_and_says_by_how
     let walk = ["walk", "a.slices", "--start", "1,0.1,1", "--waypoints", "way.csv", "-o", "path.csv", "--json"];
     let walked = json(&done(at, &walk));
     assert_eq!((&walked["from"]["moved"], &walked["state"]), (&from["moved"], &"arrived".into()));
+}
+
+/// Two floors of 4 × 4 m, at z = 1 and z = 4, within walls.
+fn storeys() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |n: i32| f64::from(n) * 0.025 + 0.0125;
+    let floors = (0..160).flat_map(|i| (0..160).flat_map(move |j| [1.0, 4.0].map(|z| [at(i), at(j), z])));
+    let sides = (0..160).flat_map(|i| [0.01, 3.99].into_iter().flat_map(move |wall| [(wall, at(i)), (at(i), wall)]));
+    let walls = sides.flat_map(|(x, y)| (0..200).map(move |k| [x, y, 1.0 + f64::from(k) * 0.025]));
+    let scan = folder.path().join("scan.las");
+    write_las(&scan, floors.chain(walls), &WriteSpec::for_path(&scan)).unwrap();
+    to_archive(scan, folder.path());
+    folder
+}
+
+#[test]
+fn a_last_waypoint_beside_a_wall_is_moved_to_the_nearest_place_of_its_floor() {
+    let folder = storeys();
+    let at = folder.path();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap_or_else(|| panic!("{value}: no number"));
+    let walk = |start: &str, waypoints: &str, more: &[&str]| {
+        fs::write(at.join("way.csv"), waypoints).unwrap();
+        let walk = ["walk", "a.slices", "--start", start, "--waypoints", "way.csv", "-o", "path.csv", "--json"];
+        let out = slicetool(at, &[&walk[..], more].concat());
+        json(&String::from_utf8(out.stdout).unwrap())
+    };
+    for z in [1.0, 4.0] {
+        let start = format!("1,2,{z}");
+        let walked = ["x,y\n3,1\n2,0.1\n".to_owned(), format!("x,y,z\n2,0.1,{z}\n"), format!("3,1\n2,0.1,{z}\n")]
+            .map(|waypoints| walk(&start, &waypoints, &[]));
+        for found in &walked {
+            let to = &found["to"];
+            assert_eq!(found["state"], "arrived", "{found}");
+            assert!((0.1..0.26).contains(&number(&to["moved"])) && (number(&to["y"]) - 0.3).abs() < 0.06, "{to}");
+            assert!((number(&to["z"]) - z).abs() < 0.01 && (number(&to["x"]) - 2.0).abs() < 0.06, "{to}");
+            assert_eq!((&found["end"][0], &found["end"][1]), (&to["x"], &to["y"]));
+            assert_eq!(to, &walked[0]["to"]);
+        }
+        // Where the pawn can stand, nothing moves.
+        for waypoints in ["2,2.013\n".to_owned(), format!("2,2.013,{z}\n"), format!("2,2.013,{}\n", z + 0.5)] {
+            let found = walk(&start, &waypoints, &[]);
+            assert_eq!((number(&found["to"]["y"]), number(&found["to"]["moved"])), (2.013, 0.0));
+            assert!((number(&found["to"]["z"]) - z).abs() < 0.01 && found["state"] == "arrived", "{found}");
+        }
+        for (waypoints, z) in [("2,0.1\n".to_owned(), None), (format!("2,0.1,{z}\n"), Some(z))] {
+            let off = walk(&start, &waypoints, &["--snap", "0"]);
+            assert_eq!((&off["state"], off["to"]["z"].as_f64()), (&"blocked".into(), z));
+            assert_eq!((number(&off["to"]["y"]), number(&off["to"]["moved"])), (0.1, 0.0));
+        }
+    }
+    let far = walk("1,2,1", "2,-1\n", &[]);
+    assert_eq!((&far["state"], &far["to"]["moved"]), (&"blocked".into(), &0.0.into()));
 }

@@ -73,6 +73,8 @@ pub(super) struct Decision {
     pub names: Vec<String>,
     /// Units of the coordinates, as far as names state them.
     pub units: [Option<NameUnit>; 3],
+    /// A guess that the user should check.
+    pub odd: Option<String>,
 }
 
 /// Reason why the layout of a table is unclear.
@@ -287,8 +289,8 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Returns the column names in a line, `None` if it has none, or a refusal.
-    fn named_by(&self, line: &[u8], is_comment: bool) -> Result<Option<Vec<String>>> {
+    /// Returns the column names in a line and how many names the line has, `None` if it has none, or a refusal.
+    fn named_by(&self, line: &[u8], is_comment: bool) -> Result<Option<(Vec<String>, usize)>> {
         let mut separators = vec![
             self.separator,
             Separator::Byte(b';'),
@@ -307,7 +309,7 @@ impl<'a> Table<'a> {
         {
             let names = names(line, separator);
             if let Some(fitting) = self.fit(&names, separator, is_comment) {
-                return Ok(Some(fitting));
+                return Ok(Some((fitting, names.len())));
             }
             match axes(&names) {
                 Err(NoAxes::Missing) => {}
@@ -453,14 +455,14 @@ fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
 /// Decides the layout of a table; `columns` come from the user.
 pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom: Custom) -> Result<Decision> {
     let table = Table::of(beginning)?;
-    let mut named = Vec::new();
+    let (mut named, mut of_header) = (Vec::new(), 0);
     if let Some(header) = beginning.header {
         let found = table.named_by(header, false);
-        named = if columns.is_some() { found.unwrap_or_default() } else { found? }.unwrap_or_default();
+        (named, of_header) = if columns.is_some() { found.unwrap_or_default() } else { found? }.unwrap_or_default();
     } else {
         for comment in beginning.comments.iter().rev() {
             let found = table.named_by(comment, true);
-            if let Some(names) = if columns.is_some() { found.unwrap_or_default() } else { found? } {
+            if let Some((names, _)) = if columns.is_some() { found.unwrap_or_default() } else { found? } {
                 named = names;
                 break;
             }
@@ -496,7 +498,13 @@ pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom
     if units[0] != units[1] && columns.is_none() {
         return Err(Refusal::of_header("x and y state different units"));
     }
-    Ok(Decision { layout: RowLayout::new(places, table.separator, decimal_comma), places, cells, names: named, units })
+    let is_odd = beginning.header.is_some() && columns.is_none() && named.len() != of_header;
+    let odd = is_odd.then(|| {
+        let width = named.len();
+        format!("the header has {of_header} names for {width} columns; check which of them were taken as x, y and z")
+    });
+    let layout = RowLayout::new(places, table.separator, decimal_comma);
+    Ok(Decision { layout, places, cells, names: named, units, odd })
 }
 
 #[cfg(test)]
@@ -589,6 +597,24 @@ mod tests {
             ("t,x,y,z", "x,y,z\n9,8,7\n2026-01-01 12:00:00,1,2.5,-3"),
         ] {
             assert_eq!(point(text, Some(columns)), [1.0, 2.5, -3.0], "{text}");
+        }
+    }
+
+    #[test]
+    fn only_a_header_of_more_or_fewer_names_than_columns_is_odd() {
+        for (text, columns, odd) in [
+            ("Point ID X Y Z\n0 1 2.5 -3", None, Some("5 names for 4 columns")),
+            ("x,y,z\nP0,1,2.5,-3", None, Some("3 names for 4 columns")),
+            ("x,y,z\nP0,1,2.5,-3", Some("-,x,y,z"), None),
+            ("X;Y;Z;\n1;2,5;-3;", None, None),
+            ("# points as x y z\n1 2.5 -3", None, None),
+            ("1 2.5 -3", None, None),
+        ] {
+            let found = decided(text, columns).unwrap_or_else(|refusal| panic!("{text}: {}", refusal.reason)).odd;
+            assert!(
+                found.is_some() == odd.is_some() && found.iter().all(|found| found.contains(odd.unwrap())),
+                "{found:?}"
+            );
         }
     }
 

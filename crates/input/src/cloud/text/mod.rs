@@ -536,7 +536,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
             _ => opening.error(at, refusal.reason).with_way_out(Parameter::Columns),
         }
     })?;
-    let Decision { layout, places, cells, names, units } = decided;
+    let Decision { layout, places, cells, names, units, odd } = decided;
     let kind = if custom == Custom::Pts && names.is_empty() { Kind::Custom } else { Kind::Any };
     let channels = Channels::new(places.rgb.map(|_| kind), places.intensity.map(|_| Kind::Any));
     let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
@@ -546,8 +546,6 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     let near = count.filter(|count| (guess / 2..=guess.saturating_mul(2)).contains(count));
     let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess).max(1)) };
     let text = text_layout(&layout, &places, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
-    let is_said = custom != Custom::Pts || !names.is_empty();
-    let said = is_said.then(|| format!("read as text: {text}"));
     let may_repeat = custom == Custom::Pts;
     let count = count.map(|stated| Count { stated: Some(stated), may_repeat });
     let rows = Rows {
@@ -556,7 +554,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
         count: count.or(may_repeat.then_some(Count { stated: None, may_repeat })),
         ..Rows::empty(format, packing, layout, channels)
     };
-    let mut opened = Opened { said, text: Some(text), ..Opened::new(rows) };
+    let mut opened = Opened { odd, text: Some(text), ..Opened::new(rows) };
     let length = |unit| match unit {
         Some(NameUnit::Metres(metres)) => Some(metres),
         _ => None,
