@@ -85,7 +85,7 @@
 //! | query | [`query`], [`object`] |
 //! | walk | [`walk`] |
 //! | find where a pawn can walk, and routes | [`reach`] |
-//! | the grid, options of archives, units, errors, progress | [`frame`], [`plan`], [`unit`], [`error`], [`monitor`] |
+//! | the grid, options of archives, units, errors, progress | [`frame`], [`plan`], [`unit`](mod@unit), [`error`], [`monitor`] |
 //!
 //! Without features the crate needs nothing that a browser lacks.
 

@@ -2,7 +2,7 @@
 //!
 //! In: mesh files of any size. Out: batches of triangles (metres, z up) in the order of the files. Polygons are
 //! triangulated; normals are skipped, and so are colours unless requested. The bytes are untrusted: a damaged file
-//! gives a one-line [`Error::Input`](crate::Error::Input), and no number in it sizes an allocation before it is
+//! gives a one-line [`Error::Input`], and no number in it sizes an allocation before it is
 //! checked. Memory: bounded by [`MeshOptions::memory_bytes`]; vertices that do not fit go to a temporary file.
 //!
 //! [`raster`] puts triangles on the grid exactly; [`sample`] puts them there as points, like the thesis (algorithm

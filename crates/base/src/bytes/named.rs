@@ -50,6 +50,7 @@ pub fn open_named(path: &Path) -> Result<Box<dyn ByteSource>> {
 }
 
 #[cfg(not(feature = "remote"))]
+/// The error for the address of an object in a build without the feature `remote`.
 pub fn without_feature(path: &Path) -> Error {
     Error::input(
         path,
@@ -129,7 +130,7 @@ impl Input {
 /// Object with read-ahead for sequential reads: reading a scan or an archive from its beginning takes one request per
 /// megabyte instead of one per page.
 ///
-/// Memory: two stretches of at most [`Ahead::MOST`] bytes.
+/// Memory: two stretches of at most `Ahead::MOST` bytes.
 #[cfg(feature = "remote")]
 #[derive(Debug)]
 pub struct Ahead {

@@ -81,7 +81,7 @@ impl std::fmt::Debug for RemoteOptions {
 
 /// Object on a web server or in an object store.
 ///
-/// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the
+/// Reads block the calling thread: give the archive to a `Stream` of `slicewalk`, whose thread does the
 /// waiting, or make the thread [`interruptible`](super::interruptible). All objects of a server or bucket that are
 /// opened with the same options share one client, with as many connections as there are concurrent reads; connections
 /// stay open for later reads. Memory: 16 KiB, and the connection's.
