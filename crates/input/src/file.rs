@@ -87,7 +87,7 @@ pub(super) struct Reference {
     pub crs: Option<String>,
     pub no_unit: bool,
     pub degrees: bool,
-    /// A guess about the file that the user should check.
+    /// Warning about a guess that the user should check.
     pub odd: Option<String>,
 }
 

@@ -41,7 +41,6 @@ pub struct Arguments {
     #[command(flatten)]
     walks: Walks,
     /// Use only the overview levels (`sliceconv --levels on`): immediate over any distance, but approximate
-    /// between exact ends
     #[arg(long)]
     coarse: bool,
     /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes. `-` is standard output

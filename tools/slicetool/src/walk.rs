@@ -27,8 +27,8 @@ pub struct Arguments {
     /// Start of the feet (m); in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach in turn: columns x,y or x,y,z (a header is optional); only the z of the last place is used, by
-    /// --snap. `-` reads standard input
+    /// Places to reach in turn: columns x,y or x,y,z (a header is optional). z counts only in the last row, where
+    /// it tells --snap which floor to use. `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)

@@ -101,7 +101,7 @@ pub(super) struct Piece {
 pub(super) struct Opened {
     pub cloud: Box<dyn Cloud>,
     pub georeference: Georeference,
-    /// A guess about the file that the user should check.
+    /// Warning about a guess that the user should check.
     pub odd: Option<String>,
     /// Columns and first points of text.
     pub text: Option<TextLayout>,

@@ -283,7 +283,7 @@ impl Numbers {
 
     /// Creates a decoder for numbers of `bits` bits: 8, 16 or 32.
     pub fn new(bits: u32, contexts: usize) -> Self {
-        // Copying a model is faster than computing an equal one.
+        // Copying a model is cheaper than computing its table again.
         let (size, largest) = (Model::new(bits as usize + 1), Model::new(1 << SYMBOL_BITS));
         Self {
             sizes: vec![size; contexts].into(),

@@ -73,7 +73,7 @@ pub(super) struct Decision {
     pub names: Vec<String>,
     /// Units of the coordinates, as far as names state them.
     pub units: [Option<NameUnit>; 3],
-    /// A guess that the user should check.
+    /// Warning about a guess that the user should check.
     pub odd: Option<String>,
 }
 
