@@ -37,6 +37,7 @@ mod soft {
         })
     }
 
+    /// Returns the checksum of `bytes`.
     pub fn crc32c(bytes: &[u8]) -> u32 {
         crc32c_append(0, bytes)
     }

@@ -38,22 +38,25 @@ pub fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usize> {
     std::os::unix::fs::FileExt::write_at(file, bytes, offset)
 }
 
+/// Reads at a position, and does not move that of the file; may read less than was asked for.
 #[cfg(windows)]
 pub fn read_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
     std::os::windows::fs::FileExt::seek_read(file, buf, offset)
 }
 
+/// Writes at a position, and does not move that of the file; may write less than was given.
 #[cfg(windows)]
 pub fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usize> {
     std::os::windows::fs::FileExt::seek_write(file, bytes, offset)
 }
 
-// Systems without positioned files, above all WebAssembly in a browser, use other sources.
+/// Fails: systems without positioned files, above all WebAssembly in a browser, use other sources.
 #[cfg(not(any(unix, windows)))]
 pub fn read_at(_: &File, _: u64, _: &mut [u8]) -> io::Result<usize> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
+/// Writes at a position, and does not move that of the file; may write less than was given.
 #[cfg(not(any(unix, windows)))]
 pub fn write_at(_: &File, _: u64, _: &[u8]) -> io::Result<usize> {
     Err(io::ErrorKind::Unsupported.into())
