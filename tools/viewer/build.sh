@@ -40,8 +40,8 @@ rm -rf "$viewer/package/src/wasm"
 )
 size=$(gzip -9 -c "$viewer/package/src/wasm/engine_bg.wasm" | wc -c)
 echo "engine: $size bytes compressed"
-if [ "$size" -gt 206000 ]; then
-    echo "build.sh: the engine is too large: $size bytes compressed (expected at most 206000)" >&2
+if [ "$size" -gt 200000 ]; then
+    echo "build.sh: the engine is too large: $size bytes compressed (expected at most 200000)" >&2
     exit 1
 fi
 
