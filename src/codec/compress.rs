@@ -5,26 +5,25 @@
 //! version of the zstd library; a reader accepts any conforming frame.
 
 use super::Violation;
-use zstd::bulk::{Compressor, Decompressor};
-use zstd::zstd_safe;
+use zstd_safe::{CCtx, DCtx};
 
 /// Compression level. It is fixed so that equal pages give equal files.
 pub const LEVEL: i32 = 1;
 
 /// Compresses byte strings.
-pub struct Packer(Compressor<'static>);
+pub struct Packer(CCtx<'static>);
 
 impl Packer {
     /// Creates a packer with its own zstd state (about 1 MiB once used).
     pub fn new() -> Self {
-        Self(Compressor::new(LEVEL).expect("memory for the state of a compressor"))
+        Self(CCtx::try_create().expect("memory for the state of a compressor"))
     }
 
     /// Appends the frame of `raw` to `out` and returns the frame's length.
     pub fn pack(&mut self, raw: &[u8], out: &mut Vec<u8>) -> usize {
         let start = out.len();
         out.resize(start + zstd_safe::compress_bound(raw.len()), 0);
-        let len = self.0.compress_to_buffer(raw, &mut out[start..]).expect("room for the longest frame");
+        let len = self.0.compress(&mut out[start..], raw, LEVEL).expect("room for the longest frame");
         out.truncate(start + len);
         len
     }
@@ -44,14 +43,14 @@ impl std::fmt::Debug for Packer {
 
 /// Decompresses byte strings into a buffer that it keeps.
 pub struct Unpacker {
-    state: Decompressor<'static>,
+    state: DCtx<'static>,
     raw: Vec<u8>,
 }
 
 impl Unpacker {
     /// Creates an unpacker with its own zstd state (about 150 KiB).
     pub fn new() -> Self {
-        let state = Decompressor::new().expect("memory for the state of a decompressor");
+        let state = DCtx::try_create().expect("memory for the state of a decompressor");
         Self { state, raw: Vec::new() }
     }
 
@@ -72,10 +71,10 @@ impl Unpacker {
         }
         self.raw.clear();
         self.raw.resize(len, 0);
-        match self.state.decompress_to_buffer(frame, &mut self.raw[..]) {
+        match self.state.decompress(&mut self.raw[..], frame) {
             Ok(written) if written == len => Ok(&self.raw),
             Ok(written) => Err(wrong(format!("{written} bytes where the frame states {len}"))),
-            Err(error) => Err(wrong(error.to_string())),
+            Err(code) => Err(wrong(zstd_safe::get_error_name(code).into())),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Errors: one enum. Every message says what is wrong and where, what was expected and found, and what to do if
 //! anything helps.
 
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -8,11 +9,10 @@ use std::path::{Path, PathBuf};
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Error of this crate. New variants may be added.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused an action on a file.
-    #[error("{path}: cannot {action}: {source}{advice}", path = path.display(), advice = advice(way_out))]
     #[non_exhaustive]
     Io {
         /// File or folder acted on.
@@ -25,7 +25,6 @@ pub enum Error {
         way_out: Option<Parameter>,
     },
     /// An input file (scan or mesh) cannot be used.
-    #[error("{path}: {at}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
     #[non_exhaustive]
     Input {
         /// The file.
@@ -38,7 +37,6 @@ pub enum Error {
         way_out: Option<Parameter>,
     },
     /// An archive breaks a rule of `spec/slice-archive.md`.
-    #[error("rule {rule}: {part} at byte {offset}: expected {expected}, found {found}")]
     Format {
         /// Rule id of the specification, for example `H1`.
         rule: &'static str,
@@ -52,7 +50,6 @@ pub enum Error {
         found: String,
     },
     /// A value lies beyond a stated limit.
-    #[error("{what}: {value} is beyond the limit of {max}{advice}", advice = advice(way_out))]
     #[non_exhaustive]
     Limit {
         /// Limited quantity, with what to do.
@@ -65,7 +62,6 @@ pub enum Error {
         way_out: Option<Parameter>,
     },
     /// A valid file uses a feature that this version does not read.
-    #[error("{what}: not supported by this version ({version}); {way_out}")]
     Unsupported {
         /// Feature that the file uses.
         what: String,
@@ -75,7 +71,6 @@ pub enum Error {
         way_out: String,
     },
     /// A parameter has an invalid value.
-    #[error("{what}: {reason}")]
     Parameter {
         /// The parameter.
         what: Parameter,
@@ -83,7 +78,6 @@ pub enum Error {
         reason: String,
     },
     /// A file must not be written under this name; the existing file stays.
-    #[error("{path}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
     #[non_exhaustive]
     Output {
         /// Name as given by the user.
@@ -95,10 +89,6 @@ pub enum Error {
     },
     /// A file is complete under its name, but its folder could not be synced: a power failure may restore the previous
     /// state of the folder.
-    #[error(
-        "{path}: complete under this name, but its folder could not be synced: {source}; a power failure may undo that",
-        path = path.display()
-    )]
     NotDurable {
         /// The complete file.
         path: PathBuf,
@@ -106,13 +96,8 @@ pub enum Error {
         source: io::Error,
     },
     /// The user or the calling program asked to stop; nothing was published.
-    #[error("interrupted: nothing was written")]
     Interrupted,
     /// A conversion failed and left temporary data from which another run can continue (`ConvertOptions::resume`).
-    #[error(
-        "{source}; resuming goes on from {points} points, {bytes} bytes of temporary data in {path}",
-        path = path.display()
-    )]
     Resumable {
         /// Reason of the failure.
         source: Box<Error>,
@@ -125,8 +110,57 @@ pub enum Error {
     },
 }
 
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Reason(self).fmt(f)?;
+        self.way_out().map_or(Ok(()), |parameter| write!(f, "; {}", parameter.advice()))
+    }
+}
+
+/// The message without advice.
+struct Reason<'a>(&'a Error);
+
+impl fmt::Display for Reason<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Error::Io { path, action, source, .. } => write!(f, "{}: cannot {action}: {source}", path.display()),
+            Error::Input { path, at, reason, .. } => write!(f, "{}: {at}: {reason}", path.display()),
+            Error::Format { rule, part, offset, expected, found } => {
+                write!(f, "rule {rule}: {part} at byte {offset}: expected {expected}, found {found}")
+            }
+            Error::Limit { what, value, max, .. } => write!(f, "{what}: {value} is beyond the limit of {max}"),
+            Error::Unsupported { what, version, way_out } => {
+                write!(f, "{what}: not supported by this version ({version}); {way_out}")
+            }
+            Error::Parameter { what, reason } => write!(f, "{what}: {reason}"),
+            Error::Output { path, reason, .. } => write!(f, "{}: {reason}", path.display()),
+            Error::NotDurable { path, source } => write!(
+                f,
+                "{}: complete under this name, but its folder could not be synced: {source}; a power failure may undo that",
+                path.display()
+            ),
+            Error::Interrupted => f.write_str("interrupted: nothing was written"),
+            Error::Resumable { source, path, bytes, points } => write!(
+                f,
+                "{source}; resuming goes on from {points} points, {bytes} bytes of temporary data in {}",
+                path.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { source, .. } | Self::NotDurable { source, .. } => Some(source),
+            Self::Resumable { source, .. } => Some(source),
+            _ => None,
+        }
+    }
+}
+
 /// Subject of an [`Error::Parameter`], or a parameter that would help in another error ([`Error::way_out`]). A program
-/// that has its own option for the parameter names that option instead ([`Error::told`]).
+/// that has its own option for the parameter names that option instead ([`Error::render`]).
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Parameter {
@@ -182,8 +216,8 @@ pub enum Parameter {
     Other(String),
 }
 
-impl std::fmt::Display for Parameter {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Parameter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::PixelSize => "pixel size",
             Self::AutomaticPixelSize => "automatic pixel size",
@@ -231,11 +265,6 @@ impl Parameter {
             other => format!("set the {other} otherwise"),
         }
     }
-}
-
-/// Returns the end of a message with this way out.
-fn advice(way_out: &Option<Parameter>) -> String {
-    way_out.as_ref().map_or_else(String::new, |parameter| format!("; {}", parameter.advice()))
 }
 
 impl<T: Into<String>> From<T> for Parameter {
@@ -288,13 +317,11 @@ impl Error {
         }
     }
 
-    /// Returns the message with a program's own advice: `say` names its option, or returns `None` if it has none.
-    pub fn told(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
-        let text = self.to_string();
-        let said = self.way_out().and_then(|parameter| Some((parameter, say(parameter)?)));
-        match said.and_then(|(parameter, said)| Some((text.strip_suffix(&parameter.advice())?, said))) {
-            Some((start, said)) => format!("{start}{said}"),
-            None => text,
+    /// Returns the message with a program's own advice: `advise` names its option, or returns `None` if it has none.
+    pub fn render(&self, advise: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
+        match self.way_out().and_then(advise) {
+            Some(advice) => format!("{}; {advice}", Reason(self)),
+            None => self.to_string(),
         }
     }
 
@@ -324,12 +351,12 @@ mod tests {
         let error = Error::limit("points", 5, 4).with_way_out(Parameter::Memory);
         assert_eq!(error.to_string(), "points: 5 is beyond the limit of 4; give more memory");
         assert_eq!(
-            error.told(|_| Some("give more --memory")),
+            error.render(|_| Some("give more --memory")),
             "points: 5 is beyond the limit of 4; give more --memory"
         );
-        assert_eq!(error.told(|_| None), error.to_string());
+        assert_eq!(error.render(|_| None), error.to_string());
         let plain = Error::input("a.las", "header", "is short");
-        assert_eq!(plain.told(|_| Some("never said")), "a.las: header: is short");
+        assert_eq!(plain.render(|_| Some("never said")), "a.las: header: is short");
         assert_eq!(Error::Interrupted.with_way_out(Parameter::Memory).way_out(), None);
     }
 }

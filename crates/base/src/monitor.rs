@@ -44,7 +44,7 @@ impl Warning {
     }
 
     /// Returns the text with a program's own advice: `say` names its option, or returns `None` if it has none.
-    pub fn told(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
+    pub fn render(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
         match self.way_out().map(|parameter| (parameter, say(parameter))) {
             Some((_, Some(said))) => format!("{}; {said}", self.text),
             Some((parameter, None)) => format!("{}; {}", self.text, parameter.advice()),
@@ -55,7 +55,7 @@ impl Warning {
 
 impl std::fmt::Display for Warning {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.told(|_| None))
+        f.write_str(&self.render(|_| None))
     }
 }
 

@@ -3,8 +3,6 @@
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::text::number;
 use crate::{Error, Parameter, Result};
-use bitvec::array::BitArray;
-use bitvec::order::Lsb0;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// Length of [`Plan::to_bytes`].
@@ -67,46 +65,40 @@ impl Up {
     }
 }
 
-/// Set of LAS classes (0 to 255), one bit per class.
-// Words of 32 bits, because `bitvec` has no wider words where pointers have 32.
+/// Set of LAS classes (0 to 255): class `c` is bit `c % 64` of word `c / 64`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct ClassSet(BitArray<[u32; 8], Lsb0>);
+pub struct ClassSet([u64; 4]);
 
 impl ClassSet {
-    /// Creates the set in which class `c` is bit `c % 64` of word `c / 64`: its form in an archive's head.
+    /// Creates the set from its words, its form in an archive's head.
     pub const fn from_words(words: [u64; 4]) -> Self {
-        let (mut data, mut at) = ([0; 8], 0);
-        while at < 8 {
-            data[at] = (words[at / 2] >> (32 * (at % 2))) as u32;
-            at += 1;
-        }
-        Self(BitArray { _ord: std::marker::PhantomData, data })
+        Self(words)
     }
 
     /// Returns the words of [`from_words`](Self::from_words).
     pub fn words(&self) -> [u64; 4] {
-        std::array::from_fn(|at| u64::from(self.0.data[2 * at]) | u64::from(self.0.data[2 * at + 1]) << 32)
+        self.0
     }
 
     /// Adds a class.
     pub fn insert(&mut self, class: u8) {
-        self.0.set(usize::from(class), true);
+        self.0[usize::from(class / 64)] |= 1 << (class % 64);
     }
 
     /// Returns whether the set contains this class.
     #[inline]
     pub fn contains(&self, class: u8) -> bool {
-        self.0[usize::from(class)]
+        self.0[usize::from(class / 64)] >> (class % 64) & 1 == 1
     }
 
     /// Returns whether the set is empty.
     pub fn is_empty(&self) -> bool {
-        self.0.not_any()
+        self.0 == [0; 4]
     }
 
     /// Returns the classes in ascending order.
     pub fn iter(&self) -> impl Iterator<Item = u8> + '_ {
-        self.0.iter_ones().map(|class| class as u8)
+        (0..=u8::MAX).filter(|&class| self.contains(class))
     }
 }
 

@@ -54,7 +54,7 @@ impl Monitor for News {
     }
 
     fn warn(&self, warning: &Warning) {
-        lock(&self.warnings).push(warning.told(way_out));
+        lock(&self.warnings).push(warning.render(way_out));
     }
 
     fn cancelled(&self) -> bool {

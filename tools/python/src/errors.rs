@@ -75,7 +75,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             return made(py, "NotLoadedError", &format!("pages that are not in memory are needed: {pages:?}"), &facts);
         }
     };
-    let mut text = error.told(way_out);
+    let mut text = error.render(way_out);
     facts.set_item("hint", error.way_out().and_then(way_out))?;
     if let Some((what, row)) = row {
         facts.set_item("row", row)?;

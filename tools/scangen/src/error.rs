@@ -1,5 +1,6 @@
 //! Errors: one enum; each text says what failed, where, and, if possible, what to do.
 
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -7,11 +8,10 @@ use std::path::{Path, PathBuf};
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Error of this crate. New variants may be added.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused an action on a file.
-    #[error("{path}: cannot {action}: {source}", path = path.display())]
     Io {
         /// File or folder.
         path: PathBuf,
@@ -21,7 +21,6 @@ pub enum Error {
         source: io::Error,
     },
     /// A parameter is invalid.
-    #[error("{what}: {reason}")]
     Parameter {
         /// Name of the parameter for the user.
         what: String,
@@ -29,13 +28,31 @@ pub enum Error {
         reason: String,
     },
     /// The output format cannot hold the requested data.
-    #[error("{path}: {reason}", path = path.display())]
     Output {
         /// The file being written.
         path: PathBuf,
         /// Part that does not fit, and what to do.
         reason: String,
     },
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io { path, action, source } => write!(f, "{}: cannot {action}: {source}", path.display()),
+            Self::Parameter { what, reason } => write!(f, "{what}: {reason}"),
+            Self::Output { path, reason } => write!(f, "{}: {reason}", path.display()),
+        }
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { source, .. } => Some(source),
+            _ => None,
+        }
+    }
 }
 
 impl Error {

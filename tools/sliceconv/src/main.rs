@@ -320,7 +320,7 @@ fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
             Some(option) => (format!("{option}: {reason}"), ExitCode::from(2)),
             None => (error.to_string(), ExitCode::FAILURE),
         },
-        _ => (error.told(way_out), ExitCode::FAILURE),
+        _ => (error.render(way_out), ExitCode::FAILURE),
     }
 }
 

@@ -66,7 +66,7 @@ fn of_library(error: &slicewalk::Error) -> Failure {
             _ => format!("{option}: {reason}"),
         });
     }
-    Failure::Text(error.told(way_out))
+    Failure::Text(error.render(way_out))
 }
 
 /// Advice that names an option.

@@ -67,7 +67,7 @@ impl Monitor for Terminal {
 
     fn warn(&self, warning: &Warning) {
         if !self.quiet {
-            let text = warning.told(self.option);
+            let text = warning.render(self.option);
             self.bar().suspend(|| say(&format!("{}: warning: {text}", self.program)));
         }
     }

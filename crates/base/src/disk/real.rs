@@ -64,7 +64,7 @@ impl Disk for RealDisk {
         fs::rename(from, to)
     }
 
-    #[cfg(any(target_os = "linux", target_os = "android", target_vendor = "apple"))]
+    #[cfg(all(feature = "spill", any(target_os = "linux", target_os = "android", target_vendor = "apple")))]
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         use rustix::fs::{CWD, RenameFlags, renameat_with};
         use rustix::io::Errno;
@@ -75,7 +75,7 @@ impl Disk for RealDisk {
         }
     }
 
-    #[cfg(not(any(target_os = "linux", target_os = "android", target_vendor = "apple")))]
+    #[cfg(not(all(feature = "spill", any(target_os = "linux", target_os = "android", target_vendor = "apple"))))]
     fn rename_new(&self, _: &Path, _: &Path) -> io::Result<()> {
         Err(ErrorKind::Unsupported.into())
     }
@@ -145,9 +145,7 @@ impl DiskFile for File {
             Ok(()) => Ok(true),
             Err(TryLockError::WouldBlock) => Ok(false),
             #[cfg(unix)]
-            Err(TryLockError::Error(error))
-                if error.raw_os_error() == Some(rustix::io::Errno::NOLCK.raw_os_error()) =>
-            {
+            Err(TryLockError::Error(error)) if error.raw_os_error() == Some(libc::ENOLCK) => {
                 Err(ErrorKind::Unsupported.into())
             }
             Err(TryLockError::Error(error)) => Err(error),

@@ -24,9 +24,7 @@ const TOO_MANY: u16 = 429;
 const PARTIAL: u16 = 206;
 
 /// Answer other than the requested bytes.
-#[derive(Debug, Clone, thiserror::Error)]
-#[error("HTTP status {name}{}{}", .wait.map_or(String::new(), |wait| format!(", retry after {} s", wait.as_secs())),
-    if .said.is_empty() { String::new() } else { format!(": {}", .said) })]
+#[derive(Debug, Clone)]
 pub(super) struct Refusal {
     status: u16,
     /// Number and name of the status.
@@ -36,6 +34,18 @@ pub(super) struct Refusal {
     /// Beginning of the body, as one line.
     said: String,
 }
+
+impl std::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "HTTP status {}", self.name)?;
+        if let Some(wait) = self.wait {
+            write!(f, ", retry after {} s", wait.as_secs())?;
+        }
+        if self.said.is_empty() { Ok(()) } else { write!(f, ": {}", self.said) }
+    }
+}
+
+impl std::error::Error for Refusal {}
 
 impl Refusal {
     /// Returns whether the requested version is gone.
