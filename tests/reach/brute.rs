@@ -243,7 +243,8 @@ impl<'a> Truth<'a> {
         Some((to, length))
     }
 
-    /// Length of a route with averaged heights (m); `None` if it does not lead over squares between linked places.
+    /// Length of a route with averaged heights (m); `None` if a point of it is at no place. A part that leaves the squares
+    /// between linked places, which only following it proved, counts as a straight line.
     fn length(&self, from: usize, route: &Route) -> Option<f64> {
         let frame = Frame::new(T, SIGMA).unwrap();
         let middle = |pixel: i64| (pixel as f64 + 0.5) * T;
@@ -255,7 +256,13 @@ impl<'a> Truth<'a> {
                 continue;
             }
             let way = (to.0 - self.places[at].at.0, to.1 - self.places[at].at.1);
-            let (next, length) = self.straight(at, way, &crossed(way))?;
+            let direct = || {
+                let top = frame.quantum_ceil(point.z);
+                let next = self.at(to).min_by_key(|place| (self.places[*place].top - top).abs())?;
+                let rise = (self.levels[next] - self.levels[at]) as f64 * QUANTUM;
+                Some((next, ((way.0 as f64).hypot(way.1 as f64) * T).hypot(rise)))
+            };
+            let (next, length) = self.straight(at, way, &crossed(way)).or_else(direct)?;
             (at, sum) = (next, sum + length);
         }
         Some(sum)
