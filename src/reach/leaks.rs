@@ -6,12 +6,12 @@
 //! leak: it is split where the ground below ends, and where its depth changes by more than the climb height from one
 //! brink to the next. Stretches narrower than half of the pawn count as the longest one beside them.
 //!
-//! From each rim the open pixels are flooded at its height, to see whether they are enclosed; open pixels that meet are
-//! one *gap*. A gap that reaches the end of the scan, or has more than 2¹⁶ pixels, is not enclosed. Each stretch of a
-//! rim is a leak:
+//! From each rim the open pixels are flooded at its height: they are its *gap*. A gap that reaches the end of the scan,
+//! or has more than 2¹⁶ pixels, is not enclosed. Enclosed gaps that share a pixel are one gap if their heights differ by
+//! no more than the pawn's; the depth below a pixel is then that from the lowest of them. Each stretch of a rim is a leak:
 //!
 //! - **hole**: the gap is enclosed, and nothing was scanned below the stretch, or at least half of the gap's border is
-//!   floor; stretches of one gap with the same depth are one hole;
+//!   floor; stretches of one gap with the same depth are one hole, and a gap with several holes is divided by depth;
 //! - **edge**: the gap is not enclosed, and nothing was scanned below the stretch;
 //! - **ledge**: all others: the ground below is deeper than the pawn steps down.
 //!
@@ -179,14 +179,21 @@ struct Brink {
 /// Open pixels behind a rim.
 struct Gap {
     level: i32,
-    /// Open pixels with the depth of the ground; empty if the gap is not enclosed.
-    pixels: Vec<([i32; 2], Option<i32>)>,
-    /// Numbers of border pixels with floor and with something solid.
-    floor: usize,
-    matter: usize,
+    /// Empty if the gap is not enclosed.
+    pixels: Vec<GapPixel>,
     is_closed: bool,
-    /// Numbers of the gaps that it meets.
-    meets: Vec<u32>,
+    /// Earlier gaps of the same height that hold a part of its pixels.
+    shared: Vec<u32>,
+}
+
+/// Open pixel of a gap.
+#[derive(Clone, Copy)]
+struct GapPixel {
+    pixel: [i32; 2],
+    /// Number of its tile.
+    tile: u32,
+    /// Depth of the ground below the gap's height, if any (quanta).
+    depth: Option<i32>,
 }
 
 /// Neighbouring brinks of a rim with similar depth.
@@ -233,7 +240,7 @@ impl<S: PageSet> Survey<'_, S> {
         let brinks = self.brinks()?;
         let mut stretches = Vec::new();
         let mut rims = self.rims(&brinks);
-        // By height, so that marks of one storey do not hide those of another.
+        // By height, so that gaps of the same height follow each other and need one flood.
         rims.sort_by_key(|(level, ..)| *level);
         for (level, members, own) in rims {
             let gap = self.gaps.len() as u32;
@@ -241,10 +248,7 @@ impl<S: PageSet> Survey<'_, S> {
             self.flood(level, &rim)?;
             stretches.extend(own.into_iter().map(|brinks| Stretch { brinks, gap }));
         }
-        let mut sets = Sets::new(self.gaps.len());
-        for gap in 0..self.gaps.len() {
-            self.gaps[gap].meets.iter().for_each(|other| sets.join(gap as u32, *other));
-        }
+        let mut sets = self.joined_gaps();
         let mut stretches_of: Vec<Vec<Stretch>> = Vec::new();
         stretches_of.resize_with(self.gaps.len(), Vec::new);
         for stretch in stretches {
@@ -257,9 +261,9 @@ impl<S: PageSet> Survey<'_, S> {
             if gap.is_closed && (gap.pixels.is_empty() || self.is_narrow(&gap)) {
                 continue;
             }
-            let (holes, others): (Vec<Stretch>, Vec<Stretch>) = stretches
-                .into_iter()
-                .partition(|stretch| gap.is_closed && (gap.floor >= gap.matter || stretch.depth().is_none()));
+            let is_in_floor = gap.is_closed && self.is_in_floor(&gap, members[0])?;
+            let (holes, others): (Vec<Stretch>, Vec<Stretch>) =
+                stretches.into_iter().partition(|stretch| gap.is_closed && (is_in_floor || stretch.depth().is_none()));
             for stretch in others {
                 let width = self.rim_width(&stretch)?;
                 if width >= self.standing.grid.pawn.body.half().min() {
@@ -275,8 +279,12 @@ impl<S: PageSet> Survey<'_, S> {
                     (Some([low, high]), Some(depth)) => (low - up..=high + up).contains(depth),
                     (below, depth) => below.is_none() && depth.is_none(),
                 };
-                let all = gap.pixels.iter().filter(|(_, depth)| is_one || is_below(depth));
-                let pixels: Vec<[i32; 2]> = all.map(|(pixel, _)| *pixel).collect();
+                let all = gap.pixels.iter().filter(|own| is_one || is_below(&own.depth));
+                let mut pixels: Vec<[i32; 2]> = all.map(|own| own.pixel).collect();
+                // A rim over a high step may lead to no pixel of this depth.
+                if pixels.is_empty() {
+                    pixels = hole.brinks.iter().map(|brink| self.beyond(brink)).collect();
+                }
                 let extent = self.extent(pixels.iter().copied(), self.standing.grid.foot);
                 leaks.push(self.leak(&hole, extent[0].max(extent[1]), middle(&pixels, |pixel| *pixel)));
             }
@@ -467,24 +475,21 @@ impl<S: PageSet> Survey<'_, S> {
 
     /// Floods the open pixels at `level` next to a rim.
     fn flood(&mut self, level: i32, rim: &[Brink]) -> Needs<()> {
-        let mut gap = Gap { level, pixels: Vec::new(), floor: 0, matter: 0, is_closed: true, meets: Vec::new() };
-        // Tile of each pixel of the gap.
-        let mut tiles: Vec<u32> = Vec::new();
+        let mut gap = Gap { level, pixels: Vec::new(), is_closed: true, shared: Vec::new() };
         let up = self.standing.grid.up;
         let region = self.region;
         for brink in rim.iter().filter(|brink| (region.tops[brink.place as usize] - level).abs() <= up) {
-            self.visit(&mut gap, &mut tiles, self.beyond(brink), None)?;
+            self.visit(&mut gap, self.beyond(brink), None)?;
         }
         let mut done = 0;
         loop {
             gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
             // A gap that is not enclosed need not be explored further.
-            let Some(&(pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
+            let Some(&GapPixel { pixel, tile, .. }) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
             for way in WAYS {
                 let to = [pixel[0] + way[0], pixel[1] + way[1]];
                 let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
-                let tile = is_same.then_some(tiles[done] as usize);
-                self.visit(&mut gap, &mut tiles, to, tile)?;
+                self.visit(&mut gap, to, is_same.then_some(tile as usize))?;
             }
             done += 1;
         }
@@ -495,10 +500,10 @@ impl<S: PageSet> Survey<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// Adds a pixel to the next gap, as a part of it, of its border, or of a gap that it meets. `tile` is the pixel's
-    /// tile, if known.
+    /// Adds a pixel to the next gap, as a part of it or of its border. A pixel of an earlier gap of the same height is
+    /// not flooded again. `tile` is the pixel's tile, if known.
     #[inline]
-    fn visit(&mut self, gap: &mut Gap, tiles: &mut Vec<u32>, pixel: [i32; 2], tile: Option<usize>) -> Needs<()> {
+    fn visit(&mut self, gap: &mut Gap, pixel: [i32; 2], tile: Option<usize>) -> Needs<()> {
         let tile = match tile {
             Some(tile) => tile,
             None if self.standing.grid.is_inside(pixel) => self.standing.tile(self.set, pixel)?,
@@ -520,34 +525,72 @@ impl<S: PageSet> Survey<'_, S> {
         }
         let there = self.there_in(tile, pixel, gap.level);
         if let There::Open(depth) = there {
-            let met = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
-            if let Some(met) = met.filter(|met| (met.level - gap.level).abs() < self.standing.grid.height) {
-                gap.is_closed &= met.is_closed;
-                if gap.meets.last() != Some(&(mark >> 1)) {
-                    gap.meets.push(mark >> 1);
+            let before = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
+            if let Some(before) = before.filter(|before| before.level == gap.level) {
+                gap.is_closed &= before.is_closed;
+                if gap.shared.last() != Some(&(mark >> 1)) {
+                    gap.shared.push(mark >> 1);
                 }
                 return ControlFlow::Continue(());
             }
-            gap.pixels.push((pixel, depth));
-            tiles.push(tile as u32);
+            gap.pixels.push(GapPixel { pixel, tile: tile as u32, depth });
         }
-        gap.floor += usize::from(there == There::Floor);
-        gap.matter += usize::from(there == There::Matter);
         self.marks[tile][cell(pixel)] = 2 * number + u32::from(!matches!(there, There::Open(_)));
         ControlFlow::Continue(())
     }
 
-    /// Returns gaps that meet as one gap.
-    fn joined(&mut self, members: &[u32]) -> Gap {
-        let all = || members.iter().map(|gap| &self.gaps[*gap as usize]);
-        Gap {
-            level: self.gaps[members[0] as usize].level,
-            floor: all().map(|gap| gap.floor).sum(),
-            matter: all().map(|gap| gap.matter).sum(),
-            is_closed: all().all(|gap| gap.is_closed),
-            pixels: all().flat_map(|gap| gap.pixels.iter().copied()).collect(),
-            meets: Vec::new(),
+    /// Returns the sets of enclosed gaps that are one. From now on marks are numbers of gaps.
+    fn joined_gaps(&mut self) -> Sets {
+        let mut sets = Sets::new(self.gaps.len());
+        self.marks.iter_mut().for_each(|marks| marks.fill(NOTHING));
+        for (number, gap) in (0..).zip(&self.gaps).filter(|(_, gap)| gap.is_closed) {
+            gap.shared.iter().for_each(|other| sets.join(number, *other));
+            for own in &gap.pixels {
+                let before = std::mem::replace(&mut self.marks[own.tile as usize][cell(own.pixel)], number);
+                let height = |before: u32| gap.level - self.gaps[before as usize].level;
+                if before != NOTHING && height(before) < self.standing.grid.height {
+                    sets.join(number, before);
+                }
+            }
         }
+        sets
+    }
+
+    /// Returns gaps, in order of their heights, as one gap.
+    fn joined(&self, members: &[u32]) -> Gap {
+        let all = || members.iter().map(|gap| &self.gaps[*gap as usize]);
+        let mut pixels: Vec<GapPixel> = all().flat_map(|gap| gap.pixels.iter().copied()).collect();
+        if members.len() > 1 {
+            // The sort is stable: of a pixel of several gaps that of the lowest stays.
+            pixels.sort_by_key(|own| own.pixel);
+            pixels.dedup_by_key(|own| own.pixel);
+        }
+        let level = self.gaps[members[0] as usize].level;
+        Gap { level, pixels, is_closed: all().all(|gap| gap.is_closed), shared: Vec::new() }
+    }
+
+    /// Returns true if at least half of the pixels around an enclosed gap hold nothing solid at its height. `number`
+    /// marks its pixels.
+    fn is_in_floor(&mut self, gap: &Gap, number: u32) -> Needs<bool> {
+        let inside = 2 * self.gaps.len() as u32 + 2 * number;
+        for own in &gap.pixels {
+            self.marks[own.tile as usize][cell(own.pixel)] = inside;
+        }
+        let (mut border, mut matter) = (0usize, 0usize);
+        for own in &gap.pixels {
+            for way in WAYS {
+                let to = [own.pixel[0] + way[0], own.pixel[1] + way[1]];
+                // An enclosed gap was flooded, with all pixels around it.
+                let tile = self.tile(to)?;
+                let mark = &mut self.marks[tile][cell(to)];
+                if *mark & !1 != inside {
+                    *mark = inside + 1;
+                    border += 1;
+                    matter += usize::from(self.there_in(tile, to, gap.level) == There::Matter);
+                }
+            }
+        }
+        ControlFlow::Continue(border - matter >= matter)
     }
 
     /// Joins the stretches of one gap that have similar depths.
@@ -585,7 +628,7 @@ impl<S: PageSet> Survey<'_, S> {
 
     fn is_narrow(&self, gap: &Gap) -> bool {
         let pixel = self.standing.grid.frame.pixel_m();
-        let longest = self.extent(gap.pixels.iter().map(|(pixel, _)| *pixel), 0).into_iter().fold(0.0, f64::max);
+        let longest = self.extent(gap.pixels.iter().map(|own| own.pixel), 0).into_iter().fold(0.0, f64::max);
         let mean = gap.pixels.len() as f64 * pixel * pixel / longest + 2.0 * f64::from(self.standing.grid.foot) * pixel;
         mean < self.standing.grid.pawn.body.half().min()
     }

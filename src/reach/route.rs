@@ -8,9 +8,10 @@
 //! Lengths include heights, averaged over [`LEVEL_M`]: stairs count as ramps, and roughness not at all, but a route
 //! around a ridge may be shorter than one over it.
 //!
-//! Then a [`Walker`] follows the path. A stretch that it cannot follow is divided; a single step that it cannot take is
-//! excluded, and the search starts again. So every route can be walked, however steps over pixels differ from the
-//! motion of a body in between.
+//! Then a [`Walker`] follows the path, once with its default ticks and once with ticks of 1/60 s, the longest that
+//! programs commonly use. A stretch that it cannot follow is divided; a single step that it cannot take is excluded, and
+//! the search starts again. So every route can be walked, however steps over pixels differ from the motion of a body in
+//! between.
 //!
 //! A [prepared](Region::prepare) region guides the search around walls and up stairs; the cost of preparing is shared
 //! by many routes.
@@ -48,6 +49,8 @@ const MOST_SEARCHES: usize = 1 << 7;
 /// A walker fails if it takes longer than `PATIENCE` times the time of the path plus `PATIENCE_S` (s).
 const PATIENCE: f64 = 2.0;
 const PATIENCE_S: f64 = 1.0;
+/// Long tick with which a route is followed as well (s).
+const LONG_TICK_S: f64 = 1.0 / 60.0;
 /// Distance from a place within which the walker has reached it (m).
 const THERE_M: f64 = 1e-6;
 
@@ -102,16 +105,19 @@ pub struct Search {
     trial: Option<Trial>,
 }
 
-/// A path that a walker follows.
+/// Walkers with short and with long ticks.
+type Walkers = [Walker; 2];
+
+/// A path that walkers follow.
 #[derive(Debug)]
 struct Trial {
     ends: [u32; 2],
     places: usize,
     way: Vec<u32>,
-    /// Indices in `way`: the place of the walker, and the places to go to, the next one last.
+    /// Indices in `way`: the place of the walkers, and the places to go to, the next one last.
     at: usize,
     next: Vec<usize>,
-    walker: Walker,
+    walkers: Walkers,
     points: Vec<Point3<f64>>,
     searches: usize,
 }
@@ -248,11 +254,18 @@ impl Search {
         }
         way.reverse();
         let next = straightened(region, &way);
-        let (pawn, feet) = (region.pawn(), region.feet(first));
-        let config = Config { climb: pawn.climb, ..Config::new(pawn.body) };
-        let walker = Walker::new(config, feet)?;
+        let walkers = walkers_at(region, first)?;
         let ends = [first, last];
-        Ok(Some(Trial { ends, places: region.len(), way, at: 0, next, walker, points: vec![feet], searches }))
+        Ok(Some(Trial {
+            ends,
+            places: region.len(),
+            way,
+            at: 0,
+            next,
+            walkers,
+            points: vec![region.feet(first)],
+            searches,
+        }))
     }
 
     fn run(&mut self, region: &Region, first: u32, last: Option<u32>, monitor: &dyn Monitor) -> Result<bool> {
@@ -578,8 +591,8 @@ impl Trial {
     fn follow<S: PageSet>(&mut self, set: &S, region: &Region) -> Needs<std::result::Result<Route, Vec<(u32, u32)>>> {
         while let Some(&next) = self.next.last() {
             let [from, to] = [self.at, next].map(|at| self.way[at]);
-            if let Some(walker) = walked(set, region, self.walker.clone(), to)? {
-                self.walker = walker;
+            if let Some(walkers) = walked(set, region, self.walkers.clone(), to)? {
+                self.walkers = walkers;
                 (self.at, _) = (next, self.next.pop());
                 let mut profile = Vec::new();
                 region.is_straight(from, to, |place| profile.push(region.feet(place)));
@@ -593,8 +606,8 @@ impl Trial {
                 let mut refused = vec![(from, to)];
                 for pair in self.way[next..].windows(2) {
                     let [from, to] = [pair[0], pair[1]];
-                    let Ok(walker) = Walker::new(*self.walker.config(), region.feet(from)) else { continue };
-                    if walked(set, region, walker, to)?.is_none() {
+                    let Ok(walkers) = walkers_at(region, from) else { continue };
+                    if walked(set, region, walkers, to)?.is_none() {
                         refused.push((from, to));
                     }
                 }
@@ -607,10 +620,27 @@ impl Trial {
     }
 }
 
-/// Returns the walker after it went straight to a place, if it got there.
-fn walked<S: PageSet>(set: &S, region: &Region, mut walker: Walker, place: u32) -> Needs<Option<Walker>> {
+/// Returns walkers at a place.
+fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
+    let (pawn, feet) = (region.pawn(), region.feet(place));
+    let config = Config { climb: pawn.climb, ..Config::new(pawn.body) };
+    Ok([Walker::new(config, feet)?, Walker::new(Config { tick_s: LONG_TICK_S, ..config }, feet)?])
+}
+
+/// Returns the walkers after each went straight to a place, if both got there.
+fn walked<S: PageSet>(set: &S, region: &Region, mut walkers: Walkers, place: u32) -> Needs<Option<Walkers>> {
+    for walker in &mut walkers {
+        if !arrives(set, region, walker, place)? {
+            return ControlFlow::Continue(None);
+        }
+    }
+    ControlFlow::Continue(Some(walkers))
+}
+
+/// Moves a walker straight to a place and returns whether it got there.
+fn arrives<S: PageSet>(set: &S, region: &Region, walker: &mut Walker, place: u32) -> Needs<bool> {
     let to = region.feet(place);
-    let Ok(mut waypoints) = Waypoints::new(vec![to.xy()]) else { return ControlFlow::Continue(None) };
+    let Ok(mut waypoints) = Waypoints::new(vec![to.xy()]) else { return ControlFlow::Continue(false) };
     let (speed, tick_s) = (walker.config().speed, walker.config().tick_s);
     let mut left = (PATIENCE * (to - walker.feet()).norm() / speed + PATIENCE_S) / tick_s;
     while left > 0.0 {
@@ -623,13 +653,13 @@ fn walked<S: PageSet>(set: &S, region: &Region, mut walker: Walker, place: u32) 
         match report.state {
             State::Arrived => {
                 let is_there = off.xy().norm() <= THERE_M && off.z.abs() <= region.grid.frame.quantum_m();
-                return ControlFlow::Continue(is_there.then_some(walker));
+                return ControlFlow::Continue(is_there);
             }
-            State::Blocked => return ControlFlow::Continue(None),
+            State::Blocked => return ControlFlow::Continue(false),
             _ => {}
         }
     }
-    ControlFlow::Continue(None)
+    ControlFlow::Continue(false)
 }
 
 /// Adds points between the last of `points` and `to` so that the line stays within the climb height of the `profile`.

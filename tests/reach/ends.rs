@@ -261,7 +261,7 @@ fn cases(default: u64) -> u64 {
 fn clearances_are_those_of_brute_force_to_a_pixel() {
     let mut offsets: Vec<At> = (-60..=60).flat_map(|dx| (-60..=60).map(move |dy| (dx, dy))).collect();
     offsets.sort_by(|a, b| gap(*a).total_cmp(&gap(*b)));
-    let (mut compared, mut worst, mut inexact) = (0, 0.0f64, 0);
+    let (mut compared, mut worst, mut inexact, mut wrong) = (0, 0.0f64, 0, Vec::new());
     for seed in 0..cases(25) {
         let world = random_world(seed);
         let (found, _) = world.answers((30, 50));
@@ -283,16 +283,15 @@ fn clearances_are_those_of_brute_force_to_a_pixel() {
                 let Some(nearest) = nearest else { continue };
                 let error = (clearance / T - nearest).abs();
                 (compared, worst, inexact) = (compared + 1, worst.max(error), inexact + usize::from(error > 0.01));
-                assert!(
-                    error <= 1.01,
-                    "seed {seed}, {:?}: {at:?} at {level}: {} for {nearest}",
-                    world.body,
-                    clearance / T
-                );
+                if error > 1.01 {
+                    let found = clearance / T;
+                    wrong.push(format!("seed {seed}, {:?}: {at:?} at {level}: {found} for {nearest}", world.body));
+                }
             }
         }
     }
     eprintln!("{compared} places, at worst {worst:.2} pixels off, {inexact} inexact");
+    assert!(wrong.is_empty(), "{}: {:#?}", wrong.len(), &wrong[..wrong.len().min(20)]);
     assert!(compared > 10_000, "{compared}");
 }
 
@@ -465,15 +464,26 @@ impl<'a> Truth<'a> {
         }
         let height = self.world.body.height() / QUANTUM;
         let meet = |a: usize, b: usize| {
-            ((gaps[a].0 - gaps[b].0).abs() as f64) < height && gaps[a].1.intersection(&gaps[b].1).next().is_some()
+            gaps[a].2
+                && gaps[b].2
+                && (gaps[a].0 - gaps[b].0).abs() as f64 <= height + 1e-6
+                && gaps[a].1.intersection(&gaps[b].1).next().is_some()
         };
         let mut found = Vec::new();
         for members in groups(gaps.len(), meet) {
             let own: Vec<Vec<Brink>> =
                 stretches.iter().filter(|own| members.contains(&own.0)).map(|own| own.1.clone()).collect();
             let is_closed = members.iter().all(|gap| gaps[*gap].2);
-            let level = gaps[members[0]].0;
-            let pixels: BTreeSet<At> = members.iter().flat_map(|gap| gaps[*gap].1.iter().copied()).collect();
+            let level = members.iter().map(|gap| gaps[*gap].0).min().unwrap();
+            // Depths are those below the lowest gap with the pixel.
+            let mut lowest: BTreeMap<At, i64> = BTreeMap::new();
+            for gap in &members {
+                for at in &gaps[*gap].1 {
+                    let own = lowest.entry(*at).or_insert(gaps[*gap].0);
+                    *own = gaps[*gap].0.min(*own);
+                }
+            }
+            let pixels: BTreeSet<At> = lowest.keys().copied().collect();
             let mut is_floor = true;
             if is_closed {
                 let [x, y] = extent(pixels.iter().copied());
@@ -508,14 +518,17 @@ impl<'a> Truth<'a> {
                 let own: Vec<Brink> = members.iter().flat_map(|hole| holes[*hole].clone()).collect();
                 let own_range = range(&own);
                 let mut is_own = |at: &At| {
-                    let depth = self.open(*at, level).flatten();
+                    let depth = self.open(*at, lowest[at]).flatten();
                     is_one
                         || match (own_range, depth) {
                             (Some((low, high)), Some(depth)) => (low - up..=high + up).contains(&depth),
                             (range, depth) => range.is_none() && depth.is_none(),
                         }
                 };
-                let part: Vec<At> = pixels.iter().copied().filter(|at| is_own(at)).collect();
+                let mut part: Vec<At> = pixels.iter().copied().filter(|at| is_own(at)).collect();
+                if part.is_empty() {
+                    part = own.iter().map(Brink::beyond).collect();
+                }
                 let [x, y] = extent(part.iter().copied());
                 found.push(("hole", depth_of(&own), x.max(y) + 2 * self.foot));
             }
@@ -582,17 +595,21 @@ impl<'a> Truth<'a> {
 
 #[test]
 fn leaks_are_those_of_brute_force() {
-    let (mut kinds, mut split) = (BTreeMap::new(), 0);
+    let (mut kinds, mut split, mut wrong) = (BTreeMap::new(), 0, Vec::new());
     for seed in 0..cases(25) {
         let world = random_world(seed);
         let (places, leaks) = world.answers((50, 30));
         let expected = Truth::new(&world).leaks(places.keys().copied());
-        assert_eq!(summary(&leaks), expected, "seed {seed}, {:?}: {leaks:#?}", world.body);
+        let found = summary(&leaks);
+        if found != expected {
+            wrong.push(format!("seed {seed}, {:?}: {found:?} for {expected:?}", world.body));
+        }
         for (kind, ..) in &expected {
             *kinds.entry(*kind).or_insert(0) += 1;
         }
         split += usize::from(expected.iter().map(|leak| leak.1).collect::<BTreeSet<_>>().len() > 1);
     }
     eprintln!("{kinds:?}, {split} scenes with different depths");
+    assert!(wrong.is_empty(), "{}: {:#?}", wrong.len(), &wrong[..wrong.len().min(20)]);
     assert!(kinds.len() == 3 && split > 5, "{kinds:?}");
 }
