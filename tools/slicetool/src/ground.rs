@@ -1,4 +1,4 @@
-//! Pawn options and page loading, shared by `reach` and `route`.
+//! Pawn options and page loading, shared by `reach`, `route` and `export`.
 
 use crate::Failure;
 use crate::nearest::nearest;
@@ -13,9 +13,18 @@ use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
 use std::path::{Path, PathBuf};
 
-/// Options of the pawn.
+/// Options of the pawn, and of where it starts and ends.
 #[derive(clap::Args)]
 pub struct Walks {
+    #[command(flatten)]
+    pawns: Pawns,
+    #[command(flatten)]
+    snap: Snap,
+}
+
+/// Options of the pawn.
+#[derive(clap::Args)]
+pub struct Pawns {
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
     #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8")]
     pawn: Body,
@@ -27,8 +36,6 @@ pub struct Walks {
     max_drop: Option<f64>,
     #[command(flatten)]
     inferred: crate::Inferred,
-    #[command(flatten)]
-    snap: Snap,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -58,7 +65,7 @@ pub fn tidy(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-impl Walks {
+impl Pawns {
     /// Opens the archive.
     pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
         self.inferred.open(archive)
@@ -69,6 +76,21 @@ impl Walks {
         self.cache
     }
 
+    /// The pawn in the library's type.
+    pub fn pawn(&self) -> Pawn {
+        Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
+    }
+}
+
+impl std::ops::Deref for Walks {
+    type Target = Pawns;
+
+    fn deref(&self) -> &Pawns {
+        &self.pawns
+    }
+}
+
+impl Walks {
     /// Finds the standing place at `at` or near it.
     pub fn snapped(
         &self,
@@ -85,11 +107,6 @@ impl Walks {
             0.0 => "expected floor below it and room for its whole body".to_owned(),
             metres => format!("expected floor below it and room for its whole body, there or within --snap {metres} m"),
         }
-    }
-
-    /// The pawn in the library's type.
-    pub fn pawn(&self) -> Pawn {
-        Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
     }
 }
 
