@@ -5,15 +5,19 @@
 //! - `heights.rs`: heights of floors as a raster (GeoTIFF)
 //! - `drawing.rs`: the floor plan of a slice (SVG, DXF)
 //! - `nav2.rs`: occupancy grids of storeys (Nav2)
+//! - `octomap.rs`, `voxel.rs`: occupied cubes as octrees (OctoMap; SuperSplat, PlayCanvas, Babylon)
 //!
 //! All coordinates are those of the archive: metres, in the scan's reference system.
 
 mod crs;
+mod cubes;
 mod drawing;
 mod heights;
 mod nav2;
+mod octomap;
 mod points;
 mod surface;
+mod voxel;
 
 use crate::ground::Pawns;
 use crate::{Failure, Outcome};
@@ -29,8 +33,8 @@ pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
     /// File to write; its extension selects points, one per voxel (.ply, .las, .laz, .e57), a surface (.glb), floor
-    /// heights (.tif), the plan of a slice (.svg, .dxf) or maps of storeys for Nav2 (.yaml with .pgm). `-` writes PLY to
-    /// standard output
+    /// heights (.tif), the plan of a slice (.svg, .dxf), maps of storeys for Nav2 (.yaml with .pgm), or cubes for OctoMap
+    /// (.bt) or for SuperSplat and PlayCanvas (.voxel.json with .voxel.bin). `-` writes PLY to standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Plan of this slice, counted from 0 at the lowest; by default, the slice 1.2 m above the floor of the lowest
@@ -61,6 +65,8 @@ enum Format {
     Svg,
     Dxf,
     Nav2,
+    Octomap,
+    Voxel,
 }
 
 impl Format {
@@ -76,6 +82,8 @@ impl Format {
             "svg" => Self::Svg,
             "dxf" => Self::Dxf,
             "yaml" | "yml" => Self::Nav2,
+            "bt" => Self::Octomap,
+            "json" if voxel::binary_of(output).is_some() => Self::Voxel,
             _ if is_standard(output) => Self::Ply,
             _ => return None,
         })
@@ -86,7 +94,7 @@ impl Format {
 pub fn run(arguments: &Arguments) -> Outcome {
     let (path, output) = (arguments.archive.as_path(), arguments.output.as_path());
     let Some(format) = Format::of(output) else {
-        let endings = ".ply, .las, .laz, .e57, .glb, .tif, .svg, .dxf or .yaml";
+        let endings = ".ply, .las, .laz, .e57, .glb, .tif, .svg, .dxf, .yaml, .bt or .voxel.json";
         return Err(Failure::Text(format!("{}: unknown format; name the file {endings}", output.display())));
     };
     let is_plan = matches!(format, Format::Svg | Format::Dxf);
@@ -107,7 +115,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(path)?;
     points::check_count(&archive, path)?;
     let crs = match format {
-        Format::Ply | Format::Glb | Format::Nav2 => None,
+        Format::Ply | Format::Glb | Format::Nav2 | Format::Octomap | Format::Voxel => None,
         _ => Crs::of(&archive, path)?,
     };
     let crs = crs.as_ref();
@@ -123,6 +131,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
             let pixel = number(archive.frame().pixel_m());
             format!("{} × {} pixels of {pixel} m", grouped(width.into()), grouped(height.into()))
         }
+        Format::Voxel => {
+            let binary = voxel::binary_of(output).unwrap_or_default();
+            voxel::write(&archive, path, [to, crate::output(&binary, &archive, &[output])?])?
+        }
+        Format::Octomap => octomap::bt(&archive, path, to)?,
         Format::Nav2 => unreachable!("written above"),
         Format::Svg | Format::Dxf => {
             let slice = drawing::slice(&archive, path, arguments.slice, arguments.z)?;

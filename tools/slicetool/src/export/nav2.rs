@@ -28,6 +28,8 @@ const UNKNOWN: u8 = 205;
 const OCCUPIED: u8 = 0;
 /// Least height of a body above the climb height (m).
 const LEAST_BODY_M: f64 = 0.05;
+/// A body that only touches something solid does not collide (m).
+const TOUCH_M: f64 = 1e-6;
 /// Farthest from a link that its steps are looked at (m), and the highest step of a ramp (m).
 const LINK_M: f64 = 1.0;
 const RAMP_STEP_M: f64 = 0.06;
@@ -219,8 +221,13 @@ impl<'a> Ground<'a> {
         let lifted = feet + Vector3::new(0.0, 0.0, self.pawn.climb);
         let height = (self.pawn.body.height() - self.pawn.climb).max(LEAST_BODY_M);
         let overlap = match self.pawn.body {
-            Body::Box { x, y, .. } => overlaps(view, &Aabb::standing(lifted, Vector3::new(x, y, height))?),
-            Body::Cylinder { radius, .. } => overlaps(view, &Cylinder::new(lifted, radius, height)?),
+            Body::Box { x, y, .. } => {
+                let size = Vector3::new((x - TOUCH_M).max(x / 2.0), (y - TOUCH_M).max(y / 2.0), height);
+                overlaps(view, &Aabb::standing(lifted, size)?)
+            }
+            Body::Cylinder { radius, .. } => {
+                overlaps(view, &Cylinder::new(lifted, (radius - TOUCH_M).max(radius / 2.0), height)?)
+            }
         };
         Ok(match overlap {
             Overlap::Clear => Answer::Known(false),

@@ -12,6 +12,7 @@ mod store;
 mod budgets;
 mod cli;
 mod colour;
+mod cubes;
 mod exports;
 mod outputs;
 mod reach;

@@ -1,5 +1,7 @@
 """Opens the exports of an archive in other readers and compares their contents: `check.py FOLDER`."""
 
+import json
+import re
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -20,6 +22,16 @@ def points_of_las(path: Path) -> tuple[np.ndarray, np.ndarray]:
     scan = laspy.read(path)
     assert scan.header.parse_crs().to_epsg() == EPSG, path
     return np.asarray(scan.xyz), np.asarray(scan.classification)
+
+
+def cubes_of_vrml(path: Path) -> dict[tuple[int, int, int], int]:
+    """Lowest corners of occupied leaves (in cubes) as OctoMap's own program writes them, and their edges."""
+    leaves = {}
+    for block in path.read_text().split("Transform")[1:]:
+        x, y, z, edge = map(float, re.findall(r"-?\d[\d.]*(?:e-?\d+)?", block)[:4])
+        corner = (round((v - edge / 2) / PIXEL_M) for v in (x, y, z))
+        leaves[tuple(corner)] = round(edge / PIXEL_M)
+    return leaves
 
 
 def main(folder: Path) -> None:
@@ -72,6 +84,25 @@ def main(folder: Path) -> None:
     assert np.allclose(np.ptp(surface.vertices, axis=0), size, atol=0.2), (surface.extents, size)
     assert surface.volume > 0
     print(f"trimesh: {len(surface.faces):,} triangles, {surface.volume:.1f} m³")
+
+    vrml = folder / "house.bt.wrl"
+    if vrml.exists():
+        leaves = cubes_of_vrml(vrml)
+        cubes = {
+            (x + a, y + b, z + c)
+            for (x, y, z), edge in leaves.items()
+            for a in range(edge)
+            for b in range(edge)
+            for c in range(edge)
+        }
+        # Points lie half a quantum (0.3 mm) below the top, which may be the lower end of a cube.
+        ways = [np.floor((points + [0, 0, above]) / PIXEL_M).astype(int) for above in (0.0, 4e-4)]
+        assert all(tuple(a) in cubes or tuple(b) in cubes for a, b in zip(*ways, strict=True))
+        head = json.loads((folder / "house.voxel.json").read_text())
+        ends = np.array([head["sceneBounds"]["min"], head["sceneBounds"]["max"]]) / PIXEL_M
+        low, high = np.min(list(cubes), axis=0), np.max(list(cubes), axis=0) + 1
+        assert np.allclose(ends, [[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]]), (ends, low, high)
+        print(f"OctoMap: {len(leaves):,} leaves, {len(cubes):,} cubes, no point outside")
 
 
 main(Path(sys.argv[1]))

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# check.sh [FOLDER]: opens exports of slicetool in common readers: laspy, libE57, GDAL, ezdxf, trimesh and the validator
-# of glTF. Uses the programs in FOLDER if they are built there. Needs CPython 3.11 or newer, node and npm, and once
+# check.sh [FOLDER]: opens exports of slicetool in common readers: laspy, libE57, GDAL, ezdxf, trimesh, OctoMap and the
+# validator of glTF. Uses the programs in FOLDER if they are built there. Needs CPython 3.11 or newer, node and npm, and once
 # their package indexes.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/../../../.." && pwd)
@@ -20,14 +20,21 @@ if [ ! -d "$readers/node_modules/gltf-validator" ]; then
     npm install --silent --no-save --no-audit --no-fund --prefix "$readers" gltf-validator@2.0.0-dev.3.10
 fi
 
+if ! command -v bt2vrml >/dev/null; then
+    { apt-get install --yes --quiet octomap-tools || echo "skipped: octomap-tools cannot be installed"; } >&2
+fi
+
 made=$(mktemp -d)
 trap 'rm -rf "$made"' EXIT
 cd "$made"
 "$programs/scangen" demo -o house.laz
 "$programs/sliceconv" house.laz -o house.slices --pixel 0.05 --units m --crs EPSG:28992 --quiet
-for ending in ply las laz e57 tif svg dxf glb; do
+for ending in ply las laz e57 tif svg dxf glb bt voxel.json; do
     "$programs/slicetool" export house.slices -o "house.$ending"
 done
+if command -v bt2vrml >/dev/null; then
+    bt2vrml house.bt >/dev/null
+fi
 PYTHONDONTWRITEBYTECODE=1 "$readers/venv/bin/python" "$root/tools/slicetool/tests/readers/check.py" "$made"
 NODE_PATH=$readers/node_modules node -e '
     const { readFileSync } = require("node:fs");
