@@ -1,6 +1,7 @@
 //! Inspects and queries slice archives. Results go to standard output, diagnostics to standard error. Exit codes: 0
 //! success, 1 failure (one line: what, where, what to do), 2 usage.
 
+mod blocked;
 mod demo;
 mod diff;
 mod export;

@@ -1,5 +1,6 @@
 //! `slicetool route`: finds the shortest route of a pawn between two places.
 
+use crate::blocked::{Blocked, blocked};
 use crate::ground::{Loader, Walks, end_json};
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
@@ -59,13 +60,14 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let output = arguments.output.as_deref().map(|output| crate::output(output, &archive, &[])).transpose()?;
     let mut bytes = 0;
     let mut ends = [(arguments.from, 0.0), (arguments.to, 0.0)];
+    let mut stop = None;
     let (found, guess) = if arguments.coarse {
         match on_levels(arguments, archive, &mut ends, &mut bytes)? {
             Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
             Err(refusal) => (Err(refusal), None),
         }
     } else {
-        (find(arguments, archive, &mut ends, &mut bytes)?, None)
+        (find(arguments, archive, &mut ends, &mut stop, &mut bytes)?, None)
     };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
@@ -82,6 +84,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "found": found.is_ok(),
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
+            "blocked": stop.map(Blocked::to_json),
             "from": end_json(ends[0].0, ends[0].1),
             "to": end_json(ends[1].0, ends[1].1),
             "level": guess.map(|guess| guess.0),
@@ -110,9 +113,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 Refusal::NotStandingTo => {
                     format!("the pawn cannot stand at --to ({})", arguments.walks.nowhere_near())
                 }
-                Refusal::NotConnected => {
-                    "no way leads there for this pawn; try a lower --pawn or a higher --climb".to_owned()
-                }
+                Refusal::NotConnected => match stop {
+                    Some(stop) => stop.text(),
+                    None => "no way leads there for this pawn; try a lower --pawn or a higher --climb".to_owned(),
+                },
                 other => other.name().to_owned(),
             };
             crate::say(&format!("no route: {why}"));
@@ -128,8 +132,15 @@ type Found = Result<Route, Refusal>;
 type Ends = [(Point3<f64>, f64); 2];
 
 /// Finds the route in the archive itself: along a coarse route if that is known to be good enough, otherwise near the
-/// straight line first and then farther out. Moves `ends` to standing places and records by how much (m).
-fn find(arguments: &Arguments, archive: Archive, ends: &mut Ends, bytes: &mut usize) -> Result<Found, Failure> {
+/// straight line first and then farther out. Moves `ends` to standing places and records by how much (m), and where the
+/// best way stops if none connects them.
+fn find(
+    arguments: &Arguments,
+    archive: Archive,
+    ends: &mut Ends,
+    stop: &mut Option<Blocked>,
+    bytes: &mut usize,
+) -> Result<Found, Failure> {
     let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
     let pawn = arguments.walks.pawn();
     if let Err(refusal) = stand(arguments, &loader, ends)? {
@@ -160,6 +171,9 @@ fn find(arguments: &Arguments, archive: Archive, ends: &mut Ends, bytes: &mut us
     };
     let found = loader.known(|view| planned(&mut planner, view))?;
     *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
+    if found.is_err() && known.is_none() {
+        *stop = blocked(&loader, &pawn, ends)?;
+    }
     Ok(match (found, known) {
         (Ok(found), Some(known)) if known.length_m < found.length_m => Ok(known),
         (Err(_), Some(known)) => Ok(known),

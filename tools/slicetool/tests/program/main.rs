@@ -9,6 +9,7 @@ mod full;
 #[path = "../../../../tests/common/store.rs"]
 mod store;
 
+mod blocked;
 mod budgets;
 mod cli;
 mod colour;

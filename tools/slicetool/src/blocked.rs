@@ -1,0 +1,316 @@
+//! Why no route connects two places: where the best way stops, and what would pass.
+//!
+//! The pawn is changed in one respect at a time (narrower, lower, a higher step), by bisection to the least change with
+//! which the end is reached. The least of these changes, as a share of the pawn's own measure, is the reason; the place
+//! is where the way of the changed pawn leaves what the pawn itself reaches. If no single change helps, a narrow pawn that
+//! is also low, or climbs high, finds a way; the reason is then the least change that leads past the first place where
+//! this way leaves what the pawn reaches. If that fails, too, ground is missing: where what is reached from the start
+//! comes nearest to what is reached from the end.
+//!
+//! Ways are looked for within an ellipse around both ends. Cost: up to about 25 floods of it.
+
+use crate::Failure;
+use crate::ground::{Loader, tidy};
+use nalgebra::Point3;
+use slicewalk::NoMonitor;
+use slicewalk::reach::{Flood, LeakKind, Pawn, Region, Route, Search, Snapped, StandingPlaces};
+use slicewalk::walk::Body;
+use std::collections::HashMap;
+
+/// Ways are at most this many times as long as the straight line, plus a detour (m).
+const LONGEST: f64 = 2.0;
+const DETOUR_M: f64 = 30.0;
+/// Least height of a body, and least height above the climb height (m).
+const LOWEST_M: f64 = 0.3;
+const ABOVE_CLIMB_M: f64 = 0.05;
+/// Highest step that is tried (m).
+const HIGHEST_STEP_M: f64 = 3.0;
+/// Precision of steps and headroom (m).
+const PRECISION_M: f64 = 0.01;
+/// How far a changed pawn may be moved to stand at an end (m).
+const SNAP_M: f64 = 0.5;
+/// Cell in which the nearest ground is looked for (m).
+const CELL_M: f64 = 2.0;
+
+/// Obstruction of a pawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Blocked {
+    /// Where the way stops (m).
+    pub at: Point3<f64>,
+    /// `width`, `headroom`, `step`, `gap` or `unseen`.
+    pub reason: &'static str,
+    /// Width or height of the widest or highest pawn that passes, height of the step to climb, or width of the missing
+    /// ground (m).
+    pub needs: f64,
+}
+
+impl Blocked {
+    /// The value of the key `blocked`.
+    pub fn to_json(self) -> serde_json::Value {
+        let [x, y, z] = [self.at.x, self.at.y, self.at.z].map(tidy);
+        serde_json::json!({ "x": x, "y": y, "z": z, "reason": self.reason, "needs": tidy(self.needs) })
+    }
+
+    /// A sentence about it.
+    pub fn text(self) -> String {
+        let Self { at, reason, needs } = self;
+        let at = format!("{:.2},{:.2},{:.2}", at.x, at.y, at.z);
+        match reason {
+            "width" => format!("too narrow at {at}; a pawn {needs:.2} m wide passes"),
+            "headroom" => format!("too low at {at}; a pawn {needs:.2} m high passes"),
+            "step" => format!("a step too high at {at}; --climb {needs:.2} passes"),
+            "gap" => format!("the ground ends at {at}, {needs:.2} m before what leads to the end"),
+            _ => format!("nothing was scanned beyond {at}; the ground that leads to the end begins {needs:.2} m off"),
+        }
+    }
+}
+
+/// What a pawn reaches from a place.
+struct Reached {
+    standing: StandingPlaces,
+    flood: Flood,
+    start: Snapped,
+}
+
+struct Ways<'a> {
+    loader: &'a Loader,
+    ends: [Point3<f64>; 2],
+    length_m: f64,
+}
+
+/// A respect in which a pawn is changed.
+#[derive(Clone, Copy)]
+enum Change {
+    Width,
+    Headroom,
+    Step,
+}
+
+impl Change {
+    const ALL: [Self; 3] = [Self::Width, Self::Headroom, Self::Step];
+
+    /// The measure of the pawn, and the value furthest from it that is tried.
+    fn range(self, pawn: &Pawn, pixel_m: f64) -> [f64; 2] {
+        let half = pawn.body.half();
+        match self {
+            Self::Width => [2.0 * half.min(), pixel_m.min(2.0 * half.min()) * half.min() / half.max()],
+            Self::Headroom => [pawn.body.height(), (pawn.climb + ABOVE_CLIMB_M).max(LOWEST_M)],
+            Self::Step => [pawn.climb, (pawn.body.height() - ABOVE_CLIMB_M).min(HIGHEST_STEP_M)],
+        }
+    }
+
+    /// The pawn with this measure.
+    fn apply(self, pawn: &Pawn, value: f64) -> Pawn {
+        let share = value / (2.0 * pawn.body.half().min());
+        let body = match (self, pawn.body) {
+            (Self::Width, Body::Box { x, y, height }) => Body::Box { x: x * share, y: y * share, height },
+            (Self::Width, Body::Cylinder { radius, height }) => Body::Cylinder { radius: radius * share, height },
+            (Self::Headroom, Body::Box { x, y, .. }) => Body::Box { x, y, height: value },
+            (Self::Headroom, Body::Cylinder { radius, .. }) => Body::Cylinder { radius, height: value },
+            (Self::Step, body) => body,
+        };
+        match self {
+            Self::Step => Pawn { body, climb: value, max_drop: pawn.max_drop.max(value) },
+            _ => Pawn { body, ..*pawn },
+        }
+    }
+
+    fn reason(self) -> &'static str {
+        match self {
+            Self::Width => "width",
+            Self::Headroom => "headroom",
+            Self::Step => "step",
+        }
+    }
+}
+
+/// Returns why the pawn does not get from one place to the other, both standing places that are not connected.
+pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<Option<Blocked>, Failure> {
+    let straight = (ends[1] - ends[0]).xy().norm();
+    let search = Ways { loader, ends, length_m: LONGEST * straight + DETOUR_M };
+    let Some(own) = search.reached(pawn, ends[0])? else { return Ok(None) };
+    let own = Ground::of(loader, &own.flood.region(&own.standing));
+    if let Some((change, value, passing)) = search.least_change(pawn, ends[1])? {
+        if let Some(route) = search.route(&passing, ends[1])?
+            && let Some(stop) = own.leaves(&route)
+        {
+            return Ok(Some(Blocked { at: route[stop], reason: change.reason(), needs: value }));
+        }
+    }
+    let pixel_m = loader.archive().frame().pixel_m();
+    // A low pawn cannot climb high, so these exclude each other.
+    for other in [Change::Headroom, Change::Step] {
+        let changed = [Change::Width, other].into_iter().fold(*pawn, |pawn, change| {
+            let value = change.range(&pawn, pixel_m)[1];
+            change.apply(&pawn, value)
+        });
+        let Some(route) = search.route(&changed, ends[1])? else { continue };
+        let Some(stop) = own.leaves(&route) else { continue };
+        let beyond = search.stands_beyond(pawn, &route[stop..], &own)?.unwrap_or(ends[1]);
+        let change = search.least_change(pawn, beyond)?;
+        let (reason, needs) = change.map_or(("width", pixel_m), |(change, value, _)| (change.reason(), value));
+        return Ok(Some(Blocked { at: route[stop], reason, needs }));
+    }
+    search.missing_ground(pawn, &own)
+}
+
+impl Ways<'_> {
+    /// Everything that a pawn reaches from `from`; `None` if it can stand nowhere near.
+    fn reached(&self, pawn: &Pawn, from: Point3<f64>) -> Result<Option<Reached>, Failure> {
+        let mut standing = StandingPlaces::new(&self.loader.view(), *pawn)?;
+        let start = self.loader.known(|view| standing.snapped(view, from, SNAP_M))?;
+        let Some(start) = start else { return Ok(None) };
+        let mut flood = Flood::from(start.spot);
+        flood.within(self.ends.map(|end| end.xy()), self.length_m);
+        self.loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
+        Ok(Some(Reached { standing, flood, start }))
+    }
+
+    /// Whether a pawn gets from the start to `to`.
+    fn connects(&self, pawn: &Pawn, to: Point3<f64>) -> Result<bool, Failure> {
+        let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(false) };
+        let end = self.loader.known(|view| reached.standing.snapped(view, to, SNAP_M))?;
+        Ok(end.is_some_and(|end| reached.flood.holds(&reached.standing, &end.spot)))
+    }
+
+    /// The least single change with which the pawn gets to `to`, its value, and the pawn.
+    fn least_change(&self, pawn: &Pawn, to: Point3<f64>) -> Result<Option<(Change, f64, Pawn)>, Failure> {
+        let pixel_m = self.loader.archive().frame().pixel_m();
+        let mut best: Option<(f64, Change, f64)> = None;
+        for change in Change::ALL {
+            let [own, furthest] = change.range(pawn, pixel_m);
+            let precision = if matches!(change, Change::Width) { pixel_m / 2.0 } else { PRECISION_M };
+            let share = |value: f64| (value - own).abs() / own.max(PRECISION_M);
+            if (furthest - own).abs() < precision || !self.connects(&change.apply(pawn, furthest), to)? {
+                continue;
+            }
+            let (mut blocked, mut passing) = (own, furthest);
+            while (passing - blocked).abs() > precision {
+                // A change that is larger than the best cannot become the least.
+                if best.is_some_and(|(least, ..)| share(blocked) >= least) {
+                    break;
+                }
+                let middle = passing.midpoint(blocked);
+                match self.connects(&change.apply(pawn, middle), to)? {
+                    true => passing = middle,
+                    false => blocked = middle,
+                }
+            }
+            if best.is_none_or(|(least, ..)| share(passing) < least) {
+                best = Some((share(passing), change, passing));
+            }
+        }
+        Ok(best.map(|(_, change, value)| (change, value, change.apply(pawn, value))))
+    }
+
+    /// Places along a pawn's way from the start to `to`, a pixel apart.
+    fn route(&self, pawn: &Pawn, to: Point3<f64>) -> Result<Option<Vec<Point3<f64>>>, Failure> {
+        let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(None) };
+        let Some(end) = self.loader.known(|view| reached.standing.snapped(view, to, SNAP_M))? else { return Ok(None) };
+        let region = reached.flood.region(&reached.standing);
+        let (mut search, start) = (Search::new(), reached.start.spot);
+        let route = self.loader.known(|view| search.route(view, &region, &start, &end.spot, &NoMonitor))?;
+        Ok(route.map(|Route { points, .. }| {
+            let pixel_m = self.loader.archive().frame().pixel_m();
+            let mut places = vec![points[0]];
+            for pair in points.windows(2) {
+                let steps = ((pair[1] - pair[0]).xy().norm() / pixel_m).ceil().max(1.0);
+                places.extend((1..=steps as usize).map(|n| pair[0] + (pair[1] - pair[0]) * (n as f64 / steps)));
+            }
+            places
+        }))
+    }
+
+    /// The first place of a way at which the pawn can stand without having reached it.
+    fn stands_beyond(&self, pawn: &Pawn, way: &[Point3<f64>], own: &Ground) -> Result<Option<Point3<f64>>, Failure> {
+        let mut standing = StandingPlaces::new(&self.loader.view(), *pawn)?;
+        for place in way.iter().filter(|place| !own.holds(place)) {
+            if self.loader.known(|view| standing.spot(view, *place))?.is_some() {
+                return Ok(Some(*place));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Where what the pawn reaches from the start comes nearest to what it reaches from the end.
+    fn missing_ground(&self, pawn: &Pawn, own: &Ground) -> Result<Option<Blocked>, Failure> {
+        let Some(other) = self.reached(pawn, self.ends[1])? else { return Ok(None) };
+        let region = other.flood.region(&other.standing);
+        let beyond = Ground::of(self.loader, &region);
+        let Some((at, needs)) = own.nearest(&beyond) else { return Ok(None) };
+        // The ground is missing because it is deeper, or because nothing was scanned.
+        let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(None) };
+        let region = reached.flood.region(&reached.standing);
+        let leaks = self.loader.known(|view| region.leaks(&mut reached.standing, view))?;
+        let nearest = leaks.iter().min_by(|a, b| (a.at - at).norm().total_cmp(&(b.at - at).norm()));
+        let is_deeper = nearest.is_some_and(|leak| leak.kind == LeakKind::Ledge || leak.drop.is_some());
+        Ok(Some(Blocked { at, reason: if is_deeper { "gap" } else { "unseen" }, needs }))
+    }
+}
+
+/// Places that a pawn reaches, by pixel and by cell.
+struct Ground {
+    pixel_m: f64,
+    climb: f64,
+    pixels: HashMap<[i64; 2], Vec<f64>>,
+    cells: HashMap<[i64; 2], Vec<Point3<f64>>>,
+}
+
+impl Ground {
+    fn of(loader: &Loader, region: &Region) -> Self {
+        let pixel_m = loader.archive().frame().pixel_m();
+        let mut ground = Self { pixel_m, climb: region.pawn().climb, pixels: HashMap::new(), cells: HashMap::new() };
+        for place in region.places() {
+            let at = ground.pixel(&place.feet);
+            ground.pixels.entry(at).or_default().push(place.feet.z);
+            ground.cells.entry(cell(&place.feet)).or_default().push(place.feet);
+        }
+        ground
+    }
+
+    fn pixel(&self, at: &Point3<f64>) -> [i64; 2] {
+        [at.x, at.y].map(|v| (v / self.pixel_m).floor() as i64)
+    }
+
+    /// Whether the place is reached.
+    fn holds(&self, at: &Point3<f64>) -> bool {
+        let all = self.pixels.get(&self.pixel(at));
+        all.is_some_and(|all| all.iter().any(|z| (z - at.z).abs() <= self.climb.max(self.pixel_m)))
+    }
+
+    /// Index of the place of a way after which the way is no longer on this ground.
+    fn leaves(&self, way: &[Point3<f64>]) -> Option<usize> {
+        let last = way.iter().rposition(|place| self.holds(place))?;
+        (last + 1 < way.len()).then_some(last)
+    }
+
+    /// The place of this ground that is nearest to another ground in plan, and the distance between them (m).
+    fn nearest(&self, other: &Self) -> Option<(Point3<f64>, f64)> {
+        let mut best: Option<(Point3<f64>, f64)> = None;
+        let mut pairs: Vec<(i64, [i64; 2], [i64; 2])> = Vec::new();
+        for own in self.cells.keys() {
+            for beyond in other.cells.keys() {
+                let far = (own[0] - beyond[0]).abs().max((own[1] - beyond[1]).abs());
+                pairs.push((far, *own, *beyond));
+            }
+        }
+        pairs.sort_unstable();
+        for (far, own, beyond) in pairs {
+            let least = (far - 1).max(0) as f64 * CELL_M;
+            if best.is_some_and(|(_, distance)| distance <= least) {
+                break;
+            }
+            for (a, b) in self.cells[&own].iter().flat_map(|a| other.cells[&beyond].iter().map(move |b| (a, b))) {
+                let distance = (a - b).xy().norm();
+                if best.is_none_or(|(_, best)| distance < best) {
+                    best = Some((*a, distance));
+                }
+            }
+        }
+        best
+    }
+}
+
+fn cell(at: &Point3<f64>) -> [i64; 2] {
+    [at.x, at.y].map(|v| (v / CELL_M).floor() as i64)
+}
