@@ -26,12 +26,15 @@ pub struct Pawn {
     pub climb: f64,
     /// Deepest drop that it steps down (m, >= 0).
     pub max_drop: f64,
+    /// Steepest ground that it goes on, as rise over run (> 0): the rise of the ground, averaged over 0.6 m, within half a
+    /// metre to each side along x and y. Infinite if only steps and obstacles limit it.
+    pub max_grade: f64,
 }
 
 impl Pawn {
     /// Returns a pawn that climbs 0.35 m and steps down as far, so that it can return from wherever it gets to.
     pub fn new(body: Body) -> Self {
-        Self { body, climb: 0.35, max_drop: 0.35 }
+        Self { body, climb: 0.35, max_drop: 0.35, max_grade: f64::INFINITY }
     }
 
     fn check(&self) -> Result<()> {
@@ -43,6 +46,10 @@ impl Pawn {
         if !(self.max_drop >= 0.0 && self.max_drop.is_finite()) {
             let reason = format!("{} m is not allowed; expected 0 or more", self.max_drop);
             return Err(Error::parameter(Parameter::Pawn("deepest drop"), reason));
+        }
+        if self.max_grade.is_nan() || self.max_grade <= 0.0 {
+            let reason = format!("{} is not allowed; expected more than 0", self.max_grade);
+            return Err(Error::parameter(Parameter::Pawn("steepest grade"), reason));
         }
         Ok(())
     }

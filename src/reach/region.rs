@@ -12,6 +12,12 @@ use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::ops::ControlFlow;
 
+/// Length over which the grade of the ground is measured (m), and most pixels to each side.
+const GRADE_M: f64 = 1.0;
+const MOST_GRADED: usize = 64;
+/// A grade is too steep if it exceeds the limit by more than this share: heights are rounded to quanta.
+const GRADE_SLACK: f64 = 0.02;
+
 /// Number in a link that leads nowhere.
 pub(super) const NO_PLACE: u32 = u32::MAX;
 /// Places between two checks of the monitor.
@@ -322,8 +328,11 @@ impl Flood {
                 }
             }
         }
-        region.clearances = clearances(&standing.grid, &region.links, &ends);
         region.levels = region.levelled();
+        if region.grid.pawn.max_grade.is_finite() {
+            region.leave_out_steep(&mut ends);
+        }
+        region.clearances = clearances(&standing.grid, &region.links, &ends);
         region
     }
 }
@@ -431,6 +440,61 @@ impl Region {
             }
         }
         (low < self.len() && (self.pixels[low], self.tops[low]) == (spot.pixel, spot.top)).then_some(low as u32)
+    }
+
+    /// Leaves out the places on ground steeper than the pawn goes on: the region ends there.
+    fn leave_out_steep(&mut self, ends: &mut Vec<End>) {
+        let far = ((GRADE_M / 2.0 / self.grid.frame.pixel_m()).round() as usize).clamp(1, MOST_GRADED);
+        let pixels_up = self.grid.frame.quantum_m() / self.grid.frame.pixel_m();
+        let is_steep: Vec<bool> = (0..self.len() as u32)
+            .map(|place| {
+                let grade = |axis: usize| {
+                    let end = |way: usize| {
+                        let (mut at, mut steps) = (place, 0);
+                        while steps < far && self.links[at as usize][way] != NO_PLACE {
+                            (at, steps) = (self.links[at as usize][way], steps + 1);
+                        }
+                        (self.levels[at as usize], steps)
+                    };
+                    let ((ahead, steps), (behind, others)) = (end(axis), end(axis + 2));
+                    f64::from(ahead - behind) * pixels_up / (steps + others).max(1) as f64
+                };
+                grade(0).hypot(grade(1)) > self.grid.pawn.max_grade * (1.0 + GRADE_SLACK)
+            })
+            .collect();
+        for place in 0..self.len() {
+            for (link, way) in self.links[place].iter_mut().zip(WAYS) {
+                if *link != NO_PLACE && (is_steep[place] || is_steep[*link as usize]) {
+                    *link = NO_PLACE;
+                    if !is_steep[place] {
+                        let offset = way.map(|way| way as i16);
+                        ends.push(End { place: place as u32, offset, is_open: false });
+                    }
+                }
+            }
+            self.standing[place] &= !is_steep[place];
+        }
+    }
+
+    /// Leaves out the places that no steps lead to from `start`. Only a pawn with a steepest grade leaves such places
+    /// in the region of a [`Flood`] from one place.
+    pub fn keep_linked(&mut self, start: &Spot) {
+        let mut seen = vec![false; self.len()];
+        let mut open: Vec<u32> = self.number(start).into_iter().collect();
+        open.iter().for_each(|place| seen[*place as usize] = true);
+        while let Some(place) = open.pop() {
+            for &next in self.links[place as usize].iter().filter(|next| **next != NO_PLACE) {
+                if !std::mem::replace(&mut seen[next as usize], true) {
+                    open.push(next);
+                }
+            }
+        }
+        self.standing.iter_mut().zip(seen).for_each(|(standing, seen)| *standing &= seen);
+    }
+
+    /// Returns whether the pawn can stand at a place of the region.
+    pub fn stands_at(&self, spot: &Spot) -> bool {
+        self.number(spot).is_some_and(|place| self.standing[place as usize])
     }
 
     /// Returns whether a place has been reached.

@@ -1,6 +1,6 @@
 //! Why no route connects two places: where the best way stops, and what would pass.
 //!
-//! The pawn is changed in one respect at a time (narrower, lower, a higher step), by bisection to the least change with
+//! The pawn is changed in one respect at a time (narrower, lower, a higher step, a steeper grade), by bisection to the least change with
 //! which the end is reached. The least of these changes, as a share of the pawn's own measure, is the reason; the place
 //! is where the way of the changed pawn leaves what the pawn itself reaches. If no single change helps, a narrow pawn that
 //! is also low, or climbs high, finds a way; the reason is then the least change that leads past the first place where
@@ -23,6 +23,8 @@ const DETOUR_M: f64 = 30.0;
 /// Least height of a body, and least height above the climb height (m).
 const LOWEST_M: f64 = 0.3;
 const ABOVE_CLIMB_M: f64 = 0.05;
+/// Steepest grade that is tried.
+const STEEPEST: f64 = 2.0;
 /// Highest step that is tried (m).
 const HIGHEST_STEP_M: f64 = 3.0;
 /// Precision of steps and headroom (m).
@@ -37,10 +39,10 @@ const CELL_M: f64 = 2.0;
 pub struct Blocked {
     /// Where the way stops (m).
     pub at: Point3<f64>,
-    /// `width`, `headroom`, `step`, `gap` or `unseen`.
+    /// `width`, `headroom`, `step`, `slope`, `gap` or `unseen`.
     pub reason: &'static str,
     /// Width or height of the widest or highest pawn that passes, height of the step to climb, or width of the missing
-    /// ground (m).
+    /// ground (m); or the grade to climb (percent).
     pub needs: f64,
 }
 
@@ -59,6 +61,7 @@ impl Blocked {
             "width" => format!("too narrow at {at}; a pawn {needs:.2} m wide passes"),
             "headroom" => format!("too low at {at}; a pawn {needs:.2} m high passes"),
             "step" => format!("a step too high at {at}; --climb {needs:.2} passes"),
+            "slope" => format!("too steep at {at}; --max-grade {needs:.1} passes"),
             "gap" => format!("the ground ends at {at}, {needs:.2} m before what leads to the end"),
             _ => format!("nothing was scanned beyond {at}; the ground that leads to the end begins {needs:.2} m off"),
         }
@@ -70,6 +73,15 @@ struct Reached {
     standing: StandingPlaces,
     flood: Flood,
     start: Snapped,
+}
+
+impl Reached {
+    /// The places with their steps, without ground that is too steep and what lies beyond it.
+    fn region(&self) -> Region {
+        let mut region = self.flood.region(&self.standing);
+        region.keep_linked(&self.start.spot);
+        region
+    }
 }
 
 struct Ways<'a> {
@@ -84,10 +96,11 @@ enum Change {
     Width,
     Headroom,
     Step,
+    Slope,
 }
 
 impl Change {
-    const ALL: [Self; 3] = [Self::Width, Self::Headroom, Self::Step];
+    const ALL: [Self; 4] = [Self::Width, Self::Headroom, Self::Step, Self::Slope];
 
     /// The measure of the pawn, and the value furthest from it that is tried.
     fn range(self, pawn: &Pawn, pixel_m: f64) -> [f64; 2] {
@@ -96,6 +109,8 @@ impl Change {
             Self::Width => [2.0 * half.min(), pixel_m.min(2.0 * half.min()) * half.min() / half.max()],
             Self::Headroom => [pawn.body.height(), (pawn.climb + ABOVE_CLIMB_M).max(LOWEST_M)],
             Self::Step => [pawn.climb, (pawn.body.height() - ABOVE_CLIMB_M).min(HIGHEST_STEP_M)],
+            Self::Slope if pawn.max_grade.is_finite() => [pawn.max_grade, STEEPEST],
+            Self::Slope => [0.0; 2],
         }
     }
 
@@ -107,10 +122,11 @@ impl Change {
             (Self::Width, Body::Cylinder { radius, height }) => Body::Cylinder { radius: radius * share, height },
             (Self::Headroom, Body::Box { x, y, .. }) => Body::Box { x, y, height: value },
             (Self::Headroom, Body::Cylinder { radius, .. }) => Body::Cylinder { radius, height: value },
-            (Self::Step, body) => body,
+            (Self::Step | Self::Slope, body) => body,
         };
         match self {
-            Self::Step => Pawn { body, climb: value, max_drop: pawn.max_drop.max(value) },
+            Self::Step => Pawn { body, climb: value, max_drop: pawn.max_drop.max(value), ..*pawn },
+            Self::Slope => Pawn { max_grade: value, ..*pawn },
             _ => Pawn { body, ..*pawn },
         }
     }
@@ -120,7 +136,13 @@ impl Change {
             Self::Width => "width",
             Self::Headroom => "headroom",
             Self::Step => "step",
+            Self::Slope => "slope",
         }
+    }
+
+    /// The value as it is reported: metres, or percent.
+    fn needs(self, value: f64) -> f64 {
+        if matches!(self, Self::Slope) { value * 100.0 } else { value }
     }
 }
 
@@ -129,13 +151,12 @@ pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<O
     let straight = (ends[1] - ends[0]).xy().norm();
     let search = Ways { loader, ends, length_m: LONGEST * straight + DETOUR_M };
     let Some(own) = search.reached(pawn, ends[0])? else { return Ok(None) };
-    let own = Ground::of(loader, &own.flood.region(&own.standing));
-    if let Some((change, value, passing)) = search.least_change(pawn, ends[1])? {
-        if let Some(route) = search.route(&passing, ends[1])?
-            && let Some(stop) = own.leaves(&route)
-        {
-            return Ok(Some(Blocked { at: route[stop], reason: change.reason(), needs: value }));
-        }
+    let own = Ground::of(loader, &own.region());
+    if let Some((change, value, passing)) = search.least_change(pawn, ends[1])?
+        && let Some(route) = search.route(&passing, ends[1])?
+        && let Some(stop) = own.leaves(&route)
+    {
+        return Ok(Some(Blocked { at: route[stop], reason: change.reason(), needs: change.needs(value) }));
     }
     let pixel_m = loader.archive().frame().pixel_m();
     // A low pawn cannot climb high, so these exclude each other.
@@ -148,7 +169,8 @@ pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<O
         let Some(stop) = own.leaves(&route) else { continue };
         let beyond = search.stands_beyond(pawn, &route[stop..], &own)?.unwrap_or(ends[1]);
         let change = search.least_change(pawn, beyond)?;
-        let (reason, needs) = change.map_or(("width", pixel_m), |(change, value, _)| (change.reason(), value));
+        let (reason, needs) =
+            change.map_or(("width", pixel_m), |(change, value, _)| (change.reason(), change.needs(value)));
         return Ok(Some(Blocked { at: route[stop], reason, needs }));
     }
     search.missing_ground(pawn, &own)
@@ -170,7 +192,11 @@ impl Ways<'_> {
     fn connects(&self, pawn: &Pawn, to: Point3<f64>) -> Result<bool, Failure> {
         let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(false) };
         let end = self.loader.known(|view| reached.standing.snapped(view, to, SNAP_M))?;
-        Ok(end.is_some_and(|end| reached.flood.holds(&reached.standing, &end.spot)))
+        let Some(end) = end else { return Ok(false) };
+        if pawn.max_grade.is_infinite() {
+            return Ok(reached.flood.holds(&reached.standing, &end.spot));
+        }
+        Ok(reached.region().stands_at(&end.spot))
     }
 
     /// The least single change with which the pawn gets to `to`, its value, and the pawn.
@@ -179,7 +205,11 @@ impl Ways<'_> {
         let mut best: Option<(f64, Change, f64)> = None;
         for change in Change::ALL {
             let [own, furthest] = change.range(pawn, pixel_m);
-            let precision = if matches!(change, Change::Width) { pixel_m / 2.0 } else { PRECISION_M };
+            let precision = match change {
+                Change::Width => pixel_m / 2.0,
+                Change::Headroom | Change::Step => PRECISION_M,
+                Change::Slope => PRECISION_M / 10.0,
+            };
             let share = |value: f64| (value - own).abs() / own.max(PRECISION_M);
             if (furthest - own).abs() < precision || !self.connects(&change.apply(pawn, furthest), to)? {
                 continue;
@@ -207,7 +237,7 @@ impl Ways<'_> {
     fn route(&self, pawn: &Pawn, to: Point3<f64>) -> Result<Option<Vec<Point3<f64>>>, Failure> {
         let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(None) };
         let Some(end) = self.loader.known(|view| reached.standing.snapped(view, to, SNAP_M))? else { return Ok(None) };
-        let region = reached.flood.region(&reached.standing);
+        let region = reached.region();
         let (mut search, start) = (Search::new(), reached.start.spot);
         let route = self.loader.known(|view| search.route(view, &region, &start, &end.spot, &NoMonitor))?;
         Ok(route.map(|Route { points, .. }| {
@@ -235,12 +265,11 @@ impl Ways<'_> {
     /// Where what the pawn reaches from the start comes nearest to what it reaches from the end.
     fn missing_ground(&self, pawn: &Pawn, own: &Ground) -> Result<Option<Blocked>, Failure> {
         let Some(other) = self.reached(pawn, self.ends[1])? else { return Ok(None) };
-        let region = other.flood.region(&other.standing);
-        let beyond = Ground::of(self.loader, &region);
+        let beyond = Ground::of(self.loader, &other.region());
         let Some((at, needs)) = own.nearest(&beyond) else { return Ok(None) };
         // The ground is missing because it is deeper, or because nothing was scanned.
         let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(None) };
-        let region = reached.flood.region(&reached.standing);
+        let region = reached.region();
         let leaks = self.loader.known(|view| region.leaks(&mut reached.standing, view))?;
         let nearest = leaks.iter().min_by(|a, b| (a.at - at).norm().total_cmp(&(b.at - at).norm()));
         let is_deeper = nearest.is_some_and(|leak| leak.kind == LeakKind::Ledge || leak.drop.is_some());

@@ -13,6 +13,29 @@ use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
 use std::path::{Path, PathBuf};
 
+/// A kind of visitor: defaults of the pawn's options.
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+pub enum Profile {
+    /// A pedestrian.
+    Foot,
+    /// A wheelchair; turning takes no more room than its width.
+    Wheelchair,
+    /// A stroller.
+    Stroller,
+}
+
+impl Profile {
+    /// The pawn of this profile.
+    pub fn pawn(self) -> Pawn {
+        let (body, climb, max_grade) = match self {
+            Self::Foot => (Body::Box { x: 0.5, y: 0.5, height: 1.8 }, 0.35, f64::INFINITY),
+            Self::Wheelchair => (Body::Cylinder { radius: 0.4, height: 1.4 }, 0.02, 0.06),
+            Self::Stroller => (Body::Cylinder { radius: 0.3, height: 1.2 }, 0.08, 0.12),
+        };
+        Pawn { body, climb, max_drop: climb, max_grade }
+    }
+}
+
 /// Options of the pawn, and of where it starts and ends.
 #[derive(clap::Args)]
 pub struct Walks {
@@ -25,12 +48,19 @@ pub struct Walks {
 /// Options of the pawn.
 #[derive(clap::Args)]
 pub struct Pawns {
-    /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
-    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8")]
-    pawn: Body,
-    /// Highest step the pawn climbs (m)
-    #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
-    climb: f64,
+    /// Whose pawn, steps and grades count: those of foot are box:0.5x0.5x1.8 and 0.35 m; of a wheelchair
+    /// cylinder:0.4x1.4, 0.02 m and 6 %; of a stroller cylinder:0.3x1.2, 0.08 m and 12 %
+    #[arg(long, value_enum, default_value_t = Profile::Foot)]
+    profile: Profile,
+    /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m) [default: of the profile]
+    #[arg(long, value_name = "SHAPE")]
+    pawn: Option<Body>,
+    /// Highest step the pawn climbs (m) [default: of the profile]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
+    climb: Option<f64>,
+    /// Steepest ground that the pawn goes on, over a metre (percent) [default: of the profile]
+    #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = finite_number)]
+    max_grade: Option<f64>,
     /// Deepest drop the pawn takes (m) [default: the climb height, so that every route also works in reverse]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
@@ -78,7 +108,12 @@ impl Pawns {
 
     /// The pawn in the library's type.
     pub fn pawn(&self) -> Pawn {
-        Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
+        let mut pawn = self.profile.pawn();
+        pawn.body = self.pawn.unwrap_or(pawn.body);
+        pawn.climb = self.climb.unwrap_or(pawn.climb);
+        pawn.max_drop = self.max_drop.unwrap_or(pawn.climb);
+        pawn.max_grade = self.max_grade.map_or(pawn.max_grade, |percent| percent / 100.0);
+        pawn
     }
 }
 

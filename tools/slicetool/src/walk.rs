@@ -1,6 +1,6 @@
 //! `slicetool walk`: a pawn follows waypoints; writes its path as CSV and its cost as JSON.
 
-use crate::ground::{Loader, Snap, end_json};
+use crate::ground::{Loader, Profile, Snap, end_json};
 use crate::{Failure, Outcome, cache_too_small};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
@@ -9,10 +9,14 @@ use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Response, State, Stop, Walker, Waypoints};
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
+use std::collections::VecDeque;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+/// Length over which grades count, and height by which the feet may deviate from the ground (m).
+const GRADE_M: f64 = 1.0;
+const GRADE_SLACK_M: f64 = 0.02;
 /// Longest time that a pawn may stay blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
 
@@ -31,15 +35,22 @@ pub struct Arguments {
     /// it tells --snap which floor to use. `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
-    /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
-    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8")]
-    pawn: Body,
+    /// Whose pawn and steps count: those of foot are box:0.5x0.5x1.8 and 0.35 m; of a wheelchair cylinder:0.4x1.4 and
+    /// 0.02 m; of a stroller cylinder:0.3x1.2 and 0.08 m
+    #[arg(long, value_enum, default_value_t = Profile::Foot)]
+    profile: Profile,
+    /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m) [default: of the profile]
+    #[arg(long, value_name = "SHAPE")]
+    pawn: Option<Body>,
     /// Walking speed (m/s)
     #[arg(long, default_value_t = 1.4, value_name = "M/S", allow_negative_numbers = true, value_parser = finite_number)]
     speed: f64,
-    /// Highest step the pawn climbs (m)
-    #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
-    climb: f64,
+    /// Highest step the pawn climbs (m) [default: of the profile]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
+    climb: Option<f64>,
+    /// Stop where the way rises or falls by more than this over a metre (percent) [default: of the profile]
+    #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = finite_number)]
+    max_grade: Option<f64>,
     /// Stop before ledges deeper than this and before the edge of the scan (m); by default and with --response thesis,
     /// the pawn falls
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
@@ -104,18 +115,32 @@ fn seconds(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "expected seconds above 0, at most 1000000".into())
 }
 
+impl Arguments {
+    fn pawn(&self) -> Pawn {
+        let profile = self.profile.pawn();
+        let climb = self.climb.unwrap_or(profile.climb);
+        Pawn {
+            body: self.pawn.unwrap_or(profile.body),
+            climb,
+            max_drop: self.max_drop.unwrap_or(climb),
+            max_grade: self.max_grade.map_or(profile.max_grade, |percent| percent / 100.0),
+        }
+    }
+}
+
 /// Walks; the path appears complete or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(Some(&arguments.output), arguments.json)?;
+    let pawn = arguments.pawn();
     let config = Config {
         speed: arguments.speed,
-        climb: arguments.climb,
+        climb: pawn.climb,
         max_drop: arguments.max_drop,
         response: match arguments.response {
             Rule::Slide => Response::Slide,
             Rule::Thesis => Response::Thesis,
         },
-        ..Config::new(arguments.pawn)
+        ..Config::new(pawn.body)
     };
     // Check the options before reading files.
     Walker::new(config, arguments.start)?;
@@ -132,6 +157,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut path = String::from("t,x,y,z,state,frame_us,missing\n");
     let (mut times, mut hits, mut late) = (Vec::new(), 0, 0);
     let (mut distance, mut blocked, mut stop) = (0.0, 0.0, None);
+    let mut grade = Grade::new(pawn.max_grade, start);
     let mut pawn = stream.pawn();
     for frame in 1..=most {
         if arguments.prefetch == Switch::On {
@@ -151,7 +177,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let t = frame as f64 * frame_s;
         writeln!(path, "{t:.6},{:.6},{:.6},{:.6},{},{frame_us:.1},{missing}", feet.x, feet.y, feet.z, state.name())?;
         (blocked, stop) = if state == State::Blocked { (blocked + frame_s, hit.or(stop)) } else { (0.0, None) };
-        if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
+        if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 || grade.exceeds(feet) {
             break;
         }
     }
@@ -164,7 +190,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let (frames, feet) = (times.len(), walker.feet());
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times[((frames - 1) as f64 * share).round() as usize];
-    let (state, name) = (walker.state(), walker.state().name());
+    let state = if grade.is_exceeded { State::Blocked } else { walker.state() };
+    stop = if grade.is_exceeded { Some(Stop::Steep) } else { stop };
+    let name = state.name();
     let [x, y, z] = feet.into();
     let end = format!("({x:.3}, {y:.3}, {z:.3}) after {:.2} s and {distance:.2} m", frames as f64 * frame_s);
     let (next, places) = (route.next(), route.places().len());
@@ -213,6 +241,35 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if state == State::Blocked { Err(Failure::Result(result)) } else { Ok(result) }
 }
 
+/// Rise of the way over the last metre.
+struct Grade {
+    /// Steepest allowed grade, as rise over run.
+    most: f64,
+    /// Distance in plan and height of each place of the last metre (m), the farthest first.
+    places: VecDeque<(f64, f64)>,
+    last: Point3<f64>,
+    is_exceeded: bool,
+}
+
+impl Grade {
+    fn new(most: f64, start: Point3<f64>) -> Self {
+        Self { most, places: VecDeque::from([(0.0, start.z)]), last: start, is_exceeded: false }
+    }
+
+    /// Adds a place and returns whether the way to it is too steep.
+    fn exceeds(&mut self, feet: Point3<f64>) -> bool {
+        let far = self.places.back().map_or(0.0, |place| place.0) + (feet - self.last).xy().norm();
+        self.last = feet;
+        self.places.push_back((far, feet.z));
+        while self.places.get(1).is_some_and(|second| far - second.0 >= GRADE_M) {
+            self.places.pop_front();
+        }
+        let (first, z) = self.places[0];
+        self.is_exceeded = far - first >= GRADE_M && (feet.z - z).abs() > self.most * (far - first) + GRADE_SLACK_M;
+        self.is_exceeded
+    }
+}
+
 /// The last waypoint.
 struct Goal {
     place: Point2<f64>,
@@ -242,8 +299,7 @@ fn ends(arguments: &Arguments, last: Point2<f64>, z: Option<f64>) -> Result<(Poi
     if snap == 0.0 {
         return Ok((asked, 0.0, goal));
     }
-    let drop = arguments.max_drop.unwrap_or(arguments.climb);
-    let pawn = Pawn { climb: arguments.climb, max_drop: drop, ..Pawn::new(arguments.pawn) };
+    let pawn = arguments.pawn();
     let archive = arguments.inferred.open(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
     let mut standing = StandingPlaces::new(&loader.view(), pawn)?;

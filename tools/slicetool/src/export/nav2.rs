@@ -272,7 +272,7 @@ impl<'a> Ground<'a> {
         }
         let beside = |pixel: [i64; 2], z: f64| {
             let ways = [[1, 0], [0, 1], [-1, 0], [0, -1]];
-            let all = ways.into_iter().filter_map(move |way| Some([pixel[0] + way[0], pixel[1] + way[1]]));
+            let all = ways.into_iter().map(move |way| [pixel[0] + way[0], pixel[1] + way[1]]);
             let places = all.filter_map(|at| columns.get(&at)).flatten();
             places.filter(move |place| (place.0 - z).abs() <= self.pawn.climb)
         };

@@ -70,7 +70,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     };
     let mut flood = Flood::from(from.spot);
     loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
-    let region = flood.region(&standing);
+    let mut region = flood.region(&standing);
+    region.keep_linked(&from.spot);
     let leaks = loader.known(|view| region.leaks(&mut standing, view))?;
     let mut way = None;
     if let Some(asked) = arguments.to {
