@@ -152,11 +152,10 @@ fn voxels(head: &Value, words: &[u32]) -> BTreeSet<Cube> {
             _ if word == 0xFF00_0000 => cubes_within(edge).for_each(solid),
             mask => {
                 inner += 1;
-                let mut next = (word & 0xFF_FFFF) as usize;
-                for child in (0..8).filter(|child| mask >> child & 1 == 1) {
+                let children = (0..8).filter(|child| mask >> child & 1 == 1);
+                for (next, child) in ((word & 0xFF_FFFF) as usize..).zip(children) {
                     let corner = [0, 1, 2].map(|axis| corner[axis] + edge / 2 * (child >> axis & 1));
                     open.push((next, edge / 2, corner));
-                    next += 1;
                 }
             }
         }
