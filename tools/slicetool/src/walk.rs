@@ -177,7 +177,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let t = frame as f64 * frame_s;
         writeln!(path, "{t:.6},{:.6},{:.6},{:.6},{},{frame_us:.1},{missing}", feet.x, feet.y, feet.z, state.name())?;
         (blocked, stop) = if state == State::Blocked { (blocked + frame_s, hit.or(stop)) } else { (0.0, None) };
-        if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 || grade.exceeds(feet) {
+        if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 || grade.exceeds(feet, state) {
             break;
         }
     }
@@ -253,11 +253,16 @@ struct Grade {
 
 impl Grade {
     fn new(most: f64, start: Point3<f64>) -> Self {
-        Self { most, places: VecDeque::from([(0.0, start.z)]), last: start, is_exceeded: false }
+        Self { most, places: VecDeque::new(), last: start, is_exceeded: false }
     }
 
-    /// Adds a place and returns whether the way to it is too steep.
-    fn exceeds(&mut self, feet: Point3<f64>) -> bool {
+    /// Adds a place and returns whether the way to it is too steep. A fall, or a step down to the first ground, is no
+    /// way.
+    fn exceeds(&mut self, feet: Point3<f64>, state: State) -> bool {
+        if state == State::Falling {
+            *self = Self::new(self.most, feet);
+            return false;
+        }
         let far = self.places.back().map_or(0.0, |place| place.0) + (feet - self.last).xy().norm();
         self.last = feet;
         self.places.push_back((far, feet.z));

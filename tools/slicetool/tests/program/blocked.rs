@@ -4,7 +4,8 @@ use scangen::{WriteSpec, write_las};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
-use std::process::Command;
+use std::process::{Command, Output};
+use tempfile::TempDir;
 
 /// Points of a rectangle of floor.
 fn floor([x, to_x]: [f64; 2], [y, to_y]: [f64; 2], z: f64) -> impl Iterator<Item = [f64; 3]> {
@@ -23,17 +24,23 @@ fn wall([y, to_y]: [f64; 2], [bottom, top]: [f64; 2]) -> impl Iterator<Item = [f
     })
 }
 
-fn route(points: Vec<[f64; 3]>, [from, to]: [&str; 2], options: &[&str]) -> Value {
+fn archive_of(points: Vec<[f64; 3]>) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let scan = folder.path().join("scan.las");
     write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
-    let archive = folder.path().join("a.slices");
-    let mut convert_options = ConvertOptions::new(vec![scan], archive.clone());
-    convert_options.pixel = PixelSize::Metres(0.1);
-    convert(&convert_options, &NoMonitor).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_slicetool"));
-    command.arg("route").arg(&archive).args(["--from", from, "--to", to, "--json"]).args(options);
-    let out = command.output().unwrap();
+    let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
+    options.pixel = PixelSize::Metres(0.1);
+    convert(&options, &NoMonitor).unwrap();
+    folder
+}
+
+fn slicetool(folder: &TempDir, command: &str, arguments: &[&str]) -> Output {
+    let mut slicetool = Command::new(env!("CARGO_BIN_EXE_slicetool"));
+    slicetool.current_dir(folder.path()).args([command, "a.slices", "--json"]).args(arguments).output().unwrap()
+}
+
+fn route(points: Vec<[f64; 3]>, [from, to]: [&str; 2], options: &[&str]) -> Value {
+    let out = slicetool(&archive_of(points), "route", &[&["--from", from, "--to", to], options].concat());
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     serde_json::from_slice(&out.stdout).unwrap()
 }
@@ -103,6 +110,26 @@ fn a_ramp_too_steep_for_a_wheelchair_is_named() {
     {
         check(&route(ramp(0.09), steep, options), "slope", 9.0, 0.4, None);
     }
+    let folder = archive_of(ramp(0.09));
+    let area = |options: &[&str]| {
+        let out = slicetool(&folder, "reach", &[&["--from", "1,1.5,0.1"], options].concat());
+        let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+        found["area_m2"].as_f64().unwrap()
+    };
+    // Half a metre to each side, the ground 0.2 m up the ramp rises by 6 %: 3.2 × 3 m are reached.
+    let wheelchair = area(&["--profile", "wheelchair", "--pawn", "box:0.1x0.1x1.4"]);
+    assert!((9.0..10.2).contains(&wheelchair) && area(&["--pawn", "box:0.1x0.1x1.4"]) > 35.0, "{wheelchair}");
+    // The walker stops on the ramp.
+    std::fs::write(folder.path().join("w.csv"), "x,y\n11,1.5\n").unwrap();
+    let walk = ["--start", "1,1.5,0.1", "--waypoints", "w.csv", "-o", "p.csv"];
+    let out = slicetool(&folder, "walk", &[&walk[..], &["--max-grade", "6"]].concat());
+    let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let x = found["end"][0].as_f64().unwrap();
+    assert!(
+        out.status.code() == Some(1) && found["stop"] == Value::from("steep") && (3.0..4.3).contains(&x),
+        "{found}"
+    );
+    assert!(slicetool(&folder, "walk", &[&walk[..], &["--max-grade", "10"]].concat()).status.success());
     // A step of 5 cm stops a wheelchair, whatever the grade.
     let step =
         || floor([0.0, 12.0], [0.0, 3.0], 0.0).map(|[x, y, _]| [x, y, if x < 4.0 { 0.0 } else { 0.05 }]).collect();
