@@ -113,7 +113,8 @@ pub(super) struct Found {
 
 impl Found {
     /// Sets which values the inputs read from now on.
-    fn set(found: Option<Self>, Inputs { scans, meshes, .. }: &mut Inputs) {
+    fn set(found: Option<Self>, Inputs { scans, meshes, splats, .. }: &mut Inputs) {
+        splats.set_colours(found.is_some_and(|found| found.source == ColourSource::Rgb));
         scans.set_colour(found.filter(|found| found.points).map(|found| found.source));
         meshes.set_colours(found.is_some_and(|found| found.source == ColourSource::Rgb));
     }
@@ -121,7 +122,7 @@ impl Found {
 
 /// Looks for values of `source` in the points and triangles of the input; returns `None` if it has no such values.
 fn look(
-    Inputs { scans, meshes, .. }: &mut Inputs,
+    Inputs { scans, meshes, splats, .. }: &mut Inputs,
     source: ColourSource,
     threads: usize,
     monitor: &dyn Monitor,
@@ -131,7 +132,7 @@ fn look(
         prepare(scans, source, threads, monitor)?;
         points = any_value(scans, source, threads, monitor)?;
     }
-    let is_found = points || (source == ColourSource::Rgb && meshes.has_colours(monitor)?);
+    let is_found = points || (source == ColourSource::Rgb && (!splats.is_empty() || meshes.has_colours(monitor)?));
     Ok(is_found.then_some(Found { source, points }))
 }
 

@@ -40,6 +40,7 @@ mod resume;
 mod scope;
 #[doc(hidden)]
 pub mod size;
+mod splats;
 mod split;
 mod stations;
 mod sync;
@@ -55,6 +56,7 @@ pub use plan_file::{PlanFile, Stated};
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
 pub use resume::Resumed;
+pub use splats::{Similarity, SplatCounts, SplatRules};
 pub use writer::PointWriter;
 
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Totals};
@@ -63,7 +65,7 @@ use crate::disk::Files;
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, Survey};
-use crate::input::{InputOptions, InputSet, PointCounts, ScanFile, TextLayout};
+use crate::input::{InputOptions, InputSet, PointCounts, ScanFile, TextLayout, Units};
 use crate::mesh::{MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::plan::{Noise, Plan, PlanOptions};
@@ -81,10 +83,11 @@ use resume::{Earlier, Identity, Progress, TakenOver};
 use scope::ShardScope;
 use slicewalk::{archive, codec, slice};
 use slicewalk_base::{
-    Error, Monitor, NoMonitor, Parameter, Result, bytes, colour, disk, frame, output, plan, text, unit,
+    Error, Monitor, NoMonitor, Parameter, Result, Warning, bytes, colour, disk, frame, output, plan, text, unit,
 };
 use slicewalk_input as input;
 use slicewalk_mesh as mesh;
+use splats::{SplatSet, read_splats};
 use stations::Stations;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -106,6 +109,9 @@ const VALUE_BYTES_PER_POINT: u64 = 8;
 pub(crate) struct Inputs {
     pub scans: InputSet,
     pub meshes: MeshSet,
+    pub splats: SplatSet,
+    /// Unit of splats.
+    units: Units,
     /// Choice of inputs of a part that need not open all of them.
     pub chosen: Option<Chosen>,
 }
@@ -115,12 +121,14 @@ impl Inputs {
     fn paths(&self) -> impl Iterator<Item = &Path> {
         let opened = self.scans.files().iter().map(ScanFile::path);
         let closed = self.chosen.iter().flat_map(|chosen| &chosen.closed);
-        opened.chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path))
+        opened.chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path)).chain(self.splats.paths())
     }
 
     /// Returns the distinct units of the inputs.
     fn length_units(&self) -> Vec<LengthUnit> {
-        LengthUnit::distinct(self.scans.length_units().chain(self.meshes.length_unit()))
+        LengthUnit::distinct(
+            self.scans.length_units().chain(self.meshes.length_unit()).chain(self.splats.length_unit(self.units)),
+        )
     }
 }
 
@@ -151,8 +159,12 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
         hash: false,
         threads: options.threads,
     };
+    let (splats, others) = if chosen.is_some() { Default::default() } else { SplatSet::among(options, monitor)? };
     let mut scans = match &chosen {
-        None => InputSet::open(&options.inputs, input_options, monitor)?,
+        None => match others {
+            None => InputSet::open(&options.inputs, input_options, monitor)?,
+            Some(others) => InputSet::of_paths(others, input_options, monitor)?,
+        },
         Some(chosen) => {
             let mut scans = InputSet::of_paths(chosen.opened.clone(), input_options, monitor)?;
             chosen.check_stated(&scans)?;
@@ -173,7 +185,7 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     scans.set_meshes(meshes.paths());
-    Ok(Inputs { scans, meshes, chosen })
+    Ok(Inputs { scans, meshes, splats, units: options.units, chosen })
 }
 
 /// Measurements from which automatic options follow; `None` where the options were given.
@@ -208,7 +220,7 @@ impl Surveyed {
 /// earlier run.
 pub(crate) fn plan(
     options: &ConvertOptions,
-    Inputs { scans: set, meshes, .. }: &Inputs,
+    Inputs { scans: set, meshes, splats, .. }: &Inputs,
     known: Option<Surveyed>,
     monitor: &dyn Monitor,
 ) -> Result<(Plan, Surveyed)> {
@@ -216,7 +228,7 @@ pub(crate) fn plan(
     let pixel_m = match (options.pixel, surveyed.spacing) {
         (PixelSize::Metres(pixel_m), _) => pixel_m,
         (PixelSize::Auto, Some(spacing)) => round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2),
-        (PixelSize::Auto, None) => pixel_of_extent(meshes, monitor)?,
+        (PixelSize::Auto, None) => pixel_of_extent(options, meshes, splats, monitor)?,
     };
     if surveyed.noise.is_some_and(|noise| noise.regions == 0) {
         let text = "--tolerance auto: too little of the input is flat to measure its noise; heights stay as they are";
@@ -279,6 +291,7 @@ impl ConvertOptions {
             return Err(Error::parameter(Parameter::Resume, reason));
         }
         self.check_colour()?;
+        self.splats.check()?;
         self.plan.check()
     }
 }
@@ -352,7 +365,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         Some(chosen) => chosen.stated.units.clone(),
         None => inputs.length_units(),
     };
-    let Inputs { scans: mut set, meshes, chosen } = inputs;
+    let Inputs { scans: mut set, meshes, splats, chosen, .. } = inputs;
     let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
@@ -404,6 +417,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         plan: &plan,
         set: &set,
         meshes: &meshes,
+        splats: &splats,
         scope,
         progress,
         notes,
@@ -502,6 +516,7 @@ struct Conversion<'a> {
     plan: &'a Plan,
     set: &'a InputSet,
     meshes: &'a MeshSet,
+    splats: &'a SplatSet,
     scope: Option<ShardScope>,
     progress: Progress,
     notes: bool,
@@ -527,6 +542,7 @@ impl Conversion<'_> {
             plan,
             set,
             meshes,
+            splats,
             scope,
             progress,
             notes,
@@ -554,19 +570,22 @@ impl Conversion<'_> {
         set.check_complete(monitor)?;
         let PointCounts { not_finite: points_not_finite, missing, .. } = read.own.left_out;
         let points_missing = set.points_missing().saturating_add(missing);
-        let colouring = colours.filter(|_| meshes.has_paint());
-        let colouring = colouring.map(|ColourPlan { scale, .. }| Colouring { scale, with_points: seeing.is_some() });
-        let reading = MeshReading { build_bytes, scope, colouring };
+        let colouring = colours.map(|ColourPlan { scale, .. }| Colouring { scale, with_points: seeing.is_some() });
+        let of_splats = colouring.filter(|_| splats.has_paint());
+        let reading = MeshReading { build_bytes, scope, colouring: colouring.filter(|_| meshes.has_paint()) };
         let mesh_read = read_meshes(meshes, options, plan, store, reading, monitor)?;
         read.merge(&mesh_read.read);
+        let splat_read = read_splats(splats, options, plan, store, build_bytes, of_splats, monitor)?;
+        read.merge(&splat_read.read);
         if let Some(scope) = scope {
             let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
             let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
             writer.set_read(scope.inputs_read(scans.chain(meshes)));
         }
-        let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete;
+        let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete && splat_read.complete;
         if whole {
-            let scenes: Vec<Scene> = points::scenes(set, &of_files).chain(mesh_read.scenes).collect();
+            let scenes: Vec<Scene> =
+                points::scenes(set, &of_files).chain(mesh_read.scenes).chain(splat_read.scenes).collect();
             far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         }
         if whole && read.counts.read == 0 {
@@ -600,7 +619,7 @@ impl Conversion<'_> {
             noise,
             spacing: None,
             texts: texts(set),
-            input_bytes: set.bytes().saturating_add(meshes.bytes()),
+            input_bytes: set.bytes().saturating_add(meshes.bytes()).saturating_add(splats.bytes()),
             temp_bytes: 0,
             resumed: None,
             points_not_finite,
@@ -608,6 +627,7 @@ impl Conversion<'_> {
             points_moving,
             complete,
             triangles: mesh_read.triangles,
+            splats: splat_read.counts,
             points_made: mesh_read.points_made,
             voxels_dropped,
         })
@@ -626,15 +646,25 @@ fn round_to_digits(value: f64, digits: usize) -> f64 {
 }
 
 /// Returns the pixel size for meshes alone: their longer side has [`AUTO_PIXELS`] pixels.
-fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
-    monitor.stage("extent", 0, "triangles");
-    let longer = meshes.bounds(monitor)?.map_or(0.0, |(min, max)| (max[0] - min[0]).max(max[1] - min[1]));
+fn pixel_of_extent(
+    options: &ConvertOptions,
+    meshes: &MeshSet,
+    splats: &SplatSet,
+    monitor: &dyn Monitor,
+) -> Result<f64> {
+    monitor.stage("extent", 0, "triangles and splats");
+    let both = meshes.bounds(monitor)?.into_iter().chain(splats.bounds(options, monitor)?);
+    let along = |axis: usize| {
+        let ends = both.clone().map(|(min, max)| (min[axis], max[axis]));
+        ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or(0.0, |(min, max)| max - min)
+    };
+    let longer = along(0).max(along(1));
     if longer > 0.0 {
         Ok(round_to_digits(longer / AUTO_PIXELS, 2))
     } else {
         Err(Error::parameter(
             Parameter::AutomaticPixelSize,
-            "the meshes have no extent in x and y; give the pixel size in metres",
+            "meshes and splats have no extent in x and y; give the pixel size in metres",
         ))
     }
 }

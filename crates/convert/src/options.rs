@@ -1,6 +1,7 @@
 //! Options of a conversion.
 
 use super::plan_file::PlanFile;
+use super::splats::SplatRules;
 use crate::colour::ColourSource;
 use crate::input::{Columns, Units};
 use crate::mesh::MeshMode;
@@ -123,6 +124,8 @@ pub struct ConvertOptions {
     pub columns: Option<Columns>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
+    /// How Gaussian splats become solid.
+    pub splats: SplatRules,
     /// True if the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
     pub levels: bool,
     /// Source of the colours of voxels; off by default.
@@ -178,6 +181,7 @@ impl ConvertOptions {
             epsg: None,
             columns: None,
             mesh: MeshMode::Exact,
+            splats: SplatRules::default(),
             levels: false,
             colour: ColourMode::Off,
             colour_error: Self::DEFAULT_COLOUR_ERROR,

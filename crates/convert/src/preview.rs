@@ -71,7 +71,8 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     far_apart(&scenes).inspect(|warning| monitor.warn(warning));
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);
     let scans = scans.map(|StatedBounds { min, max }| (min, max));
-    let bounds = scans.chain(meshes.bounds(monitor)?).reduce(|(min, max), (other_min, other_max)| {
+    let splats = opened.splats.bounds(options, monitor)?;
+    let bounds = scans.chain(meshes.bounds(monitor)?).chain(splats).reduce(|(min, max), (other_min, other_max)| {
         let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
         (axes(f64::min, min, other_min), axes(f64::max, max, other_max))
     });
@@ -83,6 +84,10 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
         Ok(PreviewInput { path: path.clone(), bytes: about.len(), points: None, text: None })
     };
+    let of_splats = opened.splats.paths().map(|path| {
+        let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
+        Ok(PreviewInput { path: path.into(), bytes: about.len(), points: None, text: None })
+    });
     Ok(Preview {
         plan,
         spacing,
@@ -91,6 +96,6 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         crs: set.crs().unwrap_or_default().to_owned(),
         units: opened.length_units(),
         temp_bytes,
-        inputs: scans.chain(set.meshes().iter().map(of_mesh)).collect::<Result<_>>()?,
+        inputs: scans.chain(set.meshes().iter().map(of_mesh)).chain(of_splats).collect::<Result<_>>()?,
     })
 }

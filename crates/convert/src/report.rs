@@ -1,6 +1,6 @@
 //! Result of a conversion, as a value and as JSON.
 
-use super::Resumed;
+use super::{Resumed, SplatCounts};
 use crate::archive::{Header, Shard};
 use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, shard_info};
 use crate::input::TextLayout;
@@ -45,6 +45,8 @@ pub struct Report {
     pub complete: bool,
     /// Triangles of meshes; they also count as points in the header.
     pub triangles: MeshCounts,
+    /// Gaussian splats; they also count as points in the header.
+    pub splats: SplatCounts,
     /// Points sampled from the triangles, if they were sampled.
     pub points_made: u64,
     /// Voxels dropped because they had too few points or were isolated. Their points are dropped with them: boxes that
@@ -63,6 +65,11 @@ impl Report {
         facts["complete"] = self.complete.into();
         facts["triangles_read"] = self.triangles.read.into();
         facts["triangles_left_out"] = self.triangles.left_out.into();
+        facts["splats_read"] = self.splats.read.into();
+        facts["splats_transparent"] = self.splats.transparent.into();
+        facts["splats_faint"] = self.splats.faint.into();
+        facts["splats_large"] = self.splats.large.into();
+        facts["splats_unusable"] = self.splats.unusable.into();
         facts["points_made"] = self.points_made.into();
         facts["voxels_dropped"] = self.voxels_dropped.into();
         let of_text = |(path, layout): &(PathBuf, TextLayout)| {

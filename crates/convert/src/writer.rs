@@ -160,6 +160,7 @@ impl PointWriter {
             points_not_finite: own.left_out.not_finite,
             points_missing: 0,
             complete: true,
+            splats: Default::default(),
             triangles: MeshCounts::default(),
             points_made: 0,
             points_moving: 0,

@@ -19,6 +19,8 @@ pub enum Number {
     I64,
     /// 64 bits, unsigned.
     U64,
+    /// IEEE 754, 16 bits.
+    F16,
     /// IEEE 754, 32 bits.
     F32,
     /// IEEE 754, 64 bits.
@@ -30,7 +32,7 @@ impl Number {
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
+            Self::I16 | Self::U16 | Self::F16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
             Self::I64 | Self::U64 | Self::F64 => 8,
         }
@@ -55,10 +57,23 @@ impl Number {
             Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
             Self::I64 => i64::from_le_bytes(value) as f64,
             Self::U64 => u64::from_le_bytes(value) as f64,
+            Self::F16 => half(u16::from_le_bytes([a, b])),
             Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
             Self::F64 => f64::from_le_bytes(value),
         }
     }
+}
+
+/// Converts a number in half precision, exactly.
+fn half(bits: u16) -> f64 {
+    let fraction = f64::from(bits & 0x3FF);
+    let size = match (bits >> 10) & 0x1F {
+        0 => fraction / f64::from(1 << 24),
+        31 if fraction == 0.0 => f64::INFINITY,
+        31 => f64::NAN,
+        exponent => (1024.0 + fraction) * f64::from(1u32 << (exponent - 1)) / f64::from(1 << 24),
+    };
+    if bits >> 15 == 0 { size } else { -size }
 }
 
 /// Words for a missing number other than `nan`: those of C libraries, databases and statistics programs.
@@ -101,7 +116,27 @@ fn spelled(text: &str) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::decimal;
+    use super::{Number, decimal};
+
+    #[test]
+    fn half_precision_is_read_exactly() {
+        let cases: [(u16, f64); 9] = [
+            (0x3C00, 1.0),
+            (0xC000, -2.0),
+            (0x7BFF, 65504.0),
+            (0x0001, 2f64.powi(-24)),
+            (0x03FF, 1023.0 * 2f64.powi(-24)),
+            (0x0400, 2f64.powi(-14)),
+            (0x3555, 1365.0 / 4096.0),
+            (0x7C00, f64::INFINITY),
+            (0xFC00, f64::NEG_INFINITY),
+        ];
+        for (bits, value) in cases {
+            assert_eq!(Number::F16.read(&bits.to_le_bytes(), false), value, "{bits:#06x}");
+            assert_eq!(Number::F16.read(&bits.to_be_bytes(), true), value, "{bits:#06x}");
+        }
+        assert!(Number::F16.read(&[0, 0x7E], false).is_nan());
+    }
 
     #[test]
     fn numbers_are_read_in_every_spelling() {

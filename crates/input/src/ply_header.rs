@@ -161,6 +161,7 @@ fn number_named(name: &str) -> Option<Number> {
         "ushort" | "uint16" => Number::U16,
         "int" | "int32" => Number::I32,
         "uint" | "uint32" => Number::U32,
+        "half" | "float16" => Number::F16,
         "float" | "float32" => Number::F32,
         "double" | "float64" => Number::F64,
         _ => return None,

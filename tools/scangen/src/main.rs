@@ -4,14 +4,15 @@ use clap::{Parser, ValueEnum};
 use scangen::geometry::Placement;
 use scangen::sample::{Amount, Mode, Order, ScannerSpec, shuffle};
 use scangen::write::{
-    Chunks, CloudFormat, Texture, WriteSpec, Written, write_clouds, write_samples, write_triangles_obj,
-    write_truth_json,
+    Chunks, CloudFormat, SplatLook, Texture, WriteSpec, Written, write_clouds, write_samples, write_splats,
+    write_triangles_obj, write_truth_json,
 };
 use scangen::{Params, Result, SCENES, SampleSpec, Scene};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Writes a seeded scan of a scene with closed-form truth as LAS, LAZ, E57, PTX, PTS or XYZ.
+/// Writes a seeded scan of a scene with closed-form truth as LAS, LAZ, E57, PTX, PTS or XYZ, or as Gaussian splats
+/// (3DGS PLY).
 ///
 /// `scangen list` lists the scenes and their parameters; `scangen demo -o demo.laz` writes the demonstration house.
 #[derive(Debug, Parser)]
@@ -19,7 +20,7 @@ use std::process::ExitCode;
 struct Args {
     /// Scene, `demo`, or `list`
     scene: String,
-    /// Output; the extension selects .las, .laz, .e57, .ptx, .pts or .xyz
+    /// Output; the extension selects .las, .laz, .e57, .ptx, .pts, .xyz or, for splats, .ply
     #[arg(short, long, required_unless_present = "truth", required_unless_present = "obj")]
     output: Option<PathBuf>,
     /// Seed; the same seed gives the same bytes
@@ -124,6 +125,9 @@ struct Args {
     /// Class and weight of surface points; may be repeated
     #[arg(long, value_name = "CLASS=WEIGHT", value_parser = class_weight)]
     class: Vec<(u8, f64)>,
+    /// Splats: floaters per splat, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    floaters: f64,
     /// Fraction of points flagged as withheld
     #[arg(long, default_value_t = 0.0)]
     withheld: f64,
@@ -261,7 +265,10 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
     } else {
         Box::new(scene.samples(args.seed, &sampling)?)
     };
+    let is_ply = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
+    let look = SplatLook { seed: args.seed, floater_rate: args.floaters, ..SplatLook::for_scene(scene, args.points) };
     let write = |samples: &mut dyn Iterator<Item = scangen::Sample>| match CloudFormat::of(path) {
+        None if is_ply => write_splats(path, scene, samples, &look),
         Some(format) => write_clouds(path, format, samples, &writing, args.cloud),
         None => write_samples(path, samples, &writing),
     };

@@ -23,10 +23,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
-use values::{classes, epsg, length, part};
+use values::{classes, epsg, length, part, scale_from, transform};
 
-/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into one
-/// slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (3DGS
+/// PLY) of any size into one slice archive, in bounded memory.
 ///
 /// Lengths are in metres. The archive appears under its name when it is complete, or not at all.
 ///
@@ -127,6 +127,22 @@ struct Arguments {
     /// for LAS classes, and any other name for columns to skip [default: from the file's header, else x,y,z]
     #[arg(long, value_name = "x,y,z,...")]
     columns: Option<Columns>,
+    /// Gaussian splats: a place is solid if some splat's own opacity there is at least this (above 0, at most 1)
+    #[arg(long, default_value_t = 0.1, allow_negative_numbers = true, value_name = "X", value_parser = finite_number)]
+    opacity: f64,
+    /// Gaussian splats: leave out those with less opacity at their centre
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "X", value_parser = finite_number)]
+    min_opacity: f64,
+    /// Gaussian splats: leave out those whose solid part is longer than this, such as needles and blobs of sky
+    #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
+    max_size: Option<f64>,
+    /// Gaussian splats: unit from a known distance, two places in the file's coordinates and the metres between them
+    #[arg(long, num_args = 3, conflicts_with = "units", allow_hyphen_values = true, value_names = ["X,Y,Z", "X,Y,Z", "METRES"])]
+    scale_from: Vec<String>,
+    /// Gaussian splats: place them, after --units and --up, by the 4 × 4 matrix in a text file (16 numbers, row by row; a
+    /// rotation, one scale and a shift)
+    #[arg(long, value_name = "MATRIX.txt")]
+    transform: Option<PathBuf>,
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
@@ -355,6 +371,9 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::FillHoles => "--fill-holes",
         Parameter::Colour => "--colour",
         Parameter::ColourError => "--colour-error",
+        Parameter::Other(name) if name == "opacity" => "--opacity",
+        Parameter::Other(name) if name == "least opacity" => "--min-opacity",
+        Parameter::Other(name) if name == "greatest size" => "--max-size",
         _ => return None,
     })
 }
@@ -390,6 +409,15 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Axis::Y => Up::Y,
     };
     options.units = arguments.units;
+    if let [from, to, metres] = &arguments.scale_from[..] {
+        options.units = scale_from(from, to, metres).map_err(|why| Failure::Usage(format!("--scale-from: {why}")))?;
+    }
+    options.splats.opacity = arguments.opacity;
+    options.splats.min_opacity = arguments.min_opacity;
+    options.splats.max_size_m = arguments.max_size;
+    if let Some(path) = &arguments.transform {
+        options.splats.placement = Some(transform(path)?);
+    }
     options.epsg = arguments.crs;
     options.columns = arguments.columns;
     options.mesh = match arguments.mesh {

@@ -66,7 +66,10 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     let header = &report.header;
     let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
     let frame = &header.plan.frame;
+    let splats = &report.splats;
     let (one, many) = match report.triangles.read {
+        0 if splats.read > 0 && splats.read == points_read => ("splat", "splats"),
+        0 if splats.read > 0 => ("point and splat", "points and splats"),
         0 => ("point", "points"),
         all if all == points_read => ("triangle", "triangles"),
         _ => ("points and triangles", "points and triangles"),
@@ -84,9 +87,17 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     ));
     if points_read > points_kept {
         let moving = report.points_moving;
-        let unusable = points_read - points_kept - points_excluded - points_withheld - moving;
-        let reasons =
-            [(points_excluded, "by class"), (points_withheld, "withheld"), (moving, "moving"), (unusable, "unusable")];
+        let unsolid = splats.left_out() - splats.unusable;
+        let unusable = points_read - points_kept - points_excluded - points_withheld - moving - unsolid;
+        let reasons = [
+            (points_excluded, "by class"),
+            (points_withheld, "withheld"),
+            (moving, "moving"),
+            (splats.transparent, "below --opacity everywhere"),
+            (splats.faint, "below --min-opacity"),
+            (splats.large, "above --max-size"),
+            (unusable, "unusable"),
+        ];
         let reasons = reasons.iter().filter(|reason| reason.0 > 0).map(|(n, why)| format!("{} {why}", grouped(*n)));
         let left_out = things(points_read - points_kept);
         say(&format!("left out: {left_out} ({})", reasons.collect::<Vec<_>>().join(", ")));
@@ -180,7 +191,7 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
     let files = preview.inputs.len();
     let mut rows = vec![("files", format!("{}, {}", counted(files as u64, "file"), file_size(bytes)))];
     for input in preview.inputs.iter().take(MOST_LISTED) {
-        let holds = input.points.map_or("a mesh".into(), |points| counted(points, "point"));
+        let holds = input.points.map_or("a mesh or splats".into(), |points| counted(points, "point"));
         rows.push(("", format!("{}: {holds}, {}", input.path.display(), file_size(input.bytes))));
         if let Some(text) = &input.text {
             let points = text.first_points.iter().map(|point| place(*point)).collect::<Vec<_>>();

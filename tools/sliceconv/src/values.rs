@@ -1,6 +1,11 @@
 //! Values of options, with messages for wrong ones.
 
+use slicewalk::Error;
+use slicewalk_convert::Similarity;
+use slicewalk_input::Units;
+use std::io::Read;
 use std::ops::RangeInclusive;
+use std::path::Path;
 
 pub fn length(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -29,4 +34,31 @@ pub fn part(text: &str) -> Result<(u32, u32), String> {
     numbers
         .filter(|&(index, count)| (1..=count).contains(&index) && count <= slicewalk::archive::MAX_SHARDS)
         .ok_or_else(|| format!("expected a part and their number, from 1/1 to {0}/{0}", slicewalk::archive::MAX_SHARDS))
+}
+
+/// Returns the unit by which two places (`X,Y,Z`, in the file's coordinates) are the stated metres apart.
+pub fn scale_from(from: &str, to: &str, metres: &str) -> Result<Units, String> {
+    let place = |text: &str| -> Result<[f64; 3], String> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+        let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+        let finite = numbers.filter(|numbers| numbers.iter().all(|v| v.is_finite()));
+        finite.ok_or_else(|| format!("{text:?} is no place; expected X,Y,Z"))
+    };
+    let (from, to, metres) = (place(from)?, place(to)?, length(metres)?);
+    let apart = (0..3).map(|axis| (to[axis] - from[axis]).powi(2)).sum::<f64>().sqrt();
+    if apart > 0.0 && apart.is_finite() {
+        Ok(Units::Factor(metres / apart))
+    } else {
+        Err("the two places are the same; name places as far apart as possible".into())
+    }
+}
+
+/// Reads a 4 × 4 matrix from a text file.
+pub fn transform(path: &Path) -> slicewalk::Result<Similarity> {
+    /// Longest text of a matrix (bytes).
+    const MOST_BYTES: u64 = 1 << 16;
+    let file = std::fs::File::open(path).map_err(|error| Error::io(path, "open", error))?;
+    let mut text = String::new();
+    file.take(MOST_BYTES).read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
+    Similarity::parse(&text).map_err(|reason| Error::input(path, "matrix", reason))
 }

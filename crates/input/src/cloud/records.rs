@@ -33,7 +33,7 @@ pub(super) enum Rgb {
 pub(super) fn kind_of(numbers: &[Number]) -> Kind {
     match numbers {
         _ if numbers.iter().all(|number| number.bytes() == 1) => Kind::Bytes,
-        _ if numbers.iter().any(|number| matches!(number, Number::F32 | Number::F64)) => Kind::Any,
+        _ if numbers.iter().any(|number| matches!(number, Number::F16 | Number::F32 | Number::F64)) => Kind::Any,
         _ => Kind::Whole,
     }
 }

@@ -82,7 +82,7 @@ fn channel_of(name: &str) -> Option<usize> {
 /// Value that stands for white.
 fn white_of(number: Number) -> f64 {
     match number {
-        Number::F32 | Number::F64 => 1.0,
+        Number::F16 | Number::F32 | Number::F64 => 1.0,
         Number::U16 => f64::from(u16::MAX),
         _ => f64::from(u8::MAX),
     }

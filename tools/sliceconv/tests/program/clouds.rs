@@ -325,7 +325,7 @@ fn what_is_broken_is_refused_in_one_line_that_names_the_place() {
         ("a.ptx", ptx_text.replacen("22\n1\n", "21\n1\n", 1).into_bytes(), &["the number of columns of a cloud"]),
         ("a.ptx", ptx_text.replacen("0 0 1 0", "0 0 1 5", 1).into_bytes(), &["last column 0 0 0 1"]),
         ("a.xyz.gz", gzip(rows(&all, " ").as_bytes())[..2000].to_vec(), &["cannot be unpacked"]),
-        ("a.spz", b"NGSP....".to_vec(), &["splats"]),
+        ("a.spz", b"NGSP....".to_vec(), &["SPZ header", "cut"]),
     ] {
         fs::write(at(name), &bytes).unwrap();
         let said = refuses(folder.path(), &[name, "-o", "x.slices", "--pixel", "0.25", "--quiet"], 1);

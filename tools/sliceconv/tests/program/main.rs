@@ -18,6 +18,7 @@ mod reading;
 mod sat;
 #[path = "../../../../tests/common/scans.rs"]
 mod scans;
+#[cfg(feature = "remote")]
 #[path = "../../../../tests/common/store.rs"]
 mod store;
 #[path = "../../../../tests/mesh/truth.rs"]
@@ -46,8 +47,11 @@ mod odd_files;
 mod outputs;
 mod resume;
 mod shards;
+mod splats;
+#[cfg(feature = "remote")]
 mod stores;
 mod tables;
 mod tolerance;
 mod units;
+#[cfg(feature = "remote")]
 mod uploads;

@@ -6,6 +6,7 @@ mod data;
 mod forge;
 #[path = "../../../../tests/common/full.rs"]
 mod full;
+#[cfg(feature = "remote")]
 #[path = "../../../../tests/common/store.rs"]
 mod store;
 
@@ -18,6 +19,7 @@ mod exports;
 mod outputs;
 mod reach;
 mod serve;
+#[cfg(feature = "remote")]
 mod stores;
 mod walk;
 mod words;

@@ -1,0 +1,223 @@
+//! Readers of Gaussian splats: 3DGS PLY, PlayCanvas compressed PLY, SPZ, SOG, `.splat`, `.ksplat` and glTF.
+//!
+//! In: a file or folder of any size. Out: batches of [`Splat`]s in the order of the file, in its own axes and units.
+//! Spherical harmonics beyond the base colour are skipped. The bytes are untrusted: a damaged file gives a one-line
+//! [`Error::Input`], and no number in it sizes an allocation before it is checked. Memory: 1 MiB for each column of a
+//! file, and more for compressed formats ([`SplatReader::for_each_batch`]); what does not fit goes to a temporary file.
+//!
+//! Sources: "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (Kerbl et al., 2023) and its PLY files;
+//! PlayCanvas, splat-transform and the SOG format; Niantic, the SPZ format; Kellogg, GaussianSplats3D; Kwok, splat;
+//! Khronos, `KHR_gaussian_splatting`.
+
+mod columns;
+pub mod ellipsoid;
+mod gate;
+mod gltf;
+mod ksplat;
+mod ply;
+pub mod raster;
+mod recognise;
+mod sog;
+mod splat;
+mod spz;
+mod store;
+mod zip;
+
+use slicewalk_base::bytes::{ByteSource, open_named};
+use slicewalk_base::{Error, Monitor, Parameter, Result};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+pub use gate::{BATCH_SPLATS, SplatSummary};
+pub use recognise::recognise;
+
+/// One Gaussian: an ellipsoid with opacity, in the file's own axes and units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Splat {
+    /// Centre.
+    pub mean: [f64; 3],
+    /// Standard deviations along its axes, not logarithms; at least 0.
+    pub scale: [f32; 3],
+    /// Unit quaternion w, x, y, z: turns the axes of the ellipsoid into those of the file.
+    pub rotation: [f32; 4],
+    /// Opacity at the centre (0..=1).
+    pub opacity: f32,
+    /// sRGB base colour.
+    pub colour: [u8; 3],
+}
+
+/// Format of a file of splats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SplatFormat {
+    /// PLY with one property per parameter, as training programs write it.
+    Ply,
+    /// PLY of PlayCanvas with packed vertices.
+    CompressedPly,
+    /// SPZ of Niantic.
+    Spz,
+    /// SOG of PlayCanvas in one zip file.
+    Sog,
+    /// SOG as a folder, by its `meta.json`.
+    SogFolder,
+    /// Levels of detail of SOG, by their `lod-meta.json`.
+    SogLevels,
+    /// Rows of 32 bytes, without a header.
+    Splat,
+    /// `.ksplat` of GaussianSplats3D.
+    Ksplat,
+    /// glTF or GLB with `KHR_gaussian_splatting`.
+    Gltf,
+}
+
+impl SplatFormat {
+    /// Returns the name of the format, for messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "3DGS PLY",
+            Self::CompressedPly => "compressed PLY",
+            Self::Spz => "SPZ",
+            Self::Sog => "SOG",
+            Self::SogFolder => "SOG folder",
+            Self::SogLevels => "SOG levels",
+            Self::Splat => "splat",
+            Self::Ksplat => "ksplat",
+            Self::Gltf => "glTF splats",
+        }
+    }
+}
+
+/// Options of a reader.
+#[derive(Debug, Clone)]
+pub struct SplatOptions {
+    /// Reads the good splats of a file that is cut or has damaged ones, instead of refusing it.
+    pub allow_incomplete: bool,
+    /// Folder for temporary data.
+    pub temp_dir: PathBuf,
+}
+
+impl Default for SplatOptions {
+    fn default() -> Self {
+        Self { allow_incomplete: false, temp_dir: std::env::temp_dir() }
+    }
+}
+
+/// Body of a file whose header was read.
+trait Body: Send {
+    /// Number of splats that the file states, or that its length gives.
+    fn count(&self) -> u64;
+
+    /// Passes every splat to `gate`. `memory` bounds what it holds (bytes).
+    fn read(&mut self, work: &Work<'_>, gate: &mut gate::Gate<'_>) -> Result<()>;
+}
+
+/// What all readers share while they read.
+struct Work<'a> {
+    path: &'a Path,
+    options: &'a SplatOptions,
+    memory: u64,
+    monitor: &'a dyn Monitor,
+}
+
+/// Reader of one file, folder or set of levels.
+pub struct SplatReader {
+    path: PathBuf,
+    options: SplatOptions,
+    format: SplatFormat,
+    body: Box<dyn Body>,
+}
+
+/// Bytes at the start of a file that [`recognise`] needs to see: the longest header of a PLY that any program writes.
+pub const HEAD_BYTES: usize = 64 << 10;
+
+impl SplatReader {
+    /// Opens the file or SOG folder at `path` and checks its header.
+    pub fn open(path: impl AsRef<Path>, options: &SplatOptions) -> Result<Self> {
+        let path = path.as_ref();
+        if std::fs::metadata(path).is_ok_and(|about| about.is_dir()) {
+            let inner = ["lod-meta.json", "meta.json"].map(|name| path.join(name)).into_iter().find(|p| p.is_file());
+            let inner = inner.ok_or_else(|| {
+                Error::input(path, "folder", "expected a SOG folder with meta.json or lod-meta.json; name a file in it")
+            })?;
+            return Self::open(inner, options);
+        }
+        Self::of_source(open_named(path)?.into(), path, options)
+    }
+
+    /// Opens `source`, which `path` names: the name decides where the content does not, and files beside it may be read.
+    pub fn of_source(source: Arc<dyn ByteSource>, path: impl AsRef<Path>, options: &SplatOptions) -> Result<Self> {
+        let path = path.as_ref();
+        if source.is_empty() {
+            return Err(Error::input(path, "byte 0", "the file is empty; fetch or write it again"));
+        }
+        let mut head = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
+        source.read_at(0, &mut head)?;
+        let format = recognise(&head, path).ok_or_else(|| {
+            Error::input(
+                path,
+                "byte 0",
+                "expected Gaussian splats (PLY, SPZ, SOG, .splat, .ksplat or glTF with KHR_gaussian_splatting), found \
+                 another format",
+            )
+        })?;
+        let body: Box<dyn Body> = match format {
+            SplatFormat::Ply => Box::new(ply::Rows::open(source, path)?),
+            SplatFormat::CompressedPly => Box::new(ply::Packed::open(source, path)?),
+            SplatFormat::Spz => Box::new(spz::Spz::open(source, path)?),
+            SplatFormat::Sog => Box::new(sog::Sog::open_zip(source, path)?),
+            SplatFormat::SogFolder => Box::new(sog::Sog::open_folder(source, path)?),
+            SplatFormat::SogLevels => Box::new(sog::Levels::open(source, path)?),
+            SplatFormat::Splat => Box::new(splat::Splats::open(source, path, options.allow_incomplete)?),
+            SplatFormat::Ksplat => Box::new(ksplat::Ksplat::open(source, path)?),
+            SplatFormat::Gltf => Box::new(gltf::Gltf::open(source, path)?),
+        };
+        Ok(Self { path: path.to_path_buf(), options: options.clone(), format, body })
+    }
+
+    /// Returns the number of splats that the file states, or that its length gives. Damaged files may hold fewer.
+    pub fn count(&self) -> u64 {
+        self.body.count()
+    }
+
+    /// Returns the format.
+    pub fn format(&self) -> SplatFormat {
+        self.format
+    }
+
+    /// Returns the name that it was opened with.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Passes all splats to `sink`, in the order of the file, in batches of at most [`BATCH_SPLATS`]; may be called more
+    /// than once. Calls `monitor.advance` with the number of splats.
+    ///
+    /// Memory: `memory` bytes, at least 16 MiB. PLY, `.splat`, `.ksplat`, glTF and SPZ need less than that for any number
+    /// of splats; gzipped SPZ beyond half of it goes to a temporary file (20 bytes a splat). SOG decodes whole images,
+    /// of at most 8 bytes a pixel: images beyond the budget are refused.
+    ///
+    /// Fails if splats are missing or unusable, unless [`SplatOptions::allow_incomplete`] is set: then the summary counts
+    /// them, and `monitor` is warned.
+    pub fn for_each_batch(
+        &mut self,
+        monitor: &dyn Monitor,
+        memory: u64,
+        sink: &mut dyn FnMut(&[Splat]) -> Result<()>,
+    ) -> Result<SplatSummary> {
+        let work = Work { path: &self.path, options: &self.options, memory: memory.max(16 << 20), monitor };
+        let mut gate = gate::Gate::new(&work, self.body.count(), sink);
+        self.body.read(&work, &mut gate)?;
+        gate.finish()
+    }
+}
+
+/// Makes an error about the file.
+fn refuse(path: &Path, at: impl Into<String>, reason: impl Into<String>) -> Error {
+    Error::input(path, at, reason)
+}
+
+/// Error for an image or window that needs more memory than allowed.
+fn too_large(path: &Path, what: &str, needed: u64, memory: u64) -> Error {
+    let [needed, memory] = [needed, memory].map(slicewalk_base::text::memory_size);
+    Error::limit(format!("{}: memory for {what}", path.display()), needed, memory).with_way_out(Parameter::Memory)
+}

@@ -1,0 +1,230 @@
+//! Ellipsoids on the grid against brute force that shares no formula with the raster: places drawn inside by the
+//! definition, and distances of whole boxes by minimisation.
+//!
+//! `SLICEWALK_SPLAT_PLACES` sets the number of places and boxes per scene (default 10,000).
+
+use slicewalk_base::frame::Frame;
+use slicewalk_splat::Splat;
+use slicewalk_splat::ellipsoid::Ellipsoid;
+use slicewalk_splat::raster::{EllipsoidRaster, Piece};
+use std::collections::HashMap;
+
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.0 ^ self.0 >> 31).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+}
+
+const OPACITY: f64 = 0.1;
+
+fn places() -> usize {
+    std::env::var("SLICEWALK_SPLAT_PLACES").ok().and_then(|text| text.parse().ok()).unwrap_or(10_000)
+}
+
+fn splats(count: usize, seed: u64, far: f64) -> Vec<Splat> {
+    let random = &mut Random(seed);
+    (0..count)
+        .map(|n| {
+            let mut scale = [0; 3].map(|_| random.between(-5.0, -1.0).exp() as f32);
+            match n % 6 {
+                // Flat discs, some without any thickness, and needles.
+                0 => scale[n / 6 % 3] *= 0.01,
+                1 => scale[n / 6 % 3] = 0.0,
+                2 => (scale[0], scale[1]) = (scale[0] * 0.01, scale[1] * 0.001),
+                _ => {}
+            }
+            // Every fifth splat is aligned with the axes.
+            let rotation = match n % 5 {
+                0 => [1.0, 0.0, 0.0, 0.0],
+                1 => [0.5, 0.5, 0.5, 0.5],
+                _ => {
+                    let q = [0; 4].map(|_| random.between(-1.0, 1.0));
+                    let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+                    q.map(|v| (v / length) as f32)
+                }
+            };
+            let mean = [0; 3].map(|_| far + random.between(-2.0, 2.0));
+            Splat { mean, scale, rotation, opacity: random.between(0.05, 1.0) as f32, colour: [0; 3] }
+        })
+        .collect()
+}
+
+/// Pieces by pixel.
+type Pieces = HashMap<(i64, i64), Vec<Piece>>;
+
+fn rasterise(splat: &Splat, frame: Frame) -> Pieces {
+    let mut pieces = Pieces::new();
+    let Some(ellipsoid) = Ellipsoid::of(splat, OPACITY) else { return pieces };
+    let placed = EllipsoidRaster::new(frame, 45.0).place(&ellipsoid).expect("finite");
+    assert!(placed.is_on_grid());
+    for j in placed.rows().0..=placed.rows().1 {
+        placed.for_each_pixel(j, |piece| pieces.entry((piece.i, j)).or_default().push(piece));
+    }
+    assert!(pieces.values().all(|all| all.len() == 1), "each pixel once");
+    pieces
+}
+
+/// Matrix with the columns of a rotation, from the quaternion by the sandwich product.
+fn rotated(q: [f32; 4], v: [f64; 3]) -> [f64; 3] {
+    let mut q = q.map(f64::from);
+    let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+    q = q.map(|v| v / length);
+    let product = |a: [f64; 4], b: [f64; 4]| {
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    };
+    let [_, x, y, z] = product(product(q, [0.0, v[0], v[1], v[2]]), [q[0], -q[1], -q[2], -q[3]]);
+    [x, y, z]
+}
+
+/// Reach of the level set, in standard deviations.
+fn reach(splat: &Splat) -> Option<f64> {
+    let squared = 2.0 * (f64::from(splat.opacity) / OPACITY).ln();
+    (squared >= 0.0).then(|| squared.sqrt())
+}
+
+/// A place of the level set, often on its border, where errors show; `unit` is in the unit ball.
+fn place_of(splat: &Splat, unit: [f64; 3], reach: f64) -> [f64; 3] {
+    let offset = rotated(splat.rotation, [0, 1, 2].map(|k| unit[k] * reach * f64::from(splat.scale[k])));
+    [0, 1, 2].map(|axis| splat.mean[axis] + offset[axis])
+}
+
+fn in_ball(random: &mut Random) -> [f64; 3] {
+    let v = [0; 3].map(|_| random.between(-1.0, 1.0));
+    let length = v.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
+    let radius = if random.next() < 0.5 { 1.0 - 1e-12 } else { random.next().cbrt() };
+    v.map(|v| v / length * radius)
+}
+
+fn frames() -> [Frame; 3] {
+    [(0.1, 0.3), (0.03, 0.03), (0.25, 0.05)].map(|(pixel, slice)| Frame::new(pixel, slice).unwrap())
+}
+
+#[test]
+fn no_place_of_a_level_set_is_missed() {
+    let each = places() / 100;
+    let (mut tested, mut missed) = (0u64, 0u64);
+    for (scene, far) in [(1, 0.0), (2, 1.0e6), (3, -3.0e5)] {
+        for frame in frames() {
+            let random = &mut Random(scene + 10);
+            for splat in splats(100, scene, far) {
+                let Some(reach) = reach(&splat) else { continue };
+                let pieces = rasterise(&splat, frame);
+                for _ in 0..each {
+                    let p = place_of(&splat, in_ball(random), reach);
+                    tested += 1;
+                    let found = pieces.get(&(frame.pixel_of(p[0]), frame.pixel_of(p[1])));
+                    let hit = found.is_some_and(|found| {
+                        found[0].bottom <= frame.quantum_floor(p[2]) && frame.quantum_ceil(p[2]) <= found[0].top
+                    });
+                    missed += u64::from(!hit);
+                }
+            }
+        }
+    }
+    println!("{tested} places, {missed} missed");
+    assert!(tested as usize >= 7 * places());
+    assert_eq!(missed, 0);
+}
+
+/// Squared Mahalanobis distance of `p`, in reaches, with standard deviations of at least 2⁻¹⁵ of the greatest.
+fn distance(splat: &Splat, reach: f64, p: [f64; 3]) -> f64 {
+    let [w, x, y, z] = splat.rotation;
+    let offset = rotated([w, -x, -y, -z], [0, 1, 2].map(|axis| p[axis] - splat.mean[axis]));
+    let scale = splat.scale.map(f64::from);
+    let least = scale.iter().fold(0.0, |a: f64, &b| a.max(b)) / 32768.0;
+    (0..3).map(|k| (offset[k] / (reach * scale[k].max(least))).powi(2)).sum()
+}
+
+/// Least distance over a box: cyclic descent along the axes, exact for each axis (a convex quadratic function).
+fn least_distance(splat: &Splat, reach: f64, low: [f64; 3], high: [f64; 3]) -> f64 {
+    let mut p = [0, 1, 2].map(|axis| splat.mean[axis].clamp(low[axis], high[axis]));
+    let mut best = distance(splat, reach, p);
+    for _ in 0..4000 {
+        let before = best;
+        for axis in 0..3 {
+            let at = |value: f64| {
+                let mut q = p;
+                q[axis] = value;
+                distance(splat, reach, q)
+            };
+            let (a, b) = (low[axis], high[axis]);
+            let middle = (a + b) / 2.0;
+            let half = (b - a) / 2.0;
+            let (fa, fm, fb) = (at(a), at(middle), at(b));
+            let (curve, slope) = ((fa + fb) / 2.0 - fm, (fb - fa) / 2.0);
+            let best_at = if curve > 0.0 { (-slope / (2.0 * curve)).clamp(-1.0, 1.0) } else { -slope.signum() };
+            let value = at(middle + best_at * half);
+            if value < best {
+                (p[axis], best) = (middle + best_at * half, value);
+            }
+        }
+        if before - best < 1e-13 * best {
+            break;
+        }
+    }
+    best
+}
+
+#[test]
+fn heights_end_where_the_level_set_ends() {
+    let (mut tested, mut phantoms) = (0u64, 0u64);
+    for (scene, far) in [(4, 0.0), (5, 1000.0)] {
+        for frame in frames() {
+            for splat in splats(40, scene, far) {
+                // Descent along the axes is slow on thin ones.
+                let scale = splat.scale.map(f64::from);
+                let (least, most) = scale.iter().fold((f64::MAX, 0.0), |(a, b): (f64, f64), &v| (a.min(v), b.max(v)));
+                let Some(reach) = reach(&splat).filter(|reach| *reach > 0.05 && least > 0.03 * most) else { continue };
+                let pieces = rasterise(&splat, frame);
+                let step = (pieces.len() / (places() / 400)).max(1);
+                let mut keys: Vec<_> = pieces.keys().copied().collect();
+                keys.sort_unstable();
+                for (i, j) in keys.into_iter().step_by(step) {
+                    let Piece { bottom, top, .. } = pieces[&(i, j)][0];
+                    let (x, y) = (frame.edge_of_pixel(i), frame.edge_of_pixel(j));
+                    // The quantum below the top, and that above the bottom, each reach the level set over the pixel.
+                    let quantum = frame.quantum_m();
+                    for (low, high) in [(top - 1, top), (bottom, bottom + 1)] {
+                        let slack = 1e-7;
+                        let low = [x - slack, y - slack, low as f64 * quantum - slack];
+                        let high =
+                            [x + frame.pixel_m() + slack, y + frame.pixel_m() + slack, high as f64 * quantum + slack];
+                        tested += 1;
+                        phantoms += u64::from(least_distance(&splat, reach, low, high) > 1.0 + 1e-6);
+                    }
+                }
+            }
+        }
+    }
+    println!("{tested} boxes, {phantoms} phantoms");
+    assert!(tested > 1000, "{tested}");
+    assert_eq!(phantoms, 0);
+}
+
+#[test]
+fn a_splat_at_the_threshold_is_solid_at_its_centre() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let mean = [0.55, 0.25, 0.31];
+    let mut splat = Splat { mean, scale: [0.2; 3], rotation: [1.0, 0.0, 0.0, 0.0], opacity: 0.5, colour: [0; 3] };
+    assert!(Ellipsoid::of(&splat, 0.500001).is_none());
+    for scale in [0.2, 0.0] {
+        splat.scale = [scale; 3];
+        let placed = EllipsoidRaster::new(frame, 45.0).place(&Ellipsoid::of(&splat, 0.5).unwrap()).unwrap();
+        let mut found = Vec::new();
+        (placed.rows().0..=placed.rows().1).for_each(|j| placed.for_each_pixel(j, |piece| found.push((j, piece))));
+        let [(2, Piece { i: 5, bottom, top, .. })] = found[..] else { panic!("{found:?}") };
+        assert!(bottom <= frame.quantum_floor(mean[2]) && frame.quantum_ceil(mean[2]) <= top && top - bottom <= 2);
+    }
+}

@@ -1,0 +1,315 @@
+//! Splats of every format, written here and read back; then cut at every byte, and changed at random.
+
+mod write;
+
+use slicewalk_base::bytes::{MemorySource, testing};
+use slicewalk_base::{Error, NoMonitor, Result};
+use slicewalk_splat::{Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, recognise};
+use std::path::Path;
+use std::sync::Arc;
+use write::{Kind, Random};
+
+/// Name and bytes of a file, and how far its numbers are from those that were written.
+struct Case {
+    name: &'static str,
+    format: SplatFormat,
+    bytes: Vec<u8>,
+    /// Error of centres (units), relative error of sizes, error of quaternions, opacities (0 to 1) and colours (steps).
+    error: [f64; 5],
+    /// Shift of a node.
+    shift: [f64; 3],
+}
+
+fn cases(splats: &[Splat]) -> Vec<Case> {
+    use SplatFormat::{CompressedPly, Gltf, Ksplat, Ply, Sog, Spz};
+    let exact = [1e-5, 1e-5, 1e-5, 1e-5, 0.0];
+    let halves = [0.02, 0.005, 0.002, 0.003, 1.0];
+    let packed = [0.011, 0.01, 0.002, 0.002, 1.0];
+    // w follows from x, y and z: near 0 it is the root of their errors.
+    let spz_old = [2e-4, 0.033, 0.12, 0.002, 2.0];
+    let spz_first = [0.01, 0.033, 0.12, 0.002, 2.0];
+    let spz_new = [2e-4, 0.033, 0.002, 0.002, 2.0];
+    let sog = [6e-4, 0.013, 0.02, 0.01, 2.0];
+    let (text, little, big) = (Kind::Text, Kind::Little, Kind::Big);
+    let case = |name, format, bytes, error| Case { name, format, bytes, error, shift: [0.0; 3] };
+    let mut all = vec![
+        case("text.ply", Ply, write::ply(splats, text, "float", 9), exact),
+        case("little.ply", Ply, write::ply(splats, little, "float", 45), exact),
+        case("big.ply", Ply, write::ply(splats, big, "float", 0), exact),
+        case("half.ply", Ply, write::ply(splats, little, "half", 9), halves),
+        case("half-big.ply", Ply, write::ply(splats, big, "half", 0), halves),
+        case("double.ply", Ply, write::ply(splats, big, "double", 0), exact),
+        case("a.compressed.ply", CompressedPly, write::packed_ply(splats, true, 0), packed),
+        case("b.compressed.ply", CompressedPly, write::packed_ply(splats, false, 24), packed),
+        case("v1.spz", Spz, write::spz(splats, 1, 0, true), spz_first),
+        case("v2.spz", Spz, write::spz(splats, 2, 3, true), spz_old),
+        case("v3.spz", Spz, write::spz(splats, 3, 1, true), spz_new),
+        case("raw-v1.spz", Spz, write::spz(splats, 1, 0, false), spz_first),
+        case("raw-v3.spz", Spz, write::spz(splats, 3, 2, false), spz_new),
+        case("v4.spz", Spz, write::spz(splats, 4, 4, true), spz_new),
+        case("v4-plain.spz", Spz, write::spz(splats, 4, 0, true), spz_new),
+        case("v1.sog", Sog, write::zip(&write::sog(splats, 1), false), sog),
+        case("v2.sog", Sog, write::zip(&write::sog(splats, 2), true), sog),
+        case("a.splat", SplatFormat::Splat, write::splat(splats), [1e-5, 1e-5, 0.01, 0.002, 0.0]),
+        case("0.ksplat", Ksplat, write::ksplat(splats, 0, 1), [1e-5, 1e-5, 1e-5, 0.002, 0.0]),
+        case("1.ksplat", Ksplat, write::ksplat(splats, 1, 2), [4e-4, 0.002, 0.002, 0.002, 0.0]),
+        case("2.ksplat", Ksplat, write::ksplat(splats, 2, 1), [4e-4, 0.002, 0.002, 0.002, 0.0]),
+        case("v2-spz.glb", Gltf, write::gltf_spz(splats, 2), spz_old),
+        case("v4-spz.glb", Gltf, write::gltf_spz(splats, 4), spz_new),
+    ];
+    let bytes = write::gltf(splats);
+    all.push(Case { name: "a.glb", format: Gltf, bytes, error: exact, shift: [1.0, 2.0, 3.0] });
+    all
+}
+
+fn read(bytes: &[u8], name: &str, allow_incomplete: bool) -> Result<(u64, Vec<Splat>, SplatSummary)> {
+    let options = SplatOptions { allow_incomplete, ..SplatOptions::default() };
+    let source = Arc::new(MemorySource::new(bytes));
+    collect(&mut SplatReader::of_source(source, name, &options)?)
+}
+
+fn collect(reader: &mut SplatReader) -> Result<(u64, Vec<Splat>, SplatSummary)> {
+    let mut all = Vec::new();
+    let summary = reader.for_each_batch(&NoMonitor, 1 << 28, &mut |batch| {
+        all.extend_from_slice(batch);
+        Ok(())
+    })?;
+    Ok((reader.count(), all, summary))
+}
+
+fn compare(name: &str, expected: &[Splat], found: &[Splat], error: [f64; 5], shift: [f64; 3]) {
+    assert_eq!(found.len(), expected.len(), "{name}");
+    for (a, b) in expected.iter().zip(found) {
+        let near = |most: f64, error: f64| assert!(error <= most + 1e-6, "{name}: {error}: {a:?} {b:?}");
+        for (axis, step) in shift.iter().enumerate() {
+            near(error[0], (a.mean[axis] + step - b.mean[axis]).abs());
+            near(error[1], f64::from((a.scale[axis] / b.scale[axis] - 1.0).abs()));
+            near(error[4], (f64::from(a.colour[axis]) - f64::from(b.colour[axis])).abs());
+        }
+        // A quaternion and its negative are the same rotation.
+        let dot: f32 = a.rotation.iter().zip(b.rotation).map(|(a, b)| a * b).sum();
+        let apart: f32 = a.rotation.iter().zip(b.rotation).map(|(a, b)| (a - b * dot.signum()).powi(2)).sum();
+        near(error[2], f64::from(apart.sqrt()));
+        near(error[3], f64::from((a.opacity - b.opacity).abs()));
+    }
+}
+
+#[test]
+fn every_format_reads_back_what_was_written() {
+    for (count, seed) in [(1, 1), (7, 2), (300, 3), (20_000, 4)] {
+        let splats = write::random_splats(count, seed);
+        for case in cases(&splats) {
+            let head = &case.bytes[..case.bytes.len().min(slicewalk_splat::HEAD_BYTES)];
+            assert_eq!(recognise(head, Path::new(case.name)), Some(case.format), "{}", case.name);
+            let (stated, found, summary) = read(&case.bytes, case.name, false).unwrap();
+            assert_eq!((stated, summary.splats, summary.lost()), (count as u64, count as u64, 0), "{}", case.name);
+            compare(case.name, &splats, &found, case.error, case.shift);
+        }
+    }
+}
+
+#[test]
+fn a_second_pass_reads_the_same() {
+    for case in cases(&write::random_splats(300, 5)) {
+        let source = Arc::new(MemorySource::new(&case.bytes[..]));
+        let mut reader = SplatReader::of_source(source, case.name, &SplatOptions::default()).unwrap();
+        let [first, second] = [0, 1].map(|_| collect(&mut reader).unwrap());
+        assert!(first == second, "{}", case.name);
+    }
+}
+
+/// With the least memory the columns lie in a temporary file: without a folder for it, reading fails.
+#[test]
+fn little_memory_gives_the_same_splats() {
+    let splats = write::random_splats(450_000, 11);
+    let nowhere = SplatOptions { temp_dir: "no/such/folder".into(), ..SplatOptions::default() };
+    let files = [("a.spz", write::spz(&splats, 3, 1, true)), ("a.sog", write::zip(&write::sog(&splats, 2), true))];
+    for (name, bytes) in files {
+        let pass = |memory: u64, options: &SplatOptions| {
+            let mut reader = SplatReader::of_source(Arc::new(MemorySource::new(&bytes[..])), name, options)?;
+            let mut all = Vec::with_capacity(splats.len());
+            reader.for_each_batch(&NoMonitor, memory, &mut |batch| {
+                all.extend_from_slice(batch);
+                Ok(())
+            })?;
+            Ok::<_, Error>(all)
+        };
+        let [large, small] = [1 << 30, 1].map(|memory| pass(memory, &SplatOptions::default()).unwrap());
+        assert!(large == small && large.len() == splats.len(), "{name}");
+        assert!(pass(1 << 30, &nowhere).unwrap() == large, "{name}");
+        let error = pass(1, &nowhere).unwrap_err().to_string();
+        assert!(error.contains("choose a folder with space"), "{name}: {error}");
+    }
+}
+
+#[test]
+fn folders_of_sog_and_their_levels_are_read() {
+    let splats = write::random_splats(50, 6);
+    for (folder, version, part) in [("fine_0", 1, 0..20), ("fine_1", 2, 20..50), ("coarse", 2, 0..10)] {
+        for (name, bytes) in write::sog(&splats[part], version) {
+            testing::hold(format!("scene/{folder}/{name}"), bytes);
+        }
+    }
+    let options = SplatOptions::default();
+    let mut reader = SplatReader::open("scene/fine_1/meta.json", &options).unwrap();
+    assert_eq!(reader.format(), SplatFormat::SogFolder);
+    let error = [6e-4, 0.013, 0.02, 0.01, 2.0];
+    compare("folder", &splats[20..], &collect(&mut reader).unwrap().1, error, [0.0; 3]);
+    let set = r#"{"version":1,"lodLevels":2,"counts":[45,10],"environment":"sky/meta.json",
+        "filenames":["fine_0/meta.json","fine_1/meta.json","coarse/meta.json"],
+        "tree":{"bound":{},"children":[
+            {"lods":{"0":{"file":1,"offset":5,"count":25},"1":{"file":2,"offset":0,"count":10}}},
+            {"lods":{"0":{"file":0,"offset":0,"count":20}}}]}}"#;
+    testing::hold("scene/lod-meta.json", set.as_bytes());
+    let mut reader = SplatReader::open("scene/lod-meta.json", &options).unwrap();
+    assert_eq!((reader.format(), reader.count()), (SplatFormat::SogLevels, 45));
+    let expected = [&splats[..20], &splats[25..]].concat();
+    compare("levels", &expected, &collect(&mut reader).unwrap().1, error, [0.0; 3]);
+    let wrong = set.replace("\"count\":25", "\"count\":26").replace("[45,10]", "[46,10]");
+    testing::hold("scene/lod-meta.json", wrong.as_bytes());
+    let reader = SplatReader::open("scene/lod-meta.json", &options);
+    assert!(reader.and_then(|mut reader| collect(&mut reader)).unwrap_err().to_string().contains("at least 31 splats"));
+}
+
+/// A node that turns, stretches and mirrors makes another ellipsoid: its covariance is that of the moved one.
+#[test]
+fn nodes_move_ellipsoids_exactly() {
+    let splats = write::random_splats(200, 7);
+    let plain = write::gltf(&splats);
+    let m = [[2.0, 0.5, 0.0], [0.0, -1.0, 0.25], [0.0, 0.0, 0.1]];
+    let matrix = "[2,0.5,0,0,0,-1,0.25,0,0,0,0.1,0,5,6,7,1]";
+    let json_len = u32::from_le_bytes(plain[12..16].try_into().unwrap()) as usize;
+    let json = std::str::from_utf8(&plain[20..20 + json_len]).unwrap().trim_end();
+    let mut json = json.replace("\"translation\":[1,2,3]", &format!("\"matrix\":{matrix}")).into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut bytes = plain[..12].to_vec();
+    bytes.extend((json.len() as u32).to_le_bytes());
+    bytes.extend(b"JSON");
+    bytes.extend(&json);
+    bytes.extend(&plain[20 + json_len..]);
+    let len = bytes.len() as u32;
+    bytes[8..12].copy_from_slice(&len.to_le_bytes());
+    let (_, found, _) = read(&bytes, "moved.glb", false).unwrap();
+    for (a, b) in splats.iter().zip(&found) {
+        let mean = [0, 1, 2].map(|r| (0..3).map(|c| m[c][r] * a.mean[c]).sum::<f64>() + [5.0, 6.0, 7.0][r]);
+        assert!((0..3).all(|axis| (mean[axis] - b.mean[axis]).abs() < 1e-5), "{a:?} {b:?}");
+        let (before, after) = (covariance(a), covariance(b));
+        for r in 0..3 {
+            for c in 0..3 {
+                let moved: f64 = (0..9).map(|n| m[n / 3][r] * before[n / 3][n % 3] * m[n % 3][c]).sum();
+                assert!((moved - after[r][c]).abs() < 1e-5, "{moved} {} {a:?} {b:?}", after[r][c]);
+            }
+        }
+    }
+}
+
+fn covariance(splat: &Splat) -> [[f64; 3]; 3] {
+    let [w, x, y, z] = splat.rotation.map(f64::from);
+    let r = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ];
+    let s = splat.scale.map(|v| f64::from(v).powi(2));
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| r[i][k] * s[k] * r[j][k]).sum()))
+}
+
+#[test]
+fn unusable_splats_are_counted_or_refused() {
+    let good = write::random_splats(6, 8);
+    let mut bytes = write::splat(&good);
+    bytes[0..4].copy_from_slice(&f32::NAN.to_le_bytes());
+    bytes[32 + 12..32 + 16].copy_from_slice(&(-0.5f32).to_le_bytes());
+    bytes[64 + 28..64 + 32].copy_from_slice(&[128; 4]);
+    bytes[96 + 16..96 + 20].copy_from_slice(&f32::INFINITY.to_le_bytes());
+    bytes.truncate(6 * 32 - 5);
+    let error = read(&bytes, "a.splat", false).unwrap_err().to_string();
+    assert!(error.contains("rows of 32 bytes, found 187 bytes"), "{error}");
+    let error = read(&bytes[..5 * 32], "a.splat", false).unwrap_err().to_string();
+    assert!(error.contains("splat 0: 1 splat with a number that is not finite"), "{error}");
+    let (stated, found, summary) = read(&bytes, "a.splat", true).unwrap();
+    let counts = [summary.not_finite, summary.negative, summary.no_rotation, summary.missing, summary.splats];
+    assert_eq!((stated, found.len(), counts), (6, 1, [2, 1, 1, 1, 1]));
+    let mut glb = write::gltf(&good);
+    let opacities = glb.len() - good.len() * 16;
+    glb[opacities..opacities + 4].copy_from_slice(&1.5f32.to_le_bytes());
+    assert_eq!(read(&glb, "a.glb", true).unwrap().2.opacity, 1);
+}
+
+fn is_sound(splat: &Splat) -> bool {
+    let length: f32 = splat.rotation.iter().map(|v| v * v).sum();
+    splat.mean.iter().all(|v| v.abs() <= 1e12)
+        && splat.scale.iter().all(|v| v.is_finite() && *v >= 0.0)
+        && (length - 1.0).abs() < 1e-5
+        && (0.0..=1.0).contains(&splat.opacity)
+}
+
+fn is_one_line(error: &Error) -> bool {
+    let text = error.to_string();
+    !text.is_empty() && !text.contains('\n') && text.len() < 1000
+}
+
+#[test]
+fn files_cut_anywhere_are_refused_or_read_as_far_as_they_go() {
+    let splats = write::random_splats(6, 9);
+    for case in cases(&splats) {
+        let whole = read(&case.bytes, case.name, false).unwrap().1;
+        // The headers of ksplat are mostly zeros.
+        let skipped = if case.format == SplatFormat::Ksplat { 64..5100 } else { 0..0 };
+        for len in (0..case.bytes.len()).filter(|len| !skipped.contains(len)) {
+            let cut = &case.bytes[..len];
+            match read(cut, case.name, false) {
+                // Nothing states how many rows there should be.
+                Ok((_, found, _)) if case.format == SplatFormat::Splat => assert_eq!(found, whole[..len / 32]),
+                // A number may be shorter, or the last line end absent.
+                Ok((_, found, _)) if case.name == "text.ply" => assert_eq!(found[..5], whole[..5]),
+                Ok((_, found, _)) => assert!(found == whole, "{} cut to {len} bytes", case.name),
+                Err(error) => assert!(is_one_line(&error), "{error}"),
+            }
+            if let Ok((stated, found, summary)) = read(cut, case.name, true) {
+                assert_eq!(summary.splats, found.len() as u64);
+                assert!(summary.splats + summary.lost() == stated, "{} cut to {len}: {summary:?}", case.name);
+                assert!(case.name == "text.ply" || found[..] == whole[..found.len()], "{} cut to {len}", case.name);
+            }
+        }
+    }
+}
+
+/// 1,500 changes of each file; SLICEWALK_SPLAT_CHANGES asks for more.
+#[test]
+fn changed_files_never_crash_and_never_yield_unsound_splats() {
+    let changes = std::env::var("SLICEWALK_SPLAT_CHANGES").ok().and_then(|n| n.parse().ok()).unwrap_or(1500);
+    let splats = write::random_splats(9, 10);
+    let words: [u32; 8] = [0, 1, 0x7F, 0xFF, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, 0x7FC0_0000];
+    for case in cases(&splats) {
+        let mut random = Random(0xDEAD_BEEF);
+        let mut kept = 0;
+        for number in 0..changes {
+            let mut bytes = case.bytes.clone();
+            for _ in 0..=random.below(3) {
+                // Headers decide most.
+                let most = if random.below(2) == 0 { bytes.len().min(200) } else { bytes.len() };
+                let at = random.below(most);
+                match random.below(5) {
+                    0 => bytes[at] = random.word() as u8,
+                    1 => bytes[at] ^= 1 << random.below(8),
+                    2 => {
+                        let word = words[random.below(words.len())].to_le_bytes();
+                        bytes[at..].iter_mut().zip(word).for_each(|(byte, new)| *byte = new);
+                    }
+                    3 => bytes.truncate(at.max(1)),
+                    _ => bytes.insert(at, b'9'),
+                }
+            }
+            match read(&bytes, case.name, number % 2 == 0) {
+                Ok((_, found, summary)) => {
+                    kept += 1;
+                    assert_eq!(found.len() as u64, summary.splats, "{} change {number}", case.name);
+                    assert!(found.iter().all(is_sound), "{} change {number}: {found:?}", case.name);
+                }
+                Err(error) => assert!(is_one_line(&error), "{} change {number}: {error}", case.name),
+            }
+        }
+        println!("{}: {changes} changes, {kept} still read", case.name);
+    }
+}

@@ -1,0 +1,118 @@
+//! Gaussian splats: places inside their solid parts are hits (G1), order, threads and memory do not matter (G4), and
+//! options leave out what they say.
+
+use crate::scans;
+
+use scans::{Random, converts, refuses, text, verifies};
+use slicewalk::archive::Archive;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// Centre, standard deviations, quaternion, opacity.
+type Splat = ([f64; 3], [f64; 3], [f64; 4], f64);
+
+fn scene(count: usize) -> Vec<Splat> {
+    let mut random = Random(5);
+    (0..count)
+        .map(|_| {
+            let mut draw = |low: f64, high: f64| low + (high - low) * random.uniform();
+            let mean = [draw(-6.0, 6.0), draw(-6.0, 6.0), draw(0.0, 3.0)];
+            let scale = [draw(0.02, 0.3), draw(0.02, 0.3), draw(0.002, 0.1)];
+            let q = [draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0), draw(-1.0, 1.0)];
+            (mean, scale, q, draw(0.05, 0.95))
+        })
+        .collect()
+}
+
+fn write(path: &Path, splats: &[Splat]) {
+    let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+    let mut bytes = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", splats.len()).into_bytes();
+    names.split(' ').for_each(|name| bytes.extend(format!("property float {name}\n").bytes()));
+    bytes.extend(b"end_header\n");
+    for (mean, scale, q, opacity) in splats {
+        let odds = (opacity / (1.0 - opacity)).ln();
+        let row = mean.iter().copied().chain([0.5, -0.5, 0.1, odds]).chain(scale.map(f64::ln)).chain(*q);
+        row.for_each(|value| bytes.extend((value as f32).to_le_bytes()));
+    }
+    fs::write(path, bytes).unwrap();
+}
+
+fn archive(folder: &Path, input: &str, arguments: &[&str]) -> Vec<u8> {
+    let fixed = [input, "-o", "out.slices", "--force", "--quiet", "--pixel", "0.1", "--units", "m"];
+    converts(folder, &[&fixed, arguments].concat());
+    fs::read(folder.join("out.slices")).unwrap()
+}
+
+#[test]
+fn order_threads_and_memory_make_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut splats = scene(3000);
+    write(&folder.path().join("a.ply"), &splats);
+    splats.reverse();
+    write(&folder.path().join("b.ply"), &splats);
+    for colour in ["off", "rgb"] {
+        let expected = archive(folder.path(), "a.ply", &["--threads", "1", "--colour", colour]);
+        verifies(&folder.path().join("out.slices"));
+        for (input, threads, memory) in [("a.ply", "3", "64MiB"), ("b.ply", "2", "512MiB"), ("b.ply", "1", "64MiB")] {
+            let again = archive(folder.path(), input, &["--threads", threads, "--memory", memory, "--colour", colour]);
+            assert!(again == expected, "{input} {threads} {memory} {colour}");
+        }
+    }
+}
+
+#[test]
+fn options_leave_out_what_they_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let splats = scene(1000);
+    write(&folder.path().join("a.ply"), &splats);
+    let fixed = ["a.ply", "-o", "out.slices", "--force", "--pixel", "0.1", "--units", "m", "--json"];
+    let facts = |arguments: &[&str]| -> serde_json::Value {
+        let mut sliceconv = Command::new(env!("CARGO_BIN_EXE_sliceconv"));
+        let out = sliceconv.current_dir(folder.path()).args([&fixed, arguments].concat()).output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        serde_json::from_slice(&out.stdout).unwrap()
+    };
+    let count = |low: f64, high: f64| splats.iter().filter(|splat| low <= splat.3 && splat.3 < high).count();
+    let all = facts(&[]);
+    assert_eq!(all["splats_read"], 1000);
+    assert_eq!(all["splats_transparent"], count(0.0, 0.1));
+    assert_eq!([&all["splats_faint"], &all["splats_large"]], [0, 0]);
+    let few = facts(&["--opacity", "0.3", "--min-opacity", "0.2"]);
+    assert_eq!([&few["splats_faint"], &few["splats_transparent"]], [count(0.0, 0.2), count(0.2, 0.3)]);
+    let size = |splat: &Splat| {
+        let reach = (2.0 * (splat.3 / 0.1).ln()).sqrt();
+        2.0 * reach * splat.1.iter().fold(0.0, |a: f64, &b| a.max(b))
+    };
+    let large = splats.iter().filter(|splat| splat.3 >= 0.1 && size(splat) > 0.8).count();
+    assert_eq!(facts(&["--max-size", "0.8"])["splats_large"], large);
+    assert!(large > 100);
+}
+
+#[test]
+fn a_matrix_and_a_distance_place_splats() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let ball = ([1.0, 2.0, 3.0], [0.5; 3], [1.0, 0.0, 0.0, 0.0], 0.9);
+    write(&at("a.ply"), &[ball]);
+    // A quarter turn about x, twice the size, a shift.
+    fs::write(at("m.txt"), "2 0 0 10\n0 0 -2 20\n0 2 0 30\n0 0 0 1\n").unwrap();
+    archive(folder.path(), "a.ply", &["--transform", "m.txt"]);
+    let (min, max) = Archive::open(at("out.slices")).unwrap().header().bounds.unwrap();
+    let reach = 2.0 * 0.5 * (2.0 * 9f64.ln()).sqrt();
+    for (axis, centre) in [12.0, 14.0, 34.0].into_iter().enumerate() {
+        assert!(
+            (min[axis] - centre + reach).abs() < 1e-5 && (max[axis] - centre - reach).abs() < 1e-5,
+            "{min:?} {max:?}"
+        );
+    }
+    let fixed = ["a.ply", "-o", "out.slices", "--force", "--quiet", "--pixel", "0.1"];
+    converts(folder.path(), &[&fixed[..], &["--scale-from", "0,0,0", "0,0,4", "2"]].concat());
+    let (min, max) = Archive::open(at("out.slices")).unwrap().header().bounds.unwrap();
+    assert!((max[2] - min[2] - reach / 2.0).abs() < 1e-5);
+    fs::write(at("m.txt"), "1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1").unwrap();
+    let line = refuses(folder.path(), &[&fixed[..], &["--transform", text(&at("m.txt"))]].concat(), 1);
+    assert!(line.contains("mirrors"), "{line}");
+    refuses(folder.path(), &[&fixed[..], &["--opacity", "0"]].concat(), 2);
+    refuses(folder.path(), &[&fixed[..], &["--shard", "1/2"]].concat(), 2);
+}
