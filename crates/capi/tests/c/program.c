@@ -109,9 +109,15 @@ int main(int argc, char **argv) {
     double *xyz = malloc(3 * count * sizeof *xyz);
     REFUSED(sw_route_points(route, xyz, 3 * count - 1), "xyz");
     OK(sw_route_points(route, xyz, 3 * count));
-    sw_stream_options options = {sizeof options, 1, 64 << 20};
-    sw_stream *stream = NULL;
+    // Nothing loads ahead of the first walk, so the walker must wait.
+    sw_stream_options options = {sizeof options, 0, 64 << 20};
+    sw_stream *on_demand = NULL, *stream = NULL;
+    OK(sw_stream_open(ranges, &options, &on_demand));
+    options.prefetch = 1;
     OK(sw_stream_open(ranges, &options, &stream));
+    options.prefetch = 2;
+    sw_stream *refused = stream;
+    REFUSED(sw_stream_open(ranges, &options, &refused), "prefetch");
     double ends[2][3];
     for (int streaming = 0; streaming < 2; streaming++) {
         sw_walker *walker = NULL;
@@ -121,14 +127,14 @@ int main(int argc, char **argv) {
         for (size_t next = 1, frames = 0; next < count; frames++) {
             CHECK(frames < 100000);
             double dt = 1 / 60.0;
-            OK(streaming ? sw_walker_step_stream(walker, stream, dt, SW_TOWARD, xyz + 3 * next, &step)
+            OK(streaming ? sw_walker_step_stream(walker, on_demand, dt, SW_TOWARD, xyz + 3 * next, &step)
                          : sw_walker_step(walker, pages, dt, SW_TOWARD, xyz + 3 * next, &step));
             if (step.missing > 0) {
                 int32_t keys[48];
                 sw_loaded loaded = {.size = sizeof loaded};
                 OK(sw_walker_missing(walker, keys, 48, &written));
                 CHECK(streaming && written >= 3 && written % 3 == 0);
-                OK(sw_stream_load_pages(stream, keys, written, &loaded));
+                OK(sw_stream_load_pages(on_demand, keys, written, &loaded));
                 CHECK(loaded.left_out == 0);
                 waited = 1;
             }
@@ -173,7 +179,7 @@ int main(int argc, char **argv) {
     CHECK(sw_route_plan(pages, &pawn, from, sky, &none) == SW_ERROR_NO_ROUTE && strstr(sw_last_error(), "not_standing_to"));
     lazy.budget = 1;
     sw_stream *tight = NULL;
-    CHECK(sw_stream_open(archive, &lazy, &tight) == SW_ERROR_LIMIT && tight == NULL);
+    CHECK(sw_stream_open(archive, &lazy, &tight) == SW_ERROR_ARGUMENT && tight == NULL);
 
     // Refusals: null, misaligned, wrong lengths, NaN, overlap, other kinds of handles, sizes of structs.
     REFUSED(sw_overlaps_boxes(NULL, boxes, 12, hits, 2), "sw_pages");
@@ -214,6 +220,7 @@ int main(int argc, char **argv) {
     OK(sw_body_close(body));
     OK(sw_pages_close(view));
     OK(sw_stream_close(stream));
+    OK(sw_stream_close(on_demand));
     OK(sw_pages_close(nothing));
     OK(sw_stream_close(empty));
     OK(sw_route_close(route));
