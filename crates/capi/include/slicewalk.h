@@ -104,7 +104,7 @@ typedef struct sw_source {
   uint64_t length;
   // Fills `buffer` with the `len` bytes at `offset`. Returns 0 if it did, and any other number if it could not.
   int32_t (*read)(void *context, uint64_t offset, uint8_t *buffer, size_t len);
-  // Called once, after the last `read`, also if opening fails; may be NULL.
+  // Called once, after the last `read`, also if opening fails, unless this struct is refused for its size; may be NULL.
   void (*release)(void *context);
 } sw_source;
 

@@ -49,7 +49,7 @@ pub struct sw_source {
     pub length: u64,
     /// Fills `buffer` with the `len` bytes at `offset`. Returns 0 if it did, and any other number if it could not.
     pub read: Option<extern "C" fn(context: *mut c_void, offset: u64, buffer: *mut u8, len: usize) -> i32>,
-    /// Called once, after the last `read`, also if opening fails; may be NULL.
+    /// Called once, after the last `read`, also if opening fails, unless this struct is refused for its size; may be NULL.
     pub release: Option<extern "C" fn(context: *mut c_void)>,
 }
 

@@ -133,7 +133,7 @@ fn ctypes_gets_the_answers_of_the_library() {
         });
         let size = 0.05 + unit(&mut random);
         let way: [f64; 3] = std::array::from_fn(|_| unit(&mut random) - 0.5);
-        let shape = Aabb::new(at.into(), (Point3::from(at) + Vector3::repeat(size)).into()).unwrap();
+        let shape = Aabb::new(at.into(), Point3::from(at) + Vector3::repeat(size)).unwrap();
         let code = |overlap| if overlap == Overlap::Hit { 1.0 } else { 0.0 };
         let ray = Ray::new(at.into(), way.into(), 20.0).unwrap();
         let from = at[2] + size;

@@ -6,11 +6,11 @@
 //! offer works without another dispatcher: rays, projections, distances, shape casts, contacts, the character
 //! controller. [`Follow`] makes the next window before a body leaves the present one.
 //!
-//! Memory follows the window, not the scan: about 110 bytes a span. The pages themselves stay as they are, all in a
+//! Memory follows the window, not the scan: about 130 bytes a span. The pages themselves stay as they are, all in a
 //! [`Store`](slicewalk::store::Store) or those around bodies in a [`Stream`](slicewalk::store::Stream).
 //!
 //! **Exactness.** The cuboids are those that the queries of `slicewalk` answer by, rounded to `f32`: at 20 m from the
-//! origin by at most 1 µm. Contacts of balls, capsules, cylinders and other bodies except cuboids take no direction that
+//! origin by a few µm. Contacts of balls, capsules, cylinders and other bodies except cuboids take no direction that
 //! leads into a neighbouring span whose face is as high, so that bodies roll over seams between pixels without bumps;
 //! see [`Options::level`]. parry gives cuboid bodies no such choice.
 //!
