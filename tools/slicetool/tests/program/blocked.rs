@@ -125,10 +125,7 @@ fn a_ramp_too_steep_for_a_wheelchair_is_named() {
     let out = slicetool(&folder, "walk", &[&walk[..], &["--max-grade", "6"]].concat());
     let found: Value = serde_json::from_slice(&out.stdout).unwrap();
     let x = found["end"][0].as_f64().unwrap();
-    assert!(
-        out.status.code() == Some(1) && found["stop"] == Value::from("steep") && (3.0..4.3).contains(&x),
-        "{found}"
-    );
+    assert!(out.status.code() == Some(1) && found["stop"] == "steep" && (3.0..4.3).contains(&x), "{found}");
     assert!(slicetool(&folder, "walk", &[&walk[..], &["--max-grade", "10"]].concat()).status.success());
     // A step of 5 cm stops a wheelchair, whatever the grade.
     let step =

@@ -1,0 +1,400 @@
+// Slicewalk for C. Written by cbindgen from crates/capi; do not edit.
+//
+// Every function returns a status, SW_OK or an error whose text is in sw_last_error() of the same thread. Results come
+// through the last pointers; after an error they are not written, except for answers of rows before a refused one, and
+// for a place of a handle, which then holds NULL. All lengths are metres, all coordinates those of the scan, z is up.
+//
+// Pointers are not NULL and are aligned for their type unless a text says otherwise. NULL, misaligned pointers, lengths
+// that do not match, NaN and handles of another kind are refused with SW_ERROR_ARGUMENT. What cannot be checked is up to
+// the caller: arrays have the stated length, handles are open, and no handle is closed while a call uses it.
+//
+// Threads: sw_archive, sw_pages, sw_stream and sw_route may be used by any number of threads at once. A sw_walker or a
+// sw_body serves one thread at a time, and answers others with SW_ERROR_BUSY. sw_last_error() is of the calling thread.
+//
+// Structs begin with their size: set it to sizeof before any call, so that a library of another version recognises it.
+
+
+#ifndef SLICEWALK_H
+#define SLICEWALK_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+// Answers of overlaps.
+enum { SW_CLEAR = 0, SW_HIT = 1, SW_NOT_LOADED = 2 };
+// Shapes of a pawn.
+enum { SW_BOX = 0, SW_CYLINDER = 1 };
+// What a walker wants.
+enum { SW_STAY = 0, SW_DIRECTION = 1, SW_TOWARD = 2 };
+// States of a walker.
+enum { SW_WALKING = 0, SW_FALLING = 1, SW_BLOCKED = 2, SW_ARRIVED = 3 };
+// Why a walker did not get where it wanted.
+enum {
+    SW_STOP_NONE = 0, SW_STOP_WALL = 1, SW_STOP_STEEP = 2, SW_STOP_HEADROOM = 3, SW_STOP_CORNER = 4,
+    SW_STOP_INSIDE = 5, SW_STOP_LEDGE = 6, SW_STOP_VOID = 7
+};
+
+
+// Version of this interface; a program compiled with one number runs with a library of the same number.
+#define SW_INTERFACE 1
+
+// Outcome of a call. `sw_last_error` has the text.
+enum sw_status
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  // Done.
+  SW_OK = 0,
+  // A pointer, length, handle or number is not allowed.
+  SW_ERROR_ARGUMENT = 1,
+  // The operating system or a callback refused an action.
+  SW_ERROR_IO = 2,
+  // The archive is damaged, or is no archive.
+  SW_ERROR_FORMAT = 3,
+  // A value lies beyond a limit, such as a budget.
+  SW_ERROR_LIMIT = 4,
+  // The archive uses a feature that this version does not read.
+  SW_ERROR_UNSUPPORTED = 5,
+  // The answer depends on pages that are not in memory.
+  SW_ERROR_NOT_LOADED = 6,
+  // No route connects the places, or the pawn cannot stand at one of them.
+  SW_ERROR_NO_ROUTE = 7,
+  // Another thread uses this walker or body at this moment.
+  SW_ERROR_BUSY = 8,
+  // A defect of the library.
+  SW_ERROR_INTERNAL = 9,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum sw_status sw_status;
+#else
+typedef int32_t sw_status;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// An open archive: head and directory, no pages. Any number of threads may use it at once.
+typedef struct sw_archive sw_archive;
+
+// The hints of one moving body. One thread at a time: another one gets `SW_ERROR_BUSY`.
+typedef struct sw_body sw_body;
+
+// Pages in memory: all of an archive, or those of a stream at one moment. Any number of threads may use it at once.
+typedef struct sw_pages sw_pages;
+
+// A route that a walker can follow. Any number of threads may use it at once.
+typedef struct sw_route sw_route;
+
+// The pages around moving bodies under a byte budget. Any number of threads may use it at once.
+typedef struct sw_stream sw_stream;
+
+// A pawn with gravity, stairs and walls. One thread at a time: another one gets `SW_ERROR_BUSY`.
+typedef struct sw_walker sw_walker;
+
+// Functions that read an archive by ranges.
+//
+// They are called from any thread and from several at once, also from a thread of a stream, until `release` is called.
+// They must not throw exceptions, and must not call `sw_` functions.
+typedef struct sw_source {
+  // `sizeof(sw_source)`.
+  uint32_t size;
+  // Passed to both functions.
+  void *context;
+  // Length of the archive (bytes).
+  uint64_t length;
+  // Fills `buffer` with the `len` bytes at `offset`. Returns 0 if it did, and any other number if it could not.
+  int32_t (*read)(void *context, uint64_t offset, uint8_t *buffer, size_t len);
+  // Called once, after the last `read`, also if opening fails, unless this struct is refused for its size; may be NULL.
+  void (*release)(void *context);
+} sw_source;
+
+// What an archive holds.
+typedef struct sw_info {
+  // `sizeof(sw_info)`, set by the caller.
+  uint32_t size;
+  // 1 if it holds points, else 0, and then the bounds are 0.
+  uint32_t has_points;
+  // Edge of a pixel (m).
+  double pixel_size;
+  // Height of a slice (m).
+  double slice_height;
+  // Steps of heights (m).
+  double height_quantum;
+  // Least coordinates of the scan (m).
+  double min[3];
+  // Greatest coordinates of the scan (m).
+  double max[3];
+  // Occupied voxels.
+  uint64_t voxels;
+  // Length of the archive (bytes).
+  uint64_t bytes;
+} sw_info;
+
+// Options of a stream.
+typedef struct sw_stream_options {
+  // `sizeof(sw_stream_options)`.
+  uint32_t size;
+  // 1: a thread of the library loads ahead of the bodies; 0: only `sw_stream_load` loads.
+  uint32_t prefetch;
+  // Most memory that the stream takes (bytes).
+  uint64_t budget;
+} sw_stream_options;
+
+// What a call of `sw_stream_load` did.
+typedef struct sw_loaded {
+  // `sizeof(sw_loaded)`, set by the caller.
+  uint32_t size;
+  // 0.
+  uint32_t reserved;
+  // Pages that were loaded.
+  uint64_t loaded;
+  // Pages that were in memory already.
+  uint64_t already;
+  // Pages that did not fit in the budget.
+  uint64_t left_out;
+  // Budget in which the pages of the largest box fit at once (bytes).
+  uint64_t needed;
+} sw_loaded;
+
+// Shape and abilities of a pawn. `sw_pawn_default` fills it in.
+typedef struct sw_pawn {
+  // `sizeof(sw_pawn)`, set by the caller.
+  uint32_t size;
+  // `SW_BOX` or `SW_CYLINDER`.
+  uint32_t shape;
+  // Width along x, of a cylinder its diameter (m).
+  double width;
+  // Width along y (m); not used for a cylinder.
+  double depth;
+  // Height (m).
+  double height;
+  // Highest step that it climbs (m).
+  double climb;
+  // Deepest drop that it steps down (m); infinity: any, and it falls.
+  double max_drop;
+  // Walking speed (m/s).
+  double speed;
+  // Acceleration downwards (m/s²).
+  double gravity;
+} sw_pawn;
+
+// What a step did.
+typedef struct sw_step {
+  // `sizeof(sw_step)`, set by the caller.
+  uint32_t size;
+  // State after the step: `SW_WALKING` to `SW_ARRIVED`.
+  uint32_t state;
+  // Why it did not get where it wanted: `SW_STOP_NONE` to `SW_STOP_VOID`.
+  uint32_t stop;
+  // Ticks of 1/240 s that passed.
+  uint32_t ticks;
+  // Pages that it waits for; `sw_walker_missing` names them.
+  uint32_t missing;
+  // Ground under it: 0 floor, 1 an obstacle, 2 nothing.
+  uint32_t ground;
+  // Time that was not used, because it waits for pages (s). Pass it to the next step, or drop it.
+  double unspent;
+  // Feet after the step (m).
+  double feet[3];
+  // Motion of the feet (m).
+  double moved[3];
+  // Speed downwards (m/s).
+  double falling;
+} sw_step;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+// Returns the text of the last call on this thread that failed: one line in UTF-8 without a newline, "" if none
+// failed. It stays valid and unchanged until another call fails on the same thread, or the thread ends.
+const char *sw_last_error(void);
+
+// Writes the version of the interface (`SW_INTERFACE`) of the library in use.
+sw_status sw_interface(uint32_t *version);
+
+// Opens the archive file at `path` (UTF-8).
+sw_status sw_open_file(const char *path, struct sw_archive **archive);
+
+// Opens an archive of `len` bytes in memory, and copies them.
+sw_status sw_open_memory(const uint8_t *bytes, size_t len, struct sw_archive **archive);
+
+// Opens an archive that functions of the program read.
+sw_status sw_open_source(const struct sw_source *source, struct sw_archive **archive);
+
+// Writes what the archive holds.
+sw_status sw_archive_info(const struct sw_archive *archive, struct sw_info *info);
+
+// Closes an archive. Pages and streams made from it stay open. NULL is allowed.
+sw_status sw_archive_close(struct sw_archive *archive);
+
+// Loads all pages of an archive.
+sw_status sw_pages_load(const struct sw_archive *archive, struct sw_pages **pages);
+
+// Closes a set of pages. NULL is allowed.
+sw_status sw_pages_close(struct sw_pages *pages);
+
+// Answers whether boxes touch anything solid.
+//
+// `boxes` holds `boxes_len` = 6 · `count` numbers: xmin, ymin, zmin, xmax, ymax, zmax (m; minima may be -∞, maxima ∞).
+// `answers` gets `count` values: `SW_CLEAR`, `SW_HIT`, `SW_NOT_LOADED`.
+sw_status sw_overlaps_boxes(const struct sw_pages *pages,
+                            const double *boxes,
+                            size_t boxes_len,
+                            uint8_t *answers,
+                            size_t count);
+
+// Answers whether upright cylinders touch anything solid, as `sw_overlaps_boxes`: 5 numbers each, x, y, z of the middle
+// of the bottom, radius, height (m).
+sw_status sw_overlaps_cylinders(const struct sw_pages *pages,
+                                const double *cylinders,
+                                size_t cylinders_len,
+                                uint8_t *answers,
+                                size_t count);
+
+// Answers whether spheres touch anything solid, as `sw_overlaps_boxes`: 4 numbers each, x, y, z of the middle, radius
+// (m).
+sw_status sw_overlaps_spheres(const struct sw_pages *pages,
+                              const double *spheres,
+                              size_t spheres_len,
+                              uint8_t *answers,
+                              size_t count);
+
+// Casts rays: 7 numbers each, x, y, z, direction dx, dy, dz of any length but 0, longest distance (m, may be ∞).
+// `distances` gets the distance to the first solid (m), ∞ if there is none, NaN if that depends on missing pages.
+sw_status sw_cast_rays(const struct sw_pages *pages,
+                       const double *rays,
+                       size_t rays_len,
+                       double *distances,
+                       size_t count);
+
+// Sweeps boxes: 9 numbers each, the box, then its motion dx, dy, dz (m). `fractions` gets the share of the motion up to
+// the first contact, 1 if there is none, NaN if that depends on missing pages.
+sw_status sw_sweep_boxes(const struct sw_pages *pages,
+                         const double *sweeps,
+                         size_t sweeps_len,
+                         double *fractions,
+                         size_t count);
+
+// Finds the highest floor under each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), -∞
+// if there is none, NaN if that depends on missing pages.
+sw_status sw_floors(const struct sw_pages *pages,
+                    const double *boxes,
+                    size_t boxes_len,
+                    double *heights,
+                    size_t count);
+
+// Finds the lowest ceiling over each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), ∞ if
+// there is none, NaN if that depends on missing pages.
+sw_status sw_ceilings(const struct sw_pages *pages,
+                      const double *boxes,
+                      size_t boxes_len,
+                      double *heights,
+                      size_t count);
+
+// Opens a stream on an archive; no page is loaded yet.
+sw_status sw_stream_open(const struct sw_archive *archive,
+                         const struct sw_stream_options *options,
+                         struct sw_stream **stream);
+
+// Makes the set of pages that are in memory now. Never waits. Make one per frame, and close it with the frame: pages
+// that a set holds count against the budget.
+sw_status sw_stream_view(const struct sw_stream *stream,
+                         struct sw_pages **pages);
+
+// Loads the pages that boxes touch, and waits for them: `boxes_len` numbers, 6 for each box. `report` may be NULL.
+sw_status sw_stream_load(const struct sw_stream *stream,
+                         const double *boxes,
+                         size_t boxes_len,
+                         struct sw_loaded *report);
+
+// Loads pages by their keys, 3 numbers each (`sw_walker_missing` writes them), and waits for them. `report` may be NULL.
+sw_status sw_stream_load_pages(const struct sw_stream *stream,
+                               const int32_t *keys,
+                               size_t keys_len,
+                               struct sw_loaded *report);
+
+// Waits until everything that hints want is loaded, at most `seconds`. `done` gets 1 if it is, else 0.
+sw_status sw_stream_settle(const struct sw_stream *stream,
+                           double seconds,
+                           uint32_t *done);
+
+// Closes a stream and ends its thread. Sets of pages, bodies and walkers stay open. NULL is allowed.
+sw_status sw_stream_close(struct sw_stream *stream);
+
+// Adds a body whose motion the stream loads ahead of. A walker of `sw_walker_step_stream` needs none.
+sw_status sw_body_open(const struct sw_stream *stream,
+                       struct sw_body **body);
+
+// Sets how a body moves now: 6 numbers of the box around everything that it asks about in a frame (m), and 3 of its
+// velocity (m/s). Call it once a frame; never waits.
+sw_status sw_body_hint(const struct sw_body *body,
+                       const double *around,
+                       const double *velocity);
+
+// Removes a body. NULL is allowed.
+sw_status sw_body_close(struct sw_body *body);
+
+// Fills in the pawn of 0.5 × 0.5 × 1.8 m that climbs 0.35 m, walks 1.4 m/s, and falls off any ledge.
+sw_status sw_pawn_default(struct sw_pawn *pawn);
+
+// Creates a walker with its feet at `feet`, 3 numbers (m).
+sw_status sw_walker_open(const struct sw_pawn *pawn, const double *feet, struct sw_walker **walker);
+
+// Passes `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of the direction or
+// the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts them.
+sw_status sw_walker_step(const struct sw_walker *walker,
+                         const struct sw_pages *pages,
+                         double dt,
+                         uint32_t wish,
+                         const double *to,
+                         struct sw_step *report);
+
+// As `sw_walker_step`, on the pages that a stream has now. It also hints the motion to the stream and asks for missing
+// pages, so the pawn goes on as soon as they are there.
+sw_status sw_walker_step_stream(const struct sw_walker *walker,
+                                const struct sw_stream *stream,
+                                double dt,
+                                uint32_t wish,
+                                const double *to,
+                                struct sw_step *report);
+
+// Writes the keys of the pages that the last step waited for, 3 numbers each and at most 16 pages, into `keys`, and
+// their number of numbers into `written`. Keys that do not fit into `keys_len` numbers are left out.
+sw_status sw_walker_missing(const struct sw_walker *walker,
+                            int32_t *keys,
+                            size_t keys_len,
+                            size_t *written);
+
+// Moves the walker to `feet`, 3 numbers (m); it rests there.
+sw_status sw_walker_place(const struct sw_walker *walker, const double *feet);
+
+// Writes where the feet are: 3 numbers (m).
+sw_status sw_walker_feet(const struct sw_walker *walker, double *feet);
+
+// Removes a walker. NULL is allowed.
+sw_status sw_walker_close(struct sw_walker *walker);
+
+// Plans a route of a pawn between two places of 3 numbers (m); in the air, the floor below counts. A pawn whose
+// `max_drop` is infinite steps down as far as it climbs. Takes as long as the search needs: call it on a thread of its
+// own where that matters.
+sw_status sw_route_plan(const struct sw_pages *pages,
+                        const struct sw_pawn *pawn,
+                        const double *from,
+                        const double *to,
+                        struct sw_route **route);
+
+// Writes the length of a route (m), and the number of its points. Either place may be NULL.
+sw_status sw_route_size(const struct sw_route *route, double *length, size_t *points);
+
+// Writes the points of a route, 3 numbers each (m). `xyz_len` must be 3 times the number of points.
+sw_status sw_route_points(const struct sw_route *route, double *xyz, size_t xyz_len);
+
+// Closes a route. NULL is allowed.
+sw_status sw_route_close(struct sw_route *route);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* SLICEWALK_H */

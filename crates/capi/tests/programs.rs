@@ -1,0 +1,161 @@
+//! C99, C++17 and Python programs that use the library, as gcc and clang compile them with sanitizers.
+
+use engine::NoMonitor;
+use engine::archive::Archive;
+use engine::nalgebra::{Point3, Vector3};
+use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_under, overlaps, sweep};
+use engine::store::Store;
+use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
+use slicewalk_input::Units;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+/// A flight of stairs, and the library that the programs link with.
+struct Set {
+    folder: tempfile::TempDir,
+    archive: PathBuf,
+    /// Folder of the libraries.
+    built: PathBuf,
+    ends: [[f64; 3]; 2],
+}
+
+fn set() -> &'static Set {
+    static SET: OnceLock<Set> = OnceLock::new();
+    SET.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let (scan, archive) = (folder.path().join("scan.las"), folder.path().join("stairs.slices"));
+        let scene = Scene::named("stairs", &Params::new()).unwrap();
+        let samples = scene.samples(1, &SampleSpec::direct_density(3600.0)).unwrap();
+        write_samples(&scan, samples, &WriteSpec::for_path(&scan)).unwrap();
+        let mut options = ConvertOptions::new(vec![scan], archive.clone());
+        options.pixel = PixelSize::Metres(0.05);
+        options.units = Units::Factor(1.0);
+        options.threads = 1;
+        convert(&options, &NoMonitor).unwrap();
+        let walk = scene.walk().expect("the stairs have a walk");
+        Set { archive, built: build(), ends: [walk.start, walk.end], folder }
+    })
+}
+
+/// Builds the libraries with the profile of this test, and returns their folder.
+fn build() -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    let folder = test.ancestors().nth(2).unwrap().to_path_buf();
+    let profile = folder.file_name().unwrap().to_str().unwrap();
+    let profile = if profile == "debug" { "dev" } else { profile };
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let mut command = Command::new(cargo);
+    command.args(["build", "--quiet", "-p", "slicewalk-c", "--profile", profile, "--target-dir"]);
+    run(command.arg(folder.parent().unwrap()).current_dir(env!("CARGO_MANIFEST_DIR")));
+    folder
+}
+
+/// Runs a program, which must succeed, and returns what it prints.
+fn run(command: &mut Command) -> String {
+    let done = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    let text = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{command:?}: {}\n{text}", done.status);
+    String::from_utf8(done.stdout).unwrap()
+}
+
+fn is_there(program: &str) -> bool {
+    let there = Command::new(program).arg("--version").output().is_ok_and(|done| done.status.success());
+    if !there {
+        println!("skipped: no {program} here");
+    }
+    there
+}
+
+/// Compiles `source` with `compiler`, linked with the static or the shared library, and runs it.
+fn check(compiler: &str, standard: &str, source: &str, is_static: bool) {
+    if !is_there(compiler) {
+        return;
+    }
+    let (set, folder) = (set(), Path::new(env!("CARGO_MANIFEST_DIR")));
+    let program = set.folder.path().join(format!("{source}-{compiler}-{is_static}"));
+    let mut command = Command::new(compiler);
+    command.args([standard, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-g", "-O1"]);
+    command.args(["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]);
+    command.arg("-I").arg(folder.join("include")).arg(folder.join("tests/c").join(source)).arg("-o").arg(&program);
+    if is_static {
+        command.arg(set.built.join("libslicewalk.a"));
+    } else {
+        command.arg(set.built.join("libslicewalk.so")).arg(format!("-Wl,-rpath,{}", set.built.display()));
+    }
+    run(command.args(["-lpthread", "-ldl", "-lm"]));
+    let numbers = set.ends.as_flattened().iter().map(f64::to_string);
+    assert_eq!(run(Command::new(program).arg(&set.archive).args(numbers)), "done\n");
+}
+
+#[test]
+fn a_c99_program_runs_compiled_by_gcc() {
+    check("gcc", "-std=c99", "program.c", false);
+    check("gcc", "-std=c99", "program.c", true);
+}
+
+#[test]
+fn a_c99_program_runs_compiled_by_clang() {
+    check("clang", "-std=c99", "program.c", false);
+}
+
+#[test]
+fn a_cpp17_program_runs_compiled_by_gcc() {
+    check("g++", "-std=c++17", "program.cpp", false);
+}
+
+#[test]
+fn a_cpp17_program_runs_compiled_by_clang() {
+    check("clang++", "-std=c++17", "program.cpp", true);
+}
+
+/// Numbers between 0 and 1, the same in every run.
+fn unit(state: &mut u64) -> f64 {
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    (*state >> 11) as f64 / (1u64 << 53) as f64
+}
+
+#[test]
+fn ctypes_gets_the_answers_of_the_library() {
+    if !is_there("python3") {
+        return;
+    }
+    let set = set();
+    let store = Store::resident(&Archive::open(&set.archive).unwrap(), &NoMonitor).unwrap();
+    let (mut random, mut rows) = (7, String::new());
+    let (mut hits, mut clear) = (0, 0);
+    for _ in 0..500 {
+        let at: [f64; 3] = std::array::from_fn(|axis| {
+            let (low, high) = (set.ends[0][axis] - 1.5, set.ends[1][axis] + 1.5);
+            low + (high - low) * unit(&mut random)
+        });
+        let size = 0.05 + unit(&mut random);
+        let way: [f64; 3] = std::array::from_fn(|_| unit(&mut random) - 0.5);
+        let shape = Aabb::new(at.into(), Point3::from(at) + Vector3::repeat(size)).unwrap();
+        let code = |overlap| if overlap == Overlap::Hit { 1.0 } else { 0.0 };
+        let ray = Ray::new(at.into(), way.into(), 20.0).unwrap();
+        let from = at[2] + size;
+        let expected = [
+            code(overlaps(&store, &shape)),
+            code(overlaps(&store, &Sphere::new(at.into(), size).unwrap())),
+            code(overlaps(&store, &Cylinder::new(at.into(), size, 1.0).unwrap())),
+            cast(&store, &ray).known().unwrap().map_or(f64::INFINITY, |hit| hit.distance),
+            sweep(&store, &shape, way.into()).known().unwrap().map_or(1.0, |hit| hit.fraction),
+            floor_under(&store, &shape, from, from - at[2]).known().unwrap().unwrap_or(f64::NEG_INFINITY),
+        ];
+        hits += usize::from(expected[0] == 1.0);
+        clear += usize::from(expected[0] == 0.0);
+        let numbers = at.iter().chain(&way).chain([&size]).chain(&expected);
+        numbers.for_each(|number| write!(rows, "{number:?} ").unwrap());
+        rows.push('\n');
+    }
+    assert!(hits > 50 && clear > 50, "{hits} hits and {clear} free boxes say little");
+    let table = set.folder.path().join("rows.txt");
+    std::fs::write(&table, rows).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/c/same.py");
+    let library = set.built.join("libslicewalk.so");
+    let printed = run(Command::new("python3").arg(script).arg(library).arg(&set.archive).arg(table));
+    assert_eq!(printed, "500 rows are the same\n");
+}
