@@ -5,13 +5,13 @@ use super::work::on_threads;
 use super::{ConvertOptions, meshes::Colouring};
 use crate::bytes::{open_named, spawn_in};
 use crate::input::scenes::Scene;
-use crate::input::{PointCounts, Units, expand_inputs};
+use crate::input::{PointCounts, Units};
 use crate::plan::{Plan, Up};
 use crate::unit::LengthUnit;
 use crate::voxel::ellipsoids::EllipsoidBuilder;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
-use crate::{Error, Monitor, NoMonitor, Parameter, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use slicewalk_splat::ellipsoid::{DEFAULT_OPACITY, Ellipsoid};
 use slicewalk_splat::{HEAD_BYTES, Splat, SplatOptions, SplatReader, recognise};
 use std::path::{Path, PathBuf};
@@ -164,15 +164,13 @@ impl SplatSet {
     /// Sets the splats among the inputs aside. Returns them, and the paths of all other inputs if there are splats.
     pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Option<Vec<PathBuf>>)> {
         let is = |path: &Path| may_be_splat(path) && is_splat(path);
-        let (folders, others): (Vec<_>, Vec<_>) =
-            options.inputs.iter().cloned().partition(|path| path.is_dir() && is(path));
-        // Errors are reported by whoever opens the scans.
-        let files = if others.is_empty() { Vec::new() } else { expand_inputs(&others, &NoMonitor).unwrap_or_default() };
-        let (mut paths, rest): (Vec<_>, Vec<_>) = files.into_iter().partition(|path| is(path));
-        if paths.is_empty() && folders.is_empty() {
+        // Folders and patterns name scans alone; a store is not asked twice.
+        let is_local = |path: &Path| path.is_file() || path.is_dir();
+        let (mut paths, rest): (Vec<_>, Vec<_>) =
+            options.inputs.iter().cloned().partition(|path| is_local(path) && is(path));
+        if paths.is_empty() {
             return Ok((Self::default(), None));
         }
-        paths.extend(folders);
         paths.sort();
         if options.shard.is_some() || options.plan_file.is_some() {
             let reason = format!("{}: splats are converted in one run, without a plan", paths[0].display());
