@@ -56,21 +56,35 @@ fn fields(items: &[LazItem]) -> Vec<usize> {
     items.iter().flat_map(of).collect()
 }
 
+/// Returns the greatest value of each field of a record.
+fn limits(items: &[LazItem]) -> Vec<u64> {
+    let is_packet = |item: &&LazItem| item.item_type() == LazItemType::WavePacket13;
+    let before: Vec<LazItem> = items.iter().take_while(|item| !is_packet(item)).copied().collect();
+    let size_of_packet = items.iter().any(|item| is_packet(&item)).then(|| fields(&before).len() + 2);
+    let limit = |(number, bytes): (usize, usize)| match bytes {
+        // The compressor of `laz` assumes that time differences do not overflow.
+        8 => u64::MAX >> 2,
+        // It takes a packet of 2³¹ bytes or more for one that ends before it begins, and its decompressor does not.
+        4 if Some(number) == size_of_packet => i32::MAX as u64,
+        _ => u64::MAX,
+    };
+    fields(items).into_iter().enumerate().map(limit).collect()
+}
+
 /// Creates a record for each row of `changes`, which apply to its fields; a row that is too short repeats.
 fn records(items: &[LazItem], changes: &[Vec<Change>]) -> Vec<u8> {
-    let fields = fields(items);
+    let fields: Vec<_> = fields(items).into_iter().zip(limits(items)).collect();
     let mut last = vec![(0u64, 0u64); fields.len()];
     let mut all = Vec::new();
     for row in changes {
-        for ((bytes, (value, step)), change) in fields.iter().zip(&mut last).zip(row.iter().cycle()) {
+        for (((bytes, limit), (value, step)), change) in fields.iter().zip(&mut last).zip(row.iter().cycle()) {
             let next = match *change {
                 Change::Stays => *value,
                 Change::By(by) => value.wrapping_add_signed(i64::from(by)),
                 Change::Times(times) => value.wrapping_add(step.wrapping_mul(i64::from(times) as u64)),
                 Change::Becomes(next) => next,
             };
-            // The compressor of `laz` assumes that time differences do not overflow.
-            let next = if *bytes == 8 { next >> 2 } else { next };
+            let next = if *bytes == 8 { next >> 2 } else { next & limit };
             if next != *value {
                 (*value, *step) = (next, next.wrapping_sub(*value));
             }
