@@ -212,6 +212,8 @@ pub enum Parameter {
     Bounds,
     /// Parameter of a pawn or of its walk, by name: its speed, its climb height.
     Pawn(&'static str),
+    /// Parameter of Gaussian splats, by name: their opacity, their greatest size.
+    Splats(&'static str),
     /// Any other parameter, by name.
     Other(String),
 }
@@ -242,7 +244,7 @@ impl fmt::Display for Parameter {
             Self::Input => "input",
             Self::Plan => "plan",
             Self::Bounds => "bounds",
-            Self::Pawn(name) => name,
+            Self::Pawn(name) | Self::Splats(name) => name,
             Self::Other(name) => name,
         })
     }

@@ -645,7 +645,7 @@ fn round_to_digits(value: f64, digits: usize) -> f64 {
     format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
 }
 
-/// Returns the pixel size for meshes alone: their longer side has [`AUTO_PIXELS`] pixels.
+/// Returns the pixel size for meshes and splats alone: their longer side has [`AUTO_PIXELS`] pixels.
 fn pixel_of_extent(
     options: &ConvertOptions,
     meshes: &MeshSet,

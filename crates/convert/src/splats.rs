@@ -38,18 +38,18 @@ impl Default for SplatRules {
 
 impl SplatRules {
     pub(super) fn check(&self) -> Result<()> {
-        let refused = |what: &str, value: f64, expected: &str| {
-            let reason = format!("{} is no {expected}", crate::text::number(value));
-            Err(Error::parameter(Parameter::Other(what.into()), reason))
+        let refused = |what: &'static str, value: f64, expected: &str| {
+            let reason = format!("{} is not allowed; expected {expected}", crate::text::number(value));
+            Err(Error::parameter(Parameter::Splats(what), reason))
         };
         if !(self.opacity > 0.0 && self.opacity <= 1.0) {
-            return refused("opacity", self.opacity, "opacity above 0 and at most 1");
+            return refused("opacity", self.opacity, "an opacity above 0 and at most 1");
         }
         if !(0.0..=1.0).contains(&self.min_opacity) {
-            return refused("least opacity", self.min_opacity, "opacity from 0 to 1");
+            return refused("least opacity", self.min_opacity, "an opacity from 0 to 1");
         }
         match self.max_size_m {
-            Some(size) if !(size > 0.0 && size.is_finite()) => refused("greatest size", size, "length above 0"),
+            Some(size) if !(size > 0.0 && size.is_finite()) => refused("greatest size", size, "a length above 0"),
             _ => Ok(()),
         }
     }
@@ -67,13 +67,13 @@ impl Similarity {
     /// Greatest deviation of a matrix from a rotation times a scale, relative to the scale.
     const SLACK: f64 = 1e-5;
 
-    /// Parses 16 numbers, row by row, separated by white space or commas. Fails with a reason if the matrix is no
+    /// Parses 16 numbers, row by row, separated by white space or commas. Fails with a reason if the matrix is not a
     /// rotation with a uniform scale and a shift.
     pub fn parse(text: &str) -> std::result::Result<Self, String> {
         let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
         let numbers: Vec<f64> = words
             .map(|word| {
-                word.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| format!("{word:?} is no number"))
+                word.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| format!("{word:?} is not a number"))
             })
             .collect::<std::result::Result<_, _>>()?;
         let Ok(m) = <[f64; 16]>::try_from(numbers) else {

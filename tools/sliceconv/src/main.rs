@@ -25,8 +25,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use values::{classes, epsg, length, part, scale_from, transform};
 
-/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (3DGS
-/// PLY) of any size into one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (PLY,
+/// SPZ, SOG, .splat, .ksplat, glTF) of any size into one slice archive, in bounded memory.
 ///
 /// Lengths are in metres. The archive appears under its name when it is complete, or not at all.
 ///
@@ -371,9 +371,9 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::FillHoles => "--fill-holes",
         Parameter::Colour => "--colour",
         Parameter::ColourError => "--colour-error",
-        Parameter::Other(name) if name == "opacity" => "--opacity",
-        Parameter::Other(name) if name == "least opacity" => "--min-opacity",
-        Parameter::Other(name) if name == "greatest size" => "--max-size",
+        Parameter::Splats("opacity") => "--opacity",
+        Parameter::Splats("least opacity") => "--min-opacity",
+        Parameter::Splats("greatest size") => "--max-size",
         _ => return None,
     })
 }

@@ -42,7 +42,7 @@ pub fn scale_from(from: &str, to: &str, metres: &str) -> Result<Units, String> {
         let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
         let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
         let finite = numbers.filter(|numbers| numbers.iter().all(|v| v.is_finite()));
-        finite.ok_or_else(|| format!("{text:?} is no place; expected X,Y,Z"))
+        finite.ok_or_else(|| format!("{text:?} is not a place; expected X,Y,Z"))
     };
     let (from, to, metres) = (place(from)?, place(to)?, length(metres)?);
     let apart = (0..3).map(|axis| (to[axis] - from[axis]).powi(2)).sum::<f64>().sqrt();
