@@ -157,7 +157,7 @@ fn plain_by_laz(packed: &[u8], selection: DecompressionSelection) -> Option<Vec<
 /// Flips as many single bits as `SLICEWALK_FLIPS` says, anywhere in files of each format, and counts the results. A
 /// flip is refused, changes nothing that is read, or gives exactly the points that `laz` reads from the same bytes.
 #[test]
-#[ignore = "counts: SLICEWALK_FLIPS=1000000 takes minutes"]
+#[ignore = "takes minutes: `.ci/long flips`"]
 fn flipped_bits_by_the_million() {
     let flips: u64 = std::env::var("SLICEWALK_FLIPS").map_or(20_000, |text| text.parse().unwrap());
     let formats = std::env::var("SLICEWALK_FORMATS").unwrap_or("6 7 8 1 3".into());
