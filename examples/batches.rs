@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps_batch};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let feet: f64 = feet.parse()?;
     let archive = Archive::open(path)?;
     let (min, max) = archive.header().bounds.ok_or("the archive is empty")?;
-    let store = Store::resident(&archive, &NoMonitor)?;
+    let store = Snapshot::resident(&archive, &NoMonitor)?;
 
     let size = Vector3::new(0.5, 0.5, 1.8);
     let step = 0.25;

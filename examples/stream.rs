@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     stream.load_around(&pawn.outlook(stream.archive().frame()))?; // blocks, like a loading screen
     for frame in 0..600 {
         body.hint(&pawn.outlook(stream.archive().frame()));
-        let report = pawn.step(&stream.view(), FRAME_S, Wish::Direction(ahead));
+        let report = pawn.step(&stream.snapshot(), FRAME_S, Wish::Direction(ahead));
         if let Some(missing) = report.missing {
             body.need(&missing); // the pawn waits in place until these pages are loaded
         }

@@ -14,18 +14,18 @@
 //! # Open and query
 //!
 //! [`Archive`](archive::Archive) reads an archive from a file, from memory or from any
-//! [`ByteSource`](bytes::ByteSource). [`Store`](store::Store) keeps all of its pages in memory, and [`query`] holds the
-//! queries. An answer errs only towards "hit", and by less than a pixel and a slice.
+//! [`ByteSource`](bytes::ByteSource). A [`Snapshot`](store::Snapshot) holds its pages in memory, all of
+//! them or those around a body, and [`query`] has the queries. An answer errs only towards "hit", and by less than a pixel and a slice.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
 //! use slicewalk::nalgebra::{Point3, Vector3};
 //! use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, floor_under, overlaps};
-//! use slicewalk::store::Store;
+//! use slicewalk::store::Snapshot;
 //!
-//! let store = Store::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
+//! let pages = Snapshot::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
 //! let pawn = Aabb::standing(Point3::new(12.0, 7.5, 1.2), Vector3::new(0.5, 0.5, 1.8))?;
-//! let free = overlaps(&store, &pawn) == Overlap::Clear;
+//! let free = overlaps(&pages, &pawn) == Overlap::Clear;
 //! # Ok::<(), slicewalk::Error>(())
 //! ```
 //!
@@ -36,14 +36,14 @@
 //!
 //! ```no_run
 //! # use slicewalk::archive::Archive;
-//! # use slicewalk::store::Store;
-//! # let store = Store::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
+//! # use slicewalk::store::Snapshot;
+//! # let pages = Snapshot::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
 //! use slicewalk::nalgebra::{Point3, Vector2};
 //! use slicewalk::walk::{Config, Walker, Wish};
 //!
 //! let mut pawn = Walker::new(Config::default(), Point3::new(12.0, 7.5, 1.2))?;
 //! for _frame in 0..600 {
-//!     pawn.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+//!     pawn.step(&pages, 1.0 / 60.0, Wish::Direction(Vector2::x()));
 //! }
 //! println!("{} {:?}", pawn.feet(), pawn.state());
 //! # Ok::<(), slicewalk::Error>(())
@@ -52,8 +52,8 @@
 //! # Stream
 //!
 //! If the archive is larger than memory, a [`Stream`](store::Stream) keeps the pages around moving bodies within a byte
-//! budget and loads them before they are needed. Queries run on a [`View`](store::View), a snapshot of the stream: they
-//! take no lock, do no I/O and allocate nothing. If a page is not in memory, the answer is "not loaded", never "free".
+//! budget and loads them before they are needed. Queries run on a [`Snapshot`](store::Snapshot) of the stream: they take no
+//! lock, do no I/O and allocate nothing. If a page is not in memory, the answer is "not loaded", never "free".
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -65,9 +65,9 @@
 //! let mut body = stream.pawn();
 //! let mut pawn = Walker::new(Config::default(), Point3::new(12.0, 7.5, 1.2))?;
 //! for _frame in 0..600 {
-//!     let view = stream.view();
+//!     let pages = stream.snapshot();
 //!     body.hint(&pawn.outlook(stream.archive().frame()));
-//!     let report = pawn.step(&view, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+//!     let report = pawn.step(&pages, 1.0 / 60.0, Wish::Direction(Vector2::x()));
 //!     if let Some(missing) = report.missing {
 //!         body.need(&missing); // the pawn waits in place until these pages are there
 //!     }

@@ -19,7 +19,7 @@ use slicewalk::bytes::MemorySource;
 use slicewalk::frame::PageKey;
 use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
 use slicewalk::query::*;
-use slicewalk::store::{PageSet, Prefetch, Stream, StreamOptions};
+use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Crowd, Response, Walker, Waypoints, Wish};
 use std::hint::black_box;
 use std::sync::LazyLock;
@@ -38,7 +38,7 @@ fn no_query_allocates() {
 }
 
 /// Runs every kind of query on random boxes, without allocation; returns how many need a missing page.
-fn ask_everything<S: PageSet>(store: &S, scene: &Scene, random: &mut scene::Random) -> usize {
+fn ask_everything(store: &Snapshot, scene: &Scene, random: &mut scene::Random) -> usize {
     let boxes: Vec<Aabb> = (0..100).map(|_| scene.random_box(random)).collect();
     let mut answers = vec![Overlap::Clear; boxes.len()];
     let mut probes = vec![Answer::Known(Probe::default()); boxes.len()];
@@ -83,7 +83,7 @@ fn walkers() -> Vec<Walker> {
 }
 
 /// Walks around and off the edge of the shaft; returns how often a walker had to wait.
-fn walk<S: PageSet>(set: &S, walkers: &mut [Walker], route: &mut Waypoints) -> u32 {
+fn walk(set: &Snapshot, walkers: &mut [Walker], route: &mut Waypoints) -> u32 {
     let mut waits = 0;
     for frame in 0..240 {
         let angle = f64::from(frame / 20);
@@ -104,11 +104,11 @@ fn no_walker_and_no_crowd_allocates() {
     let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(1 << 20) };
     let empty = Stream::open(tower::open(MemorySource::new(&TOWER[..])), options).unwrap();
     assert_eq!(walkers_and_a_crowd(&tower::resident(&TOWER)), 0);
-    assert!(walkers_and_a_crowd(&empty.view()) > 0, "no page is there");
+    assert!(walkers_and_a_crowd(&empty.snapshot()) > 0, "no page is there");
 }
 
 /// Walks all walkers, alone and as a crowd, without allocation; returns how often one had to wait.
-fn walkers_and_a_crowd<S: PageSet>(store: &S) -> u32 {
+fn walkers_and_a_crowd(store: &Snapshot) -> u32 {
     let mut route = Waypoints::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
     let (mut walkers, mut waits) = (walkers(), 0);
     assert_eq!(allocations(|| waits = walk(store, &mut walkers, &mut route)), 0);
@@ -138,14 +138,14 @@ fn no_frame_on_a_stream_allocates() {
         }
         let count = allocations(|| {
             pawn.hint(&walkers[0].outlook(stream.archive().frame()));
-            let view = stream.view();
+            let view = stream.snapshot();
             let report = walkers[0].step(&view, 1.0 / 60.0, Wish::Direction(Vector2::x()));
             if let Some(missing) = report.missing {
                 pawn.need(&missing);
                 black_box(view.is_loaded(missing.keys()[0]));
                 waits += 1;
             }
-            drop((view, pawn.view()));
+            drop((view, pawn.snapshot()));
         });
         assert_eq!(count, 0, "frame {frame}");
         if frame % 7 == 0 {

@@ -11,7 +11,7 @@ use counting::allocations;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::MemorySource;
 use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
-use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Stream, StreamOptions};
+use slicewalk::store::{PageSlot, Prefetch, Snapshot, Step, Stream, StreamOptions};
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -46,7 +46,7 @@ fn a_frame_of_queries_allocates_and_frees_nothing_while_pages_come_and_go() {
         let ray = Ray::new(body.feet, [1.0, 0.2, -0.3].into(), 4.0).unwrap();
         let allocated = allocations(|| {
             pawn.hint(&motion);
-            let view = stream.view();
+            let view = stream.snapshot();
             for _ in 0..5 {
                 if let Overlap::NotLoaded(pages) = black_box(overlaps(&view, &shape)) {
                     missing += 1;
@@ -73,7 +73,7 @@ fn pages_that_a_view_sees_stay_and_count_until_it_is_dropped() {
     let stream = stream(budget, Prefetch::Manual);
     let mut pawn = stream.pawn();
     stream.load_around(&here.motion()).unwrap();
-    let view = stream.view();
+    let view = stream.snapshot();
     let seen = overlaps(&view, &here.shape());
     assert!(!matches!(seen, Overlap::NotLoaded(_)));
     pawn.hint(&there.motion());
@@ -86,7 +86,7 @@ fn pages_that_a_view_sees_stay_and_count_until_it_is_dropped() {
     drop(view);
     finish(&stream);
     assert!(stream.counters().loaded > loaded, "what found no room comes once the view is gone");
-    assert!(!matches!(overlaps(&stream.view(), &there.shape()), Overlap::NotLoaded(_)));
+    assert!(!matches!(overlaps(&stream.snapshot(), &there.shape()), Overlap::NotLoaded(_)));
     let counters = stream.counters();
     assert!(counters.peak_bytes <= budget && counters.evicted > 0, "{counters:?}");
     assert_eq!(counters.used_bytes, counters.table_bytes + counters.resident_bytes, "nothing is lost");
@@ -98,14 +98,14 @@ fn the_farthest_go_first_and_those_in_use_never() {
     let (mut pawn, mut other) = (stream.pawn(), stream.pawn());
     let (mut body, still) = (Body::at(0.9, 0.9, 10.0), Body::at(-1.9, -1.9, 60.0));
     other.hint(&still.motion());
-    let inside = |body: &Body| !matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_));
+    let inside = |body: &Body| !matches!(overlaps(&stream.snapshot(), &body.shape()), Overlap::NotLoaded(_));
     for step in 0..100 {
         body.feet.z = 10.0 + 0.7 * f64::from(step);
         pawn.hint(&body.motion());
         finish(&stream);
         assert!(inside(&body) && inside(&still), "step {step}");
     }
-    let view = stream.view();
+    let view = stream.snapshot();
     let loaded = |layer: i32| {
         let slots = |tx, ty| view.column(tx, ty).iter().filter(move |slot| slot.layer() == layer);
         (-4..4)
@@ -147,7 +147,7 @@ fn shared_and_uniform_pages_are_held_once() {
     let counters = stream.counters();
     assert_eq!((counters.resident_pages, counters.resident_bytes, counters.reads), (2, weight, 1));
     assert!(counters.peak_bytes <= needed);
-    let view = stream.view();
+    let view = stream.snapshot();
     assert!(keys.iter().all(|key| view.is_loaded(*key) == Some(true)));
     assert_eq!(view.is_loaded(common::key(99, 0, 0)), None);
     let again = stream.load(&keys, keys[0]).unwrap();
@@ -170,7 +170,7 @@ fn a_budget_too_small_for_a_page_loads_none_and_says_how_much_is_needed() {
         let enough = self::stream(report.needed_bytes, prefetch);
         let again = enough.load_around(&motion).unwrap();
         assert_eq!((again.left_out, again.evicted, again.needed_bytes), (0, 0, report.needed_bytes));
-        assert!(!matches!(overlaps(&enough.view(), &Body::at(0.9, 0.9, 10.0).shape()), Overlap::NotLoaded(_)));
+        assert!(!matches!(overlaps(&enough.snapshot(), &Body::at(0.9, 0.9, 10.0).shape()), Overlap::NotLoaded(_)));
     }
 }
 
@@ -218,7 +218,7 @@ fn a_file_that_is_cut_or_replaced_is_an_error_or_the_old_archive() {
     pawn.hint(&body.motion());
     finish(&stream);
     assert!(stream.take_errors().is_empty());
-    assert_eq!(overlaps(&stream.view(), &body.shape()), old_answer);
+    assert_eq!(overlaps(&stream.snapshot(), &body.shape()), old_answer);
     // Cut, or overwritten in place: errors, and never a page of the other archive.
     for damage in [&TOWER[..TOWER.len() / 2], &new[..], &[]] {
         let (stream, mut pawn) = opened();
@@ -229,7 +229,7 @@ fn a_file_that_is_cut_or_replaced_is_an_error_or_the_old_archive() {
         finish(&stream);
         let errors = stream.take_errors();
         assert!(!errors.is_empty());
-        let answer = overlaps(&stream.view(), &body.shape());
+        let answer = overlaps(&stream.snapshot(), &body.shape());
         assert!(answer == old_answer || matches!(answer, Overlap::NotLoaded(_)), "{answer:?}");
     }
 }
@@ -269,7 +269,7 @@ fn soak_no_thread_ever_gets_a_wrong_answer() {
                     }
                     body.feet += body.velocity / 60.0;
                     pawn.hint(&body.motion());
-                    let view = stream.view();
+                    let view = stream.snapshot();
                     let shape = body.shape();
                     let answer = overlaps(&view, &shape);
                     let floor = floor_under(&view, &shape, body.feet.z, 2.0);

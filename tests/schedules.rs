@@ -117,12 +117,12 @@ fn what_a_hint_wants_comes_without_another_call() {
         let (shape, outlook) = body(1);
         pawn.hint(&outlook);
         // If the thread is just reading hints, one is dropped and counted.
-        while stream.counters().hints_dropped > 0 && overlaps(&stream.view(), &shape) != Overlap::Hit {
+        while stream.counters().hints_dropped > 0 && overlaps(&stream.snapshot(), &shape) != Overlap::Hit {
             pawn.hint(&outlook);
             assert!(stream.settle(FOREVER));
         }
         assert!(stream.settle(FOREVER));
-        assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
+        assert_eq!(overlaps(&stream.snapshot(), &shape), Overlap::Hit);
     });
 }
 
@@ -138,13 +138,13 @@ fn bodies_on_their_threads_get_their_pages_or_not_loaded_and_never_free() {
                     for page in [page, page + 1] {
                         let (shape, outlook) = body(page);
                         pawn.hint(&outlook);
-                        match overlaps(&pawn.view(), &shape) {
+                        match overlaps(&pawn.snapshot(), &shape) {
                             Overlap::Hit => {}
                             Overlap::NotLoaded(missing) => pawn.need(&missing),
                             clear => panic!("{clear:?} where there is matter"),
                         }
                         stream.load_around(&outlook).unwrap();
-                        assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
+                        assert_eq!(overlaps(&pawn.snapshot(), &shape), Overlap::Hit);
                     }
                 })
             })

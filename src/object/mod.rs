@@ -27,9 +27,9 @@
 //! use slicewalk::archive::Archive;
 //! use slicewalk::object::{Model, Object, touches, touches_scene};
 //! use slicewalk::query::Overlap;
-//! use slicewalk::store::Store;
+//! use slicewalk::store::Snapshot;
 //!
-//! let store = |path: &str| Store::resident(&Archive::open(path)?, &slicewalk::NoMonitor);
+//! let store = |path: &str| Snapshot::resident(&Archive::open(path)?, &slicewalk::NoMonitor);
 //! let (scene, cart) = (store("hall.slices")?, Model::from_pages(&store("cart.slices")?)?);
 //! let here = Object::new(&cart, nalgebra::Isometry3::translation(3.0, 2.0, 0.1))?;
 //! let there = Object::new(&cart, nalgebra::Isometry3::rotation(nalgebra::Vector3::z() * 0.5))?;

@@ -4,7 +4,7 @@ use super::fill::{Columns, fill};
 use super::tree::{Item, MOST_ITEMS, MOST_REACH, Tree};
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
 use crate::raster::{Raster, Triangle};
-use crate::store::{PageSet, PageSlot};
+use crate::store::Snapshot;
 use crate::{Error, Result};
 use nalgebra::Point3;
 
@@ -25,7 +25,7 @@ impl Model {
     /// Builds a model of all spans of a set of pages.
     ///
     /// Fails if a page is not in memory or the set exceeds the limits of a model.
-    pub fn from_pages<S: PageSet>(set: &S) -> Result<Self> {
+    pub fn from_pages(set: &Snapshot) -> Result<Self> {
         let mut spans: Vec<PixelInterval> = Vec::new();
         for number in 0..set.column_count() {
             let (tx, ty, slots) = set.column_at(number);

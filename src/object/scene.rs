@@ -4,7 +4,7 @@ use super::Object;
 use super::oriented::{LocalBox, Relative, SLACK};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::query::{Aabb, GridCell, Matter, Overlap, SweepArea, Visit, descend, overlaps};
-use crate::store::{Missing, PageSet, join, note};
+use crate::store::{Missing, Snapshot, join, note};
 use nalgebra::{Isometry3, Point3};
 
 /// Returns whether an object touches a scene, as the [module text](super) defines it.
@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3};
 ///
 /// Cost: one [`overlaps`] for each box of the object's tree close to solid space, and a look at the spans under each of
 /// the object's spans that is close to some. An object that touches nothing costs one [`overlaps`].
-pub fn touches_scene<S: PageSet>(object: &Object<'_>, scene: &S) -> Overlap {
+pub fn touches_scene(object: &Object<'_>, scene: &Snapshot) -> Overlap {
     let upright = Upright::new(object, scene.frame());
     let mut search = Search::new(object, scene.frame());
     let mut under = None;

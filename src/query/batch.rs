@@ -3,7 +3,7 @@
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
 use super::{Overlap, overlaps};
-use crate::store::PageSet;
+use crate::store::Snapshot;
 
 /// Page sets smaller than this (bytes) mostly stay in the processor's caches, where reordering only costs (`bench scale
 /// --only queries`).
@@ -17,7 +17,7 @@ const CELLS: u64 = 4;
 type Tile = [i32; 2];
 
 /// Returns the first pixel under a shape.
-pub(super) fn pixel_of<S: PageSet, H: Shape>(set: &S, shape: &H) -> [i64; 2] {
+pub(super) fn pixel_of<H: Shape>(set: &Snapshot, shape: &H) -> [i64; 2] {
     let rect = shape.on_grid(set.frame()).rect();
     [rect.i0, rect.j0]
 }
@@ -26,8 +26,8 @@ pub(super) fn pixel_of<S: PageSet, H: Shape>(set: &S, shape: &H) -> [i64; 2] {
 ///
 /// # Panics
 /// If there are fewer answers than questions.
-pub(super) fn answer_each<S: PageSet, Q, A>(
-    set: &S,
+pub(super) fn answer_each<Q, A>(
+    set: &Snapshot,
     questions: &[Q],
     answers: &mut [A],
     pixel: impl Fn(&Q) -> [i64; 2],
@@ -49,7 +49,7 @@ pub(super) fn answer_each<S: PageSet, Q, A>(
 ///
 /// # Panics
 /// If there are fewer answers than shapes.
-pub(super) fn overlaps_each<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Overlap]) {
+pub(super) fn overlaps_each<H: Shape>(set: &Snapshot, shapes: &[H], answers: &mut [Overlap]) {
     assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
     let Some(order) = order(set, shapes, |shape| pixel_of(set, shape)) else {
         return shapes.iter().zip(answers).for_each(|(shape, answer)| *answer = overlaps(set, shape));
@@ -77,7 +77,7 @@ pub(super) fn overlaps_each<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers
 /// close together.
 ///
 /// Memory: 12 bytes a question. Cost: about two looks at each question.
-fn order<S: PageSet, Q>(set: &S, questions: &[Q], pixel: impl Fn(&Q) -> [i64; 2]) -> Option<Vec<u32>> {
+fn order<Q>(set: &Snapshot, questions: &[Q], pixel: impl Fn(&Q) -> [i64; 2]) -> Option<Vec<u32>> {
     let bounds = set.bounds()?;
     let count = u32::try_from(questions.len()).ok().filter(|&count| count as usize >= 4 * SAMPLE)?;
     let tile = |question: &Q| -> Tile {
@@ -119,8 +119,8 @@ fn extent(tiles: impl Iterator<Item = Tile>) -> [Tile; 2] {
 }
 
 /// Returns whether the pages under a sample of the questions exceed a cache while successive questions lie apart.
-fn pays<S: PageSet, Q>(set: &S, questions: &[Q], tile: impl Fn(&Q) -> Tile) -> bool {
-    let weight = set.weight_hint() as f64;
+fn pays<Q>(set: &Snapshot, questions: &[Q], tile: impl Fn(&Q) -> Tile) -> bool {
+    let weight = set.weight_bytes() as f64;
     if weight <= IN_CACHE {
         return false;
     }
@@ -138,11 +138,11 @@ mod tests {
     use crate::frame::{Frame, PageKey};
     use crate::query::Aabb;
     use crate::slice::{Page, PageBuilder, Span};
-    use crate::store::Store;
+    use crate::store::Snapshot;
     use nalgebra::Vector3;
 
     /// `edge` × `edge` pages of about 50 kB.
-    fn store(edge: i32) -> Store {
+    fn store(edge: i32) -> Snapshot {
         let mut builder = PageBuilder::default();
         for at in 0..64 * 64 {
             let spans = [(100, 120 + at % 50), (400, 500 + at % 90), (2000, 2100)];
@@ -154,7 +154,7 @@ mod tests {
         }
         let page: Page = builder.build();
         let keys = (0..edge * edge).map(|n| PageKey { tx: n % edge - edge / 2, ty: n / edge - edge / 2, layer: 0 });
-        Store::from_pages(Frame::new(0.1, 0.3).unwrap(), keys.map(|key| (key, page.clone())))
+        Snapshot::from_pages(Frame::new(0.1, 0.3).unwrap(), keys.map(|key| (key, page.clone())))
     }
 
     /// Boxes across the pages of [`store`] and around them; successive boxes lie far apart.
@@ -190,7 +190,7 @@ mod tests {
     #[test]
     fn what_is_small_few_near_or_in_order_already_is_left_alone() {
         let large = store(40);
-        let none = |store: &Store, boxes: &[Aabb]| order(store, boxes, |shape| pixel_of(store, shape)).is_none();
+        let none = |store: &Snapshot, boxes: &[Aabb]| order(store, boxes, |shape| pixel_of(store, shape)).is_none();
         assert!(none(&store(4), &boxes(3000, 4)), "small");
         assert!(none(&large, &boxes(100, 40)), "few");
         assert!(none(&large, &boxes(3000, 3)), "near each other");

@@ -7,7 +7,7 @@ use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Shape};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::store::{Missing, note};
-use crate::store::{PageSet, PageSlot};
+use crate::store::{PageSlot, Snapshot};
 use std::ops::ControlFlow;
 
 /// Returns the world height (m) of the lowest ceiling above the footprint of `shape`, from height `from` (m) up to
@@ -19,7 +19,7 @@ use std::ops::ControlFlow;
 /// A NaN finds nothing.
 ///
 /// Cost: like [`overlaps`](super::overlaps), over the layers from `from` up to the first ceiling.
-pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height: f64) -> Answer<Option<f64>> {
+pub fn ceiling_above<H: Shape>(set: &Snapshot, shape: &H, from: f64, height: f64) -> Answer<Option<f64>> {
     if from.is_nan() || height.is_nan() {
         return Answer::Known(None);
     }
@@ -49,7 +49,7 @@ impl CeilingSearch {
     }
 
     /// Searches all tile columns under `shape`; reports only those missing pages that could hold a lower ceiling.
-    fn run<S: PageSet, G: OnPixels>(mut self, set: &S, shape: &G) -> Self {
+    fn run<G: OnPixels>(mut self, set: &Snapshot, shape: &G) -> Self {
         for_each_column(set, shape.rect(), |tile, slots| {
             self.column(shape, tile, slots);
             ControlFlow::Continue(())
@@ -64,13 +64,13 @@ impl CeilingSearch {
     }
 
     /// Searches the pages of one tile column, from the bottom up.
-    fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) {
+    fn column<G: OnPixels>(&mut self, shape: &G, tile: &Tile, slots: &[PageSlot]) {
         if self.from > self.most {
             return;
         }
         // Begin in the page below, on which an underside on a page's floor depends.
         let heights = Heights { low: self.from.saturating_sub(1), high: self.most };
-        let mut below: Option<&T> = None;
+        let mut below: Option<&PageSlot> = None;
         for slot in layers(slots, heights) {
             let base = floor_of(slot.layer());
             if base > self.most {
@@ -101,12 +101,12 @@ impl CeilingSearch {
 
 /// Returns the lowest underside of the page from `from` to `most` [0..=16320] in the footprint. Calls `unknown` if an
 /// underside on the page's floor depends on the page below and that page is not in memory.
-fn lowest_underside<G: OnPixels, T: PageSlot>(
+fn lowest_underside<G: OnPixels>(
     place: &PageUnder<'_>,
     shape: &G,
     from: u32,
     mut most: u32,
-    below: Option<&T>,
+    below: Option<&PageSlot>,
     mut unknown: impl FnMut(),
 ) -> Option<u32> {
     let mut best = None;
@@ -143,7 +143,7 @@ fn lowest_underside<G: OnPixels, T: PageSlot>(
 }
 
 /// Returns whether a span of the page below reaches that page's end in pixel (`px`, `py`).
-fn hangs_on<T: PageSlot>(below: Option<&T>, px: u32, py: u32, unknown: &mut impl FnMut()) -> bool {
+fn hangs_on(below: Option<&PageSlot>, px: u32, py: u32, unknown: &mut impl FnMut()) -> bool {
     let Some(below) = below else { return false };
     match below.page() {
         Some(page) => page.column(px, py).last().is_some_and(|span| i64::from(span.top()) == PAGE_QUANTA),

@@ -9,7 +9,7 @@ use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{Missing, note};
-use crate::store::{PageSet, PageSlot};
+use crate::store::{PageSlot, Snapshot};
 use std::ops::ControlFlow;
 
 /// Returns the world height (m) of the highest floor under the footprint of `shape`, from height `from` (m) down to
@@ -21,7 +21,7 @@ use std::ops::ControlFlow;
 /// boundary counts as one. A NaN finds nothing.
 ///
 /// Cost: like [`overlaps`](super::overlaps), over the layers from `from` down to the first floor.
-pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
+pub fn floor_under<H: Shape>(set: &Snapshot, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
     if from.is_nan() || depth.is_nan() {
         return Answer::Known(None);
     }
@@ -52,7 +52,7 @@ impl FloorSearch {
 
     /// Searches all tile columns under `shape`.
     #[inline]
-    fn run<S: PageSet, G: OnPixels>(mut self, set: &S, shape: &G) -> Self {
+    fn run<G: OnPixels>(mut self, set: &Snapshot, shape: &G) -> Self {
         for_each_column(set, shape.rect(), |tile, slots| {
             self.column(shape, tile, slots);
             ControlFlow::Continue(())
@@ -63,7 +63,7 @@ impl FloorSearch {
     /// Ends a search over all tile columns: keeps only those missing pages that could hold a higher floor than the one
     /// found.
     #[inline]
-    pub fn settle<S: PageSet, G: OnPixels>(self, set: &S, shape: &G) -> Self {
+    pub fn settle<G: OnPixels>(self, set: &Snapshot, shape: &G) -> Self {
         match (self.missing, self.best) {
             (Some(_), Some(_)) => Self { missing: None, best: None, ..self }.run(set, shape).or(self.best),
             _ => self,
@@ -85,12 +85,12 @@ impl FloorSearch {
 
     /// Searches the pages of one tile column, from the top down.
     #[inline]
-    pub fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) {
+    pub fn column<G: OnPixels>(&mut self, shape: &G, tile: &Tile, slots: &[PageSlot]) {
         if self.least > self.limit {
             return;
         }
         let heights = Heights { low: self.least, high: self.limit };
-        let mut above: Option<&T> = None;
+        let mut above: Option<&PageSlot> = None;
         for slot in layers(slots, heights).rev() {
             let base = floor_of(slot.layer());
             if base + PAGE_QUANTA < self.least {
@@ -117,12 +117,12 @@ impl FloorSearch {
 
 /// Returns the highest top, from `least` to `limit` [0..=16320], of a floor span of the page in the footprint.
 #[inline]
-fn highest_top<G: OnPixels, T: PageSlot>(
+fn highest_top<G: OnPixels>(
     place: &PageUnder<'_>,
     shape: &G,
     mut least: u32,
     limit: u32,
-    above: Option<&T>,
+    above: Option<&PageSlot>,
 ) -> Option<u32> {
     const END: u32 = PAGE_QUANTA as u32;
     // A span that ends at the page's end may continue in the page above, so its pixel needs a closer look.
@@ -202,7 +202,7 @@ fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
 
 /// Returns whether floor that ends at the page's end in pixel (`px`, `py`) continues in the page above. If that page is
 /// not in memory, the search, which runs from the top down, has already noted it as missing.
-fn goes_on<T: PageSlot>(above: Option<&T>, px: u32, py: u32) -> bool {
+fn goes_on(above: Option<&PageSlot>, px: u32, py: u32) -> bool {
     let Some(above) = above else { return false };
     match above.page() {
         Some(page) => starts_with_floor(page, px, py),

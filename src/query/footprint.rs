@@ -6,7 +6,7 @@ use super::grid::{Heights, Rect};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::slice::Page;
 use crate::store::{Missing, note};
-use crate::store::{PageSet, PageSlot};
+use crate::store::{PageSlot, Snapshot};
 use std::ops::ControlFlow;
 
 /// A tile column under a shape.
@@ -48,11 +48,7 @@ pub(super) fn floor_of(layer: i32) -> i64 {
 /// has columns, regardless of the rectangle's size.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
-pub(super) fn for_each_column<S: PageSet>(
-    set: &S,
-    rect: Rect,
-    mut f: impl FnMut(&Tile, &[S::Slot]) -> ControlFlow<()>,
-) {
+pub(super) fn for_each_column(set: &Snapshot, rect: Rect, mut f: impl FnMut(&Tile, &[PageSlot]) -> ControlFlow<()>) {
     let Some(bounds) = set.bounds() else { return };
     let tiles = |first: i64, last: i64, axis: usize| {
         ((first >> 6).max(i64::from(bounds.min[axis])), (last >> 6).min(i64::from(bounds.max[axis])))
@@ -85,11 +81,11 @@ pub(super) fn for_each_column<S: PageSet>(
 /// Calls `f` for those columns of `set` that lie in `tx0..=tx1`, `ty0..=ty1`. A separate function, so that `f` is
 /// inlined in the common case.
 #[inline(never)]
-fn among_all_columns<S: PageSet>(
-    set: &S,
+fn among_all_columns(
+    set: &Snapshot,
     rect: Rect,
     [tx0, tx1, ty0, ty1]: [i64; 4],
-    f: &mut impl FnMut(&Tile, &[S::Slot]) -> ControlFlow<()>,
+    f: &mut impl FnMut(&Tile, &[PageSlot]) -> ControlFlow<()>,
 ) {
     for number in 0..set.column_count() {
         let (tx, ty, slots) = set.column_at(number);
@@ -104,9 +100,9 @@ fn among_all_columns<S: PageSet>(
 /// page below.
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
-pub(super) fn layers<T: PageSlot>(slots: &[T], heights: Heights) -> impl DoubleEndedIterator<Item = &T> + Clone {
-    let below = move |slot: &T| floor_of(slot.layer()) + PAGE_QUANTA < heights.low;
-    let above = move |slot: &T| floor_of(slot.layer()) > heights.high;
+pub(super) fn layers(slots: &[PageSlot], heights: Heights) -> impl DoubleEndedIterator<Item = &PageSlot> + Clone {
+    let below = move |slot: &PageSlot| floor_of(slot.layer()) + PAGE_QUANTA < heights.low;
+    let above = move |slot: &PageSlot| floor_of(slot.layer()) > heights.high;
     // Most columns have few layers, and testing each is faster than a search.
     let (mut first, mut end) = (0, slots.len());
     if slots.len() > 8 {
@@ -139,11 +135,11 @@ impl Touch {
     /// Tests the pages of one tile column; breaks if one of the classes in `until` is found.
     #[cfg_attr(target_family = "wasm", inline)]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
-    pub fn column<G: OnPixels, T: PageSlot>(
+    pub fn column<G: OnPixels>(
         &mut self,
         shape: &G,
         tile: &Tile,
-        slots: &[T],
+        slots: &[PageSlot],
         missing: &mut Option<Missing>,
     ) -> ControlFlow<()> {
         for slot in layers(slots, self.heights) {

@@ -1,7 +1,7 @@
 //! Exact collision queries against a set of pages: does a shape touch anything solid, where is the floor, what does a
 //! ray hit.
 //!
-//! In: a [`PageSet`] (usually a [`Store`](crate::store::Store)) and shapes in world coordinates [m, `f64`]. Out: one of
+//! In: a [`Snapshot`] of pages and shapes in world coordinates [m, `f64`]. Out: one of
 //! three kinds of answers: clear, hit, or "not loaded" with the missing pages. No query allocates, locks or waits.
 //!
 //! # Definition of touching
@@ -59,7 +59,7 @@ pub use sweep::{
     top_under,
 };
 
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use blocks::MATTER;
 use footprint::{Touch, for_each_column};
 use grid::sealed::OnPixels;
@@ -69,7 +69,7 @@ use grid::sealed::OnPixels;
 /// Cost: a few nanoseconds per tile column (64 × 64 pixels) and block (8 × 8 pixels) under the shape, less for a hit.
 /// Exactness: see the [module text](self).
 #[inline]
-pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
+pub fn overlaps<H: Shape>(set: &Snapshot, shape: &H) -> Overlap {
     let shape = shape.on_grid(set.frame());
     let mut touch = Touch::new(&shape, MATTER);
     let mut missing = None;
@@ -89,6 +89,6 @@ pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
-pub fn overlaps_batch<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Overlap]) {
+pub fn overlaps_batch<H: Shape>(set: &Snapshot, shapes: &[H], answers: &mut [Overlap]) {
     batch::overlaps_each(set, shapes, answers);
 }

@@ -7,7 +7,7 @@ use super::floor::FloorSearch;
 use super::footprint::{Touch, for_each_column};
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
-use crate::store::{PageSet, join};
+use crate::store::{Snapshot, join};
 use std::ops::ControlFlow;
 
 /// Result of [`probe`]: contacts of a shape, and the floor under it.
@@ -27,7 +27,7 @@ pub struct Probe {
 ///
 /// Cost: an [`overlaps`](super::overlaps) that does not end before the first obstacle, and a
 /// [`floor_under`](super::floor_under).
-pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
+pub fn probe<H: Shape>(set: &Snapshot, shape: &H) -> Answer<Probe> {
     let shape = shape.on_grid(set.frame());
     let mut touch = Touch::new(&shape, OBSTACLE);
     let mut untouched = None;
@@ -53,6 +53,6 @@ pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
-pub fn probe_batch<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Answer<Probe>]) {
+pub fn probe_batch<H: Shape>(set: &Snapshot, shapes: &[H], answers: &mut [Answer<Probe>]) {
     batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| probe(set, shape));
 }

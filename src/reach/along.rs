@@ -7,7 +7,7 @@
 use super::route::Search;
 use super::{Flood, Pawn, Refusal, Region, Route, Spot, StandingPlaces};
 use crate::query::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::{Monitor, Result};
 use nalgebra::{Point2, Point3};
 
@@ -74,9 +74,9 @@ impl Along {
     /// stop, or if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     ///
     /// [`Refusal::NotConnected`] means that no corridor connected the ends, not that there is no route.
-    pub fn go_on<S: PageSet>(
+    pub fn go_on(
         &mut self,
-        set: &S,
+        set: &Snapshot,
         monitor: &dyn Monitor,
     ) -> Result<Answer<std::result::Result<Route, Refusal>>> {
         loop {
@@ -120,11 +120,11 @@ impl Along {
 
     /// Returns a route to about `ahead` along the guide (m); `None` if the corridor had to be widened first.
     #[allow(clippy::type_complexity)]
-    fn piece<S: PageSet>(
+    fn piece(
         &mut self,
         piece: &mut Piece,
         ahead: f64,
-        set: &S,
+        set: &Snapshot,
         monitor: &dyn Monitor,
     ) -> Result<Answer<std::result::Result<Option<Route>, Refusal>>> {
         let at = self.points[self.points.len() - 1];

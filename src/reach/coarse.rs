@@ -19,7 +19,7 @@ use super::pawn::Grid;
 use super::{MOST_SPANS, Needs, Pawn, Planned, Refusal, Route, Stop};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::query::Answer;
-use crate::store::{PageSet, PageSlot};
+use crate::store::{PageSlot, Snapshot};
 use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::cmp::Reverse;
@@ -89,7 +89,7 @@ impl Coarse {
     /// Creates a plan for the route of `pawn` between two places (m) on `level`; in the air, the floor below counts.
     /// Fails like [`StandingPlaces::new`](super::StandingPlaces::new) for an invalid pawn or a set of pages that is too
     /// large.
-    pub fn new<S: PageSet>(level: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
+    pub fn new(level: &Snapshot, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
         let grid = Grid::new(level, pawn)?;
         let frame = &grid.frame;
         let half = pawn.body.half().min();
@@ -147,7 +147,7 @@ impl Coarse {
 
     /// Continues the search for at most `steps` spans. Fails if `monitor` asks to stop, or if a tile holds more spans
     /// than any scan has ([`Error::Limit`]).
-    pub fn go_on<S: PageSet>(&mut self, level: &S, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
+    pub fn go_on(&mut self, level: &Snapshot, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
         match self.run(level, steps, monitor) {
             ControlFlow::Continue(planned) => planned,
             ControlFlow::Break(stop) => Ok(match stop.answer::<()>()? {
@@ -157,7 +157,7 @@ impl Coarse {
         }
     }
 
-    fn run<S: PageSet>(&mut self, level: &S, steps: usize, monitor: &dyn Monitor) -> Needs<Result<Planned>> {
+    fn run(&mut self, level: &Snapshot, steps: usize, monitor: &dyn Monitor) -> Needs<Result<Planned>> {
         let done = |found| ControlFlow::Continue(Ok(Planned::Done(found)));
         let goal = match self.goal {
             Some(goal) => goal,
@@ -195,7 +195,7 @@ impl Coarse {
         done(Err(Refusal::NotConnected))
     }
 
-    fn expand<S: PageSet>(&mut self, level: &S, number: u32, goal: u32) -> Needs<()> {
+    fn expand(&mut self, level: &Snapshot, number: u32, goal: u32) -> Needs<()> {
         let own = self.nodes[number as usize];
         let mut around = [(0, 0); 8];
         for (place, way) in around.iter_mut().zip(AROUND) {
@@ -240,7 +240,7 @@ impl Coarse {
     }
 
     /// Adds steps over pixels without floor that the footprint spans, if nothing in them obstructs the body.
-    fn bridge<S: PageSet>(&mut self, level: &S, number: u32, way: [i32; 2], goal: u32) -> Needs<()> {
+    fn bridge(&mut self, level: &Snapshot, number: u32, way: [i32; 2], goal: u32) -> Needs<()> {
         let own = self.nodes[number as usize];
         // The feet stand at most the climb height above what lies under their middle.
         let (knees, head) = (own.top + 2 * self.grid.up, own.top - own.unit + self.grid.height);
@@ -325,7 +325,7 @@ impl Coarse {
     }
 
     /// Returns the node under a place, or one beside it.
-    fn under<S: PageSet>(&mut self, level: &S, at: Point3<f64>) -> Needs<Option<u32>> {
+    fn under(&mut self, level: &Snapshot, at: Point3<f64>) -> Needs<Option<u32>> {
         let Some(pixel) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
         let highest = self.grid.level(at.z).saturating_add(self.grid.up);
         for way in std::iter::once([0, 0]).chain(AROUND) {
@@ -339,7 +339,7 @@ impl Coarse {
     }
 
     /// Returns the range of the nodes of a pixel, from below; reads its tile if necessary.
-    fn column<S: PageSet>(&mut self, level: &S, pixel: [i32; 2]) -> Needs<(u32, u32)> {
+    fn column(&mut self, level: &Snapshot, pixel: [i32; 2]) -> Needs<(u32, u32)> {
         if !self.grid.is_inside(pixel) {
             return ControlFlow::Continue((0, 0));
         }
@@ -359,7 +359,7 @@ impl Coarse {
     }
 
     /// Reads the nodes of a tile. Returns the number of the first node of each pixel, and the end.
-    fn read<S: PageSet>(&mut self, level: &S, at: [i32; 2]) -> Needs<Box<[u32]>> {
+    fn read(&mut self, level: &Snapshot, at: [i32; 2]) -> Needs<Box<[u32]>> {
         let corner = at.map(|at| at * 64);
         let columns = Columns::under(level, &self.grid, corner, corner)?;
         let spans = columns.spans();
@@ -470,7 +470,7 @@ impl Coarse {
 
 /// Returns the greatest common divisor of all heights in a page (quanta): about a third of a slice, in sparse pages a
 /// slice.
-fn unit(slot: &impl PageSlot) -> i32 {
+fn unit(slot: &PageSlot) -> i32 {
     let mut unit = SLICE_QUANTA as u32;
     for (.., column) in slot.page().into_iter().flat_map(|page| page.columns()) {
         for span in column {

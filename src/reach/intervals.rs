@@ -7,7 +7,7 @@
 use super::pawn::Grid;
 use super::{MOST_PAGES, MOST_SPANS, Needs, Stop};
 use crate::frame::{PAGE_QUANTA, PageKey};
-use crate::store::{Missing, PageSet, PageSlot, note};
+use crate::store::{Missing, PageSlot, Snapshot, note};
 use std::ops::ControlFlow;
 
 /// Solid from `bottom` to `top` (quanta); `floor` is the highest top of a floor span in it.
@@ -54,12 +54,7 @@ impl Lists {
 
     /// Reads the spans of the pixels from `corner` on (pixels from the first tile), with gaps too low for the body
     /// closed, and the tops of the floors among them; or returns the pages that are needed.
-    pub fn read<S: PageSet>(
-        set: &S,
-        grid: &Grid,
-        corner: [i32; 2],
-        [width, height]: [usize; 2],
-    ) -> Needs<(Self, Floors)> {
+    pub fn read(set: &Snapshot, grid: &Grid, corner: [i32; 2], [width, height]: [usize; 2]) -> Needs<(Self, Floors)> {
         let last = [corner[0] + width as i32 - 1, corner[1] + height as i32 - 1];
         let columns = Columns::under(set, grid, corner, last)?;
         let spans = columns.spans();
@@ -167,14 +162,14 @@ impl Floors {
 }
 
 /// The tile columns under a rectangle of pixels.
-pub struct Columns<'a, T> {
+pub struct Columns<'a> {
     first: [i32; 2],
     width: i32,
-    slots: Vec<&'a [T]>,
+    slots: Vec<&'a [PageSlot]>,
 }
 
-impl<'a, T: PageSlot> Columns<'a, T> {
-    pub fn under<S: PageSet<Slot = T>>(set: &'a S, grid: &Grid, first: [i32; 2], last: [i32; 2]) -> Needs<Self> {
+impl<'a> Columns<'a> {
+    pub fn under(set: &'a Snapshot, grid: &Grid, first: [i32; 2], last: [i32; 2]) -> Needs<Self> {
         let (first, last) = (first.map(|pixel| pixel >> 6), last.map(|pixel| pixel >> 6));
         let mut missing: Option<Missing> = None;
         let mut slots = Vec::new();
@@ -212,7 +207,7 @@ impl<'a, T: PageSlot> Columns<'a, T> {
         sum
     }
 
-    pub fn at(&self, i: i32, j: i32) -> &'a [T] {
+    pub fn at(&self, i: i32, j: i32) -> &'a [PageSlot] {
         self.slots[(((j >> 6) - self.first[1]) * self.width + (i >> 6) - self.first[0]) as usize]
     }
 }

@@ -25,7 +25,7 @@ use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use nalgebra::Point3;
 use std::ops::ControlFlow;
 
@@ -90,7 +90,7 @@ enum There {
 impl Region {
     /// Returns all leaks, sorted by place (y, x, z). Needs the pages of the tiles that hold open pixels, and of those
     /// around them. Fails if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
-    pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Result<Answer<Vec<Leak>>> {
+    pub fn leaks(&self, standing: &mut StandingPlaces, set: &Snapshot) -> Result<Answer<Vec<Leak>>> {
         let survey = Survey { region: self, standing, set, last: None, marks: Vec::new(), gaps: Vec::new() };
         answer(survey.leaks())
     }
@@ -223,10 +223,10 @@ impl Stretch {
     }
 }
 
-struct Survey<'a, S> {
+struct Survey<'a> {
     region: &'a Region,
     standing: &'a mut StandingPlaces,
-    set: &'a S,
+    set: &'a Snapshot,
     /// The last tile and its number.
     last: Option<([i32; 2], usize)>,
     /// For each tile of the standing places, twice the number of the last gap that was flooded at each pixel, plus one
@@ -235,7 +235,7 @@ struct Survey<'a, S> {
     gaps: Vec<Gap>,
 }
 
-impl<S: PageSet> Survey<'_, S> {
+impl Survey<'_> {
     fn leaks(mut self) -> Needs<Vec<Leak>> {
         let brinks = self.brinks()?;
         let mut stretches = Vec::new();

@@ -1,6 +1,6 @@
 //! Where a pawn can walk: standing places, regions that can be reached on foot, routes, passages and leaks.
 //!
-//! Input: a [`PageSet`](crate::store::PageSet) and a [`Pawn`]. Output: [`StandingPlaces`], the standing places,
+//! Input: a [`Snapshot`](crate::store::Snapshot) and a [`Pawn`]. Output: [`StandingPlaces`], the standing places,
 //! computed tile by tile; [`Region`], those that can be reached from one of them, with area, clearance,
 //! [passages](Region::passages) and [leaks](Leak); and routes ([`Search`]). Nothing is precomputed: the places of each
 //! pawn come from the spans.

@@ -1,7 +1,7 @@
 //! A pawn on a grid: its dimensions in pixels and quanta.
 
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::walk::{Body, FLOOR_NEAR_M, pixels_beside};
 use crate::{Error, Parameter, Result};
 use std::sync::Arc;
@@ -87,7 +87,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
+    pub fn new(set: &Snapshot, pawn: Pawn) -> Result<Self> {
         pawn.check()?;
         let frame = *set.frame();
         let (min, max) = set.bounds().map_or(([0; 3], [0; 3]), |bounds| (bounds.min, bounds.max));

@@ -2,7 +2,7 @@
 
 use super::{Flood, Pawn, Refusal, Region, Route, Search, Spot, StandingPlaces};
 use crate::query::Answer;
-use crate::store::{Missing, PageSet};
+use crate::store::{Missing, Snapshot};
 use crate::{Monitor, Result};
 use nalgebra::Point3;
 
@@ -48,7 +48,7 @@ pub struct Planner {
 impl Planner {
     /// Creates a plan for the route of `pawn` between two places (m); in the air, the floor below counts. Fails like
     /// [`StandingPlaces::new`] for an invalid pawn or a set of pages that is too large.
-    pub fn new<S: PageSet>(set: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
+    pub fn new(set: &Snapshot, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
         let length = STRETCH * (to - from).xy().norm() + ROUND_M;
         let standing = StandingPlaces::new(set, pawn)?;
         Ok(Self {
@@ -78,7 +78,7 @@ impl Planner {
 
     /// Continues for about `steps` places, or to the end of one search. Fails if `monitor` asks to stop, or if a tile
     /// holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
-    pub fn go_on<S: PageSet>(&mut self, set: &S, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
+    pub fn go_on(&mut self, set: &Snapshot, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
         for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
             if self.spots[end].is_none() {
                 match self.standing.spot(set, self.ends[end])? {

@@ -7,7 +7,7 @@ use super::standing::{Kind, Spot, StandingPlaces, Step};
 use super::{Needs, answer};
 use crate::frame::PageKey;
 use crate::query::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::ops::ControlFlow;
@@ -32,7 +32,7 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 /// use slicewalk::query::Answer;
 /// use slicewalk::reach::{Flood, StandingPlaces, Pawn};
 /// use slicewalk::slice::{PageBuilder, Span};
-/// use slicewalk::store::Store;
+/// use slicewalk::store::Snapshot;
 /// use slicewalk::walk::Body;
 ///
 /// let mut builder = PageBuilder::default();
@@ -40,7 +40,7 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 ///     assert!(builder.set_column(px, py, &[Span::new(0, 10, false).unwrap()])); // a floor of 3.2 × 3.2 m
 /// }
 /// let key = PageKey { tx: 0, ty: 0, layer: 0 };
-/// let store = Store::from_pages(Frame::new(0.05, 0.15)?, [(key, builder.build())]);
+/// let store = Snapshot::from_pages(Frame::new(0.05, 0.15)?, [(key, builder.build())]);
 ///
 /// let mut standing = StandingPlaces::new(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }))?;
 /// let Answer::Known(Some(start)) = standing.spot(&store, Point3::new(1.0, 1.0, 0.1))? else { panic!("it is all floor") };
@@ -73,11 +73,11 @@ impl Flood {
 
     /// Creates a flood from all standing places of the set at once, for routes between any two of them. Load the pages
     /// that are missing, and call again. Fails if a tile holds more spans than any scan has ([`Error::Limit`]).
-    pub fn everywhere<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Result<Answer<Self>> {
+    pub fn everywhere(standing: &mut StandingPlaces, set: &Snapshot) -> Result<Answer<Self>> {
         answer(Self::all(standing, set))
     }
 
-    fn all<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Needs<Self> {
+    fn all(standing: &mut StandingPlaces, set: &Snapshot) -> Needs<Self> {
         // The feet are supported within a pixel of their middle, so a place may lie in the next tile.
         let mut corners: Vec<[i32; 2]> = (0..set.column_count())
             .flat_map(|number| {
@@ -130,12 +130,7 @@ impl Flood {
 
     /// Continues until everything is reached or pages are missing: load them and call again. Fails if `monitor` asks to
     /// stop, or if a tile holds more spans than any scan has ([`Error::Limit`]).
-    pub fn grow<S: PageSet>(
-        &mut self,
-        standing: &mut StandingPlaces,
-        set: &S,
-        monitor: &dyn Monitor,
-    ) -> Result<Answer<()>> {
+    pub fn grow(&mut self, standing: &mut StandingPlaces, set: &Snapshot, monitor: &dyn Monitor) -> Result<Answer<()>> {
         Ok(match self.grow_some(standing, set, usize::MAX, monitor)? {
             Answer::Known(_) => Answer::Known(()),
             Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
@@ -143,10 +138,10 @@ impl Flood {
     }
 
     /// Like [`grow`](Self::grow), but visits at most `steps` places. Returns whether everything is reached.
-    pub fn grow_some<S: PageSet>(
+    pub fn grow_some(
         &mut self,
         standing: &mut StandingPlaces,
-        set: &S,
+        set: &Snapshot,
         steps: usize,
         monitor: &dyn Monitor,
     ) -> Result<Answer<bool>> {
@@ -168,10 +163,10 @@ impl Flood {
         Ok(Answer::Known(self.open.is_empty()))
     }
 
-    fn spread<S: PageSet>(
+    fn spread(
         &mut self,
         standing: &mut StandingPlaces,
-        set: &S,
+        set: &Snapshot,
         (pixel, place): ([i32; 2], usize),
     ) -> Needs<()> {
         if !self.is_near(&standing.grid, pixel) {

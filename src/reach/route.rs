@@ -23,7 +23,7 @@ use super::region::{NO_PLACE, Region};
 use super::standing::Spot;
 use super::{Needs, Stop};
 use crate::query::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::walk::{Config, State, Walker, Waypoints};
 use crate::{Error, Monitor, Result};
 use nalgebra::Point3;
@@ -180,9 +180,9 @@ impl Search {
     /// Returns a route between two places of `region` that is at most 5 % longer than the shortest one and that a
     /// [`Walker`] has followed in `set`; `None` if there is no route. Load pages that are missing, and call again with
     /// the same arguments. Fails only if `monitor` asks to stop.
-    pub fn route<S: PageSet>(
+    pub fn route(
         &mut self,
-        set: &S,
+        set: &Snapshot,
         region: &Region,
         from: &Spot,
         to: &Spot,
@@ -195,9 +195,9 @@ impl Search {
     }
 
     /// Returns a route between two numbered places, like [`route`](Self::route).
-    pub(super) fn between<S: PageSet>(
+    pub(super) fn between(
         &mut self,
-        set: &S,
+        set: &Snapshot,
         region: &Region,
         ends: [u32; 2],
         monitor: &dyn Monitor,
@@ -588,7 +588,7 @@ fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
 
 impl Trial {
     /// Follows the path to its end. Returns the route, or the steps that the walker could not take.
-    fn follow<S: PageSet>(&mut self, set: &S, region: &Region) -> Needs<std::result::Result<Route, Vec<(u32, u32)>>> {
+    fn follow(&mut self, set: &Snapshot, region: &Region) -> Needs<std::result::Result<Route, Vec<(u32, u32)>>> {
         while let Some(&next) = self.next.last() {
             let [from, to] = [self.at, next].map(|at| self.way[at]);
             if let Some(walkers) = walked(set, region, self.walkers.clone(), to)? {
@@ -628,7 +628,7 @@ fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
 }
 
 /// Returns the walkers after each went straight to a place, if both got there.
-fn walked<S: PageSet>(set: &S, region: &Region, mut walkers: Walkers, place: u32) -> Needs<Option<Walkers>> {
+fn walked(set: &Snapshot, region: &Region, mut walkers: Walkers, place: u32) -> Needs<Option<Walkers>> {
     for walker in &mut walkers {
         if !arrives(set, region, walker, place)? {
             return ControlFlow::Continue(None);
@@ -638,7 +638,7 @@ fn walked<S: PageSet>(set: &S, region: &Region, mut walkers: Walkers, place: u32
 }
 
 /// Moves a walker straight to a place and returns whether it got there.
-fn arrives<S: PageSet>(set: &S, region: &Region, walker: &mut Walker, place: u32) -> Needs<bool> {
+fn arrives(set: &Snapshot, region: &Region, walker: &mut Walker, place: u32) -> Needs<bool> {
     let to = region.feet(place);
     let Ok(mut waypoints) = Waypoints::new(vec![to.xy()]) else { return ControlFlow::Continue(false) };
     let (speed, tick_s) = (walker.config().speed, walker.config().tick_s);

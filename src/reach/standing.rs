@@ -6,7 +6,7 @@ use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use nalgebra::{Point2, Point3};
 use std::ops::ControlFlow;
 
@@ -112,7 +112,7 @@ pub struct StandingPlaces {
 impl StandingPlaces {
     /// Creates the standing places of `pawn` in `set` without computing any tile. Fails for an invalid pawn, and for a
     /// set of pages larger than 2²⁴ tiles or 2¹⁶ layers.
-    pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
+    pub fn new(set: &Snapshot, pawn: Pawn) -> Result<Self> {
         Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: TileNumbers::default() })
     }
 
@@ -130,11 +130,11 @@ impl StandingPlaces {
     /// Returns the standing place at or under `at` (m): on the highest solid below it, however deep, or above it by at
     /// most the climb height. `None` if the pawn cannot stand there. Fails if a tile holds more spans than any scan has
     /// ([`Error::Limit`](crate::Error::Limit)).
-    pub fn spot<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Result<Answer<Option<Spot>>> {
+    pub fn spot(&mut self, set: &Snapshot, at: Point3<f64>) -> Result<Answer<Option<Spot>>> {
         answer(self.find(set, at))
     }
 
-    fn find<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Needs<Option<Spot>> {
+    fn find(&mut self, set: &Snapshot, at: Point3<f64>) -> Needs<Option<Spot>> {
         let Some(pixel) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
         let level = self.grid.level(at.z);
         let tile = self.tile(set, pixel)?;
@@ -151,11 +151,11 @@ impl StandingPlaces {
     ///
     /// Distances count across the ground and upwards. Downwards they count only to places that something covers,
     /// because in the air the floor below counts. Of equally near places the first along y, then x, then z wins.
-    pub fn snapped<S: PageSet>(&mut self, set: &S, at: Point3<f64>, snap: f64) -> Result<Answer<Option<Snapped>>> {
+    pub fn snapped(&mut self, set: &Snapshot, at: Point3<f64>, snap: f64) -> Result<Answer<Option<Snapped>>> {
         answer(self.snap(set, at, snap))
     }
 
-    fn snap<S: PageSet>(&mut self, set: &S, at: Point3<f64>, snap: f64) -> Needs<Option<Snapped>> {
+    fn snap(&mut self, set: &Snapshot, at: Point3<f64>, snap: f64) -> Needs<Option<Snapped>> {
         if let Some(spot) = self.find(set, at)? {
             return ControlFlow::Continue(Some(self.snapped_to(spot, 0.0)));
         }
@@ -187,11 +187,11 @@ impl StandingPlaces {
     /// within `snap` (m) that has any.
     ///
     /// Distances are horizontal. Among equally near pixels, the first along y, then x, wins.
-    pub fn snapped_over<S: PageSet>(&mut self, set: &S, at: Point2<f64>, snap: f64) -> Result<Answer<Vec<Snapped>>> {
+    pub fn snapped_over(&mut self, set: &Snapshot, at: Point2<f64>, snap: f64) -> Result<Answer<Vec<Snapped>>> {
         answer(self.snap_over(set, at, snap))
     }
 
-    fn snap_over<S: PageSet>(&mut self, set: &S, at: Point2<f64>, snap: f64) -> Needs<Vec<Snapped>> {
+    fn snap_over(&mut self, set: &Snapshot, at: Point2<f64>, snap: f64) -> Needs<Vec<Snapped>> {
         let Some(middle) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(Vec::new()) };
         let mut best = self.over(set, middle, 0.0)?;
         if !best.is_empty() {
@@ -212,7 +212,7 @@ impl StandingPlaces {
     }
 
     /// Returns the standing places over `pixel`, lowest first.
-    fn over<S: PageSet>(&mut self, set: &S, pixel: [i32; 2], moved: f64) -> Needs<Vec<Snapped>> {
+    fn over(&mut self, set: &Snapshot, pixel: [i32; 2], moved: f64) -> Needs<Vec<Snapped>> {
         if !self.grid.is_inside(pixel) {
             return ControlFlow::Continue(Vec::new());
         }
@@ -235,7 +235,7 @@ impl StandingPlaces {
     }
 
     /// Returns the number of the tile with `pixel`, which lies in the grid; computes it if necessary.
-    pub(super) fn tile<S: PageSet>(&mut self, set: &S, pixel: [i32; 2]) -> Needs<usize> {
+    pub(super) fn tile(&mut self, set: &Snapshot, pixel: [i32; 2]) -> Needs<usize> {
         let at = [pixel[0] >> 6, pixel[1] >> 6];
         if let Some(number) = self.numbers.get(at) {
             return ControlFlow::Continue(number);
@@ -288,7 +288,7 @@ impl Grid {
 }
 
 /// Computes the blocks of the tile `at`, or returns the pages that are needed.
-fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
+fn compute(set: &Snapshot, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
     // One more pixel, for steps across the border of the tile.
     let margin = grid.half.map(|half| half + grid.ahead + 1);
     let corner = [0, 1].map(|axis| at[axis] * TILE as i32 - margin[axis]);

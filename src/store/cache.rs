@@ -2,13 +2,14 @@
 //!
 //! A run of pages is claimed together with a reservation of the memory that it will take, and settled when it is
 //! decoded. Memory is reserved before a read, so the budget holds at every moment. It covers the table of pages, pages
-//! in memory, pages that views still hold, bytes in flight, and the scratch memory of decoding.
+//! in memory, pages that snapshots still hold, bytes in flight, and the scratch memory of decoding.
 
 use super::account::{Account, Room};
 use super::fetch::{PageError, Time};
+use super::index::Index;
 use super::outlook::{Outlook, distance};
 use super::publish::{Current, Retired};
-use super::snapshot::{Held, Index, Snapshot, View};
+use super::snapshot::{Held, Slots, Snapshot};
 use super::start::pause_after;
 use super::tally::Counters;
 use crate::archive::{PageDecoder, PageEntry, Storage};
@@ -98,7 +99,7 @@ pub(super) enum Claim {
     Done,
     /// The rest is in flight.
     Busy,
-    /// The rest does not fit in the budget; `true` if it may fit once views are dropped.
+    /// The rest does not fit in the budget; `true` if it may fit once snapshots are dropped.
     NoRoom(bool),
 }
 
@@ -107,16 +108,16 @@ type Wants<'a> = (&'a Order, &'a dyn Fn(u32) -> bool);
 
 /// Access to the newest snapshot for any number of readers on any threads, which never wait.
 #[derive(Clone)]
-pub struct Views {
+pub struct Snapshots {
     pub(super) index: Arc<Index>,
-    pub(super) current: Arc<Current<Snapshot>>,
+    pub(super) current: Arc<Current<Slots>>,
 }
 
-impl Views {
+impl Snapshots {
     /// Returns the pages in memory now. Lock-free; allocates nothing.
     #[inline]
-    pub fn view(&self) -> View {
-        View { index: self.index.clone(), snapshot: self.current.get() }
+    pub fn newest(&self) -> Snapshot {
+        Snapshot::new(self.index.table().clone(), self.current.get())
     }
 
     /// Returns the pages that a body touches before it moves; empty if the outlook is invalid.
@@ -131,19 +132,19 @@ impl Views {
     }
 }
 
-impl std::fmt::Debug for Views {
+impl std::fmt::Debug for Snapshots {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Views").field("pages", &self.index.len()).finish_non_exhaustive()
+        f.debug_struct("Snapshots").field("pages", &self.index.len()).finish_non_exhaustive()
     }
 }
 
 #[derive(Debug)]
 pub(super) struct Cache {
-    pub views: Views,
+    pub snapshots: Snapshots,
     account: Arc<Account>,
     _table: Room,
-    snapshot: Arc<Snapshot>,
-    retired: Retired<Snapshot>,
+    slots: Arc<Slots>,
+    retired: Retired<Slots>,
     resident: HashMap<u32, Resident>,
     /// Bytes of the resident pages, and reservations of everything else: the table and runs in flight.
     weight: usize,
@@ -162,15 +163,15 @@ pub(super) struct Cache {
 
 impl Cache {
     pub fn new(index: Arc<Index>, table: Room, account: Arc<Account>, run_bytes: usize) -> Self {
-        let snapshot = Arc::new(Snapshot::empty(&index));
+        let slots = Arc::new(index.empty_slots());
         let longest_run = run_bytes.min(account.budget() / 8) as u64;
-        let views = Views { index, current: Arc::new(Current::new(snapshot.clone())) };
+        let snapshots = Snapshots { index, current: Arc::new(Current::new(slots.clone())) };
         Self {
-            views,
+            snapshots,
             account,
             reserved: table.bytes(),
             _table: table,
-            snapshot,
+            slots,
             retired: Retired::default(),
             resident: HashMap::new(),
             weight: 0,
@@ -185,13 +186,13 @@ impl Cache {
     }
 
     pub fn index(&self) -> &Arc<Index> {
-        &self.views.index
+        &self.snapshots.index
     }
 
     /// Adopts the pages that the hints want now.
     pub fn replan(&mut self, order: &Order, counters: &mut Counters) {
         for (&page, &time) in &order.times {
-            match self.resident.get_mut(&self.views.index.content(page)) {
+            match self.resident.get_mut(&self.snapshots.index.content(page)) {
                 Some(resident) => resident.touched |= time <= 0.0,
                 None => counters.requested += u64::from(!self.times.contains_key(&page)),
             }
@@ -214,7 +215,7 @@ impl Cache {
         let mut claim = Claim::Done;
         while let Some(&(time, page)) = order.pages.get(cursor) {
             cursor += 1;
-            let content = self.views.index.content(page);
+            let content = self.snapshots.index.content(page);
             if let Some(resident) = self.resident.get_mut(&content) {
                 if !resident.pages.contains(&page) {
                     resident.pages.push(page);
@@ -248,7 +249,7 @@ impl Cache {
     /// Claims `page` and wanted pages near it in the file; returns [`Claim::Done`] if it needed no bytes.
     fn claim_run(&mut self, wants: Wants, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
         let order = wants.0;
-        let content = self.views.index.content(page);
+        let content = self.snapshots.index.content(page);
         let (mut bytes, mut contents) = self.run_around(order, content, now);
         contents[0].1 = page;
         let mut room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
@@ -269,7 +270,7 @@ impl Cache {
         }
         let run = PageRun { bytes, contents, needed_in: time, room };
         if run.bytes.is_empty() {
-            let page = PageDecoder::new().decode(self.views.index.entry(content), &[]);
+            let page = PageDecoder::new().decode(self.snapshots.index.entry(content), &[]);
             // A uniform page is fully described by the directory, so decoding cannot fail.
             self.settle(run, vec![page], counters);
             return Claim::Done;
@@ -279,15 +280,15 @@ impl Cache {
 
     /// Returns the byte range of a page; empty if the page is uniform.
     fn extent(&self, content: u32) -> Range<u64> {
-        let extent = self.views.index.entry(content).extent();
+        let extent = self.snapshots.index.entry(content).extent();
         extent.map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
     }
 
     /// Returns the memory for a run: its bytes, its pages, and the scratch memory of decoding them in turn.
     fn need(&self, bytes: &Range<u64>, contents: &[(u32, u32)]) -> usize {
-        let entries = || contents.iter().map(|&(content, _)| self.views.index.entry(content));
+        let entries = || contents.iter().map(|&(content, _)| self.snapshots.index.entry(content));
         // To drop its inferred spans, a page is built a second time.
-        let whole = |entry: &PageEntry| if self.views.index.ignores_inferred() { entry.weight_bytes() } else { 0 };
+        let whole = |entry: &PageEntry| if self.snapshots.index.ignores_inferred() { entry.weight_bytes() } else { 0 };
         let decoding = |entry: &PageEntry| PageDecoder::scratch_bytes(entry.size);
         let scratch = entries().map(|entry| decoding(entry) + whole(entry)).max().unwrap_or(0);
         (bytes.end - bytes.start) as usize + scratch + entries().map(|entry| entry.weight_bytes()).sum::<usize>()
@@ -295,8 +296,8 @@ impl Cache {
 
     /// Returns the budget in which all pages of `order` fit at once (bytes).
     pub fn needed_bytes(&self, order: &Order) -> usize {
-        let contents: HashSet<u32> = order.pages.iter().map(|&(_, page)| self.views.index.content(page)).collect();
-        let weight = |content: &u32| self.views.index.entry(*content).weight_bytes();
+        let contents: HashSet<u32> = order.pages.iter().map(|&(_, page)| self.snapshots.index.content(page)).collect();
+        let weight = |content: &u32| self.snapshots.index.entry(*content).weight_bytes();
         let pages: usize = contents.iter().map(weight).sum();
         let read = |content: &u32| self.need(&self.extent(*content), &[(*content, *content)]) - weight(content);
         self._table.bytes() + pages + contents.iter().map(read).max().unwrap_or(0)
@@ -304,7 +305,7 @@ impl Cache {
 
     /// Returns the byte range around `content` that covers wanted neighbours, and the contents to decode from it.
     fn run_around(&self, order: &Order, content: u32, now: Time) -> (Range<u64>, Vec<(u32, u32)>) {
-        let index = &self.views.index;
+        let index = &self.snapshots.index;
         let (mut contents, mut bytes) = (vec![(content, content)], self.extent(content));
         if bytes.is_empty() || self.alone.contains(&content) {
             return (bytes, contents);
@@ -338,22 +339,22 @@ impl Cache {
             return Some(room);
         }
         let (used, budget) = (self.account.used(), self.account.budget());
-        // Pages held by views alone are released without further eviction.
-        let held_by_views = used.saturating_sub(self.weight + self.reserved);
-        let need = (used - held_by_views).saturating_add(bytes).saturating_sub(budget);
+        // Pages held by snapshots alone are released without further eviction.
+        let held_by_snapshots = used.saturating_sub(self.weight + self.reserved);
+        let need = (used - held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
         let mut victims = match self.victims.take() {
             Some(victims) if !wants.0.explicit => victims,
             _ => self.victims(wants),
         };
         let (mut gain, mut count) = (0, 0);
         for &(needed, content) in victims.iter().rev() {
-            // Evict a little more than is needed now, so that the next run need not wait for views to be dropped.
+            // Evict a little more than is needed now, so that the next run need not wait for snapshots to be dropped.
             let enough = if needed.is_infinite() { need + budget / 16 } else { need };
             if gain >= enough || needed <= time {
                 break;
             }
             count += 1;
-            gain += self.resident.get(&content).map_or(0, |resident| resident.held.room.bytes());
+            gain += self.resident.get(&content).map_or(0, |resident| resident.held.reserved_bytes());
         }
         let room = (gain >= need).then(|| {
             let gone = victims.split_off(victims.len() - count);
@@ -379,7 +380,7 @@ impl Cache {
                 hinted.min(order.times.get(page).copied().unwrap_or(f32::INFINITY))
             };
             let time = resident.pages.iter().map(time).fold(f32::INFINITY, f32::min);
-            let apart = resident.pages.iter().map(|page| distance(self.views.index.key(*page), &focus)).min();
+            let apart = resident.pages.iter().map(|page| distance(self.snapshots.index.key(*page), &focus)).min();
             (time, apart, content)
         };
         let mut ranked: Vec<_> = self.resident.iter().map(rank).filter(|(time, ..)| *time > 0.0).collect();
@@ -391,7 +392,7 @@ impl Cache {
         let mut changes = Vec::new();
         for content in contents {
             let Some(resident) = self.resident.remove(&content) else { continue };
-            self.weight -= resident.held.room.bytes();
+            self.weight -= resident.held.reserved_bytes();
             counters.evicted += 1;
             counters.wasted += u64::from(!resident.touched);
             changes.extend(resident.pages.into_iter().map(|page| (page, None)));
@@ -402,9 +403,9 @@ impl Cache {
     }
 
     fn publish(&mut self, mut changes: Vec<(u32, Option<Arc<Held>>)>) {
-        let next = Arc::new(self.snapshot.with(&self.views.index, &mut changes));
-        self.views.current.publish(&next);
-        self.retired.push(std::mem::replace(&mut self.snapshot, next));
+        let next = Arc::new(self.slots.with(self.snapshots.index.table(), &mut changes));
+        self.snapshots.current.publish(&next);
+        self.retired.push(std::mem::replace(&mut self.slots, next));
         self.retired.reclaim();
     }
 
@@ -424,7 +425,7 @@ impl Cache {
             let decoded = match decoded {
                 Ok(decoded) => decoded,
                 Err(error) => {
-                    failures.push((content, PageError { key: self.views.index.key(page), error }));
+                    failures.push((content, PageError { key: self.snapshots.index.key(page), error }));
                     continue;
                 }
             };
@@ -432,7 +433,7 @@ impl Cache {
             // Equals the directory's size of the page, which the decoder checked (rule P11).
             let room = room.split(decoded.weight_bytes());
             self.weight += room.bytes();
-            let held = Arc::new(Held { page: decoded, room });
+            let held = Arc::new(Held { page: decoded, room: Some(room) });
             let touched = self.times.get(&page).is_some_and(|time| *time <= 0.0);
             changes.push((page, Some(held.clone())));
             self.resident.insert(content, Resident { held, pages: vec![page], touched });
@@ -474,7 +475,7 @@ impl Cache {
     /// Returns whether `order` wants a page that is neither in memory nor in flight and may be tried now.
     pub fn is_absent(&self, order: &Order, now: Time) -> bool {
         let absent = |&(_, page): &(f32, u32)| {
-            let content = self.views.index.content(page);
+            let content = self.snapshots.index.content(page);
             let known = self.resident.contains_key(&content) || self.in_flight.contains(&content);
             !known && (order.explicit || self.may_try(content, now))
         };
@@ -484,12 +485,14 @@ impl Cache {
     /// Returns the number of pages of `order` that are not in memory under their own slots.
     pub fn absent(&self, order: &Order) -> usize {
         let holds = |page: u32| {
-            self.resident.get(&self.views.index.content(page)).is_some_and(|resident| resident.pages.contains(&page))
+            self.resident
+                .get(&self.snapshots.index.content(page))
+                .is_some_and(|resident| resident.pages.contains(&page))
         };
         order.pages.iter().filter(|(_, page)| !holds(*page)).count()
     }
 
-    /// Returns the number of pages in memory and their bytes, without those that only views hold.
+    /// Returns the number of pages in memory and their bytes, without those that only snapshots hold.
     pub fn resident(&self) -> (usize, usize) {
         (self.resident.len(), self.weight)
     }

@@ -7,10 +7,10 @@
 use super::account::{Account, Room};
 use super::by_id::ById;
 use super::fetch::Time;
+use super::index::Index;
 use super::loader::Loader;
-use super::snapshot::{Index, View};
+use super::snapshot::Snapshot;
 use super::start::{pause_after, short_answer};
-use super::{PageSet, PageSlot};
 use crate::archive::{Catalog, ColourEntry, ColourTable};
 use crate::frame::PageKey;
 use crate::slice::{Colours, Occupancy, Page};
@@ -279,7 +279,7 @@ impl ColourLoader {
     /// Decodes the colours of the next page whose bytes have arrived; takes about 0.3 ms. Skips pages that are no longer
     /// in memory. Damage is an error of that page alone. Returns `None` if there is nothing to decode or, while
     /// [`has_decodable`](Self::has_decodable) is true, until the budget has room.
-    pub fn decode(&mut self, view: &View) -> Option<(PageKey, Result<Colours>)> {
+    pub fn decode(&mut self, view: &Snapshot) -> Option<(PageKey, Result<Colours>)> {
         loop {
             let Some(&(number, entry)) = self.here.as_ref()?.pages.last() else {
                 self.here = None;
@@ -308,7 +308,7 @@ impl ColourLoader {
     }
 }
 
-fn loaded(view: &View, key: PageKey) -> Option<&Page> {
+fn loaded(view: &Snapshot, key: PageKey) -> Option<&Page> {
     view.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer)?.page()
 }
 
@@ -417,7 +417,7 @@ mod tests {
         let bytes = archive(false);
         let mut reader = ColourReader::new(&Archive::from_bytes(bytes.clone()).unwrap()).unwrap().unwrap();
         let loader = whole(&bytes, 64 << 20);
-        let view = loader.view().unwrap();
+        let view = loader.snapshot().unwrap();
         let mut colours = loader.colours().unwrap();
         assert_eq!(colours.poll(Time::ZERO), None, "nothing is wanted");
         let mut wanted = keys(&Archive::from_bytes(bytes.clone()).unwrap());
@@ -463,7 +463,7 @@ mod tests {
         let table = level.catalog().level_colours_range().unwrap();
         let mut reader = ColourReader::new(&level).unwrap().unwrap();
         let loader = whole_of(&level, &bytes, 64 << 20);
-        let view = loader.view().unwrap();
+        let view = loader.snapshot().unwrap();
         for damage in [None, Some(table.start), Some(table.end - 1)] {
             let mut damaged = bytes.clone();
             damage.into_iter().for_each(|at| damaged[at as usize] ^= 1);
@@ -512,7 +512,7 @@ mod tests {
         drop(taken);
         assert!(colours.poll(Time::ZERO).is_some());
         // Every bit of the table, of the leaf and of a block.
-        let (view, catalog) = (loader.view().unwrap(), archive_of(&bytes));
+        let (view, catalog) = (loader.snapshot().unwrap(), archive_of(&bytes));
         let section = catalog.catalog().colours_section().unwrap();
         for byte in section.clone().step_by(((section.end - section.start) / 60) as usize).chain([section.end - 1]) {
             let mut damaged = bytes.clone();
@@ -545,7 +545,7 @@ mod tests {
                 let stream = Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap();
                 stream.load(&all, all[0]).unwrap();
                 let resident: Vec<_> =
-                    all.iter().copied().filter(|key| loaded(&stream.view(), *key).is_some()).collect();
+                    all.iter().copied().filter(|key| loaded(&stream.snapshot(), *key).is_some()).collect();
                 assert!(resident.len() > 8, "{budget}: {} pages", resident.len());
                 stream.want_colours(&resident);
                 let start = std::time::Instant::now();
@@ -602,7 +602,7 @@ mod tests {
                 let taken = stream.take_colours();
                 assert!(taken.len() <= 16);
                 for (key, colours) in taken {
-                    let view = stream.view();
+                    let view = stream.snapshot();
                     assert_eq!(colours.unwrap(), reader.colours_of(key, loaded(&view, key).unwrap()).unwrap());
                     found.insert(key);
                 }

@@ -1,6 +1,6 @@
 //! Messages between a [`Loader`](super::Loader) and its driver: bytes to fetch, bytes to decode, reports.
 
-use super::snapshot::Index;
+use super::index::Index;
 use crate::archive::{Catalog, PageDecoder, PageEntry};
 use crate::frame::PageKey;
 use crate::slice::{Page, PageSize};

@@ -2,12 +2,12 @@
 
 use super::account::Account;
 use super::by_id::ById;
-use super::cache::{Cache, Claim, Order, PageRun, Views};
+use super::cache::{Cache, Claim, Order, PageRun, Snapshots};
 use super::fetch::{Decode, Decoded, Fetch, FetchId, Made, Next, PageError, Time, Work};
 use super::missing::Missing;
 use super::outlook::Outlook;
 use super::request::{LoadReport, Request, RequestId};
-use super::snapshot::View;
+use super::snapshot::Snapshot;
 use super::start::{Start, StartTurn, short_answer};
 use super::tally::Counters;
 use crate::archive::Catalog;
@@ -19,7 +19,7 @@ use std::time::Duration;
 
 /// The horizon is this many times the latency of a fetch.
 const LATENCIES_AHEAD: u32 = 32;
-/// Interval at which to check whether views were dropped, since dropping one sends no notification.
+/// Interval at which to check whether snapshots were dropped, since dropping one sends no notification.
 const VIEWS_AGAIN: Duration = Duration::from_millis(1);
 /// Most reports kept until the driver polls.
 const REPORTS: usize = 16;
@@ -27,7 +27,7 @@ const REPORTS: usize = 16;
 /// Options of a [`Loader`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoaderOptions {
-    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that views
+    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that snapshots
     /// still hold, bytes in flight, and the scratch memory of decoding them.
     pub budget_bytes: usize,
     /// Least time to look ahead. The time is 32 times the latency of a fetch, clamped to these two limits.
@@ -79,14 +79,14 @@ pub(super) enum Turn {
     Idle,
     /// Everything left is in flight.
     Busy,
-    /// The rest does not fit in the budget; `true` if it may fit once views are dropped.
+    /// The rest does not fit in the budget; `true` if it may fit once snapshots are dropped.
     NoRoom(bool),
     /// A request has finished.
     Ended(Result<LoadReport>),
 }
 
 /// Keeps the pages around moving bodies in memory, under a byte budget. The loader opens the archive, decides what to
-/// fetch, most urgent first, and publishes loaded pages as [`View`]s. Its owner, the driver, transfers the bytes and
+/// fetch, most urgent first, and publishes loaded pages as [`Snapshot`]s. Its owner, the driver, transfers the bytes and
 /// supplies the time.
 ///
 /// The loader has no files, threads, locks or clock. Its methods are of four kinds. **Commands** request pages
@@ -123,7 +123,7 @@ pub(super) enum Turn {
 /// In a game loop, with an engine that fetches and decodes in the background:
 ///
 /// ```
-/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Outlook, Next, Time, View};
+/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Next, Outlook, Snapshot, Time};
 /// # trait Engine { fn fetch(&mut self, fetch: Fetch); fn cancel(&mut self, id: FetchId); fn decode(&mut self, job: Decode);
 /// #     fn arrived(&mut self) -> Option<(FetchId, Vec<u8>)>; fn decoded(&mut self) -> Option<Decoded>; }
 /// fn frame(loader: &mut Loader, pawn: BodyId, outlook: &Outlook, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
@@ -139,7 +139,7 @@ pub(super) enum Turn {
 ///             Next::Fetch(fetch) => engine.fetch(fetch),
 ///             Next::Cancel(id) => engine.cancel(id),
 ///             Next::Report(_) => {}
-///             Next::Wait(_) => return Ok(()), // loader.view() is this frame's
+///             Next::Wait(_) => return Ok(()), // loader.snapshot() is this frame's
 ///         }
 ///     }
 /// }
@@ -222,15 +222,15 @@ impl Loader {
         &self.account
     }
 
-    /// Returns the pages in memory now; `None` until the directory is loaded. Answers from a view do not change, and
+    /// Returns the pages in memory now; `None` until the directory is loaded. Answers from a snapshot do not change, and
     /// its pages stay in memory and count against the budget until it is dropped: take one per frame.
-    pub fn view(&self) -> Option<View> {
-        Some(self.cache.as_ref()?.views.view())
+    pub fn snapshot(&self) -> Option<Snapshot> {
+        Some(self.cache.as_ref()?.snapshots.newest())
     }
 
-    /// Returns a source of views for other threads, which never wait for it; `None` until the directory is loaded.
-    pub fn views(&self) -> Option<Views> {
-        Some(self.cache.as_ref()?.views.clone())
+    /// Returns a source of snapshots for other threads, which never wait for it; `None` until the directory is loaded.
+    pub fn snapshots(&self) -> Option<Snapshots> {
+        Some(self.cache.as_ref()?.snapshots.clone())
     }
 
     /// Returns counts of the loader's work and the memory it holds.
@@ -312,9 +312,9 @@ impl Loader {
             match turn {
                 Turn::Fetch(fetch) => return Ok(Next::Fetch(fetch)),
                 Turn::Idle | Turn::Busy => {}
-                Turn::NoRoom(views) => {
+                Turn::NoRoom(snapshots) => {
                     no_room = true;
-                    if views {
+                    if snapshots {
                         wait(now + VIEWS_AGAIN);
                     }
                 }
@@ -381,7 +381,7 @@ impl Loader {
             Claim::Run(run) => Turn::Fetch(self.launch(run)),
             Claim::Done => Turn::Idle,
             Claim::Busy => Turn::Busy,
-            Claim::NoRoom(views) => Turn::NoRoom(views),
+            Claim::NoRoom(snapshots) => Turn::NoRoom(snapshots),
         }
     }
 

@@ -6,7 +6,7 @@
 //! agility. A body never touches a page before that page's time, so loading in order of time is loading in order of
 //! need.
 
-use super::snapshot::Index;
+use super::index::Index;
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use nalgebra::{Point3, Vector3};
 use std::collections::HashMap;

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::frame::PageKey;
 use std::time::Duration;
 
-/// Time that a request waits for views to be dropped if they hold the memory that it needs.
+/// Time that a request waits for snapshots to be dropped if they hold the memory that it needs.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Identifier of a [`request`](Loader::request).
@@ -37,7 +37,7 @@ pub(super) struct Request {
     evicted: u64,
     /// True while it waits for memory that others will release; later requests and hints then fetch nothing.
     lacks_room: bool,
-    /// Since when it waits only for views.
+    /// Since when it waits only for snapshots.
     waits_since: Option<Time>,
 }
 
@@ -45,7 +45,7 @@ impl Loader {
     /// Requests these pages before all others, nearest to `around` first. The [`outcome`](Self::outcome) is ready when
     /// all are in memory, one has failed, or the rest does not fit. Unknown keys are ignored, because they have no
     /// page. Evicts pages that neither a hint needs now nor an earlier request wants, farthest first. Before it leaves
-    /// out a page, the request waits for everything in flight and up to 0.1 s for views to be dropped; meanwhile, hints
+    /// out a page, the request waits for everything in flight and up to 0.1 s for snapshots to be dropped; meanwhile, hints
     /// and later requests fetch nothing.
     pub fn request(&mut self, keys: &[PageKey], around: PageKey) -> RequestId {
         let id = RequestId(self.name());

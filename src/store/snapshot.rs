@@ -1,234 +1,87 @@
-//! Pages as queries see them: an immutable index of all pages, and snapshots of those in memory.
+//! Pages as queries see them: an immutable table of all pages, and the slots of those in memory at one moment.
 //!
-//! A snapshot is a table of groups, each with the slots of some neighbouring tile columns; the next snapshot shares the
-//! groups in which nothing changed. A reader that holds a snapshot holds all its pages: an evicted page lives until the
-//! last such reader drops its snapshot. Everything here is plain shared data, without locks or `unsafe`, and answers do
-//! not change while a view is held.
+//! The slots are in groups of neighbouring tile columns; the next snapshot shares the groups in which nothing changed. A
+//! reader that holds a snapshot holds all its pages: an evicted page lives until the last such reader drops its
+//! snapshot. Everything here is plain shared data, without locks or `unsafe`, and answers do not change while a snapshot
+//! is held.
 //!
-//! Memory: about 90 bytes a page, in memory or not (entry 48, slot 24, tables). A new snapshot copies the pointers of
-//! all groups and the slots of the groups that change; a table of n pages has about √n groups of √n slots.
+//! Memory: about 40 bytes a page, in memory or not (key 12, slot 24, tables). A new snapshot copies the pointers of all
+//! groups and the slots of the groups that change.
 
 use super::account::Room;
-use super::outlook::Outlook;
-use super::table::{KeyBounds, SlotTable, TileTable};
-use super::{PageSet, PageSlot};
-use crate::archive::{PageEntry, Storage};
+use super::table::{KeyBounds, PageTable};
+use crate::archive::{Archive, PageEntry};
 use crate::frame::{Frame, PageKey};
+use crate::monitor::Monitor;
 use crate::slice::Page;
-use std::collections::HashMap;
+use crate::{Error, Result};
 use std::sync::Arc;
 
-/// A page in memory with its reservation.
+/// A page in memory, with its reservation if a budget covers it.
 #[derive(Debug)]
 pub(super) struct Held {
     pub page: Page,
-    pub room: Room,
+    pub room: Option<Room>,
 }
 
-/// Slot of one page in a [`View`].
+impl Held {
+    pub fn reserved_bytes(&self) -> usize {
+        self.room.as_ref().map_or(0, Room::bytes)
+    }
+}
+
+/// Slot of one page: properties known without loading it, and the page itself if it is in memory.
 #[derive(Debug, Clone)]
-pub struct ViewSlot {
+pub struct PageSlot {
     layer: i32,
     slices: u64,
     page: Option<Arc<Held>>,
 }
 
-impl PageSlot for ViewSlot {
+impl PageSlot {
+    /// Returns the layer of the page.
     #[inline]
-    fn layer(&self) -> i32 {
+    pub fn layer(&self) -> i32 {
         self.layer
     }
 
+    /// Returns the occupied slices of the page as a mask, known even if the page is not in memory.
     #[inline]
-    fn slices(&self) -> u64 {
+    pub fn slices(&self) -> u64 {
         self.slices
     }
 
+    /// Returns the page if it is in memory.
     #[inline]
-    fn page(&self) -> Option<&Page> {
+    pub fn page(&self) -> Option<&Page> {
         self.page.as_deref().map(|held| &held.page)
     }
 }
 
-/// All pages of an archive, numbered from 0 in order of their keys.
+/// The slots of all pages at one moment.
 #[derive(Debug)]
-pub(super) struct Index {
-    frame: Frame,
-    entries: SlotTable<PageEntry>,
-    keys: Box<[PageKey]>,
-    /// For each page, the first page with the same content.
-    contents: Box<[u32]>,
-    /// Maps a tile column to `group << shift | offset`.
-    tiles: TileTable,
-    shift: u32,
-    /// Number of each group's first page, then the number of all pages.
-    groups: Box<[u32]>,
-    /// True if pages are decoded without inferred spans.
-    ignores_inferred: bool,
-}
-
-impl Index {
-    /// Least that a page adds to [`weight_bytes`](Self::weight_bytes).
-    pub const LEAST_PAGE_BYTES: usize =
-        size_of::<PageEntry>() + size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>();
-
-    pub fn new(frame: Frame, entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
-        let contents = contents(&entries);
-        let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();
-        let entries = SlotTable::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
-        let columns = || (0..entries.column_count()).map(|number| entries.column_at(number));
-        let longest = columns().map(|(_, _, slots)| slots.len()).max().unwrap_or(0);
-        // No column is split between groups, so that its slots are contiguous.
-        let size = longest.max(keys.len().isqrt()).max(64).next_power_of_two();
-        let (mut groups, mut first, mut cells) = (vec![0], 0, Vec::new());
-        for (tx, ty, slots) in columns() {
-            let group = groups.len() - 1;
-            let mut offset = first - groups[group] as usize;
-            if offset + slots.len() > size {
-                groups.push(first as u32);
-                offset = 0;
-            }
-            let place = ((groups.len() - 1) * size + offset) as u32;
-            cells.push((tx, ty, place..place + slots.len() as u32));
-            first += slots.len();
-        }
-        groups.push(first as u32);
-        let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
-        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), ignores_inferred }
-    }
-
-    pub fn frame(&self) -> &Frame {
-        &self.frame
-    }
-
-    pub fn ignores_inferred(&self) -> bool {
-        self.ignores_inferred
-    }
-
-    pub fn len(&self) -> usize {
-        self.keys.len()
-    }
-
-    pub fn entry(&self, page: u32) -> &PageEntry {
-        &self.entries.slots()[page as usize]
-    }
-
-    pub fn key(&self, page: u32) -> PageKey {
-        self.keys[page as usize]
-    }
-
-    /// Returns the page that represents all pages of the same content.
-    pub fn content(&self, page: u32) -> u32 {
-        self.contents[page as usize]
-    }
-
-    /// Returns the number of the page with this key.
-    pub fn find(&self, key: PageKey) -> Option<u32> {
-        let range = self.entries.range(key.tx, key.ty);
-        let layers = &self.keys[range.clone()];
-        layers.binary_search_by_key(&key.layer, |key| key.layer).ok().map(|at| (range.start + at) as u32)
-    }
-
-    /// Calls `f` with the numbers of the pages of each tile column with `tx` and `ty` in these inclusive ranges.
-    pub fn for_each_column(&self, [tx0, tx1]: [i32; 2], [ty0, ty1]: [i32; 2], mut f: impl FnMut(std::ops::Range<u32>)) {
-        let Some(bounds) = self.entries.bounds() else { return };
-        let (tx0, tx1) = (tx0.max(bounds.min[0]), tx1.min(bounds.max[0]));
-        let (ty0, ty1) = (ty0.max(bounds.min[1]), ty1.min(bounds.max[1]));
-        if tx0 > tx1 || ty0 > ty1 {
-            return;
-        }
-        let tiles = u64::from(tx1.abs_diff(tx0)).saturating_add(1) * (u64::from(ty1.abs_diff(ty0)) + 1);
-        let mut column = |tx, ty| {
-            let range = self.entries.range(tx, ty);
-            if !range.is_empty() {
-                f(range.start as u32..range.end as u32);
-            }
-        };
-        if tiles > self.entries.column_count() as u64 {
-            for number in 0..self.entries.column_count() {
-                let (tx, ty, _) = self.entries.column_at(number);
-                if (tx0..=tx1).contains(&tx) && (ty0..=ty1).contains(&ty) {
-                    column(tx, ty);
-                }
-            }
-            return;
-        }
-        for ty in ty0..=ty1 {
-            for tx in tx0..=tx1 {
-                column(tx, ty);
-            }
-        }
-    }
-
-    /// Returns the bytes of the index and of the slots of one snapshot.
-    pub fn weight_bytes(&self) -> usize {
-        self.entries.weight_bytes()
-            + self.tiles.weight_bytes()
-            + self.len() * (size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>())
-            + size_of_val::<[u32]>(&self.groups)
-    }
-
-    fn group(&self, page: u32) -> (usize, usize) {
-        let group = self.groups.partition_point(|&first| first <= page) - 1;
-        (group, (page - self.groups[group]) as usize)
-    }
-}
-
-/// Returns, for each entry, the first entry of the same content: stored pages and those that share their bytes, and
-/// uniform pages with equal spans.
-fn contents(entries: &[PageEntry]) -> Box<[u32]> {
-    let mut stored: Vec<(u64, u32)> = Vec::new();
-    let mut uniform = HashMap::new();
-    let number = |(at, entry): (usize, &PageEntry)| {
-        let at = at as u32;
-        match entry.storage {
-            Storage::Stored(extent) => {
-                stored.push((extent.offset, at));
-                at
-            }
-            // An archive whose pages do not ascend is damaged; its pages are then not shared, and reading them reports
-            // the reason.
-            Storage::Shared(extent) => {
-                let found = stored.binary_search_by_key(&extent.offset, |&(offset, _)| offset);
-                let first = found.map_or(at, |found| stored[found].1);
-                let other = &entries[first as usize];
-                let same = other.extent() == Some(extent) && (other.slices, other.size) == (entry.slices, entry.size);
-                if same { first } else { at }
-            }
-            Storage::Uniform(span) => *uniform.entry(span).or_insert(at),
-        }
-    };
-    entries.iter().enumerate().map(number).collect()
-}
-
-/// The pages in memory at one moment.
-#[derive(Debug)]
-pub(super) struct Snapshot {
-    groups: Box<[Arc<[ViewSlot]>]>,
-    /// Bytes of its pages.
+pub(super) struct Slots {
+    groups: Box<[Arc<[PageSlot]>]>,
+    /// Bytes of the pages in memory.
     weight: usize,
 }
 
-impl Snapshot {
-    /// Creates the snapshot without pages in memory.
-    pub fn empty(index: &Index) -> Self {
-        let slot = |entry: &PageEntry| ViewSlot { layer: entry.key.layer, slices: entry.slices, page: None };
-        let groups = index.groups.windows(2).map(|ends| {
-            let entries = &index.entries.slots()[ends[0] as usize..ends[1] as usize];
-            entries.iter().map(slot).collect()
-        });
-        Self { groups: groups.collect(), weight: 0 }
+impl Slots {
+    /// Creates the slots of pages with these masks of occupied slices; none is in memory.
+    pub fn empty(table: &PageTable, slices: impl Fn(usize) -> u64) -> Self {
+        let slot = |page: usize| PageSlot { layer: table.keys()[page].layer, slices: slices(page), page: None };
+        Self { groups: table.groups().map(|pages| pages.map(slot).collect()).collect(), weight: 0 }
     }
 
-    /// Returns this snapshot with some pages inserted or removed.
-    pub fn with(&self, index: &Index, changes: &mut [(u32, Option<Arc<Held>>)]) -> Self {
+    /// Returns these slots with some pages inserted or removed.
+    pub fn with(&self, table: &PageTable, changes: &mut [(u32, Option<Arc<Held>>)]) -> Self {
         changes.sort_by_key(|(page, _)| *page);
         let (mut groups, mut weight) = (self.groups.clone(), self.weight);
-        for change in changes.chunk_by_mut(|a, b| index.group(a.0).0 == index.group(b.0).0) {
-            let (group, _) = index.group(change[0].0);
+        for change in changes.chunk_by_mut(|a, b| table.place(a.0).0 == table.place(b.0).0) {
+            let (group, _) = table.place(change[0].0);
             let mut slots = groups[group].to_vec();
             for (page, held) in change {
-                let slot = &mut slots[index.group(*page).1].page;
+                let slot = &mut slots[table.place(*page).1].page;
                 let bytes = |held: &Option<Arc<Held>>| held.as_ref().map_or(0, |held| held.page.weight_bytes());
                 weight = (weight + bytes(held)).saturating_sub(bytes(slot));
                 *slot = held.take();
@@ -239,77 +92,165 @@ impl Snapshot {
     }
 }
 
-/// Pages of a [`Stream`](super::Stream) that were in memory when the view was taken: a [`PageSet`] for queries.
+/// The pages of a scene at one moment, all or some of them in memory: what queries, walkers and routes work on. Space
+/// outside its pages is free.
 ///
-/// All answers from one view refer to the same moment: pages loaded or evicted meanwhile change nothing. Pages in a
-/// view stay in memory, and count against the budget, until it is dropped: take one per frame, and drop it with the
-/// frame. Cost: two reference counts to take; a query follows one pointer more than in a resident
-/// [`Store`](super::Store).
+/// A resident scene has all of its pages in memory ([`from_pages`](Self::from_pages), [`resident`](Self::resident)).
+/// For scans that exceed memory, a [`Stream`](super::Stream) or a [`Loader`](super::Loader) gives the newest snapshot
+/// of the pages around moving bodies; take one per frame and drop it with the frame, because its pages stay in memory,
+/// and count against the budget, until then. All answers from one snapshot refer to the same moment.
+///
+/// Answers come from memory at once: no lock, no I/O, no allocation. Threads share a snapshot by reference; a clone
+/// costs two reference counts.
+///
+/// ```
+/// use slicewalk::frame::{Frame, PageKey};
+/// use slicewalk::query::{Aabb, Overlap, overlaps};
+/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::store::Snapshot;
+///
+/// let frame = Frame::new(0.05, 0.15)?; // pixels of 5 cm, slices of 15 cm
+/// let mut builder = PageBuilder::default();
+/// assert!(builder.set_column(10, 20, &[Span::new(0, 255, false).unwrap()]));
+/// let scene = Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
+///
+/// let touching = Aabb::new([0.52, 1.02, 0.15].into(), [0.6, 1.1, 1.0].into())?;
+/// assert_eq!(overlaps(&scene, &touching), Overlap::Hit);
+/// let above = Aabb::new([0.52, 1.02, 0.16].into(), [0.6, 1.1, 1.0].into())?;
+/// assert_eq!(overlaps(&scene, &above), Overlap::Clear);
+/// # Ok::<(), slicewalk::Error>(())
+/// ```
 #[derive(Debug, Clone)]
-pub struct View {
-    pub(super) index: Arc<Index>,
-    pub(super) snapshot: Arc<Snapshot>,
+pub struct Snapshot {
+    table: Arc<PageTable>,
+    slots: Arc<Slots>,
 }
 
-impl View {
-    /// Returns whether the page is in memory; `None` if the archive has no such page.
-    pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
-        let (group, offset) = self.index.group(self.index.find(key)?);
-        Some(self.snapshot.groups[group][offset].page.is_some())
+impl Snapshot {
+    pub(super) fn new(table: Arc<PageTable>, slots: Arc<Slots>) -> Self {
+        Self { table, slots }
     }
 
-    /// Returns the number of pages in memory that a body touches before it moves; 0 if the outlook is invalid.
-    pub fn count_loaded(&self, outlook: &Outlook) -> usize {
-        let loaded = |page: &u32| {
-            let (group, offset) = self.index.group(*page);
-            self.snapshot.groups[group][offset].page.is_some()
+    /// Creates a resident scene of pages that are in memory already.
+    ///
+    /// # Panics
+    /// If a key occurs twice.
+    pub fn from_pages(frame: Frame, pages: impl IntoIterator<Item = (PageKey, Page)>) -> Self {
+        let mut pages: Vec<(PageKey, Page)> = pages.into_iter().collect();
+        pages.sort_unstable_by_key(|(key, _)| *key);
+        let table = PageTable::new(frame, pages.iter().map(|(key, _)| *key).collect());
+        let weight = pages.iter().map(|(_, page)| page.weight_bytes()).sum();
+        let mut pages = pages.into_iter();
+        let slot = |(key, page): (PageKey, Page)| PageSlot {
+            layer: key.layer,
+            slices: page.slices(),
+            page: Some(Arc::new(Held { page, room: None })),
         };
-        let mut pages = HashMap::new();
-        if outlook.is_valid() {
-            outlook.wants(&self.index, 0.0, &mut pages);
-        }
-        pages.keys().filter(|page| loaded(page)).count()
+        let groups = table.groups().map(|range| pages.by_ref().take(range.len()).map(slot).collect()).collect();
+        Self::new(Arc::new(table), Arc::new(Slots { groups, weight }))
+    }
+
+    /// Reads all pages of an archive: neighbours in reads of up to 1 MiB, four at a time. Fails with the error of the
+    /// first page that cannot be loaded; before reading any page, if memory for all of them is not available; and with
+    /// [`Error::Interrupted`] if `monitor` requests a stop.
+    pub fn resident(archive: &Archive, monitor: &dyn Monitor) -> Result<Self> {
+        let entries: Vec<PageEntry> = archive.entries().collect::<Result<_>>()?;
+        let slot = size_of::<PageKey>() + size_of::<PageSlot>() + size_of::<Held>();
+        let weights = entries.iter().map(|entry| entry.weight_bytes().saturating_add(slot));
+        check_memory(weights.fold(0, usize::saturating_add), entries.len())?;
+        monitor.stage("loading", entries.len() as u64, "pages");
+        let pages = archive.pages(&entries, monitor)?;
+        Ok(Self::from_pages(*archive.frame(), entries.iter().map(|entry| entry.key).zip(pages)))
+    }
+
+    /// Returns this snapshot without the pages for which `keep` returns false: they count as not loaded. For tests of
+    /// programs that must handle missing pages.
+    pub fn keep_loaded(&self, mut keep: impl FnMut(PageKey) -> bool) -> Self {
+        let pages = self.table.keys().iter().zip(0u32..).filter(|(key, _)| !keep(**key));
+        let mut dropped: Vec<_> = pages.map(|(_, page)| (page, None)).collect();
+        Self::new(self.table.clone(), Arc::new(self.slots.with(&self.table, &mut dropped)))
+    }
+
+    /// Returns the grid of all pages.
+    #[inline]
+    pub fn frame(&self) -> &Frame {
+        self.table.frame()
+    }
+
+    /// Returns the bounds of all keys; `None` if there are no pages.
+    #[inline]
+    pub fn bounds(&self) -> Option<KeyBounds> {
+        self.table.bounds()
+    }
+
+    /// Returns the slots of tile column (`tx`, `ty`), lowest layer first; empty if the scan has no page there.
+    #[inline]
+    pub fn column(&self, tx: i32, ty: i32) -> &[PageSlot] {
+        let (group, offsets) = self.table.column(tx, ty);
+        if offsets.is_empty() { &[] } else { &self.slots.groups[group][offsets] }
+    }
+
+    /// Returns whether any tile column of region (`rx`, `ry`), the 64 × 64 tiles that begin at (`64·rx`, `64·ry`), has
+    /// a slot. Long rays skip regions without slots.
+    #[inline]
+    pub fn has_region(&self, rx: i32, ry: i32) -> bool {
+        self.table.has_region(rx, ry)
+    }
+
+    /// Returns the number of tile columns with at least one slot.
+    pub fn column_count(&self) -> usize {
+        self.table.column_count()
+    }
+
+    /// Returns tile column `number` (`0..column_count()`) as `(tx, ty, slots)`, in ascending order of keys.
+    pub fn column_at(&self, number: usize) -> (i32, i32, &[PageSlot]) {
+        let [tx, ty] = self.table.column_at(number);
+        (tx, ty, self.column(tx, ty))
+    }
+
+    /// Returns the number of pages, in memory or not.
+    pub fn page_count(&self) -> usize {
+        self.table.keys().len()
+    }
+
+    /// Returns whether the page is in memory; `None` if the scan has no such page.
+    pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
+        let (group, offset) = self.table.place(self.table.find(key)?);
+        Some(self.slots.groups[group][offset].page.is_some())
+    }
+
+    /// Returns the memory of the pages in memory (bytes). Batches of queries are ordered by place if this exceeds the
+    /// processor's caches.
+    pub fn weight_bytes(&self) -> usize {
+        self.slots.weight
+    }
+
+    /// Returns the memory of the table of pages and of their slots, which adds to
+    /// [`weight_bytes`](Self::weight_bytes) (bytes).
+    pub fn table_bytes(&self) -> usize {
+        self.table.weight_bytes() + self.page_count() * size_of::<PageSlot>()
     }
 }
 
-impl PageSet for View {
-    type Slot = ViewSlot;
+/// Fails if the system lacks memory for the pages, because running out of it while decoding would abort the process.
+fn check_memory(bytes: usize, pages: usize) -> Result<()> {
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let action = format!("reserve {bytes} bytes for all {pages} pages");
+        Error::io("memory", action, std::io::ErrorKind::OutOfMemory.into())
+    })
+}
 
-    #[inline]
-    fn frame(&self) -> &Frame {
-        &self.index.frame
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    #[inline]
-    fn bounds(&self) -> Option<KeyBounds> {
-        self.index.entries.bounds()
-    }
-
-    #[inline]
-    fn column(&self, tx: i32, ty: i32) -> &[ViewSlot] {
-        let range = self.index.tiles.get(tx, ty);
-        if range.is_empty() {
-            return &[];
+    #[test]
+    fn memory_that_cannot_be_had_is_an_error() {
+        check_memory(1 << 20, 5).unwrap();
+        for bytes in [1 << 46, usize::MAX] {
+            let error = check_memory(bytes, 5).unwrap_err();
+            assert!(matches!(&error, Error::Io { source, .. } if source.kind() == std::io::ErrorKind::OutOfMemory));
+            assert!(error.to_string().contains("for all 5 pages"), "{error}");
         }
-        let offset = range.start & ((1 << self.index.shift) - 1);
-        &self.snapshot.groups[range.start >> self.index.shift][offset..offset + range.len()]
-    }
-
-    #[inline]
-    fn has_region(&self, rx: i32, ry: i32) -> bool {
-        self.index.entries.has_region(rx, ry)
-    }
-
-    fn weight_hint(&self) -> usize {
-        self.snapshot.weight
-    }
-
-    fn column_count(&self) -> usize {
-        self.index.entries.column_count()
-    }
-
-    fn column_at(&self, number: usize) -> (i32, i32, &[ViewSlot]) {
-        let (tx, ty, _) = self.index.entries.column_at(number);
-        (tx, ty, self.column(tx, ty))
     }
 }

@@ -5,7 +5,7 @@
 use super::account::{Account, Room};
 use super::by_id::ById;
 use super::fetch::{FetchId, Time, Work};
-use super::snapshot::Index;
+use super::index::Index;
 use crate::archive::{Catalog, Opened, Opening, PageEntry};
 use crate::{Error, Parameter, Result};
 use std::ops::Range;

@@ -1,13 +1,14 @@
 //! A stream: a [`Loader`] with a thread, a lock, a clock and an archive to read from.
 
-use super::cache::Views;
+use super::cache::Snapshots;
 use super::colours::ColourLoader;
 use super::fetch::{Fetch, Next, PageError, Time};
+use super::index::Index;
 use super::loader::{BodyId, Loader, LoaderOptions, Turn};
 use super::missing::Missing;
 use super::outlook::Outlook;
 use super::request::LoadReport;
-use super::snapshot::{Index, View};
+use super::snapshot::Snapshot;
 use super::sync::{
     Arc, AtomicBool, AtomicU64, Builder, Condvar, JoinHandle, Mutex, MutexGuard, Thread, park, park_timeout,
     wait_at_most, yield_now,
@@ -42,7 +43,7 @@ const ROOM_AGAIN: Duration = Duration::from_millis(100);
 /// Options of a [`Stream`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamOptions {
-    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that views
+    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that snapshots
     /// still hold, bytes being read, and the scratch memory of decoding them. For an archive with colours, an eighth is
     /// reserved for these.
     pub budget_bytes: usize,
@@ -82,7 +83,7 @@ pub enum Step {
     Idle,
     /// Another thread reads the rest.
     Busy,
-    /// The rest does not fit in the budget. `true` if it may fit once views are dropped.
+    /// The rest does not fit in the budget. `true` if it may fit once snapshots are dropped.
     NoRoom(bool),
 }
 
@@ -109,7 +110,7 @@ struct Inbox {
 /// stream.load_around(&Outlook::walking(min, max, Vector3::zeros()))?; // blocks: a loading screen
 /// for _frame in 0..600 {
 ///     pawn.hint(&Outlook::walking(min, max, Vector3::new(1.4, 0.0, 0.0)));
-///     let view = stream.view();
+///     let view = stream.snapshot();
 ///     if let Overlap::NotLoaded(missing) = overlaps(&view, &Aabb::new(min, max)?) {
 ///         pawn.need(&missing);
 ///     }
@@ -120,7 +121,7 @@ struct Inbox {
 /// # Ok::<(), slicewalk::Error>(())
 /// ```
 ///
-/// Any number of bodies may hint and query from any number of threads. Queries run on a [`View`]: they take no lock, do
+/// Any number of bodies may hint and query from any number of threads. Queries run on a [`Snapshot`]: they take no lock, do
 /// no I/O and allocate nothing (guarantee G8). Loading never changes an answer; it only replaces "not loaded" by one.
 /// Dropping the stream ends its thread at once, or as soon as the read in progress returns; reads of remote objects end
 /// within a moment.
@@ -134,7 +135,7 @@ pub struct Stream {
 
 struct Shared {
     archive: Archive,
-    views: Views,
+    snapshots: Snapshots,
     loader: Mutex<Loader>,
     /// Loader of colours, if the archive has any, and colours that wait to be taken.
     colours: Mutex<Option<ColourLoader>>,
@@ -169,7 +170,7 @@ impl Stream {
         };
         let mut loader = Loader::new(archive.catalog().clone(), loader)?;
         let origin = Instant::now();
-        while loader.views().is_none() {
+        while loader.snapshots().is_none() {
             if let Next::Fetch(fetch) = loader.poll(origin.elapsed())? {
                 let bytes = read(&archive, &fetch)?;
                 if let Some(job) = loader.given(fetch.id, bytes, origin.elapsed()) {
@@ -177,12 +178,14 @@ impl Stream {
                 }
             }
         }
-        let Some(views) = loader.views() else { return Err(Error::parameter("archive", "it has no directory")) };
+        let Some(snapshots) = loader.snapshots() else {
+            return Err(Error::parameter("archive", "it has no directory"));
+        };
         let prefetch = options.prefetch;
         let colours = Mutex::new(loader.colours());
         let shared = Arc::new(Shared {
             archive,
-            views,
+            snapshots,
             loader: Mutex::new(loader),
             colours,
             coloured: Mutex::default(),
@@ -214,8 +217,8 @@ impl Stream {
 
     /// Returns the pages in memory now. Lock-free; allocates nothing. Take one per frame, and drop it with the frame.
     #[inline]
-    pub fn view(&self) -> View {
-        self.shared.views.view()
+    pub fn snapshot(&self) -> Snapshot {
+        self.shared.snapshots.newest()
     }
 
     /// Returns a handle through which one body gives its hints, as long as the handle lives.
@@ -232,7 +235,7 @@ impl Stream {
     /// first.
     ///
     /// Fails with the error of the first page that cannot be loaded; pages loaded before stay. Pages that do not fit
-    /// are counted as [`left_out`](LoadReport::left_out): the budget is too small, or views hold it (drop your own
+    /// are counted as [`left_out`](LoadReport::left_out): the budget is too small, or snapshots hold it (drop your own
     /// first).
     pub fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
         self.shared.load(keys, around)
@@ -250,8 +253,15 @@ impl Stream {
         if !outlook.is_valid() {
             return Err(Error::parameter("outlook", "its numbers must be finite and in order"));
         }
-        let keys = self.shared.views.keys_around(outlook);
+        let keys = self.shared.snapshots.keys_around(outlook);
         self.load(&keys, outlook.focus(self.shared.index().frame()))
+    }
+
+    /// Returns the number of pages in memory that a body touches before it moves; 0 if the outlook is invalid.
+    pub fn count_loaded(&self, outlook: &Outlook) -> usize {
+        let now = self.snapshot();
+        let keys = self.shared.snapshots.keys_around(outlook);
+        keys.iter().filter(|key| now.is_loaded(**key) == Some(true)).count()
     }
 
     /// Does one step of the background thread's work on this thread: reads one run of pages. For [`Prefetch::Manual`];
@@ -267,7 +277,7 @@ impl Stream {
     /// `at_most`. Returns whether it got that far. With [`Prefetch::Manual`] it loads on this thread; with
     /// [`Prefetch::Off`] it returns `true` at once.
     ///
-    /// For programs whose frames are not paced by a clock, such as simulations and recordings. Drop views first: the
+    /// For programs whose frames are not paced by a clock, such as simulations and recordings. Drop snapshots first: the
     /// memory that they hold is not available.
     pub fn settle(&self, at_most: Duration) -> bool {
         let (shared, start) = (&self.shared, Instant::now());
@@ -374,8 +384,8 @@ impl PawnHandle {
 
     /// Returns the pages in memory now, like [`Stream::view`], for a body on its own thread.
     #[inline]
-    pub fn view(&self) -> View {
-        self.shared.views.view()
+    pub fn snapshot(&self) -> Snapshot {
+        self.shared.snapshots.newest()
     }
 
     fn put(&self, valid: bool, put: impl FnOnce(&mut Inbox)) {
@@ -487,7 +497,7 @@ impl Shared {
         }
         let mut colours = lock(&self.colours);
         let Some(loader) = &mut *colours else { return nothing };
-        if let Some(coloured) = loader.decode(&self.views.view()) {
+        if let Some(coloured) = loader.decode(&self.snapshots.newest()) {
             drop(colours);
             lock(&self.coloured).push(coloured);
             return Step::Coloured;
@@ -563,7 +573,7 @@ impl Shared {
                     loader = lock(&self.loader);
                 }
                 turn => {
-                    // Another thread reads one of these pages, or views hold the memory.
+                    // Another thread reads one of these pages, or snapshots hold the memory.
                     let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
                     loader = wait_at_most(&self.settled, &self.loader, loader, pause);
                 }
@@ -572,7 +582,7 @@ impl Shared {
     }
 
     fn index(&self) -> &Index {
-        &self.views.index
+        &self.snapshots.index
     }
 }
 
@@ -642,15 +652,15 @@ mod tests {
         let inbox = pawn.inbox.clone();
         let (_loader, _pawns) = (lock(&stream.shared.loader), lock(&stream.shared.pawns));
         let (_inbox, _desk) = (lock(&inbox), lock(&stream.shared.desk));
-        let _cell = stream.shared.views.current.hold_a_publication();
+        let _cell = stream.shared.snapshots.current.hold_a_publication();
         let (done, finished) = std::sync::mpsc::channel();
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 for _ in 0..100 {
                     pawn.hint(&outlook);
-                    assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
-                    assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
-                    let report = walker.step(&pawn.view(), 1.0 / 60.0, Wish::Direction(Vector2::x()));
+                    assert_eq!(overlaps(&stream.snapshot(), &shape), Overlap::Hit);
+                    assert_eq!(overlaps(&pawn.snapshot(), &shape), Overlap::Hit);
+                    let report = walker.step(&pawn.snapshot(), 1.0 / 60.0, Wish::Direction(Vector2::x()));
                     assert!(report.ticks > 0 && report.missing.is_none());
                     pawn.hint(&walker.outlook(stream.archive().frame()));
                 }

@@ -1,6 +1,6 @@
-//! An immutable table from tile columns to runs of slots.
+//! An immutable table of the pages of a scene, by tile column.
 
-use crate::frame::PageKey;
+use crate::frame::{Frame, PageKey};
 use std::ops::Range;
 
 /// Smallest and greatest key of a set along each axis, both inclusive.
@@ -12,73 +12,123 @@ pub struct KeyBounds {
     pub max: [i32; 3],
 }
 
-/// Slots sorted by key, with an index from tile column to run.
+/// All pages of a scene, numbered from 0 in order of their keys, and the place of each in a snapshot.
+///
+/// A snapshot keeps slots in groups of neighbouring tile columns, about √n groups of √n slots for n pages. No column is
+/// divided between groups, so that its slots are contiguous.
 #[derive(Debug)]
-pub(super) struct SlotTable<T> {
-    slots: Box<[T]>,
-    /// Runs in order of their keys, and a sentinel that ends the last one.
-    runs: Box<[TileRun]>,
+pub(super) struct PageTable {
+    frame: Frame,
+    keys: Box<[PageKey]>,
+    /// First page of each tile column, then the number of all pages.
+    columns: Box<[u32]>,
+    /// Maps a tile column to `group << shift | offset`.
     tiles: TileTable,
-    /// Regions of 64 × 64 tiles that hold a run.
+    shift: u32,
+    /// First page of each group, then the number of all pages.
+    groups: Box<[u32]>,
+    /// Regions of 64 × 64 tiles that have a page.
     regions: TileTable,
     bounds: Option<KeyBounds>,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct TileRun {
-    tx: i32,
-    ty: i32,
-    first: u32,
-}
-
-impl<T> SlotTable<T> {
-    /// Builds the table from slots with distinct keys in any order.
+impl PageTable {
+    /// Builds the table from distinct keys in ascending order.
     ///
     /// # Panics
-    /// If a key occurs twice or there are 2³² slots or more, which sources rule out.
-    pub fn new(mut slots: Vec<(PageKey, T)>) -> Self {
-        slots.sort_unstable_by_key(|(key, _)| *key);
-        assert!(u32::try_from(slots.len()).is_ok(), "{} pages are too many", slots.len());
-        let mut runs: Vec<TileRun> = Vec::new();
+    /// If a key occurs twice or there are 2³² pages or more, which sources rule out.
+    pub fn new(frame: Frame, keys: Vec<PageKey>) -> Self {
+        assert!(u32::try_from(keys.len()).is_ok(), "{} pages are too many", keys.len());
+        let mut columns: Vec<u32> = Vec::new();
         let mut bounds: Option<KeyBounds> = None;
-        for (at, (key, _)) in slots.iter().enumerate() {
-            assert!(at == 0 || slots[at - 1].0 != *key, "page {key} is given twice");
+        for (at, key) in keys.iter().enumerate() {
+            assert!(at == 0 || keys[at - 1] < *key, "page {key} is given twice or out of order");
             let along = [key.tx, key.ty, key.layer];
             let bounds = bounds.get_or_insert(KeyBounds { min: along, max: along });
             for (axis, &value) in along.iter().enumerate() {
                 bounds.min[axis] = bounds.min[axis].min(value);
                 bounds.max[axis] = bounds.max[axis].max(value);
             }
-            if runs.last().is_none_or(|run| (run.tx, run.ty) != (key.tx, key.ty)) {
-                runs.push(TileRun { tx: key.tx, ty: key.ty, first: at as u32 });
+            if at == 0 || (keys[at - 1].tx, keys[at - 1].ty) != (key.tx, key.ty) {
+                columns.push(at as u32);
             }
         }
+        columns.push(keys.len() as u32);
         // Along the Morton curve the tiles of a region are contiguous.
-        let mut regions: Vec<(i32, i32)> = runs.iter().map(|run| (run.tx >> 6, run.ty >> 6)).collect();
+        let first = |column: &u32| &keys[*column as usize];
+        let mut regions: Vec<_> =
+            columns[..columns.len() - 1].iter().map(first).map(|key| (key.tx >> 6, key.ty >> 6)).collect();
         regions.dedup();
-        let end = slots.len() as u32;
-        let ends: Vec<u32> = runs.iter().skip(1).map(|run| run.first).chain([end]).collect();
-        let tiles = runs.iter().zip(ends).map(|(run, end)| (run.tx, run.ty, run.first..end));
-        let tiles = TileTable::new(tiles.collect());
         let regions = TileTable::new(regions.into_iter().map(|(rx, ry)| (rx, ry, 0..1)).collect());
-        runs.push(TileRun { tx: 0, ty: 0, first: end });
-        let slots = slots.into_iter().map(|(_, slot)| slot).collect();
-        Self { slots, runs: runs.into(), tiles, regions, bounds }
+
+        let longest = columns.windows(2).map(|ends| ends[1] - ends[0]).max().unwrap_or(0);
+        let size = keys.len().isqrt().max(longest as usize).max(64).next_power_of_two() as u32;
+        let (mut groups, mut cells) = (vec![0], Vec::with_capacity(columns.len() - 1));
+        for ends in columns.windows(2) {
+            let key = first(&ends[0]);
+            if ends[1] - groups[groups.len() - 1] > size {
+                groups.push(ends[0]);
+            }
+            let place = (groups.len() as u32 - 1) * size + ends[0] - groups[groups.len() - 1];
+            cells.push((key.tx, key.ty, place..place + ends[1] - ends[0]));
+        }
+        groups.push(keys.len() as u32);
+        let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
+        Self { frame, columns: columns.into(), tiles, shift, groups: groups.into(), regions, bounds, keys: keys.into() }
     }
 
-    /// Returns the range of the slots of tile column (`tx`, `ty`).
     #[inline]
-    pub fn range(&self, tx: i32, ty: i32) -> Range<usize> {
-        self.tiles.get(tx, ty)
+    pub fn frame(&self) -> &Frame {
+        &self.frame
     }
 
-    /// Returns the slots of tile column (`tx`, `ty`).
     #[inline]
-    pub fn column(&self, tx: i32, ty: i32) -> &[T] {
-        &self.slots[self.range(tx, ty)]
+    pub fn bounds(&self) -> Option<KeyBounds> {
+        self.bounds
     }
 
-    /// Returns whether any tile of region (`rx`, `ry`) has slots.
+    pub fn keys(&self) -> &[PageKey] {
+        &self.keys
+    }
+
+    /// Returns the group of tile column (`tx`, `ty`) and the range of its slots in there; an empty range if the column
+    /// has no page.
+    #[inline]
+    pub fn column(&self, tx: i32, ty: i32) -> (usize, Range<usize>) {
+        let range = self.tiles.get(tx, ty);
+        let offset = range.start & ((1 << self.shift) - 1);
+        (range.start >> self.shift, offset..offset + range.len())
+    }
+
+    /// Returns the numbers of the pages of tile column (`tx`, `ty`).
+    pub fn pages(&self, tx: i32, ty: i32) -> Range<u32> {
+        let (group, offsets) = self.column(tx, ty);
+        if offsets.is_empty() {
+            return 0..0;
+        }
+        let first = self.groups[group];
+        first + offsets.start as u32..first + offsets.end as u32
+    }
+
+    /// Returns the number of the page with this key.
+    pub fn find(&self, key: PageKey) -> Option<u32> {
+        let pages = self.pages(key.tx, key.ty);
+        let keys = &self.keys[pages.start as usize..pages.end as usize];
+        keys.binary_search_by_key(&key.layer, |key| key.layer).ok().map(|at| pages.start + at as u32)
+    }
+
+    /// Returns the group of a page and its offset in there.
+    pub fn place(&self, page: u32) -> (usize, usize) {
+        let group = self.groups.partition_point(|&first| first <= page) - 1;
+        (group, (page - self.groups[group]) as usize)
+    }
+
+    /// Returns the ranges of pages that form the groups.
+    pub fn groups(&self) -> impl Iterator<Item = Range<usize>> {
+        self.groups.windows(2).map(|ends| ends[0] as usize..ends[1] as usize)
+    }
+
+    /// Returns whether any tile of region (`rx`, `ry`) has a page.
     #[inline]
     pub fn has_region(&self, rx: i32, ry: i32) -> bool {
         !self.regions.get(rx, ry).is_empty()
@@ -86,27 +136,20 @@ impl<T> SlotTable<T> {
 
     /// Returns the number of tile columns.
     pub fn column_count(&self) -> usize {
-        self.runs.len() - 1
+        self.columns.len() - 1
     }
 
-    /// Returns the tile column with this number.
-    pub fn column_at(&self, number: usize) -> (i32, i32, &[T]) {
-        let (run, next) = (self.runs[number], self.runs[number + 1]);
-        (run.tx, run.ty, &self.slots[run.first as usize..next.first as usize])
+    /// Returns the indices of the tile column with this number.
+    pub fn column_at(&self, number: usize) -> [i32; 2] {
+        let key = self.keys[self.columns[number] as usize];
+        [key.tx, key.ty]
     }
 
-    pub fn bounds(&self) -> Option<KeyBounds> {
-        self.bounds
-    }
-
-    pub fn slots(&self) -> &[T] {
-        &self.slots
-    }
-
-    /// Returns the bytes of the tables and of the slots, without memory that slots own.
+    /// Returns the memory of the table (bytes).
     pub fn weight_bytes(&self) -> usize {
-        size_of_val::<[T]>(&self.slots)
-            + size_of_val::<[TileRun]>(&self.runs)
+        size_of_val::<[PageKey]>(&self.keys)
+            + size_of_val::<[u32]>(&self.columns)
+            + size_of_val::<[u32]>(&self.groups)
             + self.tiles.weight_bytes()
             + self.regions.weight_bytes()
     }
@@ -248,39 +291,51 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeMap;
 
+    fn table(mut keys: Vec<PageKey>) -> PageTable {
+        keys.sort_unstable();
+        PageTable::new(Frame::new(0.05, 0.15).unwrap(), keys)
+    }
+
     proptest! {
         #[test]
         fn finds_every_column_and_no_other(
-            mut keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..80), far in any::<bool>()
+            mut keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..160), far in any::<bool>()
         ) {
             // One so far away that a grid of all would be too large.
             keys.extend(far.then_some((i32::MAX, i32::MIN, 0)));
-            let slots: Vec<_> = keys.iter().map(|&(tx, ty, layer)| (PageKey { tx, ty, layer }, layer)).collect();
             let mut expected: BTreeMap<(i32, i32), Vec<i32>> = BTreeMap::new();
             for &(tx, ty, layer) in &keys {
                 expected.entry((tx, ty)).or_default().push(layer);
             }
-            let columns = SlotTable::new(slots);
-            prop_assert!(!far || keys.len() == 1 || matches!(columns.tiles, TileTable::Hashed(_)));
+            let table = table(keys.iter().map(|&(tx, ty, layer)| PageKey { tx, ty, layer }).collect());
+            prop_assert!(!far || keys.len() == 1 || matches!(table.tiles, TileTable::Hashed(_)));
+            let groups: Vec<Range<usize>> = table.groups().collect();
+            prop_assert_eq!(groups.iter().map(Range::len).sum::<usize>(), keys.len());
             let around = (-6..6).flat_map(|tx| (-6..6).map(move |ty| (tx, ty)));
             for (tx, ty) in around.chain([(i32::MAX, i32::MIN), (i32::MIN, i32::MAX), (i32::MAX, i32::MAX)]) {
-                let found = columns.column(tx, ty);
-                prop_assert_eq!(found, expected.get(&(tx, ty)).map_or(&[][..], |layers| layers));
+                let pages = table.pages(tx, ty);
+                let found: Vec<i32> = pages.clone().map(|page| table.keys()[page as usize].layer).collect();
+                prop_assert_eq!(&found[..], expected.get(&(tx, ty)).map_or(&[][..], |layers| layers));
+                for page in pages {
+                    let (group, offset) = table.place(page);
+                    prop_assert_eq!(groups[group].start + offset, page as usize);
+                    prop_assert_eq!(table.find(table.keys()[page as usize]), Some(page));
+                }
             }
-            prop_assert_eq!(columns.column_count(), expected.len());
-            for number in 0..columns.column_count() {
-                let (tx, ty, layers) = columns.column_at(number);
-                prop_assert_eq!(layers, &expected[&(tx, ty)][..]);
-            }
+            prop_assert_eq!(table.column_count(), expected.len());
+            let columns = (0..table.column_count()).map(|number| table.column_at(number));
+            let mut columns: Vec<(i32, i32)> = columns.map(|[tx, ty]| (tx, ty)).collect();
+            columns.sort_unstable();
+            prop_assert!(columns.iter().eq(expected.keys()));
         }
     }
 
     #[test]
     fn tile_zero_zero_is_told_apart_from_a_free_cell() {
-        let columns = SlotTable::new(vec![(PageKey { tx: 1, ty: 0, layer: 0 }, ())]);
-        assert!(columns.column(0, 0).is_empty());
-        assert_eq!(columns.column(1, 0).len(), 1);
-        assert!(matches!(columns.tiles, TileTable::Grid(_)));
-        assert!(SlotTable::<()>::new(Vec::new()).column(0, 0).is_empty());
+        let one = table(vec![PageKey { tx: 1, ty: 0, layer: 0 }]);
+        assert!(one.pages(0, 0).is_empty());
+        assert_eq!(one.pages(1, 0), 0..1);
+        assert!(matches!(one.tiles, TileTable::Grid(_)));
+        assert!(table(Vec::new()).pages(0, 0).is_empty());
     }
 }

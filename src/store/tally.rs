@@ -16,7 +16,7 @@ pub struct Counters {
     pub wasted: u64,
     /// Failures to load a page; each failed attempt counts.
     pub failed: u64,
-    /// Times that the most urgent page did not fit: all others were needed sooner, or views held too much.
+    /// Times that the most urgent page did not fit: all others were needed sooner, or snapshots held too much.
     pub no_room: u64,
     /// Hints that were dropped: not finite or not in order, or given at the moment at which the last one was collected.
     pub hints_dropped: u64,
@@ -30,7 +30,7 @@ pub struct Counters {
     pub resident_pages: usize,
     /// Bytes of these pages.
     pub resident_bytes: usize,
-    /// Bytes in use now: the table of pages, resident pages, pages that only views hold, and runs in flight with the
+    /// Bytes in use now: the table of pages, resident pages, pages that only snapshots hold, and runs in flight with the
     /// scratch memory of decoding them.
     pub used_bytes: usize,
     /// Most bytes in use at any moment; never above the budget.

@@ -3,7 +3,7 @@
 use crate::query::{
     Aabb, Answer, Cylinder, SweepHit, depenetrate, floor_under, mean_floor_under, probe, sweep, top_under,
 };
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::{Error, Parameter, Result};
 use nalgebra::{Point3, Vector2, Vector3};
 use std::str::FromStr;
@@ -116,32 +116,26 @@ impl Body {
         }
     }
 
-    pub(super) fn sweep<S: PageSet>(&self, set: &S, feet: Point3<f64>, by: Vector3<f64>) -> Answer<Option<SweepHit>> {
+    pub(super) fn sweep(&self, set: &Snapshot, feet: Point3<f64>, by: Vector3<f64>) -> Answer<Option<SweepHit>> {
         ask!(self.part(feet, 0.0), shape => sweep(set, &shape, by))
     }
 
-    pub(super) fn top<S: PageSet>(&self, set: &S, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
+    pub(super) fn top(&self, set: &Snapshot, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
         ask!(self.part(feet, 0.0), shape => top_under(set, &shape, from, depth))
     }
 
-    pub(super) fn floor<S: PageSet>(&self, set: &S, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
+    pub(super) fn floor(&self, set: &Snapshot, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
         ask!(self.part(feet, 0.0), shape => floor_under(set, &shape, from, depth))
     }
 
-    pub(super) fn mean_floor<S: PageSet>(
-        &self,
-        set: &S,
-        feet: Point3<f64>,
-        from: f64,
-        depth: f64,
-    ) -> Answer<Option<f64>> {
+    pub(super) fn mean_floor(&self, set: &Snapshot, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
         ask!(self.part(feet, 0.0), shape => mean_floor_under(set, &shape, from, depth))
     }
 
     /// Returns the highest floor under the bounds of the footprint, grown by `margin` (m).
-    pub(super) fn floor_around<S: PageSet>(
+    pub(super) fn floor_around(
         &self,
-        set: &S,
+        set: &Snapshot,
         feet: Point3<f64>,
         margin: f64,
         from: f64,
@@ -153,14 +147,14 @@ impl Body {
     }
 
     /// Returns whether an obstacle touches the body above `lift`.
-    pub(super) fn obstructed<S: PageSet>(&self, set: &S, feet: Point3<f64>, lift: f64) -> Answer<bool> {
+    pub(super) fn obstructed(&self, set: &Snapshot, feet: Point3<f64>, lift: f64) -> Answer<bool> {
         match ask!(self.part(feet, lift), shape => probe(set, &shape)) {
             Answer::Known(probe) => Answer::Known(probe.obstacle),
             Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
         }
     }
 
-    pub(super) fn way_out<S: PageSet>(&self, set: &S, feet: Point3<f64>, max: f64) -> Answer<Option<Vector3<f64>>> {
+    pub(super) fn way_out(&self, set: &Snapshot, feet: Point3<f64>, max: f64) -> Answer<Option<Vector3<f64>>> {
         ask!(self.part(feet, 0.0), shape => depenetrate(set, &shape, max))
     }
 }

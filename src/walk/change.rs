@@ -3,7 +3,7 @@
 use super::{Body, Config, Ground, Response, Walker};
 use crate::Result;
 use crate::query::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use nalgebra::Vector3;
 
 impl Walker {
@@ -28,7 +28,7 @@ impl Walker {
     }
 
     /// Returns whether `body` would overlap nothing solid at the pawn's feet. Touching is not overlapping.
-    pub fn has_room<S: PageSet>(&self, set: &S, body: &Body) -> Answer<bool> {
+    pub fn has_room(&self, set: &Snapshot, body: &Body) -> Answer<bool> {
         match body.sweep(set, self.motion.feet, Vector3::zeros()) {
             Answer::Known(hit) => Answer::Known(hit.is_none()),
             Answer::NotLoaded(missing) => Answer::NotLoaded(missing),

@@ -1,6 +1,6 @@
 //! Pawns that walk: gravity, floors, stairs, walls, ledges.
 //!
-//! Input: a [`PageSet`] and a move input ([`Wish`]). Output: the place of the pawn, and the reason if it stopped. A
+//! Input: a [`Snapshot`] and a move input ([`Wish`]). Output: the place of the pawn, and the reason if it stopped. A
 //! [`Walker`] takes a few hundred bytes; a step allocates nothing, takes no lock and does no I/O.
 //!
 //! Time passes in ticks of fixed length ([`Config::tick_s`]). Leftover time carries over to the next frame, so the path
@@ -29,7 +29,7 @@ pub use waypoints::Waypoints;
 use crate::frame::Frame;
 use crate::query::Answer;
 use crate::store::Missing;
-use crate::store::{Outlook, PageSet};
+use crate::store::{Outlook, Snapshot};
 use crate::{Error, Parameter, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use progress::Progress;
@@ -242,7 +242,7 @@ impl Motion {
 /// use nalgebra::{Point3, Vector2};
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::slice::{PageBuilder, Span};
-/// use slicewalk::store::Store;
+/// use slicewalk::store::Snapshot;
 /// use slicewalk::walk::{Config, State, Walker, Wish};
 ///
 /// let frame = Frame::new(0.05, 0.15)?;
@@ -250,7 +250,7 @@ impl Motion {
 /// for (px, py) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
 ///     assert!(builder.set_column(px, py, &[Span::new(0, 10, false).unwrap()])); // a floor of 3.2 × 3.2 m
 /// }
-/// let store = Store::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
+/// let store = Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
 ///
 /// let mut pawn = Walker::new(Config::default(), Point3::new(0.5, 0.5, 0.1))?;
 /// for _ in 0..60 {
@@ -345,23 +345,18 @@ impl Walker {
     /// At most [`MOST_TICKS`] ticks pass; the rest of the time is returned as [`unspent`](StepReport::unspent). An
     /// interactive program drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a
     /// microsecond on a floor at 5 cm.
-    pub fn step<S: PageSet>(&mut self, set: &S, dt: f64, wish: Wish) -> StepReport {
+    pub fn step(&mut self, set: &Snapshot, dt: f64, wish: Wish) -> StepReport {
         self.run(set, dt, |_, _| Some(wish))
     }
 
     /// Like [`step`](Self::step), but the pawn follows `waypoints`; it has [`Arrived`](State::Arrived) when it is on
     /// its feet at the last one.
-    pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, waypoints: &mut Waypoints) -> StepReport {
+    pub fn follow(&mut self, set: &Snapshot, dt: f64, waypoints: &mut Waypoints) -> StepReport {
         self.run(set, dt, |feet, stalled| waypoints.wish(feet, stalled))
     }
 
     /// Runs ticks, each with its own move input; `None` at the end of the waypoints.
-    fn run<S: PageSet>(
-        &mut self,
-        set: &S,
-        dt: f64,
-        mut wish: impl FnMut(Point3<f64>, bool) -> Option<Wish>,
-    ) -> StepReport {
+    fn run(&mut self, set: &Snapshot, dt: f64, mut wish: impl FnMut(Point3<f64>, bool) -> Option<Wish>) -> StepReport {
         let (from, tick) = (self.motion.feet, self.config.tick_s);
         let mut report = StepReport {
             state: self.state,
@@ -436,7 +431,7 @@ impl Walker {
     }
 
     /// Runs one tick; changes nothing if it needs pages that are not in memory.
-    fn tick<S: PageSet>(&mut self, set: &S, way: Vector2<f64>) -> Needs<Option<Stop>> {
+    fn tick(&mut self, set: &Snapshot, way: Vector2<f64>) -> Needs<Option<Stop>> {
         let (mut motion, mut stop) = self.respond(set, way)?;
         if let Some(max_drop) = self.config.max_drop
             && self.config.response == Response::Slide
@@ -451,7 +446,7 @@ impl Walker {
         ControlFlow::Continue(stop)
     }
 
-    fn respond<S: PageSet>(&self, set: &S, way: Vector2<f64>) -> Needs<(Motion, Option<Stop>)> {
+    fn respond(&self, set: &Snapshot, way: Vector2<f64>) -> Needs<(Motion, Option<Stop>)> {
         let mut motion = self.motion;
         let stop = match self.config.response {
             Response::Slide => slide::tick(&self.config, set, &mut motion, way)?,
@@ -466,7 +461,7 @@ impl Walker {
 
     /// Returns why the pawn must not get to `after`, if the ground there lies more than `max_drop` below the ground it
     /// stands on, or stood on before it fell.
-    fn drop_at<S: PageSet>(&self, set: &S, after: &Motion, max_drop: f64) -> Needs<Option<Stop>> {
+    fn drop_at(&self, set: &Snapshot, after: &Motion, max_drop: f64) -> Needs<Option<Stop>> {
         let before = &self.motion;
         let from = if before.ground == Ground::Air { before.floor_z } else { before.feet.z };
         // Floors are rounded to quanta.

@@ -2,7 +2,7 @@
 
 use super::{Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known, pixels_beside};
 use crate::query::SweepHit;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use nalgebra::{Point3, Vector2, Vector3};
 use std::ops::ControlFlow;
 
@@ -36,12 +36,7 @@ const NOTHING_M: f64 = 1e-9;
 pub(super) const LEVEL_M: f64 = 1e-7;
 
 /// Runs one tick: `way` across the ground, then down.
-pub(super) fn tick<S: PageSet>(
-    config: &Config,
-    set: &S,
-    motion: &mut Motion,
-    way: Vector2<f64>,
-) -> Needs<Option<Stop>> {
+pub(super) fn tick(config: &Config, set: &Snapshot, motion: &mut Motion, way: Vector2<f64>) -> Needs<Option<Stop>> {
     let mut attempt = Attempt { config, set, motion, stop: None };
     let strides = (way.norm() / STRIDE_M).ceil().max(1.0);
     let mut first = attempt.get_out(way / strides)?;
@@ -67,14 +62,14 @@ pub(super) fn tick<S: PageSet>(
     ControlFlow::Continue(attempt.stop)
 }
 
-struct Attempt<'a, S> {
+struct Attempt<'a> {
     config: &'a Config,
-    set: &'a S,
+    set: &'a Snapshot,
     motion: &'a mut Motion,
     stop: Option<Stop>,
 }
 
-impl<S: PageSet> Attempt<'_, S> {
+impl Attempt<'_> {
     fn sweep(&self, feet: Point3<f64>, by: Vector3<f64>) -> Needs<Option<SweepHit>> {
         known(self.config.body.sweep(self.set, feet, by))
     }

@@ -6,19 +6,14 @@
 //! falls once per tick and lands on floor that it then finds under it.
 
 use super::{Config, Ground, Motion, Needs, Response, Stop, known};
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use nalgebra::Vector2;
 use std::ops::ControlFlow;
 
 /// Shortest step, as a share of the full one.
 const LEAST_STEP: f64 = 1.0 / 64.0;
 
-pub(super) fn tick<S: PageSet>(
-    config: &Config,
-    set: &S,
-    motion: &mut Motion,
-    way: Vector2<f64>,
-) -> Needs<Option<Stop>> {
+pub(super) fn tick(config: &Config, set: &Snapshot, motion: &mut Motion, way: Vector2<f64>) -> Needs<Option<Stop>> {
     let mut stop = None;
     let body = &config.body;
     if way.norm() > 0.0 {

@@ -15,7 +15,7 @@ use slicewalk::codec::{ColourEncoder, Unpacker};
 use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
 use slicewalk::slice::{Occupancy, Span};
-use slicewalk::store::{Loader, LoaderOptions, MISSING_KEYS, Next, Prefetch, Store, Stream, StreamOptions, Time};
+use slicewalk::store::{Loader, LoaderOptions, MISSING_KEYS, Next, Prefetch, Snapshot, Stream, StreamOptions, Time};
 use slicewalk::{Error, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -104,11 +104,11 @@ fn pages_of_levels_that_are_the_same_everywhere_are_only_listed() {
 #[test]
 fn a_box_that_hits_in_the_archive_hits_in_every_level() {
     let archive = Archive::from_bytes(with_levels(city())).unwrap();
-    let store = Store::resident(&archive, &NoMonitor).unwrap();
+    let store = Snapshot::resident(&archive, &NoMonitor).unwrap();
     let numbers: Vec<_> = archive.levels().unwrap().iter().map(|level| level.number()).collect();
     assert_eq!(numbers, [1, 2, 3]);
     let levels: Vec<_> = numbers.iter().map(|&number| archive.level(number).unwrap()).collect();
-    let stores: Vec<_> = levels.iter().map(|level| Store::resident(level, &NoMonitor).unwrap()).collect();
+    let stores: Vec<_> = levels.iter().map(|level| Snapshot::resident(level, &NoMonitor).unwrap()).collect();
     let (mut random, mut hits, mut clear) = (Random(5), 0, 0);
     let mut between = |low: f64, high: f64| low + (high - low) * f64::from(random.below(1 << 20)) / f64::from(1 << 20);
     let keys: Vec<_> = archive.entries().map(|entry| entry.unwrap().key).collect();
@@ -576,13 +576,13 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
 #[test]
 fn where_pages_are_missing_a_level_says_how_far_a_ray_is_free() {
     let archive = || Archive::from_bytes(with_levels(city())).unwrap();
-    let whole = Store::resident(&archive(), &NoMonitor).unwrap();
+    let whole = Snapshot::resident(&archive(), &NoMonitor).unwrap();
     let keys: Vec<_> = archive().entries().map(|entry| entry.unwrap().key).collect();
     let stream =
         Stream::open(archive(), StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(64 << 20) }).unwrap();
     let some: Vec<_> = keys.iter().copied().step_by(3).collect();
     assert_eq!(stream.load(&some, some[0]).unwrap().left_out, 0);
-    let view = stream.view();
+    let view = stream.snapshot();
     let frame = archive().header().plan.frame;
     let page_m = [64.0 * frame.pixel_m(), 64.0 * frame.pixel_m(), 64.0 * frame.slice_m()];
     // Where the ray enters pages that are not loaded (m).
@@ -601,7 +601,7 @@ fn where_pages_are_missing_a_level_says_how_far_a_ray_is_free() {
     };
     let mut random = Random(5);
     for number in [1, 2] {
-        let level = Store::resident(&archive().level(number).unwrap(), &NoMonitor).unwrap();
+        let level = Snapshot::resident(&archive().level(number).unwrap(), &NoMonitor).unwrap();
         let (mut exact, mut free, mut bounds, mut better) = (0, 0, 0, 0);
         for _ in 0..4000 {
             let origin = Point3::new(

@@ -14,7 +14,7 @@ use slicewalk::frame::Frame;
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
 use slicewalk::slice::{Page, Span};
 use slicewalk::stats::Stats;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
@@ -462,7 +462,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     made.0.insert(key(0, -1, 0), page(steps));
     let good = archive(&made);
     let whole = Archive::from_bytes(good.clone()).unwrap();
-    let store = Store::resident(&whole, &NoMonitor).unwrap();
+    let store = Snapshot::resident(&whole, &NoMonitor).unwrap();
     let mut random = Random(3);
     // Corners on and between pixel and slice boundaries: tenths of a pixel of 0.1 m, slices of 0.3 m.
     let mut between = |low: f64, high: f64| {
@@ -482,7 +482,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
         let part = verified(&target);
         assert_eq!(part.header(), &header);
         assert_eq!(part.crs().unwrap(), whole.crs().unwrap());
-        let own = Store::resident(&part, &NoMonitor).unwrap();
+        let own = Snapshot::resident(&part, &NoMonitor).unwrap();
         for _ in 0..60 {
             let mut corners = ([0.0; 3], [0.0; 3]);
             for axis in 0..3 {

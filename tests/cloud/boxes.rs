@@ -7,7 +7,7 @@ use super::{clouds::by_the_crate, data, plain};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -84,7 +84,7 @@ fn check(folder: &Path, path: &Path, points: &[Point], loose: bool) -> [usize; 2
     let report = convert(&options, &NoMonitor).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(report.header.points_kept, points.len() as u64, "{}", path.display());
     let archive = Archive::open(folder.join("out.slices")).unwrap();
-    let store = Store::resident(&archive, &NoMonitor).unwrap();
+    let store = Snapshot::resident(&archive, &NoMonitor).unwrap();
     let (t, s) = (archive.header().plan.frame.pixel_m(), archive.header().plan.frame.slice_m());
     let cells = Cells::new(points, [4.0 * t, 4.0 * t, 4.0 * s]);
     let slack = 4e-15 * magnitude + if loose { 1e-9 * (1.0 + magnitude) } else { 0.0 };

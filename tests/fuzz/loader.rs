@@ -7,7 +7,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::{
-    BodyId, Decode, Decoded, Fetch, Loader, LoaderOptions, Next, Outlook, RequestId, Store, Time, View,
+    BodyId, Decode, Decoded, Fetch, Loader, LoaderOptions, Next, Outlook, RequestId, Snapshot, Time,
 };
 use slicewalk::{Error, NoMonitor};
 use std::io::ErrorKind;
@@ -30,13 +30,13 @@ struct Truth {
     archive: Archive,
     keys: Vec<PageKey>,
     /// All pages in memory.
-    store: Store,
+    store: Snapshot,
 }
 
 static TRUTH: LazyLock<Truth> = LazyLock::new(|| {
     let archive = Archive::from_bytes(BYTES.to_vec()).expect("a sound sample");
     let keys = archive.entries().map(|entry| entry.map(|entry| entry.key)).collect::<Result<_, _>>();
-    let store = Store::resident(&archive, &NoMonitor).expect("a sound sample");
+    let store = Snapshot::resident(&archive, &NoMonitor).expect("a sound sample");
     Truth { keys: keys.expect("a sound sample"), store, archive }
 });
 
@@ -48,7 +48,7 @@ struct Driver {
     jobs: Vec<Decode>,
     decoded: Vec<Decoded>,
     requests: Vec<RequestId>,
-    views: Vec<View>,
+    views: Vec<Snapshot>,
     seen: Vec<String>,
 }
 
@@ -96,7 +96,7 @@ impl Driver {
     fn check(&mut self) {
         let counters = self.loader.counters();
         assert!(counters.peak_bytes <= counters.budget_bytes, "{counters:?}");
-        let Some(view) = self.loader.view() else { return };
+        let Some(view) = self.loader.snapshot() else { return };
         let at = self.seen.len() as u16;
         let shape = shape(at.wrapping_mul(40_503));
         let answer = overlaps(&view, &shape);
@@ -167,7 +167,7 @@ pub fn loader(bytes: &[u8]) -> Read {
                     driver.loader.loaded(decoded, driver.now);
                 }
             }
-            10 if driver.views.len() < 4 => driver.views.extend(driver.loader.view()),
+            10 if driver.views.len() < 4 => driver.views.extend(driver.loader.snapshot()),
             10 => driver.views.clear(),
             11 => driver.now += Duration::from_millis(u64::from(script.short())),
             _ => {}
@@ -201,7 +201,7 @@ fn finish(mut driver: Driver) -> Read {
             break;
         }
     }
-    let view = driver.loader.view()?;
+    let view = driver.loader.snapshot()?;
     let counters = driver.loader.counters();
     for request in std::mem::take(&mut driver.requests) {
         assert!(driver.loader.outcome(request).is_some(), "{request:?} never ends: {:?}", driver.seen);

@@ -4,7 +4,7 @@
 use super::files::Triangle;
 use super::sat::{Box3, gap};
 use super::scans::Random;
-use slicewalk::store::{PageSet, PageSlot, Store};
+use slicewalk::store::{PageSlot, Snapshot};
 use std::collections::{BTreeMap, BTreeSet};
 
 pub struct Truth {
@@ -60,7 +60,7 @@ impl Truth {
 }
 
 /// Occupied voxels: pixels and slices.
-pub fn voxels(store: &Store) -> BTreeSet<(i64, i64, i64)> {
+pub fn voxels(store: &Snapshot) -> BTreeSet<(i64, i64, i64)> {
     let mut all = BTreeSet::new();
     for number in 0..store.column_count() {
         let (tx, ty, slots) = store.column_at(number);

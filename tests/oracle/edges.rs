@@ -7,7 +7,7 @@ use super::scene::{Columns, Random, pages_of};
 use nalgebra::{Point3, Vector3};
 use slicewalk::frame::Frame;
 use slicewalk::query::*;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 
 /// Edge of a pixel (m), which equals 64 quanta of height.
 const UNIT: f64 = 0.0625;
@@ -42,13 +42,13 @@ fn cells(columns: &Columns) -> Vec<Cell> {
 }
 
 /// The same solid, moved by whole tiles and layers.
-fn moved(columns: &Columns, by: [i64; 3]) -> Store {
+fn moved(columns: &Columns, by: [i64; 3]) -> Snapshot {
     let up = by[2] * 255 * QUANTA;
     let column = |(&(i, j), spans): (&(i64, i64), &Vec<_>)| {
         let spans = spans.iter().map(|&(bottom, top, obstacle): &(i64, i64, bool)| (bottom + up, top + up, obstacle));
         ((i + 64 * by[0], j + 64 * by[1]), spans.collect())
     };
-    Store::from_pages(frame(), pages_of(&columns.iter().map(column).collect()))
+    Snapshot::from_pages(frame(), pages_of(&columns.iter().map(column).collect()))
 }
 
 const SHIFTS: [[i64; 3]; 6] =
@@ -156,7 +156,7 @@ fn round_shapes_touch_what_lies_at_their_rim_wherever_the_scene_stands() {
 #[test]
 fn a_ray_in_the_plane_at_the_origin_hits_walls_on_either_side() {
     for (i, j) in [(-1, 3), (0, 3), (3, -1), (3, 0)] {
-        let store = Store::from_pages(frame(), pages_of(&Columns::from([((i, j), vec![(0, 640, true)])])));
+        let store = Snapshot::from_pages(frame(), pages_of(&Columns::from([((i, j), vec![(0, 640, true)])])));
         let along = if j == 3 { Vector3::y() } else { Vector3::x() };
         let hit = cast(&store, &Ray::new(Point3::new(0.0, 0.0, 0.2), along, 1.0).unwrap()).known().flatten();
         let is_right = |hit: RayHit| hit.normal == -along && (hit.distance - 3.0 * UNIT).abs() < 1e-12;

@@ -7,7 +7,7 @@ use slicewalk::frame::{Frame, PageKey};
 use slicewalk::object::{Model, Object, touches_scene};
 use slicewalk::query::*;
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 
 /// A scene with some pages loaded.
 struct Half<'a> {
@@ -20,7 +20,7 @@ struct Half<'a> {
 
 impl Half<'_> {
     /// Repeats a query, loading the missing pages, until it has an answer, which must be that of the whole scene.
-    fn ask<T: PartialEq + std::fmt::Debug>(&mut self, what: &str, query: impl Fn(&Part) -> Answer<T>) {
+    fn ask<T: PartialEq + std::fmt::Debug>(&mut self, what: &str, query: impl Fn(&Snapshot) -> Answer<T>) {
         let mut store = self.scene.part(&self.loaded);
         let mut known = self.loaded.clone();
         loop {
@@ -37,7 +37,7 @@ impl Half<'_> {
         }
     }
 
-    fn ask_overlap(&mut self, what: &str, query: impl Fn(&Part) -> Overlap) {
+    fn ask_overlap(&mut self, what: &str, query: impl Fn(&Snapshot) -> Overlap) {
         self.ask(what, |store| match query(store) {
             Overlap::NotLoaded(missing) => Answer::NotLoaded(missing),
             known => Answer::Known(known == Overlap::Hit),
@@ -84,7 +84,7 @@ fn rod(frame: Frame) -> Model {
         let span = Span::new(100 + 20 * n, 140 + 20 * n + n % 3, false).unwrap();
         assert!(builder.set_column(10 + n, 20 + n * n / 25, &[span]));
     }
-    Model::from_pages(&Store::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())])).unwrap()
+    Model::from_pages(&Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())])).unwrap()
 }
 
 fn middle(model: &Model) -> Point3<f64> {
@@ -153,9 +153,9 @@ fn a_missing_page_below_the_floor_is_no_hindrance() {
     let key = |tx, layer| PageKey { tx, ty: 0, layer };
     for [low, high] in [[key(0, 0), key(1, 1)], [key(1, 0), key(0, 1)]] {
         let pages = [low, high].map(|key| (key, page(if key.tx == 0 { 60 } else { 3 })));
-        let mut part = Part::new(frame, pages.to_vec());
+        let mut part = Part::new(Snapshot::from_pages(frame, pages));
         let shape = Aabb::new(Point3::new(6.0, 3.0, 0.0), Point3::new(6.8, 3.1, 1.0)).unwrap();
-        let floor = |part: &Part| floor_under(part, &shape, 20.0, 20.0);
+        let floor = |part: &Snapshot| floor_under(part, &shape, 20.0, 20.0);
         assert!(matches!(floor(&part), Answer::NotLoaded(_)));
         assert_eq!(part.load(&[high]), 1);
         let Answer::Known(Some(found)) = floor(&part) else { panic!("{high:?} is enough") };

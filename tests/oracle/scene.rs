@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{Page, PageBuilder, Span};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::collections::BTreeMap;
 
 #[path = "../common/part.rs"]
@@ -66,8 +66,8 @@ impl Scene {
         })
     }
 
-    pub fn store(&self) -> Store {
-        Store::from_pages(self.frame, self.pages.clone())
+    pub fn store(&self) -> Snapshot {
+        Snapshot::from_pages(self.frame, self.pages.clone())
     }
 
     /// Keys of all pages.
@@ -77,7 +77,7 @@ impl Scene {
 
     /// A set of all pages, with those of `keys` in memory.
     pub fn part(&self, keys: &[PageKey]) -> Part {
-        let mut part = Part::new(self.frame, self.pages.clone());
+        let mut part = Part::new(self.store());
         part.load(keys);
         part
     }

@@ -9,7 +9,7 @@ use slicewalk::frame::Frame;
 use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
 use slicewalk::query::{Aabb, Overlap, Sphere};
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_mesh::Triangle;
 use std::collections::HashMap;
 
@@ -127,7 +127,7 @@ fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_to
         }
         pages.push((slicewalk::frame::PageKey { tx, ty, layer: 0 }, builder.build()));
     }
-    let store = Store::from_pages(frame, pages);
+    let store = Snapshot::from_pages(frame, pages);
     let scene = Model::from_pages(&store).unwrap();
     let model = Model::from_triangles(Frame::new(0.05, 0.15).unwrap(), &knot(18, 5), false).unwrap();
     let around: Vec<Oriented> = boxes(&scene, &Isometry3::identity());

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use scene::{Columns, Random, Scene, pages_of};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::query::*;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 
 /// The stated bound on phantoms of round shapes and rays at 10⁷ m, plus the tests' own rounding (m).
 const SLACK: f64 = 4e-8;
@@ -200,7 +200,7 @@ fn shapes_beyond_all_bounds_are_answered_at_once() {
     // One outlier extends the bounds to the end of the grid.
     let far = (1 << 30) - 1;
     pages.push((PageKey { tx: far, ty: -far, layer: far }, pages[0].1.clone()));
-    let store = Store::from_pages(scene.frame, pages);
+    let store = Snapshot::from_pages(scene.frame, pages);
     let infinite = f64::INFINITY;
     let everything = |z0, z1| Aabb::new([-infinite, -1e300, z0].into(), [infinite, 1e12, z1].into()).unwrap();
     assert_eq!(overlaps(&store, &everything(-infinite, infinite)), Overlap::Hit);

@@ -9,7 +9,7 @@ use crate::random;
 use random::Random;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::{Monitor, NoMonitor};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
@@ -97,7 +97,7 @@ fn check(name: &str, pixel: f64, metres_per_unit: f64) {
     archive.verify(&NoMonitor, &mut |finding| findings.push(finding.to_string())).unwrap();
     assert_eq!(findings, [""; 0]);
 
-    let store = Store::resident(&archive, &NoMonitor).unwrap();
+    let store = Snapshot::resident(&archive, &NoMonitor).unwrap();
     let frame = *archive.frame();
     let mut random = Random(1);
     let (mut hits, mut clear, mut between) = (0, 0, 0);

@@ -9,7 +9,7 @@ use scene::{Random, Scene};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS};
 use slicewalk::query::*;
 use slicewalk::slice::{Page, PageBuilder, Span};
-use slicewalk::store::{Missing, PageSet, Store};
+use slicewalk::store::{Missing, Snapshot};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
 const SLACK: f64 = 1e-7;
@@ -277,7 +277,7 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
                 let low = bottom + ds * 255;
                 columns.insert((i + di, j + dj), vec![(low, (low + 40).min(base + 250).max(low), obstacle)]);
             }
-            Store::from_pages(frame, scene::pages_of(&columns))
+            Snapshot::from_pages(frame, scene::pages_of(&columns))
         };
         let (here, there) = (store(0, 0, 0), store(37, -23, 29));
         let shift = Vector3::new(37.0 * t, -23.0 * t, 29.0 * s);
@@ -509,7 +509,7 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
         assert!(builder.set_column(pixel % 64, pixel / 64, &[floor]));
     }
     let key = PageKey { tx: 0, ty: 0, layer: 0 };
-    let store = Store::from_pages(frame, [(key, builder.build())]);
+    let store = Snapshot::from_pages(frame, [(key, builder.build())]);
     let (top, quantum, down) = (0.5, 1.0 / 1024.0, Vector3::new(0.0, 0.0, -1.0));
     let standing = |z: f64, motion: Vector3<f64>| {
         let at = Point3::new(4.0, 4.0, z);
@@ -538,7 +538,7 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
 fn a_sphere_passes_along_an_edge_that_is_further_than_its_radius() {
     let frame = Frame::new(0.25, 255.0 / 256.0).unwrap();
     let columns = (0..20).map(|i| ((i, 0), vec![(0, 256, false)])).collect();
-    let store = Store::from_pages(frame, scene::pages_of(&columns));
+    let store = Snapshot::from_pages(frame, scene::pages_of(&columns));
     for (aside, hits) in [(0.4, false), (0.3, true)] {
         for motion in [Vector3::x() * 3.0, Vector3::x() * -3.0] {
             let from = if motion.x > 0.0 { -1.0 } else { 6.0 };
@@ -561,7 +561,7 @@ fn of_contacts_at_the_same_moment_landing_counts() {
         let mut store = |at: &[(i64, scene::Matter)]| {
             columns.clear();
             columns.extend(at.iter().flat_map(|&(i, matter)| (-3..6).map(move |j| ((pixel(i), j), vec![matter]))));
-            Store::from_pages(frame, scene::pages_of(&columns))
+            Snapshot::from_pages(frame, scene::pages_of(&columns))
         };
         let side: f64 = if mirrored { -1.0 } else { 1.0 };
         // Half a metre from the wall, half a metre above the floor.
@@ -590,7 +590,7 @@ fn a_thin_wall_stops_at_any_speed() {
                 (far - 20..far + 100).map(move |i| ((i, j), vec![(-7, -7, false)])).chain([wall])
             })
             .collect();
-        let store = Store::from_pages(frame, scene::pages_of(&columns));
+        let store = Snapshot::from_pages(frame, scene::pages_of(&columns));
         let from = store.frame().edge_of_pixel(far);
         for speed in [0.1, 1.4, 30.0, 300.0, 3e4, 3e8] {
             for hz in [15.0, 60.0, 240.0] {

@@ -8,7 +8,7 @@ use crate::common::random::Random;
 use nalgebra::Point3;
 use slicewalk::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
 use slicewalk::reach::{Flood, Pawn, Region, Route, Search};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet};
@@ -333,7 +333,7 @@ fn shortest(
 }
 
 /// The edges of a way that a walker cannot take.
-fn not_walked(store: &Store, pawn: &Pawn, truth: &Truth, way: &[usize]) -> Vec<(usize, usize)> {
+fn not_walked(store: &Snapshot, pawn: &Pawn, truth: &Truth, way: &[usize]) -> Vec<(usize, usize)> {
     let config = Config { climb: pawn.climb, ..Config::new(pawn.body) };
     let mut walker = Walker::new(config, truth.feet(way[0])).unwrap();
     let mut refused = Vec::new();

@@ -11,7 +11,7 @@ use slicewalk::frame::Frame;
 use slicewalk::plan::Plan;
 use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Refusal, Route, Search};
 use slicewalk::slice::Span;
-use slicewalk::store::{PageSet, PageSlot, Store};
+use slicewalk::store::{PageSlot, Snapshot};
 use slicewalk::walk::Body;
 
 /// Pixel size, height of the lowest floor and of the ceiling (m).
@@ -90,7 +90,7 @@ fn pawn() -> Pawn {
     Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.7 })
 }
 
-fn finish<S: PageSet>(planner: &mut Coarse, set: &S, steps: usize) -> Result<Route, Refusal> {
+fn finish(planner: &mut Coarse, set: &Snapshot, steps: usize) -> Result<Route, Refusal> {
     loop {
         match planner.go_on(set, steps, &NoMonitor).unwrap() {
             Planned::Done(found) => return found,
@@ -100,8 +100,8 @@ fn finish<S: PageSet>(planner: &mut Coarse, set: &S, steps: usize) -> Result<Rou
     }
 }
 
-fn level(archive: &Archive, number: u32) -> Store {
-    Store::resident(&archive.level(number).unwrap(), &NoMonitor).unwrap()
+fn level(archive: &Archive, number: u32) -> Snapshot {
+    Snapshot::resident(&archive.level(number).unwrap(), &NoMonitor).unwrap()
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn a_fine_level_has_a_way_wherever_an_exact_one_leads_and_mostly_along_it() {
     let (mut connected, mut held, mut refused, mut lengths) = (0, 0, 0, [0.0; 2]);
     for seed in 0..6 {
         let archive = rooms(seed);
-        let (store, level) = (Store::resident(&archive, &NoMonitor).unwrap(), level(&archive, 1));
+        let (store, level) = (Snapshot::resident(&archive, &NoMonitor).unwrap(), level(&archive, 1));
         let (mut standing, region) = everywhere(&store, pawn());
         // On floors, not on tables or walls.
         let feet = region.places().map(|place| place.feet);
@@ -192,11 +192,8 @@ fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
         }
     }
     // The archive itself used like a level, with more pages.
-    let store = Store::resident(&rooms(3), &NoMonitor).unwrap();
-    let pages = (0..store.column_count()).map(|number| store.column_at(number)).flat_map(|(tx, ty, slots)| {
-        slots.iter().map(move |slot| (key(tx, ty, slot.layer()), slot.page().unwrap().clone()))
-    });
-    let mut partly = Part::new(*store.frame(), pages.collect::<Vec<_>>());
+    let store = Snapshot::resident(&rooms(3), &NoMonitor).unwrap();
+    let mut partly = Part::new(store.clone());
     let [from, to] = [[1.0, 1.0, FLOOR], [1.2, 3.0, FLOOR]].map(Point3::from);
     let mut planner = Coarse::new(&partly, pawn(), from, to).unwrap();
     let mut loaded = 0;

@@ -3,20 +3,20 @@
 use super::flat::{FLOOR, T, room};
 use super::{known, reached};
 use slicewalk::reach::{Leak, LeakKind, Pawn, Region};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
 fn pawn() -> Pawn {
     Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 })
 }
 
-fn leaks_with(store: &Store, pawn: Pawn) -> (Region, Vec<Leak>) {
+fn leaks_with(store: &Snapshot, pawn: Pawn) -> (Region, Vec<Leak>) {
     let (mut standing, region) = reached(store, pawn, [0.5, 0.5, FLOOR]);
     let leaks = known(region.leaks(&mut standing, store).unwrap());
     (region, leaks)
 }
 
-fn leaks(store: &Store) -> Vec<Leak> {
+fn leaks(store: &Snapshot) -> Vec<Leak> {
     leaks_with(store, pawn()).1
 }
 

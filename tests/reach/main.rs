@@ -22,7 +22,7 @@ use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Flood, Pawn, Region, Route, Search, Spot, StandingPlaces};
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 
 /// Unwraps the answer of a set whose pages are all in memory.
 fn known<T>(answer: Answer<T>) -> T {
@@ -32,13 +32,13 @@ fn known<T>(answer: Answer<T>) -> T {
     }
 }
 
-fn grown<S: PageSet>(standing: &mut StandingPlaces, set: &S, mut flood: Flood) -> Region {
+fn grown(standing: &mut StandingPlaces, set: &Snapshot, mut flood: Flood) -> Region {
     known(flood.grow(standing, set, &NoMonitor).unwrap());
     flood.region(standing)
 }
 
 /// Everything reachable from a place.
-fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, Region) {
+fn reached(set: &Snapshot, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, Region) {
     let mut standing = StandingPlaces::new(set, pawn).unwrap();
     let start =
         known(standing.spot(set, from.into()).unwrap()).unwrap_or_else(|| panic!("{from:?} is no place to stand"));
@@ -47,17 +47,17 @@ fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, 
 }
 
 /// All standing places.
-fn everywhere<S: PageSet>(set: &S, pawn: Pawn) -> (StandingPlaces, Region) {
+fn everywhere(set: &Snapshot, pawn: Pawn) -> (StandingPlaces, Region) {
     let mut standing = StandingPlaces::new(set, pawn).unwrap();
     let flood = known(Flood::everywhere(&mut standing, set).unwrap());
     let region = grown(&mut standing, set, flood);
     (standing, region)
 }
 
-fn spot<S: PageSet>(standing: &mut StandingPlaces, set: &S, at: Point3<f64>) -> Option<Spot> {
+fn spot(standing: &mut StandingPlaces, set: &Snapshot, at: Point3<f64>) -> Option<Spot> {
     known(standing.spot(set, at).unwrap())
 }
 
-fn way<S: PageSet>(search: &mut Search, set: &S, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {
+fn way(search: &mut Search, set: &Snapshot, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {
     known(search.route(set, region, from, to, &NoMonitor).unwrap())
 }

@@ -7,7 +7,7 @@ use crate::common::random::Random;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::reach::{Flood, Pawn, StandingPlaces};
 use slicewalk::slice::Span;
-use slicewalk::store::{PageSet, PageSlot, Store};
+use slicewalk::store::{PageSlot, Snapshot};
 use slicewalk::walk::Body;
 use std::collections::BTreeMap;
 
@@ -43,7 +43,7 @@ fn random_world(seed: u64) -> World {
     world
 }
 
-fn store(world: &World) -> Store {
+fn store(world: &World) -> Snapshot {
     let span = |&(bottom, top, steep): &(i64, i64, bool)| Span::new(bottom as u32, top as u32, steep).unwrap();
     let columns = world.iter().map(|(at, spans)| (*at, spans.iter().map(span).collect()));
     flat::store(Frame::new(T, SIGMA).unwrap(), columns)
@@ -168,7 +168,7 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.2 });
     let (mut standing, region) = everywhere(&whole, pawn);
     let leaks = known(region.leaks(&mut standing, &whole).unwrap());
-    let mut partly = nothing_of(&whole);
+    let mut partly = Part::new(whole.clone());
     let mut standing = StandingPlaces::new(&partly, pawn).unwrap();
     let mut waits = 0;
     let mut load = |partly: &mut Part, missing: slicewalk::store::Missing| {
@@ -190,13 +190,4 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     assert!(found.places().eq(region.places()));
     assert_eq!(known(found.leaks(&mut standing, &partly).unwrap()), leaks);
     assert_eq!(waits, 4, "four pages, one at a time");
-}
-
-/// All pages of a store, none of them in memory.
-fn nothing_of(store: &Store) -> Part {
-    let columns = (0..store.column_count()).map(|number| store.column_at(number));
-    let pages = columns.flat_map(|(tx, ty, slots)| {
-        slots.iter().map(move |slot| (key(tx, ty, slot.layer()), slot.page().unwrap().clone()))
-    });
-    Part::new(*store.frame(), pages)
 }

@@ -8,7 +8,7 @@ use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Along, Pawn, Planned, Planner, Refusal, Route, Search};
-use slicewalk::store::{PageSet, Store};
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
 /// A pawn as wide as a pixel, which stands on each pixel of floor.
@@ -21,7 +21,7 @@ fn at(i: usize, j: usize) -> Point3<f64> {
 }
 
 /// A hall of `width` by 60 pixels with a cross wall every 100 pixels; the gaps are on alternating sides.
-fn hall(width: usize, gap: usize) -> Store {
+fn hall(width: usize, gap: usize) -> Snapshot {
     room(width, 60, |i, j| {
         let is_gap = if i / 100 % 2 == 0 { j < 1 + gap } else { j > 58 - gap };
         (i % 100 == 99 && !is_gap).then_some(b'#')
@@ -29,7 +29,7 @@ fn hall(width: usize, gap: usize) -> Store {
 }
 
 /// Runs a task to its end, in slices of `steps` steps.
-fn finish<S: PageSet>(planner: &mut Planner, set: &S, steps: usize) -> (Result<Route, Refusal>, usize) {
+fn finish(planner: &mut Planner, set: &Snapshot, steps: usize) -> (Result<Route, Refusal>, usize) {
     for turns in 1.. {
         match planner.go_on(set, steps, &NoMonitor).unwrap() {
             Planned::Done(found) => return (found, turns),
@@ -93,11 +93,7 @@ fn a_task_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
         }
     }
     let store = hall(1000, 8);
-    let pages = (0..store.column_count()).map(|number| store.column_at(number)).flat_map(|(tx, ty, slots)| {
-        use slicewalk::store::PageSlot;
-        slots.iter().map(move |slot| (crate::common::key(tx, ty, slot.layer()), slot.page().unwrap().clone()))
-    });
-    let mut partly = Part::new(*store.frame(), pages.collect::<Vec<_>>());
+    let mut partly = Part::new(store.clone());
     let mut planner = Planner::new(&partly, thin(), at(5, 30), at(95, 40)).unwrap();
     let mut loaded = 0;
     let found = loop {

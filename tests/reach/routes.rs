@@ -173,7 +173,7 @@ fn a_search_stops_when_it_is_asked_to() {
 }
 
 /// Heights of a world of floor (m), by pixel, as a store.
-fn hills(edge: usize, height: impl Fn(usize, usize) -> f64) -> slicewalk::store::Store {
+fn hills(edge: usize, height: impl Fn(usize, usize) -> f64) -> slicewalk::store::Snapshot {
     let frame = slicewalk::frame::Frame::new(T, 0.3).unwrap();
     let pixels = (0..edge).flat_map(|i| (0..edge).map(move |j| (i, j)));
     let columns = pixels.map(|(i, j)| {

@@ -6,16 +6,16 @@ use crate::common::random::Random;
 use nalgebra::{Point2, Point3};
 use scangen::{Params, Scene};
 use slicewalk::reach::{Pawn, Search};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints, Wish};
 
-fn named(name: &str, params: &[(&str, f64)]) -> Store {
+fn named(name: &str, params: &[(&str, f64)]) -> Snapshot {
     let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
     world::world(&Scene::named(name, &params).unwrap(), 0.0)
 }
 
 /// Returns whether a route connects two places.
-fn connects(store: &Store, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> bool {
+fn connects(store: &Snapshot, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> bool {
     let (mut standing, region) = reached(store, pawn, from);
     let [a, b] =
         [from, to].map(|at| spot(&mut standing, store, at.into()).unwrap_or_else(|| panic!("{at:?}: no place")));
@@ -97,7 +97,7 @@ fn a_floor_without_walls_is_all_standing_and_ends_at_one_edge() {
 }
 
 /// Walks along a route; returns whether the walker arrives.
-fn arrives(store: &Store, body: Body, route: &slicewalk::reach::Route) -> bool {
+fn arrives(store: &Snapshot, body: Body, route: &slicewalk::reach::Route) -> bool {
     let config = Config { tick_s: 1.0 / 60.0, ..Config::new(body) };
     let mut walker = Walker::new(config, route.points[0]).unwrap();
     let places: Vec<Point2<f64>> = route.points.iter().map(|point| point.xy()).collect();

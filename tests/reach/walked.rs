@@ -6,7 +6,7 @@ use nalgebra::{Point2, Point3};
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::reach::{Pawn, Region, Route, Search, StandingPlaces};
 use slicewalk::slice::Span;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::collections::BTreeMap;
 
@@ -135,7 +135,7 @@ impl Scene {
     }
 
     /// The scene rotated by quarter turns, mirrored, and moved by a number of pixels.
-    fn store(&self, turns: u64, mirrored: bool, by: [i64; 2]) -> Store {
+    fn store(&self, turns: u64, mirrored: bool, by: [i64; 2]) -> Snapshot {
         let span = |(bottom, top, steep): Solid| Span::new(bottom as u32, top as u32, steep).unwrap();
         let columns = self.columns(turns, mirrored, by, 0);
         flat::store(
@@ -186,7 +186,7 @@ pub(super) fn bodies() -> [Body; 7] {
 }
 
 /// Follows a route with the walker of `slicetool walk`; returns where it ends.
-fn walk(store: &Store, body: Body, route: &Route, tick_s: f64) -> (State, Point3<f64>) {
+fn walk(store: &Snapshot, body: Body, route: &Route, tick_s: f64) -> (State, Point3<f64>) {
     let mut walker = Walker::new(Config { tick_s, ..Config::new(body) }, route.points[0]).unwrap();
     let places: Vec<Point2<f64>> = route.points.iter().map(|point| point.xy()).collect();
     let mut waypoints = Waypoints::new(places).unwrap();
@@ -317,7 +317,7 @@ fn the_walker_arrives_on_every_route_of_real_scans() {
         options.units = slicewalk_input::Units::Factor(unit);
         slicewalk_convert::convert(&options, &slicewalk::NoMonitor).unwrap();
         let archive = slicewalk::archive::Archive::open(dir.path().join("scan.slices")).unwrap();
-        let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+        let store = Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap();
         let (mut standing, region) = everywhere(&store, Pawn::new(body));
         let all: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
         let (mut random, mut search, mut found, mut starts) = (Random(7), Search::new(), 0, 0);

@@ -10,7 +10,7 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{Outlook, Store};
+use slicewalk::store::{Outlook, Snapshot};
 use std::collections::BTreeMap;
 
 /// Latency of a slow source (s), and duration of a frame.
@@ -89,8 +89,8 @@ pub fn open(source: impl ByteSource + 'static) -> Archive {
 }
 
 /// All pages in memory.
-pub fn resident(bytes: &[u8]) -> Store {
-    Store::resident(&Archive::from_bytes(bytes.to_vec()).unwrap(), &NoMonitor).unwrap()
+pub fn resident(bytes: &[u8]) -> Snapshot {
+    Snapshot::resident(&Archive::from_bytes(bytes.to_vec()).unwrap(), &NoMonitor).unwrap()
 }
 
 /// A body of 0.5 × 0.5 × 1.8 m with its feet at a point.

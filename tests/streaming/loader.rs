@@ -41,7 +41,7 @@ fn it_opens_by_itself_in_three_rounds_and_stands_after_a_few_more() {
         while !standing {
             link.run(&mut loader, link.now + seconds(0.01)).unwrap();
             standing =
-                loader.view().is_some_and(|view| !matches!(overlaps(&view, &body.shape()), Overlap::NotLoaded(_)));
+                loader.snapshot().is_some_and(|view| !matches!(overlaps(&view, &body.shape()), Overlap::NotLoaded(_)));
             requests = link.requests();
             assert!(link.now < seconds(5.0), "{:#?}", link.transcript);
         }
@@ -59,7 +59,7 @@ fn a_small_archive_of_unknown_length_opens_with_its_first_answer() {
     let mut link = Link::new(&small, Manners::GOOD, 1);
     let mut loader = Loader::open(None, LoaderOptions::new(BUDGET));
     link.run(&mut loader, seconds(1.0)).unwrap();
-    assert!(loader.view().is_some());
+    assert!(loader.snapshot().is_some());
     assert_eq!(link.requests(), 2, "the start, then the leaf: {:#?}", link.transcript);
 }
 
@@ -85,7 +85,7 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
             body.feet += body.velocity * 10.0;
             loader.hint(pawn, &body.motion());
             link.run(&mut loader, seconds(10.0 * f64::from(step))).unwrap();
-            let view = loader.view().unwrap();
+            let view = loader.snapshot().unwrap();
             let answer = overlaps(&view, &body.shape());
             if !matches!(answer, Overlap::NotLoaded(_)) {
                 known += 1;
@@ -142,7 +142,7 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
         link.run(&mut loader, link.now + seconds(3600.0)).unwrap();
         let counters = loader.counters();
         assert!(counters.peak_bytes <= BUDGET, "seed {seed}: {counters:?}");
-        let view = loader.view().unwrap();
+        let view = loader.snapshot().unwrap();
         let answer = overlaps(&view, &body.shape());
         assert!(!matches!(answer, Overlap::NotLoaded(_)), "seed {seed}");
         // All pages that the body needs, whatever else is loaded.
@@ -253,11 +253,11 @@ fn patience_with_views_begins_when_nothing_else_holds_room() {
     let mut link = Link::new(&TOWER, Manners::GOOD, 1);
     loader.request(&other, other[0]);
     link.run(&mut loader, seconds(1.0)).unwrap();
-    let old = loader.view().unwrap();
+    let old = loader.snapshot().unwrap();
     link.manners.latency = Duration::from_millis(300);
     let request = loader.request(&wanted, wanted[0]);
     link.run(&mut loader, link.now + seconds(0.35)).unwrap();
-    assert!(loader.view().unwrap().is_loaded(wanted[0]) == Some(true) && loader.outcome(request).is_none());
+    assert!(loader.snapshot().unwrap().is_loaded(wanted[0]) == Some(true) && loader.outcome(request).is_none());
     drop(old);
     link.run(&mut loader, link.now + seconds(10.0)).unwrap();
     let report = loader.outcome(request).unwrap().unwrap();
@@ -348,7 +348,7 @@ fn pages_that_cannot_be_read_are_tried_again_ever_later() {
     }
     link.manners.lost = 0;
     link.run(&mut loader, seconds(75.0)).unwrap();
-    assert!(!matches!(overlaps(&loader.view().unwrap(), &body.shape()), Overlap::NotLoaded(_)));
+    assert!(!matches!(overlaps(&loader.snapshot().unwrap(), &body.shape()), Overlap::NotLoaded(_)));
 }
 
 #[test]
@@ -382,7 +382,7 @@ fn an_archive_that_breaks_a_rule_fails_for_ever_and_one_that_cannot_be_read_only
     while link.now < seconds(20.0) {
         let _ = link.run(&mut loader, link.now + seconds(0.5));
     }
-    assert!(loader.view().is_some());
+    assert!(loader.snapshot().is_some());
 }
 
 #[test]
@@ -412,7 +412,7 @@ fn a_walker_on_a_slow_link_waits_at_the_start_only() {
     for n in 0..1200u32 {
         loader.hint(pawn, &walker.outlook(&frame));
         link.run(&mut loader, seconds(f64::from(n) * FRAME_S)).unwrap();
-        let Some(view) = loader.view() else { continue };
+        let Some(view) = loader.snapshot() else { continue };
         let angle = f64::from(n / 120);
         let report = walker.step(&view, FRAME_S, Wish::Direction([angle.cos(), angle.sin()].into()));
         match report.waits() {

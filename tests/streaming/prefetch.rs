@@ -35,7 +35,7 @@ fn fall(prefetch: Prefetch, speed: f64, budget: usize) -> (u32, u32, Counters) {
     let (mut frames, mut missing, mut read_s) = (0, 0, 0.0f64);
     while body.feet.z > 2.0 {
         pawn.hint(&body.motion());
-        if let Overlap::NotLoaded(pages) = overlaps(&stream.view(), &body.shape()) {
+        if let Overlap::NotLoaded(pages) = overlaps(&stream.snapshot(), &body.shape()) {
             missing += 1;
             // Like a program without a prefetcher: stop until the pages are loaded.
             stream.load_missing(&pages).unwrap();
@@ -87,11 +87,11 @@ fn fall_of_a_walker(prefetch: Prefetch, budget: usize) -> (u32, u32, Counters) {
     let (mut frames, mut missing) = (0, 0);
     while walker.feet().z > 2.0 {
         pawn.hint(&walker.outlook(stream.archive().frame()));
-        let mut report = walker.step(&stream.view(), FRAME_S, Wish::Stay);
+        let mut report = walker.step(&stream.snapshot(), FRAME_S, Wish::Stay);
         missing += u32::from(report.waits());
         while let Some(needed) = report.missing {
             assert_eq!(stream.load_missing(&needed).unwrap().left_out, 0);
-            report = walker.step(&stream.view(), report.unspent, Wish::Stay);
+            report = walker.step(&stream.snapshot(), report.unspent, Wish::Stay);
         }
         frames += 1;
         source.run(&stream, f64::from(frames) * FRAME_S);
@@ -125,7 +125,7 @@ fn pages_are_loaded_in_the_order_in_which_a_fall_needs_them() {
     let mut last = 153.0;
     // As pages arrive, the body can fall ever further without missing one.
     while let Step::Loaded(_) = stream.step() {
-        let view = stream.view();
+        let view = stream.snapshot();
         let mut probe = body;
         while probe.feet.z > 100.0 && !matches!(overlaps(&view, &probe.shape()), Overlap::NotLoaded(_)) {
             probe.feet.z -= 0.5;
@@ -155,7 +155,7 @@ fn walk_and_compare(prefetch: Prefetch, budget: usize, seed: u64) -> (u32, u32) 
         for _ in 0..random.below(3) {
             stream.step();
         }
-        let view = stream.view();
+        let view = stream.snapshot();
         let box_ = body.shape();
         let mut same = |told: bool, equal: bool| {
             assert!(!told || equal, "frame {frame} of seed {seed}");
@@ -173,10 +173,10 @@ fn walk_and_compare(prefetch: Prefetch, budget: usize, seed: u64) -> (u32, u32) 
         drop(view);
         // Sometimes the program loads what is missing.
         if random.below(4) == 0
-            && let Overlap::NotLoaded(missing) = overlaps(&stream.view(), &box_)
+            && let Overlap::NotLoaded(missing) = overlaps(&stream.snapshot(), &box_)
         {
             let report = stream.load_missing(&missing).unwrap();
-            let again = overlaps(&stream.view(), &box_);
+            let again = overlaps(&stream.snapshot(), &box_);
             let fits = report.left_out == 0 && missing.count() <= missing.keys().len();
             assert!(!fits || again == overlaps(&all, &box_) || matches!(again, Overlap::NotLoaded(_)));
         }
@@ -215,9 +215,9 @@ fn queries_and_hints_go_on_while_the_source_hangs() {
             for step in 0..10_000 {
                 let body = Body::at(0.0, 0.0, 100.0 - f64::from(step % 7));
                 pawn.hint(&body.motion());
-                overlaps(&stream.view(), &body.shape());
+                overlaps(&stream.snapshot(), &body.shape());
             }
-            assert!(!matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_)));
+            assert!(!matches!(overlaps(&stream.snapshot(), &body.shape()), Overlap::NotLoaded(_)));
             done.send(()).unwrap();
         });
         let outcome = finished.recv_timeout(Duration::from_secs(20));
@@ -292,7 +292,7 @@ fn a_view_outlives_its_stream() {
     let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options(BUDGET, Prefetch::Thread)).unwrap();
     let body = Body::at(0.9, 0.0, 0.0);
     stream.load_around(&body.motion()).unwrap();
-    let view = stream.view();
+    let view = stream.snapshot();
     drop(stream);
     assert_eq!(overlaps(&view, &body.shape()), Overlap::Hit);
 }
@@ -311,13 +311,13 @@ fn errors_are_reported_and_their_pages_stay_not_loaded_until_they_can_be_read() 
     source.set(Fault::Fail, 0..u64::MAX);
     let errors = turn();
     assert!(!errors.is_empty() && errors.iter().all(|error| error.error.to_string().contains("read")), "{errors:?}");
-    assert!(matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_)));
+    assert!(matches!(overlaps(&stream.snapshot(), &body.shape()), Overlap::NotLoaded(_)));
     assert!(stream.load_around(&body.motion()).unwrap_err().to_string().contains("read"));
     // The loader's own tests, with their own clock, check when exactly they are retried.
     source.set(Fault::None, 0..0);
     turn();
     let start = Instant::now();
-    while matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_)) {
+    while matches!(overlaps(&stream.snapshot(), &body.shape()), Overlap::NotLoaded(_)) {
         assert!(start.elapsed() < Duration::from_secs(60), "{:?}", stream.counters());
         std::thread::sleep(Duration::from_millis(20));
         assert!(turn().is_empty());
@@ -346,7 +346,7 @@ fn one_damaged_page_of_a_run_is_an_error_and_the_others_are_loaded() {
         // On a busy machine, the page may be retried in the meantime.
         assert!(!errors.is_empty() && errors.iter().all(|error| error.key == key), "{errors:?}");
         assert!(errors[0].error.to_string().contains(text), "{}", errors[0].error);
-        let view = stream.view();
+        let view = stream.snapshot();
         assert_eq!(view.is_loaded(key), Some(false));
         assert_eq!(view.is_loaded(slicewalk::frame::PageKey { layer: key.layer - 1, ..key }), Some(true));
         assert!(stream.counters().resident_pages > 20);

@@ -2,12 +2,12 @@
 
 use super::world::*;
 use nalgebra::{Point2, Point3, Vector2};
-use slicewalk::store::{Store, Stream, StreamOptions};
+use slicewalk::store::{Snapshot, Stream, StreamOptions};
 use slicewalk::walk::*;
 
 const TICK: f64 = 1.0 / 60.0;
 
-fn hall(half: f64) -> Store {
+fn hall(half: f64) -> Snapshot {
     let scene = scene(|b| {
         b.level("floor", [-half, -half, half, half], 0.0, &[]);
         for [x, y] in [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]] {
@@ -15,7 +15,7 @@ fn hall(half: f64) -> Store {
         }
     });
     let (_dir, archive) = convert_at(&scene, 0.001, 900.0);
-    Store::resident(&archive, &slicewalk::NoMonitor).unwrap()
+    Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap()
 }
 
 fn crowd(count: usize, spacing: f64) -> (Crowd, Vec<Point2<f64>>) {
@@ -103,7 +103,7 @@ fn pawns_that_begin_in_each_other_part() {
 
 /// Runs frames until all have settled; returns their number and the greatest distance from `goal`, and checks that no
 /// two pawns overlap meanwhile.
-fn converge(crowd: &mut Crowd, store: &Store, goal: Point2<f64>, most: usize) -> (usize, f64) {
+fn converge(crowd: &mut Crowd, store: &Snapshot, goal: Point2<f64>, most: usize) -> (usize, f64) {
     let mut frames = 0;
     loop {
         let report = crowd.step(store, TICK, |_, _| Wish::Toward(goal));
@@ -179,7 +179,7 @@ fn pawns_walk_on_threads_of_their_own() {
         b.open_cuboid("step", [-3.0, -3.0, 0.0], [-1.0, 1.0, 0.2]);
     });
     let (_dir, archive) = convert_scene(&scene, 0.001);
-    let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+    let store = Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap();
     let stream = Stream::open(archive, StreamOptions::new(8 << 20)).unwrap();
     let pawn = |n: u32| {
         let at = |k: u32| f64::from(k) * 0.43 - 6.4;
@@ -193,10 +193,10 @@ fn pawns_walk_on_threads_of_their_own() {
             let mut hints = stream.pawn();
             for _ in 0..30 {
                 hints.hint(&walker.outlook(stream.archive().frame()));
-                let mut report = walker.step(&hints.view(), TICK, wish);
+                let mut report = walker.step(&hints.snapshot(), TICK, wish);
                 while let Some(missing) = report.missing {
                     assert_eq!(stream.load_missing(&missing).unwrap().left_out, 0);
-                    report = walker.step(&hints.view(), report.unspent, wish);
+                    report = walker.step(&hints.snapshot(), report.unspent, wish);
                 }
             }
             walker.feet()

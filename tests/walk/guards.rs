@@ -2,11 +2,11 @@
 
 use super::world::*;
 use nalgebra::{Point3, Vector2};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::*;
 
 /// A floor of 8 × 6 m with a hole, and on it a stage 1 m high with a hole through both.
-fn stage() -> Store {
+fn stage() -> Snapshot {
     let deep = [-3.0, -1.0, -1.8, 0.4];
     let through = [2.5, -0.5, 3.5, 0.7];
     let scene = scene(|b| {
@@ -18,7 +18,7 @@ fn stage() -> Store {
 }
 
 /// Steps in random directions; returns where the pawn has been and why it stopped.
-fn wander(store: &Store, config: Config, start: [f64; 3], seed: u64, steps: usize) -> (Vec<Point3<f64>>, Vec<Stop>) {
+fn wander(store: &Snapshot, config: Config, start: [f64; 3], seed: u64, steps: usize) -> (Vec<Point3<f64>>, Vec<Stop>) {
     let mut walker = Walker::new(config, start.into()).unwrap();
     let (mut places, mut stops) = (Vec::new(), Vec::new());
     let mut state = seed;

@@ -2,7 +2,7 @@
 
 use super::world::*;
 use nalgebra::{Point2, Point3, Vector2};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::*;
 
 const TICK: f64 = 1.0 / 60.0;
@@ -43,7 +43,7 @@ enum Rule {
 }
 
 /// Returns how many of 20 pawns pass a door within a minute, and when the last of them does (s).
-fn through(store: &Store, bodies: [Body; 2], rule: Rule) -> (usize, f64) {
+fn through(store: &Snapshot, bodies: [Body; 2], rule: Rule) -> (usize, f64) {
     let at = |n: usize| [-3.2 + 0.62 * (n / 5) as f64, -1.3 + 0.65 * (n % 5) as f64, 0.03];
     let mut crowd = Crowd::new((0..20).map(|n| walker(bodies[n % 2], at(n))).collect()).unwrap();
     let mut passed = [false; 20];

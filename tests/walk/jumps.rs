@@ -3,7 +3,7 @@
 use super::world::*;
 use nalgebra::{Vector2, Vector3};
 use slicewalk::query::Answer;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::*;
 
 /// Take-off speed of a jump of 0.6 m.
@@ -11,7 +11,7 @@ const SPEED: f64 = 3.431;
 const FRAME_S: f64 = 1.0 / 60.0;
 
 /// A floor at 0, a slab from 2.2 m up over x > 2, and a block 0.5 m high behind x = -1.
-fn hall() -> Store {
+fn hall() -> Snapshot {
     let scene = scene(|b| {
         b.level("floor", [-4.0, -2.0, 4.0, 2.0], 0.0, &[]);
         b.level("slab", [2.0, -2.0, 4.0, 2.0], 2.2, &[]);
@@ -21,7 +21,7 @@ fn hall() -> Store {
     world(&scene, 0.0)
 }
 
-fn standing(store: &Store, at: [f64; 3]) -> Walker {
+fn standing(store: &Snapshot, at: [f64; 3]) -> Walker {
     let mut walker = Walker::new(config(BOX), at.into()).unwrap();
     for _ in 0..60 {
         walker.step(store, FRAME_S, Wish::Stay);
@@ -31,7 +31,7 @@ fn standing(store: &Store, at: [f64; 3]) -> Walker {
 }
 
 /// Jumps while walking in direction `way` until the pawn stands again; returns the greatest height of the feet.
-fn jump(store: &Store, walker: &mut Walker, way: Vector2<f64>) -> f64 {
+fn jump(store: &Snapshot, walker: &mut Walker, way: Vector2<f64>) -> f64 {
     assert!(walker.jump(SPEED));
     assert!(!walker.jump(SPEED), "nobody jumps in the air");
     let mut highest = walker.feet().z;

@@ -18,14 +18,14 @@ mod world;
 use nalgebra::{Point3, Vector2, Vector3};
 use scangen::{Params, Scene};
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::*;
 use world::*;
 
 const BODIES: [Body; 2] = [BOX, CYLINDER];
 
 /// Checks that only the floor touches the body, at any time.
-fn assert_free(store: &Store, trace: &Trace, what: &str) {
+fn assert_free(store: &Snapshot, trace: &Trace, what: &str) {
     let body = trace.walker.config().body;
     let (half, height) = (body.half(), body.height());
     for feet in &trace.path {

@@ -7,12 +7,12 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{Prefetch, Store, Stream, StreamOptions};
+use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::*;
 use std::time::Duration;
 
 /// A floor of `top` quanta (from z = 0), four tiles wide, from tile `first` on.
-fn floor_store(first: i32, top: i64) -> Store {
+fn floor_store(first: i32, top: i64) -> Snapshot {
     let frame = Frame::new(T, 3.0 * T).unwrap();
     let layer = (top - 1).div_euclid(PAGE_QUANTA);
     let local = (top - layer * PAGE_QUANTA) as u32;
@@ -23,7 +23,7 @@ fn floor_store(first: i32, top: i64) -> Store {
         }
         (PageKey { tx: first + n % 4, ty: first + n / 4, layer: layer as i32 }, builder.build())
     });
-    Store::from_pages(frame, pages)
+    Snapshot::from_pages(frame, pages)
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn a_fall_of_150_metres_ends_on_the_ground() {
     let tower =
         Scene::named("tower", &Params::new().with("storeys", 51.0).with("size", 6.0).with("shaft", 2.0)).unwrap();
     let (_dir, archive) = convert_at(&tower, 0.001, 1600.0);
-    let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+    let store = Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap();
     let way = tower.walk().unwrap();
     assert_eq!(way.start[2], 150.0);
     for hz in [15.0, 60.0] {
@@ -169,7 +169,7 @@ fn sparse_walls_hold() {
             b.level("floor", [-1.5, -1.0, 1.5, 1.0], 0.0, &[]);
         });
         let (_dir, archive) = convert_at(&scene, 0.001, density);
-        let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+        let store = Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap();
         for (n, body) in [BOX, CYLINDER, BOX, CYLINDER].into_iter().enumerate() {
             let y = 0.37 * n as f64 - 0.6;
             let trace = walk(&store, config(body), [-1.0, y, 0.0], &[[1.0, y]], 60.0, 10.0);
@@ -201,7 +201,7 @@ fn a_ladder_of_ledges_is_no_stair() {
 fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
     let scene = Scene::named("stairs", &Params::new().with("risers", 4.0).with("landing", 4.0)).unwrap();
     let (dir, archive) = convert_scene(&scene, 0.001);
-    let whole = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+    let whole = Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap();
     let way = scene.walk().unwrap();
     let truth = walk(&whole, config(BOX), way.start, &way.waypoints, 60.0, 30.0);
     assert!(truth.arrived());
@@ -212,15 +212,15 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
     let mut way = route(&way.waypoints.clone());
     let (mut waits, mut frame) = (0, 0);
     while walker.state() != State::Arrived {
-        let mut report = walker.follow(&stream.view(), 1.0 / 60.0, &mut way);
+        let mut report = walker.follow(&stream.snapshot(), 1.0 / 60.0, &mut way);
         while let Some(missing) = report.missing {
             // It stands still as long as no page is loaded.
             let (feet, state) = (walker.feet(), walker.state());
-            let again = walker.follow(&stream.view(), report.unspent, &mut way);
+            let again = walker.follow(&stream.snapshot(), report.unspent, &mut way);
             assert!(again.waits() && again.missing_count() > 0 && again.ticks == 0 && again.moved == Vector3::zeros());
             assert_eq!((walker.feet(), walker.state()), (feet, state));
             stream.load_missing(&missing).unwrap();
-            report = walker.follow(&stream.view(), report.unspent, &mut way);
+            report = walker.follow(&stream.snapshot(), report.unspent, &mut way);
             waits += 1;
         }
         assert_eq!(walker.feet(), truth.path[frame], "frame {frame}");
@@ -266,7 +266,7 @@ fn the_outlook_names_every_page_that_a_step_asks_for() {
             for _ in 0..10 {
                 pawn.hint(&walker.outlook(stream.archive().frame()));
                 assert!(stream.settle(Duration::from_secs(60)));
-                let report = walker.step(&stream.view(), 1.0 / hz, wish);
+                let report = walker.step(&stream.snapshot(), 1.0 / hz, wish);
                 assert_eq!(report.missing, None, "{speed} m/s at {hz} Hz, at {}", walker.feet());
                 if walker.feet().z < -1.0 || walker.feet().xy().coords.amax() > 6.0 {
                     walker.place(Point3::new(0.1, 0.2, 9.0));

@@ -9,7 +9,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{PageSet, Store};
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, StepReport, Walker, Waypoints};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
@@ -46,14 +46,14 @@ pub fn convert_at(scene: &Scene, noise: f64, density: f64) -> (tempfile::TempDir
 }
 
 /// The scene's pages, all in memory.
-pub fn world(scene: &Scene, noise: f64) -> Store {
+pub fn world(scene: &Scene, noise: f64) -> Snapshot {
     let (_dir, archive) = convert_scene(scene, noise);
-    Store::resident(&archive, &NoMonitor).unwrap()
+    Snapshot::resident(&archive, &NoMonitor).unwrap()
 }
 
 /// A level floor of `tiles` by `tiles` tiles of 3.2 m around the origin, with walls of 3 m in the pixels that `is_wall`
 /// selects.
-pub fn room(tiles: i64, is_wall: impl Fn((i64, i64)) -> bool) -> Store {
+pub fn room(tiles: i64, is_wall: impl Fn((i64, i64)) -> bool) -> Snapshot {
     let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
     let page = |tx: i64, ty: i64| {
         let mut builder = PageBuilder::default();
@@ -66,7 +66,7 @@ pub fn room(tiles: i64, is_wall: impl Fn((i64, i64)) -> bool) -> Store {
     };
     let row = |ty: i64| (-tiles / 2..tiles - tiles / 2).map(move |tx| (tx, ty));
     let places = (-tiles / 2..tiles - tiles / 2).flat_map(row);
-    Store::from_pages(Frame::new(T, 0.15).unwrap(), places.map(|(tx, ty)| page(tx, ty)).collect::<Vec<_>>())
+    Snapshot::from_pages(Frame::new(T, 0.15).unwrap(), places.map(|(tx, ty)| page(tx, ty)).collect::<Vec<_>>())
 }
 
 /// A scene of the surfaces that `build` adds.
@@ -115,7 +115,7 @@ impl Trace {
 }
 
 /// Follows `places` until the pawn arrives, is blocked for a second, or `seconds` have passed.
-pub fn walk<S: PageSet>(set: &S, config: Config, start: [f64; 3], places: &[[f64; 2]], hz: f64, seconds: f64) -> Trace {
+pub fn walk(set: &Snapshot, config: Config, start: [f64; 3], places: &[[f64; 2]], hz: f64, seconds: f64) -> Trace {
     let mut walker = Walker::new(config, start.into()).unwrap();
     let mut way = route(places);
     let (mut path, mut reports, mut blocked) = (Vec::new(), Vec::new(), 0.0);

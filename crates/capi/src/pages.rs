@@ -5,33 +5,16 @@ use crate::border::{Failure, Handle, Outcome, check_apart, close, give, guard, h
 use engine::frame::PAGE_QUANTA;
 use engine::nalgebra::{Point3, Vector3};
 use engine::query::{Aabb, Answer, Cylinder, Overlap, Ray, Sphere, cast, ceiling_above, floor_under, overlaps, sweep};
-use engine::store::{PageSet, Store, View};
+use engine::store::Snapshot;
 use engine::{NoMonitor, Result};
 
 /// Pages in memory: all of an archive, or those of a stream at one moment. Any number of threads may use it at once.
 pub struct sw_pages;
 
 impl Handle for sw_pages {
-    type Value = Pages;
+    type Value = Snapshot;
     const NAME: &'static str = "sw_pages";
 }
-
-/// A set of pages.
-pub enum Pages {
-    All(Store),
-    View(View),
-}
-
-/// Runs the same code on either set of pages.
-macro_rules! ask {
-    ($pages:expr, $set:ident => $answer:expr) => {
-        match $pages {
-            $crate::pages::Pages::All($set) => $answer,
-            $crate::pages::Pages::View($set) => $answer,
-        }
-    };
-}
-pub(crate) use ask;
 
 /// Loads all pages of an archive.
 #[unsafe(no_mangle)]
@@ -40,7 +23,7 @@ pub unsafe extern "C" fn sw_pages_load(archive: *const sw_archive, pages: *mut *
         // SAFETY: as the header demands of handles.
         let opened = unsafe { held(archive) }?;
         // SAFETY: as the header demands of `pages`.
-        unsafe { give(pages, || Ok(Pages::All(Store::resident(&opened.archive, &NoMonitor)?))) }
+        unsafe { give(pages, || Snapshot::resident(&opened.archive, &NoMonitor)) }
     })
 }
 
@@ -59,7 +42,7 @@ unsafe fn batch<const N: usize, A: Copy>(
     pages: *const sw_pages,
     (rows, len, what): (*const f64, usize, &str),
     (answers, count): (*mut A, usize),
-    answer: impl Fn(&Pages, &[f64; N]) -> Result<A>,
+    answer: impl Fn(&Snapshot, &[f64; N]) -> Result<A>,
 ) -> Outcome {
     // SAFETY: guaranteed by the caller.
     let pages = unsafe { held(pages) }?;
@@ -94,7 +77,7 @@ fn known<T>(answer: Answer<T>, value: impl FnOnce(T) -> f64) -> f64 {
 
 /// Returns the lowest and the highest height of the pages (m). Searches begin within, because a search from an infinite
 /// height has no end.
-fn ends<S: PageSet>(set: &S) -> (f64, f64) {
+fn ends(set: &Snapshot) -> (f64, f64) {
     let height = |layer: i64| set.frame().top_height(layer * PAGE_QUANTA);
     set.bounds().map_or((0.0, 0.0), |bounds| (height(bounds.min[2].into()), height(i64::from(bounds.max[2]) + 1)))
 }
@@ -115,7 +98,7 @@ pub unsafe extern "C" fn sw_overlaps_boxes(
     guard(|| unsafe {
         batch(pages, (boxes, boxes_len, "boxes"), (answers, count), |pages, row: &[f64; 6]| {
             let shape = aabb(row)?;
-            Ok(code(ask!(pages, set => overlaps(set, &shape))))
+            Ok(code(overlaps(pages, &shape)))
         })
     })
 }
@@ -135,7 +118,7 @@ pub unsafe extern "C" fn sw_overlaps_cylinders(
         let given = (cylinders, cylinders_len, "cylinders");
         batch(pages, given, (answers, count), |pages, &[x, y, z, radius, height]: &[f64; 5]| {
             let shape = Cylinder::new([x, y, z].into(), radius, height)?;
-            Ok(code(ask!(pages, set => overlaps(set, &shape))))
+            Ok(code(overlaps(pages, &shape)))
         })
     })
 }
@@ -155,7 +138,7 @@ pub unsafe extern "C" fn sw_overlaps_spheres(
         let given = (spheres, spheres_len, "spheres");
         batch(pages, given, (answers, count), |pages, &[x, y, z, radius]: &[f64; 4]| {
             let shape = Sphere::new([x, y, z].into(), radius)?;
-            Ok(code(ask!(pages, set => overlaps(set, &shape))))
+            Ok(code(overlaps(pages, &shape)))
         })
     })
 }
@@ -175,7 +158,7 @@ pub unsafe extern "C" fn sw_cast_rays(
         let given = (rays, rays_len, "rays");
         batch(pages, given, (distances, count), |pages, &[x, y, z, dx, dy, dz, max]: &[f64; 7]| {
             let ray = Ray::new(Point3::new(x, y, z), Vector3::new(dx, dy, dz), max)?;
-            let answer = ask!(pages, set => cast(set, &ray));
+            let answer = cast(pages, &ray);
             Ok(known(answer, |hit| hit.map_or(f64::INFINITY, |hit| hit.distance)))
         })
     })
@@ -199,7 +182,7 @@ pub unsafe extern "C" fn sw_sweep_boxes(
             if !motion.iter().all(|v| v.is_finite()) {
                 return Err(engine::Error::parameter("motion", "its numbers must be finite"));
             }
-            let answer = ask!(pages, set => sweep(set, &shape, motion));
+            let answer = sweep(pages, &shape, motion);
             Ok(known(answer, |hit| hit.map_or(1.0, |hit| hit.fraction)))
         })
     })
@@ -219,10 +202,10 @@ pub unsafe extern "C" fn sw_floors(
     guard(|| unsafe {
         batch(pages, (boxes, boxes_len, "boxes"), (heights, count), |pages, row: &[f64; 6]| {
             let shape = aabb(row)?;
-            let answer = ask!(pages, set => {
-                let from = row[5].min(ends(set).1);
-                floor_under(set, &shape, from, from - row[2])
-            });
+            let answer = {
+                let from = row[5].min(ends(pages).1);
+                floor_under(pages, &shape, from, from - row[2])
+            };
             Ok(known(answer, |z| z.unwrap_or(f64::NEG_INFINITY)))
         })
     })
@@ -242,10 +225,10 @@ pub unsafe extern "C" fn sw_ceilings(
     guard(|| unsafe {
         batch(pages, (boxes, boxes_len, "boxes"), (heights, count), |pages, row: &[f64; 6]| {
             let shape = aabb(row)?;
-            let answer = ask!(pages, set => {
-                let from = row[2].max(ends(set).0);
-                ceiling_above(set, &shape, from, row[5] - from)
-            });
+            let answer = {
+                let from = row[2].max(ends(pages).0);
+                ceiling_above(pages, &shape, from, row[5] - from)
+            };
             Ok(known(answer, |z| z.unwrap_or(f64::INFINITY)))
         })
     })

@@ -1,12 +1,12 @@
 //! Routes.
 
 use crate::border::{Failure, Handle, Outcome, close, give, guard, held, output, place, record, sw_status};
-use crate::pages::{ask, sw_pages};
+use crate::pages::sw_pages;
 use crate::stream::numbers;
 use crate::walker::sw_pawn;
 use engine::NoMonitor;
 use engine::reach::{Pawn, Planned, Planner, Route};
-use engine::store::PageSet;
+use engine::store::Snapshot;
 
 /// A route that a walker can follow. Any number of threads may use it at once.
 pub struct sw_route;
@@ -19,7 +19,7 @@ impl Handle for sw_route {
 /// Places that a planner visits between two looks at its state.
 const STEPS: usize = 1 << 20;
 
-fn plan<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> Outcome<Route> {
+fn plan(set: &Snapshot, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> Outcome<Route> {
     let mut planner = Planner::new(set, pawn, from.into(), to.into())?;
     loop {
         match planner.go_on(set, STEPS, &NoMonitor)? {
@@ -55,7 +55,7 @@ pub unsafe extern "C" fn sw_route_plan(
         let max_drop = if pawn.max_drop == f64::INFINITY { pawn.climb } else { pawn.max_drop };
         let pawn = Pawn { climb: pawn.climb, max_drop, ..Pawn::new(pawn.body()?) };
         // SAFETY: as the header demands of `route`.
-        unsafe { give(route, || ask!(pages, set => plan(set, pawn, from, to))) }
+        unsafe { give(route, || plan(pages, pawn, from, to)) }
     })
 }
 

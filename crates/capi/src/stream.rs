@@ -4,7 +4,7 @@ use crate::archive::sw_archive;
 use crate::border::{
     Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, input, place, record, sw_status,
 };
-use crate::pages::{Pages, sw_pages};
+use crate::pages::sw_pages;
 use engine::frame::PageKey;
 use engine::nalgebra::{Point3, Vector3};
 use engine::store::{LoadReport, Outlook, PawnHandle, Prefetch, Stream, StreamOptions};
@@ -112,7 +112,7 @@ pub unsafe extern "C" fn sw_stream_view(stream: *const sw_stream, pages: *mut *m
         // SAFETY: as the header demands of handles.
         let stream = unsafe { held(stream) }?;
         // SAFETY: as the header demands of `pages`.
-        unsafe { give(pages, || Ok(Pages::View(stream.view()))) }
+        unsafe { give(pages, || Ok(stream.snapshot())) }
     })
 }
 

@@ -3,7 +3,7 @@
 use crate::border::{
     Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, output, place, record, sw_status,
 };
-use crate::pages::{ask, sw_pages};
+use crate::pages::sw_pages;
 use crate::stream::{busy, numbers, sw_stream};
 use engine::nalgebra::{Point2, Vector2};
 use engine::store::{Missing, PawnHandle, Stream};
@@ -212,7 +212,7 @@ pub unsafe extern "C" fn sw_walker_step(
     guard(|| {
         // SAFETY: as the header demands of handles and arrays.
         let (mut pawn, pages, wish) = unsafe { (locked(walker)?, held(pages)?, self::wish(wish, to, dt)?) };
-        let done = ask!(pages, set => pawn.walker.step(set, dt, wish));
+        let done = pawn.walker.step(pages, dt, wish);
         pawn.missing = done.missing;
         // SAFETY: as the header demands of `report`.
         unsafe { fill(report, sw_step::of(&done, &pawn.walker)) }
@@ -237,7 +237,7 @@ pub unsafe extern "C" fn sw_walker_step_stream(
         let same = pawn.hints.take().filter(|(own, _)| own.as_ptr() == Arc::as_ptr(stream));
         let (own, mut hints) = same.unwrap_or_else(|| (Arc::downgrade(stream), stream.pawn()));
         hints.hint(&pawn.walker.outlook(stream.archive().frame()));
-        let done = pawn.walker.step(&stream.view(), dt, wish);
+        let done = pawn.walker.step(&stream.snapshot(), dt, wish);
         if let Some(missing) = &done.missing {
             hints.need(missing);
         }

@@ -4,7 +4,7 @@ use engine::NoMonitor;
 use engine::archive::Archive;
 use engine::nalgebra::{Point3, Vector3};
 use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_under, overlaps, sweep};
-use engine::store::Store;
+use engine::store::Snapshot;
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
@@ -123,7 +123,7 @@ fn ctypes_gets_the_answers_of_the_library() {
         return;
     }
     let set = set();
-    let store = Store::resident(&Archive::open(&set.archive).unwrap(), &NoMonitor).unwrap();
+    let store = Snapshot::resident(&Archive::open(&set.archive).unwrap(), &NoMonitor).unwrap();
     let (mut random, mut rows) = (7, String::new());
     let (mut hits, mut clear) = (0, 0);
     for _ in 0..500 {

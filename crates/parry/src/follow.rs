@@ -5,7 +5,7 @@ use parry3d::bounding_volume::{Aabb, BoundingVolume};
 use parry3d::math::{Real, Vector};
 use slicewalk::Result;
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 
 /// Keeps a window around a body, and makes the next one before the body leaves it.
 #[derive(Debug, Clone)]
@@ -26,7 +26,7 @@ impl Follow {
     /// than `reach`, and while pages are missing. `body` is the body's box in the coordinates of the shape.
     ///
     /// Give the new window to the collider (`set_shape`). Fails like [`Window::new`].
-    pub fn update<S: PageSet>(&mut self, set: &S, body: &Aabb) -> Result<Option<Window>> {
+    pub fn update(&mut self, set: &Snapshot, body: &Aabb) -> Result<Option<Window>> {
         let inner = body.loosened(self.reach as Real);
         let is_enough = |window: &Window| window.missing().is_empty() && window.bounds().contains(&inner);
         if self.window.as_ref().is_some_and(is_enough) {

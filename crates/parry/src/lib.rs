@@ -7,7 +7,7 @@
 //! controller. [`Follow`] makes the next window before a body leaves the present one.
 //!
 //! Memory follows the window, not the scan: about 130 bytes a span. The pages themselves stay as they are, all in a
-//! [`Store`](slicewalk::store::Store) or those around bodies in a [`Stream`](slicewalk::store::Stream).
+//! [`Snapshot`](slicewalk::store::Snapshot) or those around bodies in a [`Stream`](slicewalk::store::Stream).
 //!
 //! **Exactness.** The cuboids are those that the queries of `slicewalk` answer by, rounded to `f32`: at 20 m from the
 //! origin by a few µm. Contacts of balls, capsules, cylinders and other bodies except cuboids take no direction that

@@ -3,7 +3,7 @@
 use crate::window::{Options, Unloaded};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::{PageSet, PageSlot};
+use slicewalk::store::{PageSlot, Snapshot};
 use slicewalk::{Error, Result};
 use std::collections::HashMap;
 
@@ -29,8 +29,8 @@ pub struct Part {
 type Run = (i64, i64);
 
 /// Collects the parts of a window, and the pages that it lacks.
-pub fn collect<S: PageSet>(
-    set: &S,
+pub fn collect(
+    set: &Snapshot,
     min: Point3<f64>,
     max: Point3<f64>,
     options: &Options,

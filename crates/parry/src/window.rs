@@ -14,7 +14,7 @@ use parry3d::shape::{
 use slicewalk::Result;
 use slicewalk::frame::PageKey;
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 use std::sync::Arc;
 
 /// What a page of the scan that is not in memory means to bodies.
@@ -64,7 +64,7 @@ impl Window {
     ///
     /// Cost: about 1 µs a span. Fails if the corners are not finite and in order, or if the box covers more than 2²⁶
     /// pixels or 2²² spans.
-    pub fn new<S: PageSet>(set: &S, min: Point3<f64>, max: Point3<f64>, options: &Options) -> Result<Self> {
+    pub fn new(set: &Snapshot, min: Point3<f64>, max: Point3<f64>, options: &Options) -> Result<Self> {
         let (parts, missing) = collect(set, min, max, options)?;
         let local = |place: Point3<f64>| {
             let place = place - options.origin;

@@ -2,7 +2,7 @@
 
 use parry3d::bounding_volume::Aabb;
 use parry3d::query::{PointQuery, Ray as ParryRay, RayCast};
-use parry3d::shape::{Shape as _, Voxels};
+use parry3d::shape::Shape as _;
 use rapier3d::control::{CharacterAutostep, CharacterLength, KinematicCharacterController};
 use rapier3d::prelude::*;
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
@@ -10,12 +10,11 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{self, Overlap, cast, overlaps};
-use slicewalk::store::{Store, Stream, StreamOptions};
+use slicewalk::store::{Snapshot, Stream, StreamOptions};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
 use slicewalk_parry::{Follow, Options, Unloaded, Window};
 use std::sync::OnceLock;
-use std::time::Instant;
 
 /// Far from the coordinate origin, where `f32` has steps of half a metre.
 const FAR: [f64; 3] = [4_500_000.0, 5_300_000.0, 100.0];
@@ -39,8 +38,8 @@ fn archive() -> &'static Archive {
     })
 }
 
-fn store() -> Store {
-    Store::resident(archive(), &NoMonitor).unwrap()
+fn store() -> Snapshot {
+    Snapshot::resident(archive(), &NoMonitor).unwrap()
 }
 
 fn options() -> Options {
@@ -52,7 +51,7 @@ fn corner(x: f64, y: f64, z: f64) -> Point3<f64> {
 }
 
 /// All of the stairs.
-fn whole(store: &Store) -> Window {
+fn whole(store: &Snapshot) -> Window {
     Window::new(store, corner(-4.0, -3.0, -1.0), corner(8.0, 3.0, 4.0), &options()).unwrap()
 }
 
@@ -216,14 +215,14 @@ fn a_missing_page_is_solid_or_free_as_the_program_says() {
     streaming.prefetch = slicewalk::store::Prefetch::Off;
     let stream = Stream::open(Archive::from_bytes(bytes()).unwrap(), streaming).unwrap();
     let (min, max) = (corner(-1.5, -0.5, -0.5), corner(-0.5, 0.5, 0.5));
-    let solid = Window::new(&stream.view(), min, max, &options_of(Unloaded::Solid)).unwrap();
-    let free = Window::new(&stream.view(), min, max, &options_of(Unloaded::Free)).unwrap();
+    let solid = Window::new(&stream.snapshot(), min, max, &options_of(Unloaded::Solid)).unwrap();
+    let free = Window::new(&stream.snapshot(), min, max, &options_of(Unloaded::Free)).unwrap();
     assert!(
         !solid.missing().is_empty() && !solid.is_empty() && solid.contains_local_point(Vector::new(-1.0, 0.0, 0.0))
     );
     assert!(free.is_empty() && free.missing() == solid.missing());
     stream.load(solid.missing(), solid.missing()[0]).unwrap();
-    let loaded = Window::new(&stream.view(), min, max, &options()).unwrap();
+    let loaded = Window::new(&stream.snapshot(), min, max, &options()).unwrap();
     assert!(loaded.missing().is_empty());
     assert_eq!(loaded.len(), Window::new(&store(), min, max, &options()).unwrap().len());
 }
@@ -245,60 +244,4 @@ fn windows_that_cannot_be_are_refused() {
     assert!(refused(corner(-1e6, -1e6, 0.0), corner(1e6, 1e6, 1.0)).contains("smaller"));
     let nothing = Window::new(&store, corner(100.0, 0.0, 0.0), corner(101.0, 1.0, 1.0), &options()).unwrap();
     assert!(nothing.is_empty() && nothing.cast_local_ray(&ParryRay::new(Vector::ZERO, Vector::X), 9.0, true).is_none());
-}
-
-/// Prints memory and speed beside parry's own voxels of the same solid, as ratios. Numbers count in a release build only:
-/// `cargo test --release -p slicewalk-parry -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn beside_the_voxels_of_parry() {
-    let store = store();
-    let begin = Instant::now();
-    let window = whole(&store);
-    let made = begin.elapsed().as_secs_f64();
-    // The cubes of edge 5 cm that the spans occupy.
-    let (mut cubes, edge) = (Vec::new(), 0.05_f64);
-    for part in 0..window.len() as u32 {
-        parry3d::shape::CompositeShape::map_part_at(&window, part, &mut |pose, shape, _| {
-            let (Some(pose), Some(shape)) = (pose, shape.as_cuboid()) else { return };
-            let (low, high) = (pose.translation - shape.half_extents, pose.translation + shape.half_extents);
-            let cell = |v: f32| (f64::from(v) / edge).floor() as i32;
-            let middle = pose.translation;
-            (cell(low.z)..=cell(high.z)).for_each(|z| cubes.push(IVector::new(cell(middle.x), cell(middle.y), z)));
-        });
-    }
-    let begin = Instant::now();
-    let voxels = Voxels::new(Vector::splat(edge as f32), &cubes);
-    let voxels_made = begin.elapsed().as_secs_f64();
-    let mut random = 5;
-    let mut place = || {
-        let mut one = |low: f64, high: f64| (low + (high - low) * unit(&mut random)) as f32;
-        (
-            Vector::new(one(-1.5, 4.5), one(-0.9, 0.9), one(0.2, 3.0)),
-            Vector::new(one(-1.0, 1.0), one(-1.0, 1.0), one(-1.0, 0.0)),
-        )
-    };
-    let places: Vec<_> = (0..20_000).map(|_| place()).collect();
-    let time = |work: &dyn Fn(Vector, Vector) -> f32| {
-        let begin = Instant::now();
-        let sum: f32 = places.iter().map(|&(at, way)| work(at, way)).sum();
-        (begin.elapsed().as_secs_f64(), sum)
-    };
-    let ray = |shape: &dyn RayCast, at, way| shape.cast_local_ray(&ParryRay::new(at, way), 3.0, true).unwrap_or(0.0);
-    let ball = parry3d::shape::Ball::new(0.2);
-    let touches = |shape: &dyn parry3d::shape::Shape, at: Vector| {
-        let hit = parry3d::query::intersection_test(&Pose::IDENTITY, shape, &Pose::from_translation(at), &ball);
-        f32::from(u8::from(hit.unwrap().intersecting))
-    };
-    let spans = window.len() as f64;
-    println!("a span: {:.0} bytes, {:.2} µs to make", window.memory_bytes() as f64 / spans, made * 1e6 / spans);
-    println!("{spans} spans, {} cubes; window divided by voxels:", cubes.len());
-    println!("memory {:.2}", window.memory_bytes() as f64 / voxels.total_memory_size() as f64);
-    println!("making {:.2}", made / voxels_made);
-    let rays = [time(&|at, way| ray(&window, at, way)), time(&|at, way| ray(&voxels, at, way))];
-    println!("rays {:.2}", rays[0].0 / rays[1].0);
-    let balls = [time(&|at, _| touches(&window, at)), time(&|at, _| touches(&voxels, at))];
-    println!("balls {:.2}; of {} touch {} and {}", balls[0].0 / balls[1].0, places.len(), balls[0].1, balls[1].1);
-    // The cubes contain the spans.
-    assert!(balls[0].1 > 100.0 && balls[0].1 <= balls[1].1);
 }

@@ -77,9 +77,9 @@ async fn walk() -> Result<(), Box<dyn std::error::Error>> {
             continue;
         }
         next_frame = origin.elapsed() + FRAME;
-        if let Some(view) = loader.view() {
+        if let Some(view) = loader.snapshot() {
             pawn.step(&view, FRAME.as_secs_f64(), Wish::Direction(Vector2::y()));
-            loader.hint(body, &pawn.outlook(slicewalk::store::PageSet::frame(&view)));
+            loader.hint(body, &pawn.outlook(slicewalk::store::Snapshot::frame(&view)));
             frames += 1;
             if frames % 60 == 0 {
                 let at = pawn.feet();

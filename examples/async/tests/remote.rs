@@ -10,7 +10,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, PageEntry};
 use slicewalk::bytes::{ByteSource, RemoteOptions, RemoteSource, interruptible};
 use slicewalk::query::{Overlap, overlaps};
-use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Store, StoreSlot, Stream, StreamOptions};
+use slicewalk::store::{PageSlot, Prefetch, Snapshot, Step, Stream, StreamOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -260,7 +260,7 @@ fn an_archive_opens_with_two_requests_and_streams_with_few() {
     assert_eq!(server.count() as u64, 3 + counters.reads);
     println!("{} pages in {} requests", counters.loaded, counters.reads);
     assert!(counters.reads * 2 < counters.loaded);
-    assert_eq!(overlaps(&stream.view(), &body.shape()), overlaps(&resident(&bytes), &body.shape()));
+    assert_eq!(overlaps(&stream.snapshot(), &body.shape()), overlaps(&resident(&bytes), &body.shape()));
     let requests = &server.state.lock().unwrap().requests;
     let asks = |request: &Vec<String>| request.iter().any(|line| line.eq_ignore_ascii_case("if-match: \"one\""));
     assert!(!asks(&requests[0]) && requests[1..].iter().all(asks), "all but the first ask for the version");
@@ -271,7 +271,7 @@ fn all_pages_come_in_a_few_requests_and_are_those_of_the_file() {
     let bytes = tower(3.0, 60.0, 5);
     let server = Server::new(bytes.clone(), Some("\"one\""));
     let archive = server.archive();
-    let store = Store::resident(&archive, &NoMonitor).unwrap();
+    let store = Snapshot::resident(&archive, &NoMonitor).unwrap();
     let here = resident(&bytes);
     println!("{} pages of {} bytes in {} requests", store.page_count(), bytes.len(), server.count());
     assert!(store.page_count() > 300);
@@ -280,12 +280,12 @@ fn all_pages_come_in_a_few_requests_and_are_those_of_the_file() {
     assert_eq!((store.page_count(), store.weight_bytes()), (here.page_count(), here.weight_bytes()));
     for number in 0..here.column_count() {
         let ((tx, ty, there), (.., slots)) = (here.column_at(number), store.column_at(number));
-        let pages = |slots: &[StoreSlot]| slots.iter().map(|slot| slot.page().cloned()).collect::<Vec<_>>();
+        let pages = |slots: &[PageSlot]| slots.iter().map(|slot| slot.page().cloned()).collect::<Vec<_>>();
         assert!(pages(there) == pages(slots), "column {tx}, {ty}");
     }
     // The first page that fails, whichever thread reads it.
     server.set(Manner::OtherTag);
-    assert!(error_of(Store::resident(&archive, &NoMonitor)).to_string().contains("replaced"));
+    assert!(error_of(Snapshot::resident(&archive, &NoMonitor)).to_string().contains("replaced"));
 }
 
 fn waiting(timeout_s: f64, patience_s: f64) -> RemoteOptions {
@@ -406,7 +406,7 @@ fn a_stream_reports_a_server_that_went_away_and_its_answers_stay() {
     pawn.hint(&there.motion());
     while let Step::Loaded(_) = stream.step() {}
     assert!(!stream.take_errors().is_empty());
-    let view = stream.view();
+    let view = stream.snapshot();
     assert_eq!(overlaps(&view, &here.shape()), Overlap::Hit);
     assert!(matches!(overlaps(&view, &there.shape()), Overlap::NotLoaded(_)));
 }

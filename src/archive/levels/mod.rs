@@ -2,7 +2,7 @@
 //!
 //! Level 1 has pixels of 4t and slices of 4σ; each further level is four times coarser, up to one page (or the eight
 //! pages around the origin). Pages, directory leaves and queries of a level are those of an archive on a coarser grid:
-//! [`Archive::level`](super::Archive::level) opens it as an archive of its own, which a [`Store`](crate::store::Store),
+//! [`Archive::level`](super::Archive::level) opens it as an archive of its own, which a [`Snapshot`](crate::store::Snapshot),
 //! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers.
 //!
 //! A level errs towards "hit": space that is free in it is free in the archive. Its pages cover all solid of the pages
@@ -20,7 +20,7 @@
 //! // The coarsest one, all of it in memory.
 //! if let Some(last) = archive.levels()?.last() {
 //!     let outline = archive.level(last.number())?;
-//!     let store = slicewalk::store::Store::resident(&outline, &slicewalk::NoMonitor)?;
+//!     let store = slicewalk::store::Snapshot::resident(&outline, &slicewalk::NoMonitor)?;
 //! }
 //! # Ok::<(), slicewalk::Error>(())
 //! ```
@@ -31,20 +31,20 @@
 //!
 //! ```
 //! use slicewalk::archive::{Archive, Catalog};
-//! use slicewalk::store::Store;
+//! use slicewalk::store::Snapshot;
 //!
 //! /// The finest level of at most `most_bytes`, in memory.
 //! fn outline(
 //!     catalog: &Catalog,
 //!     most_bytes: u64,
 //!     fetch: impl Fn(std::ops::Range<u64>) -> Vec<u8>,
-//! ) -> slicewalk::Result<Option<Store>> {
+//! ) -> slicewalk::Result<Option<Snapshot>> {
 //!     let Some(table) = catalog.levels_range() else { return Ok(None) };
 //!     let levels = catalog.decode_levels(&fetch(table))?;
 //!     let fits = |range: std::ops::Range<u64>| range.end - range.start <= most_bytes;
 //!     let Some(level) = levels.iter().find(|level| fits(level.bytes())) else { return Ok(None) };
 //!     let archive = Archive::of_level(level, fetch(level.bytes()))?;
-//!     Store::resident(&archive, &slicewalk::NoMonitor).map(Some)
+//!     Snapshot::resident(&archive, &slicewalk::NoMonitor).map(Some)
 //! }
 //! ```
 //!

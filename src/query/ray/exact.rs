@@ -8,12 +8,12 @@ use crate::query::blocks::{local, local_heights, slices_between, touches_union};
 use crate::query::footprint::{floor_of, layers};
 use crate::query::grid::Rect;
 use crate::slice::{BlockView, Page, Span};
-use crate::store::{KeyBounds, Missing, PageSet, PageSlot, note};
+use crate::store::{KeyBounds, Missing, PageSlot, Snapshot, note};
 use std::ops::ControlFlow;
 
 /// Returns the first solid on `line` in a set of pages with these bounds, or the pages missing before it.
 #[inline(never)]
-pub(super) fn search<S: PageSet>(set: &S, line: Line, bounds: &KeyBounds) -> Answer<Option<RayHit>> {
+pub(super) fn search(set: &Snapshot, line: Line, bounds: &KeyBounds) -> Answer<Option<RayHit>> {
     let mut search = Search { line, best: None, missing: None };
     if let Some((t0, t1)) = line.within(bounds) {
         let region = |axis: usize| (i64::from(bounds.min[axis] >> 6), i64::from(bounds.max[axis] >> 6));
@@ -66,7 +66,7 @@ impl Search {
         }
     }
 
-    fn tile<T: PageSlot>(&mut self, slots: &[T], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
+    fn tile(&mut self, slots: &[PageSlot], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
         self.go_on(t0)?;
         let heights = self.line.heights(t0, t1);
         let mut slots = layers(slots, heights);

@@ -3,7 +3,7 @@
 use super::super::answer::Answer;
 use super::{Ray, RayHit, cast};
 use crate::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
-use crate::store::PageSet;
+use crate::store::Snapshot;
 
 /// Result of [`cast_far`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +21,7 @@ pub enum Sight {
 /// missing, too.
 ///
 /// Cost: up to three rays. The pages answer up to the first missing page, the level from there on.
-pub fn cast_far<S: PageSet, L: PageSet>(set: &S, level: &L, ray: &Ray) -> Answer<Sight> {
+pub fn cast_far(set: &Snapshot, level: &Snapshot, ray: &Ray) -> Answer<Sight> {
     let missing = match cast(set, ray) {
         Answer::Known(hit) => return Answer::Known(Sight::Exact(hit)),
         Answer::NotLoaded(missing) => missing,

@@ -18,7 +18,7 @@ mod walk;
 use super::answer::Answer;
 use super::batch;
 use super::grid::all_within_reach;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::text::{number, place};
 use crate::{Error, Result};
 pub use far::{Sight, cast_far};
@@ -109,12 +109,12 @@ impl RayHit {
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::{Answer, Ray, cast};
 /// use slicewalk::slice::{PageBuilder, Span};
-/// use slicewalk::store::Store;
+/// use slicewalk::store::Snapshot;
 ///
 /// let frame = Frame::new(0.5, 1.5)?;
 /// let mut builder = PageBuilder::default();
 /// assert!(builder.set_column(4, 0, &[Span::new(0, 255, true).unwrap()])); // x from 2 to 2.5, z from 0 to 1.5
-/// let store = Store::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
+/// let store = Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
 ///
 /// let ray = Ray::new(Point3::new(-3.0, 0.25, 1.0), Vector3::new(2.0, 0.0, 0.0), 100.0)?;
 /// let Answer::Known(Some(hit)) = cast(&store, &ray) else { panic!("the pillar stands in the way") };
@@ -122,7 +122,7 @@ impl RayHit {
 /// assert_eq!(hit.normal, -Vector3::x());
 /// # Ok::<(), slicewalk::Error>(())
 /// ```
-pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
+pub fn cast(set: &Snapshot, ray: &Ray) -> Answer<Option<RayHit>> {
     let Some(bounds) = set.bounds() else { return Answer::Known(None) };
     let line = Line::new(set.frame(), ray);
     // A web page casts few rays, and would have to fetch the 2 kB of the quick search before its first step.
@@ -136,7 +136,7 @@ pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
 ///
 /// # Panics
 /// If `answers` is shorter than `rays`.
-pub fn cast_batch<S: PageSet>(set: &S, rays: &[Ray], answers: &mut [Answer<Option<RayHit>>]) {
+pub fn cast_batch(set: &Snapshot, rays: &[Ray], answers: &mut [Answer<Option<RayHit>>]) {
     let pixel = |ray: &Ray| [ray.origin.x, ray.origin.y].map(|along| set.frame().pixel_of(along));
     batch::answer_each(set, rays, answers, pixel, |ray| cast(set, ray));
 }

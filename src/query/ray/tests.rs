@@ -6,7 +6,7 @@ use crate::frame::{Frame, PageKey};
 use crate::query::Answer;
 use crate::random::Random;
 use crate::slice::{Page, PageBuilder, Span};
-use crate::store::{KeyBounds, PageSlot, Store};
+use crate::store::{KeyBounds, PageSlot, Snapshot};
 
 /// A number from -1 to 1; with `coarse` a multiple of an eighth.
 fn unit(random: &mut Random, coarse: bool) -> f64 {
@@ -14,78 +14,8 @@ fn unit(random: &mut Random, coarse: bool) -> f64 {
     random.below(2 * steps + 1) as f64 / steps as f64 - 1.0
 }
 
-/// A store with some pages not in memory.
-struct Part<'a> {
-    whole: &'a Store,
-    columns: std::collections::HashMap<(i32, i32), Vec<PartSlot<'a>>>,
-}
-
-struct PartSlot<'a> {
-    layer: i32,
-    slices: u64,
-    page: Option<&'a Page>,
-}
-
-impl PageSlot for PartSlot<'_> {
-    fn layer(&self) -> i32 {
-        self.layer
-    }
-
-    fn slices(&self) -> u64 {
-        self.slices
-    }
-
-    fn page(&self) -> Option<&Page> {
-        self.page
-    }
-}
-
-impl<'a> Part<'a> {
-    fn of(whole: &'a Store, mut is_loaded: impl FnMut() -> bool) -> Self {
-        let columns = (0..whole.column_count()).map(|number| {
-            let (tx, ty, slots) = whole.column_at(number);
-            let slot = |slot: &'a <Store as PageSet>::Slot| PartSlot {
-                layer: slot.layer(),
-                slices: slot.slices(),
-                page: slot.page().filter(|_| is_loaded()),
-            };
-            ((tx, ty), slots.iter().map(slot).collect())
-        });
-        Self { whole, columns: columns.collect() }
-    }
-}
-
-impl<'a> PageSet for Part<'a> {
-    type Slot = PartSlot<'a>;
-
-    fn frame(&self) -> &Frame {
-        self.whole.frame()
-    }
-
-    fn bounds(&self) -> Option<KeyBounds> {
-        self.whole.bounds()
-    }
-
-    fn column(&self, tx: i32, ty: i32) -> &[PartSlot<'a>] {
-        self.columns.get(&(tx, ty)).map_or(&[], |slots| slots)
-    }
-
-    fn has_region(&self, rx: i32, ry: i32) -> bool {
-        self.whole.has_region(rx, ry)
-    }
-
-    fn column_count(&self) -> usize {
-        self.whole.column_count()
-    }
-
-    fn column_at(&self, number: usize) -> (i32, i32, &[PartSlot<'a>]) {
-        let (tx, ty, _) = self.whole.column_at(number);
-        (tx, ty, self.column(tx, ty))
-    }
-}
-
 /// Pages around the origin, sparse or dense, with ends of spans on and next to slice boundaries.
-fn scene(random: &mut Random) -> Store {
+fn scene(random: &mut Random) -> Snapshot {
     let most = [2, 60, 2000, 6000][random.below(4) as usize];
     let keys = (-2..2).flat_map(|tx| (-2..2).flat_map(move |ty| (-1..1).map(move |layer| PageKey { tx, ty, layer })));
     let pages = keys.filter_map(|key| {
@@ -102,7 +32,7 @@ fn scene(random: &mut Random) -> Store {
         (!builder.is_empty()).then(|| (key, builder.build()))
     });
     let pages: Vec<_> = pages.collect();
-    Store::from_pages(Frame::new(0.5, 1.5).unwrap(), pages)
+    Snapshot::from_pages(Frame::new(0.5, 1.5).unwrap(), pages)
 }
 
 /// Any ray around the scene, some of them along and through edges of pixels, tiles, pages and slices.
@@ -119,7 +49,7 @@ fn ray(random: &mut Random) -> Option<Ray> {
 }
 
 /// Compares the searches; returns whether the quick one was certain, and whether the ray hit something.
-fn agree<S: PageSet>(set: &S, ray: &Ray) -> (bool, bool) {
+fn agree(set: &Snapshot, ray: &Ray) -> (bool, bool) {
     let bounds = set.bounds().unwrap();
     let line = Line::new(set.frame(), ray);
     let exact = exact::search(set, line, &bounds);
@@ -139,7 +69,7 @@ fn both_searches_agree_to_the_last_bit() {
     let (mut rays, mut known, mut hits) = (0, 0, 0);
     for _ in 0..60 {
         let store = scene(&mut random);
-        let part = Part::of(&store, || random.below(4) != 0);
+        let part = store.keep_loaded(|_| random.below(4) != 0);
         for _ in 0..3000 {
             let Some(ray) = ray(&mut random) else { continue };
             let (was_known, was_hit) = agree(&store, &ray);

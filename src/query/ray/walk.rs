@@ -8,7 +8,7 @@ use crate::query::footprint::{floor_of, layers};
 use crate::query::four::{Floats, Pair, greater, lesser};
 use crate::query::grid::{Heights, row_bits};
 use crate::slice::{BlockView, Page, Span};
-use crate::store::{KeyBounds, PageSet, PageSlot};
+use crate::store::{KeyBounds, Snapshot};
 
 /// Growth of cells across (pixels) and along z (quanta): many times the margins of the exact search and the rounding
 /// errors of this one, provided that no coordinate exceeds [`FARTHEST`].
@@ -30,7 +30,7 @@ pub(super) struct Unsure;
 type Certain<T = ()> = Result<T, Unsure>;
 
 /// Returns the first solid on `line` in a set of pages with these `bounds`.
-pub(super) fn first_hit<S: PageSet>(set: &S, line: &Line, bounds: &KeyBounds) -> Certain<Option<RayHit>> {
+pub(super) fn first_hit(set: &Snapshot, line: &Line, bounds: &KeyBounds) -> Certain<Option<RayHit>> {
     let mut walk = Walk::new(set, line);
     let (mut t0, mut t1) = (0.0, line.max);
     let units = [TILE_PIXELS, TILE_PIXELS, PAGE_QUANTA];
@@ -72,8 +72,8 @@ fn nearest(v: f64) -> i32 {
 
 /// State of the search, in coordinates that are mirrored so that the ray ascends in x and y: pixel `n` of a mirrored
 /// axis is pixel `-1 - n` of the grid, which is `!n`.
-struct Walk<'a, S> {
-    set: &'a S,
+struct Walk<'a> {
+    set: &'a Snapshot,
     line: &'a Line,
     /// Along the major and the minor axis: origin (pixels), pixels per metre, metres per pixel.
     origin: [f64; 2],
@@ -105,9 +105,9 @@ struct Walk<'a, S> {
     overlap: f64,
 }
 
-impl<'a, S: PageSet> Walk<'a, S> {
+impl<'a> Walk<'a> {
     #[inline]
-    fn new(set: &'a S, line: &'a Line) -> Self {
+    fn new(set: &'a Snapshot, line: &'a Line) -> Self {
         let axes = [line.major, 1 - line.major];
         let speed = [line.speed[axes[0]], line.speed[axes[1]]];
         let mirror = [-i64::from(speed[0] < 0.0), -i64::from(speed[1] < 0.0)];
@@ -411,7 +411,7 @@ mod tests {
     use super::*;
     use crate::frame::Frame;
     use crate::query::Ray;
-    use crate::store::Store;
+    use crate::store::Snapshot;
     use nalgebra::{Point3, Vector3};
     use proptest::prelude::*;
 
@@ -423,7 +423,7 @@ mod tests {
             off in prop::sample::select(vec![0.0, 1e-6, 0.3, 0.5]),
             length in 0.0..80.0f64,
         ) {
-            let store = Store::from_pages(Frame::new(1.0, 1.0).unwrap(), []);
+            let store = Snapshot::from_pages(Frame::new(1.0, 1.0).unwrap(), []);
             let origin = Point3::new(f64::from(from[0]) + off, f64::from(from[1]) + off, 0.0);
             let ray = Ray::new(origin, Vector3::new(way[0], way[1], 1e-2), length).unwrap();
             let line = Line::new(store.frame(), &ray);

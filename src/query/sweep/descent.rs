@@ -10,7 +10,7 @@ use crate::query::four::{Window, last_four};
 use crate::query::grid::sealed::{OnGrid, OnPixels};
 use crate::query::grid::{Heights, Rect, column_bits, row_bits};
 use crate::slice::{BLOCK_PIXELS, BlockView, Span};
-use crate::store::{PageSet, PageSlot};
+use crate::store::{PageSlot, Snapshot};
 
 /// A closed box in grid units: pixels, pixels, quanta.
 #[derive(Debug, Clone, Copy)]
@@ -96,7 +96,7 @@ impl SweepArea {
 
 /// Passes the spans of `set` in `area` to `visit`.
 #[inline]
-pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &mut V) {
+pub(crate) fn descend<V: Visit>(set: &Snapshot, area: &SweepArea, visit: &mut V) {
     // A web page fetches the code it runs, so all visitors share one copy of the descent.
     #[cfg(target_family = "wasm")]
     let visit: &mut dyn Visit = visit;
@@ -104,7 +104,7 @@ pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &m
 }
 
 #[inline]
-fn tiles<S: PageSet, V: Visit + ?Sized>(set: &S, area: &SweepArea, visit: &mut V) {
+fn tiles<V: Visit + ?Sized>(set: &Snapshot, area: &SweepArea, visit: &mut V) {
     let Some(bounds) = set.bounds() else { return };
     let tiles = |first: i64, last: i64, axis: usize| {
         ((first >> 6).max(i64::from(bounds.min[axis])), (last >> 6).min(i64::from(bounds.max[axis])))
@@ -159,7 +159,7 @@ fn tiles<S: PageSet, V: Visit + ?Sized>(set: &S, area: &SweepArea, visit: &mut V
 }
 
 #[inline]
-fn column<T: PageSlot, V: Visit + ?Sized>(area: &SweepArea, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
+fn column<V: Visit + ?Sized>(area: &SweepArea, tx: i32, ty: i32, slots: &[PageSlot], visit: &mut V) {
     let (i, j) = (i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS);
     let (x, y) = (Extent::within(area.rect.i0, area.rect.i1, i), Extent::within(area.rect.j0, area.rect.j1, j));
     let under = column_bits(x.first >> 3, x.last >> 3) & row_bits(y.first >> 3, y.last >> 3);

@@ -18,7 +18,7 @@ use super::answer::Answer;
 use super::batch;
 use super::grid::Rect;
 use crate::frame::{Frame, PageKey};
-use crate::store::{Missing, PageSet, note};
+use crate::store::{Missing, Snapshot, note};
 use nalgebra::Vector3;
 use solid::{Contact, Moving, Resting};
 
@@ -79,12 +79,12 @@ impl SweepHit {
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::{Aabb, Answer, sweep};
 /// use slicewalk::slice::{PageBuilder, Span};
-/// use slicewalk::store::Store;
+/// use slicewalk::store::Snapshot;
 ///
 /// let frame = Frame::new(0.5, 1.5)?;
 /// let mut builder = PageBuilder::default();
 /// assert!(builder.set_column(4, 0, &[Span::new(0, 255, true).unwrap()])); // x from 2 to 2.5, z from 0 to 1.5
-/// let store = Store::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
+/// let store = Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
 ///
 /// let pawn = Aabb::standing([0.0, 0.25, 0.0].into(), [0.5, 0.5, 1.8].into())?;
 /// let Answer::Known(Some(hit)) = sweep(&store, &pawn, Vector3::new(100.0, 0.0, 0.0)) else { panic!("a pillar") };
@@ -93,7 +93,7 @@ impl SweepHit {
 /// # Ok::<(), slicewalk::Error>(())
 /// ```
 #[inline]
-pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> Answer<Option<SweepHit>> {
+pub fn sweep<H: Solid>(set: &Snapshot, shape: &H, motion: Vector3<f64>) -> Answer<Option<SweepHit>> {
     let frame = set.frame();
     let rest = shape.resting(frame);
     if !motion.iter().all(|v| v.is_finite()) {
@@ -121,11 +121,7 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
 ///
 /// # Panics
 /// If `answers` is shorter than `ways`.
-pub fn sweep_batch<S: PageSet, H: Solid>(
-    set: &S,
-    ways: &[(H, Vector3<f64>)],
-    answers: &mut [Answer<Option<SweepHit>>],
-) {
+pub fn sweep_batch<H: Solid>(set: &Snapshot, ways: &[(H, Vector3<f64>)], answers: &mut [Answer<Option<SweepHit>>]) {
     let pixel = |(shape, _): &(H, Vector3<f64>)| batch::pixel_of(set, shape);
     batch::answer_each(set, ways, answers, pixel, |(shape, motion)| sweep(set, shape, *motion));
 }

@@ -8,7 +8,7 @@ use crate::query::batch;
 use crate::query::disc::{lower, upper};
 use crate::query::four::greater;
 use crate::query::grid::Rect;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 /// Exact except for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: like
 /// [`overlaps`](crate::query::overlaps) of the shape grown by 1.5 pixels or up to four times the distance found, or by
 /// `max` if there is nothing within 24 pixels; keep `max` as small as possible.
-pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<f64>> {
+pub fn clearance<H: Solid>(set: &Snapshot, shape: &H, max: f64) -> Answer<Option<f64>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);
     }
@@ -41,7 +41,7 @@ pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<O
 const NEAR: [f64; 3] = [1.5, 6.0, 24.0];
 
 /// Returns the distance to the nearest solid within `max`.
-fn nearest<S: PageSet>(set: &S, rest: Resting, max: f64) -> Answer<Option<f64>> {
+fn nearest(set: &Snapshot, rest: Resting, max: f64) -> Answer<Option<f64>> {
     let frame = set.frame();
     let area = around(frame, &rest, max);
     let heights = (area.low, area.high);
@@ -58,7 +58,7 @@ fn nearest<S: PageSet>(set: &S, rest: Resting, max: f64) -> Answer<Option<f64>> 
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
-pub fn clearance_batch<S: PageSet, H: Solid>(set: &S, shapes: &[H], max: f64, answers: &mut [Answer<Option<f64>>]) {
+pub fn clearance_batch<H: Solid>(set: &Snapshot, shapes: &[H], max: f64, answers: &mut [Answer<Option<f64>>]) {
     batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| clearance(set, shape, max));
 }
 
@@ -68,7 +68,7 @@ pub fn clearance_batch<S: PageSet, H: Solid>(set: &S, shapes: &[H], max: f64, an
 /// Exact: after the push, the shape at most touches a solid, and no shorter push along an axis achieves that. Not
 /// loaded if a page that is not in memory could be in the way. Cost: up to 6 × the number of gaps passed × an overlap
 /// query.
-pub fn depenetrate<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<Vector3<f64>>> {
+pub fn depenetrate<H: Solid>(set: &Snapshot, shape: &H, max: f64) -> Answer<Option<Vector3<f64>>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);
     }
@@ -97,8 +97,8 @@ pub fn depenetrate<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
-pub fn depenetrate_batch<S: PageSet, H: Solid>(
-    set: &S,
+pub fn depenetrate_batch<H: Solid>(
+    set: &Snapshot,
     shapes: &[H],
     max: f64,
     answers: &mut [Answer<Option<Vector3<f64>>>],
@@ -193,7 +193,7 @@ pub(super) fn nearest_of_all(
 
 /// Returns how far a shape must move along `axis` to be out of all solids, by repeatedly leaving all spans that it is
 /// in.
-fn push<S: PageSet>(set: &S, rest: Resting, axis: usize, sign: f64, max: f64) -> Answer<Option<f64>> {
+fn push(set: &Snapshot, rest: Resting, axis: usize, sign: f64, max: f64) -> Answer<Option<f64>> {
     let unit = metres(set.frame())[axis];
     let mut gone = 0.0;
     loop {

@@ -4,7 +4,7 @@ use super::descent::{GridCell, Matter, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Solid};
 use crate::frame::PageKey;
 use crate::query::answer::Answer;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
@@ -15,7 +15,7 @@ use nalgebra::Vector3;
 /// As in [`sweep`](crate::query::sweep()), a pixel counts if the shape's footprint meets its interior; the shape's own
 /// heights do not count. A span cut by a page boundary counts as if it ended there. Cost: like
 /// [`floor_under`](crate::query::floor_under). A NaN finds nothing.
-pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
+pub fn top_under<H: Solid>(set: &Snapshot, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
     let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
     let mut search = Highest { moving, limit: area.high, best: area.low - 1, found: false, missing: None };
     descend(set, &area, &mut search);
@@ -31,7 +31,7 @@ pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64
 /// box" of the thesis, section 3.2.2.
 ///
 /// Pixels and cost are those of [`top_under`].
-pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
+pub fn mean_floor_under<H: Solid>(set: &Snapshot, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
     let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
     let mut search = Mean { moving, low: area.low, high: area.high, sum: 0.0, count: 0, missing: None };
     descend(set, &area, &mut search);
@@ -40,7 +40,7 @@ pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, dep
 }
 
 /// Returns the area in which tops count, and the footprint at any height.
-fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Option<(SweepArea, Moving)> {
+fn window<H: Solid>(set: &Snapshot, shape: &H, from: f64, depth: f64) -> Option<(SweepArea, Moving)> {
     if !from.is_finite() || !depth.is_finite() || depth < 0.0 {
         return None;
     }

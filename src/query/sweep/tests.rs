@@ -6,7 +6,7 @@ use super::*;
 use crate::frame::PAGE_QUANTA;
 use crate::query::{Aabb, Cylinder, Sphere};
 use crate::slice::{Page, PageBuilder, Span};
-use crate::store::Store;
+use crate::store::Snapshot;
 use nalgebra::Point3;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -26,7 +26,7 @@ fn matter() -> impl Strategy<Value = Vec<Matter>> {
 }
 
 /// A store of these spans, and those of them that a page can hold.
-fn store(matter: &[Matter]) -> (Store, Vec<Matter>) {
+fn store(matter: &[Matter]) -> (Snapshot, Vec<Matter>) {
     let mut pages: BTreeMap<PageKey, BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
     let mut kept = Vec::new();
     for &Matter { pixel: [i, j], bottom, top, obstacle } in matter {
@@ -51,10 +51,10 @@ fn store(matter: &[Matter]) -> (Store, Vec<Matter>) {
         builder.build()
     };
     let frame = Frame::new(PIXEL_M, SLICE_M).unwrap();
-    (Store::from_pages(frame, pages.iter().map(|(&key, columns)| (key, build(columns)))), kept)
+    (Snapshot::from_pages(frame, pages.iter().map(|(&key, columns)| (key, build(columns)))), kept)
 }
 
-fn first_of_all(store: &Store, matter: &[Matter], rest: Resting, motion: Vector3<f64>) -> Option<SweepHit> {
+fn first_of_all(store: &Snapshot, matter: &[Matter], rest: Resting, motion: Vector3<f64>) -> Option<SweepHit> {
     let moving = Moving::new(store.frame(), rest, motion);
     let mut best = Best::NONE;
     for &matter in matter {
@@ -68,7 +68,7 @@ fn first_of_all(store: &Store, matter: &[Matter], rest: Resting, motion: Vector3
     (best.at < f64::INFINITY).then(|| best.hit(store.frame(), motion, 1.0))
 }
 
-fn check<H: Solid>(store: &Store, matter: &[Matter], shape: &H, motion: Vector3<f64>) -> Result<(), TestCaseError> {
+fn check<H: Solid>(store: &Snapshot, matter: &[Matter], shape: &H, motion: Vector3<f64>) -> Result<(), TestCaseError> {
     let expected = first_of_all(store, matter, shape.resting(store.frame()), motion);
     let Answer::Known(found) = sweep(store, shape, motion) else { panic!("all pages are in memory") };
     match (expected, found) {

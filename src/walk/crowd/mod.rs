@@ -26,7 +26,7 @@ mod settle;
 use super::waypoints::REACH_M;
 use super::{BLOCKED_BELOW, Ground, MOST_TICKS, Motion, State, Walker, Wish};
 use crate::store::Missing;
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3, Vector2};
 use outline::{Outline, TOUCH_M};
@@ -163,12 +163,7 @@ impl Crowd {
     ///
     /// At most [`MOST_TICKS`] ticks pass; the rest of the time is returned as [`unspent`](CrowdReport::unspent).
     /// Allocates nothing. Cost: that of each walker, and about 100 ns per neighbour.
-    pub fn step<S: PageSet>(
-        &mut self,
-        set: &S,
-        dt: f64,
-        mut wish: impl FnMut(usize, Point3<f64>) -> Wish,
-    ) -> CrowdReport {
+    pub fn step(&mut self, set: &Snapshot, dt: f64, mut wish: impl FnMut(usize, Point3<f64>) -> Wish) -> CrowdReport {
         let mut report = CrowdReport::default();
         let mut time = self.rest_s + if dt.is_finite() { dt.max(0.0) } else { 0.0 };
         while time >= self.tick_s * (1.0 - 1e-9) {
@@ -188,12 +183,7 @@ impl Crowd {
         report
     }
 
-    fn tick<S: PageSet>(
-        &mut self,
-        set: &S,
-        wish: &mut impl FnMut(usize, Point3<f64>) -> Wish,
-        report: &mut CrowdReport,
-    ) {
+    fn tick(&mut self, set: &Snapshot, wish: &mut impl FnMut(usize, Point3<f64>) -> Wish, report: &mut CrowdReport) {
         self.sort();
         for n in 0..self.walkers.len() {
             self.aim(n, wish(n, self.walkers[n].feet()));
@@ -264,7 +254,7 @@ impl Crowd {
     }
 
     /// Runs the turn of pawn `n`, which is to move by `asked`.
-    fn go<S: PageSet>(&mut self, set: &S, n: usize, asked: Vector2<f64>, turn: Turn, report: &mut CrowdReport) {
+    fn go(&mut self, set: &Snapshot, n: usize, asked: Vector2<f64>, turn: Turn, report: &mut CrowdReport) {
         self.done[n] = true;
         let (before, own) = (self.walkers[n].motion, self.outlines[n]);
         let way = self.leave_room(set, n, asked, turn, report);
@@ -327,7 +317,7 @@ impl Crowd {
     }
 
     /// Runs a tick of pawn `n` in the world; it lands on pawns that it falls onto.
-    fn advance<S: PageSet>(&mut self, set: &S, n: usize, way: Vector2<f64>) -> ControlFlow<Missing> {
+    fn advance(&mut self, set: &Snapshot, n: usize, way: Vector2<f64>) -> ControlFlow<Missing> {
         let before = self.walkers[n].motion.feet.z;
         let outcome = self.walkers[n].tick(set, way);
         let own = Outline::of(&self.walkers[n]);

@@ -3,7 +3,7 @@
 use super::outline::{Outline, TOUCH_M};
 use super::settle::key_of;
 use super::{Crowd, CrowdReport};
-use crate::store::PageSet;
+use crate::store::Snapshot;
 use nalgebra::Vector2;
 
 /// Longest chain of pawns that make way for one.
@@ -58,9 +58,9 @@ impl Crowd {
     }
 
     /// Returns the part of a move that the neighbours of pawn `n` leave free. Those that it may ask make way first.
-    pub(super) fn leave_room<S: PageSet>(
+    pub(super) fn leave_room(
         &mut self,
-        set: &S,
+        set: &Snapshot,
         n: usize,
         wanted: Vector2<f64>,
         turn: Turn,
@@ -111,9 +111,9 @@ impl Crowd {
 
     /// Moves pawn `m` out of the way of pawn `n`: `away` from it and towards its own goal, or only sideways if it got
     /// nowhere in the last tick. Returns whether it got anywhere.
-    pub(super) fn make_way<S: PageSet>(
+    pub(super) fn make_way(
         &mut self,
-        set: &S,
+        set: &Snapshot,
         m: usize,
         n: usize,
         away: Vector2<f64>,

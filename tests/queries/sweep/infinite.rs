@@ -5,7 +5,7 @@ use super::{SLACK, random_motion, random_pawn};
 use nalgebra::{Point3, Vector3};
 use slicewalk::frame::Frame;
 use slicewalk::query::*;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 
 /// Moves the sides of `shape` selected by the bits of `open` to a distance `far` from `origin`.
 fn opened(shape: &Aabb, open: usize, origin: Point3<f64>, far: f64) -> Aabb {
@@ -61,9 +61,9 @@ fn an_infinite_side_is_one_beyond_all_matter() {
 }
 
 /// A wall across x, from 5 to 5.05 m.
-fn wall() -> Store {
+fn wall() -> Snapshot {
     let columns = (-40..40).map(|j| ((100, j), vec![(0, 3400, true)])).collect();
-    Store::from_pages(Frame::new(0.05, 0.15).unwrap(), pages_of(&columns))
+    Snapshot::from_pages(Frame::new(0.05, 0.15).unwrap(), pages_of(&columns))
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn an_endless_slab_stops_at_the_wall_and_gets_out_of_it() {
     assert_eq!(top_under(&store, &all, 10.0, 20.0), floor_top(&store));
 }
 
-fn floor_top(store: &Store) -> Answer<Option<f64>> {
+fn floor_top(store: &Snapshot) -> Answer<Option<f64>> {
     let wide = Aabb::new([-100.0; 3].into(), [100.0; 3].into()).unwrap();
     top_under(store, &wide, 10.0, 20.0)
 }

@@ -8,7 +8,7 @@ use parry3d::math::{IVector, Pose, Vector};
 use parry3d::shape::Cuboid;
 use slicewalk::frame::Frame;
 use slicewalk::query::{Aabb, Cylinder, Overlap, Sphere, overlaps, probe};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
@@ -84,7 +84,7 @@ fn main() {
             Point3::from(building::SIZE) + nalgebra::Vector3::repeat(0.2),
         );
         building::scan(t / 1.6, 7, |point| voxels.add(point));
-        let store = Store::from_pages(frame, voxels.pages());
+        let store = Snapshot::from_pages(frame, voxels.pages());
         let occupied = voxels.occupied();
         drop(voxels);
         let peer = Peer::new(&frame, &occupied);

@@ -4,7 +4,7 @@ use crate::Random;
 use crate::building::{SIZE, STOREY};
 use nalgebra::{Point3, Vector3};
 use slicewalk::query::{Aabb, Answer, probe};
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 
 /// Width, depth and height of the pawn (m).
 pub const PAWN: [f64; 3] = [0.5, 0.5, 1.8];
@@ -26,7 +26,7 @@ pub fn random(count: usize, seed: u64) -> Vec<Aabb> {
 }
 
 /// Steps through the building.
-pub fn walk<S: PageSet>(set: &S, count: usize, seed: u64) -> Vec<Aabb> {
+pub fn walk(set: &Snapshot, count: usize, seed: u64) -> Vec<Aabb> {
     let inside = |place: Point3<f64>| (0..2).all(|axis| (0.4..SIZE[axis] - 0.4).contains(&place[axis]));
     // Out of a corner, and now and then to the other storey.
     let elsewhere = |random: &mut Random| {
@@ -38,8 +38,8 @@ pub fn walk<S: PageSet>(set: &S, count: usize, seed: u64) -> Vec<Aabb> {
 
 /// Steps of 2.3 cm (1.4 m/s at 60 Hz), feet 3 cm above the floor; turns where an obstacle is in the way or a place is not
 /// `inside`, and now and then begins again `elsewhere` (m).
-pub fn wander<S: PageSet>(
-    set: &S,
+pub fn wander(
+    set: &Snapshot,
     count: usize,
     seed: u64,
     start: Point3<f64>,

@@ -13,7 +13,7 @@ use slicewalk::plan::Classifier;
 use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, SweepHit, cast, ceiling_above, floor_under, overlaps, probe, sweep,
 };
-use slicewalk::store::{Prefetch, Store, Stream, StreamOptions, View};
+use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Walker, Wish};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -96,7 +96,7 @@ pub fn run(out: &Path, minutes: f64) -> Result<()> {
 }
 
 /// One body until `end`.
-fn body(stream: &Stream, all: &Store, seed: u64, end: Instant) -> Result<Tally> {
+fn body(stream: &Stream, all: &Snapshot, seed: u64, end: Instant) -> Result<Tally> {
     let mut random = Random(seed);
     let mut pawn = stream.pawn();
     let mut tally = Tally::default();
@@ -113,7 +113,7 @@ fn body(stream: &Stream, all: &Store, seed: u64, end: Instant) -> Result<Tally> 
         heading += random.normal(0.1);
         pawn.hint(&walker.outlook(all_frame(all)));
         let wish = Wish::Direction(Vector2::new(heading.cos(), heading.sin()));
-        let view = pawn.view();
+        let view = pawn.snapshot();
         let mut truth = walker.clone();
         let expected = truth.step(all, 1.0 / 60.0, wish);
         let seen = walker.step(&view, 1.0 / 60.0, wish);
@@ -135,12 +135,12 @@ fn body(stream: &Stream, all: &Store, seed: u64, end: Instant) -> Result<Tally> 
     Ok(tally)
 }
 
-fn all_frame(all: &Store) -> &slicewalk::frame::Frame {
-    slicewalk::store::PageSet::frame(all)
+fn all_frame(all: &Snapshot) -> &slicewalk::frame::Frame {
+    slicewalk::store::Snapshot::frame(all)
 }
 
 /// Queries around a place.
-fn ask(view: &View, all: &Store, feet: Point3<f64>, random: &mut Random, tally: &mut Tally) -> Result<()> {
+fn ask(view: &Snapshot, all: &Snapshot, feet: Point3<f64>, random: &mut Random, tally: &mut Tally) -> Result<()> {
     let mut offset = |far: f64| random.between(-far, far);
     let at = feet + Vector3::new(offset(2.0), offset(2.0), offset(1.0));
     let shape = Aabb::standing(at, Vector3::new(0.5, 0.5, 1.8))?;

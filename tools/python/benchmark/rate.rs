@@ -4,14 +4,14 @@
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps_batch};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::io::BufRead;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [archive, boxes] = &arguments[..] else { return Err("usage: rate ARCHIVE.slices BOXES".into()) };
-    let store = Store::resident(&Archive::open(archive)?, &NoMonitor)?;
+    let store = Snapshot::resident(&Archive::open(archive)?, &NoMonitor)?;
     let bytes = std::fs::read(boxes)?;
     let numbers: Vec<f64> = bytes.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
     let aabb = |&[x0, y0, z0, x1, y1, z1]: &[f64; 6]| Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into());

@@ -14,7 +14,7 @@ use pyo3::types::{PyByteArray, PyBytes, PyDict, PyTuple};
 use slicewalk::Error;
 use slicewalk::archive::{Archive as Inner, ColourReader, Finding};
 use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource, interruptible, stop_of_thread};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::collections::HashMap;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -29,7 +29,7 @@ pub struct Opened {
     pub name: Option<String>,
     /// Options of requests to a server; `None` for files and bytes.
     remote: Option<RemoteOptions>,
-    store: OnceLock<Store>,
+    store: OnceLock<Snapshot>,
     loading: Mutex<()>,
 }
 
@@ -97,14 +97,14 @@ impl Opened {
     }
 
     /// Returns all pages, which the first call loads.
-    pub fn store(&self, py: Python<'_>) -> PyResult<&Store> {
+    pub fn pages(&self, py: Python<'_>) -> PyResult<&Snapshot> {
         match self.store.get() {
             Some(store) => Ok(store),
             None => self.load(py, None),
         }
     }
 
-    fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<&Store> {
+    fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<&Snapshot> {
         let audience = Audience { progress, ..Audience::default() };
         attended(py, &audience, self.name.as_deref(), |monitor| {
             let _loading = loop {
@@ -116,7 +116,7 @@ impl Opened {
                 }
             };
             if self.store.get().is_none() {
-                let _ = self.store.set(Store::resident(&self.archive, monitor)?);
+                let _ = self.store.set(Snapshot::resident(&self.archive, monitor)?);
             }
             Ok(())
         })?;

@@ -10,7 +10,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use slicewalk::Error;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, TILE_PIXELS};
-use slicewalk::store::{PageSet, PageSlot};
+use slicewalk::store::{PageSlot, Snapshot};
 use std::time::{Duration, Instant};
 
 /// Most voxels of a region.
@@ -32,7 +32,7 @@ pub struct Column {
 }
 
 impl Column {
-    pub fn of<S: PageSet>(set: &S, x: f64, y: f64) -> Result<Self, Failure> {
+    pub fn of(set: &Snapshot, x: f64, y: f64) -> Result<Self, Failure> {
         if !x.is_finite() || !y.is_finite() {
             return Err(Error::parameter("place", format!("expected finite x and y, found {x}, {y}")).into());
         }
@@ -120,7 +120,7 @@ pub struct Page {
 }
 
 impl Page {
-    pub fn of<S: PageSet>(set: &S, key: PageKey) -> Result<Option<Self>, Failure> {
+    pub fn of(set: &Snapshot, key: PageKey) -> Result<Option<Self>, Failure> {
         let Some(slot) = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer) else {
             return Ok(None);
         };
@@ -198,9 +198,9 @@ impl Page {
 }
 
 /// Returns the voxels that the box `bounds` meets, as `slicewalk.Region`.
-pub fn region<'py, S: PageSet + Sync>(
+pub fn region<'py, S: Snapshot + Sync>(
     py: Python<'py>,
-    set: &S,
+    set: &Snapshot,
     name: Option<&str>,
     bounds: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
@@ -238,8 +238,8 @@ pub fn region<'py, S: PageSet + Sync>(
 }
 
 /// Fills the arrays with the interpreter released, except to check for Ctrl-C.
-fn fill<S: PageSet>(
-    set: &S,
+fn fill(
+    set: &Snapshot,
     first: [i64; 3],
     last: [i64; 3],
     arrays: &mut [ArrayViewMut3<'_, u8>; 3],

@@ -13,7 +13,7 @@ use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, overlaps, sweep,
 };
-use slicewalk::store::{PageSet, PageSlot, View};
+use slicewalk::store::{PageSlot, Snapshot};
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
@@ -23,25 +23,18 @@ pub enum Set {
     /// All pages of an archive; the first query loads them.
     All(Arc<Opened>),
     /// The pages in memory at one moment.
-    View(View),
+    View(Snapshot),
 }
 
-/// Runs a query on either kind of page set.
-macro_rules! ask {
-    ($set:expr, $py:expr, $pages:ident => $answer:expr) => {
-        match &$set {
-            $crate::pages::Set::All(opened) => {
-                let $pages = opened.store($py)?;
-                $answer
-            }
-            $crate::pages::Set::View(view) => {
-                let $pages = view;
-                $answer
-            }
+impl Set {
+    /// Returns the pages; loads them if they are those of an archive.
+    pub fn pages(&self, py: Python<'_>) -> PyResult<&Snapshot> {
+        match self {
+            Self::All(opened) => opened.pages(py),
+            Self::View(view) => Ok(view),
         }
-    };
+    }
 }
-pub(crate) use ask;
 
 /// A set of pages that answers queries: an :class:`Archive` or the :class:`View` of a :class:`Stream`.
 ///
@@ -73,17 +66,17 @@ fn known<T>(answer: Answer<T>, value: impl FnOnce(T) -> f64) -> f64 {
 }
 
 /// Range of heights in which the pages can hold solid (m).
-fn heights<S: PageSet>(set: &S) -> (f64, f64) {
+fn heights(set: &Snapshot) -> (f64, f64) {
     let height = |layer: i64| set.frame().top_height(layer * PAGE_QUANTA);
     set.bounds().map_or((0.0, 0.0), |bounds| (height(bounds.min[2].into()), height(i64::from(bounds.max[2]) + 1)))
 }
 
-fn floor_in<S: PageSet>(set: &S, shape: &impl Shape, low: f64, high: f64, (_, top): (f64, f64)) -> f64 {
+fn floor_in(set: &Snapshot, shape: &impl Shape, low: f64, high: f64, (_, top): (f64, f64)) -> f64 {
     let from = high.min(top);
     known(floor_under(set, shape, from, from - low), |z| z.unwrap_or(f64::NEG_INFINITY))
 }
 
-fn ceiling_in<S: PageSet>(set: &S, shape: &impl Shape, low: f64, high: f64, (bottom, _): (f64, f64)) -> f64 {
+fn ceiling_in(set: &Snapshot, shape: &impl Shape, low: f64, high: f64, (bottom, _): (f64, f64)) -> f64 {
     let from = low.max(bottom);
     known(ceiling_above(set, shape, from, high - from), |z| z.unwrap_or(f64::INFINITY))
 }
@@ -150,9 +143,10 @@ impl Pages {
         boxes: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<u8>>> {
-        ask!(self.set, boxes.py(), pages => {
+        {
+            let pages = self.set.pages(boxes.py())?;
             batch(boxes, "boxes", threads, |row| Ok(code(overlaps(pages, &aabb(row)?))))
-        })
+        }
     }
 
     /// Tests whether upright cylinders touch solid; see :meth:`overlaps`.
@@ -169,11 +163,12 @@ impl Pages {
         cylinders: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<u8>>> {
-        ask!(self.set, cylinders.py(), pages => {
+        {
+            let pages = self.set.pages(cylinders.py())?;
             batch(cylinders, "cylinders", threads, |&[x, y, z, radius, height]: &[f64; 5]| {
                 Ok(code(overlaps(pages, &Cylinder::new([x, y, z].into(), radius, height)?)))
             })
-        })
+        }
     }
 
     /// Tests whether spheres touch solid; see :meth:`overlaps`.
@@ -190,11 +185,12 @@ impl Pages {
         spheres: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<u8>>> {
-        ask!(self.set, spheres.py(), pages => {
+        {
+            let pages = self.set.pages(spheres.py())?;
             batch(spheres, "spheres", threads, |&[x, y, z, radius]: &[f64; 4]| {
                 Ok(code(overlaps(pages, &Sphere::new([x, y, z].into(), radius)?)))
             })
-        })
+        }
     }
 
     /// Finds the highest floor in each box: the greatest top of a floor span that lies within the pixels under the box
@@ -217,10 +213,11 @@ impl Pages {
         boxes: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        ask!(self.set, boxes.py(), pages => {
+        {
+            let pages = self.set.pages(boxes.py())?;
             let ends = heights(pages);
             batch(boxes, "boxes", threads, |row| Ok(floor_in(pages, &aabb(row)?, row[2], row[5], ends)))
-        })
+        }
     }
 
     /// Finds the lowest ceiling in each box: the least underside of a span that lies within the pixels under the box
@@ -242,10 +239,11 @@ impl Pages {
         boxes: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        ask!(self.set, boxes.py(), pages => {
+        {
+            let pages = self.set.pages(boxes.py())?;
             let ends = heights(pages);
             batch(boxes, "boxes", threads, |row| Ok(ceiling_in(pages, &aabb(row)?, row[2], row[5], ends)))
-        })
+        }
     }
 
     /// Computes how far each box can move before its inside meets solid. Exact at any speed: the motion is not sampled.
@@ -267,7 +265,8 @@ impl Pages {
         boxes: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        ask!(self.set, boxes.py(), pages => {
+        {
+            let pages = self.set.pages(boxes.py())?;
             batch(boxes, "boxes", threads, |&[x0, y0, z0, x1, y1, z1, dx, dy, dz]: &[f64; 9]| {
                 let motion = Vector3::new(dx, dy, dz);
                 if !motion.iter().all(|v| v.is_finite()) {
@@ -276,7 +275,7 @@ impl Pages {
                 let answer = sweep(pages, &aabb(&[x0, y0, z0, x1, y1, z1])?, motion);
                 Ok(known(answer, |hit| hit.map_or(1.0, |hit| hit.fraction)))
             })
-        })
+        }
     }
 
     /// Computes the distance along each ray to the first solid.
@@ -299,12 +298,13 @@ impl Pages {
         rays: &Bound<'py, PyAny>,
         threads: Option<NonZeroUsize>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        ask!(self.set, rays.py(), pages => {
+        {
+            let pages = self.set.pages(rays.py())?;
             batch(rays, "rays", threads, |&[x, y, z, dx, dy, dz, max]: &[f64; 7]| {
                 let ray = Ray::new(Point3::new(x, y, z), Vector3::new(dx, dy, dz), max)?;
                 Ok(known(cast(pages, &ray), |hit| hit.map_or(f64::INFINITY, |hit| hit.distance)))
             })
-        })
+        }
     }
 
     /// Returns the spans of solid at one place, lowest first.
@@ -316,7 +316,10 @@ impl Pages {
     /// >>> column.tops.round(2), column.obstacle
     /// (array([0. , 2.5]), array([False, False]))
     fn column(&self, py: Python<'_>, x: f64, y: f64) -> PyResult<Column> {
-        ask!(self.set, py, pages => Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name())))
+        {
+            let pages = self.set.pages(py)?;
+            Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name()))
+        }
     }
 
     /// Returns the keys of all pages, in memory or not: int32 of shape (M, 3), each ``tx, ty, layer``.
@@ -328,12 +331,13 @@ impl Pages {
     ///        [1, 0, 0]], dtype=int32)
     fn keys<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         let mut keys = Vec::new();
-        ask!(self.set, py, pages => {
+        {
+            let pages = self.set.pages(py)?;
             for number in 0..pages.column_count() {
                 let (tx, ty, slots) = pages.column_at(number);
                 slots.iter().for_each(|slot| keys.extend([tx, ty, slot.layer()]));
             }
-        });
+        };
         let count = keys.len() / 3;
         keys.into_pyarray(py).reshape([count, 3])
     }
@@ -348,7 +352,10 @@ impl Pages {
     /// ((64, 64), dtype('uint16'), False)
     fn page(&self, py: Python<'_>, key: &Bound<'_, PyAny>) -> PyResult<Option<Page>> {
         let key = arrays::key(key)?;
-        ask!(self.set, py, pages => Page::of(pages, key).map_err(|failure| failure.raise(py, self.name())))
+        {
+            let pages = self.set.pages(py)?;
+            Page::of(pages, key).map_err(|failure| failure.raise(py, self.name()))
+        }
     }
 
     /// Returns all voxels of a region as arrays.
@@ -373,7 +380,10 @@ impl Pages {
     /// >>> archive.region(archive.bounds).occupied.sum() == archive.voxels
     /// np.True_
     fn region<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        ask!(self.set, py, pages => region(py, pages, self.name(), bounds))
+        {
+            let pages = self.set.pages(py)?;
+            region(py, pages, self.name(), bounds)
+        }
     }
 
     /// Finds everything that a pawn can reach on foot.

@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 use slicewalk::nalgebra::Point3;
 use slicewalk::reach::{Flood, Pawn, Place, Refusal, Region, Route, Search, StandingPlaces};
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk::{Error, Monitor};
 
@@ -37,7 +37,7 @@ struct Found {
     leaks: Vec<([f64; 3], f64, Option<f64>, &'static str)>,
 }
 
-fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
+fn survey(set: &Snapshot, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
     let mut standing = StandingPlaces::new(set, pawn)?;
     let Some(spot) = needs(standing.spot(set, start.into())?)? else {
         let [x, y, z] = start;
@@ -70,9 +70,10 @@ pub fn reach<'py>(
     let py = start.py();
     let at = numbers::<3>(start, "start")?;
     let audience = Audience { progress, ..Audience::default() };
-    let found = ask!(pages.set, py, set => {
+    let found = {
+        let set = pages.set.pages(py)?;
         attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, at, monitor))?
-    });
+    };
     let places: Vec<f64> = py.detach(|| {
         let row = |place: Place| [place.feet.x, place.feet.y, place.feet.z, place.clearance];
         found.region.places().flat_map(row).collect()
@@ -103,9 +104,10 @@ pub fn route<'py>(
     let py = ends[0].py();
     let [from, to] = [numbers::<3>(ends[0], "start")?, numbers::<3>(ends[1], "goal")?].map(Point3::from);
     let audience = Audience { progress, ..Audience::default() };
-    let found = ask!(pages.set, py, set => {
+    let found = {
+        let set = pages.set.pages(py)?;
         attended(py, &audience, pages.name(), |monitor| find(set, *pawn, [from, to], monitor))?
-    });
+    };
     let (length, points, reason) = match found {
         Ok(route) => (Some(route.length_m), route.points, None),
         Err(refusal) => (None, Vec::new(), Some(refusal.name())),
@@ -116,8 +118,8 @@ pub fn route<'py>(
     py.import("slicewalk._results")?.getattr("Route")?.call1((reason.is_none(), length, reason, points))
 }
 
-fn find<S: PageSet>(
-    set: &S,
+fn find(
+    set: &Snapshot,
     pawn: Pawn,
     ends: [Point3<f64>; 2],
     monitor: &dyn Monitor,

@@ -32,7 +32,7 @@ use std::time::Duration;
 /// >>> with slicewalk.Stream(archive, "16MiB") as stream:
 /// ...     box = [[3, 2, 0.5, 3.5, 2.5, 1.8]]
 /// ...     report = stream.load(box)
-/// ...     print(report["left_out"], stream.view().overlaps(box))
+/// ...     print(report["left_out"], stream.snapshot().overlaps(box))
 /// 0 [0]
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Stream {
@@ -109,7 +109,7 @@ impl Stream {
 
     /// Returns the pages now in memory as a :class:`View`. Take one per frame; it costs next to nothing.
     fn view(&self, py: Python<'_>) -> PyResult<Py<View>> {
-        let view = self.inner()?.view();
+        let view = self.inner()?.snapshot();
         Py::new(py, PyClassInitializer::from(Pages { set: Set::View(view) }).add_subclass(View {}))
     }
 

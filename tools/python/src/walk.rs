@@ -11,7 +11,7 @@ use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use slicewalk::nalgebra::{Point2, Vector2};
-use slicewalk::store::{Outlook, PageSet, Stream as Inner};
+use slicewalk::store::{Outlook, Snapshot, Stream as Inner};
 use slicewalk::walk::{Config, Response, State, StepReport, Stop, Walker as Pawn3, Waypoints, Wish};
 use slicewalk::{Error, Monitor};
 use std::sync::{Arc, Weak};
@@ -176,13 +176,16 @@ impl Walker {
             _ => return Err(PyTypeError::new_err("direction and toward exclude each other: give one of them")),
         };
         let done = match &pages {
-            Ground::Pages(pages) => ask!(pages.get().set, py, set => self.walker.step(set, dt, wish)),
+            Ground::Pages(pages) => {
+                let set = pages.get().set.pages(py)?;
+                self.walker.step(set, dt, wish)
+            }
             Ground::Stream(stream) => {
                 let inner = stream.get().inner()?;
                 let outlook = self.walker.outlook(inner.archive().frame());
                 let hints = self.hints_for(stream.get(), &inner)?;
                 hints.with(|pawn| pawn.hint(&outlook))?;
-                let done = self.walker.step(&inner.view(), dt, wish);
+                let done = self.walker.step(&inner.snapshot(), dt, wish);
                 if let Some(missing) = &done.missing {
                     hints.with(|pawn| pawn.need(missing))?;
                 }
@@ -229,12 +232,13 @@ impl Walker {
         let most = (max_seconds * hz).ceil().max(1.0) as u64;
         let walk = Walk { frame_s: 1.0 / hz, most };
         let frames = match &pages {
-            Ground::Pages(pages) => ask!(pages.get().set, py, set => {
+            Ground::Pages(pages) => {
+                let set = pages.get().set.pages(py)?;
                 let walker = &mut self.walker;
                 attended(py, &Audience::default(), pages.get().name(), |monitor| {
                     walk.frames(monitor, walker, |walker, dt| follow(walker, set, dt, &mut route))
                 })?
-            }),
+            }
             Ground::Stream(stream) => {
                 let (ground, name) = (stream.get(), stream.get().name());
                 let stream = ground.inner()?;
@@ -334,7 +338,7 @@ impl Walk {
     }
 }
 
-fn follow<S: PageSet>(walker: &mut Pawn3, set: &S, dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
+fn follow(walker: &mut Pawn3, set: &Snapshot, dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
     walker.follow(set, dt, route).missing.map_or(Ok(()), |missing| Err(missing.into()))
 }
 
@@ -342,7 +346,7 @@ fn follow<S: PageSet>(walker: &mut Pawn3, set: &S, dt: f64, route: &mut Waypoint
 fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
     let mut needed = Vec::new();
     loop {
-        let report = walker.follow(&stream.view(), dt, route);
+        let report = walker.follow(&stream.snapshot(), dt, route);
         let Some(missing) = report.missing else { return Ok(()) };
         if report.ticks > 0 {
             needed.clear();

@@ -179,7 +179,7 @@ pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<O
 impl Ways<'_> {
     /// Everything that a pawn reaches from `from`; `None` if it can stand nowhere near.
     fn reached(&self, pawn: &Pawn, from: Point3<f64>) -> Result<Option<Reached>, Failure> {
-        let mut standing = StandingPlaces::new(&self.loader.view(), *pawn)?;
+        let mut standing = StandingPlaces::new(&self.loader.snapshot(), *pawn)?;
         let start = self.loader.known(|view| standing.snapped(view, from, SNAP_M))?;
         let Some(start) = start else { return Ok(None) };
         let mut flood = Flood::from(start.spot);
@@ -253,7 +253,7 @@ impl Ways<'_> {
 
     /// The first place of a way at which the pawn can stand without having reached it.
     fn stands_beyond(&self, pawn: &Pawn, way: &[Point3<f64>], own: &Ground) -> Result<Option<Point3<f64>>, Failure> {
-        let mut standing = StandingPlaces::new(&self.loader.view(), *pawn)?;
+        let mut standing = StandingPlaces::new(&self.loader.snapshot(), *pawn)?;
         for place in way.iter().filter(|place| !own.holds(place)) {
             if self.loader.known(|view| standing.spot(view, *place))?.is_some() {
                 return Ok(Some(*place));

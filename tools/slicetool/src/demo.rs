@@ -6,7 +6,7 @@ use scangen::{Scene, Truth};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Config, State, Walker, Waypoints};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::HashMap;
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     table.row("verified", "every byte, no finding".into());
 
-    let store = Store::resident(&archive, &NoMonitor)?;
+    let store = Snapshot::resident(&archive, &NoMonitor)?;
     table.row(
         "in memory",
         format!(
@@ -185,7 +185,7 @@ impl Points {
     }
 }
 
-fn boxes(store: &Store, archive: &Archive, points: &Points, table: &mut Table) -> Result<(), Failure> {
+fn boxes(store: &Snapshot, archive: &Archive, points: &Points, table: &mut Table) -> Result<(), Failure> {
     let frame = archive.frame();
     let grow = [frame.pixel_m(), frame.pixel_m(), frame.slice_m()];
     let mut random = Random(SEED);
@@ -236,7 +236,7 @@ fn boxes(store: &Store, archive: &Archive, points: &Points, table: &mut Table) -
 }
 
 /// Walks a pawn along the scene's route from the ground floor up the stairs to the top.
-fn walk(store: &Store, table: &mut Table) -> Result<(), Failure> {
+fn walk(store: &Snapshot, table: &mut Table) -> Result<(), Failure> {
     const HZ: f64 = 60.0;
     /// Half the pawn, plus the pixels by which its footprint is rounded.
     const REACH: f64 = PAWN[0] / 2.0 + 1.5 * PIXEL_M;

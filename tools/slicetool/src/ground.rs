@@ -7,7 +7,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Pawn, Snapped, StandingPlaces};
-use slicewalk::store::{MISSING_KEYS, Prefetch, Stream, StreamOptions, View};
+use slicewalk::store::{MISSING_KEYS, Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::Body;
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
@@ -182,8 +182,8 @@ impl Loader {
     }
 
     /// The pages in memory now.
-    pub fn view(&self) -> View {
-        self.stream.view()
+    pub fn view(&self) -> Snapshot {
+        self.stream.snapshot()
     }
 
     /// The archive.
@@ -197,12 +197,12 @@ impl Loader {
     }
 
     /// Repeats `ask` and loads the missing pages until it gives an answer.
-    pub fn known<T>(&self, mut ask: impl FnMut(&View) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
+    pub fn known<T>(&self, mut ask: impl FnMut(&Snapshot) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
         let broken = |error| crate::broken(&self.archive, &error);
         let too_small = || Failure::Text("the pages around one place do not fit in memory; give more --cache".into());
         let mut place: Option<Place> = None;
         loop {
-            let missing = match ask(&self.stream.view()).map_err(broken)? {
+            let missing = match ask(&self.stream.snapshot()).map_err(broken)? {
                 Answer::Known(known) => return Ok(known),
                 Answer::NotLoaded(missing) => missing,
             };

@@ -6,7 +6,7 @@ use crate::{Failure, Outcome, cache_too_small};
 use nalgebra::Point3;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
-use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
+use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk_convert::size::parse_size;
 use std::collections::HashSet;
 use std::fmt::Write as _;
@@ -103,13 +103,13 @@ fn complete<T>(
     stream: &Stream,
     arguments: &Arguments,
     region: [Point3<f64>; 2],
-    ask: impl Fn(&View) -> Answer<T>,
+    ask: impl Fn(&Snapshot) -> Answer<T>,
 ) -> Result<T, Failure> {
     let broken = |error| crate::broken(&arguments.archive, &error);
     let mut needed = Vec::new();
     let mut loaded = HashSet::new();
     loop {
-        let missing = match ask(&stream.view()) {
+        let missing = match ask(&stream.snapshot()) {
             Answer::Known(answer) => return Ok(answer),
             Answer::NotLoaded(missing) => missing,
         };

@@ -8,7 +8,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route, StandingPlaces};
-use slicewalk::store::View;
+use slicewalk::store::Snapshot;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -155,7 +155,7 @@ fn find(
         },
         false => None,
     };
-    let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
+    let mut planner = Planner::new(&loader.snapshot(), pawn, ends[0], ends[1])?;
     let known = match known {
         Some(route) => {
             // Only a route this short would be better by more than the bound.
@@ -183,7 +183,7 @@ fn find(
 
 /// Moves the ends to standing places and records by how much (m).
 fn stand(arguments: &Arguments, loader: &Loader, ends: &mut Ends) -> Result<Result<(), Refusal>, Failure> {
-    let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
+    let mut standing = StandingPlaces::new(&loader.snapshot(), arguments.walks.pawn())?;
     for (end, refusal) in ends.iter_mut().zip([Refusal::NotStandingFrom, Refusal::NotStandingTo]) {
         match arguments.walks.snapped(loader, &mut standing, end.0)? {
             Some(snapped) => *end = (snapped.feet, snapped.moved),
@@ -198,7 +198,7 @@ fn ellipse_m2(straight: f64, length: f64) -> f64 {
     std::f64::consts::PI / 4.0 * length * (length.powi(2) - straight.powi(2)).max(0.0).sqrt()
 }
 
-fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found>> {
+fn planned(planner: &mut Planner, view: &Snapshot) -> slicewalk::Result<Answer<Found>> {
     loop {
         match planner.go_on(view, usize::MAX, &NoMonitor)? {
             Planned::Done(found) => return Ok(Answer::Known(found)),
@@ -259,7 +259,7 @@ fn coarse(
             continue;
         }
         let on_level = on_level(arguments, archive, level.number())?;
-        let mut planner = Coarse::new(&on_level.view(), arguments.walks.pawn(), from, to)?;
+        let mut planner = Coarse::new(&on_level.snapshot(), arguments.walks.pawn(), from, to)?;
         let most = if best.is_ok() { MOST_SPANS } else { usize::MAX };
         let found = on_level.known(|view| guessed(&mut planner, view, most))?;
         *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
@@ -283,7 +283,7 @@ fn coarse(
 }
 
 /// Result of a planner on a level; `None` if it looks at more than `most` spans.
-fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<Answer<Option<Found>>> {
+fn guessed(planner: &mut Coarse, view: &Snapshot, most: usize) -> slicewalk::Result<Answer<Option<Found>>> {
     Ok(match planner.go_on(view, most.saturating_sub(planner.looked_at()), &NoMonitor)? {
         Planned::Done(found) => Answer::Known(Some(found)),
         Planned::NotLoaded(missing) => Answer::NotLoaded(missing),
@@ -308,7 +308,7 @@ fn refined(
         let mut best: Option<Guess> = None;
         // A coarser level hides obstacles: where the finest level shows one, the route may lead around it, anywhere.
         for is_near in [true, false].into_iter().take(if level == 1 { 2 } else { 1 }) {
-            let mut planner = Coarse::new(&on_level.view(), pawn, from, to)?;
+            let mut planner = Coarse::new(&on_level.snapshot(), pawn, from, to)?;
             if is_near {
                 planner = planner.near(&guide.route, beside(guide.level));
             }

@@ -165,7 +165,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             pawn.hint(&outlook);
             prepare(&stream, &outlook, frame, frame_s)?;
         }
-        hits += stream.view().count_loaded(&walker.outlook(stream.archive().frame()));
+        hits += stream.count_loaded(&walker.outlook(stream.archive().frame()));
         let before = walker.feet();
         let started = Instant::now();
         let (missing, hit) = step(&stream, &mut walker, &mut route, frame_s, arguments.cache)?;
@@ -307,7 +307,7 @@ fn ends(arguments: &Arguments, last: Point2<f64>, z: Option<f64>) -> Result<(Poi
     let pawn = arguments.pawn();
     let archive = arguments.inferred.open(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
-    let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
+    let mut standing = StandingPlaces::new(&loader.snapshot(), pawn)?;
     // If a search does not fit in memory, that end stays; the walk itself reports how much it needs.
     let found = loader.known(|view| standing.snapped(view, asked, snap)).ok().flatten();
     let (start, moved) =
@@ -371,7 +371,7 @@ fn step(
     let (mut dt, mut late, mut stop) = (frame_s, 0, None);
     let (mut needed, mut attempts) = (Vec::new(), 0);
     loop {
-        let report = walker.follow(&stream.view(), dt, route);
+        let report = walker.follow(&stream.snapshot(), dt, route);
         stop = report.stop.or(stop);
         // Also left over if a frame is longer than the library's longest step.
         dt = report.unspent;

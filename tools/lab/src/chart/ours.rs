@@ -9,7 +9,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
 use slicewalk::plan::{Classifier, PlanOptions};
 use slicewalk::query::{Aabb, Answer, Overlap, overlaps, probe, sweep, top_under};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -72,7 +72,7 @@ impl Method for Ours {
         };
         convert(&options, &NoMonitor)?;
         let archive = Archive::open(&file)?;
-        let (frame, store) = (*archive.frame(), Store::resident(&archive, &NoMonitor)?);
+        let (frame, store) = (*archive.frame(), Snapshot::resident(&archive, &NoMonitor)?);
         Ok(Box::new(Pages { broad: self.broad, frame, store, file, _folder: folder }))
     }
 }
@@ -80,7 +80,7 @@ impl Method for Ours {
 struct Pages {
     broad: bool,
     frame: Frame,
-    store: Store,
+    store: Snapshot,
     file: PathBuf,
     _folder: TempDir,
 }

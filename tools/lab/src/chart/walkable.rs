@@ -8,7 +8,7 @@ use crate::stability::table::{Errors, Share};
 use nalgebra::{Point3, Vector3};
 use scangen::{Scene, Truth};
 use slicewalk::query::{Aabb, Cylinder, Overlap, overlaps, probe, top_under};
-use slicewalk::store::{PageSet, Store};
+use slicewalk::store::Snapshot;
 
 /// A claim within this of a floor is about that floor (m).
 const SAME_M: f64 = CLIMB;
@@ -104,7 +104,7 @@ pub fn judge(columns: &[Column], claims: impl Fn(f64, f64) -> Vec<f64>) -> Judge
 }
 
 /// Heights that slicewalk lets one stand at over a place, between two heights (m): floor, and nothing in the way above.
-pub fn standing(store: &Store, x: f64, y: f64, [bottom, top]: [f64; 2]) -> Vec<f64> {
+pub fn standing(store: &Snapshot, x: f64, y: f64, [bottom, top]: [f64; 2]) -> Vec<f64> {
     let mut heights = Vec::new();
     let mut from = top;
     while let Some(z) = top_below(store, [x, y, from], bottom) {
@@ -121,12 +121,12 @@ fn foot([x, y, z]: [f64; 3]) -> Option<Aabb> {
     Aabb::standing(Point3::new(x, y, z), Vector3::new(FOOT_M, FOOT_M, 0.0)).ok()
 }
 
-fn top_below(store: &Store, from: [f64; 3], bottom: f64) -> Option<f64> {
+fn top_below(store: &Snapshot, from: [f64; 3], bottom: f64) -> Option<f64> {
     top_under(store, &foot(from)?, from[2], from[2] - bottom).known().flatten()
 }
 
 /// Whether there is floor under the feet, no deeper than they climb: as for a walker, a kerb under them is no obstacle.
-fn is_floor(store: &Store, [x, y, z]: [f64; 3]) -> bool {
+fn is_floor(store: &Snapshot, [x, y, z]: [f64; 3]) -> bool {
     let feet = Cylinder::new(Point3::new(x, y, z - CLIMB), RADIUS, CLIMB);
     let floor = feet.ok().and_then(|feet| probe(store, &feet).known()?.floor_z);
     floor.is_some_and(|floor| floor >= z - CLIMB)

@@ -7,7 +7,7 @@ use nalgebra::{Vector2, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, PageDecoder, PageEncoder};
 use slicewalk::query::{Aabb, Overlap, Ray, cast, floor_under, overlaps, sweep};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, Walker, Wish};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::hint::black_box;
@@ -117,7 +117,7 @@ impl Calls {
     fn answer(&self) -> Result<()> {
         let archive = Archive::from_bytes(std::fs::read(self.folder.join(ARCHIVE))?)?;
         pages(&archive)?;
-        let store = Store::resident(&archive, &NoMonitor)?;
+        let store = Snapshot::resident(&archive, &NoMonitor)?;
         answers(&store)
     }
 }
@@ -142,7 +142,7 @@ fn pages(archive: &Archive) -> Result<()> {
     Ok(())
 }
 
-fn answers(store: &Store) -> Result<()> {
+fn answers(store: &Snapshot) -> Result<()> {
     let anywhere = pawns::random(ASKED, 11);
     let along = pawns::walk(store, SKIPPED + ASKED, 12).split_off(SKIPPED);
     let mut random = Random(13);

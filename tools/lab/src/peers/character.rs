@@ -8,7 +8,7 @@ use crate::stability::Result;
 use nalgebra::{Point3, Vector2, Vector3};
 use rapier3d::control::{CharacterAutostep, CharacterLength, KinematicCharacterController};
 use rapier3d::prelude::*;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Config, State, Walker, Waypoints};
 use std::time::Instant;
 
@@ -47,7 +47,7 @@ impl Walked {
     }
 }
 
-pub fn ours(store: &Store, tick_s: f64) -> Result<Walked> {
+pub fn ours(store: &Snapshot, tick_s: f64) -> Result<Walked> {
     let mut walker = Walker::new(Config { tick_s, ..Config::new(ROUND) }, START.into())?;
     let mut route = Waypoints::new(route()?)?;
     let (mut times, mut feet) = (Vec::new(), Vec::new());

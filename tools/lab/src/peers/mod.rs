@@ -20,7 +20,7 @@ use oracle::Oracle;
 use parry3d::shape::SharedShape;
 use scene::Workload;
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, overlaps, sweep, top_under};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -54,7 +54,7 @@ fn head(page: &mut String, what: &str, wrong: [&str; 2]) {
 struct World<'a> {
     pixel: f64,
     oracle: &'a Oracle,
-    store: Store,
+    store: Snapshot,
     peers: Vec<(&'static str, SharedShape)>,
     tree: &'a spheres::Tree,
     capt: Option<spheres::Affording>,

@@ -6,7 +6,7 @@ use nalgebra::{Point2, Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Ray};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::path::{Path, PathBuf};
@@ -31,12 +31,12 @@ pub fn points(scan: &Path) -> Result<Vec<Point3<f64>>> {
     Ok(points?)
 }
 
-pub fn store(scan: &Path, pixel_m: f64) -> Result<Store> {
+pub fn store(scan: &Path, pixel_m: f64) -> Result<Snapshot> {
     let folder = tempfile::tempdir()?;
     let mut options = ConvertOptions::new(vec![scan.to_path_buf()], folder.path().join("scan.slices"));
     options.pixel = PixelSize::Metres(pixel_m);
     convert(&options, &NoMonitor)?;
-    Ok(Store::resident(&Archive::open(folder.path().join("scan.slices"))?, &NoMonitor)?)
+    Ok(Snapshot::resident(&Archive::open(folder.path().join("scan.slices"))?, &NoMonitor)?)
 }
 
 /// The way up the stairs and back that `docs/walk-and-routes.md` follows.
@@ -62,7 +62,7 @@ pub struct Workload {
 }
 
 impl Workload {
-    pub fn new(points: &[Point3<f64>], store: &Store) -> Result<Self> {
+    pub fn new(points: &[Point3<f64>], store: &Snapshot) -> Result<Self> {
         let (low, high) = points.iter().fold((points[0], points[0]), |(low, high), p| (low.inf(p), high.sup(p)));
         let mut random = Random(21);
         let pawn = |feet| Aabb::standing(feet, Vector3::from(PAWN));

@@ -123,12 +123,12 @@ fn walk(path: &Path, size: [f64; 2], prefetch: Prefetch) -> Result<Walked> {
     let clock = Instant::now();
     while walker.state() != State::Arrived && frames < limit {
         pawn.hint(&walker.outlook(stream.archive().frame()));
-        let mut report = walker.follow(&stream.view(), FRAME_S, &mut route);
+        let mut report = walker.follow(&stream.snapshot(), FRAME_S, &mut route);
         missed += usize::from(report.waits());
         metres += report.moved.norm();
         while let Some(needed) = report.missing {
             stream.load_missing(&needed)?;
-            report = walker.follow(&stream.view(), report.unspent, &mut route);
+            report = walker.follow(&stream.snapshot(), report.unspent, &mut route);
             metres += report.moved.norm();
         }
         frames += 1;

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, cast_batch, overlaps, overlaps_batch};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::hint::black_box;
 use std::path::Path;
@@ -80,7 +80,7 @@ fn one(found: &mut Found, work: &Path, town: Town, batches: &mut Table) -> Resul
     options.temp_dir = work.to_owned();
     let header = convert(&options, &NoMonitor)?.header;
     let voxels = header.voxels.occupied;
-    let store = Store::resident(&Archive::open(&path)?, &NoMonitor)?;
+    let store = Snapshot::resident(&Archive::open(&path)?, &NoMonitor)?;
     for path in [scan, path] {
         std::fs::remove_file(path)?;
     }
@@ -158,7 +158,7 @@ fn batch<Q: Sync, A: Send + PartialEq>(
 }
 
 /// Time of a box when all are asked one after the other (ns).
-fn all_at_once(store: &Store, shapes: &[Aabb]) -> f64 {
+fn all_at_once(store: &Snapshot, shapes: &[Aabb]) -> f64 {
     let start = Instant::now();
     for shape in shapes {
         black_box(overlaps(store, black_box(shape)));
@@ -166,7 +166,7 @@ fn all_at_once(store: &Store, shapes: &[Aabb]) -> f64 {
     start.elapsed().as_secs_f64() * 1e9 / shapes.len() as f64
 }
 
-fn ask(found: &mut Found, store: &Store, voxels: u64, name: &str, shapes: &[Aabb]) -> Vec<String> {
+fn ask(found: &mut Found, store: &Snapshot, voxels: u64, name: &str, shapes: &[Aabb]) -> Vec<String> {
     let [mut means, mut medians] = [const { Vec::new() }; 2];
     let mut hits = 0;
     for _ in 0..REPEATS {

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use scangen::scene::build::Builder;
 use scangen::{CloudFormat, Sample, SampleSpec, Scene, WriteSpec, write_clouds, write_samples};
 use slicewalk::query::Aabb;
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 use std::path::Path;
 
 /// Edge of a block (m).
@@ -62,7 +62,7 @@ impl Town {
     }
 
     /// Steps of walks through the town.
-    pub fn walking_pawns<S: PageSet>(&self, set: &S, count: usize, seed: u64) -> Vec<Aabb> {
+    pub fn walking_pawns(&self, set: &Snapshot, count: usize, seed: u64) -> Vec<Aabb> {
         // No block has anything in this place.
         let street = |random: &mut Random| {
             let [x, y] = self.corner(random.bits() % self.blocks);

@@ -10,7 +10,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
 use slicewalk::plan::{Classifier, PlanOptions};
 use slicewalk::query::{Aabb, Answer, Overlap, floor_under, overlaps, probe};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -124,7 +124,7 @@ impl Scan {
         };
         convert(&options, &NoMonitor)?;
         let archive = Archive::open(&output)?;
-        let store = Store::resident(&archive, &NoMonitor)?;
+        let store = Snapshot::resident(&archive, &NoMonitor)?;
         Ok(Converted { bytes: std::fs::read(&output)?, archive, store })
     }
 
@@ -147,7 +147,7 @@ pub struct Converted {
     /// The archive.
     pub archive: Archive,
     /// All of its pages.
-    pub store: Store,
+    pub store: Snapshot,
 }
 
 /// A voxel with matter.

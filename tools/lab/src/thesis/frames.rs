@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector2};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Answer, Cylinder, Overlap, floor_under, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, Walker, Wish};
 use std::path::Path;
 use std::time::Instant;
@@ -33,7 +33,7 @@ pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'st
     for model in models {
         let path = folder.join("a.slices");
         Conversion::new(&model.path, &path, model.y_up, model.pixel(PIXELS)).measure(1)?;
-        let store = Store::resident(&Archive::open(&path)?, &NoMonitor)?;
+        let store = Snapshot::resident(&Archive::open(&path)?, &NoMonitor)?;
         let theirs = model.thesis.map_or("-".into(), |thesis| format!("{0} and {0}", thesis.fps));
         let memory = number((store.weight_bytes() + store.table_bytes()) as f64 / 1e6, 1);
         let [mean, high, moved] = walk(&store, model, frames)?;
@@ -52,7 +52,7 @@ pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'st
 
 /// Mean and 99.9th percentile of a frame (µs), and the way walked (m). The pawn turns now and then, and begins anew
 /// elsewhere every ten seconds.
-fn walk(store: &Store, model: &Model, frames: usize) -> Result<[f64; 3]> {
+fn walk(store: &Snapshot, model: &Model, frames: usize) -> Result<[f64; 3]> {
     let mut times = vec![f64::INFINITY; frames];
     let mut moved = 0.0;
     // The same way each time, and for each frame the best: other work on the machine only adds.
@@ -65,7 +65,7 @@ fn walk(store: &Store, model: &Model, frames: usize) -> Result<[f64; 3]> {
 }
 
 /// One walk of as many frames as there are `times`, which are made no longer than these; returns the way walked.
-fn walk_once(store: &Store, model: &Model, times: &mut [f64]) -> Result<f64> {
+fn walk_once(store: &Snapshot, model: &Model, times: &mut [f64]) -> Result<f64> {
     let mut random = Random(21);
     let config = Config { tick_s: 1.0 / 60.0, ..Config::new(BODY) };
     let mut walker = Walker::new(config, model.start.unwrap_or([0.0; 3]).into())?;
@@ -87,7 +87,7 @@ fn walk_once(store: &Store, model: &Model, times: &mut [f64]) -> Result<f64> {
 }
 
 /// A place with a floor underfoot and room above.
-fn stand(store: &Store, model: &Model, random: &mut Random) -> Option<Point3<f64>> {
+fn stand(store: &Snapshot, model: &Model, random: &mut Random) -> Option<Point3<f64>> {
     (0..200_000).find_map(|_| {
         let [x, y, z] = [0, 1, 2].map(|k| random.between(model.min[k], model.max[k]));
         let sole = Cylinder::new(Point3::new(x, y, z), 0.25, 0.0).ok()?;

@@ -8,7 +8,7 @@ use crate::stability::table::{Table, number, percent};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
-use slicewalk::store::{PageSet, PageSlot, Store};
+use slicewalk::store::{PageSlot, Snapshot};
 use slicewalk_mesh::sample::oversample;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -96,7 +96,7 @@ fn cost(models: &[Model], folder: &Path, rounds: usize) -> Result<String> {
 
 /// Occupied slices of each pixel of each page.
 fn voxels(path: &Path) -> Result<BTreeMap<(PageKey, u32, u32), u64>> {
-    let store = Store::resident(&Archive::open(path)?, &NoMonitor)?;
+    let store = Snapshot::resident(&Archive::open(path)?, &NoMonitor)?;
     let mut all = BTreeMap::new();
     for number in 0..store.column_count() {
         let (tx, ty, slots) = store.column_at(number);
@@ -175,7 +175,7 @@ fn scans(models: &[Model], folder: &Path, rounds: usize) -> Result<String> {
     };
     let path = folder.join("a.slices");
     let found = Conversion::new(&scan.path, &path, false, scan.pixel(SIDES[1])).measure(rounds)?;
-    let store = Store::resident(&Archive::open(&path)?, &NoMonitor)?;
+    let store = Snapshot::resident(&Archive::open(&path)?, &NoMonitor)?;
     let resident = (store.weight_bytes() + store.table_bytes()) as f64 / 1e6;
     let times = |theirs: f64, ours: f64| number(theirs / ours, 0);
     table.row([

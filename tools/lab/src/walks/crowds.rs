@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3};
 use scangen::SampleSpec;
 use scangen::scene::build::Builder;
 use slicewalk::plan::Classifier;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, Crowd, Walker, Wish};
 use std::time::Instant;
 
@@ -81,7 +81,7 @@ struct Seen {
 }
 
 /// Until all have settled, a minute at most.
-fn walk(store: &Store, count: usize, to_one: bool) -> Result<Seen> {
+fn walk(store: &Snapshot, count: usize, to_one: bool) -> Result<Seen> {
     let side = (count as f64).sqrt().ceil() as usize;
     let place = |n: usize| {
         let at = |k: usize| (k as f64 - (side - 1) as f64 / 2.0) * APART_M;

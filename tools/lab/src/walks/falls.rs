@@ -96,12 +96,12 @@ fn fall(bytes: &[u8], way: &Walk, prefetch: Prefetch) -> Result<Fall> {
     while walker.state() != State::Arrived && fall.frames < 3600 {
         pawn.hint(&walker.outlook(stream.archive().frame()));
         let started = Instant::now();
-        let mut report = walker.follow(&stream.view(), FRAME_S, &mut route);
+        let mut report = walker.follow(&stream.snapshot(), FRAME_S, &mut route);
         fall.missing[0] += usize::from(report.waits());
         while let Some(needed) = report.missing {
             fall.missing[1] += needed.count();
             stream.load_missing(&needed)?;
-            report = walker.follow(&stream.view(), report.unspent, &mut route);
+            report = walker.follow(&stream.snapshot(), report.unspent, &mut route);
         }
         fall.times.push(started.elapsed().as_secs_f64() * 1e3);
         fall.frames += 1;

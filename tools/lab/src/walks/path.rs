@@ -2,7 +2,7 @@
 
 use super::cases::Case;
 use nalgebra::{Point3, Vector3};
-use slicewalk::store::PageSet;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Config, Response, Walker, Wish};
 
 /// How a walk compares with the exact one.
@@ -16,7 +16,7 @@ pub struct Deviation {
 }
 
 /// Walks a case at 60 frames a second, for as long as the exact pawn takes.
-pub fn walk<S: PageSet>(set: &S, case: &Case, response: Response) -> Deviation {
+pub fn walk(set: &Snapshot, case: &Case, response: Response) -> Deviation {
     let config = Config { response, ..Config::new(case.body) };
     let mut walker = Walker::new(config, case.start).expect("a finite start");
     let mut seen = Deviation { off: 0.0, share: 0.0 };

@@ -12,14 +12,14 @@ use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene};
 use slicewalk::plan::Classifier;
 use slicewalk::reach::{Pawn, StandingPlaces};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
 const NOISE_M: f64 = 0.002;
 const PIXEL_M: f64 = 0.05;
 
 /// A scene at a place of the grid.
-fn store(name: &str, params: &[(&str, f64)], shift: [f64; 3]) -> Result<Store> {
+fn store(name: &str, params: &[(&str, f64)], shift: [f64; 3]) -> Result<Snapshot> {
     let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
     let scene = Scene::named(name, &params)?.placed(&Placement { rotate_deg: 0.0, translate: shift });
     let even = SampleSpec::direct_density((3.0 / PIXEL_M).powi(2)).with_noise(NOISE_M);
@@ -28,7 +28,7 @@ fn store(name: &str, params: &[(&str, f64)], shift: [f64; 3]) -> Result<Store> {
 }
 
 /// Whether a pawn gets from one place to another and back.
-fn connects(store: &Store, radius: f64, ends: [[f64; 3]; 2], shift: [f64; 3]) -> Result<[bool; 2]> {
+fn connects(store: &Snapshot, radius: f64, ends: [[f64; 3]; 2], shift: [f64; 3]) -> Result<[bool; 2]> {
     let mut standing = StandingPlaces::new(store, Pawn::new(Body::Cylinder { radius, height: HEIGHT }))?;
     let mut at = |end: [f64; 3]| {
         let [x, y, z] = [0, 1, 2].map(|axis| end[axis] + shift[axis]);
@@ -67,7 +67,7 @@ pub fn section(effort: &Effort) -> Result<String> {
         }
     }
     for (riser, expected) in [(0.15, true), (0.25, true), (CLIMB - 0.02, true), (CLIMB + 0.02, false)] {
-        let stores: Vec<Store> = shifts
+        let stores: Vec<Snapshot> = shifts
             .iter()
             .map(|shift| store("stairs", &[("riser", riser), ("risers", 6.0), ("landing", 3.0)], *shift))
             .collect::<Result<_>>()?;

@@ -10,7 +10,7 @@ use scangen::scene::build::{Builder, Wall};
 use scangen::{Sample, SampleSpec, Scene};
 use slicewalk::plan::Classifier;
 use slicewalk::reach::{LeakKind, Pawn, StandingPlaces};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
 /// Pixel size (m), noise (m), and size of the room (m).
@@ -68,7 +68,7 @@ fn room(holes: &[Rect], boxes: &[Rect], below: Below) -> Scene {
     build.finish("room")
 }
 
-fn store(samples: Vec<Sample>) -> Result<Store> {
+fn store(samples: Vec<Sample>) -> Result<Snapshot> {
     let scan = Scan::new(samples.iter().map(|sample| sample.position).collect())?;
     Ok(scan.convert(Setting::new(PIXEL_M), Classifier::Plane)?.store)
 }
@@ -79,7 +79,7 @@ fn spec() -> SampleSpec {
 }
 
 /// Middles of all leaks of a pawn that starts at a place, with their kinds.
-fn leaks(store: &Store, pawn: Pawn, from: [f64; 3]) -> Result<Vec<([f64; 3], LeakKind)>> {
+fn leaks(store: &Snapshot, pawn: Pawn, from: [f64; 3]) -> Result<Vec<([f64; 3], LeakKind)>> {
     let mut standing = StandingPlaces::new(store, pawn)?;
     let start = spot(store, &mut standing, from)?.ok_or("no place to start")?;
     let region = reached(store, &mut standing, start)?;

@@ -8,7 +8,7 @@ use crate::{Random, data};
 use nalgebra::{Point2, Point3};
 use slicewalk::NoMonitor;
 use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Region, Route, Search, Spot, StandingPlaces};
-use slicewalk::store::{PageSet, Store};
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk_convert::{ConvertOptions, PixelSize};
 use slicewalk_input::Units;
@@ -96,7 +96,7 @@ impl Tally {
 
 /// A scan in memory, and where a pawn stands in it.
 struct Ground {
-    store: Store,
+    store: Snapshot,
     pawn: Pawn,
     standing: StandingPlaces,
 }
@@ -148,7 +148,7 @@ impl Ground {
     }
 
     /// A way on a level, whether the level is fine, and the processor time that it took (s).
-    fn guess(&mut self, level: &Store, pair: &Pair) -> Result<(Option<Guess>, bool, f64)> {
+    fn guess(&mut self, level: &Snapshot, pair: &Pair) -> Result<(Option<Guess>, bool, f64)> {
         let start = processor_s();
         let mut planner = Coarse::new(level, self.pawn, pair.ends[0], pair.ends[1])?;
         let planned = planner.go_on(level, usize::MAX, &NoMonitor)?;
@@ -198,7 +198,7 @@ pub fn page(effort: &Effort) -> Result<String> {
             },
             folder.path(),
         )?;
-        let store = Store::resident(&archive, &NoMonitor)?;
+        let store = Snapshot::resident(&archive, &NoMonitor)?;
         let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: *height });
         let (standing, region) = everywhere(&store, pawn)?;
         let places: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
@@ -214,7 +214,7 @@ pub fn page(effort: &Effort) -> Result<String> {
         let mut chosen: Vec<(Option<Guess>, f64)> = pairs.iter().map(|_| (None, 0.0)).collect();
         let mut rows = Vec::new();
         for level in levels.iter().filter(|level| level.frame().pixel_m() <= COARSEST_M).rev() {
-            let on_level = Store::resident(&archive.level(level.number())?, &NoMonitor)?;
+            let on_level = Snapshot::resident(&archive.level(level.number())?, &NoMonitor)?;
             let mut tally = Tally::default();
             for (pair, chosen) in pairs.iter().zip(&mut chosen) {
                 let (guess, is_fine, seconds) = ground.guess(&on_level, pair)?;

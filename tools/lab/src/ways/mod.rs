@@ -20,7 +20,7 @@ mod truth;
 use crate::stability::Result;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Flood, Pawn, Region, Spot, StandingPlaces};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::{Monitor, NoMonitor};
 use std::path::{Path, PathBuf};
 
@@ -123,7 +123,7 @@ fn known<T>(answer: Answer<T>) -> Result<T> {
 }
 
 /// All standing places of a pawn.
-fn everywhere(store: &Store, pawn: Pawn) -> Result<(StandingPlaces, Region)> {
+fn everywhere(store: &Snapshot, pawn: Pawn) -> Result<(StandingPlaces, Region)> {
     let mut standing = StandingPlaces::new(store, pawn)?;
     let flood = known(Flood::everywhere(&mut standing, store)?)?;
     let region = grown(store, &mut standing, flood)?;
@@ -131,17 +131,17 @@ fn everywhere(store: &Store, pawn: Pawn) -> Result<(StandingPlaces, Region)> {
 }
 
 /// All that can be reached from a place.
-fn reached(store: &Store, standing: &mut StandingPlaces, from: Spot) -> Result<Region> {
+fn reached(store: &Snapshot, standing: &mut StandingPlaces, from: Spot) -> Result<Region> {
     grown(store, standing, Flood::from(from))
 }
 
-fn grown(store: &Store, standing: &mut StandingPlaces, mut flood: Flood) -> Result<Region> {
+fn grown(store: &Snapshot, standing: &mut StandingPlaces, mut flood: Flood) -> Result<Region> {
     known(flood.grow(standing, store, &NoMonitor as &dyn Monitor)?)?;
     Ok(flood.region(standing))
 }
 
 /// The standing place under a point.
-fn spot(store: &Store, standing: &mut StandingPlaces, at: [f64; 3]) -> Result<Option<Spot>> {
+fn spot(store: &Snapshot, standing: &mut StandingPlaces, at: [f64; 3]) -> Result<Option<Spot>> {
     known(standing.spot(store, at.into())?)
 }
 

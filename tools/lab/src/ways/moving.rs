@@ -11,7 +11,7 @@ use scangen::{Kind, Params, Sample, SampleSpec, Scene, WriteSpec, write_samples}
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
 use std::collections::{BTreeMap, HashSet};
@@ -123,7 +123,7 @@ fn removed(path: &Path) -> Result<HashSet<[i64; 3]>> {
 
 /// Whether the doorways of a scene are free of matter.
 fn is_open(archive: &Path, doors: &[[f64; 6]]) -> Result<usize> {
-    let store = Store::resident(&Archive::open(archive)?, &NoMonitor)?;
+    let store = Snapshot::resident(&Archive::open(archive)?, &NoMonitor)?;
     let mut open = 0;
     for [x0, y0, z0, x1, y1, z1] in doors {
         let shape = Aabb::new([*x0, *y0, *z0].into(), [*x1, *y1, *z1].into())?;

@@ -13,7 +13,7 @@ use slicewalk::archive::Archive;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::query::Answer;
 use slicewalk::reach::{Flood, Pawn, Planned, Planner, Route, Search};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
@@ -31,12 +31,12 @@ const ALONE: usize = 100;
 /// A building, and who walks in it.
 struct Building {
     name: &'static str,
-    store: Store,
+    store: Snapshot,
     body: Body,
 }
 
 /// The archive of a scan or mesh in metres, in memory.
-pub fn converted(input: &Path, up: Up) -> Result<Store> {
+pub fn converted(input: &Path, up: Up) -> Result<Snapshot> {
     let folder = tempfile::tempdir()?;
     let mut options = ConvertOptions {
         pixel: PixelSize::Metres(PIXEL_M),
@@ -44,7 +44,7 @@ pub fn converted(input: &Path, up: Up) -> Result<Store> {
         ..ConvertOptions::new(vec![input.to_path_buf()], folder.path().join("scene.slices"))
     };
     options.plan.up = up;
-    Ok(Store::resident(&archive(options, folder.path())?, &NoMonitor)?)
+    Ok(Snapshot::resident(&archive(options, folder.path())?, &NoMonitor)?)
 }
 
 /// The archive that a conversion makes in a folder.
@@ -55,7 +55,7 @@ pub fn archive(options: ConvertOptions, folder: &Path) -> Result<Archive> {
 }
 
 /// A generated scene, scanned evenly with noise of 2 mm.
-pub fn generated(name: &str, params: &[(&str, f64)]) -> Result<Store> {
+pub fn generated(name: &str, params: &[(&str, f64)]) -> Result<Snapshot> {
     let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
     let scene = Scene::named(name, &params)?;
     let even = SampleSpec::direct_density((3.0 / PIXEL_M).powi(2)).with_noise(0.002);
@@ -84,7 +84,7 @@ fn buildings(effort: &Effort) -> Result<Vec<Building>> {
 }
 
 /// Walks along a route; whether it arrives.
-fn arrives(store: &Store, body: Body, route: &Route) -> Result<bool> {
+fn arrives(store: &Snapshot, body: Body, route: &Route) -> Result<bool> {
     let config = Config { tick_s: 1.0 / 60.0, ..Config::new(body) };
     let mut walker = Walker::new(config, route.points[0])?;
     let mut way = Waypoints::new(route.points.iter().map(|point| Point2::new(point.x, point.y)).collect())?;
@@ -98,7 +98,7 @@ fn arrives(store: &Store, body: Body, route: &Route) -> Result<bool> {
 }
 
 /// Plans a route alone, as `slicetool route` does; and the processor time that it took (s).
-pub fn alone(store: &Store, pawn: Pawn, ends: [Point3<f64>; 2]) -> Result<(Option<Route>, f64)> {
+pub fn alone(store: &Snapshot, pawn: Pawn, ends: [Point3<f64>; 2]) -> Result<(Option<Route>, f64)> {
     let start = processor_s();
     let mut planner = Planner::new(store, pawn, ends[0], ends[1])?;
     loop {

@@ -8,7 +8,7 @@ use crate::{Random, data};
 use nalgebra::{Point3, Vector2};
 use slicewalk::plan::Up;
 use slicewalk::reach::Pawn;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Wish};
 
 /// Steps in one scene, and those between two starts elsewhere.
@@ -41,7 +41,7 @@ struct Walked {
     stopped: usize,
 }
 
-fn walk(store: &Store, starts: &[Point3<f64>], body: Body, steps: usize) -> Result<Walked> {
+fn walk(store: &Snapshot, starts: &[Point3<f64>], body: Body, steps: usize) -> Result<Walked> {
     let config = Config { tick_s: 1.0 / 60.0, max_drop: Some(MAX_DROP_M), speed: 3.0, ..Config::new(body) };
     let (mut random, mut walked) = (Random(41), Walked::default());
     while walked.steps < steps {
@@ -73,7 +73,7 @@ pub fn section(effort: &Effort) -> Result<String> {
     let mut table =
         Table::new(["scene", "steps (M)", "way (km)", "stopped at ledges and voids", "deepest drop (m)", "fallen"]);
     let cylinder = Body::Cylinder { radius: 0.25, height: 1.8 };
-    let mut row = |name: &str, store: &Store, body: Body| -> Result<()> {
+    let mut row = |name: &str, store: &Snapshot, body: Body| -> Result<()> {
         let (_, region) = everywhere(store, Pawn::new(body))?;
         let starts: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
         if starts.is_empty() {

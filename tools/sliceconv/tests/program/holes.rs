@@ -12,7 +12,7 @@ use slicewalk::frame::PageKey;
 use slicewalk::query::{Aabb, Answer, Overlap, overlaps};
 use slicewalk::reach::{Flood, Pawn, StandingPlaces};
 use slicewalk::slice::Page;
-use slicewalk::store::{Prefetch, Store, Stream, StreamOptions};
+use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use slicewalk_convert::{ConvertOptions, PixelSize, PointWriter};
 use std::collections::BTreeMap;
@@ -109,7 +109,7 @@ fn known<T>(answer: Answer<T>) -> T {
 
 /// Area that a slim pawn can reach on foot from the middle of the hall (m²).
 fn area(archive: &Archive) -> f64 {
-    let store = Store::resident(archive, &NoMonitor).unwrap();
+    let store = Snapshot::resident(archive, &NoMonitor).unwrap();
     let pawn = Pawn::new(Body::Cylinder { radius: 0.15, height: 1.7 });
     let mut standing = StandingPlaces::new(&store, pawn).unwrap();
     let start = known(standing.spot(&store, [10.0, 3.0, 0.1].into()).unwrap()).unwrap();
@@ -120,7 +120,7 @@ fn area(archive: &Archive) -> f64 {
 
 /// Returns whether a slim walker crosses the slot.
 fn crosses(archive: &Archive) -> bool {
-    let store = Store::resident(archive, &NoMonitor).unwrap();
+    let store = Snapshot::resident(archive, &NoMonitor).unwrap();
     let config = Config { max_drop: Some(0.35), ..Config::new(Body::Cylinder { radius: 0.15, height: 1.7 }) };
     let mut walker = Walker::new(config, [10.0, 3.0, 0.1].into()).unwrap();
     let mut way = Waypoints::new(vec![Point2::new(12.5, 3.1)]).unwrap();
@@ -169,12 +169,12 @@ fn every_hole_up_to_the_width_is_closed_and_none_wider_and_a_walker_crosses() {
     assert!(areas[0] == areas[1] && areas[2] > areas[0] + 10.0, "{areas:?}");
 
     // G1 with inferred floor, G2 without it, in memory and streamed.
-    let store = Store::resident(&filled, &NoMonitor).unwrap();
+    let store = Snapshot::resident(&filled, &NoMonitor).unwrap();
     let stream =
         Stream::open(scanned, StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(64 << 20) }).unwrap();
     let keys: Vec<PageKey> = filled.entries().map(|entry| entry.unwrap().key).collect();
     assert_eq!(stream.load(&keys, keys[0]).unwrap().left_out, 0);
-    let of_plain = Store::resident(&plain, &NoMonitor).unwrap();
+    let of_plain = Snapshot::resident(&plain, &NoMonitor).unwrap();
     let mut random = Random(9);
     for p in points.iter().step_by(97) {
         let r = 1e-6 + 0.02 * random.uniform();
@@ -186,7 +186,7 @@ fn every_hole_up_to_the_width_is_closed_and_none_wider_and_a_walker_crosses() {
         let low = [14.0 * random.uniform(), 9.0 * random.uniform(), 3.0 * random.uniform() * random.uniform() - 0.2];
         let size = [0.2, 0.2, 0.3].map(|most| most * random.uniform());
         let asked = Aabb::new(low.into(), [low[0] + size[0], low[1] + size[1], low[2] + size[2]].into()).unwrap();
-        let ignoring = overlaps(&stream.view(), &asked);
+        let ignoring = overlaps(&stream.snapshot(), &asked);
         assert_eq!(ignoring, overlaps(&of_plain, &asked), "{asked:?}");
         phantoms += u32::from(ignoring == Overlap::Hit);
         fills += u32::from(ignoring == Overlap::Clear && overlaps(&store, &asked) == Overlap::Hit);

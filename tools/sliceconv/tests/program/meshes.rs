@@ -12,7 +12,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::plan::Up;
 use slicewalk::query::{Aabb, Answer, Overlap, overlaps, probe};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
 use slicewalk_mesh::{MeshMode, MeshOptions, MeshSet};
@@ -162,7 +162,7 @@ fn scans_and_meshes_mix_and_units_apply_to_both() {
     write_obj(&at("b.obj"), &[[[5.0, 5.0, 2.0], [9.0, 5.0, 2.0], [5.0, 9.0, 2.0]]]);
     let said = converts(folder.path(), &["a.las", "b.obj", "-o", "a.slices", "--pixel", "0.05", "--units", "0.5"]);
     assert!(said.contains("a.slices: 4 points and triangles → "), "{said}");
-    let store = Store::resident(&Archive::open(at("a.slices")).unwrap(), &NoMonitor).unwrap();
+    let store = Snapshot::resident(&Archive::open(at("a.slices")).unwrap(), &NoMonitor).unwrap();
     let hit = |p: [f64; 3]| overlaps(&store, &Aabb::new(p.into(), p.into()).unwrap()) == Overlap::Hit;
     assert!(hit([0.5, 0.5, 0.5]) && hit([3.0, 3.0, 1.0]) && !hit([4.4, 4.4, 1.0]) && !hit([3.0, 3.0, 1.2]));
 }
@@ -191,7 +191,7 @@ fn the_true_slope_makes_obstacles_whatever_the_classifier_and_scanned_points_do_
     for rule in ["plane", "span", "thesis"] {
         for inputs in [&["slopes.obj"][..], &["slopes.obj", "floor.las"]] {
             archive(folder.path(), inputs, &["--classifier", rule, "--units", "m"]);
-            let store = Store::resident(&Archive::open(at("out.slices")).unwrap(), &NoMonitor).unwrap();
+            let store = Snapshot::resident(&Archive::open(at("out.slices")).unwrap(), &NoMonitor).unwrap();
             let found = |n: usize| {
                 // Halfway up.
                 let start = 10.0 * n as f64;
@@ -216,13 +216,13 @@ fn real_meshes() -> Vec<(PathBuf, Up, f64)> {
         .collect()
 }
 
-fn store_of(path: &Path, up: Up, t: f64, mesh: MeshMode) -> Store {
+fn store_of(path: &Path, up: Up, t: f64, mesh: MeshMode) -> Snapshot {
     let folder = tempfile::tempdir().unwrap();
     let mut options = ConvertOptions::new(vec![path.to_path_buf()], folder.path().join("a.slices"));
     (options.plan.up, options.pixel, options.mesh) = (up, PixelSize::Metres(t), mesh);
     convert(&options, &NoMonitor).unwrap();
     verifies(&options.output);
-    Store::resident(&Archive::open(&options.output).unwrap(), &NoMonitor).unwrap()
+    Snapshot::resident(&Archive::open(&options.output).unwrap(), &NoMonitor).unwrap()
 }
 
 #[test]
@@ -258,7 +258,7 @@ fn boxes_on_real_meshes_have_no_miss_and_no_phantom() {
 }
 
 /// Occupied voxels: pixels and slices.
-fn voxels(store: &Store) -> BTreeSet<(i64, i64, i64)> {
+fn voxels(store: &Snapshot) -> BTreeSet<(i64, i64, i64)> {
     truth::voxels(store)
 }
 

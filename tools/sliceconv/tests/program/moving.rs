@@ -13,7 +13,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ColourReader};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::Path;
@@ -221,7 +221,7 @@ fn a_doorway_that_somebody_stood_in_opens() {
     let door = Aabb::new([7.8, 4.2, 0.15].into(), [8.3, 4.8, 1.9].into()).unwrap();
     let is_open = || {
         let archive = Archive::open(at.join("out.slices")).unwrap();
-        overlaps(&Store::resident(&archive, &NoMonitor).unwrap(), &door) == Overlap::Clear
+        overlaps(&Snapshot::resident(&archive, &NoMonitor).unwrap(), &door) == Overlap::Clear
     };
     converts(at, &[&names[..], &OPTIONS, &["-o", "out.slices"]].concat());
     assert!(!is_open(), "without stations the ghost stays");

@@ -7,7 +7,7 @@ use scans::{Random, converts, data, refuses, verifies, write_as};
 use serde_json::Value;
 use slicewalk::archive::{Archive, extract, merge, recover};
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::{Error, NoMonitor, Parameter};
 use slicewalk_convert::{ConvertOptions, PixelSize, PointWriter, Tolerance};
 use std::collections::BTreeMap;
@@ -95,7 +95,7 @@ fn heights_move_outwards_within_the_tolerance_and_every_point_is_a_hit() {
         verifies(&at.join("loose.slices"));
         let loose = Archive::open(at.join("loose.slices")).unwrap();
         is_within(&exact_archive, &loose, loose.plan().tolerance_quanta());
-        let store = Store::resident(&loose, &NoMonitor).unwrap();
+        let store = Snapshot::resident(&loose, &NoMonitor).unwrap();
         for point in points.iter().step_by(7) {
             let point = point.map(|v| (v * 1e4).round() * 1e-4);
             let body = Aabb::new(point.into(), point.into()).unwrap();

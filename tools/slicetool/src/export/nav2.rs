@@ -13,7 +13,7 @@ use slicewalk::NoMonitor;
 use slicewalk::frame::{Frame, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Cylinder, Overlap, overlaps};
 use slicewalk::reach::{Flood, Pawn, Region, StandingPlaces, Storey, Storeys};
-use slicewalk::store::View;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk_base::text::{grouped, number, one_line};
 use std::collections::{HashMap, VecDeque};
@@ -116,7 +116,7 @@ impl<'a> Ground<'a> {
             let reason = format!("a map of {} × {} pixels, more than {MOST_PIXELS}", size[0], size[1]);
             return Err(Failure::Text(format!("{}: {reason}; extract a region first", loader.path().display())));
         }
-        let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
+        let mut standing = StandingPlaces::new(&loader.snapshot(), pawn)?;
         let mut flood = loader.known(|view| Flood::everywhere(&mut standing, view))?;
         loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
         let region = flood.region(&standing);
@@ -217,7 +217,7 @@ impl<'a> Ground<'a> {
     }
 
     /// Returns whether the body above the climb height meets anything solid.
-    fn collides(&self, view: &View, feet: Point3<f64>) -> slicewalk::Result<Answer<bool>> {
+    fn collides(&self, view: &Snapshot, feet: Point3<f64>) -> slicewalk::Result<Answer<bool>> {
         let lifted = feet + Vector3::new(0.0, 0.0, self.pawn.climb);
         let height = (self.pawn.body.height() - self.pawn.climb).max(LEAST_BODY_M);
         let overlap = match self.pawn.body {

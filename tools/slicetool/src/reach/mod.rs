@@ -56,7 +56,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let archive = arguments.walks.open(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
+    let mut standing = StandingPlaces::new(&loader.snapshot(), arguments.walks.pawn())?;
     let Some(from) = arguments.walks.snapped(&loader, &mut standing, arguments.from)? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(

@@ -4,7 +4,7 @@ use crate::fault::invalid;
 use slicewalk::frame::PageKey;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{self, Aabb, Answer, Overlap, Ray, Sight};
-use slicewalk::store::{Missing, PageSet};
+use slicewalk::store::{Missing, Snapshot};
 
 /// Most keys of missing pages that a batch gathers.
 const MISSING: usize = 1024;
@@ -54,7 +54,7 @@ fn aabb(row: &[f64]) -> slicewalk::Result<Aabb> {
 }
 
 /// N×6 (min, max) → 0 clear, 1 hit, 2 not loaded.
-pub(crate) fn overlaps<S: PageSet>(set: &S, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<u8>, String> {
+pub(crate) fn overlaps(set: &Snapshot, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<u8>, String> {
     each::<6, _>(boxes, |row| {
         Ok(match query::overlaps(set, &aabb(row)?) {
             Overlap::Clear => 0,
@@ -68,7 +68,7 @@ pub(crate) fn overlaps<S: PageSet>(set: &S, boxes: &[f64], lacks: &mut Lacks) ->
 }
 
 /// N×9 (min, max, motion) → free fraction of the motion; NaN: not loaded.
-pub(crate) fn sweep<S: PageSet>(set: &S, sweeps: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+pub(crate) fn sweep(set: &Snapshot, sweeps: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     each::<9, _>(sweeps, |row| {
         let answer = query::sweep(set, &aabb(row)?, Vector3::from_column_slice(&row[6..]));
         Ok(lacks.known(answer).map_or(f64::NAN, |hit| hit.map_or(1.0, |hit| hit.fraction)))
@@ -76,7 +76,7 @@ pub(crate) fn sweep<S: PageSet>(set: &S, sweeps: &[f64], lacks: &mut Lacks) -> R
 }
 
 /// N×7 (origin, direction, max) → five numbers per ray: distance (∞: no hit, NaN: not loaded), normal, obstacle.
-pub(crate) fn cast<S: PageSet>(set: &S, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+pub(crate) fn cast(set: &Snapshot, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     let answers = each::<7, _>(rays, |row| {
         let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;
         Ok(match lacks.known(query::cast(set, &ray)) {
@@ -92,7 +92,7 @@ pub(crate) fn cast<S: PageSet>(set: &S, rays: &[f64], lacks: &mut Lacks) -> Resu
 
 /// N×7 (origin, direction, max) → two numbers per ray: distance (∞: no hit, NaN: not loaded), and 1 if it is only a
 /// lower bound, from the level.
-pub(crate) fn far<S: PageSet>(set: &S, level: Option<&S>, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+pub(crate) fn far(set: &Snapshot, level: Option<&S>, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     let answers = each::<7, _>(rays, |row| {
         let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;
         let answer = match level {
@@ -112,7 +112,7 @@ pub(crate) fn far<S: PageSet>(set: &S, level: Option<&S>, rays: &[f64], lacks: &
 }
 
 /// N×6 (min, max) → the highest floor at or below the top; −∞: none, NaN: not loaded.
-pub(crate) fn floor<S: PageSet>(set: &S, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+pub(crate) fn floor(set: &Snapshot, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
     each::<6, _>(boxes, |row| {
         let floor = query::floor_under(set, &aabb(row)?, row[5], f64::INFINITY);
         Ok(lacks.known(floor).map_or(f64::NAN, |floor| floor.unwrap_or(f64::NEG_INFINITY)))

@@ -9,7 +9,7 @@ use crate::paint::Paint;
 use crate::scene::{Part, Scenes};
 use slicewalk::Error;
 use slicewalk::frame::PageKey;
-use slicewalk::store::{ColourLoader, Loader, Time, View};
+use slicewalk::store::{ColourLoader, Loader, Snapshot, Time};
 use std::ops::Range;
 
 /// Most pages whose colours are requested at a time; afterwards the camera may see others.
@@ -143,8 +143,8 @@ impl Colours {
     pub fn paint(
         &mut self,
         scenes: &mut Named<Moving<Scenes>>,
-        view: &View,
-        level: Option<&View>,
+        view: &Snapshot,
+        level: Option<&Snapshot>,
         mut report: impl FnMut(Error),
     ) -> Option<(u32, u32, Paint)> {
         let Self::On(on) = self else { return None };

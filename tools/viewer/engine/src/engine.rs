@@ -14,7 +14,7 @@ use crate::scene::{HORIZON_S, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey};
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, PageSet, PageSlot, RequestId, Time, View};
+use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, PageSlot, RequestId, Snapshot, Time};
 use std::collections::VecDeque;
 use std::time::Duration;
 use wasm_bindgen::prelude::wasm_bindgen;
@@ -299,7 +299,7 @@ impl Engine {
         if !corners.iter().all(|v| v.is_finite()) || x0 > x1 || y0 > y1 || z0 > z1 {
             return Err(invalid(format_args!("no box lies between ({x0}, {y0}, {z0}) and ({x1}, {y1}, {z1})")));
         }
-        let view = self.view()?;
+        let view = self.snapshot()?;
         let (low, high) = (view.frame().slice_of(z0), view.frame().slice_of(z1));
         let mut keys = Vec::new();
         for (tx, ty, slots) in columns(&view, [x0, y0, x1, y1]) {
@@ -338,31 +338,31 @@ impl Engine {
 
     /// Boxes N×6 → 0 clear, 1 hit, 2 not loaded.
     pub fn overlaps(&mut self, boxes: &[f64]) -> Result<Vec<u8>, String> {
-        let view = self.view()?;
+        let view = self.snapshot()?;
         batch::overlaps(&view, boxes, &mut self.lacks)
     }
 
     /// Sweeps N×9 → free fraction of the motion; NaN: not loaded.
     pub fn sweep(&mut self, sweeps: &[f64]) -> Result<Vec<f64>, String> {
-        let view = self.view()?;
+        let view = self.snapshot()?;
         batch::sweep(&view, sweeps, &mut self.lacks)
     }
 
     /// Rays N×7 → distance, normal and obstacle, five numbers per ray.
     pub fn cast(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
-        let view = self.view()?;
+        let view = self.snapshot()?;
         batch::cast(&view, rays, &mut self.lacks)
     }
 
     /// Rays N×7 → distance, and 1 if it is only a lower bound, from an overview level; two numbers per ray.
     pub fn far(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
-        let (view, level) = (self.view()?, self.outline().and_then(Outline::view));
+        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::view));
         batch::far(&view, level.as_ref(), rays, &mut self.lacks)
     }
 
     /// Boxes N×6 → highest floor at or below the top; −∞: none, NaN: not loaded.
     pub fn floor(&mut self, boxes: &[f64]) -> Result<Vec<f64>, String> {
-        let view = self.view()?;
+        let view = self.snapshot()?;
         batch::floor(&view, boxes, &mut self.lacks)
     }
 
@@ -370,7 +370,7 @@ impl Engine {
     /// per cell. `area`: minimum x and y, maximum x and y, lowest and highest z.
     pub fn map(&self, area: &[f64], cells: u32) -> Result<Vec<u8>, String> {
         let &[x0, y0, x1, y1, z0, z1] = area else { return Err(invalid("an area is six numbers")) };
-        let (width, height, cell, found) = map(&self.view()?, [x0, y0, x1, y1], [z0, z1], cells)?;
+        let (width, height, cell, found) = map(&self.snapshot()?, [x0, y0, x1, y1], [z0, z1], cells)?;
         let head = [f64::from(width), f64::from(height), cell].map(f64::to_le_bytes);
         Ok([head.as_flattened(), &found].concat())
     }
@@ -389,7 +389,7 @@ impl Engine {
 
     /// Advances a pawn by a time step; returns its state (see [`Pawn::state`]). `input`: see [`Input::from_numbers`].
     pub fn step(&mut self, pawn: u32, seconds: f64, input: &[f64]) -> Result<Vec<f64>, String> {
-        let (view, input) = (self.view()?, Input::from_numbers(input)?);
+        let (view, input) = (self.snapshot()?, Input::from_numbers(input)?);
         self.moving(pawn)?.thing.step(&view, seconds, &input);
         self.hint(pawn)?;
         self.pawn_state(pawn)
@@ -410,7 +410,7 @@ impl Engine {
 
     /// Changes the settings of a pawn.
     pub fn set_pawn(&mut self, pawn: u32, settings: &[f64]) -> Result<Vec<f64>, String> {
-        let (view, settings) = (self.view()?, Settings::from_numbers(settings)?);
+        let (view, settings) = (self.snapshot()?, Settings::from_numbers(settings)?);
         self.moving(pawn)?.thing.set(&view, settings)?;
         self.pawn_state(pawn)
     }
@@ -477,7 +477,7 @@ impl Engine {
     /// corner, level; [`take_positions`](Self::take_positions) and similar functions return its geometry. Empty if
     /// there is no page to build.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
-        let (view, outline) = (self.view()?, self.outline().and_then(Outline::view));
+        let (view, outline) = (self.snapshot()?, self.outline().and_then(Outline::view));
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
         let (level, drawn) = scene.thing.build(&view, outline.as_ref());
         self.drawn = drawn;
@@ -507,7 +507,7 @@ impl Engine {
         if !self.colours.are_on() {
             return Ok(Vec::new());
         }
-        let (view, level) = (self.view()?, self.outline().and_then(Outline::view));
+        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::view));
         let report = |error| self.reports.push_back(fault::text(&error));
         let Some((scene, page, paint)) = self.colours.paint(&mut self.scenes, &view, level.as_ref(), report) else {
             return Ok(Vec::new());
@@ -557,8 +557,8 @@ impl Engine {
         self.loader.catalog().ok_or_else(not_open)
     }
 
-    fn view(&self) -> Result<View, String> {
-        self.loader.view().ok_or_else(not_open)
+    fn view(&self) -> Result<Snapshot, String> {
+        self.loader.snapshot().ok_or_else(not_open)
     }
 
     fn outline(&self) -> Option<&Outline> {
@@ -571,7 +571,7 @@ impl Engine {
 
     /// Passes a pawn's motion hint and missing pages to the loader.
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
-        let frame = *self.view()?.frame();
+        let frame = *self.snapshot()?.frame();
         if let Some(pawn) = self.pawns.get_mut(pawn) {
             let outlook = pawn.thing.outlook(&frame);
             let missing = pawn.thing.missing();

@@ -2,7 +2,7 @@
 
 use crate::fault::invalid;
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
-use slicewalk::store::{PageSet, PageSlot};
+use slicewalk::store::{PageSlot, Snapshot};
 
 /// Most cells along an edge.
 const LONGEST: u32 = 1024;
@@ -12,8 +12,8 @@ const NOT_LOADED: u8 = 3;
 
 /// Draws at most `cells × cells` cells over `area` (minimum x and y, maximum x and y) between two heights (m). Out:
 /// width, height, edge of a cell (m), then the cells row by row from the greatest y down.
-pub(crate) fn map<S: PageSet>(
-    set: &S,
+pub(crate) fn map(
+    set: &Snapshot,
     area: [f64; 4],
     heights: [f64; 2],
     cells: u32,
@@ -77,7 +77,7 @@ pub(crate) fn map<S: PageSet>(
 }
 
 /// Iterates over the tile columns of `set` that an area (minimum x and y, maximum x and y; m) touches.
-pub(crate) fn columns<S: PageSet>(set: &S, [x0, y0, x1, y1]: [f64; 4]) -> impl Iterator<Item = (i32, i32, &[S::Slot])> {
+pub(crate) fn columns(set: &Snapshot, [x0, y0, x1, y1]: [f64; 4]) -> impl Iterator<Item = (i32, i32, &[PageSlot])> {
     let frame = *set.frame();
     let tile = move |x: f64| frame.pixel_of(x).div_euclid(TILE_PIXELS);
     // Without pages, an empty range.

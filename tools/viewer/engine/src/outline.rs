@@ -5,7 +5,7 @@
 
 use slicewalk::archive::{Catalog, Level};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::store::{ColourLoader, Loader, LoaderOptions, Next, PageSet, PageSlot, RequestId, Time, View};
+use slicewalk::store::{ColourLoader, Loader, LoaderOptions, Next, PageSlot, RequestId, Snapshot, Time};
 use slicewalk::{Error, Result};
 use std::ops::Range;
 
@@ -51,13 +51,13 @@ impl Outline {
     }
 
     /// The level's pages, once all are resident.
-    pub fn view(&self) -> Option<View> {
-        self.loading.as_ref().filter(|_| self.is_ready)?.1.view()
+    pub fn view(&self) -> Option<Snapshot> {
+        self.loading.as_ref().filter(|_| self.is_ready)?.1.snapshot()
     }
 
     /// Number and grid of the level.
     pub fn level(&self) -> Option<(u32, Frame)> {
-        Some((self.loading.as_ref()?.0, *self.view()?.frame()))
+        Some((self.loading.as_ref()?.0, *self.snapshot()?.frame()))
     }
 
     /// Loader for the level's colours, within its budget, once all its pages are resident; `None` without colours.
@@ -94,7 +94,7 @@ impl Outline {
             }
             Next::Report(page) => return Err(page.error),
             Next::Cancel(_) => {}
-            Next::Wait(_) => match (*request, loader.view()) {
+            Next::Wait(_) => match (*request, loader.snapshot()) {
                 (_, None) => return Err(Error::parameter("archive", "the levels cannot be read")),
                 (None, Some(view)) => *request = Some(loader.request(&keys(&view), PageKey { tx: 0, ty: 0, layer: 0 })),
                 (Some(id), _) => match loader.outcome(id).transpose()? {
@@ -108,7 +108,7 @@ impl Outline {
     }
 }
 
-fn keys(view: &View) -> Vec<PageKey> {
+fn keys(view: &Snapshot) -> Vec<PageKey> {
     let columns = (0..view.column_count()).map(|number| view.column_at(number));
     columns.flat_map(|(tx, ty, slots)| slots.iter().map(move |slot| PageKey { tx, ty, layer: slot.layer() })).collect()
 }

@@ -7,7 +7,7 @@ use crate::fault::{self, invalid};
 use slicewalk::frame::Frame;
 use slicewalk::nalgebra::{Point2, Point3, Vector2, Vector3};
 use slicewalk::query::Answer;
-use slicewalk::store::{Missing, Outlook, PageSet};
+use slicewalk::store::{Missing, Outlook, Snapshot};
 use slicewalk::walk::{Body, Config, Ground, State, Stop, Walker, Wish};
 
 /// Length of a tick (s).
@@ -192,7 +192,7 @@ impl Pawn {
     }
 
     /// Changes the settings; refuses a body that does not fit.
-    pub fn set<S: PageSet>(&mut self, set: &S, settings: Settings) -> Result<(), String> {
+    pub fn set(&mut self, set: &Snapshot, settings: Settings) -> Result<(), String> {
         if self.recording.is_some() {
             return Err(invalid("settings cannot change during a recording"));
         }
@@ -222,7 +222,7 @@ impl Pawn {
     }
 
     /// Advances by at most 0.25 s.
-    pub fn step<S: PageSet>(&mut self, set: &S, seconds: f64, input: &Input) {
+    pub fn step(&mut self, set: &Snapshot, seconds: f64, input: &Input) {
         self.steps += 1;
         self.goes_on = self.ticks_here > 0;
         self.jumps |= input.jump;
@@ -241,12 +241,12 @@ impl Pawn {
         self.keep(input.row(passed));
     }
 
-    fn may_stand_up<S: PageSet>(&self, set: &S) -> bool {
+    fn may_stand_up(&self, set: &Snapshot) -> bool {
         self.flying || self.walker.has_room(set, &self.settings.body(false)) == Answer::Known(true)
     }
 
     /// Advances by up to `ticks` ticks and returns how many passed: all, unless pages are missing.
-    fn advance<S: PageSet>(&mut self, set: &S, ticks: u32, input: &Input) -> u32 {
+    fn advance(&mut self, set: &Snapshot, ticks: u32, input: &Input) -> u32 {
         (self.crouched, self.flying) = (input.crouch, input.fly);
         // The settings are checked already; pace only makes it faster.
         let config = self.settings.config(input.pace, self.crouched);
@@ -270,7 +270,7 @@ impl Pawn {
         ticks
     }
 
-    fn walk<S: PageSet>(&mut self, set: &S, ticks: u32, input: &Input) -> u32 {
+    fn walk(&mut self, set: &Snapshot, ticks: u32, input: &Input) -> u32 {
         if input.jump {
             self.walker.jump((2.0 * self.settings.gravity * self.settings.jump).sqrt());
         }
@@ -303,7 +303,7 @@ impl Pawn {
     }
 
     /// Repeats `steps` from where the pawn stands; returns the feet after each.
-    pub fn replay<S: PageSet>(&mut self, set: &S, steps: &[f64]) -> Result<Vec<f64>, String> {
+    pub fn replay(&mut self, set: &Snapshot, steps: &[f64]) -> Result<Vec<f64>, String> {
         let mut path = Vec::new();
         let (rows, rest) = steps.as_chunks::<ROW>();
         if !rest.is_empty() {
@@ -364,14 +364,14 @@ impl Pawn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use slicewalk::store::Store;
+    use slicewalk::store::Snapshot;
 
     #[test]
     fn at_a_new_place_a_pawn_needs_only_what_it_stands_on() {
         let numbers = [0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN];
         let mut pawn = Pawn::new(Settings::from_numbers(&numbers).unwrap(), Point3::origin()).unwrap();
         let frame = Frame::new(0.05, 0.15).unwrap();
-        let empty = Store::from_pages(frame, []);
+        let empty = Snapshot::from_pages(frame, []);
         let speeds = |pawn: &Pawn| {
             let outlook = pawn.outlook(&frame);
             assert!(outlook.is_valid() && outlook.min.x < -0.25 && outlook.max.z > 1.8);

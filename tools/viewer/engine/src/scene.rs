@@ -7,7 +7,7 @@ use crate::geometry::{COARSEST, Geometry};
 use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::store::{Outlook, PageSet, PageSlot};
+use slicewalk::store::{Outlook, PageSlot, Snapshot};
 use std::collections::HashMap;
 
 /// Time that a loader looks ahead (s).
@@ -136,7 +136,7 @@ impl Scenes {
     }
 
     /// Builds the next page like `Scene::build` and returns its level; pages of the overview level come last.
-    pub fn build<S: PageSet>(&mut self, pages: &S, overview: Option<&S>) -> (u32, Option<BuiltPage>) {
+    pub fn build(&mut self, pages: &Snapshot, overview: Option<&S>) -> (u32, Option<BuiltPage>) {
         self.near.plan(pages);
         let built = self.near.build(pages);
         match (self.level, overview) {
@@ -232,7 +232,7 @@ impl Scene {
     }
 
     /// Plans what to draw if something changed.
-    pub fn plan<S: PageSet>(&mut self, set: &S) {
+    pub fn plan(&mut self, set: &Snapshot) {
         if !std::mem::take(&mut self.stale) {
             return;
         }
@@ -255,7 +255,7 @@ impl Scene {
     }
 
     /// Pages in memory that are not drawn, or not with the right detail.
-    fn wanted<S: PageSet>(&self, set: &S) -> Vec<(f64, PageKey, u32)> {
+    fn wanted(&self, set: &Snapshot) -> Vec<(f64, PageKey, u32)> {
         let (frame, at) = (*set.frame(), self.at);
         let mut wanted = Vec::new();
         let area = [at.x - self.radius, at.y - self.radius, at.x + self.radius, at.y + self.radius];
@@ -311,7 +311,7 @@ impl Scene {
     }
 
     /// Builds the next page: name, place, coarseness and geometry. `None` if there is nothing to build.
-    pub fn build<S: PageSet>(&mut self, set: &S) -> Option<BuiltPage> {
+    pub fn build(&mut self, set: &Snapshot) -> Option<BuiltPage> {
         while let Some((key, coarseness)) = self.nearest() {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
             let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
@@ -346,10 +346,10 @@ fn distance(frame: &Frame, key: PageKey, at: &Point3<f64>) -> f64 {
 mod tests {
     use super::*;
     use slicewalk::slice::{PageBuilder, Span};
-    use slicewalk::store::Store;
+    use slicewalk::store::Snapshot;
 
     /// Rough ground of 16 × 16 pages of 3.2 m.
-    fn ground() -> Store {
+    fn ground() -> Snapshot {
         let pages = (0..256).map(|n| {
             let mut builder = PageBuilder::default();
             for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
@@ -358,10 +358,10 @@ mod tests {
             }
             (PageKey { tx: n % 16, ty: n / 16, layer: 0 }, builder.build())
         });
-        Store::from_pages(Frame::new(0.05, 0.15).unwrap(), pages)
+        Snapshot::from_pages(Frame::new(0.05, 0.15).unwrap(), pages)
     }
 
-    fn build_all(scene: &mut Scene, store: &Store) -> Vec<(u32, PageKey, u32)> {
+    fn build_all(scene: &mut Scene, store: &Snapshot) -> Vec<(u32, PageKey, u32)> {
         let mut built = Vec::new();
         for _ in 0..40 {
             scene.plan(store);

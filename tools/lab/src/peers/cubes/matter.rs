@@ -6,7 +6,7 @@ use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::plan::Plan;
 use slicewalk::slice::{Page, PageBuilder, Span};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -26,9 +26,9 @@ pub struct Matter {
     /// Where the count begins, in the coordinates of the scene (m).
     pub origin: Vector3<f64>,
     /// The cubes as pages.
-    pub store: Store,
+    pub store: Snapshot,
     /// The scan as it was converted, with its finer heights.
-    pub converted: Store,
+    pub converted: Snapshot,
     /// Lengths of the archive of the cubes, and of the scan's own (bytes).
     pub archive_bytes: [u64; 2],
 }
@@ -93,8 +93,8 @@ impl Matter {
             cubes,
             columns,
             origin: Vector3::new(f64::from(middle[0]) * tile, f64::from(middle[1]) * tile, f64::from(layer) * height),
-            store: Store::from_pages(frame, whole),
-            converted: Store::from_pages(frame, converted),
+            store: Snapshot::from_pages(frame, whole),
+            converted: Snapshot::from_pages(frame, converted),
             archive_bytes,
         })
     }

@@ -18,7 +18,7 @@ use obvhs::triangle::Triangle;
 use parry3d::math::IVector;
 use parry3d::shape::{SharedShape, TriMesh, Voxels};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, overlaps, sweep};
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
@@ -66,7 +66,7 @@ fn yes(hit: bool) -> f64 {
 
 /// Slicewalk on some pages.
 pub struct Ours<'a> {
-    pub store: &'a Store,
+    pub store: &'a Snapshot,
     pub questions: Rc<Questions>,
 }
 

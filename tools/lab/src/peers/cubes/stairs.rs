@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use parry3d::shape::{SharedShape, TriMesh};
 use scangen::SampleSpec;
 use slicewalk::plan::Classifier;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, Walker, Wish};
 use std::fmt::Write;
 use std::time::Instant;
@@ -42,7 +42,7 @@ impl Climb {
     }
 }
 
-fn walker(store: &Store, case: &Case, origin: Vector3<f64>, frames: usize) -> Result<Climb> {
+fn walker(store: &Snapshot, case: &Case, origin: Vector3<f64>, frames: usize) -> Result<Climb> {
     let mut walker = Walker::new(Config::new(case.body), case.start - origin)?;
     let (mut times, mut feet) = (Vec::new(), Vec::new());
     for _ in 0..frames {

@@ -5,7 +5,7 @@ use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::Store;
+use slicewalk::store::Snapshot;
 use slicewalk_engine::{Pawn, Settings};
 
 fn main() {
@@ -44,7 +44,7 @@ fn replay(archive: &str, recording: &str) -> Result<usize, Box<dyn std::error::E
     let (at, steps, path) = (numbers(&options["at"])?, numbers(&recording["steps"])?, numbers(&recording["path"])?);
     let [x, y, z] = at[..] else { return Err("the start is three numbers".into()) };
 
-    let store = Store::resident(&Archive::open(archive)?, &NoMonitor)?;
+    let store = Snapshot::resident(&Archive::open(archive)?, &NoMonitor)?;
     let mut pawn = Pawn::new(Settings::from_numbers(&settings)?, Point3::new(x, y, z))?;
     let found = pawn.replay(&store, &steps)?;
     if found.len() != path.len() {
