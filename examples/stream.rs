@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector2};
 use slicewalk::archive::Archive;
 use slicewalk::store::{Stream, StreamOptions};
-use slicewalk::walk::{Config, Walker, Wish};
+use slicewalk::walk::{Config, MoveInput, Walker};
 use std::time::Duration;
 
 const FRAME_S: f64 = 1.0 / 60.0;
@@ -21,10 +21,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let stream = Stream::open(Archive::open(path)?, StreamOptions::new(16 << 20))?;
     let mut body = stream.pawn();
     let mut pawn = Walker::new(Config::default(), Point3::new(x, y, z))?;
-    stream.load_around(&pawn.outlook(stream.archive().frame()))?; // blocks, like a loading screen
+    stream.load_around(&pawn.motion_hint(stream.archive().frame()))?; // blocks, like a loading screen
     for frame in 0..600 {
-        body.hint(&pawn.outlook(stream.archive().frame()));
-        let report = pawn.step(&stream.snapshot(), FRAME_S, Wish::Direction(ahead));
+        body.hint(&pawn.motion_hint(stream.archive().frame()));
+        let report = pawn.step(&stream.snapshot(), FRAME_S, MoveInput::Direction(ahead));
         if let Some(missing) = report.missing {
             body.need(&missing); // the pawn waits in place until these pages are loaded
         }

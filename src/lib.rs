@@ -39,11 +39,11 @@
 //! # use slicewalk::store::Snapshot;
 //! # let pages = Snapshot::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
 //! use slicewalk::nalgebra::{Point3, Vector2};
-//! use slicewalk::walk::{Config, Walker, Wish};
+//! use slicewalk::walk::{Config, Walker, MoveInput};
 //!
 //! let mut pawn = Walker::new(Config::default(), Point3::new(12.0, 7.5, 1.2))?;
 //! for _frame in 0..600 {
-//!     pawn.step(&pages, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+//!     pawn.step(&pages, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
 //! }
 //! println!("{} {:?}", pawn.feet(), pawn.state());
 //! # Ok::<(), slicewalk::Error>(())
@@ -59,15 +59,15 @@
 //! use slicewalk::archive::Archive;
 //! use slicewalk::nalgebra::{Point3, Vector2};
 //! use slicewalk::store::{Stream, StreamOptions};
-//! use slicewalk::walk::{Config, Walker, Wish};
+//! use slicewalk::walk::{Config, Walker, MoveInput};
 //!
 //! let stream = Stream::open(Archive::open("city.slices")?, StreamOptions::new(64 << 20))?;
 //! let mut body = stream.pawn();
 //! let mut pawn = Walker::new(Config::default(), Point3::new(12.0, 7.5, 1.2))?;
 //! for _frame in 0..600 {
 //!     let pages = stream.snapshot();
-//!     body.hint(&pawn.outlook(stream.archive().frame()));
-//!     let report = pawn.step(&pages, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+//!     body.hint(&pawn.motion_hint(stream.archive().frame()));
+//!     let report = pawn.step(&pages, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
 //!     if let Some(missing) = report.missing {
 //!         body.need(&missing); // the pawn waits in place until these pages are there
 //!     }
@@ -81,7 +81,7 @@
 //! |---|---|
 //! | read, check, merge, recover and cut archives | [`archive`], [`stats`] |
 //! | read bytes from other sources | [`bytes`] |
-//! | keep pages in memory | [`store`], [`slice`](mod@slice) |
+//! | keep pages in memory | [`store`], [`page`](mod@slice) |
 //! | query | [`query`], [`object`] |
 //! | walk | [`walk`] |
 //! | find where a pawn can walk, and routes | [`reach`] |
@@ -92,9 +92,9 @@
 pub mod archive;
 pub mod codec;
 pub mod object;
+pub mod page;
 pub mod query;
 pub mod reach;
-pub mod slice;
 pub mod stats;
 pub mod store;
 pub mod walk;

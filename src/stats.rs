@@ -5,7 +5,7 @@
 
 use crate::archive::{Archive, PageEntry, PageReader, Storage};
 use crate::frame::{PAGE_SLICES, SLICE_QUANTA};
-use crate::slice::{Inferred, Page};
+use crate::page::{Inferred, Page};
 use crate::{Error, Result};
 use std::collections::HashMap;
 

@@ -20,7 +20,7 @@ use slicewalk::frame::PageKey;
 use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
 use slicewalk::query::*;
 use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
-use slicewalk::walk::{Body, Config, Crowd, Response, Walker, Waypoints, Wish};
+use slicewalk::walk::{Body, Config, Crowd, MoveInput, Response, Walker, Waypoints};
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::time::Duration;
@@ -87,10 +87,10 @@ fn walk(set: &Snapshot, walkers: &mut [Walker], route: &mut Waypoints) -> u32 {
     let mut waits = 0;
     for frame in 0..240 {
         let angle = f64::from(frame / 20);
-        let wish = Wish::Direction(Vector2::new(angle.cos(), angle.sin()));
+        let wish = MoveInput::Direction(Vector2::new(angle.cos(), angle.sin()));
         for walker in &mut walkers[..3] {
             waits += u32::from(walker.step(set, 1.0 / 60.0, wish).waits());
-            black_box(walker.outlook(set.frame()));
+            black_box(walker.motion_hint(set.frame()));
         }
         for walker in &mut walkers[3..] {
             waits += u32::from(walker.follow(set, 1.0 / 60.0, route).waits());
@@ -115,7 +115,7 @@ fn walkers_and_a_crowd(store: &Snapshot) -> u32 {
     let mut crowd = Crowd::new(walkers).unwrap();
     let mut step = || {
         for _ in 0..60 {
-            black_box(crowd.step(store, 1.0 / 60.0, |n, _| Wish::Toward([n as f64 - 3.0, 1.0].into())));
+            black_box(crowd.step(store, 1.0 / 60.0, |n, _| MoveInput::Toward([n as f64 - 3.0, 1.0].into())));
         }
     };
     assert_eq!(allocations(&mut step), 0);
@@ -137,9 +137,9 @@ fn no_frame_on_a_stream_allocates() {
             walkers[0].place(Point3::new(1.5 - at, 3.0 - 2.0 * at, 3.1 * at + 0.1));
         }
         let count = allocations(|| {
-            pawn.hint(&walkers[0].outlook(stream.archive().frame()));
+            pawn.hint(&walkers[0].motion_hint(stream.archive().frame()));
             let view = stream.snapshot();
-            let report = walkers[0].step(&view, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+            let report = walkers[0].step(&view, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
             if let Some(missing) = report.missing {
                 pawn.need(&missing);
                 black_box(view.is_loaded(missing.keys()[0]));

@@ -122,7 +122,7 @@ fn the_farthest_go_first_and_those_in_use_never() {
 
 #[test]
 fn shared_and_uniform_pages_are_held_once() {
-    use slicewalk::slice::Span;
+    use slicewalk::page::Span;
     let floor = |bottom| {
         common::page((0..900).map(|at| ((at % 30, at / 30), vec![Span::new(bottom, bottom + at % 7, false).unwrap()])))
     };

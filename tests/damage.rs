@@ -11,7 +11,7 @@ use proptest::prelude::*;
 use slicewalk::archive::{Archive, Finding, LISTED, Shard, Totals};
 use slicewalk::codec::Encoder;
 use slicewalk::frame::Frame;
-use slicewalk::slice::{PageBuilder, Span};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::{Error, NoMonitor};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};

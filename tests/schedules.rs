@@ -50,8 +50,8 @@ mod sync {
     }
 }
 
-#[path = "../crates/convert/src/hand_over.rs"]
-mod hand_over;
+#[path = "../crates/convert/src/pipeline.rs"]
+mod pipeline;
 
 use hand_over::{Closed, HandOver};
 use nalgebra::{Point3, Vector3};
@@ -59,10 +59,10 @@ use shuttle::sync::atomic::{AtomicUsize, Ordering};
 use shuttle::thread;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PageKey};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::plan::Plan;
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
+use slicewalk::store::{MotionHint, Prefetch, Stream, StreamOptions};
 use std::sync::{Arc, LazyLock, OnceLock};
 use std::time::Duration;
 
@@ -93,10 +93,10 @@ fn stream(budget_bytes: usize) -> Stream {
 }
 
 /// A box on the block of page `page`, and a body there.
-fn body(page: i32) -> (Aabb, Outlook) {
+fn body(page: i32) -> (Aabb, MotionHint) {
     let x = 3.2 * f64::from(page) + 0.5;
     let (min, max) = (Point3::new(x, 1.0, 0.0), Point3::new(x + 0.1, 1.1, 0.1));
-    (Aabb::new(min, max).unwrap(), Outlook::walking(min, max, Vector3::zeros()))
+    (Aabb::new(min, max).unwrap(), MotionHint::walking(min, max, Vector3::zeros()))
 }
 
 /// Runs `scene` in random schedules, and in schedules with few switches at the worst places (PCT).
@@ -114,11 +114,11 @@ fn what_a_hint_wants_comes_without_another_call() {
     schedules(|| {
         let stream = stream(1 << 20);
         let mut pawn = stream.pawn();
-        let (shape, outlook) = body(1);
-        pawn.hint(&outlook);
+        let (shape, motion_hint) = body(1);
+        pawn.hint(&motion_hint);
         // If the thread is just reading hints, one is dropped and counted.
         while stream.counters().hints_dropped > 0 && overlaps(&stream.snapshot(), &shape) != Overlap::Hit {
-            pawn.hint(&outlook);
+            pawn.hint(&motion_hint);
             assert!(stream.settle(FOREVER));
         }
         assert!(stream.settle(FOREVER));
@@ -136,14 +136,14 @@ fn bodies_on_their_threads_get_their_pages_or_not_loaded_and_never_free() {
                 thread::spawn(move || {
                     let mut pawn = stream.pawn();
                     for page in [page, page + 1] {
-                        let (shape, outlook) = body(page);
-                        pawn.hint(&outlook);
+                        let (shape, motion_hint) = body(page);
+                        pawn.hint(&motion_hint);
                         match overlaps(&pawn.snapshot(), &shape) {
                             Overlap::Hit => {}
                             Overlap::NotLoaded(missing) => pawn.need(&missing),
                             clear => panic!("{clear:?} where there is matter"),
                         }
-                        stream.load_around(&outlook).unwrap();
+                        stream.load_around(&motion_hint).unwrap();
                         assert_eq!(overlaps(&pawn.snapshot(), &shape), Overlap::Hit);
                     }
                 })

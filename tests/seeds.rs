@@ -103,7 +103,7 @@ fn seeds_and_changed_seeds_make_no_target_panic() {
     let wanted = TARGETS.iter().filter(|(name, _)| is_wanted(name));
     if let Ok(path) = std::env::var("SLICEWALK_FUZZ_TOTALS") {
         let threads = number("SLICEWALK_FUZZ_THREADS", 1);
-        return go_on(&Totals::read(path.into()), &wanted.copied().collect::<Vec<_>>(), runs, threads);
+        return advance(&Totals::read(path.into()), &wanted.copied().collect::<Vec<_>>(), runs, threads);
     }
     std::thread::scope(|scope| {
         for &(name, target) in wanted {
@@ -189,7 +189,7 @@ impl Totals {
 }
 
 /// Runs each target until it has had `goal` inputs.
-fn go_on(totals: &Totals, targets: &[Target], goal: u64, threads: u64) {
+fn advance(totals: &Totals, targets: &[Target], goal: u64, threads: u64) {
     let work = || {
         let mut all_seeds = BTreeMap::new();
         while let Some(((name, target), before)) = totals.next(targets, goal) {

@@ -2,7 +2,7 @@
 //!
 //! The caller fetches bytes; this module returns page entries and metadata. It reads nothing itself.
 
-use super::colours::{ColourHead, LevelColours};
+use super::colour_section::{ColourHead, LevelColours};
 use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
 use super::head::{Header, Leaf};
 use super::levels::{Level, decode_table};

@@ -2,12 +2,12 @@
 //!
 //! Memory: one colour leaf and one block.
 
-use super::colours::{ColourEntry, ColourReader};
+use super::colour_section::{ColourEntry, ColourReader};
 use super::reader::Archive;
 use crate::Result;
 use crate::codec::{ColourBlock, ColourEncoder, Violation};
 use crate::frame::PageKey;
-use crate::slice::{Occupancy, Page};
+use crate::page::{Occupancy, Page};
 
 /// Colours with the progress of their verification.
 pub(super) struct ColourCheck {

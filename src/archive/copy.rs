@@ -1,11 +1,11 @@
 //! Copying pages into another archive. Repeated content is read and decoded once.
 
 use super::FORMAT_VERSION;
-use super::colours::EncodedColours;
+use super::colour_section::EncodedColours;
 use super::dedup::WINDOW;
 use super::head::{COLOURS, Header, LEVELS};
 use super::levels::CoarseSpan;
-use super::page::EncodedPage;
+use super::page_coding::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
 use crate::Result;
 use crate::frame::PageKey;
@@ -93,8 +93,8 @@ mod tests {
     use super::*;
     use crate::archive::{Archive, PageEncoder, Totals};
     use crate::frame::Frame;
+    use crate::page::{Page, PageBuilder, Span};
     use crate::plan::Plan;
-    use crate::slice::{Page, PageBuilder, Span};
 
     #[test]
     fn content_is_made_once_and_nothing_is_made_for_what_is_left_out() {

@@ -5,7 +5,7 @@
 
 use crate::codec::{ByteReader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
 use crate::frame::{MAX_INDEX, PAGE_SLICES, PageKey};
-use crate::slice::{PageSize, Span};
+use crate::page::{PageSize, Span};
 use crate::{Error, Result};
 use std::ops::Range;
 
@@ -354,9 +354,9 @@ impl Cursor {
         let at = self.given_paged;
         self.given_paged += 1;
         let len = self.lengths.varint(raw)?;
-        let longest = super::page::MAX_STORED_PAGE as u64;
-        if len <= super::page::LEADER as u64 || len > longest {
-            let expected = format!("a page of {} to {longest} bytes", super::page::LEADER + 1);
+        let longest = super::page_coding::MAX_STORED_PAGE as u64;
+        if len <= super::page_coding::LEADER as u64 || len > longest {
+            let expected = format!("a page of {} to {longest} bytes", super::page_coding::LEADER + 1);
             return Err(Violation::new("D6", expected, len));
         }
         let mask =

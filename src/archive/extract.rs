@@ -1,16 +1,16 @@
 //! Extraction of a region into an archive of its own, which answers queries inside the region like the whole.
 
-use super::colours::{ColourReader, EncodedColours};
+use super::colour_section::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header};
 use super::metadata::{Metadata, tag_name};
-use super::page::{PageDecoder, PageEncoder};
+use super::page_coding::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
 use crate::codec::ColourEncoder;
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::output::{Existing, Protected};
-use crate::slice::{Inferred, Page, PageBuilder, Span};
+use crate::page::{Inferred, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 use std::path::Path;
 

@@ -4,14 +4,14 @@
 //! directory and head are rebuilt because they span parts. Every copied page is decoded and checked. Memory: one writer
 //! and one page.
 
-use super::colours::{ColourReader, EncodedColours};
+use super::colour_section::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header, Voxels};
-use super::matter::Matter;
 use super::metadata::{Metadata, Tag, Unknown, tag_name};
-use super::page::{PageDecoder, PageEncoder};
+use super::page_coding::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::shard::{InputRead, Shard};
+use super::solid_bounds::Matter;
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::open_named;
 use crate::output::Existing;

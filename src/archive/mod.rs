@@ -11,13 +11,13 @@ mod head;
 
 mod directory;
 
-mod page;
+mod page_coding;
 
 mod metadata;
 
-mod matter;
+mod solid_bounds;
 
-mod colours;
+mod colour_section;
 
 mod colour_check;
 
@@ -52,7 +52,7 @@ mod salvage;
 mod recover;
 
 pub use catalog::Catalog;
-pub use colours::{ColourEntry, ColourHead, ColourReader, ColourTable, EncodedColours};
+pub use colour_section::{ColourEntry, ColourHead, ColourReader, ColourTable, EncodedColours};
 pub use directory::{Content, Extent, PageEntry, Storage};
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
@@ -60,7 +60,7 @@ pub use levels::{Level, Levels};
 pub use merge::{Merged, merge, merge_run};
 pub use metadata::MAX_UNITS;
 pub use opening::{Opened, Opening};
-pub use page::{EncodedPage, PageDecoder, PageEncoder};
+pub use page_coding::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::{Archive, PageReader};
 pub use recover::{Recovered, recover};
 pub use shard::{InputRead, MAX_SHARDS, Shard};

@@ -6,12 +6,12 @@ use super::head::Header;
 use super::levels::Level;
 use super::metadata::Metadata;
 use super::opening::{Opened, Opening};
-use super::page::PageDecoder;
+use super::page_coding::PageDecoder;
 use super::shard::Shard;
 use crate::bytes::{ByteSource, MapSource, MemorySource, open_named};
 use crate::frame::{Frame, PageKey};
+use crate::page::{Inferred, Page};
 use crate::plan::{Noise, Plan};
-use crate::slice::{Inferred, Page};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::ops::Range;
@@ -275,8 +275,8 @@ impl Archive {
         bytes.clear();
         if let Some(extent) = entry.extent() {
             // Decoding a leaf bounds the length; an entry made by hand is checked here.
-            if extent.len as usize > super::page::MAX_STORED_PAGE {
-                return Err(Error::limit("bytes of a page", extent.len, super::page::MAX_STORED_PAGE));
+            if extent.len as usize > super::page_coding::MAX_STORED_PAGE {
+                return Err(Error::limit("bytes of a page", extent.len, super::page_coding::MAX_STORED_PAGE));
             }
             bytes.resize(extent.len as usize, 0);
             self.source.read_at(extent.offset, &mut bytes)?;

@@ -8,20 +8,20 @@
 //! Memory: 9 MiB of the file, 40 bytes for each page of a gap, one leaf and one writer.
 
 use super::catalog::Catalog;
-use super::colours::{ColourReader, EncodedColours};
+use super::colour_section::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{self, Header, MAX_HEAD, Pages};
 use super::metadata::Metadata;
-use super::page::{EncodedPage, PageDecoder, PageEncoder, own_key};
+use super::page_coding::{EncodedPage, PageDecoder, PageEncoder, own_key};
 use super::reader::Archive;
 use super::salvage::{Found, find_pages};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
 use crate::frame::PageKey;
 use crate::output::Existing;
+use crate::page::{Inferred, Page};
 use crate::plan::Plan;
-use crate::slice::{Inferred, Page};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -86,7 +86,7 @@ pub fn recover(
         (Some(plan), _) | (None, Some(plan)) => plan.clone(),
         (None, None) => {
             let reason = "it is damaged, so grid and options are unknown";
-            return Err(Error::input(path, "head", reason).with_way_out(Parameter::Plan));
+            return Err(Error::input(path, "head", reason).with_suggestion(Parameter::Plan));
         }
     };
     let limits = old.as_ref().map_or(Ok(()), |archive| archive.header().check_repeats());

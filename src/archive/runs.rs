@@ -3,11 +3,11 @@
 //! Pages come back in the order of their entries. Memory: 1 MiB for each of four threads, besides the pages.
 
 use super::directory::PageEntry;
-use super::page::PageDecoder;
+use super::page_coding::PageDecoder;
 use super::reader::Archive;
 use crate::bytes::spawn_in;
 use crate::monitor::Monitor;
-use crate::slice::Page;
+use crate::page::Page;
 use crate::{Error, Result};
 use std::ops::Range;
 use std::sync::atomic::AtomicUsize;
@@ -124,7 +124,7 @@ mod tests {
     use super::super::directory::{Extent, Storage};
     use super::*;
     use crate::frame::PageKey;
-    use crate::slice::{PageSize, Span};
+    use crate::page::{PageSize, Span};
 
     fn entry(bytes: Range<u64>) -> PageEntry {
         let extent = Extent { offset: bytes.start, len: (bytes.end - bytes.start) as u32, crc: 0 };

@@ -7,7 +7,7 @@
 //! Leaders may be forged at every byte, each claiming 3.8 MiB. The checksum of any range is therefore derived from
 //! checksums of prefixes: a search takes time linear in the bytes, and memory of 9 MiB and 40 bytes per page.
 
-use super::page::{self, MAX_STORED_PAGE, PageDecoder};
+use super::page_coding::{self, MAX_STORED_PAGE, PageDecoder};
 use crate::bytes::ByteSource;
 use crate::bytes::crc;
 use crate::frame::PageKey;
@@ -18,7 +18,7 @@ use std::ops::Range;
 const CHUNK: usize = 8 << 20;
 const _: () = assert!(MAX_STORED_PAGE < CHUNK);
 /// Most work per byte searched: two steps of checksum for each leader, and the share of reading and moving the window.
-const WORK_A_BYTE: u64 = (2 * Sums::STEP / page::MAGIC.len() + 2 * CHUNK / (CHUNK - MAX_STORED_PAGE) + 1) as u64;
+const WORK_A_BYTE: u64 = (2 * Sums::STEP / page_coding::MAGIC.len() + 2 * CHUNK / (CHUNK - MAX_STORED_PAGE) + 1) as u64;
 /// Bytes read at once where larger reads fail.
 const SECTOR: usize = 4096;
 /// First bytes of a zstd frame, and so of a directory leaf.
@@ -60,7 +60,7 @@ pub(super) fn find_pages(
             found.push(Found { key, offset, len });
         }
         window.pass(len);
-        if to_the_leaf && (window.starts_with(&FRAME) || window.starts_with(&page::LEVEL_MAGIC)) {
+        if to_the_leaf && (window.starts_with(&FRAME) || window.starts_with(&page_coding::LEVEL_MAGIC)) {
             break;
         }
     }
@@ -122,12 +122,12 @@ impl<'a> Window<'a> {
     fn find_leader(&mut self) -> Option<u64> {
         loop {
             let rest = &self.bytes[self.at..];
-            if let Some(begin) = rest.windows(page::MAGIC.len()).position(|bytes| *bytes == page::MAGIC) {
+            if let Some(begin) = rest.windows(page_coding::MAGIC.len()).position(|bytes| *bytes == page_coding::MAGIC) {
                 self.at += begin;
                 return Some(self.start + self.at as u64);
             }
             // The last bytes may begin a leader.
-            self.at = self.bytes.len() - rest.len().min(page::MAGIC.len() - 1);
+            self.at = self.bytes.len() - rest.len().min(page_coding::MAGIC.len() - 1);
             if !self.refill() {
                 return None;
             }
@@ -136,14 +136,15 @@ impl<'a> Window<'a> {
 
     /// Returns the length of the page that begins here, if its checksum is right.
     fn page_len(&mut self) -> Option<usize> {
-        if !self.reaches(page::LEADER + 1) {
+        if !self.reaches(page_coding::LEADER + 1) {
             return None;
         }
-        let len = page::stated_len(&self.bytes[self.at..]).filter(|&len| self.reaches(len))?;
-        let (leader, body) = (&self.bytes[self.at..self.at + page::LEADER], self.at + page::LEADER..self.at + len);
+        let len = page_coding::stated_len(&self.bytes[self.at..]).filter(|&len| self.reaches(len))?;
+        let (leader, body) =
+            (&self.bytes[self.at..self.at + page_coding::LEADER], self.at + page_coding::LEADER..self.at + len);
         self.work += 2 * Sums::STEP as u64;
-        let sum = self.sums.appended(page::covered_crc(leader), &self.bytes, body);
-        (sum == page::leader_crc(leader)).then_some(len)
+        let sum = self.sums.appended(page_coding::covered_crc(leader), &self.bytes, body);
+        (sum == page_coding::leader_crc(leader)).then_some(len)
     }
 
     fn starts_with(&mut self, bytes: &[u8]) -> bool {
@@ -258,9 +259,9 @@ mod tests {
     /// `find_pages` asserts the bound on its work where it ends.
     #[test]
     fn forged_leaders_take_work_linear_in_their_bytes() {
-        for (period, claim) in [(24, MAX_STORED_PAGE - page::LEADER), (24, 3 << 20), (20, 1 << 20), (4, 0)] {
+        for (period, claim) in [(24, MAX_STORED_PAGE - page_coding::LEADER), (24, 3 << 20), (20, 1 << 20), (4, 0)] {
             let mut leader = vec![0; period];
-            leader[..4].copy_from_slice(&page::MAGIC);
+            leader[..4].copy_from_slice(&page_coding::MAGIC);
             if period > 4 {
                 leader[16..20].copy_from_slice(&(claim as u32).to_le_bytes());
             }

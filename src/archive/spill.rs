@@ -10,7 +10,7 @@ use crate::bytes::crc;
 use crate::codec::{ByteReader, Packer, span_bits, span_from_bits};
 use crate::disk::{Files, Temporary};
 use crate::frame::PageKey;
-use crate::slice::PageSize;
+use crate::page::PageSize;
 use std::path::{Path, PathBuf};
 
 /// Entries kept in memory.
@@ -193,7 +193,7 @@ impl Spool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::slice::Span;
+    use crate::page::Span;
 
     #[test]
     fn a_spool_keeps_little_in_memory_and_gives_all_back() {

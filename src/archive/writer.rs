@@ -3,23 +3,23 @@
 mod unnamed;
 
 use super::FORMAT_VERSION;
-use super::colours::{ColourWriter, EncodedColours};
+use super::colour_section::{ColourWriter, EncodedColours};
 use super::dedup::Window;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::{self, Bounds, Header, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
 use super::levels::{CoarseSpan, LevelWriter};
-use super::matter::Matter;
 use super::metadata::{Metadata, Unknown};
-use super::page::EncodedPage;
+use super::page_coding::EncodedPage;
 use super::shard::{InputRead, Shard};
+use super::solid_bounds::Matter;
 use super::spill::{Entries, write_leaves};
 use crate::bytes::crc;
 use crate::codec::Violation;
 use crate::colour::ColourPlan;
 use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
+use crate::page::{PageBounds, PageSize};
 use crate::plan::{Noise, Plan};
-use crate::slice::{PageBounds, PageSize};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::path::Path;
@@ -334,7 +334,7 @@ impl ArchiveWriter {
         if let Some(extent) = self.window.candidate(page.hash, len) {
             let mut same = vec![0; len as usize];
             self.bytes_of(extent, &mut same)?;
-            if same[super::page::LEADER..] == *page.body() {
+            if same[super::page_coding::LEADER..] == *page.body() {
                 return Ok(Storage::Shared(extent));
             }
         }

@@ -15,7 +15,7 @@ use super::rans::RansEncoder;
 use super::rows::{PIXELS, Rows, SLICE, telling_heights};
 use super::step_grid::{End, HeightsOf, LEAST_HEIGHTS, ONE, StepGrid};
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
+use crate::page::{Inferred, Page, PageBuilder, RowBuilder, Span};
 
 /// Phases of a step that are compared.
 const PHASES: u64 = 8;

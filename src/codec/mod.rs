@@ -8,7 +8,7 @@
 //! [`Violation`], which the archive turns into an error with its place in the file.
 
 mod bytes;
-mod colours;
+mod colour_blocks;
 mod compress;
 mod estimate;
 mod interleaved;
@@ -23,14 +23,14 @@ pub use bytes::ByteReader;
 #[doc(hidden)]
 pub use bytes::put_varint;
 pub(crate) use bytes::{unzigzag, zigzag};
-pub use colours::{ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK};
+pub use colour_blocks::{ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK};
 #[doc(hidden)]
 pub use compress::{Packer, Unpacker};
 pub(crate) use step_grid::LEVEL_STEP;
 
 use crate::Error;
 use crate::frame::Frame;
-use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
+use crate::page::{Inferred, Page, PageBuilder, RowBuilder, Span};
 use rows::telling_heights;
 use step_grid::{End, HeightsOf, StepGrid};
 

@@ -2,7 +2,7 @@
 
 use super::step_grid::End;
 use crate::frame::SLICE_QUANTA;
-use crate::slice::{BLOCK_PIXELS, Page, Span};
+use crate::page::{BLOCK_PIXELS, Page, Span};
 
 /// Pixels of a page.
 pub(super) const PIXELS: usize = 64 * 64;

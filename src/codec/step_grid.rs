@@ -6,7 +6,7 @@
 //! content gives equal bytes.
 
 use crate::frame::{Frame, SLICE_QUANTA};
-use crate::slice::{Page, Span};
+use crate::page::{Page, Span};
 
 /// Fractional bits of [`StepGrid`]'s numbers.
 pub const FRACTION_BITS: u32 = 32;

@@ -136,8 +136,8 @@ fn pays<Q>(set: &Snapshot, questions: &[Q], tile: impl Fn(&Q) -> Tile) -> bool {
 mod tests {
     use super::*;
     use crate::frame::{Frame, PageKey};
+    use crate::page::{Page, PageBuilder, Span};
     use crate::query::Aabb;
-    use crate::slice::{Page, PageBuilder, Span};
     use crate::store::Snapshot;
     use nalgebra::Vector3;
 

@@ -1,11 +1,11 @@
 //! One page against one shape.
 
-use super::four::{Unions, Window};
 use super::grid::Heights;
 use super::grid::sealed::OnPixels;
 use super::scan::meeting;
+use super::simd::{Unions, Window};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
-use crate::slice::{BlockView, Page, Span};
+use crate::page::{BlockView, Page, Span};
 
 /// Classes of solid that a shape touches: a set of [`MATTER`] and [`OBSTACLE`].
 pub(super) type Kinds = u32;

@@ -3,8 +3,8 @@
 //! Outward margins of [`SLACK`] relative to the magnitudes involved cover all rounding errors: a pixel that holds a
 //! point of the disc is always in the footprint, and no pixel farther from the disc than the margins is.
 
-use super::four::greater;
 use super::grid::Rect;
+use super::simd::greater;
 use crate::frame::Frame;
 
 /// Relative margin, 16 times the rounding error of one operation. The longest chain of operations below has 8.

@@ -7,7 +7,7 @@ use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Shape};
 use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::slice::{BlockView, Page, Span};
+use crate::page::{BlockView, Page, Span};
 use crate::store::{Missing, note};
 use crate::store::{PageSlot, Snapshot};
 use std::ops::ControlFlow;

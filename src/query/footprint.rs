@@ -4,7 +4,7 @@ use super::blocks::{self, Kinds, PageUnder};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Rect};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
-use crate::slice::Page;
+use crate::page::Page;
 use crate::store::{Missing, note};
 use crate::store::{PageSlot, Snapshot};
 use std::ops::ControlFlow;

@@ -35,11 +35,11 @@ mod cylinder;
 mod disc;
 mod floor;
 mod footprint;
-mod four;
 mod grid;
 mod probe;
 mod ray;
 mod scan;
+mod simd;
 mod sphere;
 mod sweep;
 
@@ -51,7 +51,7 @@ pub use floor::floor_under;
 pub use grid::Shape;
 pub(crate) use grid::all_within_reach;
 pub use probe::{Probe, probe, probe_batch};
-pub use ray::{Ray, RayHit, Sight, cast, cast_batch, cast_far};
+pub use ray::{Ray, RayBound, RayHit, cast, cast_batch, cast_far};
 pub use sphere::Sphere;
 pub(crate) use sweep::{GridCell, Matter, SweepArea, Visit, descend};
 pub use sweep::{

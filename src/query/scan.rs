@@ -4,7 +4,7 @@
 //! tenth longer.
 
 use super::blocks::Kinds;
-use crate::slice::Span;
+use crate::page::Span;
 
 /// Joins `value` of all `spans` (joining a value twice must be harmless) until `done`.
 ///

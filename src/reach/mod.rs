@@ -12,7 +12,7 @@
 //!
 //! [`Planner`] plans a route as a task: it runs a bounded number of steps at a time, reports the pages that it needs,
 //! and does no I/O. For long distances, plan on a coarse [level](crate::archive::Level) of the archive with [`Coarse`],
-//! and let [`Along`] find the exact route along the result, piece by piece.
+//! and let [`RouteRefiner`] find the exact route along the result, piece by piece.
 //!
 //! # Definition of standing
 //!
@@ -41,29 +41,29 @@
 //! in it; [`Region`] holds 37 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while
 //! their tile is computed.
 
-mod along;
-mod coarse;
+mod coarse_planner;
 mod distance;
 mod intervals;
 mod leaks;
 mod passages;
 mod pawn;
 mod planner;
+mod refine;
 mod region;
 mod route;
 mod standing;
 mod storeys;
 mod tiles;
 
-pub use along::Along;
-pub use coarse::Coarse;
+pub use coarse_planner::Coarse;
 pub use leaks::{Leak, LeakKind};
 pub use passages::Passage;
 pub use pawn::Pawn;
 pub use planner::{Planned, Planner};
+pub use refine::RouteRefiner;
 pub use region::{Flood, Place, Region};
 pub use route::{Refusal, Route, Search};
-pub use standing::{Snapped, Spot, StandingPlaces};
+pub use standing::{PlaceId, Snapped, StandingPlaces};
 pub use storeys::{Storey, Storeys};
 
 use crate::query::Answer;

@@ -1,6 +1,6 @@
 //! Route planning as a task that can wait for pages and be cancelled.
 
-use super::{Flood, Pawn, Refusal, Region, Route, Search, Spot, StandingPlaces};
+use super::{Flood, Pawn, PlaceId, Refusal, Region, Route, Search, StandingPlaces};
 use crate::query::Answer;
 use crate::store::{Missing, Snapshot};
 use crate::{Monitor, Result};
@@ -34,7 +34,7 @@ pub enum Planned {
 pub struct Planner {
     ends: [Point3<f64>; 2],
     standing: StandingPlaces,
-    spots: [Option<Spot>; 2],
+    spots: [Option<PlaceId>; 2],
     flood: Option<Flood>,
     /// The region reached, kept while its route needs more pages.
     region: Option<Region>,
@@ -78,7 +78,7 @@ impl Planner {
 
     /// Continues for about `steps` places, or to the end of one search. Fails if `monitor` asks to stop, or if a tile
     /// holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
-    pub fn go_on(&mut self, set: &Snapshot, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
+    pub fn advance(&mut self, set: &Snapshot, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
         for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
             if self.spots[end].is_none() {
                 match self.standing.spot(set, self.ends[end])? {

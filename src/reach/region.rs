@@ -3,7 +3,7 @@
 use super::distance::{End, clearances, to_line};
 use super::pawn::{Grid, Pawn, WAYS};
 use super::route::LANDMARKS;
-use super::standing::{Kind, Spot, StandingPlaces, Step};
+use super::standing::{Kind, PlaceId, StandingPlaces, Step};
 use super::{Needs, answer};
 use crate::frame::PageKey;
 use crate::query::Answer;
@@ -31,7 +31,7 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::Answer;
 /// use slicewalk::reach::{Flood, StandingPlaces, Pawn};
-/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::page::{PageBuilder, Span};
 /// use slicewalk::store::Snapshot;
 /// use slicewalk::walk::Body;
 ///
@@ -67,7 +67,7 @@ pub struct Flood {
 
 impl Flood {
     /// Creates a flood from a standing place.
-    pub fn from(start: Spot) -> Self {
+    pub fn from(start: PlaceId) -> Self {
         Self::of(vec![(start.pixel, start.place)])
     }
 
@@ -229,7 +229,7 @@ impl Flood {
     }
 
     /// Returns whether the flood has reached a place of the same standing places, without building a [`Region`].
-    pub fn holds(&self, standing: &StandingPlaces, spot: &Spot) -> bool {
+    pub fn holds(&self, standing: &StandingPlaces, spot: &PlaceId) -> bool {
         let Some(tile) = standing.known(spot.pixel) else { return false };
         let bits = self.reached.get(tile).map_or(&[][..], |bits| bits);
         let at = standing.tiles[tile].number(spot.pixel, spot.place);
@@ -422,7 +422,7 @@ impl Region {
     }
 
     /// Returns the number of a place; `None` if it is not reached.
-    pub(super) fn number(&self, spot: &Spot) -> Option<u32> {
+    pub(super) fn number(&self, spot: &PlaceId) -> Option<u32> {
         // The order in which places are numbered.
         let key = |[i, j]: [i32; 2], top: i32| (j >> 6, i >> 6, j & 63, i & 63, top);
         let (mut low, mut high) = (0, self.len());
@@ -473,7 +473,7 @@ impl Region {
 
     /// Leaves out the places that no steps lead to from `start`. Only a pawn with a steepest grade leaves such places
     /// in the region of a [`Flood`] from one place.
-    pub fn keep_linked(&mut self, start: &Spot) {
+    pub fn keep_linked(&mut self, start: &PlaceId) {
         let mut seen = vec![false; self.len()];
         let mut open: Vec<u32> = self.number(start).into_iter().collect();
         open.iter().for_each(|place| seen[*place as usize] = true);
@@ -488,12 +488,12 @@ impl Region {
     }
 
     /// Returns whether the pawn can stand at a place of the region.
-    pub fn stands_at(&self, spot: &Spot) -> bool {
+    pub fn stands_at(&self, spot: &PlaceId) -> bool {
         self.number(spot).is_some_and(|place| self.standing[place as usize])
     }
 
     /// Returns whether a place has been reached.
-    pub fn holds(&self, spot: &Spot) -> bool {
+    pub fn holds(&self, spot: &PlaceId) -> bool {
         self.number(spot).is_some()
     }
 

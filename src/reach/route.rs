@@ -20,7 +20,7 @@
 //! and does not follow gaps.
 
 use super::region::{NO_PLACE, Region};
-use super::standing::Spot;
+use super::standing::PlaceId;
 use super::{Needs, Stop};
 use crate::query::Answer;
 use crate::store::Snapshot;
@@ -184,8 +184,8 @@ impl Search {
         &mut self,
         set: &Snapshot,
         region: &Region,
-        from: &Spot,
-        to: &Spot,
+        from: &PlaceId,
+        to: &PlaceId,
         monitor: &dyn Monitor,
     ) -> Result<Answer<Option<Route>>> {
         match (region.number(from), region.number(to)) {

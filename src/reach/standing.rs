@@ -77,7 +77,7 @@ pub(super) enum Step {
 
 /// A standing place of a [`StandingPlaces`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Spot {
+pub struct PlaceId {
     pub(super) pixel: [i32; 2],
     /// Number in the pixel's column.
     pub(super) place: usize,
@@ -89,7 +89,7 @@ pub struct Spot {
 #[non_exhaustive]
 pub struct Snapped {
     /// The place.
-    pub spot: Spot,
+    pub spot: PlaceId,
     /// Place of the feet: the middle of a pixel (m).
     pub feet: Point3<f64>,
     /// Distance from the requested place (m); 0 if the pawn can stand there.
@@ -130,11 +130,11 @@ impl StandingPlaces {
     /// Returns the standing place at or under `at` (m): on the highest solid below it, however deep, or above it by at
     /// most the climb height. `None` if the pawn cannot stand there. Fails if a tile holds more spans than any scan has
     /// ([`Error::Limit`](crate::Error::Limit)).
-    pub fn spot(&mut self, set: &Snapshot, at: Point3<f64>) -> Result<Answer<Option<Spot>>> {
+    pub fn spot(&mut self, set: &Snapshot, at: Point3<f64>) -> Result<Answer<Option<PlaceId>>> {
         answer(self.find(set, at))
     }
 
-    fn find(&mut self, set: &Snapshot, at: Point3<f64>) -> Needs<Option<Spot>> {
+    fn find(&mut self, set: &Snapshot, at: Point3<f64>) -> Needs<Option<PlaceId>> {
         let Some(pixel) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
         let level = self.grid.level(at.z);
         let tile = self.tile(set, pixel)?;
@@ -143,7 +143,7 @@ impl StandingPlaces {
         let fits = |place: &usize| {
             column[*place].kind == Kind::Standing && column.get(place + 1).is_none_or(|next| next.bottom >= level)
         };
-        ControlFlow::Continue(place.filter(fits).map(|place| Spot { pixel, place, top: column[place].top }))
+        ControlFlow::Continue(place.filter(fits).map(|place| PlaceId { pixel, place, top: column[place].top }))
     }
 
     /// Returns the standing place at or under `at` (m) like [`spot`](Self::spot), or else the nearest one within `snap`
@@ -161,7 +161,7 @@ impl StandingPlaces {
         }
         let Some(middle) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
         let far = (snap.clamp(0.0, MOST_SNAP_M) / self.grid.frame.pixel_m()).ceil() as i32;
-        let mut best: Option<(f64, Spot)> = None;
+        let mut best: Option<(f64, PlaceId)> = None;
         for pixel in (-far..=far).flat_map(|y| (-far..=far).map(move |x| [middle[0] + x, middle[1] + y])) {
             let across = (Point2::new(self.grid.middle(pixel[0], 0), self.grid.middle(pixel[1], 1)) - at.xy()).norm();
             if !self.grid.is_inside(pixel) || across > best.map_or(snap, |best| best.0) {
@@ -176,7 +176,7 @@ impl StandingPlaces {
                 let distance = across.hypot(up);
                 let is_better = distance <= snap && best.is_none_or(|best| distance < best.0);
                 if block.kind == Kind::Standing && is_better {
-                    best = Some((distance, Spot { pixel, place, top: block.top }));
+                    best = Some((distance, PlaceId { pixel, place, top: block.top }));
                 }
             }
         }
@@ -219,11 +219,11 @@ impl StandingPlaces {
         let tile = self.tile(set, pixel)?;
         let column = self.tiles[tile].column(pixel).iter().enumerate();
         let standing = column.filter(|(_, block)| block.kind == Kind::Standing);
-        let spots = standing.map(|(place, block)| Spot { pixel, place, top: block.top });
+        let spots = standing.map(|(place, block)| PlaceId { pixel, place, top: block.top });
         ControlFlow::Continue(spots.map(|spot| self.snapped_to(spot, moved)).collect())
     }
 
-    fn snapped_to(&self, spot: Spot, moved: f64) -> Snapped {
+    fn snapped_to(&self, spot: PlaceId, moved: f64) -> Snapped {
         let [i, j] = spot.pixel;
         let feet = Point3::new(self.grid.middle(i, 0), self.grid.middle(j, 1), self.grid.z(spot.top));
         Snapped { spot, feet, moved }

@@ -4,17 +4,17 @@
 //! decoded. Memory is reserved before a read, so the budget holds at every moment. It covers the table of pages, pages
 //! in memory, pages that snapshots still hold, bytes in flight, and the scratch memory of decoding.
 
-use super::account::{Account, Room};
+use super::budget::{Budget, Reservation};
+use super::counters::Counters;
+use super::directory_loader::pause_after;
 use super::fetch::{PageError, Time};
 use super::index::Index;
-use super::outlook::{Outlook, distance};
+use super::motion_hint::{MotionHint, distance};
 use super::publish::{Current, Retired};
 use super::snapshot::{Held, Slots, Snapshot};
-use super::start::pause_after;
-use super::tally::Counters;
 use crate::archive::{PageDecoder, PageEntry, Storage};
 use crate::frame::PageKey;
-use crate::slice::Page;
+use crate::page::Page;
 use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -88,7 +88,7 @@ pub(super) struct PageRun {
     /// Contents to decode, each with the page that shows it.
     pub contents: Vec<(u32, u32)>,
     pub needed_in: f32,
-    room: Room,
+    room: Reservation,
 }
 
 /// Next action for an order.
@@ -120,11 +120,11 @@ impl Snapshots {
         Snapshot::new(self.index.table().clone(), self.current.get())
     }
 
-    /// Returns the pages that a body touches before it moves; empty if the outlook is invalid.
-    pub fn keys_around(&self, outlook: &Outlook) -> Vec<PageKey> {
+    /// Returns the pages that a body touches before it moves; empty if the motion_hint is invalid.
+    pub fn keys_around(&self, motion_hint: &MotionHint) -> Vec<PageKey> {
         let mut times = HashMap::new();
-        if outlook.is_valid() {
-            outlook.wants(&self.index, 0.0, &mut times);
+        if motion_hint.is_valid() {
+            motion_hint.wants(&self.index, 0.0, &mut times);
         }
         let mut keys: Vec<_> = times.keys().map(|&page| self.index.key(page)).collect();
         keys.sort_unstable();
@@ -141,8 +141,8 @@ impl std::fmt::Debug for Snapshots {
 #[derive(Debug)]
 pub(super) struct Cache {
     pub snapshots: Snapshots,
-    account: Arc<Account>,
-    _table: Room,
+    budget: Arc<Budget>,
+    _table: Reservation,
     slots: Arc<Slots>,
     retired: Retired<Slots>,
     resident: HashMap<u32, Resident>,
@@ -162,13 +162,13 @@ pub(super) struct Cache {
 }
 
 impl Cache {
-    pub fn new(index: Arc<Index>, table: Room, account: Arc<Account>, run_bytes: usize) -> Self {
+    pub fn new(index: Arc<Index>, table: Reservation, budget: Arc<Budget>, run_bytes: usize) -> Self {
         let slots = Arc::new(index.empty_slots());
-        let longest_run = run_bytes.min(account.budget() / 8) as u64;
+        let longest_run = run_bytes.min(budget.budget() / 8) as u64;
         let snapshots = Snapshots { index, current: Arc::new(Current::new(slots.clone())) };
         Self {
             snapshots,
-            account,
+            budget,
             reserved: table.bytes(),
             _table: table,
             slots,
@@ -333,12 +333,12 @@ impl Cache {
 
     /// Reserves `bytes`, if necessary by evicting pages: first those that no body wants, farthest first, then those
     /// needed later than `time`, latest first.
-    fn make_room(&mut self, wants: Wants, time: f32, bytes: usize, counters: &mut Counters) -> Option<Room> {
+    fn make_room(&mut self, wants: Wants, time: f32, bytes: usize, counters: &mut Counters) -> Option<Reservation> {
         self.retired.reclaim();
-        if let Some(room) = self.account.take(bytes) {
+        if let Some(room) = self.budget.take(bytes) {
             return Some(room);
         }
-        let (used, budget) = (self.account.used(), self.account.budget());
+        let (used, budget) = (self.budget.used(), self.budget.budget());
         // Pages held by snapshots alone are released without further eviction.
         let held_by_snapshots = used.saturating_sub(self.weight + self.reserved);
         let need = (used - held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
@@ -359,7 +359,7 @@ impl Cache {
         let room = (gain >= need).then(|| {
             let gone = victims.split_off(victims.len() - count);
             self.evict(gone.into_iter().map(|(_, content)| content), counters);
-            self.account.take(bytes)
+            self.budget.take(bytes)
         });
         if !wants.0.explicit {
             self.victims = Some(victims);

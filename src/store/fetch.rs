@@ -3,7 +3,7 @@
 use super::index::Index;
 use crate::archive::{Catalog, PageDecoder, PageEntry};
 use crate::frame::PageKey;
-use crate::slice::{Page, PageSize};
+use crate::page::{Page, PageSize};
 use crate::{Error, Result};
 use std::ops::Range;
 use std::sync::Arc;

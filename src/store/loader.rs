@@ -1,15 +1,15 @@
 //! Loads pages ahead of moving bodies: a state machine without threads, locks, a clock or a source of bytes.
 
-use super::account::Account;
-use super::by_id::ById;
+use super::budget::Budget;
 use super::cache::{Cache, Claim, Order, PageRun, Snapshots};
+use super::counters::Counters;
+use super::directory_loader::{Start, StartTurn, short_answer};
 use super::fetch::{Decode, Decoded, Fetch, FetchId, Made, Next, PageError, Time, Work};
+use super::id_map::IdMap;
 use super::missing::Missing;
-use super::outlook::Outlook;
+use super::motion_hint::MotionHint;
 use super::request::{LoadReport, Request, RequestId};
 use super::snapshot::Snapshot;
-use super::start::{Start, StartTurn, short_answer};
-use super::tally::Counters;
 use crate::archive::Catalog;
 use crate::frame::PageKey;
 use crate::{Error, Result};
@@ -59,7 +59,7 @@ pub struct BodyId(u64);
 
 #[derive(Debug, Default)]
 struct Tracked {
-    outlook: Option<Outlook>,
+    motion_hint: Option<MotionHint>,
     missing: Option<Missing>,
 }
 
@@ -123,17 +123,17 @@ pub(super) enum Turn {
 /// In a game loop, with an engine that fetches and decodes in the background:
 ///
 /// ```
-/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Next, Outlook, Snapshot, Time};
+/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Next, MotionHint, Snapshot, Time};
 /// # trait Engine { fn fetch(&mut self, fetch: Fetch); fn cancel(&mut self, id: FetchId); fn decode(&mut self, job: Decode);
 /// #     fn arrived(&mut self) -> Option<(FetchId, Vec<u8>)>; fn decoded(&mut self) -> Option<Decoded>; }
-/// fn frame(loader: &mut Loader, pawn: BodyId, outlook: &Outlook, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
+/// fn frame(loader: &mut Loader, pawn: BodyId, motion_hint: &MotionHint, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
 ///     while let Some((id, bytes)) = engine.arrived() {
 ///         loader.given(id, bytes, now).map(|job| engine.decode(job));
 ///     }
 ///     while let Some(decoded) = engine.decoded() {
 ///         loader.loaded(decoded, now);
 ///     }
-///     loader.hint(pawn, outlook);
+///     loader.hint(pawn, motion_hint);
 ///     loop {
 ///         match loader.poll(now)? {
 ///             Next::Fetch(fetch) => engine.fetch(fetch),
@@ -148,22 +148,22 @@ pub(super) enum Turn {
 /// Pass the result of every [`Decode`] to [`loaded`](Self::loaded); until then its pages count as in flight.
 pub struct Loader {
     options: LoaderOptions,
-    account: Arc<Account>,
+    budget: Arc<Budget>,
     pub(super) counters: Counters,
     catalog: Option<Arc<Catalog>>,
     /// Present until the directory is loaded.
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
-    bodies: ById<BodyId, Tracked>,
+    bodies: IdMap<BodyId, Tracked>,
     /// Pages that the bodies want; `stale` if they, or the pages that may be evicted, have changed since.
     hinted: Order,
     pub(super) stale: bool,
     again: Option<Time>,
-    pub(super) requests: ById<RequestId, Request>,
+    pub(super) requests: IdMap<RequestId, Request>,
     /// Requests made before the directory was loaded.
     pub(super) early: Vec<(RequestId, Vec<PageKey>, PageKey)>,
-    pub(super) ended: ById<RequestId, Result<LoadReport>>,
-    pub(super) flights: ById<FetchId, Flight>,
+    pub(super) ended: IdMap<RequestId, Result<LoadReport>>,
+    pub(super) flights: IdMap<FetchId, Flight>,
     reports: VecDeque<PageError>,
     latency: Duration,
     pub(super) now: Time,
@@ -174,34 +174,34 @@ impl Loader {
     /// Begins with an archive of which at most the length is known (bytes); the loader also fetches the head and the
     /// directory.
     pub fn open(file_len: Option<u64>, options: LoaderOptions) -> Self {
-        let account = Account::new(options.budget_bytes);
-        Self::begin(Start::new(file_len), account, options)
+        let budget = Budget::new(options.budget_bytes);
+        Self::begin(Start::new(file_len), budget, options)
     }
 
     /// Begins with an open archive; the loader also fetches the directory.
     ///
     /// Fails if the table of its pages alone exceeds the budget.
     pub fn new(catalog: Catalog, options: LoaderOptions) -> Result<Self> {
-        let account = Account::new(options.budget_bytes);
-        Ok(Self::begin(Start::with(catalog, &account)?, account, options))
+        let budget = Budget::new(options.budget_bytes);
+        Ok(Self::begin(Start::with(catalog, &budget)?, budget, options))
     }
 
-    fn begin(start: Start, account: Arc<Account>, options: LoaderOptions) -> Self {
+    fn begin(start: Start, budget: Arc<Budget>, options: LoaderOptions) -> Self {
         Self {
             options,
-            account,
+            budget,
             counters: Counters::default(),
             catalog: start.catalog().cloned(),
             start: Some(Box::new(start)),
             cache: None,
-            bodies: ById::new(),
+            bodies: IdMap::new(),
             hinted: Order::default(),
             stale: false,
             again: None,
-            requests: ById::new(),
+            requests: IdMap::new(),
             early: Vec::new(),
-            ended: ById::new(),
-            flights: ById::new(),
+            ended: IdMap::new(),
+            flights: IdMap::new(),
             reports: VecDeque::new(),
             latency: Duration::ZERO,
             now: Time::ZERO,
@@ -218,8 +218,8 @@ impl Loader {
         self.catalog.clone()
     }
 
-    pub(super) fn account(&self) -> &Arc<Account> {
-        &self.account
+    pub(super) fn budget(&self) -> &Arc<Budget> {
+        &self.budget
     }
 
     /// Returns the pages in memory now; `None` until the directory is loaded. Answers from a snapshot do not change, and
@@ -240,9 +240,9 @@ impl Loader {
         Counters {
             resident_pages,
             resident_bytes,
-            used_bytes: self.account.used(),
-            peak_bytes: self.account.peak(),
-            budget_bytes: self.account.budget(),
+            used_bytes: self.budget.used(),
+            peak_bytes: self.budget.peak(),
+            budget_bytes: self.budget.budget(),
             table_bytes: cache.map_or(0, |cache| cache.index().weight_bytes()),
             ..self.counters
         }
@@ -256,12 +256,12 @@ impl Loader {
     }
 
     /// Sets how a body moves now; call it once a frame. Replaces the body's last hint and the pages that it
-    /// [needed](Self::need). An outlook that is not finite or not in order is dropped and counted.
-    pub fn hint(&mut self, body: BodyId, outlook: &Outlook) {
-        if !outlook.is_valid() {
+    /// [needed](Self::need). An motion_hint that is not finite or not in order is dropped and counted.
+    pub fn hint(&mut self, body: BodyId, motion_hint: &MotionHint) {
+        if !motion_hint.is_valid() {
             self.counters.hints_dropped += 1;
         } else if let Some(body) = self.bodies.get_mut(&body) {
-            *body = Tracked { outlook: Some(*outlook), missing: None };
+            *body = Tracked { motion_hint: Some(*motion_hint), missing: None };
             self.stale = true;
         }
     }
@@ -341,7 +341,7 @@ impl Loader {
     /// Opens the archive; returns the next action for that.
     fn begin_turn(&mut self, now: Time) -> Result<Option<Next>> {
         let Some(start) = &mut self.start else { return Ok(None) };
-        let turn = start.poll(now, &self.account)?;
+        let turn = start.poll(now, &self.budget)?;
         self.catalog = start.catalog().cloned();
         match turn {
             StartTurn::Wait(until) => Ok(Some(Next::Wait(until))),
@@ -353,7 +353,7 @@ impl Loader {
                 Ok(Some(Next::Fetch(Fetch { id, range, needed_in: Duration::ZERO })))
             }
             StartTurn::Ready(index, table) => {
-                let cache = Cache::new(index, table, self.account.clone(), self.options.run_bytes);
+                let cache = Cache::new(index, table, self.budget.clone(), self.options.run_bytes);
                 (self.cache, self.start) = (Some(Box::new(cache)), None);
                 for (id, keys, around) in std::mem::take(&mut self.early) {
                     self.admit(id, &keys, around);
@@ -393,9 +393,9 @@ impl Loader {
         let index = cache.index();
         let (mut times, mut focus) = (HashMap::new(), Vec::new());
         for body in self.bodies.values() {
-            if let Some(outlook) = &body.outlook {
-                outlook.wants(index, horizon, &mut times);
-                focus.push(outlook.focus(index.frame()));
+            if let Some(motion_hint) = &body.motion_hint {
+                motion_hint.wants(index, horizon, &mut times);
+                focus.push(motion_hint.focus(index.frame()));
             }
             let missing = body.missing.iter().flat_map(|missing| missing.keys());
             times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));

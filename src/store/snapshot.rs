@@ -8,12 +8,12 @@
 //! Memory: about 40 bytes a page, in memory or not (key 12, slot 24, tables). A new snapshot copies the pointers of all
 //! groups and the slots of the groups that change.
 
-use super::account::Room;
+use super::budget::Reservation;
 use super::table::{KeyBounds, PageTable};
 use crate::archive::{Archive, PageEntry};
 use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
-use crate::slice::Page;
+use crate::page::Page;
 use crate::{Error, Result};
 use std::sync::Arc;
 
@@ -21,12 +21,12 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(super) struct Held {
     pub page: Page,
-    pub room: Option<Room>,
+    pub room: Option<Reservation>,
 }
 
 impl Held {
     pub fn reserved_bytes(&self) -> usize {
-        self.room.as_ref().map_or(0, Room::bytes)
+        self.room.as_ref().map_or(0, Reservation::bytes)
     }
 }
 
@@ -106,7 +106,7 @@ impl Slots {
 /// ```
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::{Aabb, Overlap, overlaps};
-/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::page::{PageBuilder, Span};
 /// use slicewalk::store::Snapshot;
 ///
 /// let frame = Frame::new(0.05, 0.15)?; // pixels of 5 cm, slices of 15 cm

@@ -1,23 +1,23 @@
 //! A stream: a [`Loader`] with a thread, a lock, a clock and an archive to read from.
 
 use super::cache::Snapshots;
-use super::colours::ColourLoader;
+use super::colour_loader::ColourLoader;
+use super::counters::Counters;
 use super::fetch::{Fetch, Next, PageError, Time};
 use super::index::Index;
 use super::loader::{BodyId, Loader, LoaderOptions, Turn};
 use super::missing::Missing;
-use super::outlook::Outlook;
+use super::motion_hint::MotionHint;
 use super::request::LoadReport;
 use super::snapshot::Snapshot;
 use super::sync::{
     Arc, AtomicBool, AtomicU64, Builder, Condvar, JoinHandle, Mutex, MutexGuard, Thread, park, park_timeout,
     wait_at_most, yield_now,
 };
-use super::tally::Counters;
 use crate::archive::Archive;
 use crate::bytes::interruptible;
 use crate::frame::PageKey;
-use crate::slice::Colours;
+use crate::page::Colours;
 use crate::{Error, Result};
 use std::sync::PoisonError;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -90,7 +90,7 @@ pub enum Step {
 #[derive(Debug)]
 struct Inbox {
     body: BodyId,
-    outlook: Option<Outlook>,
+    motion_hint: Option<MotionHint>,
     missing: Option<Missing>,
     changed: bool,
     gone: bool,
@@ -102,14 +102,14 @@ struct Inbox {
 /// use nalgebra::{Point3, Vector3};
 /// use slicewalk::archive::Archive;
 /// use slicewalk::query::{Aabb, Overlap, overlaps};
-/// use slicewalk::store::{Outlook, Stream, StreamOptions};
+/// use slicewalk::store::{MotionHint, Stream, StreamOptions};
 ///
 /// let stream = Stream::open(Archive::open("scan.slices")?, StreamOptions::new(16 << 20))?;
 /// let mut pawn = stream.pawn();
 /// let (min, max) = (Point3::new(-0.25, -0.25, 0.0), Point3::new(0.25, 0.25, 1.8));
-/// stream.load_around(&Outlook::walking(min, max, Vector3::zeros()))?; // blocks: a loading screen
+/// stream.load_around(&MotionHint::walking(min, max, Vector3::zeros()))?; // blocks: a loading screen
 /// for _frame in 0..600 {
-///     pawn.hint(&Outlook::walking(min, max, Vector3::new(1.4, 0.0, 0.0)));
+///     pawn.hint(&MotionHint::walking(min, max, Vector3::new(1.4, 0.0, 0.0)));
 ///     let view = stream.snapshot();
 ///     if let Overlap::NotLoaded(missing) = overlaps(&view, &Aabb::new(min, max)?) {
 ///         pawn.need(&missing);
@@ -224,7 +224,7 @@ impl Stream {
     /// Returns a handle through which one body gives its hints, as long as the handle lives.
     pub fn pawn(&self) -> PawnHandle {
         let body = lock(&self.shared.loader).body();
-        let inbox = Arc::new(Mutex::new(Inbox { body, outlook: None, missing: None, changed: false, gone: false }));
+        let inbox = Arc::new(Mutex::new(Inbox { body, motion_hint: None, missing: None, changed: false, gone: false }));
         lock(&self.shared.pawns).push(inbox.clone());
         let worker = self.worker.as_ref().map(|worker| worker.thread().clone());
         PawnHandle { inbox, shared: self.shared.clone(), worker }
@@ -248,19 +248,19 @@ impl Stream {
     }
 
     /// Runs [`load`](Self::load) for all pages that a body touches before it moves: for the first frame, or after a
-    /// jump to another place. Fails, too, if the outlook is invalid.
-    pub fn load_around(&self, outlook: &Outlook) -> Result<LoadReport> {
-        if !outlook.is_valid() {
-            return Err(Error::parameter("outlook", "its numbers must be finite and in order"));
+    /// jump to another place. Fails, too, if the motion_hint is invalid.
+    pub fn load_around(&self, motion_hint: &MotionHint) -> Result<LoadReport> {
+        if !motion_hint.is_valid() {
+            return Err(Error::parameter("motion_hint", "its numbers must be finite and in order"));
         }
-        let keys = self.shared.snapshots.keys_around(outlook);
-        self.load(&keys, outlook.focus(self.shared.index().frame()))
+        let keys = self.shared.snapshots.keys_around(motion_hint);
+        self.load(&keys, motion_hint.focus(self.shared.index().frame()))
     }
 
-    /// Returns the number of pages in memory that a body touches before it moves; 0 if the outlook is invalid.
-    pub fn count_loaded(&self, outlook: &Outlook) -> usize {
+    /// Returns the number of pages in memory that a body touches before it moves; 0 if the motion_hint is invalid.
+    pub fn count_loaded(&self, motion_hint: &MotionHint) -> usize {
         let now = self.snapshot();
-        let keys = self.shared.snapshots.keys_around(outlook);
+        let keys = self.shared.snapshots.keys_around(motion_hint);
         keys.iter().filter(|key| now.is_loaded(**key) == Some(true)).count()
     }
 
@@ -371,9 +371,9 @@ impl PawnHandle {
     /// Sets how the body moves now; call it once a frame. Replaces the last hint and the pages requested by
     /// [`need`](Self::need). Never waits: a hint that is not finite or not in order, or that is given at the moment at
     /// which the last one is collected, is dropped and counted.
-    pub fn hint(&mut self, outlook: &Outlook) {
-        self.put(outlook.is_valid(), |inbox| {
-            (inbox.outlook, inbox.missing, inbox.changed) = (Some(*outlook), None, true);
+    pub fn hint(&mut self, motion_hint: &MotionHint) {
+        self.put(motion_hint.is_valid(), |inbox| {
+            (inbox.motion_hint, inbox.missing, inbox.changed) = (Some(*motion_hint), None, true);
         });
     }
 
@@ -534,8 +534,8 @@ impl Shared {
             if inbox.gone {
                 loader.forget(inbox.body);
             } else if std::mem::take(&mut inbox.changed) {
-                if let Some(outlook) = &inbox.outlook {
-                    loader.hint(inbox.body, outlook);
+                if let Some(motion_hint) = &inbox.motion_hint {
+                    loader.hint(inbox.body, motion_hint);
                 }
                 if let Some(missing) = &inbox.missing {
                     loader.need(inbox.body, missing);
@@ -589,8 +589,8 @@ impl Shared {
 #[cfg(test)]
 impl Stream {
     /// Reserves all memory, that for colours included.
-    pub(super) fn fill_the_budget(&self) -> Vec<super::account::Room> {
-        let shared = lock(&self.shared.loader).account().take_rest();
+    pub(super) fn fill_the_budget(&self) -> Vec<super::budget::Reservation> {
+        let shared = lock(&self.shared.loader).budget().take_rest();
         let own = lock(&self.shared.colours).as_ref().map(ColourLoader::take_rest);
         own.into_iter().chain([shared]).collect()
     }
@@ -601,10 +601,10 @@ mod tests {
     use super::*;
     use crate::archive::{ArchiveWriter, PageEncoder, Totals};
     use crate::frame::Frame;
+    use crate::page::{PageBuilder, Span};
     use crate::plan::Plan;
     use crate::query::{Aabb, Overlap, overlaps};
-    use crate::slice::{PageBuilder, Span};
-    use crate::walk::{Config, Walker, Wish};
+    use crate::walk::{Config, MoveInput, Walker};
     use nalgebra::Vector2;
 
     fn archive() -> Archive {
@@ -632,7 +632,7 @@ mod tests {
         let long = Duration::from_secs(60);
         assert!(stream.settle(long));
         let mut pawn = stream.pawn();
-        pawn.hint(&Outlook::walking([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into(), Default::default()));
+        pawn.hint(&MotionHint::walking([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into(), Default::default()));
         assert!(stream.settle(long));
         drop(pawn);
         assert!(stream.settle(long));
@@ -646,8 +646,8 @@ mod tests {
         let stream = Stream::open(archive(), options).unwrap();
         let mut pawn = stream.pawn();
         let (min, max) = ([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into());
-        let (outlook, shape) = (Outlook::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
-        stream.load_around(&outlook).unwrap();
+        let (motion_hint, shape) = (MotionHint::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
+        stream.load_around(&motion_hint).unwrap();
         let mut walker = Walker::new(Config::default(), [0.0, 0.0, 1.0].into()).unwrap();
         let inbox = pawn.inbox.clone();
         let (_loader, _pawns) = (lock(&stream.shared.loader), lock(&stream.shared.pawns));
@@ -657,12 +657,12 @@ mod tests {
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 for _ in 0..100 {
-                    pawn.hint(&outlook);
+                    pawn.hint(&motion_hint);
                     assert_eq!(overlaps(&stream.snapshot(), &shape), Overlap::Hit);
                     assert_eq!(overlaps(&pawn.snapshot(), &shape), Overlap::Hit);
-                    let report = walker.step(&pawn.snapshot(), 1.0 / 60.0, Wish::Direction(Vector2::x()));
+                    let report = walker.step(&pawn.snapshot(), 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
                     assert!(report.ticks > 0 && report.missing.is_none());
-                    pawn.hint(&walker.outlook(stream.archive().frame()));
+                    pawn.hint(&walker.motion_hint(stream.archive().frame()));
                 }
                 done.send(()).unwrap();
             });

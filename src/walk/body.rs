@@ -154,7 +154,7 @@ impl Body {
         }
     }
 
-    pub(super) fn way_out(&self, set: &Snapshot, feet: Point3<f64>, max: f64) -> Answer<Option<Vector3<f64>>> {
+    pub(super) fn escape(&self, set: &Snapshot, feet: Point3<f64>, max: f64) -> Answer<Option<Vector3<f64>>> {
         ask!(self.part(feet, 0.0), shape => depenetrate(set, &shape, max))
     }
 }

@@ -1,6 +1,6 @@
 //! Pawns that walk: gravity, floors, stairs, walls, ledges.
 //!
-//! Input: a [`Snapshot`] and a move input ([`Wish`]). Output: the place of the pawn, and the reason if it stopped. A
+//! Input: a [`Snapshot`] and a move input ([`MoveInput`]). Output: the place of the pawn, and the reason if it stopped. A
 //! [`Walker`] takes a few hundred bytes; a step allocates nothing, takes no lock and does no I/O.
 //!
 //! Time passes in ticks of fixed length ([`Config::tick_s`]). Leftover time carries over to the next frame, so the path
@@ -29,7 +29,7 @@ pub use waypoints::Waypoints;
 use crate::frame::Frame;
 use crate::query::Answer;
 use crate::store::Missing;
-use crate::store::{Outlook, Snapshot};
+use crate::store::{MotionHint, Snapshot};
 use crate::{Error, Parameter, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use progress::Progress;
@@ -108,7 +108,7 @@ impl Stop {
 
 /// Move input of a pawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Wish {
+pub enum MoveInput {
     /// Stay in place.
     Stay,
     /// Move in this direction; a length below 1 means slower than full speed.
@@ -241,9 +241,9 @@ impl Motion {
 /// ```
 /// use nalgebra::{Point3, Vector2};
 /// use slicewalk::frame::{Frame, PageKey};
-/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::page::{PageBuilder, Span};
 /// use slicewalk::store::Snapshot;
-/// use slicewalk::walk::{Config, State, Walker, Wish};
+/// use slicewalk::walk::{Config, State, Walker, MoveInput};
 ///
 /// let frame = Frame::new(0.05, 0.15)?;
 /// let mut builder = PageBuilder::default();
@@ -254,7 +254,7 @@ impl Motion {
 ///
 /// let mut pawn = Walker::new(Config::default(), Point3::new(0.5, 0.5, 0.1))?;
 /// for _ in 0..60 {
-///     pawn.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+///     pawn.step(&store, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
 /// }
 /// assert_eq!(pawn.state(), State::Walking);
 /// assert!((pawn.feet().x - 1.9).abs() < 1e-9 && (pawn.feet().z - 10.0 * frame.quantum_m()).abs() < 1e-9);
@@ -314,13 +314,13 @@ impl Walker {
     ///
     /// The pawn may turn at any moment and walk off any ledge, so the box of the hint covers everything that a step
     /// queries around it.
-    pub fn outlook(&self, frame: &Frame) -> Outlook {
+    pub fn motion_hint(&self, frame: &Frame) -> MotionHint {
         let config = &self.config;
         // A detour around pixel edges, or floor beside the footprint; a step up, and a step down.
         let aside = config.body.half().add_scalar(BESIDE_M.max(frame.pixel_m()) + slide::EDGE_PIXELS * frame.pixel_m());
         let step = config.climb + FLOOR_NEAR_M + frame.slice_m();
         let up = config.body.height() + step;
-        Outlook {
+        MotionHint {
             min: self.motion.feet - aside.push(step),
             max: self.motion.feet + aside.push(up),
             velocity: Vector3::new(0.0, 0.0, -self.motion.falling),
@@ -345,7 +345,7 @@ impl Walker {
     /// At most [`MOST_TICKS`] ticks pass; the rest of the time is returned as [`unspent`](StepReport::unspent). An
     /// interactive program drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a
     /// microsecond on a floor at 5 cm.
-    pub fn step(&mut self, set: &Snapshot, dt: f64, wish: Wish) -> StepReport {
+    pub fn step(&mut self, set: &Snapshot, dt: f64, wish: MoveInput) -> StepReport {
         self.run(set, dt, |_, _| Some(wish))
     }
 
@@ -356,7 +356,12 @@ impl Walker {
     }
 
     /// Runs ticks, each with its own move input; `None` at the end of the waypoints.
-    fn run(&mut self, set: &Snapshot, dt: f64, mut wish: impl FnMut(Point3<f64>, bool) -> Option<Wish>) -> StepReport {
+    fn run(
+        &mut self,
+        set: &Snapshot,
+        dt: f64,
+        mut wish: impl FnMut(Point3<f64>, bool) -> Option<MoveInput>,
+    ) -> StepReport {
         let (from, tick) = (self.motion.feet, self.config.tick_s);
         let mut report = StepReport {
             state: self.state,
@@ -405,16 +410,16 @@ impl Walker {
     }
 
     /// Returns the wanted move of one tick (m).
-    fn way(&self, wish: Wish) -> Vector2<f64> {
+    fn way(&self, wish: MoveInput) -> Vector2<f64> {
         let far = self.config.speed * self.config.tick_s;
         // Longer vectors are shortened: their squares might not be finite.
         let bounded = |way: Vector2<f64>| way * (FARTHEST_M / way.amax().max(FARTHEST_M));
         match wish {
-            Wish::Direction(way) if way.iter().all(|v| v.is_finite()) => {
+            MoveInput::Direction(way) if way.iter().all(|v| v.is_finite()) => {
                 let way = bounded(way);
                 way * (far / way.norm().max(1.0))
             }
-            Wish::Toward(place) if place.iter().all(|v| v.is_finite()) => {
+            MoveInput::Toward(place) if place.iter().all(|v| v.is_finite()) => {
                 let way = bounded(place - self.motion.feet.xy());
                 way * (far / way.norm().max(far)).min(1.0)
             }

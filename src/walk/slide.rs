@@ -118,7 +118,7 @@ impl Attempt<'_> {
         }
         self.stop = Some(Stop::Inside);
         let max = self.config.climb.max(self.config.body.half().max());
-        if let Some(out) = known(self.config.body.way_out(self.set, feet, max))? {
+        if let Some(out) = known(self.config.body.escape(self.set, feet, max))? {
             self.motion.feet += out;
         }
         ControlFlow::Continue(None)

@@ -1,6 +1,6 @@
 //! Waypoints: places to reach in order.
 
-use super::Wish;
+use super::MoveInput;
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3};
 
@@ -43,12 +43,12 @@ impl Waypoints {
     }
 
     /// Returns the move input for a pawn at `feet` that did not move in its last tick if `stalled`; `None` at the end.
-    pub(super) fn wish(&mut self, feet: Point3<f64>, mut stalled: bool) -> Option<Wish> {
+    pub(super) fn wish(&mut self, feet: Point3<f64>, mut stalled: bool) -> Option<MoveInput> {
         while let Some(place) = self.places.get(self.next) {
             let off = place - feet.xy();
             let is_there = off.amax() <= EXACT_M + EXACT * place.coords.amax() || stalled && off.norm() <= REACH_M;
             if !is_there {
-                return Some(Wish::Toward(*place));
+                return Some(MoveInput::Toward(*place));
             }
             (self.next, stalled) = (self.next + 1, false);
         }

@@ -5,7 +5,7 @@ use crate::random;
 use random::Random;
 use slicewalk::codec::Encoder;
 use slicewalk::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
-use slicewalk::slice::{Inferred, Page, PageBuilder, Span};
+use slicewalk::page::{Inferred, Page, PageBuilder, Span};
 use xxhash_rust::xxh3::Xxh3;
 
 /// What a page holds.

@@ -13,8 +13,8 @@ use slicewalk::archive::{
 };
 use slicewalk::codec::{ColourEncoder, Unpacker};
 use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
-use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
-use slicewalk::slice::{Occupancy, Span};
+use slicewalk::page::{Occupancy, Span};
+use slicewalk::query::{Aabb, Answer, Overlap, Ray, RayBound, cast, cast_far, overlaps};
 use slicewalk::store::{Loader, LoaderOptions, MISSING_KEYS, Next, Prefetch, Snapshot, Stream, StreamOptions, Time};
 use slicewalk::{Error, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
@@ -615,12 +615,12 @@ fn where_pages_are_missing_a_level_says_how_far_a_ray_is_free() {
             let Answer::Known(truth) = cast(&whole, &ray) else { panic!("all pages are there") };
             let is_loaded = matches!(cast(&view, &ray), Answer::Known(_));
             match cast_far(&view, &level, &ray) {
-                Answer::Known(Sight::Exact(found)) => {
+                Answer::Known(RayBound::Exact(found)) => {
                     assert_eq!(found, truth, "{ray:?}");
                     exact += 1;
                     free += usize::from(!is_loaded);
                 }
-                Answer::Known(Sight::AtLeast(distance)) => {
+                Answer::Known(RayBound::AtLeast(distance)) => {
                     assert!(!is_loaded && (0.0..=ray.max()).contains(&distance), "{ray:?}: {distance}");
                     assert!(
                         truth.is_none_or(|hit| hit.distance >= distance),

@@ -11,8 +11,8 @@ use slicewalk::archive::{
     Archive, ArchiveWriter, Bounds, PageEncoder, PageReader, Recovered, Shard, Storage, Totals, extract, merge, recover,
 };
 use slicewalk::frame::Frame;
+use slicewalk::page::{Page, Span};
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
-use slicewalk::slice::{Page, Span};
 use slicewalk::stats::Stats;
 use slicewalk::store::Snapshot;
 use std::fs;

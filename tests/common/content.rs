@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry, Storage};
-use slicewalk::slice::Span;
+use slicewalk::page::Span;
 use slicewalk::{Error, NoMonitor, Result};
 use slicewalk_convert::info;
 

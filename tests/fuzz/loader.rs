@@ -7,7 +7,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::{
-    BodyId, Decode, Decoded, Fetch, Loader, LoaderOptions, Next, Outlook, RequestId, Snapshot, Time,
+    BodyId, Decode, Decoded, Fetch, Loader, LoaderOptions, MotionHint, Next, RequestId, Snapshot, Time,
 };
 use slicewalk::{Error, NoMonitor};
 use std::io::ErrorKind;
@@ -143,7 +143,7 @@ pub fn loader(bytes: &[u8]) -> Read {
             1 | 2 => {
                 let (at, motion) = (script.short(), script.byte());
                 if let Some(&body) = bodies.get(usize::from(motion) % bodies.len().max(1)) {
-                    driver.loader.hint(body, &outlook(at, motion));
+                    driver.loader.hint(body, &motion_hint(at, motion));
                 }
             }
             3 if !bodies.is_empty() => driver.loader.forget(bodies.swap_remove(script.below(bodies.len()))),
@@ -234,8 +234,8 @@ fn shape(at: u16) -> Aabb {
 }
 
 /// A moving body of that size.
-fn outlook(at: u16, motion: u8) -> Outlook {
+fn motion_hint(at: u16, motion: u8) -> MotionHint {
     let (feet, speed) = (feet(at), |bits: u8| f64::from(bits & 3) - 1.0);
     let velocity = Vector3::new(speed(motion), speed(motion >> 2), speed(motion >> 4)) * 3.0;
-    Outlook::walking(feet - Vector3::new(0.3, 0.3, 0.0), feet + Vector3::new(0.3, 0.3, 1.8), velocity)
+    MotionHint::walking(feet - Vector3::new(0.3, 0.3, 0.0), feet + Vector3::new(0.3, 0.3, 1.8), velocity)
 }

@@ -15,7 +15,7 @@ use slicewalk::bytes::testing::hold;
 use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
 use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
-use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
+use slicewalk::page::{Occupancy, Page, PageBuilder, Span};
 use slicewalk_input::{InputOptions, InputSet, PointDecoder};
 use slicewalk_mesh::{MeshOptions, MeshSet};
 use std::cell::RefCell;

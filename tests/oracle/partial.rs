@@ -5,8 +5,8 @@ use super::scene::{Part, Random, Scene};
 use nalgebra::{Isometry3, Point3, Vector3};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::object::{Model, Object, touches_scene};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::query::*;
-use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::Snapshot;
 
 /// A scene with some pages loaded.

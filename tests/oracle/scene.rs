@@ -3,8 +3,8 @@
 pub use crate::random::Random;
 use nalgebra::{Point3, Vector3};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::page::{Page, PageBuilder, Span};
 use slicewalk::query::Aabb;
-use slicewalk::slice::{Page, PageBuilder, Span};
 use slicewalk::store::Snapshot;
 use std::collections::BTreeMap;
 

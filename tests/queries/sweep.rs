@@ -7,8 +7,8 @@ use crate::scene;
 use nalgebra::{Point3, Vector3};
 use scene::{Random, Scene};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS};
+use slicewalk::page::{Page, PageBuilder, Span};
 use slicewalk::query::*;
-use slicewalk::slice::{Page, PageBuilder, Span};
 use slicewalk::store::{Missing, Snapshot};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).

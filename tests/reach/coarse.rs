@@ -8,9 +8,9 @@ use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, Totals};
 use slicewalk::frame::Frame;
+use slicewalk::page::Span;
 use slicewalk::plan::Plan;
 use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Refusal, Route, Search};
-use slicewalk::slice::Span;
 use slicewalk::store::{PageSlot, Snapshot};
 use slicewalk::walk::Body;
 
@@ -92,7 +92,7 @@ fn pawn() -> Pawn {
 
 fn finish(planner: &mut Coarse, set: &Snapshot, steps: usize) -> Result<Route, Refusal> {
     loop {
-        match planner.go_on(set, steps, &NoMonitor).unwrap() {
+        match planner.advance(set, steps, &NoMonitor).unwrap() {
             Planned::Done(found) => return found,
             Planned::NotLoaded(missing) => panic!("{missing:?}"),
             _ => {}
@@ -198,7 +198,7 @@ fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     let mut planner = Coarse::new(&partly, pawn(), from, to).unwrap();
     let mut loaded = 0;
     let found = loop {
-        match planner.go_on(&partly, usize::MAX, &NoMonitor).unwrap() {
+        match planner.advance(&partly, usize::MAX, &NoMonitor).unwrap() {
             Planned::Done(found) => break found,
             Planned::NotLoaded(missing) => loaded += partly.load(missing.keys()),
             _ => {}
@@ -209,5 +209,5 @@ fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     assert_eq!(found, finish(&mut whole, &store, 100));
     let far = Point3::new(12.0, 12.0, FLOOR);
     let mut planner = Coarse::new(&store, pawn(), from, far).unwrap();
-    assert!(matches!(planner.go_on(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
+    assert!(matches!(planner.advance(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
 }

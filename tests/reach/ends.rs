@@ -5,8 +5,8 @@
 use super::{everywhere, flat, known};
 use crate::common::random::Random;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
+use slicewalk::page::Span;
 use slicewalk::reach::Pawn;
-use slicewalk::slice::Span;
 use slicewalk::walk::Body;
 use std::collections::{BTreeMap, BTreeSet};
 

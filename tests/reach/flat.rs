@@ -2,7 +2,7 @@
 
 use crate::common::{key, page};
 use slicewalk::frame::{Frame, PAGE_QUANTA};
-use slicewalk::slice::Span;
+use slicewalk::page::Span;
 use slicewalk::store::Snapshot;
 use std::collections::{BTreeMap, HashMap};
 

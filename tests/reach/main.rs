@@ -21,7 +21,7 @@ mod world;
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Flood, Pawn, Region, Route, Search, Spot, StandingPlaces};
+use slicewalk::reach::{Flood, Pawn, PlaceId, Region, Route, Search, StandingPlaces};
 use slicewalk::store::Snapshot;
 
 /// Unwraps the answer of a set whose pages are all in memory.
@@ -54,10 +54,10 @@ fn everywhere(set: &Snapshot, pawn: Pawn) -> (StandingPlaces, Region) {
     (standing, region)
 }
 
-fn spot(standing: &mut StandingPlaces, set: &Snapshot, at: Point3<f64>) -> Option<Spot> {
+fn spot(standing: &mut StandingPlaces, set: &Snapshot, at: Point3<f64>) -> Option<PlaceId> {
     known(standing.spot(set, at).unwrap())
 }
 
-fn way(search: &mut Search, set: &Snapshot, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {
+fn way(search: &mut Search, set: &Snapshot, region: &Region, from: &PlaceId, to: &PlaceId) -> Option<Route> {
     known(search.route(set, region, from, to, &NoMonitor).unwrap())
 }

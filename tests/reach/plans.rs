@@ -7,7 +7,7 @@ use crate::common::random::Random;
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Along, Pawn, Planned, Planner, Refusal, Route, Search};
+use slicewalk::reach::{Pawn, Planned, Planner, Refusal, Route, RouteRefiner, Search};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
@@ -31,7 +31,7 @@ fn hall(width: usize, gap: usize) -> Snapshot {
 /// Runs a task to its end, in slices of `steps` steps.
 fn finish(planner: &mut Planner, set: &Snapshot, steps: usize) -> (Result<Route, Refusal>, usize) {
     for turns in 1.. {
-        match planner.go_on(set, steps, &NoMonitor).unwrap() {
+        match planner.advance(set, steps, &NoMonitor).unwrap() {
             Planned::Done(found) => return (found, turns),
             Planned::NotLoaded(missing) => panic!("{missing:?}"),
             _ => {}
@@ -97,7 +97,7 @@ fn a_task_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     let mut planner = Planner::new(&partly, thin(), at(5, 30), at(95, 40)).unwrap();
     let mut loaded = 0;
     let found = loop {
-        match planner.go_on(&partly, usize::MAX, &NoMonitor).unwrap() {
+        match planner.advance(&partly, usize::MAX, &NoMonitor).unwrap() {
             Planned::Done(found) => break found,
             Planned::NotLoaded(missing) => loaded += partly.load(missing.keys()),
             _ => {}
@@ -107,7 +107,7 @@ fn a_task_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     assert_eq!(found, finish(&mut whole, &store, usize::MAX).0);
     assert!((2..8).contains(&loaded), "{loaded} of 16 pages");
     let mut planner = Planner::new(&store, thin(), at(5, 30), at(995, 30)).unwrap();
-    assert!(matches!(planner.go_on(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
+    assert!(matches!(planner.advance(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
 }
 
 #[test]
@@ -159,8 +159,8 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
     let [c, d] = [from, to].map(|at| spot(&mut other, &empty, at).unwrap());
     let straight = way(&mut Search::new(), &empty, &free, &c, &d).unwrap();
     for (guide, distance, longest) in [(&best, 1.0, 1.01), (&straight, 4.0, 1.05), (&straight, 0.5, 1.1)] {
-        let mut along = Along::new(pawn, from, to, guide, distance);
-        let found = known(along.go_on(&store, &NoMonitor).unwrap()).unwrap();
+        let mut along = RouteRefiner::new(pawn, from, to, guide, distance);
+        let found = known(along.advance(&store, &NoMonitor).unwrap()).unwrap();
         assert!(
             (0.999..longest).contains(&(found.length_m / best.length_m)),
             "{} of {}",
@@ -179,8 +179,8 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
         assert!(along.peak_bytes() * 2 < whole, "{} of {whole}", along.peak_bytes());
     }
     let closed = hall(width, 0);
-    let mut along = Along::new(pawn, from, to, &straight, 1.0);
-    assert_eq!(along.go_on(&closed, &NoMonitor).unwrap(), Answer::Known(Err(Refusal::NotConnected)));
-    let mut along = Along::new(pawn, from, at(99, 40), &straight, 1.0);
-    assert_eq!(known(along.go_on(&store, &NoMonitor).unwrap()), Err(Refusal::NotStandingTo));
+    let mut along = RouteRefiner::new(pawn, from, to, &straight, 1.0);
+    assert_eq!(along.advance(&closed, &NoMonitor).unwrap(), Answer::Known(Err(Refusal::NotConnected)));
+    let mut along = RouteRefiner::new(pawn, from, at(99, 40), &straight, 1.0);
+    assert_eq!(known(along.advance(&store, &NoMonitor).unwrap()), Err(Refusal::NotStandingTo));
 }

@@ -178,7 +178,7 @@ fn hills(edge: usize, height: impl Fn(usize, usize) -> f64) -> slicewalk::store:
     let pixels = (0..edge).flat_map(|i| (0..edge).map(move |j| (i, j)));
     let columns = pixels.map(|(i, j)| {
         let top = ((FLOOR + height(i, j)) / 0.3 * 255.0).round() as u32;
-        ((i as i64, j as i64), vec![slicewalk::slice::Span::new(top - 200, top, false).unwrap()])
+        ((i as i64, j as i64), vec![slicewalk::page::Span::new(top - 200, top, false).unwrap()])
     });
     super::flat::store(frame, columns)
 }

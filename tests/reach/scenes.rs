@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3};
 use scangen::{Params, Scene};
 use slicewalk::reach::{Pawn, Search};
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, State, Walker, Waypoints, Wish};
+use slicewalk::walk::{Body, Config, MoveInput, State, Walker, Waypoints};
 
 fn named(name: &str, params: &[(&str, f64)]) -> Snapshot {
     let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
@@ -185,7 +185,7 @@ fn who_keeps_from_drops_falls_out_of_no_scene() {
                     if step % 40 == 0 {
                         heading = f64::from(random.below(6283)) / 1000.0;
                     }
-                    let wish = Wish::Direction([heading.cos(), heading.sin()].into());
+                    let wish = MoveInput::Direction([heading.cos(), heading.sin()].into());
                     stops += usize::from(walker.step(&store, 1.0 / 60.0, wish).stop.is_some());
                     let feet = walker.feet();
                     assert!(ground - feet.z <= MAX_DROP + 0.005, "{name}, {body:?}: from {ground} m to {feet}");

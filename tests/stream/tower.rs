@@ -7,10 +7,10 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::bytes::ByteSource;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::query::Aabb;
-use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{Outlook, Snapshot};
+use slicewalk::store::{MotionHint, Snapshot};
 use std::collections::BTreeMap;
 
 /// Latency of a slow source (s), and duration of a frame.
@@ -111,10 +111,10 @@ impl Body {
     }
 
     /// Motion hint with 5 cm to each side, and 0.4 m up and down for steps.
-    pub fn motion(&self) -> Outlook {
+    pub fn motion(&self) -> MotionHint {
         let half = Vector3::new(0.3, 0.3, 0.4);
         let top = self.feet + Vector3::new(0.0, 0.0, 1.8);
-        Outlook { terminal_speed: 50.0, ..Outlook::walking(self.feet - half, top + half, self.velocity) }
+        MotionHint { terminal_speed: 50.0, ..MotionHint::walking(self.feet - half, top + half, self.velocity) }
     }
 
     /// Falls for one frame, at most at 50 m/s.

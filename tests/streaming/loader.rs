@@ -8,7 +8,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::{Overlap, floor_under, overlaps};
 use slicewalk::store::{BodyId, Loader, LoaderOptions, Next};
-use slicewalk::walk::{Config, Walker, Wish};
+use slicewalk::walk::{Config, MoveInput, Walker};
 use std::sync::LazyLock;
 use std::time::Duration;
 use tower::{Body, FRAME_S, Random, resident};
@@ -410,11 +410,11 @@ fn a_walker_on_a_slow_link_waits_at_the_start_only() {
     let frame = *Archive::from_bytes(TOWER.clone()).unwrap().frame();
     let (mut waits, mut started) = (0, None);
     for n in 0..1200u32 {
-        loader.hint(pawn, &walker.outlook(&frame));
+        loader.hint(pawn, &walker.motion_hint(&frame));
         link.run(&mut loader, seconds(f64::from(n) * FRAME_S)).unwrap();
         let Some(view) = loader.snapshot() else { continue };
         let angle = f64::from(n / 120);
-        let report = walker.step(&view, FRAME_S, Wish::Direction([angle.cos(), angle.sin()].into()));
+        let report = walker.step(&view, FRAME_S, MoveInput::Direction([angle.cos(), angle.sin()].into()));
         match report.waits() {
             true if started.is_some() => waits += 1,
             true => {}

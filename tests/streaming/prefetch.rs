@@ -9,7 +9,7 @@ use slicewalk::bytes::MemorySource;
 use slicewalk::bytes::testing::{Fault, FaultySource, GatedSource, SlowSource};
 use slicewalk::query::{Answer, Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::store::{Counters, Prefetch, Step, Stream, StreamOptions};
-use slicewalk::walk::{Config, Walker, Wish};
+use slicewalk::walk::{Config, MoveInput, Walker};
 use std::sync::{Arc, LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use tower::{Body, FRAME_S, READ_S, Random, open, resident};
@@ -83,15 +83,15 @@ fn fall_of_a_walker(prefetch: Prefetch, budget: usize) -> (u32, u32, Counters) {
     let _end = source.end();
     let mut pawn = stream.pawn();
     let mut walker = Walker::new(Config::default(), [0.0, 0.0, 152.0].into()).unwrap();
-    stream.load_around(&walker.outlook(stream.archive().frame())).unwrap();
+    stream.load_around(&walker.motion_hint(stream.archive().frame())).unwrap();
     let (mut frames, mut missing) = (0, 0);
     while walker.feet().z > 2.0 {
-        pawn.hint(&walker.outlook(stream.archive().frame()));
-        let mut report = walker.step(&stream.snapshot(), FRAME_S, Wish::Stay);
+        pawn.hint(&walker.motion_hint(stream.archive().frame()));
+        let mut report = walker.step(&stream.snapshot(), FRAME_S, MoveInput::Stay);
         missing += u32::from(report.waits());
         while let Some(needed) = report.missing {
             assert_eq!(stream.load_missing(&needed).unwrap().left_out, 0);
-            report = walker.step(&stream.snapshot(), report.unspent, Wish::Stay);
+            report = walker.step(&stream.snapshot(), report.unspent, MoveInput::Stay);
         }
         frames += 1;
         source.run(&stream, f64::from(frames) * FRAME_S);
@@ -379,7 +379,7 @@ fn hints_that_make_no_sense_are_counted_and_stale_ones_dropped() {
     let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options(BUDGET, Prefetch::Manual)).unwrap();
     let mut pawn = stream.pawn();
     let mut body = Body::at(f64::NAN, 0.0, 0.0);
-    pawn.hint(&slicewalk::store::Outlook { min: body.feet, ..Body::at(0.0, 0.0, 0.0).motion() });
+    pawn.hint(&slicewalk::store::MotionHint { min: body.feet, ..Body::at(0.0, 0.0, 0.0).motion() });
     assert_eq!((stream.counters().hints_dropped, stream.step()), (1, Step::Idle));
     body = Body::at(0.0, 0.0, 100.0);
     pawn.hint(&body.motion());

@@ -49,7 +49,7 @@ fn pawns_never_enter_each_other_and_the_outcome_is_always_the_same() {
     let run = || {
         let (mut crowd, goals) = crowd(100, 1.8);
         for _ in 0..1800 {
-            crowd.step(&store, TICK, |n, _| Wish::Toward(goals[n]));
+            crowd.step(&store, TICK, |n, _| MoveInput::Toward(goals[n]));
             for (n, a) in crowd.walkers().iter().enumerate().filter(|(n, _)| n % 3 == 0) {
                 for b in &crowd.walkers()[..n] {
                     assert!(gap(a, b) > -1e-7, "{} and {} overlap by {}", a.feet(), b.feet(), -gap(a, b));
@@ -77,7 +77,7 @@ fn two_pawns_that_meet_head_on_pass() {
         let mut crowd = Crowd::new(vec![walker(0, -2.0), walker(1, 2.0)]).unwrap();
         let goals = [Point2::new(2.0, 0.0), Point2::new(-2.0, 0.0)];
         for _ in 0..360 {
-            crowd.step(&store, TICK, |n, _| Wish::Toward(goals[n]));
+            crowd.step(&store, TICK, |n, _| MoveInput::Toward(goals[n]));
         }
         for (walker, goal) in crowd.walkers().iter().zip(goals) {
             assert!((walker.feet().xy() - goal).norm() < 0.05, "{bodies:?}: at {}", walker.feet());
@@ -92,7 +92,7 @@ fn pawns_that_begin_in_each_other_part() {
     let at = |x: f64, y: f64| Walker::new(config, Point3::new(x, y, 0.0)).unwrap();
     let mut crowd = Crowd::new(vec![at(0.0, 0.0), at(0.1, 0.0), at(0.0, 0.2), at(0.0, 0.0)]).unwrap();
     for _ in 0..240 {
-        crowd.step(&store, TICK, |_, _| Wish::Stay);
+        crowd.step(&store, TICK, |_, _| MoveInput::Stay);
     }
     for (n, a) in crowd.walkers().iter().enumerate() {
         for b in &crowd.walkers()[..n] {
@@ -106,7 +106,7 @@ fn pawns_that_begin_in_each_other_part() {
 fn converge(crowd: &mut Crowd, store: &Snapshot, goal: Point2<f64>, most: usize) -> (usize, f64) {
     let mut frames = 0;
     loop {
-        let report = crowd.step(store, TICK, |_, _| Wish::Toward(goal));
+        let report = crowd.step(store, TICK, |_, _| MoveInput::Toward(goal));
         frames += 1;
         if frames % 16 == 0 {
             for (n, a) in crowd.walkers().iter().enumerate() {
@@ -143,7 +143,7 @@ fn a_crowd_that_wants_to_one_place_settles_around_it() {
         assert!(radius < most * least, "{radius} m, without gaps {least} m");
         let still: Vec<_> = crowd.walkers().iter().map(Walker::feet).collect();
         for _ in 0..60 {
-            crowd.step(&store, TICK, |_, _| Wish::Toward(goal));
+            crowd.step(&store, TICK, |_, _| MoveInput::Toward(goal));
         }
         assert_eq!(still, crowd.walkers().iter().map(Walker::feet).collect::<Vec<_>>(), "nobody stirs");
     }
@@ -185,14 +185,14 @@ fn pawns_walk_on_threads_of_their_own() {
         let at = |k: u32| f64::from(k) * 0.43 - 6.4;
         let angle = f64::from(n);
         let walker = Walker::new(config([BOX, CYLINDER][n as usize % 2]), Point3::new(at(n % 30), at(n / 30), 0.3));
-        (walker.unwrap(), Wish::Direction(Vector2::new(angle.cos(), angle.sin())))
+        (walker.unwrap(), MoveInput::Direction(Vector2::new(angle.cos(), angle.sin())))
     };
     std::thread::scope(|scope| {
         let walk = |n: u32| {
             let (mut walker, wish) = pawn(n);
             let mut hints = stream.pawn();
             for _ in 0..30 {
-                hints.hint(&walker.outlook(stream.archive().frame()));
+                hints.hint(&walker.motion_hint(stream.archive().frame()));
                 let mut report = walker.step(&hints.snapshot(), TICK, wish);
                 while let Some(missing) = report.missing {
                     assert_eq!(stream.load_missing(&missing).unwrap().left_out, 0);
@@ -217,8 +217,8 @@ fn a_thousand_pawns_stay_on_the_floor() {
     let store = hall(24.0);
     let (mut crowd, goals) = crowd(1000, 1.2);
     for _ in 0..60 {
-        crowd.step(&store, TICK, |n, _| Wish::Toward(goals[n]));
+        crowd.step(&store, TICK, |n, _| MoveInput::Toward(goals[n]));
     }
     assert!(crowd.walkers().iter().all(|walker| walker.feet().z.abs() < 0.02));
-    crowd.step(&store, TICK, |_, _| Wish::Direction(Vector2::y()));
+    crowd.step(&store, TICK, |_, _| MoveInput::Direction(Vector2::y()));
 }

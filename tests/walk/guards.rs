@@ -28,7 +28,7 @@ fn wander(store: &Snapshot, config: Config, start: [f64; 3], seed: u64, steps: u
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
             heading = (state >> 40) as f64;
         }
-        let report = walker.step(store, 1.0 / 60.0, Wish::Direction(Vector2::new(heading.cos(), heading.sin())));
+        let report = walker.step(store, 1.0 / 60.0, MoveInput::Direction(Vector2::new(heading.cos(), heading.sin())));
         stops.extend(report.stop);
         places.push(walker.feet());
     }
@@ -73,7 +73,7 @@ fn a_pawn_at_a_ledge_is_blocked_and_walks_back() {
     assert!((0.7..1.0).contains(&trace.end().x) && (trace.end().z - 1.0).abs() < 0.01, "{}", trace.end());
     let mut back = trace.walker;
     for _ in 0..60 {
-        back.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+        back.step(&store, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
     }
     assert!(back.feet().x > 1.8, "{}", back.feet());
     assert!(Walker::new(Config { max_drop: Some(-1.0), ..config }, Point3::origin()).is_err());

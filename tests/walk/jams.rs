@@ -60,7 +60,7 @@ fn through(store: &Snapshot, bodies: [Body; 2], rule: Rule) -> (usize, f64) {
                 Rule::Near => away <= 0.3,
                 Rule::Past | Rule::Own => feet.x > -0.1,
             };
-            Wish::Toward(if passed[n] { on } else { door })
+            MoveInput::Toward(if passed[n] { on } else { door })
         });
         assert_eq!(pairs_inside(&crowd), 0, "{bodies:?}, {rule:?}, frame {frames}");
     }
@@ -99,7 +99,7 @@ fn those_who_come_from_both_sides_of_a_door_pass() {
         crowd.step(&store, TICK, |n, feet| {
             passed[n] |= feet.x * side(n) > -0.1;
             let on = Point2::new(2.5 * side(n), (n as f64 - 6.0) * 0.3);
-            Wish::Toward(if passed[n] { on } else { Point2::origin() })
+            MoveInput::Toward(if passed[n] { on } else { Point2::origin() })
         });
         frames += 1;
         assert_eq!(pairs_inside(&crowd), 0, "frame {frames}");
@@ -127,12 +127,12 @@ fn pawns_on_one_spot_part() {
         let mut crowd = Crowd::new((0..count).map(|n| walker(body, at(n))).collect()).unwrap();
         let mut frames = 0;
         while pairs_inside(&crowd) > 0 {
-            crowd.step(store, TICK, |_, _| Wish::Stay);
+            crowd.step(store, TICK, |_, _| MoveInput::Stay);
             frames += 1;
             assert!(frames < 900, "{count} {body:?}: {} pairs inside each other", pairs_inside(&crowd));
         }
         for _ in 0..60 {
-            crowd.step(store, TICK, |_, _| Wish::Stay);
+            crowd.step(store, TICK, |_, _| MoveInput::Stay);
             assert_eq!(pairs_inside(&crowd), 0, "{count} {body:?}: they stay apart");
         }
     }
@@ -145,7 +145,7 @@ fn who_falls_upon_another_stands_on_its_head() {
         let mut crowd =
             Crowd::new(vec![walker(BOX, [0.0, 0.0, 0.03]), walker(CYLINDER, [aside, 0.1, height])]).unwrap();
         let frame = |crowd: &mut Crowd, way: Vector2<f64>| {
-            crowd.step(&store, TICK, |n, _| if n == 0 { Wish::Direction(way) } else { Wish::Stay });
+            crowd.step(&store, TICK, |n, _| if n == 0 { MoveInput::Direction(way) } else { MoveInput::Stay });
             assert_eq!(pairs_inside(crowd), 0, "{height} m, {aside} m aside");
         };
         (0..180).for_each(|_| frame(&mut crowd, Vector2::zeros()));
@@ -170,7 +170,7 @@ fn pawns_join_and_leave() {
     assert!(crowd.add(slow).unwrap_err().to_string().contains("expected 0.016"), "ticks of another length");
     let settle = |crowd: &mut Crowd| {
         for _ in 0..3600 {
-            if crowd.step(&store, TICK, |_, _| Wish::Toward(place)).arrived == crowd.walkers().len() {
+            if crowd.step(&store, TICK, |_, _| MoveInput::Toward(place)).arrived == crowd.walkers().len() {
                 return;
             }
         }
@@ -193,12 +193,12 @@ fn pawns_join_and_leave() {
     // Into the middle of all of them.
     crowd.add(walker(BOX, [0.1, 0.1, 0.03])).unwrap();
     for _ in 0..600 {
-        crowd.step(&store, TICK, |_, _| Wish::Stay);
+        crowd.step(&store, TICK, |_, _| MoveInput::Stay);
     }
     assert_eq!(pairs_inside(&crowd), 0);
     while !crowd.walkers().is_empty() {
         crowd.remove(0);
-        crowd.step(&store, TICK, |_, _| Wish::Stay);
+        crowd.step(&store, TICK, |_, _| MoveInput::Stay);
     }
 }
 
@@ -207,11 +207,11 @@ fn a_step_of_a_crowd_is_bounded_and_works_as_far_out_as_pawns_can_be() {
     let store = room(2, |_| false);
     let mut crowd = Crowd::new(vec![walker(BOX, [0.0, 0.0, 0.03]), walker(CYLINDER, [1e9, -1e9, 1e9])]).unwrap();
     for dt in [3e4, 1e17, f64::MAX] {
-        let report = crowd.step(&store, dt, |_, _| Wish::Direction(Vector2::new(1e300, -1e300)));
+        let report = crowd.step(&store, dt, |_, _| MoveInput::Direction(Vector2::new(1e300, -1e300)));
         assert_eq!(report.ticks, MOST_TICKS);
         assert!((report.unspent - (dt - f64::from(MOST_TICKS) * TICK)).abs() <= 1e-9 * dt, "{dt}: {}", report.unspent);
     }
-    let report = crowd.step(&store, f64::NAN, |_, _| Wish::Stay);
+    let report = crowd.step(&store, f64::NAN, |_, _| MoveInput::Stay);
     assert_eq!((report.ticks, report.unspent), (0, 0.0));
     assert!(crowd.walkers().iter().all(|walker| walker.feet().iter().all(|v| v.abs() <= 1e9)));
 }

@@ -24,7 +24,7 @@ fn hall() -> Snapshot {
 fn standing(store: &Snapshot, at: [f64; 3]) -> Walker {
     let mut walker = Walker::new(config(BOX), at.into()).unwrap();
     for _ in 0..60 {
-        walker.step(store, FRAME_S, Wish::Stay);
+        walker.step(store, FRAME_S, MoveInput::Stay);
     }
     assert_eq!(walker.state(), State::Walking);
     walker
@@ -36,13 +36,13 @@ fn jump(store: &Snapshot, walker: &mut Walker, way: Vector2<f64>) -> f64 {
     assert!(!walker.jump(SPEED), "nobody jumps in the air");
     let mut highest = walker.feet().z;
     for _ in 0..120 {
-        walker.step(store, FRAME_S / 4.0, Wish::Direction(way));
+        walker.step(store, FRAME_S / 4.0, MoveInput::Direction(way));
         highest = highest.max(walker.feet().z);
         if walker.ground() != Ground::Air {
             return highest;
         }
     }
-    walker.step(store, 2.0, Wish::Stay);
+    walker.step(store, 2.0, MoveInput::Stay);
     highest
 }
 
@@ -73,7 +73,7 @@ fn a_jump_reaches_what_is_too_high_to_climb_and_climbs_nothing_on_its_way() {
     let mut walker = standing(&store, [-0.5, 0.0, 0.1]);
     let left = -Vector2::x();
     for _ in 0..60 {
-        walker.step(&store, FRAME_S, Wish::Direction(left));
+        walker.step(&store, FRAME_S, MoveInput::Direction(left));
     }
     assert!(walker.feet().z < 0.1, "0.5 m are not walked up");
     jump(&store, &mut walker, left);
@@ -82,7 +82,7 @@ fn a_jump_reaches_what_is_too_high_to_climb_and_climbs_nothing_on_its_way() {
     let mut walker = standing(&store, [-0.5, 0.0, 0.1]);
     walker.jump(2.0);
     for _ in 0..240 {
-        walker.step(&store, FRAME_S / 4.0, Wish::Direction(left));
+        walker.step(&store, FRAME_S / 4.0, MoveInput::Direction(left));
         assert!(walker.feet().z < 0.25, "{}", walker.feet());
     }
 }
@@ -92,7 +92,7 @@ fn the_thesis_knows_no_jumps() {
     let store = hall();
     let thesis = Config { response: Response::Thesis, ..config(BOX) };
     let mut walker = Walker::new(thesis, [0.0, 0.0, 0.1].into()).unwrap();
-    walker.step(&store, 1.0, Wish::Stay);
+    walker.step(&store, 1.0, MoveInput::Stay);
     assert!(!walker.jump(SPEED));
     for speed in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(!standing(&store, [0.0, 0.0, 0.1]).jump(speed));
@@ -110,7 +110,7 @@ fn under_a_low_ceiling_there_is_no_room_to_stand_up() {
     let mut walker = standing(&store, [0.0, 0.0, 0.1]);
     let go = |walker: &mut Walker| {
         for _ in 0..120 {
-            walker.step(&store, FRAME_S, Wish::Direction(Vector2::x()));
+            walker.step(&store, FRAME_S, MoveInput::Direction(Vector2::x()));
         }
     };
     go(&mut walker);
@@ -121,7 +121,7 @@ fn under_a_low_ceiling_there_is_no_room_to_stand_up() {
     assert_eq!(walker.has_room(&store, &BOX), Answer::Known(false));
     assert_eq!(walker.has_room(&store, &low), Answer::Known(true));
     walker.place(walker.feet() - Vector3::new(3.0, 0.0, 0.0));
-    walker.step(&store, FRAME_S, Wish::Stay);
+    walker.step(&store, FRAME_S, MoveInput::Stay);
     assert_eq!(walker.has_room(&store, &BOX), Answer::Known(true));
     assert!(walker.set_config(Config { speed: f64::NAN, ..config(BOX) }).is_err());
     assert_eq!(walker.config().body, low);

@@ -204,11 +204,11 @@ fn inner_corners_end_the_way_without_jitter() {
             let mut walker = Walker::new(config(body), Point3::new(2.5 * c, 2.5 * s, 0.0)).unwrap();
             let way = Vector2::new(-c + aim * s, -s - aim * c);
             for _ in 0..300 {
-                walker.step(&store, 1.0 / 60.0, Wish::Direction(way));
+                walker.step(&store, 1.0 / 60.0, MoveInput::Direction(way));
             }
             let still = walker.feet();
             for _ in 0..120 {
-                let report = walker.step(&store, 1.0 / 60.0, Wish::Direction(way));
+                let report = walker.step(&store, 1.0 / 60.0, MoveInput::Direction(way));
                 assert_eq!(walker.feet(), still, "{degrees}° {body:?} {aim}: jitters");
                 assert_eq!(report.state, State::Blocked);
             }
@@ -264,7 +264,7 @@ fn walls_across_the_grid_are_slid_along() {
             let mut walker = Walker::new(config(body), Point3::new(-2.0, 0.013 * n as f64 + 0.3, 0.0)).unwrap();
             let mut path = Vec::new();
             for _ in 0..120 {
-                walker.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+                walker.step(&store, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
                 path.push(walker.feet());
             }
             // In two seconds it would go 2.8 m; along the wall, without friction, the component along it.

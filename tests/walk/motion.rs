@@ -5,8 +5,8 @@ use nalgebra::{Point3, Vector2, Vector3};
 use scangen::{Params, Scene};
 use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::*;
 use std::time::Duration;
@@ -91,7 +91,7 @@ fn no_speed_tunnels_through_a_wall_or_a_floor() {
             let falling = Config { terminal: speed.max(1.0), ..config };
             let mut walker = Walker::new(falling, Point3::new(0.0, 0.0, 40.0)).unwrap();
             for _ in 0..(45.0 * hz) as usize {
-                walker.step(&store, 1.0 / hz, Wish::Stay);
+                walker.step(&store, 1.0 / hz, MoveInput::Stay);
             }
             assert!((walker.feet().z).abs() < 0.001, "{speed} m/s, {hz} Hz: falls to {}", walker.feet());
         }
@@ -262,9 +262,9 @@ fn the_outlook_names_every_page_that_a_step_asks_for() {
             let stream = Stream::open(archive, options.clone()).unwrap();
             let mut pawn = stream.pawn();
             let angle = f64::from(part / 4) * 2.4;
-            let wish = Wish::Direction(Vector2::new(angle.cos(), angle.sin()));
+            let wish = MoveInput::Direction(Vector2::new(angle.cos(), angle.sin()));
             for _ in 0..10 {
-                pawn.hint(&walker.outlook(stream.archive().frame()));
+                pawn.hint(&walker.motion_hint(stream.archive().frame()));
                 assert!(stream.settle(Duration::from_secs(60)));
                 let report = walker.step(&stream.snapshot(), 1.0 / hz, wish);
                 assert_eq!(report.missing, None, "{speed} m/s at {hz} Hz, at {}", walker.feet());
@@ -287,7 +287,7 @@ fn a_pawn_put_into_matter_gets_out() {
     let store = world(&scene, 0.0);
     for body in [BOX, CYLINDER] {
         let mut walker = Walker::new(config(body), Point3::new(0.2, 0.05, 0.0)).unwrap();
-        let report = walker.step(&store, 1.0 / 60.0, Wish::Stay);
+        let report = walker.step(&store, 1.0 / 60.0, MoveInput::Stay);
         assert_eq!(report.stop, Some(Stop::Inside));
         let feet = walker.feet();
         let shape = Aabb::standing(feet + Vector3::new(0.0, 0.0, 0.01), Vector3::new(0.33, 0.33, 1.7)).unwrap();
@@ -313,7 +313,7 @@ fn both_responses_stay_near_the_exact_way() {
             let (s, c) = 30f64.to_radians().sin_cos();
             let mut worst = 0.0f64;
             for frame in 1..=240 {
-                walker.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::new(c, s)));
+                walker.step(&store, 1.0 / 60.0, MoveInput::Direction(Vector2::new(c, s)));
                 let gone = 1.4 * f64::from(frame) / 60.0;
                 let truth = Point3::new(-3.0 + gone * c, (-1.0 + gone * s).min(0.62 - 0.25), 0.0);
                 worst = worst.max((walker.feet() - truth).norm());

@@ -27,7 +27,7 @@ fn seams_in_a_wall_are_not_felt() {
                 let mut walker = Walker::new(config(body), start.into()).unwrap();
                 let mut before = walker.feet();
                 for frame in 0..300 {
-                    let report = walker.step(&store, 1.0 / 60.0, Wish::Direction(way));
+                    let report = walker.step(&store, 1.0 / 60.0, MoveInput::Direction(way));
                     let gained = (walker.feet() - before).xy().dot(&along);
                     let truth = 1.4 / 60.0 * way.dot(&along);
                     assert!(
@@ -59,7 +59,8 @@ fn slopes_are_stood_on_without_sliding_and_walked_without_bobbing() {
             for (heading, frames) in [(1.0, 70), (0.0, 60), (1.0, 60), (-1.0, 120)] {
                 for frame in 0..frames {
                     let before = walker.feet();
-                    let wish = if heading == 0.0 { Wish::Stay } else { Wish::Direction(Vector2::x() * heading) };
+                    let wish =
+                        if heading == 0.0 { MoveInput::Stay } else { MoveInput::Direction(Vector2::x() * heading) };
                     let report = walker.step(&store, 1.0 / 60.0, wish);
                     let up = (walker.feet().z - before.z) * heading;
                     assert_eq!(report.state, State::Walking, "{slope}°, {body:?}: at {before}");
@@ -89,7 +90,7 @@ fn no_speed_leads_through_a_corner() {
                     let mut walker = Walker::new(config, Point3::new(0.3, 0.3, 0.0)).unwrap();
                     let way = Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin());
                     for _ in 0..((6.0 * hz / speed).clamp(3.0, 6.0 * hz) as usize) {
-                        walker.step(&store, 1.0 / hz, Wish::Direction(way));
+                        walker.step(&store, 1.0 / hz, MoveInput::Direction(way));
                         let feet = walker.feet();
                         let inside = feet.x <= 0.75 + 1e-6 && feet.y <= 0.75 + 1e-6;
                         assert!(inside && feet.z.abs() < 1e-3, "{body:?}, {speed} m/s, {hz} Hz: {feet}");

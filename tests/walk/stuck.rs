@@ -58,18 +58,18 @@ fn a_step_is_bounded_and_gives_the_rest_back() {
     let pawn = || Walker::new(config(BOX), Point3::new(-1.0, 0.0, 0.03)).unwrap();
     let tick = pawn().config().tick_s;
     for dt in [3e4, 1e17, f64::MAX] {
-        let report = pawn().step(&store, dt, Wish::Stay);
+        let report = pawn().step(&store, dt, MoveInput::Stay);
         assert_eq!((report.ticks, report.state), (MOST_TICKS, State::Walking));
         assert!((report.unspent - (dt - f64::from(MOST_TICKS) * tick)).abs() <= 1e-9 * dt, "{dt}: {}", report.unspent);
     }
     for dt in [-1.0, f64::NAN, f64::INFINITY] {
-        let report = pawn().step(&store, dt, Wish::Stay);
+        let report = pawn().step(&store, dt, MoveInput::Stay);
         assert_eq!((report.ticks, report.unspent), (0, 0.0));
     }
     // A caller that passes the rest on loses no time.
     let (mut walker, mut dt, mut ticks) = (pawn(), 5.0, 0);
     while dt > 0.0 {
-        let report = walker.step(&store, dt, Wish::Direction(Vector2::x() * 0.2));
+        let report = walker.step(&store, dt, MoveInput::Direction(Vector2::x() * 0.2));
         (dt, ticks) = (report.unspent, ticks + report.ticks);
     }
     assert_eq!(ticks, 1200);
@@ -104,7 +104,7 @@ fn numbers_beyond_their_limits_are_refused_and_no_pawn_gets_farther_than_its_wor
     let fast = Config { speed: 1000.0, ..config(BOX) };
     let mut walker = Walker::new(fast, Point3::new(1e9, 0.0, 0.0)).unwrap();
     walker.place(Point3::new(f64::MAX, 0.0, 0.0));
-    for wish in [Wish::Direction(Vector2::new(1e300, 1e300)), Wish::Toward(Point2::new(f64::MAX, f64::MAX))] {
+    for wish in [MoveInput::Direction(Vector2::new(1e300, 1e300)), MoveInput::Toward(Point2::new(f64::MAX, f64::MAX))] {
         walker.step(&store, 1.0, wish);
         assert!(walker.feet().iter().all(|v| v.abs() <= 1e9), "{}", walker.feet());
     }

@@ -8,7 +8,7 @@ use scangen::{SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::slice::{PageBuilder, Span};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, StepReport, Walker, Waypoints};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};

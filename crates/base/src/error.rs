@@ -22,7 +22,7 @@ pub enum Error {
         /// Reason given by the operating system.
         source: io::Error,
         /// Parameter that would help if changed.
-        way_out: Option<Parameter>,
+        suggestion: Option<Parameter>,
     },
     /// An input file (scan or mesh) cannot be used.
     #[non_exhaustive]
@@ -34,7 +34,7 @@ pub enum Error {
         /// Expected and found values, and what to do.
         reason: String,
         /// Parameter that would help if changed.
-        way_out: Option<Parameter>,
+        suggestion: Option<Parameter>,
     },
     /// An archive breaks a rule of `spec/slice-archive.md`.
     Format {
@@ -59,7 +59,7 @@ pub enum Error {
         /// Greatest (or least) value allowed.
         max: String,
         /// Parameter that would help if changed.
-        way_out: Option<Parameter>,
+        suggestion: Option<Parameter>,
     },
     /// A valid file uses a feature that this version does not read.
     Unsupported {
@@ -68,7 +68,7 @@ pub enum Error {
         /// Version of this crate.
         version: &'static str,
         /// Advice for the user.
-        way_out: String,
+        suggestion: String,
     },
     /// A parameter has an invalid value.
     Parameter {
@@ -85,7 +85,7 @@ pub enum Error {
         /// Reason for the refusal, and what to do.
         reason: String,
         /// Parameter that would help if changed.
-        way_out: Option<Parameter>,
+        suggestion: Option<Parameter>,
     },
     /// A file is complete under its name, but its folder could not be synced: a power failure may restore the previous
     /// state of the folder.
@@ -113,7 +113,7 @@ pub enum Error {
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         Reason(self).fmt(f)?;
-        self.way_out().map_or(Ok(()), |parameter| write!(f, "; {}", parameter.advice()))
+        self.suggestion().map_or(Ok(()), |parameter| write!(f, "; {}", parameter.advice()))
     }
 }
 
@@ -129,8 +129,8 @@ impl fmt::Display for Reason<'_> {
                 write!(f, "rule {rule}: {part} at byte {offset}: expected {expected}, found {found}")
             }
             Error::Limit { what, value, max, .. } => write!(f, "{what}: {value} is beyond the limit of {max}"),
-            Error::Unsupported { what, version, way_out } => {
-                write!(f, "{what}: not supported by this version ({version}); {way_out}")
+            Error::Unsupported { what, version, suggestion } => {
+                write!(f, "{what}: not supported by this version ({version}); {suggestion}")
             }
             Error::Parameter { what, reason } => write!(f, "{what}: {reason}"),
             Error::Output { path, reason, .. } => write!(f, "{}: {reason}", path.display()),
@@ -159,7 +159,7 @@ impl std::error::Error for Error {
     }
 }
 
-/// Subject of an [`Error::Parameter`], or a parameter that would help in another error ([`Error::way_out`]). A program
+/// Subject of an [`Error::Parameter`], or a parameter that would help in another error ([`Error::suggestion`]). A program
 /// that has its own option for the parameter names that option instead ([`Error::render`]).
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -278,50 +278,50 @@ impl<T: Into<String>> From<T> for Parameter {
 impl Error {
     /// Makes an [`Error::Io`] for `path`.
     pub fn io(path: impl AsRef<Path>, action: impl Into<String>, source: io::Error) -> Self {
-        Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source, way_out: None }
+        Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source, suggestion: None }
     }
 
     /// Makes an [`Error::Input`] for `path`.
     pub fn input(path: impl AsRef<Path>, at: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into(), way_out: None }
+        Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into(), suggestion: None }
     }
 
     /// Makes an [`Error::Output`] for `path`.
     pub fn output(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
-        Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into(), way_out: None }
+        Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into(), suggestion: None }
     }
 
     /// Makes an [`Error::Limit`].
     pub fn limit(what: impl Into<String>, value: impl ToString, max: impl ToString) -> Self {
-        Self::Limit { what: what.into(), value: value.to_string(), max: max.to_string(), way_out: None }
+        Self::Limit { what: what.into(), value: value.to_string(), max: max.to_string(), suggestion: None }
     }
 
     /// Adds the parameter that would help if changed. Variants without a field for it stay unchanged.
-    pub fn with_way_out(mut self, parameter: Parameter) -> Self {
-        if let Self::Io { way_out, .. }
-        | Self::Input { way_out, .. }
-        | Self::Limit { way_out, .. }
-        | Self::Output { way_out, .. } = &mut self
+    pub fn with_suggestion(mut self, parameter: Parameter) -> Self {
+        if let Self::Io { suggestion, .. }
+        | Self::Input { suggestion, .. }
+        | Self::Limit { suggestion, .. }
+        | Self::Output { suggestion, .. } = &mut self
         {
-            *way_out = Some(parameter);
+            *suggestion = Some(parameter);
         }
         self
     }
 
     /// Returns the parameter that would help if changed.
-    pub fn way_out(&self) -> Option<&Parameter> {
+    pub fn suggestion(&self) -> Option<&Parameter> {
         match self {
-            Self::Io { way_out, .. }
-            | Self::Input { way_out, .. }
-            | Self::Limit { way_out, .. }
-            | Self::Output { way_out, .. } => way_out.as_ref(),
+            Self::Io { suggestion, .. }
+            | Self::Input { suggestion, .. }
+            | Self::Limit { suggestion, .. }
+            | Self::Output { suggestion, .. } => suggestion.as_ref(),
             _ => None,
         }
     }
 
     /// Returns the message with a program's own advice: `advise` names its option, or returns `None` if it has none.
     pub fn render(&self, advise: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
-        match self.way_out().and_then(advise) {
+        match self.suggestion().and_then(advise) {
             Some(advice) => format!("{}; {advice}", Reason(self)),
             None => self.to_string(),
         }
@@ -350,7 +350,7 @@ mod tests {
 
     #[test]
     fn a_program_names_its_own_option_as_the_way_out() {
-        let error = Error::limit("points", 5, 4).with_way_out(Parameter::Memory);
+        let error = Error::limit("points", 5, 4).with_suggestion(Parameter::Memory);
         assert_eq!(error.to_string(), "points: 5 is beyond the limit of 4; give more memory");
         assert_eq!(
             error.render(|_| Some("give more --memory")),
@@ -359,6 +359,6 @@ mod tests {
         assert_eq!(error.render(|_| None), error.to_string());
         let plain = Error::input("a.las", "header", "is short");
         assert_eq!(plain.render(|_| Some("never said")), "a.las: header: is short");
-        assert_eq!(Error::Interrupted.with_way_out(Parameter::Memory).way_out(), None);
+        assert_eq!(Error::Interrupted.with_suggestion(Parameter::Memory).suggestion(), None);
     }
 }

@@ -23,29 +23,29 @@ pub trait Monitor: Sync {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
     text: String,
-    way_out: Option<Parameter>,
+    suggestion: Option<Parameter>,
 }
 
 impl<T: Into<String>> From<T> for Warning {
     fn from(text: T) -> Self {
-        Self { text: text.into(), way_out: None }
+        Self { text: text.into(), suggestion: None }
     }
 }
 
 impl Warning {
     /// Adds the parameter that would help if changed.
-    pub fn with_way_out(self, parameter: Parameter) -> Self {
-        Self { way_out: Some(parameter), ..self }
+    pub fn with_suggestion(self, parameter: Parameter) -> Self {
+        Self { suggestion: Some(parameter), ..self }
     }
 
     /// Returns the parameter that would help if changed.
-    pub fn way_out(&self) -> Option<&Parameter> {
-        self.way_out.as_ref()
+    pub fn suggestion(&self) -> Option<&Parameter> {
+        self.suggestion.as_ref()
     }
 
     /// Returns the text with a program's own advice: `say` names its option, or returns `None` if it has none.
     pub fn render(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
-        match self.way_out().map(|parameter| (parameter, say(parameter))) {
+        match self.suggestion().map(|parameter| (parameter, say(parameter))) {
             Some((_, Some(said))) => format!("{}; {said}", self.text),
             Some((parameter, None)) => format!("{}; {}", self.text, parameter.advice()),
             None => self.text.clone(),

@@ -22,7 +22,7 @@ const STEPS: usize = 1 << 20;
 fn plan(set: &Snapshot, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> Outcome<Route> {
     let mut planner = Planner::new(set, pawn, from.into(), to.into())?;
     loop {
-        match planner.go_on(set, STEPS, &NoMonitor)? {
+        match planner.advance(set, STEPS, &NoMonitor)? {
             Planned::Done(Ok(route)) => return Ok(route),
             Planned::Done(Err(refusal)) => {
                 let text = format!("no route: {}", refusal.name());

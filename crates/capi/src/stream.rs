@@ -7,7 +7,7 @@ use crate::border::{
 use crate::pages::sw_pages;
 use engine::frame::PageKey;
 use engine::nalgebra::{Point3, Vector3};
-use engine::store::{LoadReport, Outlook, PawnHandle, Prefetch, Stream, StreamOptions};
+use engine::store::{LoadReport, MotionHint, PawnHandle, Prefetch, Stream, StreamOptions};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -116,9 +116,9 @@ pub unsafe extern "C" fn sw_stream_view(stream: *const sw_stream, pages: *mut *m
     })
 }
 
-fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Outlook {
+fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> MotionHint {
     let (min, max) = (Point3::new(x0, y0, z0), Point3::new(x1, y1, z1));
-    Outlook { min, max, velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0 }
+    MotionHint { min, max, velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0 }
 }
 
 /// Loads the pages that boxes touch, and waits for them: `boxes_len` numbers, 6 for each box. `report` may be NULL.
@@ -224,12 +224,12 @@ pub unsafe extern "C" fn sw_body_hint(body: *const sw_body, around: *const f64, 
         let (body, around, velocity) =
             unsafe { (held(body)?, numbers(around, "around")?, numbers(velocity, "velocity")?) };
         let [x0, y0, z0, x1, y1, z1] = around;
-        let outlook = Outlook::walking([x0, y0, z0].into(), [x1, y1, z1].into(), Vector3::from(velocity));
-        if !outlook.is_valid() {
+        let motion_hint = MotionHint::walking([x0, y0, z0].into(), [x1, y1, z1].into(), Vector3::from(velocity));
+        if !motion_hint.is_valid() {
             return Err(Failure::argument("around, velocity: expected finite numbers, and minima up to maxima"));
         }
         let mut body = body.try_lock().map_err(|_| busy("body"))?;
-        body.hint(&outlook);
+        body.hint(&motion_hint);
         Ok(())
     })
 }

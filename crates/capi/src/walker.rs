@@ -7,7 +7,7 @@ use crate::pages::sw_pages;
 use crate::stream::{busy, numbers, sw_stream};
 use engine::nalgebra::{Point2, Vector2};
 use engine::store::{Missing, PawnHandle, Stream};
-use engine::walk::{Body, Config, Ground, State, StepReport, Stop, Walker, Wish};
+use engine::walk::{Body, Config, Ground, MoveInput, State, StepReport, Stop, Walker};
 use std::sync::{Arc, Mutex, MutexGuard, Weak};
 
 /// A pawn with gravity, stairs and walls. One thread at a time: another one gets `SW_ERROR_BUSY`.
@@ -184,16 +184,16 @@ unsafe fn locked<'a>(walker: *const sw_walker) -> Outcome<MutexGuard<'a, Pawn>> 
 
 /// # Safety
 /// As [`numbers`] for `to`, unless `wish` needs none.
-unsafe fn wish(wish: u32, to: *const f64, dt: f64) -> Outcome<Wish> {
+unsafe fn wish(wish: u32, to: *const f64, dt: f64) -> Outcome<MoveInput> {
     if !dt.is_finite() || dt < 0.0 {
         return Err(Failure::argument(format!("dt: expected seconds, 0 or more, found {dt}")));
     }
     // SAFETY: guaranteed by the caller.
     let to = || unsafe { numbers::<2>(to, "to") };
     match wish {
-        0 => Ok(Wish::Stay),
-        1 => Ok(Wish::Direction(Vector2::from(to()?))),
-        2 => Ok(Wish::Toward(Point2::from(to()?))),
+        0 => Ok(MoveInput::Stay),
+        1 => Ok(MoveInput::Direction(Vector2::from(to()?))),
+        2 => Ok(MoveInput::Toward(Point2::from(to()?))),
         other => Err(Failure::argument(format!("wish: expected 0 (stay), 1 (direction) or 2 (toward), found {other}"))),
     }
 }
@@ -236,7 +236,7 @@ pub unsafe extern "C" fn sw_walker_step_stream(
         let pawn = &mut *pawn;
         let same = pawn.hints.take().filter(|(own, _)| own.as_ptr() == Arc::as_ptr(stream));
         let (own, mut hints) = same.unwrap_or_else(|| (Arc::downgrade(stream), stream.pawn()));
-        hints.hint(&pawn.walker.outlook(stream.archive().frame()));
+        hints.hint(&pawn.walker.motion_hint(stream.archive().frame()));
         let done = pawn.walker.step(&stream.snapshot(), dt, wish);
         if let Some(missing) = &done.missing {
             hints.need(missing);

@@ -316,6 +316,6 @@ fn read_values(
         Ok(())
     };
     on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-    // With `--allow-incomplete`, the main pass reports losses.
+    // With `--allow-incomplete`, the main pass reports diagnostics.
     set.check_complete(&NoMonitor)
 }

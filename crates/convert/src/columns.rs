@@ -1,14 +1,14 @@
 //! Second-pass work by tile column: several threads accumulate the runs' records to voxels, and the results come in
 //! archive order.
 
-use super::hand_over::{Closed, HandOver};
+use super::pipeline::{Closed, Pipeline};
 use crate::plan::Plan;
+use crate::voxel::accumulate::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::bands::Bands;
 use crate::voxel::colours::ValueSieve;
-use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::record::{ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, RecordPieces};
 use crate::voxel::runs::{ColumnJob, Merge};
-use crate::voxel::views::{CHUNK, Views};
+use crate::voxel::visibility::{CHUNK, Views};
 use crate::{Error, Monitor, Parameter, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -45,7 +45,7 @@ pub(super) struct Columns<'a> {
     /// Budget of the conversion (bytes); a quarter of it is for columns being processed.
     pub memory_bytes: u64,
     pub threads: usize,
-    /// See [`HandOver`].
+    /// See [`Pipeline`].
     pub ahead: usize,
     /// Most columns of a job.
     pub max_columns: u64,
@@ -69,7 +69,7 @@ impl Columns<'_> {
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
         let job_records = if merge.reads_disk() { max_records } else { max_records.min(JOB_RECORDS) };
-        HandOver { threads, ahead }.run(
+        Pipeline { threads, ahead }.run(
             |job| merge.jobs(job_records, max_columns, |next| job(next).map_err(|Closed| Error::Interrupted)),
             || {
                 let mut worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
@@ -336,7 +336,7 @@ impl<'a> Patches<'a> {
                 (self.patch, self.sums) = (Patch::default(), Sums::new(self.bands));
                 dropped += folded.ok_or_else(|| {
                     let what = "occupied slices of one pixel and its neighbours (larger slices are fewer)";
-                    Error::limit(what, "more", dense.max_voxels).with_way_out(Parameter::Memory)
+                    Error::limit(what, "more", dense.max_voxels).with_suggestion(Parameter::Memory)
                 })?;
             }
         }

@@ -99,7 +99,7 @@ impl InputFacts {
             }
         };
         on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-        // With `--allow-incomplete`, the main pass reports losses.
+        // With `--allow-incomplete`, the main pass reports diagnostics.
         set.check_complete(&NoMonitor)?;
         let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         for (number, (points, bounds)) in found.into_iter().enumerate().filter(|&(number, _)| is_open(number)) {

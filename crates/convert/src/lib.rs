@@ -20,24 +20,24 @@
 //! columns being processed; `M/8` each for pieces of the input and for encoded pages. Nothing is sized by what a header
 //! states.
 
-mod chosen;
 mod colours;
 mod columns;
 mod facts;
-mod hand_over;
 mod holes;
 #[doc(hidden)]
 pub mod info;
 mod meshes;
 mod options;
 mod pages;
+mod pipeline;
 mod plan_file;
 mod points;
 mod preview;
 mod removed;
 mod report;
 mod resume;
-mod scope;
+mod shard_filter;
+mod shard_inputs;
 #[doc(hidden)]
 pub mod size;
 mod splats;
@@ -73,15 +73,15 @@ use crate::text::{counted, grouped, number};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
-use crate::voxel::views::Views;
-use chosen::Chosen;
+use crate::voxel::visibility::Views;
 use meshes::{Colouring, MeshReading, read_meshes};
 use pages::{Writing, write_archive};
 use points::{Reading, Seeing, read_points};
 use removed::RemovedPoints;
 use resume::{Earlier, Identity, Progress, TakenOver};
-use scope::ShardScope;
-use slicewalk::{archive, codec, slice};
+use shard_filter::ShardScope;
+use shard_inputs::Chosen;
+use slicewalk::{archive, codec, page};
 use slicewalk_base::{
     Error, Monitor, NoMonitor, Parameter, Result, Warning, bytes, colour, disk, frame, output, plan, text, unit,
 };
@@ -210,7 +210,7 @@ impl Surveyed {
         }
         let survey = Survey::read(set, options.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
         let spacing = auto_pixel.then(|| survey.spacing()).transpose()?;
-        // With `--allow-incomplete`, the main pass reports losses.
+        // With `--allow-incomplete`, the main pass reports diagnostics.
         set.check_complete(&NoMonitor)?;
         Ok(Self { spacing, noise: no_noise.map(|none| survey.noise().unwrap_or(none)) })
     }
@@ -369,7 +369,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
-        return Err(error.with_way_out(Parameter::Units));
+        return Err(error.with_suggestion(Parameter::Units));
     }
     let mut scope = scope(options, &set, &plan, colours, chosen.as_ref(), monitor)?;
     drop(chosen);
@@ -700,7 +700,7 @@ fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Res
     if needed > free {
         let points = needed / TEMP_BYTES_PER_POINT;
         let what = format!("temporary data for {points} points in {} (bytes; more memory needs less)", dir.display());
-        return Err(Error::limit(what, needed, free).with_way_out(Parameter::TempDir));
+        return Err(Error::limit(what, needed, free).with_suggestion(Parameter::TempDir));
     }
     Ok(())
 }

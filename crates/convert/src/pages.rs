@@ -7,16 +7,16 @@ use crate::archive::{ArchiveWriter, EncodedColours, EncodedPage, PageEncoder, To
 use crate::codec::ColourEncoder;
 use crate::colour::ColourPlan;
 use crate::frame::PageKey;
+use crate::page::{Inferred, Occupancy, Page};
 use crate::plan::{Plan, PlanOptions};
-use crate::slice::{Inferred, Occupancy, Page};
+use crate::voxel::accumulate::{Area, Patch, Sums};
+use crate::voxel::classify::{VoxelClasses, VoxelClassifier};
 use crate::voxel::colours::ColumnColours;
-use crate::voxel::floaters::{Dropped, Frontier, PieceFinder, Pieces};
-use crate::voxel::fold::{Area, Patch, Sums};
-use crate::voxel::judge::{Judge, Verdicts};
+use crate::voxel::components::{Dropped, Frontier, PieceFinder, Pieces};
 use crate::voxel::record::{ColumnIndex, ColumnKey, Record, Recorder};
 use crate::voxel::runs::{ColumnJob, Merge, RunBuilder, RunStore};
 use crate::voxel::spans::ColumnPages;
-use crate::voxel::views::Views;
+use crate::voxel::visibility::Views;
 use crate::{Monitor, Result};
 use std::path::Path;
 
@@ -222,9 +222,9 @@ impl ColumnWork for PageWorker<'_> {
 
 /// Maker of pages from the voxels of areas; reuses its scratch memory.
 struct PageMaker {
-    judge: Judge,
+    classify: VoxelClassifier,
     drop_isolated: bool,
-    verdicts: Verdicts,
+    voxel_classes: VoxelClasses,
     columns: ColumnPages,
     /// True if heights may be coarsened.
     is_loose: bool,
@@ -260,9 +260,9 @@ impl PageColours {
 impl PageMaker {
     fn new(plan: &Plan, levels: bool) -> Self {
         Self {
-            judge: Judge::new(plan),
+            classify: VoxelClassifier::new(plan),
             drop_isolated: plan.options.drop_floaters == 1,
-            verdicts: Verdicts::default(),
+            voxel_classes: VoxelClasses::default(),
             columns: ColumnPages::default(),
             is_loose: plan.tolerance_quanta() > 0,
             encoder: PageEncoder::of_plan(plan).for_levels(levels),
@@ -275,8 +275,8 @@ impl PageMaker {
 impl TakeAreas for PageMaker {
     fn area(&mut self, _: ColumnKey, area: Area, patch: &mut Patch, sums: &mut Sums) -> u64 {
         let dropped = if self.drop_isolated { patch.drop_isolated(area, sums) } else { 0 };
-        self.judge.judge(patch, sums, area, &mut self.verdicts);
-        self.columns.add(patch, area, &self.verdicts);
+        self.classify.classify(patch, sums, area, &mut self.voxel_classes);
+        self.columns.add(patch, area, &self.voxel_classes);
         dropped
     }
 

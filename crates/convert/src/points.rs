@@ -15,7 +15,7 @@ use crate::unit::LengthUnit;
 use crate::voxel::colours::values_of;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
-use crate::voxel::views::Views;
+use crate::voxel::visibility::Views;
 use crate::{Error, Monitor, Parameter, Result};
 use std::ops::Range;
 use std::sync::Mutex;
@@ -267,7 +267,7 @@ pub(super) fn read_points(
                 of_chunk.own.left_out.read -= of_chunk.counts.kept();
             }
             monitor.advance(of_chunk.counts.read - of_chunk.counts.kept());
-            // A chunk with losses gets no result, so that the run that reads it again reports them.
+            // A chunk with diagnostics gets no result, so that the run that reads it again reports them.
             let result = (notes && !decoder.has_lost()).then(|| result_bytes(&of_chunk, decoder.log().hash()));
             builder.end_chunk(result.as_deref());
             values.iter_mut().for_each(|(_, _, builder)| builder.end_chunk(None));
@@ -369,5 +369,5 @@ fn range(values: &[f64]) -> (f64, f64) {
 pub(super) fn out_of_reach(frame: &Frame, min: [f64; 3], max: [f64; 3]) -> Error {
     let reach = frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64;
     let what = "coordinates that a grid of this pixel size reaches (m)";
-    Error::limit(what, format!("{min:?} to {max:?}"), format!("±{reach}")).with_way_out(Parameter::PixelSize)
+    Error::limit(what, format!("{min:?} to {max:?}"), format!("±{reach}")).with_suggestion(Parameter::PixelSize)
 }

@@ -178,7 +178,7 @@ impl SplatSet {
         }
         if options.units == Units::Auto {
             let text = format!("{}: splats state no unit; metres are assumed", paths[0].display());
-            monitor.warn(&crate::Warning::from(text).with_way_out(Parameter::Units));
+            monitor.warn(&crate::Warning::from(text).with_suggestion(Parameter::Units));
         }
         let (mut bytes, mut count) = (0, 0u64);
         for path in &paths {

@@ -8,7 +8,7 @@
 use crate::bytes::open_regular;
 use crate::input::{FARTHEST_M, InputSet, ScanFile, Standpoint, Tag};
 use crate::text::{self, number, quoted_len};
-use crate::voxel::views::Station;
+use crate::voxel::visibility::Station;
 use crate::{Error, Parameter, Result};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
@@ -248,8 +248,8 @@ fn unknown(table: Option<&Path>, file: &ScanFile, reason: &str) -> Error {
     match table {
         Some(table) => Error::input(table, "file", format!("{path} has no station; add a line for it ({reason})")),
         None => {
-            let way_out = "name a table of stations with the columns file,x,y,z";
-            Error::parameter(Parameter::Stations, format!("{path}: {reason}; {way_out}"))
+            let suggestion = "name a table of stations with the columns file,x,y,z";
+            Error::parameter(Parameter::Stations, format!("{path}: {reason}; {suggestion}"))
         }
     }
 }

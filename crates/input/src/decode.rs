@@ -2,9 +2,9 @@
 
 use super::cloud;
 use super::convert::{self, Extras, TagField};
+use super::diagnostics::without_path;
 use super::file::Content;
 use super::laz::{Chunking, PackedPoints, Wanted};
-use super::losses::without_path;
 use super::source::{ReadLog, Source};
 use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
 use crate::colour::ColourSource;
@@ -127,7 +127,7 @@ impl PointDecoder {
         if self.source.as_ref().is_none_or(|(number, _)| *number != piece.file) {
             let source = Source::open(file.path(), set.options.hash.then(|| self.log.clone()))?;
             if source.stamp() != file.stamp {
-                set.losses.add(piece.file, |loss| loss.changed = true);
+                set.diagnostics.add(piece.file, |loss| loss.changed = true);
             }
             self.source = Some((piece.file, source));
         }
@@ -147,7 +147,7 @@ impl PointDecoder {
             };
             let (counts, refused, broken) = (taker.counts(), taker.refused, taker.broken());
             if let Some((records, reason)) = broken {
-                set.losses.add(piece.file, |loss| {
+                set.diagnostics.add(piece.file, |loss| {
                     loss.unread += records;
                     loss.reason.get_or_insert(reason);
                 });
@@ -208,7 +208,7 @@ impl PointDecoder {
         self.settle(set, piece, outcome, counts, refused)
     }
 
-    /// Records losses: missing points, or those left unread after an error.
+    /// Records diagnostics: missing points, or those left unread after an error.
     fn settle(
         &mut self,
         set: &InputSet,
@@ -225,7 +225,7 @@ impl PointDecoder {
                 counts.missing += missing;
                 if missing + counts.not_finite > 0 {
                     self.lost = true;
-                    set.losses.add(piece.file, |loss| {
+                    set.diagnostics.add(piece.file, |loss| {
                         loss.missing += missing;
                         loss.not_finite += counts.not_finite;
                     });
@@ -235,7 +235,7 @@ impl PointDecoder {
                 let unread = piece.points.saturating_sub(counts.read + broken);
                 counts.missing += unread;
                 self.lost = true;
-                set.losses.add(piece.file, |loss| {
+                set.diagnostics.add(piece.file, |loss| {
                     loss.not_finite += counts.not_finite;
                     loss.unread += unread;
                     loss.damaged += 1;

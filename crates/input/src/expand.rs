@@ -2,7 +2,7 @@
 //!
 //! Input: files, directories, glob patterns. Output: files sorted by path, each once. Memory: the list of paths.
 
-use super::losses::Losses;
+use super::diagnostics::Diagnostics;
 use super::{cloud, is_of_input, pattern};
 #[cfg(feature = "remote")]
 use crate::bytes::list;
@@ -23,14 +23,18 @@ use std::path::{Path, PathBuf};
 ///   meshes and PLY only if the pattern has the same extension, because an export beside the scans is not input.
 ///   Neither are tables: `.txt` and `.csv` must be named individually.
 ///
-/// With `losses`, unreadable inputs are recorded there and reported to `monitor`, unless nothing else is left.
-pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
+/// With `diagnostics`, unreadable inputs are recorded there and reported to `monitor`, unless nothing else is left.
+pub(super) fn expand(
+    inputs: &[PathBuf],
+    diagnostics: Option<&Diagnostics>,
+    monitor: &dyn Monitor,
+) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut left_out = None;
     for input in inputs {
-        match expand_one(input, &mut found, losses, monitor) {
-            Err(error) if losses.is_some() && is_of_input(&error) => {
-                tell(losses, &error, monitor);
+        match expand_one(input, &mut found, diagnostics, monitor) {
+            Err(error) if diagnostics.is_some() && is_of_input(&error) => {
+                tell(diagnostics, &error, monitor);
                 left_out = Some(error);
             }
             done => done?,
@@ -60,16 +64,21 @@ pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn 
 }
 
 /// Reports that an input is left out.
-fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
-    if let Some(losses) = losses {
-        losses.note();
+fn tell(diagnostics: Option<&Diagnostics>, error: &Error, monitor: &dyn Monitor) {
+    if let Some(diagnostics) = diagnostics {
+        diagnostics.note();
         monitor.warn(&format!("incomplete: left out: {error}").into());
     }
 }
 
-fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<()> {
+fn expand_one(
+    input: &Path,
+    found: &mut Vec<PathBuf>,
+    diagnostics: Option<&Diagnostics>,
+    monitor: &dyn Monitor,
+) -> Result<()> {
     if let Some(file) = local(input) {
-        return expand_one(&file, found, losses, monitor);
+        return expand_one(&file, found, diagnostics, monitor);
     }
     if let Some(address) = address(input) {
         return objects(input, address, found);
@@ -86,9 +95,9 @@ fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, m
         }
         Err(_) if pattern::is_pattern(input) => {
             let before = found.len();
-            let mut failed = |error: Error| match losses {
+            let mut failed = |error: Error| match diagnostics {
                 Some(_) => {
-                    tell(losses, &error, monitor);
+                    tell(diagnostics, &error, monitor);
                     Ok(())
                 }
                 None => Err(error),
@@ -104,7 +113,7 @@ fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, m
             Ok(())
         }
         Err(error) if error.kind() == ErrorKind::NotFound => {
-            Err(Error::io(input, "open", error).with_way_out(Parameter::Input))
+            Err(Error::io(input, "open", error).with_suggestion(Parameter::Input))
         }
         Err(error) => Err(Error::io(input, "open", error)),
     }

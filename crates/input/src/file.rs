@@ -5,9 +5,9 @@
 use super::cloud::{self, Cloud, Depth, Opened, Opening, Standpoint};
 use super::convert::{Field, Layout, TagField, Transform};
 use super::crs;
+use super::diagnostics::Findings;
 use super::header::LasHeader;
 use super::laz::{Chunk, Chunking, Packing};
-use super::losses::Findings;
 use super::records::Records;
 use super::scenes::Scene;
 use super::source::Source;
@@ -462,7 +462,7 @@ fn settle(
             if let Some(unit) = georeference.absurd_unit() {
                 let reason =
                     format!("it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m)");
-                return Err(Error::input(path, "reference system", reason).with_way_out(Parameter::Units));
+                return Err(Error::input(path, "reference system", reason).with_suggestion(Parameter::Units));
             }
             findings.notes.append(&mut georeference.notes);
             reference.degrees = georeference.degrees;

@@ -61,7 +61,7 @@ impl LasHeader {
             return Err(Error::Unsupported {
                 what: format!("{}: LAS version {}.{}", source.path().display(), version.0, version.1),
                 version: env!("CARGO_PKG_VERSION"),
-                way_out: "versions 1.0 to 1.5 are read; rewrite the file in one of them".into(),
+                suggestion: "versions 1.0 to 1.5 are read; rewrite the file in one of them".into(),
             });
         }
         let header_bytes = u16_at(&block, 94);
@@ -86,7 +86,7 @@ impl LasHeader {
             return Err(Error::Unsupported {
                 what: format!("{}: point format {format}", source.path().display()),
                 version: env!("CARGO_PKG_VERSION"),
-                way_out: "formats 0 to 10 are read; rewrite the file in one of them".into(),
+                suggestion: "formats 0 to 10 are read; rewrite the file in one of them".into(),
             });
         };
         let record_bytes = u16_at(&block, 105);

@@ -3,8 +3,8 @@
 //! Input: a checked header. Output: whole point records. Memory: one slab, supplied by the caller. The count in the
 //! header is only an upper bound: files are truncated (`1.2-with-color-clipped.las`) and headers can be wrong.
 
+use super::diagnostics::Findings;
 use super::header::LasHeader;
-use super::losses::Findings;
 use super::source::Source;
 use crate::{Error, Result};
 

@@ -19,6 +19,7 @@ mod columns;
 mod convert;
 mod crs;
 mod decode;
+mod diagnostics;
 mod epsg;
 mod epsg_table;
 mod expand;
@@ -26,7 +27,6 @@ mod file;
 mod header;
 mod las;
 mod laz;
-mod losses;
 mod noise;
 pub mod number;
 mod pattern;
@@ -44,12 +44,12 @@ use std::sync::{Mutex, PoisonError};
 
 use self::convert::{Filter, Layout};
 use self::file::Common;
-use self::losses::{Findings, Losses};
 use crate::bytes::address;
 use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
+use diagnostics::{Diagnostics, Findings};
 use slicewalk_base::{Error, Monitor, Parameter, Result, Warning, bytes, colour, plan, text, unit};
 
 pub use self::cloud::{Depth, Standpoint};
@@ -58,8 +58,8 @@ pub use self::convert::FARTHEST_M;
 pub use self::crs::projected_epsg;
 pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
-pub use self::losses::{incomplete, warn_incomplete};
 pub use self::source::{ReadLog, Reads};
+pub use diagnostics::{incomplete, warn_incomplete};
 
 /// Maximum number of points in one [`PointBatch`].
 pub const BATCH_POINTS: usize = 1 << 16;
@@ -299,7 +299,7 @@ pub struct InputSet {
     crs: Option<String>,
     /// Filters for records of the old and of the extended layout.
     filters: [Filter; 2],
-    losses: Losses,
+    diagnostics: Diagnostics,
     /// Sum of the hashes of the decoded data, per file; empty unless requested.
     hashes: Mutex<Vec<u128>>,
     /// Kind of tag to read from points that have it.
@@ -317,17 +317,22 @@ impl InputSet {
     /// warnings, too. Cost: a few small reads per file, and its chunk table; all lines of text that states how many
     /// lines belong to a cloud (PTX, PLY, PCD); all packet headers of E57.
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
-        let losses = Losses::default();
-        let paths = expand::expand(inputs, options.allow_incomplete.then_some(&losses), monitor)?;
-        Self::with(paths, losses, options, monitor)
+        let diagnostics = Diagnostics::default();
+        let paths = expand::expand(inputs, options.allow_incomplete.then_some(&diagnostics), monitor)?;
+        Self::with(paths, diagnostics, options, monitor)
     }
 
     /// Like [`open`](Self::open), but takes the files that [`expand_inputs`] found; there may be none.
     pub fn of_paths(paths: Vec<PathBuf>, options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
-        Self::with(paths, Losses::default(), options, monitor)
+        Self::with(paths, Diagnostics::default(), options, monitor)
     }
 
-    fn with(paths: Vec<PathBuf>, losses: Losses, options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
+    fn with(
+        paths: Vec<PathBuf>,
+        diagnostics: Diagnostics,
+        options: InputOptions,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
         if let Units::Factor(factor) = options.units
             && !UNIT_RANGE_M.contains(&factor)
         {
@@ -366,8 +371,8 @@ impl InputSet {
             notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
             lost.iter().for_each(|lost| warn_incomplete(path, lost, monitor));
             if !lost.is_empty() {
-                losses.note();
-                losses.note_points(points);
+                diagnostics.note();
+                diagnostics.note_points(points);
             }
             match opened {
                 Ok((file, reference)) => {
@@ -379,7 +384,7 @@ impl InputSet {
                 }
                 Err(error) if options.allow_incomplete && is_of_input(&error) => {
                     monitor.warn(&format!("incomplete: left out: {error}").into());
-                    losses.note();
+                    diagnostics.note();
                     left_out = Some(error);
                 }
                 Err(error) => return Err(error),
@@ -407,7 +412,7 @@ impl InputSet {
             files.iter_mut().try_for_each(|file| file.prepare_values(source))?;
         }
         files.shrink_to_fit();
-        Ok(Self { files, meshes, options, crs, filters, losses, hashes, tag: None })
+        Ok(Self { files, meshes, options, crs, filters, diagnostics, hashes, tag: None })
     }
 
     /// Replaces the reference system, for runs whose inputs are not only scans.
@@ -467,7 +472,7 @@ impl InputSet {
                 return Err(Error::Interrupted);
             }
             if !file.stamp.is_of(file.path()) {
-                self.losses.add(number, |loss| loss.changed = true);
+                self.diagnostics.add(number, |loss| loss.changed = true);
             }
             let path = file.path();
             let (notes, lost) = (Vec::new(), Vec::new());
@@ -475,21 +480,21 @@ impl InputSet {
             file.check(&mut findings, monitor)?;
             findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
             if !findings.lost.is_empty() {
-                self.losses.add(number, |loss| loss.told.append(&mut findings.lost));
+                self.diagnostics.add(number, |loss| loss.told.append(&mut findings.lost));
             }
         }
-        self.losses.settle(&self.files, self.options.allow_incomplete, monitor)
+        self.diagnostics.settle(&self.files, self.options.allow_incomplete, monitor)
     }
 
     /// Returns true if nothing is known to be missing; always true unless `allow_incomplete` is set.
     pub fn is_complete(&self) -> bool {
-        !self.losses.any()
+        !self.diagnostics.any()
     }
 
     /// Returns the number of points found missing while the files were opened; those missed by decoding are not
     /// included.
     pub fn points_missing(&self) -> u64 {
-        self.losses.points()
+        self.diagnostics.points()
     }
 
     /// Returns an order-independent hash of the data decoded from a file, or 0 unless the options request hashes.
@@ -577,11 +582,11 @@ impl Those {
         Some(if self.count > 1 { format!("{first} and {} more", self.count - 1) } else { first.to_string() })
     }
 
-    fn tell(&self, files: &[ScanFile], what: &str, way_out: Option<Parameter>, monitor: &dyn Monitor) {
+    fn tell(&self, files: &[ScanFile], what: &str, suggestion: Option<Parameter>, monitor: &dyn Monitor) {
         if let Some(names) = self.names(files) {
             let warning = Warning::from(format!("{names}: {what}"));
-            monitor.warn(&match way_out {
-                Some(parameter) => warning.with_way_out(parameter),
+            monitor.warn(&match suggestion {
+                Some(parameter) => warning.with_suggestion(parameter),
                 None => warning,
             });
         }

@@ -79,7 +79,7 @@ struct Reading<'a> {
 impl Reading<'_> {
     /// Adds the spans of a page that meet the window. Pages come from below, so a span that a page's end cuts follows
     /// its other half.
-    fn page(&mut self, key: PageKey, page: &slicewalk::slice::Page) -> Result<()> {
+    fn page(&mut self, key: PageKey, page: &slicewalk::page::Page) -> Result<()> {
         let floor = i64::from(key.layer) * PAGE_QUANTA;
         if floor > self.heights.1 || floor + PAGE_QUANTA < self.heights.0 {
             return Ok(());

@@ -1,4 +1,4 @@
-//! The one place where numbers of a file become splats: checks, counts of losses, batches.
+//! The one place where numbers of a file become splats: checks, counts of diagnostics, batches.
 
 use super::gltf::Placing;
 use super::{Splat, Work};
@@ -152,7 +152,7 @@ impl<'a> Gate<'a> {
     /// Fails with `error`, or warns of it if incomplete input is allowed.
     pub fn refuse(&self, error: Error) -> Result<()> {
         if !self.work.options.allow_incomplete {
-            return Err(error.with_way_out(slicewalk_base::Parameter::Incomplete));
+            return Err(error.with_suggestion(slicewalk_base::Parameter::Incomplete));
         }
         self.work.monitor.warn(&error.to_string().into());
         Ok(())

@@ -219,5 +219,5 @@ fn refuse(path: &Path, at: impl Into<String>, reason: impl Into<String>) -> Erro
 /// Error for an image or window that needs more memory than allowed.
 fn too_large(path: &Path, what: &str, needed: u64, memory: u64) -> Error {
     let [needed, memory] = [needed, memory].map(slicewalk_base::text::memory_size);
-    Error::limit(format!("{}: memory for {what}", path.display()), needed, memory).with_way_out(Parameter::Memory)
+    Error::limit(format!("{}: memory for {what}", path.display()), needed, memory).with_suggestion(Parameter::Memory)
 }

@@ -23,7 +23,7 @@ impl Splats {
         if !len.is_multiple_of(ROW_BYTES) && (!allow_incomplete || len < ROW_BYTES) {
             let reason =
                 format!("expected rows of 32 bytes, found {} bytes: the file is cut; fetch it again", grouped(len));
-            return Err(Error::input(path, "length", reason).with_way_out(Parameter::Incomplete));
+            return Err(Error::input(path, "length", reason).with_suggestion(Parameter::Incomplete));
         }
         Ok(Self { source })
     }

@@ -41,7 +41,7 @@ impl Store {
     }
 
     fn refused(&self, action: &str, error: io::Error) -> Error {
-        Error::io(&self.folder, action, error).with_way_out(Parameter::TempDir)
+        Error::io(&self.folder, action, error).with_suggestion(Parameter::TempDir)
     }
 }
 

@@ -4,7 +4,7 @@
 use nalgebra::{Point3, Vector2};
 use object_store::{GetOptions, GetRange, ObjectStore};
 use slicewalk::store::{Loader, LoaderOptions, Next};
-use slicewalk::walk::{Config, Walker, Wish};
+use slicewalk::walk::{Config, MoveInput, Walker};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
@@ -78,8 +78,8 @@ async fn walk() -> Result<(), Box<dyn std::error::Error>> {
         }
         next_frame = origin.elapsed() + FRAME;
         if let Some(view) = loader.snapshot() {
-            pawn.step(&view, FRAME.as_secs_f64(), Wish::Direction(Vector2::y()));
-            loader.hint(body, &pawn.outlook(slicewalk::store::Snapshot::frame(&view)));
+            pawn.step(&view, FRAME.as_secs_f64(), MoveInput::Direction(Vector2::y()));
+            loader.hint(body, &pawn.motion_hint(slicewalk::store::Snapshot::frame(&view)));
             frames += 1;
             if frames % 60 == 0 {
                 let at = pawn.feet();

@@ -1,7 +1,7 @@
 //! Decodes and checks the fixed fields of a head (rules H4 to H10).
 
 use super::super::FORMAT_VERSION;
-use super::super::colours::{ColourHead, LEAF_RECORD};
+use super::super::colour_section::{ColourHead, LEAF_RECORD};
 use super::super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use super::header::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 use super::{
@@ -29,7 +29,7 @@ pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     let unsupported = |what: String| Error::Unsupported {
         what,
         version: env!("CARGO_PKG_VERSION"),
-        way_out: "use a newer version, or convert the scan again with this one".into(),
+        suggestion: "use a newer version, or convert the scan again with this one".into(),
     };
     if version.0 != FORMAT_VERSION.0 {
         return Err(unsupported(format!("slice archive format {}.{} (rule H4)", version.0, version.1)));

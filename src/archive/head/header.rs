@@ -1,6 +1,6 @@
 //! Header of an archive: counts, lengths and offsets, checked by decoding.
 
-use super::super::colours::{ColourHead, LEAF_RECORD, LevelColours};
+use super::super::colour_section::{ColourHead, LEAF_RECORD, LevelColours};
 use super::super::levels::Levels;
 use crate::plan::Plan;
 use crate::{Error, Result};

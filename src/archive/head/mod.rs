@@ -12,7 +12,7 @@ pub(super) use footer::{check_footer, encode_footer};
 pub use header::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub(super) use root::{Leaf, decode_root, leaf_entries};
 
-use super::colours::ColourHead;
+use super::colour_section::ColourHead;
 use crate::Error;
 use crate::Result;
 use crate::bytes::crc;
@@ -133,7 +133,7 @@ pub(super) fn check_magic(bytes: &[u8]) -> Result<()> {
         return Err(Error::Unsupported {
             what: "slice archive written by an unreleased version (rule H1)".into(),
             version: env!("CARGO_PKG_VERSION"),
-            way_out: "convert the scan again".into(),
+            suggestion: "convert the scan again".into(),
         });
     }
     if magic != MAGIC {

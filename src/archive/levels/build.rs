@@ -8,12 +8,12 @@
 //! Memory: 2 MiB of spans for each of at most 16 levels, and 1.3 MiB of colours; the rest is sorted in temporary files.
 
 use super::coarse::{CoarseSpan, above, coarse, is_sparse, on_slices};
-use super::colours::{CoarseColour, ColourRecord, VoxelSum, coarser};
+use super::level_colours::{CoarseColour, ColourRecord, VoxelSum, coarser};
 use crate::Result;
 use crate::colour::ColourSum;
 use crate::disk::{Files, Temporary};
 use crate::frame::{Frame, PageKey};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::page::{Page, PageBuilder, Span};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::iter::Peekable;

@@ -5,16 +5,16 @@
 use super::super::catalog::Catalog;
 use super::super::colour_check::ColourCheck;
 use super::super::directory::{LeafEntries, PageEntry, Storage};
-use super::super::page::{LEVEL_MAGIC, PageDecoder, PageEncoder};
+use super::super::page_coding::{LEVEL_MAGIC, PageDecoder, PageEncoder};
 use super::super::reader::Archive;
 use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
-use super::colours::{CoarseColour, VoxelSum, exact};
+use super::level_colours::{CoarseColour, VoxelSum, exact};
 use crate::bytes::ByteSource;
 use crate::codec::Violation;
 use crate::disk::Files;
 use crate::frame::PageKey;
-use crate::slice::{Inferred, Occupancy, Page};
+use crate::page::{Inferred, Occupancy, Page};
 use crate::{Error, Result};
 
 /// Compares the levels of an archive with those rebuilt from its pages.

@@ -7,7 +7,7 @@
 
 use crate::codec::LEVEL_STEP;
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::page::{Page, PageBuilder, Span};
 
 /// Pixels of a level along an edge of a pixel of the level above, and slices in one of its slices.
 pub const FACTOR: u32 = 4;

@@ -58,14 +58,14 @@
 mod build;
 mod check;
 mod coarse;
-mod colours;
-mod writer;
+mod level_colours;
+mod level_writer;
 
 pub(super) use build::MAX_LEVELS;
 pub(super) use check::LevelCheck;
 pub(super) use coarse::{CoarseSpan, coarse};
-pub(super) use colours::{CoarseColour, coarse_colours};
-pub(super) use writer::LevelWriter;
+pub(super) use level_colours::{CoarseColour, coarse_colours};
+pub(super) use level_writer::LevelWriter;
 
 use super::catalog::Catalog;
 use super::head::{self, Header, Leaf, MAX_LEAF_ENTRIES, MAX_LEAVES, Pages, Sections};

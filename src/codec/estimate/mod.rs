@@ -4,15 +4,15 @@
 //! predicted from its neighbours in the west, north-west, north and north-east, and their agreement selects the model.
 //! It visits a page in coding order, so a caller can stop once a candidate is too long.
 
-mod near;
+mod nearest_costs;
 
 use super::lossy::Tried;
 use super::rans::{Bit, COST_BIT, Coder, Nibble, RansEncoder};
 use super::rows::{PIXELS, Rows, SLICE, fold};
 use super::step_grid::{End, StepGrid};
-use crate::slice::{BLOCK_PIXELS, Page, Span};
-pub(super) use near::Candidates;
-use near::{bits, candidates, neighbours};
+use crate::page::{BLOCK_PIXELS, Page, Span};
+pub(super) use nearest_costs::Candidates;
+use nearest_costs::{bits, candidates, neighbours};
 
 /// Bits of a grid's step and phase: 8 before the binary point, 32 after it.
 const GRID_BITS: u32 = 40;

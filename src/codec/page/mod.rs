@@ -7,7 +7,7 @@
 
 mod heights;
 mod models;
-mod near;
+mod neighbours;
 mod pixels;
 
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
@@ -16,10 +16,10 @@ use super::interleaved::{Base, InterleavedDecoder, InterleavedEncoder, Lanes, St
 use super::rows::{MAX_COLUMN, Rows, SLICE, unfold};
 use super::step_grid::{End, StepGrid};
 use super::{MAX_PAGE_SPANS, Violation};
-use crate::slice::{Page, RowBuilder, Span};
+use crate::page::{Page, RowBuilder, Span};
 use heights::{ALPHABETS, Alphabet, Given, code_grid};
 use models::{Models, fresh};
-use near::{Seen, expected, pack};
+use neighbours::{Seen, expected, pack};
 
 /// Largest encoding (bytes): two states; per span five symbols of at most a word each, and 28 bits; per pixel its
 /// occupancy and at most five symbols for its number of spans; per block two symbols; for the grid two numbers of 46
@@ -242,7 +242,7 @@ fn walk<C: Strands>(
     grid: StepGrid,
     scratch: &mut Scratch,
     page: Option<&Page>,
-    mut taker: impl Taker,
+    mut taker: impl Sink,
 ) -> Result<C, Violation> {
     let Scratch { models, fresh, seen, kinds, rows: row_pair, last_off, .. } = scratch;
     let steps = usize::from(!grid.is_quanta());
@@ -309,7 +309,7 @@ fn walk<C: Strands>(
 }
 
 /// Receives what a walk finds.
-trait Taker {
+trait Sink {
     /// Begins a page with these occupied pixels, one mask per row.
     fn begin(&mut self, rows: &[u64; 64]);
     /// Receives the next span of the pixel with this x.
@@ -319,7 +319,7 @@ trait Taker {
 }
 
 /// For encoding, where the spans are known.
-impl Taker for () {
+impl Sink for () {
     fn begin(&mut self, _: &[u64; 64]) {}
 
     #[inline(always)]
@@ -329,7 +329,7 @@ impl Taker for () {
     fn end_pixel(&mut self, _: u32, _: u32) {}
 }
 
-impl Taker for &mut RowBuilder {
+impl Sink for &mut RowBuilder {
     fn begin(&mut self, rows: &[u64; 64]) {
         RowBuilder::begin(self, *rows);
     }

@@ -3,7 +3,7 @@
 use super::models::Models;
 use crate::codec::Violation;
 use crate::codec::interleaved::{Bit, Strands};
-use crate::slice::Page;
+use crate::page::Page;
 
 /// Codes the occupied pixels and returns a mask for each row.
 #[inline(always)]

@@ -3,11 +3,11 @@
 use super::RayHit;
 use super::line::Line;
 use crate::frame::{PAGE_QUANTA, PageKey};
+use crate::page::{BlockView, Page, Span};
 use crate::query::answer::Answer;
 use crate::query::blocks::{local, local_heights, slices_between, touches_union};
 use crate::query::footprint::{floor_of, layers};
 use crate::query::grid::Rect;
-use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, Missing, PageSlot, Snapshot, note};
 use std::ops::ControlFlow;
 
@@ -21,7 +21,7 @@ pub(super) fn search(set: &Snapshot, line: Line, bounds: &KeyBounds) -> Answer<O
         let tiles = Rect { i0: tile(0).0, i1: tile(0).1, j0: tile(1).0, j1: tile(1).1 };
         let regions = Rect { i0: region(0).0, i1: region(0).1, j0: region(1).0, j1: region(1).1 };
         let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
-            search.go_on(t0)?;
+            search.continue_at(t0)?;
             if set.has_region(rx as i32, ry as i32) {
                 // A break in one region does not end the search: a ray along an edge is in the region on the other
                 // side, too.
@@ -59,7 +59,7 @@ impl Search {
     /// Continues if a span at or behind `t` can still be the first hit. Tested when a cell is entered, not when one is
     /// left: a ray along an edge is in the cells on both sides at once.
     #[inline]
-    fn go_on(&self, t: f64) -> ControlFlow<()> {
+    fn continue_at(&self, t: f64) -> ControlFlow<()> {
         match self.best {
             Some(best) if best.distance < t => ControlFlow::Break(()),
             _ => ControlFlow::Continue(()),
@@ -67,7 +67,7 @@ impl Search {
     }
 
     fn tile(&mut self, slots: &[PageSlot], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
-        self.go_on(t0)?;
+        self.continue_at(t0)?;
         let heights = self.line.heights(t0, t1);
         let mut slots = layers(slots, heights);
         let upward = self.line.speed[2] >= 0.0;
@@ -78,7 +78,7 @@ impl Search {
                 continue;
             }
             let (t0, t1) = self.line.clip(2, base as f64, (base + PAGE_QUANTA) as f64, t0, t1);
-            if t0 > t1 || self.go_on(t0).is_break() {
+            if t0 > t1 || self.continue_at(t0).is_break() {
                 continue;
             }
             match slot.page() {
@@ -93,7 +93,7 @@ impl Search {
         let line = self.line;
         let (bi, bj) = (i64::from(tx) * 8, i64::from(ty) * 8);
         let _ = line.cells(3, square(bi, bj), t0, t1, |i, j, t0, t1| {
-            self.go_on(t0)?;
+            self.continue_at(t0)?;
             let block = page.block((i - bi) as u32, (j - bj) as u32);
             let heights = local_heights(line.heights(t0, t1), base);
             if heights.is_some_and(|(low, high)| touches_union(block, low, high)) {
@@ -107,7 +107,7 @@ impl Search {
         let line = self.line;
         let pixels = block.pixels();
         let _ = line.cells(0, square(i0, j0), t0, t1, |i, j, t0, t1| {
-            self.go_on(t0)?;
+            self.continue_at(t0)?;
             let bit = (j - j0) as u32 * 8 + (i - i0) as u32;
             if pixels >> bit & 1 == 1 {
                 self.pixel(block.column(bit), i, j, base, t0, t1);

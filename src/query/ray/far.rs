@@ -7,7 +7,7 @@ use crate::store::Snapshot;
 
 /// Result of [`cast_far`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Sight {
+pub enum RayBound {
     /// The answer that [`cast`] would give if all pages were loaded.
     Exact(Option<RayHit>),
     /// A page is missing where the ray may hit something, and there is nothing solid nearer than this distance (m). The
@@ -21,9 +21,9 @@ pub enum Sight {
 /// missing, too.
 ///
 /// Cost: up to three rays. The pages answer up to the first missing page, the level from there on.
-pub fn cast_far(set: &Snapshot, level: &Snapshot, ray: &Ray) -> Answer<Sight> {
+pub fn cast_far(set: &Snapshot, level: &Snapshot, ray: &Ray) -> Answer<RayBound> {
     let missing = match cast(set, ray) {
-        Answer::Known(hit) => return Answer::Known(Sight::Exact(hit)),
+        Answer::Known(hit) => return Answer::Known(RayBound::Exact(hit)),
         Answer::NotLoaded(missing) => missing,
     };
     let entries = missing.keys().iter().map(|key| entry(set.frame(), *key, ray));
@@ -34,8 +34,8 @@ pub fn cast_far(set: &Snapshot, level: &Snapshot, ray: &Ray) -> Answer<Sight> {
     let known = cast(set, &Ray { max: near, ..*ray }) == Answer::Known(None);
     let near = if known { near } else { 0.0 };
     match cast(level, &Ray { origin: ray.at(near), max: ray.max - near, ..*ray }) {
-        Answer::Known(None) => Answer::Known(Sight::Exact(None)),
-        Answer::Known(Some(hit)) => Answer::Known(Sight::AtLeast((near + hit.distance - margin).max(near))),
+        Answer::Known(None) => Answer::Known(RayBound::Exact(None)),
+        Answer::Known(Some(hit)) => Answer::Known(RayBound::AtLeast((near + hit.distance - margin).max(near))),
         Answer::NotLoaded(_) => Answer::NotLoaded(missing),
     }
 }

@@ -2,9 +2,9 @@
 
 use super::{Ray, RayHit};
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS, floor_index};
+use crate::page::Span;
 use crate::query::disc::SLACK;
 use crate::query::grid::{Heights, Rect};
-use crate::slice::Span;
 use crate::store::KeyBounds;
 use nalgebra::Vector3;
 use std::ops::ControlFlow;

@@ -21,7 +21,7 @@ use super::grid::all_within_reach;
 use crate::store::Snapshot;
 use crate::text::{number, place};
 use crate::{Error, Result};
-pub use far::{Sight, cast_far};
+pub use far::{RayBound, cast_far};
 use line::Line;
 use nalgebra::{Point3, Vector3};
 
@@ -108,7 +108,7 @@ impl RayHit {
 /// use nalgebra::{Point3, Vector3};
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::{Answer, Ray, cast};
-/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::page::{PageBuilder, Span};
 /// use slicewalk::store::Snapshot;
 ///
 /// let frame = Frame::new(0.5, 1.5)?;

@@ -3,9 +3,9 @@
 use super::line::Line;
 use super::*;
 use crate::frame::{Frame, PageKey};
+use crate::page::{Page, PageBuilder, Span};
 use crate::query::Answer;
 use crate::random::Random;
-use crate::slice::{Page, PageBuilder, Span};
 use crate::store::{KeyBounds, PageSlot, Snapshot};
 
 /// A number from -1 to 1; with `coarse` a multiple of an eighth.

@@ -3,11 +3,11 @@
 use super::RayHit;
 use super::line::Line;
 use crate::frame::{PAGE_QUANTA, TILE_PIXELS, floor_small};
+use crate::page::{BlockView, Page, Span};
 use crate::query::blocks::{slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
-use crate::query::four::{Floats, Pair, greater, lesser};
 use crate::query::grid::{Heights, row_bits};
-use crate::slice::{BlockView, Page, Span};
+use crate::query::simd::{Floats, Pair, greater, lesser};
 use crate::store::{KeyBounds, Snapshot};
 
 /// Growth of cells across (pixels) and along z (quanta): many times the margins of the exact search and the rounding

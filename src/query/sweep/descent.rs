@@ -3,13 +3,13 @@
 //! masks select the spans that meet them, four at a time. Tile columns and blocks are passed to it as boxes.
 
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
+use crate::page::{BLOCK_PIXELS, BlockView, Span};
 use crate::query::Aabb;
 use crate::query::blocks::{for_each_bit, local, slices_between, slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
-use crate::query::four::{Window, last_four};
 use crate::query::grid::sealed::{OnGrid, OnPixels};
 use crate::query::grid::{Heights, Rect, column_bits, row_bits};
-use crate::slice::{BLOCK_PIXELS, BlockView, Span};
+use crate::query::simd::{Window, last_four};
 use crate::store::{PageSlot, Snapshot};
 
 /// A closed box in grid units: pixels, pixels, quanta.

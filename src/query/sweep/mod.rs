@@ -4,15 +4,15 @@
 //! against every span that the motion can reach. Tile columns are visited in the order of travel; the same intervals
 //! prune pages, blocks and spans. Nothing is sampled, so the result is exact at any speed.
 
+mod clearance;
 mod descent;
-mod near;
 mod solid;
-mod step;
+mod tops;
 
+pub use clearance::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub(crate) use descent::{GridCell, Matter, SweepArea, Visit, descend};
-pub use near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub use solid::Solid;
-pub use step::{mean_floor_under, top_under};
+pub use tops::{mean_floor_under, top_under};
 
 use super::answer::Answer;
 use super::batch;
@@ -78,7 +78,7 @@ impl SweepHit {
 /// use nalgebra::Vector3;
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::{Aabb, Answer, sweep};
-/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::page::{PageBuilder, Span};
 /// use slicewalk::store::Snapshot;
 ///
 /// let frame = Frame::new(0.5, 1.5)?;

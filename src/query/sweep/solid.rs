@@ -9,8 +9,8 @@
 use super::descent::{GridCell, SweepArea};
 use crate::frame::{Frame, floor_index};
 use crate::query::disc::SLACK;
-use crate::query::four::{greater, lesser};
 use crate::query::grid::Rect;
+use crate::query::simd::{greater, lesser};
 use crate::query::{Aabb, Cylinder, Sphere};
 use nalgebra::{Point3, Vector3};
 

@@ -1,11 +1,11 @@
 //! Pruning changes no answer: each search must agree with the same test applied to every span.
 
-use super::near::nearest_of_all;
+use super::clearance::nearest_of_all;
 use super::solid::Moving;
 use super::*;
 use crate::frame::PAGE_QUANTA;
+use crate::page::{Page, PageBuilder, Span};
 use crate::query::{Aabb, Cylinder, Sphere};
-use crate::slice::{Page, PageBuilder, Span};
 use crate::store::Snapshot;
 use nalgebra::Point3;
 use proptest::prelude::*;

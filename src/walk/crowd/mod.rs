@@ -24,7 +24,7 @@ mod room;
 mod settle;
 
 use super::waypoints::REACH_M;
-use super::{BLOCKED_BELOW, Ground, MOST_TICKS, Motion, State, Walker, Wish};
+use super::{BLOCKED_BELOW, Ground, MOST_TICKS, Motion, MoveInput, State, Walker};
 use crate::store::Missing;
 use crate::store::Snapshot;
 use crate::{Error, Result};
@@ -163,7 +163,12 @@ impl Crowd {
     ///
     /// At most [`MOST_TICKS`] ticks pass; the rest of the time is returned as [`unspent`](CrowdReport::unspent).
     /// Allocates nothing. Cost: that of each walker, and about 100 ns per neighbour.
-    pub fn step(&mut self, set: &Snapshot, dt: f64, mut wish: impl FnMut(usize, Point3<f64>) -> Wish) -> CrowdReport {
+    pub fn step(
+        &mut self,
+        set: &Snapshot,
+        dt: f64,
+        mut wish: impl FnMut(usize, Point3<f64>) -> MoveInput,
+    ) -> CrowdReport {
         let mut report = CrowdReport::default();
         let mut time = self.rest_s + if dt.is_finite() { dt.max(0.0) } else { 0.0 };
         while time >= self.tick_s * (1.0 - 1e-9) {
@@ -183,7 +188,12 @@ impl Crowd {
         report
     }
 
-    fn tick(&mut self, set: &Snapshot, wish: &mut impl FnMut(usize, Point3<f64>) -> Wish, report: &mut CrowdReport) {
+    fn tick(
+        &mut self,
+        set: &Snapshot,
+        wish: &mut impl FnMut(usize, Point3<f64>) -> MoveInput,
+        report: &mut CrowdReport,
+    ) {
         self.sort();
         for n in 0..self.walkers.len() {
             self.aim(n, wish(n, self.walkers[n].feet()));
@@ -348,11 +358,11 @@ impl Crowd {
     }
 
     /// Updates the aim of pawn `n` for this tick, and whether it has settled.
-    fn aim(&mut self, n: usize, wish: Wish) {
+    fn aim(&mut self, n: usize, wish: MoveInput) {
         let mut aim = self.aims[n];
         match wish {
-            Wish::Toward(place) if key_of(aim.place) == key_of(place) => {}
-            Wish::Toward(place) => aim = aim.toward(place),
+            MoveInput::Toward(place) if key_of(aim.place) == key_of(place) => {}
+            MoveInput::Toward(place) => aim = aim.toward(place),
             _ => aim = aim.toward(Aim::NONE.place),
         }
         let (walker, own) = (&self.walkers[n], &self.outlines[n]);
@@ -384,7 +394,7 @@ impl Crowd {
             aim.pushes = (aim.pushes || aim.since >= HELD_UP_S) && aim.free < HELD_UP_S;
         }
         aim.way = if aim.settled { Vector2::zeros() } else { walker.way(wish) };
-        let (out, overlap) = self.way_out(n);
+        let (out, overlap) = self.escape(n);
         if overlap > 0.0 {
             // If the straight way out gains nothing, it goes sideways, alternating sides.
             aim.waits += self.tick_s;

@@ -29,7 +29,7 @@ pub(super) struct Turn {
 impl Crowd {
     /// Returns the move of pawn `n` out of the pawns that it overlaps, half of the overlap with each, and the sum of
     /// the overlaps (m).
-    pub(super) fn way_out(&self, n: usize) -> (Vector2<f64>, f64) {
+    pub(super) fn escape(&self, n: usize) -> (Vector2<f64>, f64) {
         let own = &self.outlines[n];
         let (mut out, mut overlap) = (Vector2::zeros(), 0.0);
         for other in self.neighbours(n).map(|m| &self.outlines[m]).filter(|other| own.overlaps(other)) {

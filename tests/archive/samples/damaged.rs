@@ -6,8 +6,8 @@ use slicewalk::archive::{Archive, Totals};
 use slicewalk::codec::{Encoder, Packer};
 use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::Frame;
+use slicewalk::page::Span;
 use slicewalk::plan::{Plan, PlanOptions};
-use slicewalk::slice::Span;
 
 /// Names, broken rules and bytes.
 pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {

@@ -8,8 +8,8 @@ use crate::common::{
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
+use slicewalk::page::{Inferred, Span};
 use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
-use slicewalk::slice::{Inferred, Span};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
 

@@ -14,7 +14,7 @@ use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, SweepHit, cast, ceiling_above, floor_under, overlaps, probe, sweep,
 };
 use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
-use slicewalk::walk::{Body, Config, Walker, Wish};
+use slicewalk::walk::{Body, Config, Walker, MoveInput};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -111,8 +111,8 @@ fn body(stream: &Stream, all: &Snapshot, seed: u64, end: Instant) -> Result<Tall
         }
         tally.frames += 1;
         heading += random.normal(0.1);
-        pawn.hint(&walker.outlook(all_frame(all)));
-        let wish = Wish::Direction(Vector2::new(heading.cos(), heading.sin()));
+        pawn.hint(&walker.motion_hint(all_frame(all)));
+        let wish = MoveInput::Direction(Vector2::new(heading.cos(), heading.sin()));
         let view = pawn.snapshot();
         let mut truth = walker.clone();
         let expected = truth.step(all, 1.0 / 60.0, wish);

@@ -3,7 +3,7 @@
 
 use nalgebra::Point3;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA};
-use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::page::{Page, PageBuilder, Span};
 use std::collections::BTreeMap;
 
 /// Heights of matter in the voxels of a box of space.

@@ -46,12 +46,12 @@ impl<'py, const N: usize> Rows<'py, N> {
         let shape = untyped.shape();
         let is_empty_list = shape == [0];
         if !is_empty_list && (shape.len() != 2 || shape[1] != N) {
-            let way_out = match shape {
+            let suggestion = match shape {
                 [n] if *n == N => format!("; for a single row pass {what}.reshape(1, {N})"),
                 _ => String::new(),
             };
             let shape = untyped.getattr("shape")?.str()?;
-            return Err(PyValueError::new_err(format!("{what}: expected shape (N, {N}), found {shape}{way_out}")));
+            return Err(PyValueError::new_err(format!("{what}: expected shape (N, {N}), found {shape}{suggestion}")));
         }
         // Rust reads only aligned memory; numpy returns an aligned array unchanged.
         let options = PyDict::new(py);

@@ -3,7 +3,7 @@
 //! Callbacks and warnings run only on the calling thread, so no other thread waits for the interpreter. An exception
 //! that they raise ends the work.
 
-use crate::errors::{Failure, in_python, way_out};
+use crate::errors::{Failure, in_python, suggestion};
 use pyo3::prelude::*;
 use slicewalk::bytes::interruptible;
 use slicewalk::{Monitor, Warning};
@@ -54,7 +54,7 @@ impl Monitor for News {
     }
 
     fn warn(&self, warning: &Warning) {
-        lock(&self.warnings).push(warning.render(way_out));
+        lock(&self.warnings).push(warning.render(suggestion));
     }
 
     fn cancelled(&self) -> bool {

@@ -43,7 +43,7 @@ impl Failure {
 }
 
 /// Returns the advice for a parameter, with Python's names of options.
-pub fn way_out(parameter: &Parameter) -> Option<&'static str> {
+pub fn suggestion(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger pixel, or the units",
         Parameter::Units => "set the units",
@@ -75,8 +75,8 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             return made(py, "NotLoadedError", &format!("pages that are not in memory are needed: {pages:?}"), &facts);
         }
     };
-    let mut text = error.render(way_out);
-    facts.set_item("hint", error.way_out().and_then(way_out))?;
+    let mut text = error.render(suggestion);
+    facts.set_item("hint", error.suggestion().and_then(suggestion))?;
     if let Some((what, row)) = row {
         facts.set_item("row", row)?;
         text = format!("{what}: row {row}: {text}");
@@ -124,9 +124,9 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             facts.set_item("found", value)?;
             "LimitError"
         }
-        Error::Unsupported { what, way_out, .. } => {
+        Error::Unsupported { what, suggestion, .. } => {
             facts.set_item("found", what)?;
-            facts.set_item("hint", in_python(way_out))?;
+            facts.set_item("hint", in_python(suggestion))?;
             "UnsupportedError"
         }
         Error::Parameter { what, reason } => {

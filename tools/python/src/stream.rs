@@ -10,7 +10,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::store::{LoadReport, Outlook, PawnHandle, Prefetch, Stream as Inner, StreamOptions};
+use slicewalk::store::{LoadReport, MotionHint, PawnHandle, Prefetch, Stream as Inner, StreamOptions};
 use slicewalk::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
@@ -64,9 +64,9 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Hint of a box at rest: the pages that it touches.
-fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Outlook {
+fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> MotionHint {
     let (min, max) = (Point3::new(x0, y0, z0), Point3::new(x1, y1, z1));
-    Outlook { min, max, velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0 }
+    MotionHint { min, max, velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0 }
 }
 
 impl Stream {
@@ -290,7 +290,7 @@ impl Body {
     }
 }
 
-fn motion([x0, y0, z0, x1, y1, z1]: [f64; 6], velocity: [f64; 3]) -> Result<Outlook> {
-    let motion = Outlook::walking([x0, y0, z0].into(), [x1, y1, z1].into(), velocity.into());
+fn motion([x0, y0, z0, x1, y1, z1]: [f64; 6], velocity: [f64; 3]) -> Result<MotionHint> {
+    let motion = MotionHint::walking([x0, y0, z0].into(), [x1, y1, z1].into(), velocity.into());
     if motion.is_valid() { Ok(motion) } else { Err(Error::parameter("box", "its corners must be in order")) }
 }

@@ -11,8 +11,8 @@ use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use slicewalk::nalgebra::{Point2, Vector2};
-use slicewalk::store::{Outlook, Snapshot, Stream as Inner};
-use slicewalk::walk::{Config, Response, State, StepReport, Stop, Walker as Pawn3, Waypoints, Wish};
+use slicewalk::store::{MotionHint, Snapshot, Stream as Inner};
+use slicewalk::walk::{Config, MoveInput, Response, State, StepReport, Stop, Walker as Pawn3, Waypoints};
 use slicewalk::{Error, Monitor};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -170,9 +170,9 @@ impl Walker {
             return Err(refuse("dt", format!("expected seconds, 0 or more, found {dt}")));
         }
         let wish = match (direction, toward) {
-            (None, None) => Wish::Stay,
-            (Some(way), None) => Wish::Direction(Vector2::from(numbers::<2>(way, "direction")?)),
-            (None, Some(place)) => Wish::Toward(Point2::from(numbers::<2>(place, "toward")?)),
+            (None, None) => MoveInput::Stay,
+            (Some(way), None) => MoveInput::Direction(Vector2::from(numbers::<2>(way, "direction")?)),
+            (None, Some(place)) => MoveInput::Toward(Point2::from(numbers::<2>(place, "toward")?)),
             _ => return Err(PyTypeError::new_err("direction and toward exclude each other: give one of them")),
         };
         let done = match &pages {
@@ -182,9 +182,9 @@ impl Walker {
             }
             Ground::Stream(stream) => {
                 let inner = stream.get().inner()?;
-                let outlook = self.walker.outlook(inner.archive().frame());
+                let motion_hint = self.walker.motion_hint(inner.archive().frame());
                 let hints = self.hints_for(stream.get(), &inner)?;
-                hints.with(|pawn| pawn.hint(&outlook))?;
+                hints.with(|pawn| pawn.hint(&motion_hint))?;
                 let done = self.walker.step(&inner.snapshot(), dt, wish);
                 if let Some(missing) = &done.missing {
                     hints.with(|pawn| pawn.need(missing))?;
@@ -246,10 +246,10 @@ impl Walker {
                 let walker = &mut self.walker;
                 attended(py, &Audience::default(), name, |monitor| {
                     let frame = *stream.archive().frame();
-                    stream.load_around(&walker.outlook(&frame))?;
+                    stream.load_around(&walker.motion_hint(&frame))?;
                     walk.frames(monitor, walker, |walker, dt| {
                         ground.inner()?;
-                        hints.hint(&walker.outlook(&frame));
+                        hints.hint(&walker.motion_hint(&frame));
                         stream.settle(Duration::from_secs_f64(dt));
                         follow_loading(walker, &stream, dt, &mut route)
                     })
@@ -354,7 +354,7 @@ fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut W
         needed.extend_from_slice(missing.keys());
         let loaded = stream.load(&needed, needed[0])?;
         if loaded.left_out > 0 {
-            let around: &Outlook = &walker.outlook(stream.archive().frame());
+            let around: &MotionHint = &walker.motion_hint(stream.archive().frame());
             let bytes = stream.load_around(around)?.needed_bytes.max(loaded.needed_bytes);
             let (what, given) = ("budget of the stream for one step (bytes)", stream.counters().budget_bytes);
             return Err(Error::limit(what, given, format!("at least {bytes}")).into());

@@ -238,7 +238,7 @@ fn main() -> ExitCode {
         return written;
     }
     let signal = Arc::new(AtomicUsize::new(0));
-    let terminal = Terminal::new("sliceconv", arguments.quiet, way_out, signal.clone());
+    let terminal = Terminal::new("sliceconv", arguments.quiet, suggestion, signal.clone());
     if let Err(error) = listen(&signal) {
         terminal.warn(&format!("cannot listen for Ctrl-C: {error}").into());
     }
@@ -336,12 +336,12 @@ fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
             Some(option) => (format!("{option}: {reason}"), ExitCode::from(2)),
             None => (error.to_string(), ExitCode::FAILURE),
         },
-        _ => (error.render(way_out), ExitCode::FAILURE),
+        _ => (error.render(suggestion), ExitCode::FAILURE),
     }
 }
 
 /// Returns the advice that names the option for a parameter.
-fn way_out(parameter: &Parameter) -> Option<&'static str> {
+fn suggestion(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
         Parameter::Units => "set the unit with --units",

@@ -4,7 +4,7 @@ use crate::{Failure, Outcome};
 use serde_json::json;
 use slicewalk::archive::{Archive, ColourReader, PageEntry, PageReader};
 use slicewalk::colour::{LabTable, difference as lab_difference};
-use slicewalk::slice::{Colours, Inferred, Page, Span};
+use slicewalk::page::{Colours, Inferred, Page, Span};
 use slicewalk_base::text::grouped;
 use std::fmt::Write;
 use std::path::Path;
@@ -258,7 +258,7 @@ fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Re
     let (mut entries_a, mut entries_b) = (entries(a, path_a), entries(b, path_b));
     let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
     let (mut pages_a, mut pages_b) = (PageReader::new(a), PageReader::new(b));
-    let (empty, nothing) = (slicewalk::slice::PageBuilder::default().build(), Inferred::new());
+    let (empty, nothing) = (slicewalk::page::PageBuilder::default().build(), Inferred::new());
     // Equal pairs of contents tend to repeat, so the last result is kept.
     let mut last = None;
     while next_a.is_some() || next_b.is_some() {

@@ -179,7 +179,7 @@ pub fn other_file(path: &Path) -> Option<Failure> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let name = path.display();
     let convert = format!("convert it first: sliceconv {name} -o {}", path.with_extension("slices").display());
-    let (what, way_out) = match (&start[..], &ending[..]) {
+    let (what, suggestion) = match (&start[..], &ending[..]) {
         (start, _) if start.starts_with(b"LASF") => (scan(path), convert),
         (start, _) if start.starts_with(b"ply") || start.starts_with(b"glTF") => ("a mesh".into(), convert),
         (_, "obj" | "stl" | "gltf") => ("a mesh".into(), convert),
@@ -188,7 +188,7 @@ pub fn other_file(path: &Path) -> Option<Failure> {
         }
         _ => return None,
     };
-    Some(Failure::Text(format!("{name}: it is {what} and not a slice archive; {way_out}")))
+    Some(Failure::Text(format!("{name}: it is {what} and not a slice archive; {suggestion}")))
 }
 
 /// Describes a scan, with its header's data if readable.

@@ -67,11 +67,11 @@ fn of_library(error: &slicewalk::Error) -> Failure {
             _ => format!("{option}: {reason}"),
         });
     }
-    Failure::Text(error.render(way_out))
+    Failure::Text(error.render(suggestion))
 }
 
 /// Advice that names an option.
-fn way_out(parameter: &Parameter) -> Option<&'static str> {
+fn suggestion(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::Overwrite => "--force replaces it",
         Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
@@ -240,7 +240,7 @@ pub fn say(line: &str) {
 
 /// Monitor that shows progress on the terminal.
 pub fn terminal() -> Terminal {
-    Terminal::new("slicetool", false, way_out, Default::default())
+    Terminal::new("slicetool", false, suggestion, Default::default())
 }
 
 fn main() -> ExitCode {

@@ -164,7 +164,7 @@ fn answer<const IN: usize>(
     for number in 1.. {
         text.clear();
         bytes.clear();
-        if input.buffer().is_empty() && !go_on(output.flush())? {
+        if input.buffer().is_empty() && !is_open(output.flush())? {
             return Ok(String::new());
         }
         let read = input.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut bytes).map_err(unreadable)?;
@@ -193,7 +193,7 @@ fn answer<const IN: usize>(
                         failed(number, format!("no column {column}; expected the columns {expected}"))
                     })?;
                 }
-                if !go_on(writeln!(output, "{line},{answers}"))? {
+                if !is_open(writeln!(output, "{line},{answers}"))? {
                     return Ok(String::new());
                 }
                 continue;
@@ -202,7 +202,7 @@ fn answer<const IN: usize>(
                 let found = row.len();
                 return Err(failed(number, format!("{found} fields and no header; expected the columns {expected}")));
             }
-            if !go_on(writeln!(output, "{expected},{answers}"))? {
+            if !is_open(writeln!(output, "{expected},{answers}"))? {
                 return Ok(String::new());
             }
         }
@@ -218,7 +218,7 @@ fn answer<const IN: usize>(
             Failure::Text(reason) => failed(number, reason),
             result => result,
         })?;
-        if !go_on(writeln!(output, "{line},{text}"))? {
+        if !is_open(writeln!(output, "{line},{text}"))? {
             return Ok(String::new());
         }
     }
@@ -229,7 +229,7 @@ fn answer<const IN: usize>(
 }
 
 /// Returns whether the answers are still read: a closed pipe (`slicetool query … | head`) is the reader's choice.
-fn go_on(written: std::io::Result<()>) -> Result<bool, Failure> {
+fn is_open(written: std::io::Result<()>) -> Result<bool, Failure> {
     match written {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route, StandingPlaces};
+use slicewalk::reach::{Coarse, Planned, Planner, Refusal, Route, RouteRefiner, StandingPlaces};
 use slicewalk::store::Snapshot;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -200,7 +200,7 @@ fn ellipse_m2(straight: f64, length: f64) -> f64 {
 
 fn planned(planner: &mut Planner, view: &Snapshot) -> slicewalk::Result<Answer<Found>> {
     loop {
-        match planner.go_on(view, usize::MAX, &NoMonitor)? {
+        match planner.advance(view, usize::MAX, &NoMonitor)? {
             Planned::Done(found) => return Ok(Answer::Known(found)),
             Planned::NotLoaded(missing) => return Ok(Answer::NotLoaded(missing)),
             _ => {}
@@ -284,7 +284,7 @@ fn coarse(
 
 /// Result of a planner on a level; `None` if it looks at more than `most` spans.
 fn guessed(planner: &mut Coarse, view: &Snapshot, most: usize) -> slicewalk::Result<Answer<Option<Found>>> {
-    Ok(match planner.go_on(view, most.saturating_sub(planner.looked_at()), &NoMonitor)? {
+    Ok(match planner.advance(view, most.saturating_sub(planner.looked_at()), &NoMonitor)? {
         Planned::Done(found) => Answer::Known(Some(found)),
         Planned::NotLoaded(missing) => Answer::NotLoaded(missing),
         _ => Answer::Known(None),
@@ -326,8 +326,8 @@ fn refined(
         }
         guide = best.unwrap_or(guide);
     }
-    let mut along = Along::new(pawn, from, to, &guide.route, beside(guide.level));
-    let found = loader.known(|view| along.go_on(view, &NoMonitor))?;
+    let mut along = RouteRefiner::new(pawn, from, to, &guide.route, beside(guide.level));
+    let found = loader.known(|view| along.advance(view, &NoMonitor))?;
     *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
     Ok(found.ok())
 }

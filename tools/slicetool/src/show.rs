@@ -3,7 +3,7 @@
 use crate::{Failure, Outcome, figures};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
-use slicewalk::slice::Span;
+use slicewalk::page::Span;
 use slicewalk_base::text::{finite_number, grouped, number, one_line, rounded, whole_number};
 use slicewalk_convert::info::slice_count;
 use std::io::{BufWriter, Write};

@@ -5,7 +5,7 @@ use crate::{Failure, Outcome, cache_too_small};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::reach::{Pawn, StandingPlaces};
-use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
+use slicewalk::store::{MotionHint, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Response, State, Stop, Walker, Waypoints};
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
@@ -161,11 +161,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut pawn = stream.pawn();
     for frame in 1..=most {
         if arguments.prefetch == Switch::On {
-            let outlook = walker.outlook(stream.archive().frame());
-            pawn.hint(&outlook);
-            prepare(&stream, &outlook, frame, frame_s)?;
+            let motion_hint = walker.motion_hint(stream.archive().frame());
+            pawn.hint(&motion_hint);
+            prepare(&stream, &motion_hint, frame, frame_s)?;
         }
-        hits += stream.count_loaded(&walker.outlook(stream.archive().frame()));
+        hits += stream.count_loaded(&walker.motion_hint(stream.archive().frame()));
         let before = walker.feet();
         let started = Instant::now();
         let (missing, hit) = step(&stream, &mut walker, &mut route, frame_s, arguments.cache)?;
@@ -350,10 +350,10 @@ fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
 
 /// Gives the prefetcher the time until the frame begins. Returns early once the prefetcher has nothing to do, because
 /// no page would come in by waiting. So a walk takes less time than it reports, with the same misses.
-fn prepare(stream: &Stream, outlook: &Outlook, frame: u64, frame_s: f64) -> Result<(), Failure> {
+fn prepare(stream: &Stream, motion_hint: &MotionHint, frame: u64, frame_s: f64) -> Result<(), Failure> {
     if frame == 1 {
         // A program loads the pages around the pawn before it shows the first frame.
-        stream.load_around(outlook)?;
+        stream.load_around(motion_hint)?;
     }
     stream.settle(Duration::from_secs_f64(frame_s));
     Ok(())
@@ -394,7 +394,7 @@ fn step(
         }
         let loaded = stream.load(&needed, needed[0])?;
         if loaded.left_out > 0 || attempts > ATTEMPTS {
-            let around = stream.load_around(&walker.outlook(stream.archive().frame()))?;
+            let around = stream.load_around(&walker.motion_hint(stream.archive().frame()))?;
             return Err(cache_too_small("one step", cache, loaded.needed_bytes.max(around.needed_bytes)));
         }
     }

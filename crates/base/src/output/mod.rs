@@ -167,7 +167,7 @@ impl Output {
             }
             if existed {
                 let error = Error::output(&self.name, "exists already and holds something else");
-                return Err(error.with_way_out(Parameter::Overwrite));
+                return Err(error.with_suggestion(Parameter::Overwrite));
             }
         }
         self.temporary.sync()?;
@@ -252,7 +252,7 @@ fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: 
             return Ok(false);
         }
         let error = Error::output(name, "exists already and holds something else");
-        return Err(error.with_way_out(Parameter::Overwrite));
+        return Err(error.with_suggestion(Parameter::Overwrite));
     }
     let judged = target::judge_object(name, kind)?;
     let create = kind.existing() != Existing::Replace || judged == Judged::Free;

@@ -272,7 +272,7 @@ fn may_replace(name: &Path, kind: OutputKind, content: Content, read_only: bool)
     }
     match kind {
         OutputKind::Archive(Existing::Refuse) | OutputKind::Plan(Existing::Refuse) => {
-            refuse("exists already".into()).map_err(|error| error.with_way_out(Parameter::Overwrite))
+            refuse("exists already".into()).map_err(|error| error.with_suggestion(Parameter::Overwrite))
         }
         OutputKind::Result if read_only => {
             refuse("exists and is read-only; make it writable, or choose another name".into())

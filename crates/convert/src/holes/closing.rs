@@ -15,8 +15,8 @@
 //! [`reach`](Closer::reach) pixels, in integer arithmetic.
 
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
+use crate::page::Page;
 use crate::plan::PlanOptions;
-use crate::slice::Page;
 
 /// Greatest height difference of floors around a hole (m), unless a pixel is larger.
 const CLIMB_M: f64 = 0.35;

@@ -17,8 +17,8 @@ use crate::archive::{
 use crate::codec::ColourEncoder;
 use crate::colour::ColourPlan;
 use crate::frame::{PAGE_QUANTA, PageKey};
+use crate::page::{Inferred, Occupancy, Page, PageBuilder, Span};
 use crate::plan::Plan;
-use crate::slice::{Inferred, Occupancy, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 pub(super) use closing::Closer;
 use closing::{Fill, ScannedColumn};
@@ -200,7 +200,7 @@ impl<'a> Worker<'a> {
         }
         if needed > self.memory_bytes {
             let what = "bytes for the tile columns around a hole (larger pixels make fewer spans)";
-            return Err(Error::limit(what, needed, self.memory_bytes).with_way_out(Parameter::Memory));
+            return Err(Error::limit(what, needed, self.memory_bytes).with_suggestion(Parameter::Memory));
         }
         let _alone = (needed > share).then(|| alone.lock().unwrap_or_else(PoisonError::into_inner));
         let mut columns: BTreeMap<u64, Read> = BTreeMap::new();

@@ -2,7 +2,7 @@
 
 use super::closing::{Closer, Fill, ScannedColumn};
 use crate::frame::Frame;
-use crate::slice::{PageBuilder, Span};
+use crate::page::{PageBuilder, Span};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 

@@ -1,4 +1,4 @@
-//! Floaters found in memory equal those found on disk, in columns that fit and in columns cut into areas.
+//! Components found in memory equal those found on disk, in columns that fit and in columns cut into areas.
 
 use super::*;
 

@@ -2,7 +2,7 @@
 
 mod faults;
 mod floaters;
-mod hand_over;
+mod pipeline;
 mod power;
 mod resume;
 

@@ -5,12 +5,12 @@
 //! its RGB has 16 bits that are not widened 8-bit values; a piece of a triangle takes one, or two if its weight exceeds
 //! 1. Sums of records equal the sums of points and pieces, in any order.
 
-use super::fold::{Area, Patch};
+use super::accumulate::{Area, Patch};
 use super::record::{Content, PATCH_PIXELS, Record, VALUE_BITS};
 use crate::colour::{ColourScale, ColourSource, ColourSum, class_colour};
 use crate::frame::PAGE_SLICES;
 use crate::mesh::paint::{MOST_WEIGHT, PaintedPiece};
-use crate::slice::{Occupancy, Page};
+use crate::page::{Occupancy, Page};
 use crate::{Error, Parameter, Result};
 
 /// Tags of the payload, stored in the bits above it.
@@ -213,7 +213,7 @@ impl ColumnColours {
         }
         if self.found.len() > self.most {
             let what = "voxels with colours in one tile column (larger slices are fewer)";
-            return Err(Error::limit(what, self.found.len(), self.most).with_way_out(Parameter::Memory));
+            return Err(Error::limit(what, self.found.len(), self.most).with_suggestion(Parameter::Memory));
         }
         Ok(())
     }
@@ -254,7 +254,7 @@ impl ColumnColours {
 
 #[cfg(test)]
 mod tests {
-    use super::super::fold::Sums;
+    use super::super::accumulate::Sums;
     use super::super::record::Recorder;
     use super::*;
     use crate::frame::Frame;

@@ -62,7 +62,7 @@ impl EllipsoidBuilder {
         let Some(placed) = placed.filter(|_| self.recorder.reaches(min, max)) else { return Ok(false) };
         if placed.voxels() > MOST_VOXELS {
             let error = Error::limit("voxels that one splat fills", format!("{:.0}", placed.voxels()), MOST_VOXELS);
-            return Err(error.with_way_out(Parameter::PixelSize));
+            return Err(error.with_suggestion(Parameter::PixelSize));
         }
         let (voxels, colours) = (&mut self.voxels, &mut self.colours);
         let (first, last) = placed.rows();

@@ -1,9 +1,9 @@
 //! Conversion of classified voxels to the pages of a tile column.
 
-use super::fold::{Area, Patch, Voxel};
+use super::accumulate::{Area, Patch, Voxel};
 use super::record::{BLOCK_SLICES, PATCH_PIXELS};
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA, TILE_PIXELS};
-use crate::slice::{Page, RowBuilder, Span};
+use crate::page::{Page, RowBuilder, Span};
 
 /// Voxels of one pixel in adjacent slices form one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
@@ -53,18 +53,18 @@ pub struct ColumnPages {
 
 impl ColumnPages {
     /// Adds the spans of all pixels in `area`, with one class (true: obstacle) per voxel of `patch`.
-    pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
-        if area == Area::TILE && self.add_page(patch, verdicts) {
+    pub fn add(&mut self, patch: &Patch, area: Area, voxel_classes: &[bool]) {
+        if area == Area::TILE && self.add_page(patch, voxel_classes) {
             return;
         }
         for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
             let (x, y) = place(pixel);
-            each_span(patch, pixel, verdicts, |span| self.push((y << 6 | x) as u16, span));
+            each_span(patch, pixel, voxel_classes, |span| self.push((y << 6 | x) as u16, span));
         }
     }
 
     /// Adds the spans of a whole tile column if they form one page; else returns `false`.
-    fn add_page(&mut self, patch: &Patch, verdicts: &[bool]) -> bool {
+    fn add_page(&mut self, patch: &Patch, voxel_classes: &[bool]) -> bool {
         let layer_of = |voxel: &Voxel| voxel.slice / PAGE_SLICES as u32;
         let Some(layer) = patch.voxels().first().map(layer_of) else { return false };
         if patch.voxels().iter().any(|voxel| layer_of(voxel) != layer) {
@@ -81,7 +81,7 @@ impl ColumnPages {
         let floor = i64::from(layer) * PAGE_QUANTA;
         for pixel in pixels() {
             column.clear();
-            each_span(patch, pixel, verdicts, |OpenSpan { bottom, top, obstacle, .. }| {
+            each_span(patch, pixel, voxel_classes, |OpenSpan { bottom, top, obstacle, .. }| {
                 column.extend(Span::new((bottom - floor) as u32, (top - floor) as u32, obstacle));
             });
             let (x, y) = place(pixel);
@@ -155,10 +155,10 @@ fn place(patch_pixel: usize) -> (usize, usize) {
 
 /// Calls `give` with the spans of a pixel's voxels, lowest first.
 #[inline]
-fn each_span(patch: &Patch, patch_pixel: usize, verdicts: &[bool], mut give: impl FnMut(OpenSpan)) {
+fn each_span(patch: &Patch, patch_pixel: usize, voxel_classes: &[bool], mut give: impl FnMut(OpenSpan)) {
     let range = patch.range(patch_pixel);
     let mut open: Option<OpenSpan> = None;
-    for (voxel, &obstacle) in patch.voxels()[range.clone()].iter().zip(&verdicts[range]) {
+    for (voxel, &obstacle) in patch.voxels()[range.clone()].iter().zip(&voxel_classes[range]) {
         let floor = i64::from(voxel.slice) * SLICE_QUANTA;
         let (bottom, top) = (floor + i64::from(voxel.bottom), floor + i64::from(voxel.top));
         open = Some(match open {

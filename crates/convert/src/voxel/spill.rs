@@ -135,7 +135,7 @@ impl Spill {
         let SpillPlace { files, folder, name, head } = &self.place;
         let refused = |error| match error {
             Error::Io { source, .. } => {
-                Error::io(folder, "create a temporary file", source).with_way_out(Parameter::TempDir)
+                Error::io(folder, "create a temporary file", source).with_suggestion(Parameter::TempDir)
             }
             other => other,
         };
@@ -188,7 +188,7 @@ impl Spill {
 fn write(folder: &Path, at: u64, write: impl FnOnce() -> Result<()>) -> Result<()> {
     write()
         .map_err(|error| in_folder(folder, format!("write temporary data at byte {at}"), error))
-        .map_err(|error| error.with_way_out(Parameter::TempDir))
+        .map_err(|error| error.with_suggestion(Parameter::TempDir))
 }
 
 fn in_folder(folder: &Path, action: String, error: Error) -> Error {

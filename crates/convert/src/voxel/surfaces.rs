@@ -94,7 +94,7 @@ impl SurfaceBuilder {
         let voxels = area / least + longest / least.sqrt();
         if voxels > MOST_VOXELS {
             let error = Error::limit("voxels that one triangle fills", format!("{voxels:.0}"), MOST_VOXELS);
-            return Err(error.with_way_out(Parameter::PixelSize));
+            return Err(error.with_suggestion(Parameter::PixelSize));
         }
         let paint = self.colours.as_ref().and_then(|_| PlacedPaint::new(&self.frame, triangle, paint));
         match self.step_m {

@@ -7,7 +7,7 @@ use super::text::{Lines, short};
 use super::values::{Channels, SAMPLE_PLACES, SAMPLE_POINTS, Sample, bytes_of};
 use super::{Cloud, Depth, Opening, Piece, Source, Taker, shown};
 use crate::colour::ColourSource;
-use crate::losses::without_path;
+use crate::diagnostics::without_path;
 use crate::number::decimal;
 use crate::ply_header::{Element, Property};
 use crate::text::counted;

@@ -19,7 +19,7 @@ mod text;
 mod values;
 
 use super::crs::Georeference;
-use super::losses::{Findings, without_path};
+use super::diagnostics::{Findings, without_path};
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts, TextLayout};
 use crate::colour::ColourSource;
@@ -313,7 +313,7 @@ impl<'a> Taker<'a> {
     #[cold]
     pub fn leave_out(&mut self, records: u64, error: Error) -> Result<()> {
         if !self.allow_incomplete {
-            return Err(error.with_way_out(Parameter::Incomplete));
+            return Err(error.with_suggestion(Parameter::Incomplete));
         }
         self.counts.missing += records;
         self.reason.get_or_insert_with(|| without_path(error));

@@ -237,7 +237,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         other => Err(Error::Unsupported {
             what: format!("{}: PCD with DATA {}", opening.source.path().display(), shown(other.as_bytes())),
             version: env!("CARGO_PKG_VERSION"),
-            way_out: "ascii, binary and binary_compressed are read; save it as one of these".into(),
+            suggestion: "ascii, binary and binary_compressed are read; save it as one of these".into(),
         }),
     }
 }

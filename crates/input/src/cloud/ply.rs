@@ -10,7 +10,7 @@ use super::text::Lines;
 use super::values::Channels;
 use super::{Opened, Opening, SPLATS, shown};
 use crate::bytes::Input;
-use crate::losses::without_path;
+use crate::diagnostics::without_path;
 use crate::ply_header::{BYTE_ORDER_MARK, Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
 use crate::{Error, Result};
 use std::io::Read;

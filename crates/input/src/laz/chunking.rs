@@ -8,8 +8,8 @@ use super::coder::MOST_STEP_BYTES;
 use super::items::LaszipRecord;
 use super::packed::PackedBytes;
 use super::{EMPTY_CODE_BYTES, Numbers, Packing, too_much};
+use crate::diagnostics::Findings;
 use crate::header::{LasHeader, u32_at, u64_at};
-use crate::losses::Findings;
 use crate::source::Source;
 use crate::{Error, Result};
 

@@ -33,9 +33,9 @@ use self::items::{Kind, LaszipRecord};
 use self::layers::{Layers, POINT_BYTES};
 use self::sequence::{Items, Sequence};
 use super::convert::Layout;
+use super::diagnostics::Findings;
 use super::header::LasHeader;
 use super::is_of_input;
-use super::losses::Findings;
 use super::source::Source;
 use crate::{Error, Parameter, Result};
 
@@ -96,7 +96,7 @@ impl Packing {
             return Err(Error::Unsupported {
                 what: format!("{}: LASzip points of {}", source.path().display(), listed.join(", ")),
                 version: env!("CARGO_PKG_VERSION"),
-                way_out: "decompress the file to LAS with the program that wrote it".into(),
+                suggestion: "decompress the file to LAS with the program that wrote it".into(),
             });
         }
         let layout = if layered { Layout::Extended } else { Layout::Old };
@@ -135,7 +135,7 @@ impl Packing {
 
 /// Creates an error for a part of a file that exceeds the memory budget.
 fn too_much(source: &Source, what: &str, found: u64, most: u64) -> Error {
-    Error::limit(format!("{}: {what}", source.path().display()), found, most).with_way_out(Parameter::Memory)
+    Error::limit(format!("{}: {what}", source.path().display()), found, most).with_suggestion(Parameter::Memory)
 }
 
 /// Bytes that the arithmetic coder writes for zero symbols.
@@ -338,6 +338,6 @@ impl PackedPoints<'_> {
 
     fn damaged(&self, done: u64, what: &str) -> Error {
         let reason = format!("damaged: {what}, after {done} of {} points; fetch or write the file again", self.points);
-        Error::input(self.source.path(), self.name.clone(), reason).with_way_out(Parameter::Incomplete)
+        Error::input(self.source.path(), self.name.clone(), reason).with_suggestion(Parameter::Incomplete)
     }
 }

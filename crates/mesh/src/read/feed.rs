@@ -110,10 +110,10 @@ impl<'a> MeshFeed<'a> {
     }
 
     fn read_some(&mut self, batch: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
-        watch.go_on()?;
+        watch.check_cancelled()?;
         // Waits while other workers still use the textures of the previous file.
         while self.open.is_none() && Arc::strong_count(&self.textures) > 1 {
-            watch.go_on()?;
+            watch.check_cancelled()?;
             std::thread::sleep(Duration::from_millis(1));
         }
         let reader = match &mut self.open {

@@ -72,7 +72,7 @@ impl Materials {
 
     /// Reads the MTL file that the mesh at `of` calls `name`.
     fn read(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<()> {
-        watch.go_on()?;
+        watch.check_cancelled()?;
         self.files += 1;
         if self.files > MOST_FILES {
             return Ok(());

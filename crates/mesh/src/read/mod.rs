@@ -199,7 +199,7 @@ impl MeshSet {
             };
             let text =
                 format!("{}{others}: meshes of this format state no unit; metres are assumed", first.path.display());
-            monitor.warn(&Warning::from(text).with_way_out(Parameter::Units));
+            monitor.warn(&Warning::from(text).with_suggestion(Parameter::Units));
         }
         Ok(Self { files, options, complete })
     }

@@ -158,7 +158,7 @@ impl ObjReader {
             }
         }
         let mut found = Vec::new();
-        let cut = self.polygon.triangles(|numbers| found.push(numbers), &|| watch.go_on())?;
+        let cut = self.polygon.triangles(|numbers| found.push(numbers), &|| watch.check_cancelled())?;
         for numbers in found {
             let paint = self.colours.as_ref().map_or(Paint::None, |colours| colours.paint(numbers));
             out.push(numbers.map(|number| self.polygon.corners()[number]), paint);

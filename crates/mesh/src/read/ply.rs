@@ -374,7 +374,7 @@ impl PlyReader {
         self.corners = corners;
         let Self { body, polygon, at_corners: colours, faces_have, .. } = self;
         let mut found = Vec::new();
-        let cut = polygon.triangles(|numbers| found.push(numbers), &|| watch.go_on())?;
+        let cut = polygon.triangles(|numbers| found.push(numbers), &|| watch.check_cancelled())?;
         for numbers in found {
             let paint = match numbers.map(|number| colours.get(number)) {
                 _ if *faces_have => Paint::Flat(flat),

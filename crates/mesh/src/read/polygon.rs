@@ -49,14 +49,14 @@ impl Polygon {
 
     /// Triangulates the polygon, concave or not, by ear clipping in the coordinate plane in which it is largest. Passes
     /// the corner numbers of each triangle to `give`. The inner error reports too few or too many corners; an error of
-    /// `go_on`, which is called once per ear, aborts the work.
+    /// `check_cancelled`, which is called once per ear, aborts the work.
     ///
     /// Cost: at most three tests per pair of corners. A corner found inside a triangle keeps that triangle from being
     /// an ear until it is cut off itself; the search for another then continues after it.
     pub(super) fn triangles(
         &mut self,
         mut give: impl FnMut([usize; 3]),
-        go_on: &dyn Fn() -> Result<()>,
+        check_cancelled: &dyn Fn() -> Result<()>,
     ) -> Result<Result<(), String>> {
         let Self { corners, before, after, verdicts } = self;
         let count = corners.len();
@@ -79,7 +79,7 @@ impl Polygon {
         verdicts.resize(count, Verdict::New);
         let mut first = 0u32;
         for _ in 3..count {
-            go_on()?;
+            check_cancelled()?;
             // Starts at the second corner, so that a convex polygon becomes the usual fan around its first.
             let (mut at, second) = (after[first as usize], after[first as usize]);
             let ear = loop {

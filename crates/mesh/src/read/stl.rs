@@ -62,7 +62,7 @@ impl StlReader {
 
 impl Triangles for StlReader {
     fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
-        watch.go_on()?;
+        watch.check_cancelled()?;
         match self {
             Self::Binary { reader, path, left, all } => {
                 for _ in 0..BATCH.min(*left) {

@@ -86,7 +86,7 @@ impl<K: Eq + Hash> Textures<K> {
         if let Some(found) = self.images.get(&key) {
             return Ok(found.clone());
         }
-        watch.go_on()?;
+        watch.check_cancelled()?;
         let left = self.most_bytes.saturating_sub(self.held);
         let image = read(left).and_then(|bytes| {
             self.digest.update(&bytes);
@@ -104,7 +104,7 @@ impl<K: Eq + Hash> Textures<K> {
             Err(Fault::Memory(bytes)) => {
                 let what = format!("{}: textures up to {name} (bytes)", self.path.display());
                 let needed = self.held.saturating_add(bytes);
-                return Err(Error::limit(what, needed, self.most_bytes).with_way_out(Parameter::Memory));
+                return Err(Error::limit(what, needed, self.most_bytes).with_suggestion(Parameter::Memory));
             }
         };
         self.images.insert(key, texture.clone());

@@ -62,7 +62,7 @@ impl Vertices {
             return Ok(());
         }
         let dir = &self.temp_dir;
-        let refused = |action| move |e| Error::io(dir, action, e).with_way_out(Parameter::TempDir);
+        let refused = |action| move |e| Error::io(dir, action, e).with_suggestion(Parameter::TempDir);
         let (file, blocks) = match &mut self.file {
             Some(file) => file,
             none => {

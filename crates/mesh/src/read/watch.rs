@@ -33,18 +33,18 @@ impl<'a> Watch<'a> {
             return Ok(());
         }
         self.steps = 0;
-        self.go_on()
+        self.check_cancelled()
     }
 
     /// Fails if the work is cancelled.
-    pub fn go_on(&self) -> Result<()> {
+    pub fn check_cancelled(&self) -> Result<()> {
         if self.monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
     }
 
     /// Records `faces` unreadable faces; fails unless incomplete input is allowed.
     pub fn lose(&mut self, faces: u64, error: Error) -> Result<()> {
         match error {
-            error @ Error::Input { .. } if !self.allow_incomplete => Err(error.with_way_out(Parameter::Incomplete)),
+            error @ Error::Input { .. } if !self.allow_incomplete => Err(error.with_suggestion(Parameter::Incomplete)),
             Error::Input { .. } => {
                 self.broken += faces;
                 self.reason.get_or_insert(error);

@@ -12,7 +12,7 @@ use nalgebra::Point3;
 use rapier3d::prelude::SharedShape;
 use scangen::SampleSpec;
 use slicewalk::plan::Classifier;
-use slicewalk::walk::{Body, Config, Response, Walker, Wish};
+use slicewalk::walk::{Body, Config, Response, Walker, MoveInput};
 
 /// The pawn (m).
 const RADIUS_M: f64 = 0.25;
@@ -51,7 +51,7 @@ pub fn ours(pixel_m: f64) -> Result<Option<Figure>> {
         let config = Config { response: Response::Slide, ..Config::new(case.body) };
         let mut walker = Walker::new(config, case.start)?;
         offs.push(off(&case, || {
-            walker.step(&store, FRAME_S, Wish::Direction(case.toward));
+            walker.step(&store, FRAME_S, MoveInput::Direction(case.toward));
             walker.feet()
         }));
     }

@@ -8,7 +8,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, PageDecoder, PageEncoder};
 use slicewalk::query::{Aabb, Overlap, Ray, cast, floor_under, overlaps, sweep};
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Walker, Wish};
+use slicewalk::walk::{Body, Config, Walker, MoveInput};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::hint::black_box;
 use std::path::PathBuf;
@@ -166,7 +166,7 @@ fn answers(store: &Snapshot) -> Result<()> {
     let mut heading = 0.3f64;
     region("walk_frame", FRAMES, &mut || {
         for _ in 0..FRAMES {
-            let wish = Wish::Direction(Vector2::new(heading.cos(), heading.sin()));
+            let wish = MoveInput::Direction(Vector2::new(heading.cos(), heading.sin()));
             let report = black_box(walker.step(store, 1.0 / 60.0, wish));
             heading += if report.stop.is_some() { 2.0 } else { 0.01 };
         }

@@ -116,13 +116,13 @@ fn walk(path: &Path, size: [f64; 2], prefetch: Prefetch) -> Result<Walked> {
     let (feet, places) = route(size);
     let mut walker = Walker::new(Config::default(), feet.into())?;
     let mut route = Waypoints::new(places)?;
-    stream.load_around(&walker.outlook(stream.archive().frame()))?;
+    stream.load_around(&walker.motion_hint(stream.archive().frame()))?;
     let (mut metres, mut frames, mut missed) = (0.0, 0, 0);
     // Twice the way at its speed, at most.
     let limit = (2.0 * (size[0] + size[1]) / walker.config().speed / FRAME_S) as usize;
     let clock = Instant::now();
     while walker.state() != State::Arrived && frames < limit {
-        pawn.hint(&walker.outlook(stream.archive().frame()));
+        pawn.hint(&walker.motion_hint(stream.archive().frame()));
         let mut report = walker.follow(&stream.snapshot(), FRAME_S, &mut route);
         missed += usize::from(report.waits());
         metres += report.moved.norm();

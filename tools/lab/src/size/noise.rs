@@ -2,7 +2,7 @@
 
 use crate::stability::Result;
 use slicewalk::archive::Archive;
-use slicewalk::slice::Page;
+use slicewalk::page::Page;
 use std::collections::BTreeMap;
 
 /// Steepest change from pixel to pixel on what counts as smooth (quanta).

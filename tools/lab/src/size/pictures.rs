@@ -24,7 +24,7 @@ pub fn bytes(archive: &Archive) -> Result<[u64; 2]> {
         for (px, py, spans) in archive.page(&entry)?.columns() {
             let at = (y + i64::from(py)) as usize * width + (x + i64::from(px)) as usize;
             for slice in 0..PAGE_SLICES as u32 {
-                let part = |span: &slicewalk::slice::Span| Some((span.within_slice(slice)?, span.is_obstacle()));
+                let part = |span: &slicewalk::page::Span| Some((span.within_slice(slice)?, span.is_obstacle()));
                 if let Some(((bottom, top), obstacle)) = spans.iter().find_map(part) {
                     let number = i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice);
                     slices.entry(number).or_default().push((at, bottom, top, obstacle));

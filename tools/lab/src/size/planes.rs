@@ -2,7 +2,7 @@
 //! decoding time of the adaptive model against.
 
 use crate::stability::Result;
-use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::page::{Page, PageBuilder, Span};
 
 const LEVEL: i32 = 1;
 /// Bytes of planes that a page can have: a count for each pixel, and five bytes for each of at most 64 spans in it.

@@ -10,7 +10,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Answer, Cylinder, Overlap, floor_under, overlaps};
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Walker, Wish};
+use slicewalk::walk::{Body, Config, Walker, MoveInput};
 use std::path::Path;
 use std::time::Instant;
 
@@ -79,7 +79,7 @@ fn walk_once(store: &Snapshot, model: &Model, times: &mut [f64]) -> Result<f64> 
         }
         let before = walker.feet();
         let start = Instant::now();
-        walker.step(store, 1.0 / 60.0, Wish::Direction(Vector2::new(heading.cos(), heading.sin())));
+        walker.step(store, 1.0 / 60.0, MoveInput::Direction(Vector2::new(heading.cos(), heading.sin())));
         *time = time.min(start.elapsed().as_secs_f64() * 1e6);
         moved += (walker.feet().xy() - before.xy()).norm();
     }

@@ -8,7 +8,7 @@ use scangen::SampleSpec;
 use scangen::scene::build::Builder;
 use slicewalk::plan::Classifier;
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Crowd, Walker, Wish};
+use slicewalk::walk::{Body, Config, Crowd, Walker, MoveInput};
 use std::time::Instant;
 
 const TICK_S: f64 = 1.0 / 60.0;
@@ -97,7 +97,7 @@ fn walk(store: &Snapshot, count: usize, to_one: bool) -> Result<Seen> {
     let mut seen = Seen { times: Vec::new(), settled: 0, within: 0.0, overlap: 0.0 };
     while seen.times.len() < 3600 && seen.settled < count {
         let start = Instant::now();
-        let report = crowd.step(store, TICK_S, |n, _| Wish::Toward(goal(n)));
+        let report = crowd.step(store, TICK_S, |n, _| MoveInput::Toward(goal(n)));
         seen.times.push(start.elapsed().as_secs_f64() * 1e3);
         seen.settled = report.arrived;
         if seen.times.len().is_multiple_of(60) {

@@ -90,11 +90,11 @@ fn fall(bytes: &[u8], way: &Walk, prefetch: Prefetch) -> Result<Fall> {
     let mut pawn = stream.pawn();
     let mut walker = Walker::new(Config::default(), way.start.into())?;
     let mut fall = Fall { frames: 0, missing: [0; 2], times: Vec::new(), counters: Counters::default() };
-    stream.load_around(&walker.outlook(stream.archive().frame()))?;
+    stream.load_around(&walker.motion_hint(stream.archive().frame()))?;
     let clock = Instant::now();
     let mut route = Waypoints::new(way.waypoints.iter().map(|place| Point2::from(*place)).collect())?;
     while walker.state() != State::Arrived && fall.frames < 3600 {
-        pawn.hint(&walker.outlook(stream.archive().frame()));
+        pawn.hint(&walker.motion_hint(stream.archive().frame()));
         let started = Instant::now();
         let mut report = walker.follow(&stream.snapshot(), FRAME_S, &mut route);
         fall.missing[0] += usize::from(report.waits());

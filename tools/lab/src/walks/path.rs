@@ -3,7 +3,7 @@
 use super::cases::Case;
 use nalgebra::{Point3, Vector3};
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Config, Response, Walker, Wish};
+use slicewalk::walk::{Config, MoveInput, Response, Walker};
 
 /// How a walk compares with the exact one.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +21,7 @@ pub fn walk(set: &Snapshot, case: &Case, response: Response) -> Deviation {
     let mut walker = Walker::new(config, case.start).expect("a finite start");
     let mut seen = Deviation { off: 0.0, share: 0.0 };
     for _ in 0..(case.seconds * 60.0).round() as usize {
-        walker.step(set, 1.0 / 60.0, Wish::Direction(case.toward));
+        walker.step(set, 1.0 / 60.0, MoveInput::Direction(case.toward));
         let (off, share) = nearest(&case.truth, case.goes_on, walker.feet());
         seen = Deviation { off: seen.off.max(off), share: seen.share.max(share) };
     }

@@ -7,7 +7,7 @@ use crate::stability::table::{Table, number, percent};
 use crate::{Random, data};
 use nalgebra::{Point2, Point3};
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Region, Route, Search, Spot, StandingPlaces};
+use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Region, Route, Search, PlaceId, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk_convert::{ConvertOptions, PixelSize};
@@ -33,7 +33,7 @@ const STARTS: usize = 20;
 /// Two places and what leads from one to the other.
 struct Pair {
     ends: [Point3<f64>; 2],
-    spots: [Spot; 2],
+    spots: [PlaceId; 2],
     /// Length of the exact way, if there is one (m).
     length_m: Option<f64>,
 }
@@ -102,7 +102,7 @@ struct Ground {
 }
 
 impl Ground {
-    fn spot(&mut self, at: Point3<f64>) -> Result<Option<Spot>> {
+    fn spot(&mut self, at: Point3<f64>) -> Result<Option<PlaceId>> {
         spot(&self.store, &mut self.standing, at.into())
     }
 
@@ -151,7 +151,7 @@ impl Ground {
     fn guess(&mut self, level: &Snapshot, pair: &Pair) -> Result<(Option<Guess>, bool, f64)> {
         let start = processor_s();
         let mut planner = Coarse::new(level, self.pawn, pair.ends[0], pair.ends[1])?;
-        let planned = planner.go_on(level, usize::MAX, &NoMonitor)?;
+        let planned = planner.advance(level, usize::MAX, &NoMonitor)?;
         let seconds = processor_s() - start;
         let route = match planned {
             Planned::Done(found) => found.ok(),

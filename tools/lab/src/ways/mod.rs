@@ -19,7 +19,7 @@ mod truth;
 
 use crate::stability::Result;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Flood, Pawn, Region, Spot, StandingPlaces};
+use slicewalk::reach::{Flood, Pawn, Region, PlaceId, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::{Monitor, NoMonitor};
 use std::path::{Path, PathBuf};
@@ -131,7 +131,7 @@ fn everywhere(store: &Snapshot, pawn: Pawn) -> Result<(StandingPlaces, Region)> 
 }
 
 /// All that can be reached from a place.
-fn reached(store: &Snapshot, standing: &mut StandingPlaces, from: Spot) -> Result<Region> {
+fn reached(store: &Snapshot, standing: &mut StandingPlaces, from: PlaceId) -> Result<Region> {
     grown(store, standing, Flood::from(from))
 }
 
@@ -141,7 +141,7 @@ fn grown(store: &Snapshot, standing: &mut StandingPlaces, mut flood: Flood) -> R
 }
 
 /// The standing place under a point.
-fn spot(store: &Snapshot, standing: &mut StandingPlaces, at: [f64; 3]) -> Result<Option<Spot>> {
+fn spot(store: &Snapshot, standing: &mut StandingPlaces, at: [f64; 3]) -> Result<Option<PlaceId>> {
     known(standing.spot(store, at.into())?)
 }
 

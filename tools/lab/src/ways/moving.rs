@@ -1,7 +1,7 @@
 //! Walking people removed: how many of their points go, how many of what stands, and what that takes.
 
 use super::Effort;
-use super::sight::{Eye, Sight, best};
+use super::sight::{Eye, RayBound, best};
 use crate::stability::Result;
 use crate::stability::table::{Share, Table, number, percent};
 use crate::thesis::models::read_scan;
@@ -242,7 +242,7 @@ fn eyes(scene: &Scene, rays: usize, people: usize, seed: u64) -> Result<Vec<Eye>
 
 /// The points on people by what other stations could tell of their places, in shares of all, and how many of each went.
 fn by_sight(scene: &Scene, eyes: &[Eye], samples: &[Sample], is_gone: &dyn Fn(&Sample) -> bool) -> [String; 11] {
-    let mut gone: BTreeMap<Sight, Share> = BTreeMap::new();
+    let mut gone: BTreeMap<RayBound, Share> = BTreeMap::new();
     let mut all = 0u64;
     for sample in samples.iter().filter(|sample| sample.kind == Kind::Moving) {
         let others = eyes.iter().zip(0u16..).filter(|(_, number)| *number != sample.station);
@@ -250,25 +250,25 @@ fn by_sight(scene: &Scene, eyes: &[Eye], samples: &[Sample], is_gone: &dyn Fn(&S
         gone.entry(sight).or_default().add(is_gone(sample));
         all += 1;
     }
-    let of = |sights: &[Sight]| {
+    let of = |sights: &[RayBound]| {
         let mut sum = Share::default();
         sights.iter().filter_map(|sight| gone.get(sight)).for_each(|share| sum.merge(*share));
         sum
     };
-    let share = |sights: &[Sight]| percent(of(sights).all as f64 / all.max(1) as f64);
-    let removed = |sights: &[Sight]| percent(of(sights).value());
+    let share = |sights: &[RayBound]| percent(of(sights).all as f64 / all.max(1) as f64);
+    let removed = |sights: &[RayBound]| percent(of(sights).value());
     [
-        share(&[Sight::Clear]),
-        removed(&[Sight::Clear]),
-        share(&[Sight::Grazed]),
-        removed(&[Sight::Grazed]),
-        share(&[Sight::Outvoted]),
-        removed(&[Sight::Outvoted]),
-        share(&[Sight::Near]),
-        share(&[Sight::Open]),
-        share(&[Sight::Occupied, Sight::Crowded]),
-        share(&[Sight::Hidden]),
-        removed(&[Sight::Clear, Sight::Grazed]),
+        share(&[RayBound::Clear]),
+        removed(&[RayBound::Clear]),
+        share(&[RayBound::Grazed]),
+        removed(&[RayBound::Grazed]),
+        share(&[RayBound::Outvoted]),
+        removed(&[RayBound::Outvoted]),
+        share(&[RayBound::Near]),
+        share(&[RayBound::Open]),
+        share(&[RayBound::Occupied, RayBound::Crowded]),
+        share(&[RayBound::Hidden]),
+        removed(&[RayBound::Clear, RayBound::Grazed]),
     ]
 }
 

@@ -102,7 +102,7 @@ pub fn alone(store: &Snapshot, pawn: Pawn, ends: [Point3<f64>; 2]) -> Result<(Op
     let start = processor_s();
     let mut planner = Planner::new(store, pawn, ends[0], ends[1])?;
     loop {
-        match planner.go_on(store, usize::MAX, &NoMonitor)? {
+        match planner.advance(store, usize::MAX, &NoMonitor)? {
             Planned::Done(found) => return Ok((found.ok(), processor_s() - start)),
             Planned::NotLoaded(_) => return Err("a store without a page".into()),
             _ => {}

@@ -16,7 +16,7 @@ const AROUND_DEG: f64 = 1.0;
 
 /// What those stations that did not measure a point could tell of its place, the best last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Sight {
+pub enum RayBound {
     /// A wall or furniture is in front of it.
     Hidden,
     /// Somebody was in front of it while the station looked there.
@@ -42,19 +42,19 @@ pub struct Eye {
 }
 
 /// The best that one of these stations could tell of a place (m) which one more measured.
-pub fn best<'a>(scene: &Scene, eyes: impl Iterator<Item = &'a Eye>, point: Vec3) -> Sight {
-    let sights: Vec<Sight> = eyes.map(|eye| of(scene, eye, point)).collect();
-    let best = sights.iter().copied().max().unwrap_or(Sight::Hidden);
-    let through = sights.iter().filter(|sight| **sight >= Sight::Grazed).count();
-    let hits = 1 + sights.iter().filter(|sight| matches!(sight, Sight::Near | Sight::Occupied)).count();
-    if best >= Sight::Grazed && hits > through { Sight::Outvoted } else { best }
+pub fn best<'a>(scene: &Scene, eyes: impl Iterator<Item = &'a Eye>, point: Vec3) -> RayBound {
+    let sights: Vec<RayBound> = eyes.map(|eye| of(scene, eye, point)).collect();
+    let best = sights.iter().copied().max().unwrap_or(RayBound::Hidden);
+    let through = sights.iter().filter(|sight| **sight >= RayBound::Grazed).count();
+    let hits = 1 + sights.iter().filter(|sight| matches!(sight, RayBound::Near | RayBound::Occupied)).count();
+    if best >= RayBound::Grazed && hits > through { RayBound::Outvoted } else { best }
 }
 
-fn of(scene: &Scene, eye: &Eye, point: Vec3) -> Sight {
+fn of(scene: &Scene, eye: &Eye, point: Vec3) -> RayBound {
     let way = sub(point, eye.station);
     let distance = length(way);
     let own = toward(scene, eye, way, distance);
-    if own != Sight::Clear {
+    if own != RayBound::Clear {
         return own;
     }
     let flat = way[0].hypot(way[1]);
@@ -64,24 +64,24 @@ fn of(scene: &Scene, eye: &Eye, point: Vec3) -> Sight {
     let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (f64::from(a) * far, f64::from(b) * far)));
     let mut ways = around.map(|(a, b)| add(way, add(scale(side, a), scale(up, b))));
     // Where nothing is behind, nothing is measured, and that hinders nobody.
-    if ways.all(|way| matches!(toward(scene, eye, way, distance), Sight::Clear | Sight::Open)) {
-        Sight::Clear
+    if ways.all(|way| matches!(toward(scene, eye, way, distance), RayBound::Clear | RayBound::Open)) {
+        RayBound::Clear
     } else {
-        Sight::Grazed
+        RayBound::Grazed
     }
 }
 
 /// What a ray in the direction of `way` tells of a place at `distance` (m).
-fn toward(scene: &Scene, eye: &Eye, way: Vec3, distance: f64) -> Sight {
+fn toward(scene: &Scene, eye: &Eye, way: Vec3, distance: f64) -> RayBound {
     let direction = unit(way);
     let (sight, margin) = (beyond(scene, eye.station, direction, distance), margin(distance));
-    if sight == Sight::Hidden {
+    if sight == RayBound::Hidden {
         return sight;
     }
     match eye.crowd.as_ref().and_then(|crowd| crowd.nearest(direction)) {
-        Some(met) if met < distance - margin => Sight::Crowded,
-        Some(met) if met <= distance + margin => Sight::Occupied,
-        Some(_) if sight == Sight::Open => Sight::Clear,
+        Some(met) if met < distance - margin => RayBound::Crowded,
+        Some(met) if met <= distance + margin => RayBound::Occupied,
+        Some(_) if sight == RayBound::Open => RayBound::Clear,
         _ => sight,
     }
 }
@@ -92,21 +92,21 @@ fn margin(distance: f64) -> f64 {
 }
 
 /// What a ray tells of a place at `distance` (m) where nobody is.
-fn beyond(scene: &Scene, station: Vec3, direction: Vec3, distance: f64) -> Sight {
+fn beyond(scene: &Scene, station: Vec3, direction: Vec3, distance: f64) -> RayBound {
     let (mut from, mut passed) = (station, 0.0);
     for _ in 0..MOST_PANES {
-        let Some((t, surface)) = scene.raycast(from, direction, RANGE_M - passed) else { return Sight::Open };
+        let Some((t, surface)) = scene.raycast(from, direction, RANGE_M - passed) else { return RayBound::Open };
         if scene.surfaces()[surface].label != "glass" {
             let seen = passed + t;
             let margin = margin(distance);
             return match seen - distance {
-                behind if behind > margin => Sight::Clear,
-                behind if behind > -margin => Sight::Near,
-                _ => Sight::Hidden,
+                behind if behind > margin => RayBound::Clear,
+                behind if behind > -margin => RayBound::Near,
+                _ => RayBound::Hidden,
             };
         }
         passed += t + CLEAR_M;
         from = add(from, scale(direction, t + CLEAR_M));
     }
-    Sight::Open
+    RayBound::Open
 }

@@ -6,8 +6,8 @@
 
 use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PageKey};
+use slicewalk::page::{Page, PageBuilder, Span};
 use slicewalk::plan::Plan;
-use slicewalk::slice::{Page, PageBuilder, Span};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -5,7 +5,7 @@ use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
-use slicewalk::slice::Span;
+use slicewalk::page::Span;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::BTreeMap;
 use std::fs;

@@ -3,7 +3,7 @@
 use crate::fault::invalid;
 use slicewalk::frame::PageKey;
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::query::{self, Aabb, Answer, Overlap, Ray, Sight};
+use slicewalk::query::{self, Aabb, Answer, Overlap, Ray, RayBound};
 use slicewalk::store::{Missing, Snapshot};
 
 /// Most keys of missing pages that a batch gathers.
@@ -98,14 +98,14 @@ pub(crate) fn far(set: &Snapshot, level: Option<&S>, rays: &[f64], lacks: &mut L
         let answer = match level {
             Some(level) => query::cast_far(set, level, &ray),
             None => match query::cast(set, &ray) {
-                Answer::Known(hit) => Answer::Known(Sight::Exact(hit)),
+                Answer::Known(hit) => Answer::Known(RayBound::Exact(hit)),
                 Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
             },
         };
         Ok(match lacks.known(answer) {
             None => [f64::NAN, 0.0],
-            Some(Sight::Exact(hit)) => [hit.map_or(f64::INFINITY, |hit| hit.distance), 0.0],
-            Some(Sight::AtLeast(distance)) => [distance, 1.0],
+            Some(RayBound::Exact(hit)) => [hit.map_or(f64::INFINITY, |hit| hit.distance), 0.0],
+            Some(RayBound::AtLeast(distance)) => [distance, 1.0],
         })
     })?;
     Ok(answers.into_flattened())

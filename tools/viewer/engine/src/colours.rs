@@ -37,7 +37,7 @@ pub(crate) struct Bringing {
     /// Set when something was drawn or painted since the loaders last received the pages.
     is_stale: bool,
     /// Decoded colours, and the scenes still to be painted with them.
-    came: Option<(Part, PageKey, slicewalk::slice::Colours, Vec<u32>)>,
+    came: Option<(Part, PageKey, slicewalk::page::Colours, Vec<u32>)>,
 }
 
 impl Bringing {

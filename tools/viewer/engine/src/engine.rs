@@ -464,10 +464,10 @@ impl Engine {
                 self.outline = Distant::Wanted;
             }
             scene.thing.look(at);
-            let outlook = scene.thing.outlook();
-            if scene.hinted != Some(outlook) {
-                scene.hinted = Some(outlook);
-                self.loader.hint(scene.body, &outlook);
+            let motion_hint = scene.thing.motion_hint();
+            if scene.hinted != Some(motion_hint) {
+                scene.hinted = Some(motion_hint);
+                self.loader.hint(scene.body, &motion_hint);
             }
         }
         Ok(())
@@ -573,11 +573,11 @@ impl Engine {
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
         let frame = *self.snapshot()?.frame();
         if let Some(pawn) = self.pawns.get_mut(pawn) {
-            let outlook = pawn.thing.outlook(&frame);
+            let motion_hint = pawn.thing.motion_hint(&frame);
             let missing = pawn.thing.missing();
-            if pawn.hinted != Some(outlook) || missing.is_some() {
-                pawn.hinted = Some(outlook);
-                self.loader.hint(pawn.body, &outlook);
+            if pawn.hinted != Some(motion_hint) || missing.is_some() {
+                pawn.hinted = Some(motion_hint);
+                self.loader.hint(pawn.body, &motion_hint);
                 missing.into_iter().for_each(|missing| self.loader.need(pawn.body, missing));
             }
         }

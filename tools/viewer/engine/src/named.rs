@@ -1,6 +1,6 @@
 //! Objects of the engine by their names in JavaScript.
 
-use slicewalk::store::{BodyId, Outlook};
+use slicewalk::store::{BodyId, MotionHint};
 
 /// A few objects by their names in JavaScript, in order of creation.
 pub(crate) struct Named<T>(pub Vec<(u32, T)>);
@@ -30,5 +30,5 @@ impl<T> Named<T> {
 pub(crate) struct Moving<T> {
     pub thing: T,
     pub body: BodyId,
-    pub hinted: Option<Outlook>,
+    pub hinted: Option<MotionHint>,
 }

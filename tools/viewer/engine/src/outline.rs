@@ -121,8 +121,8 @@ pub(crate) mod tests {
     use slicewalk::archive::{Archive, ArchiveWriter, EncodedColours, PageEncoder, Totals};
     use slicewalk::codec::ColourEncoder;
     use slicewalk::colour::{ColourPlan, ColourScale};
+    use slicewalk::page::{Occupancy, PageBuilder, Span};
     use slicewalk::plan::Plan;
-    use slicewalk::slice::{Occupancy, PageBuilder, Span};
     use std::collections::BTreeSet;
 
     /// Rough ground of 40 × 10 pages of 3.2 m.

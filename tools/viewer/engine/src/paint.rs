@@ -3,7 +3,7 @@
 //! In: colours of a page and the coarseness of its drawing. Out: masks of the slices with a colour, and colours.
 
 use slicewalk::frame::TILE_PIXELS;
-use slicewalk::slice::Colours;
+use slicewalk::page::Colours;
 
 /// Colours of a page, cell by cell.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -62,8 +62,8 @@ mod tests {
     use slicewalk::codec::ColourEncoder;
     use slicewalk::colour::{ColourPlan, ColourScale};
     use slicewalk::frame::{Frame, PageKey};
+    use slicewalk::page::{Occupancy, PageBuilder, Span};
     use slicewalk::plan::Plan;
-    use slicewalk::slice::{Occupancy, PageBuilder, Span};
 
     const RED: [u16; 3] = [65_535, 0, 0];
     const BLACK: [u16; 3] = [0, 0, 0];

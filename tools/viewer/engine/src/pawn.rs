@@ -7,8 +7,8 @@ use crate::fault::{self, invalid};
 use slicewalk::frame::Frame;
 use slicewalk::nalgebra::{Point2, Point3, Vector2, Vector3};
 use slicewalk::query::Answer;
-use slicewalk::store::{Missing, Outlook, Snapshot};
-use slicewalk::walk::{Body, Config, Ground, State, Stop, Walker, Wish};
+use slicewalk::store::{Missing, MotionHint, Snapshot};
+use slicewalk::walk::{Body, Config, Ground, MoveInput, State, Stop, Walker};
 
 /// Length of a tick (s).
 pub const TICK_S: f64 = 1.0 / 240.0;
@@ -178,12 +178,18 @@ impl Pawn {
 
     /// Motion hint. At a new place it covers only what the pawn stands on, until the step after its first tick: nothing
     /// delays this tick, and the caller that requested it has seen it.
-    pub fn outlook(&self, frame: &Frame) -> Outlook {
-        let outlook = self.walker.outlook(frame);
+    pub fn motion_hint(&self, frame: &Frame) -> MotionHint {
+        let motion_hint = self.walker.motion_hint(frame);
         if !self.goes_on {
-            return Outlook { velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0, ..outlook };
+            return MotionHint {
+                velocity: Vector3::zeros(),
+                gravity: 0.0,
+                terminal_speed: 0.0,
+                agility: 0.0,
+                ..motion_hint
+            };
         }
-        outlook
+        motion_hint
     }
 
     /// Pages that the last step waited for.
@@ -275,8 +281,8 @@ impl Pawn {
             self.walker.jump((2.0 * self.settings.gravity * self.settings.jump).sqrt());
         }
         let wish = match input.toward {
-            true => Wish::Toward(Point2::from(input.wish)),
-            false => Wish::Direction(input.wish),
+            true => MoveInput::Toward(Point2::from(input.wish)),
+            false => MoveInput::Direction(input.wish),
         };
         let report = self.walker.step(set, f64::from(ticks) * TICK_S, wish);
         (self.stop, self.missing) = (report.stop, report.missing);
@@ -373,9 +379,9 @@ mod tests {
         let frame = Frame::new(0.05, 0.15).unwrap();
         let empty = Snapshot::from_pages(frame, []);
         let speeds = |pawn: &Pawn| {
-            let outlook = pawn.outlook(&frame);
-            assert!(outlook.is_valid() && outlook.min.x < -0.25 && outlook.max.z > 1.8);
-            (outlook.agility, outlook.gravity)
+            let motion_hint = pawn.motion_hint(&frame);
+            assert!(motion_hint.is_valid() && motion_hint.min.x < -0.25 && motion_hint.max.z > 1.8);
+            (motion_hint.agility, motion_hint.gravity)
         };
         let input = Input::from_numbers(&[0.0, 0.0, 1.0, 0.0, f64::from(FLY)]).unwrap();
         assert_eq!(speeds(&pawn), (0.0, 0.0));

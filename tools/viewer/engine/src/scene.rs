@@ -7,7 +7,7 @@ use crate::geometry::{COARSEST, Geometry};
 use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::store::{Outlook, PageSlot, Snapshot};
+use slicewalk::store::{MotionHint, PageSlot, Snapshot};
 use std::collections::HashMap;
 
 /// Time that a loader looks ahead (s).
@@ -99,8 +99,8 @@ impl Scenes {
     }
 
     /// Motion hint of the near scene.
-    pub fn outlook(&self) -> Outlook {
-        self.near.outlook()
+    pub fn motion_hint(&self) -> MotionHint {
+        self.near.motion_hint()
     }
 
     /// Number of pages that [`build`](Self::build) will draw.
@@ -220,8 +220,8 @@ impl Scene {
     }
 
     /// Motion hint for a loader, to load the nearest pages first.
-    pub fn outlook(&self) -> Outlook {
-        Outlook {
+    pub fn motion_hint(&self) -> MotionHint {
+        MotionHint {
             min: self.at,
             max: self.at,
             velocity: Vector3::zeros(),
@@ -345,7 +345,7 @@ fn distance(frame: &Frame, key: PageKey, at: &Point3<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use slicewalk::slice::{PageBuilder, Span};
+    use slicewalk::page::{PageBuilder, Span};
     use slicewalk::store::Snapshot;
 
     /// Rough ground of 16 × 16 pages of 3.2 m.

@@ -105,7 +105,7 @@ pub fn upload(
     };
     done.map_err(|failed| match failed {
         Failed::Local(error) => error,
-        Failed::Exists => Error::output(&name, "exists already").with_way_out(Parameter::Overwrite),
+        Failed::Exists => Error::output(&name, "exists already").with_suggestion(Parameter::Overwrite),
         Failed::Store(error) => {
             use object_store::Error::{PermissionDenied, Unauthenticated};
             let denied = matches!(error, PermissionDenied { .. } | Unauthenticated { .. });

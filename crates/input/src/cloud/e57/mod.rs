@@ -19,7 +19,7 @@ use super::values::{SAMPLE_POINTS, Sample, Scale};
 use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
 use crate::crs::Georeference;
-use crate::losses::without_path;
+use crate::diagnostics::without_path;
 use crate::text::counted;
 use crate::{Error, Parameter, Result};
 use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Undescribed, Wrong};
@@ -165,7 +165,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
             Ok(scan) => scans.push(scan),
             Err(error @ (Error::Input { .. } | Error::Unsupported { .. })) if others => {
                 if !opening.findings.allow_incomplete {
-                    return Err(error.with_way_out(Parameter::Incomplete));
+                    return Err(error.with_suggestion(Parameter::Incomplete));
                 }
                 let text = format!("{} left out: {error}", counted(points, "point"));
                 opening.findings.lose_points(points, text)?;
@@ -192,7 +192,7 @@ fn unsupported(path: &std::path::Path, what: String) -> Error {
     Error::Unsupported {
         what: format!("{}: {what}", path.display()),
         version: env!("CARGO_PKG_VERSION"),
-        way_out: "write it with another program, bit packed, as cartesian or spherical points".into(),
+        suggestion: "write it with another program, bit packed, as cartesian or spherical points".into(),
     }
 }
 

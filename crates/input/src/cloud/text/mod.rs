@@ -19,7 +19,7 @@ use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale}
 use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
 use crate::columns::{TextColumn, TextLayout};
-use crate::losses::Findings;
+use crate::diagnostics::Findings;
 use crate::{Error, Monitor, Parameter, Result};
 use decision::{Beginning, Custom, Decision, decide, is_header};
 use heading::NameUnit;
@@ -158,9 +158,9 @@ impl Rows {
     #[cold]
     fn row_error(&self, fault: Fault, lines: &Lines<'_>) -> Error {
         match fault.is_width && self.format == TABLE {
-            true => lines.error(fault.reason).with_way_out(Parameter::Columns),
+            true => lines.error(fault.reason).with_suggestion(Parameter::Columns),
             false => {
-                lines.error(format!("{}; fetch or write it again", fault.reason)).with_way_out(Parameter::Incomplete)
+                lines.error(format!("{}; fetch or write it again", fault.reason)).with_suggestion(Parameter::Incomplete)
             }
         }
     }
@@ -516,7 +516,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
         }
         if let Some((header, line)) = header.filter(|(header, _)| !is_header(header)) {
             let reason = format!("expected columns named x, y and z, found {}", super::shown(header.trim_ascii()));
-            return Err(opening.error(format!("line {line}"), reason).with_way_out(Parameter::Columns));
+            return Err(opening.error(format!("line {line}"), reason).with_suggestion(Parameter::Columns));
         }
         let layout = RowLayout::new(Places::of([0, 1, 2]), Separator::Blanks, false);
         return Ok(Opened::new(Rows::empty(format, packing, layout, Channels::new(None, None))));
@@ -530,10 +530,10 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
         let at = format!("line {line}");
         match custom {
             Custom::Pts => {
-                let way_out = "give it the ending .txt and name its columns";
-                opening.error(at, format!("{}; {way_out}", refusal.reason))
+                let suggestion = "give it the ending .txt and name its columns";
+                opening.error(at, format!("{}; {suggestion}", refusal.reason))
             }
-            _ => opening.error(at, refusal.reason).with_way_out(Parameter::Columns),
+            _ => opening.error(at, refusal.reason).with_suggestion(Parameter::Columns),
         }
     })?;
     let Decision { layout, places, cells, names, units, odd } = decided;

@@ -2,7 +2,7 @@
 //! which rows were left out.
 
 use crate::Result;
-use crate::losses::Findings;
+use crate::diagnostics::Findings;
 
 /// Number of points in the first line of a table.
 #[derive(Debug, Clone, Copy)]

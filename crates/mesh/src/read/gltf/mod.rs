@@ -158,7 +158,7 @@ impl GltfReader {
         let digest = wants.digest;
         let most_bytes = options.memory_bytes.max(LEAST_JSON_BYTES);
         let (json, binary) = read_structure(path, most_bytes, digest)?;
-        watch.go_on()?;
+        watch.check_cancelled()?;
         let text = json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json);
         let structure = Structure::parse(text, most_bytes, wants.colours.is_some()).map_err(|e| {
             Error::input(path, "structure", format!("{}; expected glTF 2.0", e.to_string().replace('\n', " ")))
@@ -635,7 +635,7 @@ fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<
     };
     if len > most_bytes {
         let what = format!("{}: structure (bytes)", path.display());
-        return Err(Error::limit(what, len, most_bytes).with_way_out(Parameter::Memory));
+        return Err(Error::limit(what, len, most_bytes).with_suggestion(Parameter::Memory));
     }
     let mut json = Vec::with_capacity(len as usize);
     file.seek(SeekFrom::Start(start)).map_err(io)?;

@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::plan::Plan;
-use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::page::{Page, PageBuilder, Span};
 use slicewalk::store::Snapshot;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;

@@ -13,7 +13,7 @@ use parry3d::shape::{SharedShape, TriMesh};
 use scangen::SampleSpec;
 use slicewalk::plan::Classifier;
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Walker, Wish};
+use slicewalk::walk::{Body, Config, Walker, MoveInput};
 use std::fmt::Write;
 use std::time::Instant;
 
@@ -47,7 +47,7 @@ fn walker(store: &Snapshot, case: &Case, origin: Vector3<f64>, frames: usize) ->
     let (mut times, mut feet) = (Vec::new(), Vec::new());
     for _ in 0..frames {
         let start = Instant::now();
-        walker.step(store, FRAME_S, Wish::Direction(case.toward));
+        walker.step(store, FRAME_S, MoveInput::Direction(case.toward));
         times.push(start.elapsed().as_secs_f64() * 1e9);
         feet.push(walker.feet().z);
     }

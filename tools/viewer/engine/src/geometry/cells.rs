@@ -1,7 +1,7 @@
 //! Spans of a page on the coarser grid of a drawing.
 
 use slicewalk::frame::TILE_PIXELS;
-use slicewalk::slice::{Page, Span};
+use slicewalk::page::{Page, Span};
 
 /// Solid in one cell between two heights (steps).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

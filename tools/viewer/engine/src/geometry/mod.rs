@@ -9,7 +9,7 @@ mod quads;
 
 use cells::Cells;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
-use slicewalk::slice::Page;
+use slicewalk::page::Page;
 
 /// Largest cell, as a power of two of pixels.
 pub(crate) const COARSEST: u32 = 4;

@@ -1,6 +1,6 @@
 use super::*;
 use proptest::prelude::*;
-use slicewalk::slice::{PageBuilder, Span};
+use slicewalk::page::{PageBuilder, Span};
 
 const KEY: PageKey = PageKey { tx: -1, ty: 2, layer: 1 };
 

@@ -4,8 +4,8 @@
 use crate::random::Random;
 use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::plan::Plan;
-use slicewalk::slice::{PageBuilder, Span};
 use std::collections::BTreeMap;
 
 /// Half of the hall's width (m).
