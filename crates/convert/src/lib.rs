@@ -287,7 +287,7 @@ impl ConvertOptions {
             return Err(Error::parameter(Parameter::Stations, reason));
         }
         if self.resume && crate::bytes::address(&self.output).is_some() {
-            let reason = "an archive that is written to an address is made anew; leave it out, or write a file";
+            let reason = "an archive at an address cannot be resumed; leave it out, or write a file";
             return Err(Error::parameter(Parameter::Resume, reason));
         }
         self.check_colour()?;

@@ -205,7 +205,7 @@ fn is_descriptor(path: &Path) -> bool {
     folder == Path::new("/dev/fd") || folder.starts_with("/proc") && folder.ends_with("fd")
 }
 
-/// Result of [`judge`].
+/// State of a name, from [`judge`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judged {
     /// Nothing has the name.
