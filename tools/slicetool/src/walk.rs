@@ -426,7 +426,7 @@ fn waypoints(path: &Path) -> Result<(Vec<Point2<f64>>, Option<f64>), Failure> {
         let number = |at: usize| row.get(at)?.parse::<f64>().ok().filter(|v| v.is_finite());
         let value = |at: usize| {
             let field = row.get(at).unwrap_or_default();
-            number(at).ok_or_else(|| failed(line.clone(), format!("{field:?} is no number")))
+            number(at).ok_or_else(|| failed(line.clone(), format!("{field:?} is not a number")))
         };
         places.push(Point2::new(value(x)?, value(y)?));
         last_z = z.and_then(number);

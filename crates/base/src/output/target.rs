@@ -157,7 +157,7 @@ impl Target {
                 return Err(Error::output(name, reason));
             }
             if kind != OutputKind::Result {
-                let reason = format!("is no regular file, as {} has to be; choose another name", kind.name());
+                let reason = format!("is not a regular file, which {} must be; choose another name", kind.name());
                 return Err(Error::output(name, reason));
             }
             // A file opened by the shell is written to, not replaced.
@@ -231,7 +231,7 @@ pub(super) fn judge(
     match about.kind {
         FileKind::File => {}
         FileKind::Folder => return refuse("is a folder; choose another name".into()),
-        FileKind::Stream | FileKind::Other => return refuse("is no regular file; choose another name".into()),
+        FileKind::Stream | FileKind::Other => return refuse("is not a regular file; choose another name".into()),
     }
     if protected.holds(files, path) {
         return Err(is_read(name));
