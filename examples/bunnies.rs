@@ -93,7 +93,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     println!("{count} bodies, {FRAMES} frames: {tests} pairs looked at, {contacts} contacts");
-    println!("collision of a frame: {:.0} µs in the mean, {worst:.0} at most, of 16,667", total / FRAMES as f64);
+    println!("collision of a frame: {:.0} µs on average, {worst:.0} at most, of 16,667", total / FRAMES as f64);
     Ok(())
 }
 

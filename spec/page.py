@@ -519,7 +519,7 @@ def coarse_steps(scanned, moved):
 
 
 def phase_of(heights, step):
-    """The phase that puts all heights on steps; None if there is none."""
+    """The phase that puts all heights on steps; None if no phase does."""
     slack, first = 1 << 14, None
     for end, height in heights:
         start, stop = max((height - end) * ONE - slack, 0), (height - end + 1) * ONE + slack

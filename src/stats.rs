@@ -211,7 +211,7 @@ impl Layers {
             same
         });
         if self.0.len() > Self::MOST {
-            let what = "layers of 64 slices with matter (cut out a region with slicetool extract)";
+            let what = "occupied layers of 64 slices (cut out a region with slicetool extract)";
             return Err(Error::limit(what, "more", Self::MOST));
         }
         Ok(())

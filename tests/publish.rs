@@ -67,7 +67,7 @@ fn readers_and_a_publisher(readers: usize, publications: usize) {
         }
         reading.into_iter().for_each(|reader| reader.join().unwrap());
         retired.reclaim();
-        assert_eq!(retired.len(), 0, "nobody is left who could hold an old one");
+        assert_eq!(retired.len(), 0, "no reader is left that could hold an old one");
         assert_eq!(alive.load(Relaxed), 1);
         assert_eq!(current.get().0, publications, "what was published last");
     });

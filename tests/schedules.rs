@@ -141,7 +141,7 @@ fn bodies_on_their_threads_get_their_pages_or_not_loaded_and_never_free() {
                         match overlaps(&pawn.snapshot(), &shape) {
                             Overlap::Hit => {}
                             Overlap::NotLoaded(missing) => pawn.need(&missing),
-                            clear => panic!("{clear:?} where there is matter"),
+                            clear => panic!("{clear:?} where there is solid"),
                         }
                         stream.load_around(&motion_hint).unwrap();
                         assert_eq!(overlaps(&pawn.snapshot(), &shape), Overlap::Hit);

@@ -133,7 +133,7 @@ const BATCH: u64 = 10_000;
 /// Time after which an input is reported as slow.
 const SLOW: Duration = Duration::from_secs(1);
 
-/// Inputs run per target so far, stored in a file.
+/// Inputs run per target in all runs, stored in a file.
 struct Totals {
     path: PathBuf,
     state: Mutex<State>,

@@ -362,7 +362,7 @@ impl Cursor {
         let mask =
             (0..8).rev().fold(0u64, |mask, byte| mask << 8 | u64::from(raw[self.masks + byte * self.paged + at]));
         if mask == 0 {
-            return Err(Violation::new("D7", "a slice with matter", format!("none in page {key}")));
+            return Err(Violation::new("D7", "an occupied slice", format!("none in page {key}")));
         }
         let offset = match kind {
             STORED => self.next,

@@ -50,7 +50,7 @@ impl Matter {
     /// Checks rule T6 for the `bounds` of an archive of `plan`; `is_part` if it holds one part of a conversion.
     pub fn check(&self, plan: &Plan, is_part: bool, bounds: Option<&Bounds>) -> Result<(), Violation> {
         let Some((min, max)) = bounds else {
-            let wrong = |around| Violation::new("T6", format!("bounds around the matter, {around:?}"), "no bounds");
+            let wrong = |around| Violation::new("T6", format!("bounds around the solid, {around:?}"), "no bounds");
             let around = self.bounds(&plan.frame).filter(|_| !borrows(plan, is_part));
             return around.map_or(Ok(()), |around| Err(wrong(around)));
         };
@@ -60,7 +60,7 @@ impl Matter {
             let inside = |(least, greatest), at| (least..=greatest).contains(&at);
             if !inside(allowed.min, low[axis]) || !inside(allowed.max, high[axis]) {
                 let expected = match self.bounds(&plan.frame) {
-                    Some(around) => format!("bounds near the matter, {around:?}"),
+                    Some(around) => format!("bounds near the solid, {around:?}"),
                     None => "bounds on the grid".into(),
                 };
                 return Err(Violation::new("T6", expected, format!("{:?}", (min, max))));

@@ -444,7 +444,7 @@ impl Pass<'_> {
             let page = decoder.decode_body(bytes)?;
             check_entry(entry, page.slices(), page.size())?;
             if !fills && !decoder.inferred().is_empty() {
-                return Err(Violation::new("P13", "inferred matter only where holes are filled", "some"));
+                return Err(Violation::new("P13", "inferred solid only if the plan fills holes", "some"));
             }
             if !encoder.gives(&page, decoder.inferred(), bytes) {
                 return Err(Violation::new("P10", "the one encoding of its content", "another"));

@@ -227,10 +227,10 @@ impl ArchiveWriter {
             return Err(Error::parameter(format!("page {key}"), format!("it is encoded as {}", page.key)));
         }
         let Some(bounds) = &page.bounds else {
-            return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
+            return Err(Error::parameter(format!("page {key}"), "has no solid; leave it out"));
         };
         if page.inferred > 0 && self.plan.options.fill_holes == 0 {
-            return Err(Error::parameter(format!("page {key}"), "has inferred matter, and the plan fills no holes"));
+            return Err(Error::parameter(format!("page {key}"), "has inferred solid, but the plan fills no holes"));
         }
         if self.levels.is_some() && page.coarse.is_none() {
             return Err(Error::parameter(format!("page {key}"), "is encoded for an archive without overview levels"));

@@ -23,7 +23,7 @@
 //! - has **floor** if a floor span ends at most 5 cm below the feet inside the footprint, or otherwise at most 5 cm
 //!   below or above them within 25 cm of the footprint's bounds ([`BESIDE_M`](crate::walk::BESIDE_M)): the edge of a
 //!   step is an obstacle, and its tread lies beside it;
-//! - is **standing** if it has floor and some span under the middle of the feet (within a pixel, for a footprint of
+//! - is **standing** if it has floor and some span under the middle of the feet (within a pixel if the footprint has
 //!   three pixels or more) ends at most the climb height below them;
 //! - is a **bridge** if it has floor but the middle of the feet hangs over a gap, or if the floor lies beside it, more
 //!   than 5 cm and at most the climb height above the feet, as at the lower edge of a step. A [walker](crate::walk)

@@ -26,8 +26,8 @@ pub struct Pawn {
     pub climb: f64,
     /// Deepest drop that it steps down (m, >= 0).
     pub max_drop: f64,
-    /// Steepest ground that it goes on, as rise over run (> 0): the rise of the ground, averaged over 0.6 m, within half a
-    /// metre to each side along x and y. Infinite if only steps and obstacles limit it.
+    /// Steepest ground that it walks on, as rise over run (> 0): the rise of the ground, averaged over 0.6 m, within
+    /// half a metre to each side along x and y. Infinite if only steps and obstacles limit it.
     pub max_grade: f64,
 }
 

@@ -17,7 +17,7 @@ const WIDER: f64 = 1.5;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Planned {
-    /// The route, or why there is none.
+    /// The route, or the reason for a refusal.
     Done(std::result::Result<Route, Refusal>),
     /// These pages are needed: load them and continue.
     NotLoaded(Missing),

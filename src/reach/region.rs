@@ -437,7 +437,7 @@ impl Region {
         (low < self.len() && (self.pixels[low], self.tops[low]) == (spot.pixel, spot.top)).then_some(low as u32)
     }
 
-    /// Leaves out the places on ground steeper than the pawn goes on: the region ends there.
+    /// Leaves out the places on ground too steep for the pawn: the region ends there.
     fn leave_out_steep(&mut self, ends: &mut Vec<End>) {
         let far = ((GRADE_M / 2.0 / self.grid.frame.pixel_m()).round() as usize).clamp(1, MOST_GRADED);
         let pixels_up = self.grid.frame.quantum_m() / self.grid.frame.pixel_m();

@@ -183,8 +183,8 @@ impl StandingPlaces {
         ControlFlow::Continue(best.map(|(moved, spot)| self.snapped_to(spot, moved)))
     }
 
-    /// Returns all standing places over `at` (m), lowest first. If there are none, returns those over the nearest pixel
-    /// within `snap` (m) that has any.
+    /// Returns all standing places over `at` (m), lowest first. Without any, returns those over the nearest pixel
+    /// within `snap` (m) that has some.
     ///
     /// Distances are horizontal. Among equally near pixels, the first along y, then x, wins.
     pub fn snapped_over(&mut self, set: &Snapshot, at: Point2<f64>, snap: f64) -> Result<Answer<Vec<Snapped>>> {

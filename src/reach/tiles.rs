@@ -23,7 +23,7 @@ impl Hasher for TileHasher {
     }
 }
 
-/// Numbers of the tiles added so far, in the order in which they were added.
+/// Numbers of the added tiles, in the order of addition.
 #[derive(Debug, Clone, Default)]
 pub struct TileNumbers(HashMap<u64, u32, BuildHasherDefault<TileHasher>>);
 

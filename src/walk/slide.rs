@@ -350,7 +350,7 @@ impl Attempt<'_> {
         ControlFlow::Continue(Step::Done(gone))
     }
 
-    /// Moves down to the ground, at most by the climb height; if there is none, the pawn starts to fall.
+    /// Moves down to the ground, at most by the climb height; without ground, the pawn starts to fall.
     fn stand(&mut self) -> Needs<()> {
         let feet = self.motion.feet;
         let down = Vector3::new(0.0, 0.0, -self.reach());

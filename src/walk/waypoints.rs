@@ -19,7 +19,7 @@ pub struct Waypoints {
 }
 
 impl Waypoints {
-    /// Creates the path over `places` (m). Fails if there are none, or if a coordinate is not finite.
+    /// Creates the path over `places` (m). Fails if it is empty, or if a coordinate is not finite.
     pub fn new(places: Vec<Point2<f64>>) -> Result<Self> {
         if places.is_empty() || !places.iter().all(|place| place.iter().all(|v| v.is_finite())) {
             return Err(Error::parameter("waypoints", "expected at least one place, all of them finite".to_owned()));

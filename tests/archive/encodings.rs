@@ -8,12 +8,12 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
 use slicewalk::page::{Inferred, Page, PageBuilder, Span};
 use xxhash_rust::xxh3::Xxh3;
 
-/// What a page holds.
+/// Content of a page.
 struct Terrain {
     /// Of the instrument's heights (quanta), 0 for none; and deviation of its noise (steps, or quanta).
     step: f64,
     noise: f64,
-    /// Of a hundred pixels, how many have matter, and how many of these are obstacles.
+    /// Per hundred pixels: the occupied ones, and the obstacles among these.
     dense: usize,
     obstacles: usize,
     /// Most floors above each other.

@@ -553,7 +553,7 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     let mut more = city();
     more.insert(key(3, 900, 0), more.values().next().unwrap().clone());
     let found = findings(with_levels_of(city(), more));
-    assert!(found.iter().any(|said| said.contains("no more pages: none has matter below")), "{found:?}");
+    assert!(found.iter().any(|said| said.contains("no more pages: the level below is empty there")), "{found:?}");
     // The last level is missing, and nothing else is wrong.
     assert_eq!(rules(without_last_level(&Parts::of(&with_levels(city())))), ["L5"]);
     // Numbers in the head.

@@ -232,7 +232,7 @@ pub fn varied(format: u8, points: u32, extra: usize, random: &mut impl FnMut() -
             from = to;
         }
         last[..12].copy_from_slice(&place);
-        // The same holds for differences of waveform positions.
+        // `laz` computes differences of waveform positions in the same way.
         if let Some(packet) = [(4, 28), (5, 34), (9, 30), (10, 38)].iter().find(|packet| packet.0 == format) {
             last[packet.1 + 8] &= 0x3F;
         }

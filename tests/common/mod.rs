@@ -279,7 +279,7 @@ pub fn render(archive: &Archive) -> String {
 /// Counts reads, and fails one of them.
 pub struct Watched {
     source: MemorySource,
-    /// Reads so far.
+    /// Number of reads.
     pub reads: AtomicU64,
     /// Index of the read that fails.
     pub fails: u64,

@@ -12,7 +12,7 @@ use std::sync::Mutex;
 pub struct Listener(Mutex<Vec<String>>);
 
 impl Listener {
-    /// Returns the warnings so far.
+    /// Returns the recorded warnings.
     pub fn said(&self) -> Vec<String> {
         self.0.lock().unwrap().clone()
     }

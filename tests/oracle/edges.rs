@@ -41,7 +41,7 @@ fn cells(columns: &Columns) -> Vec<Cell> {
     columns.iter().flat_map(|(&at, spans)| spans.iter().map(move |span| cell(at, (span.0, span.1)))).collect()
 }
 
-/// The same solid, moved by whole tiles and layers.
+/// Builds the solid, moved by whole tiles and layers.
 fn moved(columns: &Columns, by: [i64; 3]) -> Snapshot {
     let up = by[2] * 255 * QUANTA;
     let column = |(&(i, j), spans): (&(i64, i64), &Vec<_>)| {

@@ -79,9 +79,9 @@ proptest! {
                         let (low, high) = (low as i128 * FINE, high as i128 * FINE);
                         prop_assert!(meets_exactly(&corners, &pixel(0, ground, sky)), "({i}, {j}) is not touched");
                         inner.max[2] = low - 1;
-                        prop_assert!(!meets_exactly(&corners, &inner), "({i}, {j}) has matter below {low}");
+                        prop_assert!(!meets_exactly(&corners, &inner), "({i}, {j}) has solid below {low}");
                         (inner.min[2], inner.max[2]) = (high + 1, sky);
-                        prop_assert!(!meets_exactly(&corners, &inner), "({i}, {j}) has matter above {high}");
+                        prop_assert!(!meets_exactly(&corners, &inner), "({i}, {j}) has solid above {high}");
                         prop_assert!(meets_exactly(&corners, &pixel(1, low, low + FINE)), "({i}, {j}): {low} too low");
                         prop_assert!(meets_exactly(&corners, &pixel(1, high - FINE, high)), "({i}, {j}): {high}");
                     }

@@ -257,7 +257,7 @@ fn creeping_into_matter_never_gets_inside() {
 
 #[test]
 fn the_answer_does_not_depend_on_where_pages_begin() {
-    // The same scene, moved by parts of a tile: boundaries lie elsewhere, everything else is the same bit for bit.
+    // A scene moved by parts of a tile: boundaries lie elsewhere, everything else is the same bit for bit.
     let (t, s) = (0.0625, 0.25);
     let frame = Frame::new(t, s).unwrap();
     let mut random = Random(7);

@@ -19,7 +19,7 @@ const AROUND: i64 = 10;
 /// Longest straight edges of the visibility graph along an axis (pixels). Ways that follow them are at most 0.35 % longer than the shortest.
 const FAR: i64 = 6;
 const ROUNDING: f64 = 1.0035;
-/// How often a way of the graph is replaced because a walker cannot take a step of it.
+/// How often a path of the graph is replaced because a walker cannot take one of its steps.
 const MOST_WAYS: usize = 200;
 
 type At = (i64, i64);
@@ -427,7 +427,7 @@ fn regions_and_lengths_are_those_of_brute_force() {
             let mut best = None;
             for _ in 0..MOST_WAYS {
                 let Some((length, graph)) = shortest(&truth, &edges, &closed, [from, to]) else { break };
-                // What is long enough need not be walked.
+                // A path this long need not be walked: the route is within the bound of it.
                 if route.is_some_and(|route| route <= 1.05 * length / ROUNDING) {
                     best = Some(length);
                     break;

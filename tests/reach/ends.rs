@@ -117,7 +117,7 @@ impl World {
         Pawn::new(self.body)
     }
 
-    /// Clearances by pixel and height, and leaks, for the scene at `corner`.
+    /// Returns clearances by pixel and height, and leaks, of the scene at `corner`.
     fn answers(&self, corner: At) -> (BTreeMap<(At, i64), f64>, Vec<slicewalk::reach::Leak>) {
         let frame = Frame::new(T, SIGMA).unwrap();
         let columns = self.spans.iter().map(|(&(i, j), spans)| {

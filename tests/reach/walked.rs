@@ -144,7 +144,7 @@ impl Scene {
         )
     }
 
-    /// Its spans by pixel, turned by quarters and mirrored, moved by so many pixels and raised by so many quanta.
+    /// Returns its spans by pixel, turned by quarters and mirrored, moved by pixels and raised by quanta.
     pub(super) fn columns(
         &self,
         turns: u64,
@@ -289,8 +289,8 @@ fn moving_turning_and_mirroring_a_scene_moves_turns_and_mirrors_what_is_reached(
     assert!(some as u64 > cases() / 3, "{some}");
 }
 
-/// Routes in real scans, for a few pairs of places each; `SLICEWALK_PAIRS` raises the number, `SLICEWALK_SCANS` is the
-/// beginning of the names of the scans to test.
+/// Routes in real scans, between a few pairs of places each; `SLICEWALK_PAIRS` raises the number, `SLICEWALK_SCANS` is
+/// the beginning of the names of the scans to test.
 #[test]
 fn the_walker_arrives_on_every_route_of_real_scans() {
     let Some(folder) = crate::data::folder() else { return };

@@ -369,7 +369,7 @@ fn neighbouring_pages_come_with_one_read() {
         (counters.reads, counters.loaded)
     };
     let ((single, pages), (runs, same)) = (reads(0), reads(256 << 10));
-    println!("{pages} pages: {single} reads one by one, {runs} in runs");
+    println!("{pages} pages: {single} reads page by page, {runs} in runs");
     assert_eq!(pages, same);
     assert!(single == pages && runs * 3 < single, "{runs} of {single}");
 }

@@ -35,7 +35,7 @@ fn assert_free(store: &Snapshot, trace: &Trace, what: &str) {
         let low = feet - (half * share).push(0.0) + margin;
         let high = feet + (half * share).push(height) - margin;
         let shape = Aabb::new(low, high).unwrap();
-        assert_eq!(overlaps(store, &shape), Overlap::Clear, "{what}: inside matter at {feet}");
+        assert_eq!(overlaps(store, &shape), Overlap::Clear, "{what}: inside solid at {feet}");
     }
 }
 

@@ -142,7 +142,7 @@ impl fmt::Display for Reason<'_> {
             Error::Interrupted => f.write_str("interrupted: nothing was written"),
             Error::Resumable { source, path, bytes, points } => write!(
                 f,
-                "{source}; resuming goes on from {points} points, {bytes} bytes of temporary data in {}",
+                "{source}; resuming continues from {points} points, {bytes} bytes of temporary data in {}",
                 path.display()
             ),
         }

@@ -240,11 +240,11 @@ impl PlanOptions {
     /// Refuses values outside the limits stated at the fields.
     pub fn check(&self) -> Result<()> {
         if !(0.0..=90.0).contains(&self.max_slope_deg) {
-            let reason = format!("{} is no angle between 0 and 90 degrees", number(self.max_slope_deg));
+            let reason = format!("{} is not an angle between 0 and 90 degrees", number(self.max_slope_deg));
             return Err(Error::parameter(Parameter::MaxSlope, reason));
         }
         if !(0.0..=1e6).contains(&self.tolerance_m) {
-            let reason = format!("{} is no length between 0 and 1000000 m", number(self.tolerance_m));
+            let reason = format!("{} is not a length between 0 and 1000000 m", number(self.tolerance_m));
             return Err(Error::parameter(Parameter::Tolerance, reason));
         }
         if self.fill_holes > Self::MOST_FILL_PIXELS {

@@ -1,15 +1,17 @@
 // Slicewalk for C. Written by cbindgen from crates/capi; do not edit.
 //
-// Every function returns a status, SW_OK or an error whose text is in sw_last_error() of the same thread. Results come
-// through the last pointers; after an error they are not written, except for answers of rows before a refused one, and
-// for a place of a handle, which then holds NULL. All lengths are metres, all coordinates those of the scan, z is up.
+// Every function returns a status: SW_OK, or an error whose text sw_last_error() returns on the same thread. Results
+// come through the last pointers. After an error they are not written, with two exceptions: a batch may hold the
+// answers of rows before the refused one, and the place of a new handle holds NULL. All lengths are metres, all
+// coordinates are those of the scan, and z is up.
 //
-// Pointers are not NULL and are aligned for their type unless a text says otherwise. NULL, misaligned pointers, lengths
-// that do not match, NaN and handles of another kind are refused with SW_ERROR_ARGUMENT. What cannot be checked is up to
-// the caller: arrays have the stated length, handles are open, and no handle is closed while a call uses it.
+// Pointers must not be NULL and must be aligned for their type, unless a text says otherwise. NULL and misaligned
+// pointers, lengths that do not match, NaN and handles of another kind are refused with SW_ERROR_ARGUMENT. The caller
+// guarantees what cannot be checked: arrays have the stated length, handles are open, and no handle is closed while a
+// call uses it.
 //
-// Threads: sw_archive, sw_pages, sw_stream and sw_route may be used by any number of threads at once. A sw_walker or a
-// sw_body serves one thread at a time, and answers others with SW_ERROR_BUSY. sw_last_error() is of the calling thread.
+// Threads: any number of threads may use a sw_archive, sw_pages, sw_stream or sw_route at once. A sw_walker or a
+// sw_body serves one thread at a time; another thread gets SW_ERROR_BUSY. Each thread has its own sw_last_error().
 //
 // Structs begin with their size: set it to sizeof before any call, so that a library of another version recognises it.
 
@@ -24,21 +26,21 @@
 enum { SW_CLEAR = 0, SW_HIT = 1, SW_NOT_LOADED = 2 };
 // Shapes of a pawn.
 enum { SW_BOX = 0, SW_CYLINDER = 1 };
-// What a walker wants.
+// Move inputs of a walker.
 enum { SW_STAY = 0, SW_DIRECTION = 1, SW_TOWARD = 2 };
 // States of a walker.
 enum { SW_WALKING = 0, SW_FALLING = 1, SW_BLOCKED = 2, SW_ARRIVED = 3 };
-// Why a walker did not get where it wanted.
+// Reasons why a walker stopped short.
 enum {
     SW_STOP_NONE = 0, SW_STOP_WALL = 1, SW_STOP_STEEP = 2, SW_STOP_HEADROOM = 3, SW_STOP_CORNER = 4,
     SW_STOP_INSIDE = 5, SW_STOP_LEDGE = 6, SW_STOP_VOID = 7
 };
 
 
-// Version of this interface; a program compiled with one number runs with a library of the same number.
+// Version of this interface. A program runs with a library of the same number as the header that it was compiled with.
 #define SW_INTERFACE 1
 
-// Outcome of a call. `sw_last_error` has the text.
+// Outcome of a call. `sw_last_error` returns the text of an error.
 enum sw_status
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -50,7 +52,7 @@ enum sw_status
   SW_ERROR_ARGUMENT = 1,
   // The operating system or a callback refused an action.
   SW_ERROR_IO = 2,
-  // The archive is damaged, or is no archive.
+  // The archive is damaged, or the file is not an archive.
   SW_ERROR_FORMAT = 3,
   // A value lies beyond a limit, such as a budget.
   SW_ERROR_LIMIT = 4,
@@ -60,7 +62,7 @@ enum sw_status
   SW_ERROR_NOT_LOADED = 6,
   // No route connects the places, or the pawn cannot stand at one of them.
   SW_ERROR_NO_ROUTE = 7,
-  // Another thread uses this walker or body at this moment.
+  // Another thread is using this walker or body.
   SW_ERROR_BUSY = 8,
   // A defect of the library.
   SW_ERROR_INTERNAL = 9,
@@ -91,28 +93,29 @@ typedef struct sw_stream sw_stream;
 // A pawn with gravity, stairs and walls. One thread at a time: another one gets `SW_ERROR_BUSY`.
 typedef struct sw_walker sw_walker;
 
-// Functions that read an archive by ranges.
+// Source of an archive: functions that read its bytes by ranges.
 //
-// They are called from any thread and from several at once, also from a thread of a stream, until `release` is called.
-// They must not throw exceptions, and must not call `sw_` functions.
+// Slicewalk calls them from any thread, from several at once, and from the threads of its streams, until it calls
+// `release`. They must not throw exceptions, and must not call `sw_` functions.
 typedef struct sw_source {
   // `sizeof(sw_source)`.
   uint32_t size;
-  // Passed to both functions.
+  // Passed to both functions unchanged.
   void *context;
   // Length of the archive (bytes).
   uint64_t length;
-  // Fills `buffer` with the `len` bytes at `offset`. Returns 0 if it did, and any other number if it could not.
+  // Fills `buffer` with the `len` bytes at `offset`. Returns 0 on success, any other number on failure.
   int32_t (*read)(void *context, uint64_t offset, uint8_t *buffer, size_t len);
-  // Called once, after the last `read`, also if opening fails, unless this struct is refused for its size; may be NULL.
+  // Called once after the last `read`, also if opening fails. Not called if this struct is refused for its size. May
+  // be NULL.
   void (*release)(void *context);
 } sw_source;
 
-// What an archive holds.
+// Facts about an archive.
 typedef struct sw_info {
   // `sizeof(sw_info)`, set by the caller.
   uint32_t size;
-  // 1 if it holds points, else 0, and then the bounds are 0.
+  // 1 if it holds points; otherwise 0, and the bounds are 0.
   uint32_t has_points;
   // Edge of a pixel (m).
   double pixel_size;
@@ -134,17 +137,17 @@ typedef struct sw_info {
 typedef struct sw_stream_options {
   // `sizeof(sw_stream_options)`.
   uint32_t size;
-  // 1: a thread of the library loads ahead of the bodies; 0: only `sw_stream_load` loads.
+  // 1: a thread of the library loads pages ahead of the bodies; 0: only `sw_stream_load` loads pages.
   uint32_t prefetch;
-  // Most memory that the stream takes (bytes).
+  // Memory limit of the stream (bytes).
   uint64_t budget;
 } sw_stream_options;
 
-// What a call of `sw_stream_load` did.
+// Result of `sw_stream_load`.
 typedef struct sw_loaded {
   // `sizeof(sw_loaded)`, set by the caller.
   uint32_t size;
-  // 0.
+  // Reserved; 0.
   uint32_t reserved;
   // Pages that were loaded.
   uint64_t loaded;
@@ -152,7 +155,7 @@ typedef struct sw_loaded {
   uint64_t already;
   // Pages that did not fit in the budget.
   uint64_t left_out;
-  // Budget in which the pages of the largest box fit at once (bytes).
+  // Budget that the pages of the largest box need (bytes).
   uint64_t needed;
 } sw_loaded;
 
@@ -162,7 +165,7 @@ typedef struct sw_pawn {
   uint32_t size;
   // `SW_BOX` or `SW_CYLINDER`.
   uint32_t shape;
-  // Width along x, of a cylinder its diameter (m).
+  // Width along x; the diameter of a cylinder (m).
   double width;
   // Width along y (m); not used for a cylinder.
   double depth;
@@ -170,7 +173,7 @@ typedef struct sw_pawn {
   double height;
   // Highest step that it climbs (m).
   double climb;
-  // Deepest drop that it steps down (m); infinity: any, and it falls.
+  // Deepest drop that it steps down (m); with infinity, it falls off any ledge.
   double max_drop;
   // Walking speed (m/s).
   double speed;
@@ -178,21 +181,21 @@ typedef struct sw_pawn {
   double gravity;
 } sw_pawn;
 
-// What a step did.
+// Result of a step.
 typedef struct sw_step {
   // `sizeof(sw_step)`, set by the caller.
   uint32_t size;
   // State after the step: `SW_WALKING` to `SW_ARRIVED`.
   uint32_t state;
-  // Why it did not get where it wanted: `SW_STOP_NONE` to `SW_STOP_VOID`.
+  // Why it stopped short: `SW_STOP_NONE` to `SW_STOP_VOID`.
   uint32_t stop;
   // Ticks of 1/240 s that passed.
   uint32_t ticks;
-  // Pages that it waits for; `sw_walker_missing` names them.
+  // Number of pages that it waits for; `sw_walker_missing` writes their keys.
   uint32_t missing;
-  // Ground under it: 0 floor, 1 an obstacle, 2 nothing.
+  // Ground under it: 0 floor, 1 an obstacle, 2 no ground.
   uint32_t ground;
-  // Time that was not used, because it waits for pages (s). Pass it to the next step, or drop it.
+  // Unused time, because it waits for pages (s). Pass it to the next step, or drop it.
   double unspent;
   // Feet after the step (m).
   double feet[3];
@@ -206,11 +209,11 @@ typedef struct sw_step {
 extern "C" {
 #endif // __cplusplus
 
-// Returns the text of the last call on this thread that failed: one line in UTF-8 without a newline, "" if none
-// failed. It stays valid and unchanged until another call fails on the same thread, or the thread ends.
+// Returns the text of the last failed call on this thread: one line in UTF-8 without a newline, or "" if none failed.
+// It stays valid and unchanged until another call fails on the same thread, or the thread ends.
 const char *sw_last_error(void);
 
-// Writes the version of the interface (`SW_INTERFACE`) of the library in use.
+// Writes the interface version (`SW_INTERFACE`) of the loaded library into `version`.
 sw_status sw_interface(uint32_t *version);
 
 // Opens the archive file at `path` (UTF-8).
@@ -219,10 +222,10 @@ sw_status sw_open_file(const char *path, struct sw_archive **archive);
 // Opens an archive of `len` bytes in memory, and copies them.
 sw_status sw_open_memory(const uint8_t *bytes, size_t len, struct sw_archive **archive);
 
-// Opens an archive that functions of the program read.
+// Opens an archive that the functions in `source` read.
 sw_status sw_open_source(const struct sw_source *source, struct sw_archive **archive);
 
-// Writes what the archive holds.
+// Writes facts about the archive into `info`.
 sw_status sw_archive_info(const struct sw_archive *archive, struct sw_info *info);
 
 // Closes an archive. Pages and streams made from it stay open. NULL is allowed.
@@ -244,16 +247,16 @@ sw_status sw_overlaps_boxes(const struct sw_pages *pages,
                             uint8_t *answers,
                             size_t count);
 
-// Answers whether upright cylinders touch anything solid, as `sw_overlaps_boxes`: 5 numbers each, x, y, z of the middle
-// of the bottom, radius, height (m).
+// Answers whether upright cylinders touch anything solid, like `sw_overlaps_boxes`: 5 numbers each, x, y, z of the
+// middle of the bottom, radius, height (m).
 sw_status sw_overlaps_cylinders(const struct sw_pages *pages,
                                 const double *cylinders,
                                 size_t cylinders_len,
                                 uint8_t *answers,
                                 size_t count);
 
-// Answers whether spheres touch anything solid, as `sw_overlaps_boxes`: 4 numbers each, x, y, z of the middle, radius
-// (m).
+// Answers whether spheres touch anything solid, like `sw_overlaps_boxes`: 4 numbers each, x, y, z of the middle,
+// radius (m).
 sw_status sw_overlaps_spheres(const struct sw_pages *pages,
                               const double *spheres,
                               size_t spheres_len,
@@ -261,15 +264,15 @@ sw_status sw_overlaps_spheres(const struct sw_pages *pages,
                               size_t count);
 
 // Casts rays: 7 numbers each, x, y, z, direction dx, dy, dz of any length but 0, longest distance (m, may be ∞).
-// `distances` gets the distance to the first solid (m), ∞ if there is none, NaN if that depends on missing pages.
+// `distances` gets the distance to the first solid (m), ∞ without a hit, NaN if that depends on missing pages.
 sw_status sw_cast_rays(const struct sw_pages *pages,
                        const double *rays,
                        size_t rays_len,
                        double *distances,
                        size_t count);
 
-// Sweeps boxes: 9 numbers each, the box, then its motion dx, dy, dz (m). `fractions` gets the share of the motion up to
-// the first contact, 1 if there is none, NaN if that depends on missing pages.
+// Sweeps boxes: 9 numbers each, the box, then its motion dx, dy, dz (m). `fractions` gets the share of the motion up
+// to the first contact, 1 without a contact, NaN if that depends on missing pages.
 sw_status sw_sweep_boxes(const struct sw_pages *pages,
                          const double *sweeps,
                          size_t sweeps_len,
@@ -277,15 +280,15 @@ sw_status sw_sweep_boxes(const struct sw_pages *pages,
                          size_t count);
 
 // Finds the highest floor under each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), -∞
-// if there is none, NaN if that depends on missing pages.
+// without a floor, NaN if that depends on missing pages.
 sw_status sw_floors(const struct sw_pages *pages,
                     const double *boxes,
                     size_t boxes_len,
                     double *heights,
                     size_t count);
 
-// Finds the lowest ceiling over each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), ∞ if
-// there is none, NaN if that depends on missing pages.
+// Finds the lowest ceiling over each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), ∞
+// without a ceiling, NaN if that depends on missing pages.
 sw_status sw_ceilings(const struct sw_pages *pages,
                       const double *boxes,
                       size_t boxes_len,
@@ -297,8 +300,8 @@ sw_status sw_stream_open(const struct sw_archive *archive,
                          const struct sw_stream_options *options,
                          struct sw_stream **stream);
 
-// Makes the set of pages that are in memory now. Never waits. Make one per frame, and close it with the frame: pages
-// that a set holds count against the budget.
+// Creates the set of pages that are in memory now. Never waits. Create one per frame and close it with the frame,
+// because pages in a set count against the budget.
 sw_status sw_stream_view(const struct sw_stream *stream,
                          struct sw_pages **pages);
 
@@ -314,20 +317,20 @@ sw_status sw_stream_load_pages(const struct sw_stream *stream,
                                size_t keys_len,
                                struct sw_loaded *report);
 
-// Waits until everything that hints want is loaded, at most `seconds`. `done` gets 1 if it is, else 0.
+// Waits at most `seconds` until all pages that hints ask for are loaded. `done` gets 1 if they are, else 0.
 sw_status sw_stream_settle(const struct sw_stream *stream,
                            double seconds,
                            uint32_t *done);
 
-// Closes a stream and ends its thread. Sets of pages, bodies and walkers stay open. NULL is allowed.
+// Closes a stream and ends its thread. Page sets, bodies and walkers stay open. NULL is allowed.
 sw_status sw_stream_close(struct sw_stream *stream);
 
-// Adds a body whose motion the stream loads ahead of. A walker of `sw_walker_step_stream` needs none.
+// Adds a body; the stream loads pages ahead of its motion. Walkers of `sw_walker_step_stream` do not need one.
 sw_status sw_body_open(const struct sw_stream *stream,
                        struct sw_body **body);
 
-// Sets how a body moves now: 6 numbers of the box around everything that it asks about in a frame (m), and 3 of its
-// velocity (m/s). Call it once a frame; never waits.
+// Sets how a body moves now: 6 numbers of the box around all queries of a frame (m), and 3 of its velocity (m/s). Call
+// it once a frame; it never waits.
 sw_status sw_body_hint(const struct sw_body *body,
                        const double *around,
                        const double *velocity);
@@ -335,14 +338,15 @@ sw_status sw_body_hint(const struct sw_body *body,
 // Removes a body. NULL is allowed.
 sw_status sw_body_close(struct sw_body *body);
 
-// Fills in the pawn of 0.5 × 0.5 × 1.8 m that climbs 0.35 m, walks 1.4 m/s, and falls off any ledge.
+// Fills in a pawn of 0.5 × 0.5 × 1.8 m that climbs 0.35 m, walks 1.4 m/s, and falls off any ledge.
 sw_status sw_pawn_default(struct sw_pawn *pawn);
 
 // Creates a walker with its feet at `feet`, 3 numbers (m).
 sw_status sw_walker_open(const struct sw_pawn *pawn, const double *feet, struct sw_walker **walker);
 
-// Passes `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of the direction or
-// the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts them.
+// Advances the walker by `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of
+// the direction or the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts
+// them.
 sw_status sw_walker_step(const struct sw_walker *walker,
                          const struct sw_pages *pages,
                          double dt,
@@ -350,8 +354,8 @@ sw_status sw_walker_step(const struct sw_walker *walker,
                          const double *to,
                          struct sw_step *report);
 
-// As `sw_walker_step`, on the pages that a stream has now. It also hints the motion to the stream and asks for missing
-// pages, so the pawn goes on as soon as they are there.
+// Like `sw_walker_step`, on the pages that a stream has now. It also hints the motion to the stream and asks for
+// missing pages, so the pawn continues as soon as they are loaded.
 sw_status sw_walker_step_stream(const struct sw_walker *walker,
                                 const struct sw_stream *stream,
                                 double dt,
@@ -359,8 +363,8 @@ sw_status sw_walker_step_stream(const struct sw_walker *walker,
                                 const double *to,
                                 struct sw_step *report);
 
-// Writes the keys of the pages that the last step waited for, 3 numbers each and at most 16 pages, into `keys`, and
-// their number of numbers into `written`. Keys that do not fit into `keys_len` numbers are left out.
+// Writes the keys of the pages that the last step waited for into `keys`, 3 numbers each and at most 16 pages, and the
+// number of written numbers into `written`. Keys that do not fit into `keys_len` numbers are left out.
 sw_status sw_walker_missing(const struct sw_walker *walker,
                             int32_t *keys,
                             size_t keys_len,
@@ -369,22 +373,22 @@ sw_status sw_walker_missing(const struct sw_walker *walker,
 // Moves the walker to `feet`, 3 numbers (m); it rests there.
 sw_status sw_walker_place(const struct sw_walker *walker, const double *feet);
 
-// Writes where the feet are: 3 numbers (m).
+// Writes the place of the feet: 3 numbers (m).
 sw_status sw_walker_feet(const struct sw_walker *walker, double *feet);
 
 // Removes a walker. NULL is allowed.
 sw_status sw_walker_close(struct sw_walker *walker);
 
-// Plans a route of a pawn between two places of 3 numbers (m); in the air, the floor below counts. A pawn whose
-// `max_drop` is infinite steps down as far as it climbs. Takes as long as the search needs: call it on a thread of its
-// own where that matters.
+// Plans a route of a pawn between two places of 3 numbers (m); a place in the air stands for the floor below it. A
+// pawn whose `max_drop` is infinite steps down as far as it climbs. The call returns when the search ends: call it on
+// a thread of its own if the program must not wait.
 sw_status sw_route_plan(const struct sw_pages *pages,
                         const struct sw_pawn *pawn,
                         const double *from,
                         const double *to,
                         struct sw_route **route);
 
-// Writes the length of a route (m), and the number of its points. Either place may be NULL.
+// Writes the length of a route (m) and the number of its points. Either pointer may be NULL.
 sw_status sw_route_size(const struct sw_route *route, double *length, size_t *points);
 
 // Writes the points of a route, 3 numbers each (m). `xyz_len` must be 3 times the number of points.

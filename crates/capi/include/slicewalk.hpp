@@ -74,7 +74,7 @@ private:
     using Owned::Owned;
 };
 
-// Pages in memory and questions to them. Rows are those of slicewalk.h, one after the other.
+// Pages in memory, and queries on them. Rows are those of slicewalk.h, packed in sequence.
 class Pages : public Owned<sw_pages, sw_pages_close> {
 public:
     static Pages load(const Archive &archive) {

@@ -34,22 +34,23 @@ impl Opened {
     }
 }
 
-/// Functions that read an archive by ranges.
+/// Source of an archive: functions that read its bytes by ranges.
 ///
-/// They are called from any thread and from several at once, also from a thread of a stream, until `release` is called.
-/// They must not throw exceptions, and must not call `sw_` functions.
+/// Slicewalk calls them from any thread, from several at once, and from the threads of its streams, until it calls
+/// `release`. They must not throw exceptions, and must not call `sw_` functions.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct sw_source {
     /// `sizeof(sw_source)`.
     pub size: u32,
-    /// Passed to both functions.
+    /// Passed to both functions unchanged.
     pub context: *mut c_void,
     /// Length of the archive (bytes).
     pub length: u64,
-    /// Fills `buffer` with the `len` bytes at `offset`. Returns 0 if it did, and any other number if it could not.
+    /// Fills `buffer` with the `len` bytes at `offset`. Returns 0 on success, any other number on failure.
     pub read: Option<extern "C" fn(context: *mut c_void, offset: u64, buffer: *mut u8, len: usize) -> i32>,
-    /// Called once, after the last `read`, also if opening fails, unless this struct is refused for its size; may be NULL.
+    /// Called once after the last `read`, also if opening fails. Not called if this struct is refused for its size. May
+    /// be NULL.
     pub release: Option<extern "C" fn(context: *mut c_void)>,
 }
 
@@ -115,7 +116,7 @@ pub unsafe extern "C" fn sw_open_memory(bytes: *const u8, len: usize, archive: *
     })
 }
 
-/// Opens an archive that functions of the program read.
+/// Opens an archive that the functions in `source` read.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_open_source(source: *const sw_source, archive: *mut *mut sw_archive) -> sw_status {
     guard(|| {
@@ -129,13 +130,13 @@ pub unsafe extern "C" fn sw_open_source(source: *const sw_source, archive: *mut 
     })
 }
 
-/// What an archive holds.
+/// Facts about an archive.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct sw_info {
     /// `sizeof(sw_info)`, set by the caller.
     pub size: u32,
-    /// 1 if it holds points, else 0, and then the bounds are 0.
+    /// 1 if it holds points; otherwise 0, and the bounds are 0.
     pub has_points: u32,
     /// Edge of a pixel (m).
     pub pixel_size: f64,
@@ -158,7 +159,7 @@ unsafe impl Sized32 for sw_info {
     const NAME: &'static str = "sw_info";
 }
 
-/// Writes what the archive holds.
+/// Writes facts about the archive into `info`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_archive_info(archive: *const sw_archive, info: *mut sw_info) -> sw_status {
     guard(|| {

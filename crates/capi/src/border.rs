@@ -7,7 +7,7 @@ use std::ffi::{CStr, CString, c_char};
 use std::mem::MaybeUninit;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Outcome of a call. `sw_last_error` has the text.
+/// Outcome of a call. `sw_last_error` returns the text of an error.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum sw_status {
@@ -17,7 +17,7 @@ pub enum sw_status {
     SW_ERROR_ARGUMENT = 1,
     /// The operating system or a callback refused an action.
     SW_ERROR_IO = 2,
-    /// The archive is damaged, or is no archive.
+    /// The archive is damaged, or the file is not an archive.
     SW_ERROR_FORMAT = 3,
     /// A value lies beyond a limit, such as a budget.
     SW_ERROR_LIMIT = 4,
@@ -27,7 +27,7 @@ pub enum sw_status {
     SW_ERROR_NOT_LOADED = 6,
     /// No route connects the places, or the pawn cannot stand at one of them.
     SW_ERROR_NO_ROUTE = 7,
-    /// Another thread uses this walker or body at this moment.
+    /// Another thread is using this walker or body.
     SW_ERROR_BUSY = 8,
     /// A defect of the library.
     SW_ERROR_INTERNAL = 9,
@@ -94,17 +94,17 @@ pub fn guard(work: impl FnOnce() -> Outcome) -> sw_status {
     }
 }
 
-/// Returns the text of the last call on this thread that failed: one line in UTF-8 without a newline, "" if none
-/// failed. It stays valid and unchanged until another call fails on the same thread, or the thread ends.
+/// Returns the text of the last failed call on this thread: one line in UTF-8 without a newline, or "" if none failed.
+/// It stays valid and unchanged until another call fails on the same thread, or the thread ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn sw_last_error() -> *const c_char {
     LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
 }
 
-/// Version of this interface; a program compiled with one number runs with a library of the same number.
+/// Version of this interface. A program runs with a library of the same number as the header that it was compiled with.
 pub const SW_INTERFACE: u32 = 1;
 
-/// Writes the version of the interface (`SW_INTERFACE`) of the library in use.
+/// Writes the interface version (`SW_INTERFACE`) of the loaded library into `version`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_interface(version: *mut u32) -> sw_status {
     // SAFETY: as the header demands of `version`.
@@ -129,7 +129,7 @@ fn check<T>(pointer: *const T, len: usize, what: &str) -> Outcome {
 /// Returns `len` elements to read. With length 0 the pointer is not used.
 ///
 /// # Safety
-/// The pointer is null or has `len` initialised elements, which nobody changes during the call. Every bit pattern is a
+/// The pointer is null or has `len` initialised elements that do not change during the call. Every bit pattern is a
 /// value of `T`.
 pub unsafe fn input<'a, T: Copy>(pointer: *const T, len: usize, what: &str) -> Outcome<&'a [T]> {
     if len == 0 {
@@ -143,7 +143,7 @@ pub unsafe fn input<'a, T: Copy>(pointer: *const T, len: usize, what: &str) -> O
 /// Returns `len` elements to write, which may be uninitialised.
 ///
 /// # Safety
-/// The pointer is null or has room for `len` elements, which nobody else uses during the call.
+/// The pointer is null or has room for `len` elements, used by no other code during the call.
 pub unsafe fn output<'a, T: Copy>(pointer: *mut T, len: usize, what: &str) -> Outcome<&'a mut [MaybeUninit<T>]> {
     if len == 0 {
         return Ok(&mut []);
@@ -156,14 +156,14 @@ pub unsafe fn output<'a, T: Copy>(pointer: *mut T, len: usize, what: &str) -> Ou
 /// Returns one place to write.
 ///
 /// # Safety
-/// As [`output`] with one element.
+/// The conditions of [`output`] hold for one element.
 pub unsafe fn place<'a, T: Copy>(pointer: *mut T, what: &str) -> Outcome<&'a mut MaybeUninit<T>> {
     check(pointer, 1, what)?;
     // SAFETY: not null and aligned; the rest is the caller's promise.
     Ok(unsafe { &mut *pointer.cast() })
 }
 
-/// Fails if `len` elements at `a` and `other` elements at `b` share a byte: the answers would overwrite questions.
+/// Fails if `len` elements at `a` and `other` elements at `b` share a byte, because answers would overwrite questions.
 pub fn check_apart<A, B>(a: *const A, len: usize, b: *const B, other: usize) -> Outcome {
     let end = |start: usize, len: usize, size: usize| start.saturating_add(len.saturating_mul(size));
     let (a_end, b_end) = (end(a.addr(), len, size_of::<A>()), end(b.addr(), other, size_of::<B>()));
@@ -208,8 +208,8 @@ pub unsafe fn record<T: Sized32>(pointer: *const T) -> Outcome<T> {
 /// Fills in a struct whose size the caller set.
 ///
 /// # Safety
-/// The pointer is null or points to as many bytes as its first field, which is initialised, says; nobody else uses them
-/// during the call.
+/// The pointer is null or points to an initialised size and as many bytes as it states; no other code uses them during
+/// the call.
 pub unsafe fn fill<T: Sized32>(pointer: *mut T, value: T) -> Outcome {
     check(pointer, 1, T::NAME)?;
     // SAFETY: as in `record`.
@@ -231,13 +231,13 @@ fn check_size<T: Sized32>(size: u32) -> Outcome {
 
 /// A kind of opaque handle.
 pub trait Handle: Sized {
-    /// What it holds.
+    /// Content of the handle.
     type Value: Any + Send + Sync;
     /// Its name in C.
     const NAME: &'static str;
 }
 
-/// What every handle points to: the same for all kinds, so that a handle of another kind is recognised.
+/// Target of every handle. All kinds share this layout, so that a handle of another kind is recognised.
 struct Held {
     mark: u64,
     value: Box<dyn Any + Send + Sync>,
@@ -249,7 +249,7 @@ const OPEN: u64 = 0x51D3_C0DE_AB1E_0001;
 /// Creates a handle. `make` runs after the place for it has been checked; on failure the place holds NULL.
 ///
 /// # Safety
-/// As [`place`] for `at`.
+/// The conditions of [`place`] hold for `at`.
 pub unsafe fn give<H: Handle>(at: *mut *mut H, make: impl FnOnce() -> Outcome<H::Value>) -> Outcome {
     // SAFETY: guaranteed by the caller.
     let at = unsafe { place(at, "place of the new handle") }?;
@@ -275,7 +275,7 @@ pub unsafe fn held<'a, H: Handle>(handle: *const H) -> Outcome<&'a H::Value> {
 /// Closes a handle; NULL is allowed.
 ///
 /// # Safety
-/// As [`held`], and nobody uses the handle during the call or later.
+/// The conditions of [`held`] hold, and no other code uses the handle during the call or later.
 pub unsafe fn close<H: Handle>(handle: *mut H) -> sw_status {
     guard(|| {
         if handle.is_null() {

@@ -37,7 +37,7 @@ pub unsafe extern "C" fn sw_pages_close(pages: *mut sw_pages) -> sw_status {
 /// Answers rows of `N` numbers.
 ///
 /// # Safety
-/// As [`held`], [`input`] and [`output`] demand.
+/// The conditions of [`held`], [`input`] and [`output`] hold.
 unsafe fn batch<const N: usize, A: Copy>(
     pages: *const sw_pages,
     (rows, len, what): (*const f64, usize, &str),
@@ -103,8 +103,8 @@ pub unsafe extern "C" fn sw_overlaps_boxes(
     })
 }
 
-/// Answers whether upright cylinders touch anything solid, as `sw_overlaps_boxes`: 5 numbers each, x, y, z of the middle
-/// of the bottom, radius, height (m).
+/// Answers whether upright cylinders touch anything solid, like `sw_overlaps_boxes`: 5 numbers each, x, y, z of the
+/// middle of the bottom, radius, height (m).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_overlaps_cylinders(
     pages: *const sw_pages,
@@ -123,8 +123,8 @@ pub unsafe extern "C" fn sw_overlaps_cylinders(
     })
 }
 
-/// Answers whether spheres touch anything solid, as `sw_overlaps_boxes`: 4 numbers each, x, y, z of the middle, radius
-/// (m).
+/// Answers whether spheres touch anything solid, like `sw_overlaps_boxes`: 4 numbers each, x, y, z of the middle,
+/// radius (m).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_overlaps_spheres(
     pages: *const sw_pages,
@@ -144,7 +144,7 @@ pub unsafe extern "C" fn sw_overlaps_spheres(
 }
 
 /// Casts rays: 7 numbers each, x, y, z, direction dx, dy, dz of any length but 0, longest distance (m, may be ∞).
-/// `distances` gets the distance to the first solid (m), ∞ if there is none, NaN if that depends on missing pages.
+/// `distances` gets the distance to the first solid (m), ∞ without a hit, NaN if that depends on missing pages.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_cast_rays(
     pages: *const sw_pages,
@@ -164,8 +164,8 @@ pub unsafe extern "C" fn sw_cast_rays(
     })
 }
 
-/// Sweeps boxes: 9 numbers each, the box, then its motion dx, dy, dz (m). `fractions` gets the share of the motion up to
-/// the first contact, 1 if there is none, NaN if that depends on missing pages.
+/// Sweeps boxes: 9 numbers each, the box, then its motion dx, dy, dz (m). `fractions` gets the share of the motion up
+/// to the first contact, 1 without a contact, NaN if that depends on missing pages.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_sweep_boxes(
     pages: *const sw_pages,
@@ -189,7 +189,7 @@ pub unsafe extern "C" fn sw_sweep_boxes(
 }
 
 /// Finds the highest floor under each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), -∞
-/// if there is none, NaN if that depends on missing pages.
+/// without a floor, NaN if that depends on missing pages.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_floors(
     pages: *const sw_pages,
@@ -211,8 +211,8 @@ pub unsafe extern "C" fn sw_floors(
     })
 }
 
-/// Finds the lowest ceiling over each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), ∞ if
-/// there is none, NaN if that depends on missing pages.
+/// Finds the lowest ceiling over each box between its zmin and zmax: 6 numbers each. `heights` gets the height (m), ∞
+/// without a ceiling, NaN if that depends on missing pages.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_ceilings(
     pages: *const sw_pages,

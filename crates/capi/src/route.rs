@@ -37,9 +37,9 @@ fn plan(set: &Snapshot, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> Outcome<Rou
     }
 }
 
-/// Plans a route of a pawn between two places of 3 numbers (m); in the air, the floor below counts. A pawn whose
-/// `max_drop` is infinite steps down as far as it climbs. Takes as long as the search needs: call it on a thread of its
-/// own where that matters.
+/// Plans a route of a pawn between two places of 3 numbers (m); a place in the air stands for the floor below it. A
+/// pawn whose `max_drop` is infinite steps down as far as it climbs. The call returns when the search ends: call it on
+/// a thread of its own if the program must not wait.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_route_plan(
     pages: *const sw_pages,
@@ -59,7 +59,7 @@ pub unsafe extern "C" fn sw_route_plan(
     })
 }
 
-/// Writes the length of a route (m), and the number of its points. Either place may be NULL.
+/// Writes the length of a route (m) and the number of its points. Either pointer may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_route_size(route: *const sw_route, length: *mut f64, points: *mut usize) -> sw_status {
     guard(|| {

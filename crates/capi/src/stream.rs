@@ -33,9 +33,9 @@ impl Handle for sw_body {
 pub struct sw_stream_options {
     /// `sizeof(sw_stream_options)`.
     pub size: u32,
-    /// 1: a thread of the library loads ahead of the bodies; 0: only `sw_stream_load` loads.
+    /// 1: a thread of the library loads pages ahead of the bodies; 0: only `sw_stream_load` loads pages.
     pub prefetch: u32,
-    /// Most memory that the stream takes (bytes).
+    /// Memory limit of the stream (bytes).
     pub budget: u64,
 }
 
@@ -44,13 +44,13 @@ unsafe impl Sized32 for sw_stream_options {
     const NAME: &'static str = "sw_stream_options";
 }
 
-/// What a call of `sw_stream_load` did.
+/// Result of `sw_stream_load`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct sw_loaded {
     /// `sizeof(sw_loaded)`, set by the caller.
     pub size: u32,
-    /// 0.
+    /// Reserved; 0.
     pub reserved: u32,
     /// Pages that were loaded.
     pub loaded: u64,
@@ -58,7 +58,7 @@ pub struct sw_loaded {
     pub already: u64,
     /// Pages that did not fit in the budget.
     pub left_out: u64,
-    /// Budget in which the pages of the largest box fit at once (bytes).
+    /// Budget that the pages of the largest box need (bytes).
     pub needed: u64,
 }
 
@@ -104,8 +104,8 @@ pub unsafe extern "C" fn sw_stream_open(
     })
 }
 
-/// Makes the set of pages that are in memory now. Never waits. Make one per frame, and close it with the frame: pages
-/// that a set holds count against the budget.
+/// Creates the set of pages that are in memory now. Never waits. Create one per frame and close it with the frame,
+/// because pages in a set count against the budget.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_stream_view(stream: *const sw_stream, pages: *mut *mut sw_pages) -> sw_status {
     guard(|| {
@@ -175,7 +175,7 @@ pub unsafe extern "C" fn sw_stream_load_pages(
 }
 
 /// # Safety
-/// As [`fill`], but NULL is allowed.
+/// The conditions of [`fill`] hold, except that NULL is allowed.
 unsafe fn reported(at: *mut sw_loaded, report: &LoadReport) -> Outcome {
     if at.is_null() {
         return Ok(());
@@ -184,7 +184,7 @@ unsafe fn reported(at: *mut sw_loaded, report: &LoadReport) -> Outcome {
     unsafe { fill(at, sw_loaded::of(report)) }
 }
 
-/// Waits until everything that hints want is loaded, at most `seconds`. `done` gets 1 if it is, else 0.
+/// Waits at most `seconds` until all pages that hints ask for are loaded. `done` gets 1 if they are, else 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_stream_settle(stream: *const sw_stream, seconds: f64, done: *mut u32) -> sw_status {
     guard(|| {
@@ -197,14 +197,14 @@ pub unsafe extern "C" fn sw_stream_settle(stream: *const sw_stream, seconds: f64
     })
 }
 
-/// Closes a stream and ends its thread. Sets of pages, bodies and walkers stay open. NULL is allowed.
+/// Closes a stream and ends its thread. Page sets, bodies and walkers stay open. NULL is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_stream_close(stream: *mut sw_stream) -> sw_status {
     // SAFETY: as the header demands of handles.
     unsafe { close(stream) }
 }
 
-/// Adds a body whose motion the stream loads ahead of. A walker of `sw_walker_step_stream` needs none.
+/// Adds a body; the stream loads pages ahead of its motion. Walkers of `sw_walker_step_stream` do not need one.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_body_open(stream: *const sw_stream, body: *mut *mut sw_body) -> sw_status {
     guard(|| {
@@ -215,8 +215,8 @@ pub unsafe extern "C" fn sw_body_open(stream: *const sw_stream, body: *mut *mut 
     })
 }
 
-/// Sets how a body moves now: 6 numbers of the box around everything that it asks about in a frame (m), and 3 of its
-/// velocity (m/s). Call it once a frame; never waits.
+/// Sets how a body moves now: 6 numbers of the box around all queries of a frame (m), and 3 of its velocity (m/s). Call
+/// it once a frame; it never waits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_body_hint(body: *const sw_body, around: *const f64, velocity: *const f64) -> sw_status {
     guard(|| {
@@ -244,7 +244,7 @@ pub unsafe extern "C" fn sw_body_close(body: *mut sw_body) -> sw_status {
 /// Copies `N` finite numbers.
 ///
 /// # Safety
-/// As [`input`] with `N` elements.
+/// The conditions of [`input`] hold for `N` elements.
 pub unsafe fn numbers<const N: usize>(pointer: *const f64, what: &str) -> Outcome<[f64; N]> {
     // SAFETY: guaranteed by the caller.
     let numbers = unsafe { input(pointer, N, what) }?;
@@ -254,7 +254,7 @@ pub unsafe fn numbers<const N: usize>(pointer: *const f64, what: &str) -> Outcom
     }
 }
 
-/// Failure of a call on an object that another thread uses, or that a panic left unfinished.
+/// Returns the failure of a call on an object that another thread uses, or that a panic left unfinished.
 pub fn busy(what: &str) -> Failure {
     let text = format!("another thread uses this {what}; give each thread its own, or take turns");
     Failure(sw_status::SW_ERROR_BUSY, text)

@@ -33,7 +33,7 @@ pub struct sw_pawn {
     pub size: u32,
     /// `SW_BOX` or `SW_CYLINDER`.
     pub shape: u32,
-    /// Width along x, of a cylinder its diameter (m).
+    /// Width along x; the diameter of a cylinder (m).
     pub width: f64,
     /// Width along y (m); not used for a cylinder.
     pub depth: f64,
@@ -41,7 +41,7 @@ pub struct sw_pawn {
     pub height: f64,
     /// Highest step that it climbs (m).
     pub climb: f64,
-    /// Deepest drop that it steps down (m); infinity: any, and it falls.
+    /// Deepest drop that it steps down (m); with infinity, it falls off any ledge.
     pub max_drop: f64,
     /// Walking speed (m/s).
     pub speed: f64,
@@ -71,7 +71,7 @@ impl sw_pawn {
     }
 }
 
-/// What a step did.
+/// Result of a step.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct sw_step {
@@ -79,15 +79,15 @@ pub struct sw_step {
     pub size: u32,
     /// State after the step: `SW_WALKING` to `SW_ARRIVED`.
     pub state: u32,
-    /// Why it did not get where it wanted: `SW_STOP_NONE` to `SW_STOP_VOID`.
+    /// Why it stopped short: `SW_STOP_NONE` to `SW_STOP_VOID`.
     pub stop: u32,
     /// Ticks of 1/240 s that passed.
     pub ticks: u32,
-    /// Pages that it waits for; `sw_walker_missing` names them.
+    /// Number of pages that it waits for; `sw_walker_missing` writes their keys.
     pub missing: u32,
-    /// Ground under it: 0 floor, 1 an obstacle, 2 nothing.
+    /// Ground under it: 0 floor, 1 an obstacle, 2 no ground.
     pub ground: u32,
-    /// Time that was not used, because it waits for pages (s). Pass it to the next step, or drop it.
+    /// Unused time, because it waits for pages (s). Pass it to the next step, or drop it.
     pub unspent: f64,
     /// Feet after the step (m).
     pub feet: [f64; 3],
@@ -137,7 +137,7 @@ impl sw_step {
     }
 }
 
-/// Fills in the pawn of 0.5 × 0.5 × 1.8 m that climbs 0.35 m, walks 1.4 m/s, and falls off any ledge.
+/// Fills in a pawn of 0.5 × 0.5 × 1.8 m that climbs 0.35 m, walks 1.4 m/s, and falls off any ledge.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_pawn_default(pawn: *mut sw_pawn) -> sw_status {
     let config = Config::default();
@@ -176,14 +176,14 @@ pub unsafe extern "C" fn sw_walker_open(
 }
 
 /// # Safety
-/// As [`held`].
+/// The conditions of [`held`] hold.
 unsafe fn locked<'a>(walker: *const sw_walker) -> Outcome<MutexGuard<'a, Pawn>> {
     // SAFETY: guaranteed by the caller.
     unsafe { held(walker) }?.try_lock().map_err(|_| busy("walker"))
 }
 
 /// # Safety
-/// As [`numbers`] for `to`, unless `wish` needs none.
+/// The conditions of [`numbers`] hold for `to`, unless `wish` needs no numbers.
 unsafe fn wish(wish: u32, to: *const f64, dt: f64) -> Outcome<MoveInput> {
     if !dt.is_finite() || dt < 0.0 {
         return Err(Failure::argument(format!("dt: expected seconds, 0 or more, found {dt}")));
@@ -198,8 +198,9 @@ unsafe fn wish(wish: u32, to: *const f64, dt: f64) -> Outcome<MoveInput> {
     }
 }
 
-/// Passes `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of the direction or
-/// the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts them.
+/// Advances the walker by `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of
+/// the direction or the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts
+/// them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_walker_step(
     walker: *const sw_walker,
@@ -219,8 +220,8 @@ pub unsafe extern "C" fn sw_walker_step(
     })
 }
 
-/// As `sw_walker_step`, on the pages that a stream has now. It also hints the motion to the stream and asks for missing
-/// pages, so the pawn goes on as soon as they are there.
+/// Like `sw_walker_step`, on the pages that a stream has now. It also hints the motion to the stream and asks for
+/// missing pages, so the pawn continues as soon as they are loaded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_walker_step_stream(
     walker: *const sw_walker,
@@ -248,8 +249,8 @@ pub unsafe extern "C" fn sw_walker_step_stream(
     })
 }
 
-/// Writes the keys of the pages that the last step waited for, 3 numbers each and at most 16 pages, into `keys`, and
-/// their number of numbers into `written`. Keys that do not fit into `keys_len` numbers are left out.
+/// Writes the keys of the pages that the last step waited for into `keys`, 3 numbers each and at most 16 pages, and the
+/// number of written numbers into `written`. Keys that do not fit into `keys_len` numbers are left out.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_walker_missing(
     walker: *const sw_walker,
@@ -284,7 +285,7 @@ pub unsafe extern "C" fn sw_walker_place(walker: *const sw_walker, feet: *const 
     })
 }
 
-/// Writes where the feet are: 3 numbers (m).
+/// Writes the place of the feet: 3 numbers (m).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_walker_feet(walker: *const sw_walker, feet: *mut f64) -> sw_status {
     guard(|| {

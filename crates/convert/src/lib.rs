@@ -279,7 +279,7 @@ impl ConvertOptions {
             return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
         }
         if let Some(widest_m) = self.fill_holes_m.filter(|widest_m| !(*widest_m > 0.0 && widest_m.is_finite())) {
-            let reason = format!("{} is no width of holes in metres; give a length above 0", number(widest_m));
+            let reason = format!("{} is not a width of holes in metres; give a length above 0", number(widest_m));
             return Err(Error::parameter(Parameter::FillHoles, reason));
         }
         if self.stations.is_some() && !self.plan.remove_moving {
@@ -287,7 +287,7 @@ impl ConvertOptions {
             return Err(Error::parameter(Parameter::Stations, reason));
         }
         if self.resume && crate::bytes::address(&self.output).is_some() {
-            let reason = "an archive that is written to an address is made anew; leave it out, or write a file";
+            let reason = "an archive at an address cannot be resumed; leave it out, or write a file";
             return Err(Error::parameter(Parameter::Resume, reason));
         }
         self.check_colour()?;

@@ -180,12 +180,12 @@ impl Identity {
 
     /// Fails if a run of this identity, over `set`, cannot continue from the data of `earlier`.
     fn check(&self, earlier: &Self, set: &InputSet) -> Result<()> {
-        let again = "give the same again, or begin anew without resuming";
+        let again = "give the same inputs and options again, or start over without resuming";
         let refuse = |reason: String| Err(Error::parameter(Parameter::Resume, reason));
         if earlier.version != self.version {
             let (was, is) = (&earlier.version, &self.version);
             return refuse(format!(
-                "version {was} of this program began the conversion, this is {is}; begin anew without it"
+                "version {was} of this program began the conversion, this is {is}; start over without resuming"
             ));
         }
         let path = |number: usize| set.files()[number].path();
@@ -210,7 +210,7 @@ impl Identity {
 }
 
 fn changed_since(path: &Path) -> Error {
-    let reason = "the file has changed since the run to be resumed read it; begin anew without resuming";
+    let reason = "the file has changed since the run to be resumed read it; start over without resuming";
     Error::input(path, "content", reason)
 }
 
@@ -304,7 +304,7 @@ impl Earlier {
         };
         let path = self.leftover.path().to_path_buf();
         let mut take = |run: SpilledRun, cover: &[u8]| {
-            let broken = || Error::input(&path, "journal", "it contradicts itself; begin anew without resuming");
+            let broken = || Error::input(&path, "journal", "it contradicts itself; start over without resuming");
             progress.add(run.values, cover, set, &mut begun)?.ok_or_else(broken)?;
             if let (Some(all), Some(of_run)) = (&mut progress.values, &*of_run.borrow())
                 && run.values

@@ -115,7 +115,7 @@ pub struct SplatCounts {
     pub faint: u64,
     /// Left out because they are larger than the greatest size.
     pub large: u64,
-    /// Left out because a number of theirs is unusable; 0 unless incomplete input is allowed.
+    /// Left out because a parameter is unusable; 0 unless incomplete input is allowed.
     pub unusable: u64,
 }
 

@@ -63,7 +63,7 @@ impl Measured {
                     _ => {
                         let first = pieces.first().map_or(f64::NAN, |piece| piece.0);
                         Err(format!(
-                            "gps time {} is not in the table of stations (which tells of {} to {})",
+                            "gps time {} is not in the table of stations (which covers {} to {})",
                             number(tag),
                             number(first),
                             number(*end)

@@ -64,11 +64,11 @@ impl PointWriter {
             return Err(Error::parameter(Parameter::Colour, reason));
         }
         let PixelSize::Metres(pixel_m) = options.pixel else {
-            let reason = "points that are not there yet tell no pixel size; give it in metres";
+            let reason = "the pixel size cannot follow from points that are still to come; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));
         };
         if options.tolerance_auto {
-            let reason = "points that are not there yet tell no noise; give the tolerance in metres";
+            let reason = "the noise of points that are still to come is unknown; give the tolerance in metres";
             return Err(Error::parameter(Parameter::Tolerance, reason));
         }
         let plan = options.plan_of(pixel_m)?;

@@ -108,7 +108,7 @@ fn expand_one(
                 }
             })?;
             if found.len() == before {
-                return Err(Error::input(input, "pattern", "it matches no scan; .txt and .csv are named one by one"));
+                return Err(Error::input(input, "pattern", "it matches no scan; name .txt and .csv explicitly"));
             }
             Ok(())
         }
@@ -144,14 +144,14 @@ fn objects(input: &Path, address: &str, found: &mut Vec<PathBuf>) -> Result<()> 
                 }
             }
             if found.len() == before {
-                return Err(Error::input(input, "pattern", "it matches no scan; .txt and .csv are named one by one"));
+                return Err(Error::input(input, "pattern", "it matches no scan; name .txt and .csv explicitly"));
             }
             return Ok(());
         }
         if key.is_empty() || key.ends_with('/') {
             found.extend(list(address, false)?.into_iter().map(PathBuf::from).filter(|path| is_scan(path)));
             if found.len() == before {
-                let reason = "no scan lies in it (.txt, .csv and .ply are named one by one); folders inside are not \
+                let reason = "no scan lies in it (name .txt, .csv and .ply explicitly); folders inside are not \
                               entered, name them or use a pattern such as s3://bucket/**/*.laz";
                 return Err(Error::input(input, "folder", reason));
             }
@@ -213,7 +213,7 @@ fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
         }
     }
     if found.len() == before {
-        let reason = "no scan lies in it (.txt, .csv and .ply are named one by one); directories inside are not entered, \
+        let reason = "no scan lies in it (name .txt, .csv and .ply explicitly); directories inside are not entered, \
                       name them or use a pattern such as DIR/**/*.laz";
         return Err(Error::input(path, "directory", reason));
     }

@@ -114,8 +114,7 @@ impl ScanFile {
                 return Self::of_cloud(&source, opened, options, findings);
             }
             if let Some(kind) = other_format(path) {
-                let reason =
-                    format!("a {kind} is no scan that is read; write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ");
+                let reason = format!("a {kind} is not supported; write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ");
                 return Err(Error::input(path, "name", reason));
             }
         }
@@ -461,7 +460,7 @@ fn settle(
         Units::Auto => {
             if let Some(unit) = georeference.absurd_unit() {
                 let reason =
-                    format!("it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m)");
+                    format!("it states a unit of {unit} m, which scans do not have (expected 0.001 to 10000 m)");
                 return Err(Error::input(path, "reference system", reason).with_suggestion(Parameter::Units));
             }
             findings.notes.append(&mut georeference.notes);

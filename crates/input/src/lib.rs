@@ -338,7 +338,7 @@ impl InputSet {
         {
             return Err(Error::parameter(
                 Parameter::Units,
-                format!("{} is no number of metres per unit", number(factor)),
+                format!("{} is not a number of metres per unit", number(factor)),
             ));
         }
         let (meshes, paths): (Vec<_>, Vec<_>) = paths.into_iter().partition(|path| expand::is_mesh(path));

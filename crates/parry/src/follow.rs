@@ -1,4 +1,4 @@
-//! The window around a body that moves.
+//! Window that follows a moving body.
 
 use crate::window::{Options, Window};
 use parry3d::bounding_volume::{Aabb, BoundingVolume};
@@ -7,7 +7,7 @@ use slicewalk::Result;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::store::Snapshot;
 
-/// Keeps a window around a body, and makes the next one before the body leaves it.
+/// Keeps a window around a body, and creates the next one before the body leaves it.
 #[derive(Debug, Clone)]
 pub struct Follow {
     options: Options,
@@ -17,13 +17,13 @@ pub struct Follow {
 
 impl Follow {
     /// Creates the follower of a body that moves less than `reach` (m, > 0) between two calls of
-    /// [`update`](Self::update). A window reaches three times as far, so it is made anew about every two `reach`.
+    /// [`update`](Self::update). A window reaches three times as far, so a new one is created about every two `reach`.
     pub fn new(options: Options, reach: f64) -> Self {
         Self { options, reach, window: None }
     }
 
-    /// Returns the new window if there must be one: at the first call, when the body comes nearer to the window's end
-    /// than `reach`, and while pages are missing. `body` is the body's box in the coordinates of the shape.
+    /// Returns a new window if one is needed: at the first call, when the body comes nearer to the window's end than
+    /// `reach`, and while pages are missing. `body` is the body's box in the coordinates of the shape.
     ///
     /// Give the new window to the collider (`set_shape`). Fails like [`Window::new`].
     pub fn update(&mut self, set: &Snapshot, body: &Aabb) -> Result<Option<Window>> {
@@ -42,7 +42,7 @@ impl Follow {
         Ok(Some(window))
     }
 
-    /// Returns the present window.
+    /// Returns the current window.
     pub fn window(&self) -> Option<&Window> {
         self.window.as_ref()
     }

@@ -156,7 +156,7 @@ impl Reading<'_> {
     }
 }
 
-/// Returns bit 0 if a run beside reaches over the top edge of `run` (less the tolerance), and bit 4 likewise at the
+/// Returns bit 0 if an adjacent run reaches over the top edge of `run` (less the tolerance), and bit 4 likewise at the
 /// bottom edge.
 fn level((bottom, top): Run, beside: &[Run], tolerance: i64) -> u8 {
     let at_top = beside.iter().any(|&(low, high)| low <= top && high >= top - tolerance);

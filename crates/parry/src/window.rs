@@ -17,23 +17,23 @@ use slicewalk::nalgebra::Point3;
 use slicewalk::store::Snapshot;
 use std::sync::Arc;
 
-/// What a page of the scan that is not in memory means to bodies.
+/// Treatment of pages that are not in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Unloaded {
     /// A solid box around its occupied slices: bodies stop in front of it.
     #[default]
     Solid,
-    /// Nothing: bodies pass, and may be inside something when it is loaded.
+    /// Nothing: bodies pass, and may be inside solid when it is loaded.
     Free,
 }
 
-/// How a window is made.
+/// Options of a window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Place in the scan that is the origin of the shape's coordinates (m). Put it near the bodies, because these
     /// coordinates are `f32`.
     pub origin: Point3<f64>,
-    /// What missing pages mean.
+    /// Treatment of missing pages.
     pub unloaded: Unloaded,
     /// Difference of height up to which neighbouring spans count as one surface for the direction of contacts (m).
     /// The shape itself does not change. 0 for steps of any height; the noise of the scan for rolling without bumps.
@@ -82,7 +82,7 @@ impl Window {
         })))
     }
 
-    /// Returns the pages that were not in memory when it was made: load them, and make the window again.
+    /// Returns the pages that were not in memory when the window was created: load them, and create it again.
     pub fn missing(&self) -> &[PageKey] {
         &self.0.missing
     }
@@ -92,7 +92,7 @@ impl Window {
         self.0.parts.len()
     }
 
-    /// Returns whether nothing solid is in the window.
+    /// Returns whether the window has no solid.
     pub fn is_empty(&self) -> bool {
         self.0.parts.is_empty()
     }

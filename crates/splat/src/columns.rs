@@ -116,7 +116,7 @@ impl Seek for Column {
     }
 }
 
-/// Makes an error of reading, decompressing or decoding an error about the file.
+/// Turns an error of reading, decompressing or decoding into an error about the file.
 pub fn read_error(path: &Path, at: impl Into<String>, error: io::Error) -> Error {
     let kind = error.kind();
     match error.downcast::<Error>() {
@@ -142,7 +142,7 @@ pub fn json<T: serde::de::DeserializeOwned>(source: &Arc<dyn ByteSource>, path: 
     serde_json::from_reader(reader).map_err(|e| Error::input(path, "JSON", format!("{e}; fetch or write it again")))
 }
 
-/// Returns the path of a file beside `path`, unless `name` leads out of that folder.
+/// Returns the path of a file next to `path`; an error if `name` leads out of that folder.
 pub fn beside(path: &Path, name: &str) -> Result<std::path::PathBuf> {
     let inner = Path::new(name);
     let normal = |part| matches!(part, std::path::Component::Normal(_) | std::path::Component::CurDir);

@@ -36,8 +36,8 @@ pub struct Ellipsoid {
 }
 
 impl Ellipsoid {
-    /// Returns the places where the opacity of `splat` is at least `opacity` (above 0); `None` if there are none, or if a
-    /// number is not finite.
+    /// Returns the places where the opacity of `splat` is at least `opacity` (above 0); `None` if no place reaches it,
+    /// or if a number is not finite.
     pub fn of(splat: &Splat, opacity: f64) -> Option<Self> {
         let squared = 2.0 * libm::log(f64::from(splat.opacity) / opacity);
         // A splat that just reaches the threshold is solid at its centre alone.

@@ -1,4 +1,4 @@
-//! The one place where numbers of a file become splats: checks, counts of diagnostics, batches.
+//! Checks that turn numbers of a file into splats, counts of diagnostics, and batches.
 
 use super::gltf::Placing;
 use super::{Splat, Work};
@@ -59,7 +59,7 @@ pub struct Raw {
     pub colour: [f64; 3],
 }
 
-/// Returns the opacity of a logarithm of odds.
+/// Returns the opacity of a logit.
 pub fn sigmoid(logit: f64) -> f64 {
     1.0 / (1.0 + libm::exp(-logit))
 }
@@ -142,7 +142,7 @@ impl<'a> Gate<'a> {
         if splats == 0 { Ok(()) } else { self.lose() }
     }
 
-    /// Handles damage of the file behind which nothing can be read: an error, unless incomplete input is allowed.
+    /// Handles damage behind which nothing can be read: an error, unless incomplete input is allowed.
     pub fn break_off(&mut self, error: Error) -> Result<()> {
         self.refuse(error)?;
         let missing = self.expected.saturating_sub(self.taken());

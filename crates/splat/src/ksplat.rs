@@ -84,7 +84,7 @@ impl Ksplat {
         Ok(found)
     }
 
-    /// Checks the sections one after the other, and passes those with splats to `act`.
+    /// Checks the sections in turn, and passes those with splats to `act`.
     fn each(&self, path: &Path, act: &mut dyn FnMut(Section) -> Result<()>) -> Result<()> {
         let mut headers = Column::new(&self.source, HEADER_BYTES, self.sections * SECTION_BYTES);
         let mut bytes = vec![0; SECTION_BYTES as usize];

@@ -90,7 +90,7 @@ impl SplatFormat {
 /// Options of a reader.
 #[derive(Debug, Clone)]
 pub struct SplatOptions {
-    /// Reads the good splats of a file that is cut or has damaged ones, instead of refusing it.
+    /// Reads the valid splats of a truncated or damaged file instead of refusing the file.
     pub allow_incomplete: bool,
     /// Folder for temporary data.
     pub temp_dir: PathBuf,
@@ -111,7 +111,7 @@ trait Body: Send {
     fn read(&mut self, work: &Work<'_>, gate: &mut gate::Gate<'_>) -> Result<()>;
 }
 
-/// What all readers share while they read.
+/// State shared by all readers during a pass.
 struct Work<'a> {
     path: &'a Path,
     options: &'a SplatOptions,
@@ -184,7 +184,7 @@ impl SplatReader {
         self.format
     }
 
-    /// Returns the name that it was opened with.
+    /// Returns the name by which the file was opened.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -211,7 +211,7 @@ impl SplatReader {
     }
 }
 
-/// Makes an error about the file.
+/// Returns an error about the file.
 fn refuse(path: &Path, at: impl Into<String>, reason: impl Into<String>) -> Error {
     Error::input(path, at, reason)
 }

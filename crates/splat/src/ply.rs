@@ -132,7 +132,7 @@ fn next_line(column: &mut Column, line: &mut Vec<u8>, number: u64, path: &Path) 
     }
 }
 
-/// Rows of one element, one after the other.
+/// Reader of the rows of one element in file order.
 struct RowReader {
     column: Column,
     encoding: Encoding,

@@ -33,7 +33,7 @@ pub struct EllipsoidRaster {
     frame: Frame,
     /// Square of the tangent above which a disc is steep.
     steep_squared: f64,
-    /// Height over a pixel above which an ellipsoid that is no disc is steep (quanta).
+    /// Height over a pixel above which an ellipsoid is steep, unless it is a disc (quanta).
     steep_run: f64,
 }
 
@@ -88,7 +88,8 @@ struct Section {
 }
 
 impl Section {
-    /// Share by which a section at this offset is shorter than that through the centre; `None` if there is none.
+    /// Returns the length of a section at this offset relative to the one through the centre; `None` outside of the
+    /// ellipsoid.
     fn shrink(&self, offset: f64) -> Option<f64> {
         let share = offset / self.along;
         (share.abs() <= 1.0).then(|| ((1.0 - share) * (1.0 + share)).sqrt())

@@ -4,8 +4,9 @@ use super::SplatFormat;
 use memchr::memmem::find;
 use std::path::Path;
 
-/// Returns the format of a file by its first bytes ([`HEAD_BYTES`](crate::HEAD_BYTES) are enough) and its name; `None` if
-/// it holds no Gaussian splats. Content decides where it has a signature: a PLY or glTF of points or triangles is none.
+/// Returns the format of a file by its first bytes ([`HEAD_BYTES`](crate::HEAD_BYTES) are enough) and its name; `None`
+/// if it holds no Gaussian splats. The content decides if it has a signature: a PLY or glTF of points or triangles is
+/// not a file of splats, whatever its name.
 pub fn recognise(head: &[u8], name: &Path) -> Option<SplatFormat> {
     let ending = name.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let has = |text: &str| find(head, text.as_bytes()).is_some();

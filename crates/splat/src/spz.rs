@@ -179,7 +179,8 @@ impl Spz {
         Ok((streams, source.len().saturating_sub(at)))
     }
 
-    /// Decompresses the columns, without the harmonics. If the stream is damaged, returns what came before and why.
+    /// Decompresses the columns, without the harmonics. If the stream is damaged, returns the intact beginning and the
+    /// error.
     fn unpack(&self, work: &Work<'_>) -> Result<(Store, Option<Error>)> {
         let mut rest = self.header.widths().iter().sum::<u64>() * self.header.count + OLD_HEADER_BYTES as u64;
         let mut behind = self.header.harmonics * self.header.count;

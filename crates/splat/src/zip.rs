@@ -43,7 +43,7 @@ pub struct Zip {
     pub entries: Vec<Entry>,
 }
 
-/// Little-endian fields, one after the other; `None` at the end.
+/// Little-endian fields in sequence; `None` at the end.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

@@ -184,7 +184,11 @@ impl Checked<'_> {
         let entry = self.next_entry(scratch)?;
         let Some(entry) = entry.filter(|entry| entry.key == key) else {
             let found = entry.map_or("none".into(), |entry| format!("page {}", entry.key));
-            return Err(self.error(Violation::new("L5", format!("page {key}, with matter below"), found)));
+            return Err(self.error(Violation::new(
+                "L5",
+                format!("page {key}, because the level below is occupied there"),
+                found,
+            )));
         };
         if self.page(&entry, scratch)? != *page {
             let wrong = Violation::new("L5", "what the pages below make", "something else");
@@ -235,7 +239,7 @@ impl Checked<'_> {
         while let Some(entry) = self.next_entry(scratch)? {
             if compared {
                 let found = format!("page {}", entry.key);
-                return Err(self.error(Violation::new("L5", "no more pages: none has matter below", found)));
+                return Err(self.error(Violation::new("L5", "no more pages: the level below is empty there", found)));
             }
             let page = self.page(&entry, scratch)?;
             self.page_colours(entry.key, &page, None, scratch);

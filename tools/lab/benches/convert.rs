@@ -1,11 +1,14 @@
 //! Conversion against reading alone, side by side in one run: `cargo bench --manifest-path tools/lab/Cargo.toml --bench convert`.
 //!
-//! Prints, for a LAS and a LAZ file, the time of reading every coordinate with the format's own crates on all cores, the
-//! time of `slicewalk`'s reading alone, the time of a whole conversion, and the ratios. Runs of all contestants alternate, so that a busy machine slows
-//! all of them alike; the figure is the median, with the fastest and slowest behind it.
+//! Prints the time of reading every coordinate of a LAS and a LAZ file with the format's own crates on all cores, the
+//! time of `slicewalk`'s reading alone, the time of a whole conversion, and the ratios. Runs of all contestants
+//! alternate, so that other load slows all of them alike; the figure is the median, followed by the fastest and
+//! slowest.
+//! slowest.
 //!
-//! Real scans, where they are at hand, follow at the pixel size that `sliceconv` chooses. `SLICEWALK_BENCH_LAS` and
-//! `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `cargo test` runs each contestant once on little data.
+//! If real scans are available, they follow at the pixel size that `sliceconv` chooses. `SLICEWALK_BENCH_LAS` and
+//! `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `cargo test` runs each contestant once on little
+//! data.
 
 use bench::reading::read_las;
 use laz::{LazVlr, ParLasZipDecompressor};

@@ -15,9 +15,9 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Every table and chart, one after the other
+    /// Every table and chart, in turn
     All(Common),
-    /// One sweep per way in which such systems fail, for the thesis' rule and for ours
+    /// One sweep per failure mode of such systems, with the thesis' rule and Slicewalk's
     Stability(Stability),
     /// Bytes of scans as archives, pictures and octrees, and what the scenes needed
     Size(Common),
@@ -29,11 +29,11 @@ enum Command {
     Ways(bench::ways::Options),
     /// Speed beside accuracy: every method in every scene at six pixel sizes
     Chart(bench::chart::Options),
-    /// The same questions to Slicewalk and its peers: about a real scan, with the wrong answers, and about the same cubes
+    /// Equal questions to Slicewalk and its peers: about a real scan, with the wrong answers, and about identical cubes
     Peers(Peers),
-    /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
+    /// Soak test: answers of a small cache, queried from four threads, beside those of all pages in memory
     Soak(Soak),
-    /// The thesis' tables again, with ours beside them; and objects against triangles
+    /// The thesis' tables with Slicewalk's figures beside them; and objects against triangles
     Thesis(Common),
     /// The charts and pages of what `chart` and `scale` measured, again, without measuring
     Draw(Draw),
@@ -110,7 +110,7 @@ struct Stability {
     only: Option<String>,
 }
 
-/// The parts of `bench all`; charts last, for they draw what the others found.
+/// The parts of `bench all`; charts last because they draw the results of the others.
 const ALL: [&[&str]; 9] = [
     &["stability"],
     &["size"],

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-/// What to convert.
+/// Options of a conversion.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Conversion {
     /// Scan or mesh
@@ -34,7 +34,7 @@ pub struct Conversion {
     pub memory: Option<u64>,
 }
 
-/// What came of it.
+/// Figures of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub struct Measured {
     /// Time of the conversion itself (s).
@@ -111,7 +111,7 @@ impl Conversion {
 }
 
 impl Measured {
-    /// What [`Conversion::run`] printed.
+    /// Parses the output of [`Conversion::run`].
     fn parse(said: &str) -> Result<Self> {
         let numbers: Option<Vec<f64>> = said.split_whitespace().map(|word| word.parse().ok()).collect();
         match numbers.as_deref() {
@@ -131,7 +131,7 @@ impl Measured {
 /// Greatest resident memory of this process (MiB), as the system counts it.
 fn peak_mib() -> Result<f64> {
     let text = std::fs::read_to_string("/proc/self/status")?;
-    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:")).ok_or("the system tells no peak memory")?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:")).ok_or("the system reports no peak memory")?;
     let kib: f64 = line.split_whitespace().next().ok_or("no number")?.parse()?;
     Ok(kib / 1024.0)
 }

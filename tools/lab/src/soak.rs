@@ -40,7 +40,7 @@ impl Tally {
     }
 }
 
-/// Runs for so long, and writes `soak.md` into `out`.
+/// Runs for `minutes`, and writes `soak.md` into `out`.
 pub fn run(out: &Path, minutes: f64) -> Result<()> {
     let mut points = Vec::new();
     building::scan(PIXEL_M / 1.6, 5, |point| points.push([point.x, point.y, point.z]));
@@ -160,7 +160,7 @@ fn ask(view: &Snapshot, all: &Snapshot, feet: Point3<f64>, random: &mut Random, 
         known(ceiling_above(view, &round, at.z, 3.0)),
         known(ceiling_above(all, &round, at.z, 3.0)),
     )?;
-    // Of a shape that begins inside matter, any span that it is in is an answer.
+    // If a shape begins inside solid, any span around it is a right answer.
     let place = |hit: SweepHit| if hit.begins_inside() { None } else { Some(hit) };
     let met = |answer: Answer<Option<SweepHit>>| answer.known().map(|hit| hit.map(place));
     tally.add("sweep", met(sweep(view, &shape, way)), met(sweep(all, &shape, way)))?;
@@ -171,7 +171,7 @@ fn known<T>(answer: Answer<T>) -> Option<T> {
     answer.known()
 }
 
-/// Resident memory of this process, where the system tells (MiB).
+/// Resident memory of this process (MiB), if the system reports it.
 fn resident_mib() -> String {
     let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"));

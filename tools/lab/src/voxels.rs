@@ -1,4 +1,4 @@
-//! Points to pages, the plain way: a dense array of voxels. Vertically adjacent voxels with matter become one span; a
+//! Points to pages, in the plain form: a dense array of voxels. Vertically adjacent occupied voxels become one span; a
 //! span taller than a pixel is wide is an obstacle.
 
 use nalgebra::Point3;
@@ -6,7 +6,7 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA};
 use slicewalk::page::{Page, PageBuilder, Span};
 use std::collections::BTreeMap;
 
-/// Heights of matter in the voxels of a box of space.
+/// Heights of the solid in the voxels of a box.
 pub struct Voxels {
     frame: Frame,
     first: [i64; 3],
@@ -16,7 +16,7 @@ pub struct Voxels {
 }
 
 impl Voxels {
-    /// No matter between `min` and `max`.
+    /// Creates an empty box between `min` and `max`.
     pub fn new(frame: Frame, min: Point3<f64>, max: Point3<f64>) -> Self {
         let index = |p: Point3<f64>| [frame.pixel_of(p.x), frame.pixel_of(p.y), frame.slice_of(p.z)];
         let (first, last) = (index(min), index(max));
@@ -38,7 +38,7 @@ impl Voxels {
         }
     }
 
-    /// Voxels with matter: pixel, pixel, slice.
+    /// Returns the occupied voxels: pixel, pixel, slice.
     pub fn occupied(&self) -> Vec<[i64; 3]> {
         let mut occupied = Vec::new();
         for (n, heights) in self.heights.iter().enumerate().filter(|(_, heights)| heights.0 <= heights.1) {

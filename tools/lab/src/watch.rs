@@ -1,4 +1,4 @@
-//! Another program, watched while it runs: time, processor time and memory, as `/proc` tells of any program alike.
+//! Runs another program and measures time, processor time and memory, as `/proc` reports them for any program.
 
 use crate::stability::Result;
 use std::io::{Read, Seek};
@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 const LOOK: Duration = Duration::from_millis(5);
 /// Between samples of memory that are kept (s).
 const SAMPLE_S: f64 = 0.5;
-/// Ticks of processor time in a second, as Linux tells them to programs on every machine.
+/// Ticks of processor time in a second, as Linux reports them to programs on every machine.
 const TICKS_PER_S: f64 = 100.0;
 
 /// Resident memory over time (s, bytes).
 pub type Memory = Vec<(f64, u64)>;
 
-/// What was seen of a program.
+/// Measurements of a program.
 #[derive(Debug, Clone)]
 pub struct Watched {
     /// From start to end (s).
@@ -26,13 +26,13 @@ pub struct Watched {
     pub peak_bytes: u64,
     /// Resident memory over time (s, bytes).
     pub resident: Memory,
-    /// What it printed.
+    /// Standard output of the program.
     pub said: String,
 }
 
 /// Runs a program to its end. A program that fails is an error, with what it said.
 pub fn watch(command: &mut Command) -> Result<Watched> {
-    // Files and not pipes: nobody empties a pipe meanwhile.
+    // Files instead of pipes, because pipes are not emptied meanwhile.
     let (mut said, mut complained) = (tempfile::tempfile()?, tempfile::tempfile()?);
     command.stdin(Stdio::null()).stdout(said.try_clone()?).stderr(complained.try_clone()?);
     let start = Instant::now();
@@ -41,7 +41,7 @@ pub fn watch(command: &mut Command) -> Result<Watched> {
     let mut watched = Watched { seconds: 0.0, cpu_s: 0.0, peak_bytes: 0, resident: Vec::new(), said: String::new() };
     let folder = format!("/proc/{}", child.id());
     loop {
-        // Until it is waited for, the system tells how much time a program took that has ended.
+        // Linux reports the time of a program that has ended until it is waited for.
         let ended = match std::fs::read_to_string(format!("{folder}/stat")).ok().as_deref().and_then(stat) {
             Some((state, cpu_s)) => {
                 watched.cpu_s = cpu_s;
@@ -84,7 +84,7 @@ fn stat(text: &str) -> Option<(char, f64)> {
     Some((state, cpu / TICKS_PER_S))
 }
 
-/// A line of `/proc/PID/status` that tells KiB (bytes).
+/// Parses a line of `/proc/PID/status` in KiB (bytes).
 fn memory(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     Some(line.split_whitespace().next()?.parse::<u64>().ok()? * 1024)

@@ -162,7 +162,7 @@ impl Stream {
         Ok(Body { hints: self.hints()? })
     }
 
-    /// Waits until every page that the hints so far ask for is in memory, has failed, or does not fit.
+    /// Waits until every page that the hints ask for is in memory, has failed, or does not fit.
     ///
     /// Args:
     ///     seconds: the longest wait (s)

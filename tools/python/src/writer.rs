@@ -124,7 +124,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Number of points added so far, including those left out.
+    /// Number of points added to the archive, including those left out.
     #[getter]
     fn points(&self, py: Python<'_>) -> u64 {
         py.detach(|| self.lock().as_ref().map_or_else(|| self.points.load(Relaxed), PointWriter::points))

@@ -53,7 +53,7 @@ impl Bvh {
     }
 
     /// Returns the least value over the surfaces. `bound` of a box is at most `value` of its contents (`None`:
-    /// irrelevant); `value` receives the best value so far. Nearer nodes come first.
+    /// irrelevant); `value` receives the best value found before. Nearer nodes come first.
     pub fn least(
         &self,
         limit: f64,

@@ -47,7 +47,7 @@ impl Truth for Scene {
             |b, _| over(b).then_some(-b.max[2].min(z)),
             |i, _| self.surfaces()[i].shape.height_at(x, y).filter(|h| *h <= z).map(|h| -h),
         );
-        // A bound equal to the best so far is skipped; it could only tie.
+        // A bound equal to the current best is skipped; it could only tie.
         found.map(|(i, h)| (-h, self.slope_at(i, x, y)))
     }
 

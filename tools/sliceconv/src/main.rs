@@ -319,7 +319,7 @@ fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
     if let Error::Resumable { source, path, bytes, points } = error {
         let (line, code) = failure_of(source, signal);
         let (points, path) = (counted(*points, "point"), path.display());
-        return (format!("{line}; --resume goes on from {points}, {bytes} bytes of temporary data in {path}"), code);
+        return (format!("{line}; --resume continues from {points}, {bytes} bytes of temporary data in {path}"), code);
     }
     failure_of(error, signal)
 }

@@ -142,7 +142,7 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
         writeln!(text, "voxels with colours: {only_a} only in A, {only_b} only in B; {other} of {both} differ")?;
         if colours.in_both > 0 {
             let (mean, greatest) = (colours.mean(), colours.greatest);
-            writeln!(text, "colours differ by {mean:.2} ΔE in the mean, by {greatest:.2} at most")?;
+            writeln!(text, "colours differ by {mean:.2} ΔE on average, by {greatest:.2} at most")?;
         }
     }
     Ok(text)

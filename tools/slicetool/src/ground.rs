@@ -58,7 +58,7 @@ pub struct Pawns {
     /// Highest step the pawn climbs (m) [default: of the profile]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: Option<f64>,
-    /// Steepest ground that the pawn goes on, over a metre (percent) [default: of the profile]
+    /// Steepest ground that the pawn walks on, over a metre (percent) [default: of the profile]
     #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = finite_number)]
     max_grade: Option<f64>,
     /// Deepest drop the pawn takes (m) [default: the climb height, so that every route also works in reverse]

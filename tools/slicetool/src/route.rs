@@ -19,7 +19,7 @@ const NEAR_M: f64 = 40.0;
 /// pixels could hold a shorter route (m).
 const FAR_M: f64 = 150.0;
 const FEW_PIXELS: f64 = 5e5;
-/// Bound of a route's length, as a multiple of the shortest, for all other routes.
+/// Bound of the length of all other routes, as a multiple of the shortest.
 const WITHIN: f64 = 1.05;
 /// Largest pixels of a level used for planning (m).
 const COARSEST_M: f64 = 4.0;
@@ -125,7 +125,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     Ok(if arguments.output.is_some() { String::new() } else { rows })
 }
 
-/// A route, or the reason why there is none.
+/// A route, or the reason for a refusal.
 type Found = Result<Route, Refusal>;
 
 /// Start and end, each with the distance that it was moved (m).

@@ -14,7 +14,7 @@ const KINDS: [&str; 3] = ["stored", "shared", "uniform"];
 const NEEDS: [&str; 6] = [
     "one span everywhere: an entry of the directory",
     "bytes of an earlier page: an entry of the directory",
-    "goes on from the slice below: nothing",
+    "continues from the slice below: nothing",
     "level: one height",
     "plane: three numbers",
     "heights of its own",

@@ -31,8 +31,8 @@ pub struct Arguments {
     /// Start of the feet (m); in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach in turn: columns x,y or x,y,z (a header is optional). z counts only in the last row, where
-    /// it tells --snap which floor to use. `-` reads standard input
+    /// Places to reach in turn: columns x,y or x,y,z (a header is optional). z counts only in the last row, where it
+    /// selects the floor of --snap. `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// Whose pawn and steps count: those of foot are box:0.5x0.5x1.8 and 0.35 m; of a wheelchair cylinder:0.4x1.4 and
@@ -198,7 +198,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let (next, places) = (route.next(), route.places().len());
     if state == State::Blocked {
         crate::say(&format!(
-            "{}: blocked at {end}, before waypoint {} of {places}: {}; `{}` has the path so far",
+            "{}: blocked at {end}, before waypoint {} of {places}: {}; `{}` has the path up to there",
             arguments.archive.display(),
             next + 1,
             in_the_way(stop),
@@ -334,7 +334,7 @@ fn in_the_way(stop: Option<Stop>) -> &'static str {
         Some(Stop::Steep) => "the ground is too steep; add waypoints around it",
         Some(Stop::Headroom) => "a step without headroom; add waypoints around it, or give a lower --pawn",
         Some(Stop::Corner) => "a corner; add waypoints around it, or give a smaller --pawn",
-        Some(Stop::Inside) => "the pawn is inside matter; give another --start or a smaller --pawn",
+        Some(Stop::Inside) => "the pawn is inside solid; give another --start or a smaller --pawn",
         Some(Stop::Ledge) => "a drop deeper than --max-drop; add waypoints around it, or raise --max-drop",
         Some(Stop::Void) => "nothing was scanned ahead; add waypoints around it, or leave out --max-drop",
         None => "no progress for a second; add waypoints",
@@ -426,7 +426,7 @@ fn waypoints(path: &Path) -> Result<(Vec<Point2<f64>>, Option<f64>), Failure> {
         let number = |at: usize| row.get(at)?.parse::<f64>().ok().filter(|v| v.is_finite());
         let value = |at: usize| {
             let field = row.get(at).unwrap_or_default();
-            number(at).ok_or_else(|| failed(line.clone(), format!("{field:?} is no number")))
+            number(at).ok_or_else(|| failed(line.clone(), format!("{field:?} is not a number")))
         };
         places.push(Point2::new(value(x)?, value(y)?));
         last_z = z.and_then(number);

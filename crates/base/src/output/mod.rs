@@ -226,7 +226,7 @@ pub fn upload_archive(from: &Path, address: &Path, existing: Existing, monitor: 
         return Err(Error::output(from, "is not a slice archive, so it is not uploaded"));
     }
     if crate::bytes::address(address).is_none() || local(address).is_some() {
-        return Err(Error::output(address, "is no address in an object store"));
+        return Err(Error::output(address, "is not an address in an object store"));
     }
     let kind = OutputKind::Archive(existing);
     let existed = target::judge_object(address, kind)? == Judged::Replaceable;

@@ -157,7 +157,7 @@ impl Target {
                 return Err(Error::output(name, reason));
             }
             if kind != OutputKind::Result {
-                let reason = format!("is no regular file, as {} has to be; choose another name", kind.name());
+                let reason = format!("is not a regular file, which {} must be; choose another name", kind.name());
                 return Err(Error::output(name, reason));
             }
             // A file opened by the shell is written to, not replaced.
@@ -205,7 +205,7 @@ fn is_descriptor(path: &Path) -> bool {
     folder == Path::new("/dev/fd") || folder.starts_with("/proc") && folder.ends_with("fd")
 }
 
-/// Result of [`judge`].
+/// State of a name, from [`judge`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judged {
     /// Nothing has the name.
@@ -231,7 +231,7 @@ pub(super) fn judge(
     match about.kind {
         FileKind::File => {}
         FileKind::Folder => return refuse("is a folder; choose another name".into()),
-        FileKind::Stream | FileKind::Other => return refuse("is no regular file; choose another name".into()),
+        FileKind::Stream | FileKind::Other => return refuse("is not a regular file; choose another name".into()),
     }
     if protected.holds(files, path) {
         return Err(is_read(name));

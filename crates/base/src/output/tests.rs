@@ -469,7 +469,7 @@ mod on_unix {
         symlink("/dev/null", &null).unwrap();
         assert!(publish(&null, OutputKind::Result, b"new").unwrap());
         for kind in [ARCHIVE_OVER, PLAN_OVER] {
-            assert!(publish(&null, kind, b"new").unwrap_err().to_string().contains("no regular file"));
+            assert!(publish(&null, kind, b"new").unwrap_err().to_string().contains("not a regular file"));
         }
         assert!(fs::metadata(&null).unwrap().file_type().is_char_device());
         if Path::new("/dev/full").exists() {

@@ -168,7 +168,7 @@ impl PlanFile {
         if !(1..=MAX_SHARDS).contains(&count) || !(1..=count).contains(&index) {
             return Err(Error::parameter(
                 Parameter::Shard,
-                format!("{index}/{count} is none of 1/1 to {MAX_SHARDS}/{MAX_SHARDS}"),
+                format!("{index}/{count} is not a part; expected 1/1 to {MAX_SHARDS}/{MAX_SHARDS}"),
             ));
         }
         let firsts = split(&self.plan.frame, &self.inputs, count);

@@ -24,7 +24,7 @@ fn archive_is_wrong(job: &Job, recording: &Recording, end: usize, left: &Content
         Some(bytes) if bytes == job.new => None,
         Some(bytes) if bytes == job.old && !recording.said(end, DONE) => None,
         Some(bytes) if bytes == job.old => Some("the program was done, and the old archive is there".into()),
-        Some(bytes) => Some(format!("{} bytes that are no archive", bytes.len())),
+        Some(bytes) => Some(format!("{} bytes that are not an archive", bytes.len())),
         None => Some("no archive is there".into()),
     }
 }

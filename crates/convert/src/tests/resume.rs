@@ -65,7 +65,7 @@ fn interrupted_while_it_writes_pages_a_conversion_reads_no_point_again() {
     let error = job.convert(true, &InSecondPass(Stops::after(0))).unwrap_err();
     assert!(matches!(error, Error::Resumable { points, .. } if points == 2 * POINTS as u64), "{error}");
     let said = error.to_string();
-    assert!(said.starts_with("interrupted: nothing was written; resuming goes on from 9000 points"), "{said}");
+    assert!(said.starts_with("interrupted: nothing was written; resuming continues from 9000 points"), "{said}");
     let report = job.convert(true, &NoMonitor).unwrap();
     assert_eq!(report.resumed.map(|resumed| resumed.points), Some(2 * POINTS as u64));
     assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());

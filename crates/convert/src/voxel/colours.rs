@@ -2,8 +2,8 @@
 //!
 //! Each point's colour values take records of their own next to that of the point: 8 bytes, with the voxel in the same
 //! bits, so that one external sort serves both. Without colours there are no such records. A point takes one, or two if
-//! its RGB has 16 bits that are not widened 8-bit values; a piece of a triangle takes one, or two if its weight exceeds
-//! 1. Sums of records equal the sums of points and pieces, in any order.
+//! its RGB has 16 bits that are not widened 8-bit values; each piece of a triangle takes one, or two if its weight
+//! exceeds 1. Sums of records equal the sums of points and pieces, in any order.
 
 use super::accumulate::{Area, Patch};
 use super::record::{Content, PATCH_PIXELS, Record, VALUE_BITS};
@@ -89,8 +89,8 @@ impl ValueFact {
     }
 }
 
-/// Filter that drops the values of removed points. Each value follows the record of its point, or that of a piece of a
-/// surface, which is always kept.
+/// Filter that drops the values of removed points. Each value follows the record of its point, or that of a surface
+/// piece, which is always kept.
 #[derive(Debug, Default)]
 pub struct ValueSieve {
     next: Next,

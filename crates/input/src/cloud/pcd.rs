@@ -63,9 +63,7 @@ impl Header {
             number += 1;
             let wrong = |reason: String| (number, reason);
             let Some(len) = start[at..].iter().position(|&byte| byte == b'\n') else {
-                return Err(wrong(
-                    "the header of a PCD ends with a line DATA; there is none: it is cut, or no PCD".into(),
-                ));
+                return Err(wrong("the header has no DATA line; the file is cut, or not a PCD".into()));
             };
             let line = String::from_utf8_lossy(&start[at..at + len]).into_owned();
             at += len + 1;
@@ -535,7 +533,7 @@ impl<R: Read> Lzf<R> {
         self.skip((self.made.len() - self.next) as u64 + self.left)?;
         match self.packed.read(&mut [0])? {
             0 => Ok(()),
-            _ => Err(damaged("the data go on behind their last byte")),
+            _ => Err(damaged("bytes follow the end of the data")),
         }
     }
 }
@@ -586,7 +584,7 @@ mod tests {
         }
         let packed = [2, b'a', b'b', b'c', 7 << 5, 100, 1, 0, b'z'];
         let whole = unpack(&packed, 113).unwrap();
-        for (len, reason) in [(112, "go on behind"), (111, "more bytes"), (114, "end too early")] {
+        for (len, reason) in [(112, "bytes follow"), (111, "more bytes"), (114, "end too early")] {
             assert!(unpack(&packed, len).unwrap_err().to_string().contains(reason), "{len}");
         }
         let mut lzf = Lzf::new(&packed[..], 113);

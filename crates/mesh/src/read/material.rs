@@ -98,7 +98,7 @@ impl Materials {
     /// Returns the material called `name`, with its texture loaded.
     pub(super) fn get(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<Material> {
         let Some(Stated { colour, map }) = self.stated.get(name).cloned() else {
-            self.textures.warn(watch, &format!("materials: there is none called {}", shown(name)));
+            self.textures.warn(watch, &format!("materials: no material is called {}", shown(name)));
             return Ok(Material::default());
         };
         let Some(Map { file, wrap, placing, ignored }) = map else {

@@ -61,7 +61,8 @@ impl Lines {
                 .read_until(b'\n', &mut self.line)
                 .map_err(|e| Error::io(&self.path, format!("read line {}", self.number), e))?;
             if read as u64 == left && self.line.last() != Some(&b'\n') {
-                return Err(self.error(format!("a line of more than {MOST_BYTES} bytes: this is no text, or damaged")));
+                return Err(self
+                    .error(format!("a line of more than {MOST_BYTES} bytes: the file is not text, or it is damaged")));
             }
             if read == 0 {
                 return Ok(!self.line.is_empty());

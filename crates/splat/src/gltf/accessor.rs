@@ -41,7 +41,7 @@ impl Accessor {
         }
     }
 
-    /// Checks that it has at least so many numbers a value.
+    /// Checks that each value has at least `components` numbers.
     pub fn check(&self, components: usize) -> Result<(), String> {
         if self.sparse.is_some() {
             return Err("sparse values of splats are not read; export the file without them".into());
@@ -116,7 +116,7 @@ impl Values {
     }
 }
 
-/// Values one after the other.
+/// Reader of values in file order.
 pub struct ValueReader {
     column: Column,
     row: Vec<u8>,
@@ -129,7 +129,7 @@ pub struct ValueReader {
 }
 
 impl ValueReader {
-    /// Returns the next value; numbers that it does not have are 1, as an alpha that is absent.
+    /// Returns the next value; numbers that it does not have are 1, like an absent alpha.
     pub fn step(&mut self) -> std::io::Result<[f64; 4]> {
         if !std::mem::take(&mut self.first) {
             super::read_row(&mut self.column, &mut self.gap)?;

@@ -1,5 +1,5 @@
-//! Where a node puts its splats: a linear map and a shift. A map that stretches unevenly makes another ellipsoid of an
-//! ellipsoid, whose axes are the eigenvectors of its covariance.
+//! Placement of splats by a node: a linear map and a shift. A map that stretches unevenly turns an ellipsoid into
+//! another one, whose axes are the eigenvectors of its covariance.
 
 use crate::gate::Raw;
 
@@ -15,12 +15,12 @@ pub struct Placing {
 impl Placing {
     pub const IDENTITY: Self = Self { map: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], shift: [0.0; 3] };
 
-    /// Makes it of a matrix by columns.
+    /// Creates the placement from a matrix by columns.
     pub fn of_matrix(m: [f64; 16]) -> Self {
         Self { map: [[m[0], m[1], m[2]], [m[4], m[5], m[6]], [m[8], m[9], m[10]]], shift: [m[12], m[13], m[14]] }
     }
 
-    /// Makes it of a shift, a quaternion x, y, z, w and a scale.
+    /// Creates the placement from a shift, a quaternion x, y, z, w and a scale.
     pub fn of_parts(shift: Option<[f64; 3]>, rotation: Option<[f64; 4]>, scale: Option<[f64; 3]>) -> Self {
         let mut map = rotation.map_or(Self::IDENTITY.map, |[x, y, z, w]| axes([w, x, y, z]));
         for (column, factor) in map.iter_mut().zip(scale.unwrap_or([1.0; 3])) {
@@ -43,7 +43,7 @@ impl Placing {
         self.map.as_flattened().iter().chain(&self.shift).all(|v| v.is_finite())
     }
 
-    /// Moves a splat. One without a finite size and a rotation is left for the checks to find.
+    /// Moves a splat. A splat without a finite size and a rotation stays unchanged; the checks find it later.
     pub fn apply(&self, raw: Raw) -> Raw {
         let moved = self.turn(raw.mean);
         let mean = [0, 1, 2].map(|axis| moved[axis] + self.shift[axis]);

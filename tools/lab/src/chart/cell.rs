@@ -20,7 +20,7 @@ pub struct Effort {
     pub questions: usize,
     /// Repeats of each set of questions, and of a build that is fast.
     pub repeats: usize,
-    /// Places whose distance from matter is asked.
+    /// Number of places whose distance from solid is queried.
     pub places: usize,
     /// Grazing boxes per bin of distance.
     pub grazing: usize,
@@ -30,7 +30,7 @@ pub struct Effort {
     pub builds: Duration,
 }
 
-/// What a cell came to.
+/// Figures of one cell.
 pub struct Seen {
     pub figures: Vec<Figure>,
     pub phantoms: Vec<Phantom>,
@@ -67,7 +67,7 @@ pub fn measure(
     missed.merge(grazed);
     figures.push(Figure::one("missed", missed.value(), missed.all as usize));
     figures.push(Figure::one("phantom", phantom.value(), phantom.all as usize));
-    // Triangles are asked one by one for their distance: that takes ten times as long.
+    // The distance from triangles is computed for each triangle alone, which takes ten times as long.
     let places = if subject.is_mesh() { effort.places / 10 } else { effort.places };
     let out = outwards(built, subject, places)?;
     let inner = inwards(built, subject, effort.places);
@@ -122,7 +122,7 @@ fn times(
         asked = if repeat == 0 { measured.answers.len() } else { asked.min(measured.answers.len()) };
         repeats.iter_mut().zip(measured.times).for_each(|(all, time)| all.push(time));
         if repeat == 0 {
-            // A slow method is timed by some of the boxes, and judged by as many as there is patience for.
+            // A slow method is timed on some of the boxes, and checked on as many as it answers in 15 rounds.
             let begin = Instant::now();
             let rest = boxes.shapes[asked..].iter().take_while(|_| begin.elapsed() < 15 * effort.round);
             let answers = measured.answers.iter().copied().chain(rest.map(|shape| built.hits(shape)));
@@ -160,7 +160,7 @@ fn curve(built: &dyn Built, grazing: &Grazing, pixel_m: f64, effort: &Effort) ->
     (some.map(phantom).collect(), missed)
 }
 
-/// Distances from places on claimed matter to the nearest point (m). Places are spread over the claims by their surface.
+/// Distances from places on claimed solid to the nearest point (m). Places are spread over the claims by their surface.
 fn outwards(built: &dyn Built, subject: &Subject, count: usize) -> Result<Errors> {
     let (mut claims, mut whole) = (Vec::new(), 0.0);
     built.claimed(&mut |min, max| {
@@ -206,7 +206,7 @@ fn on_surface(min: Vec3, max: Vec3, random: &mut Random) -> Point3<f64> {
     place.into()
 }
 
-/// Distances from points to the nearest claimed matter, and from places of the pawn to what stands for it (m).
+/// Distances from points to the nearest claimed solid, plus how far the tested shape falls short of the pawn (m).
 fn inwards(built: &dyn Built, subject: &Subject, count: usize) -> Errors {
     let mut random = Random(32);
     let from = |_| {
@@ -263,7 +263,7 @@ fn stands(built: &dyn Built, subject: &Subject, work: &Workload) -> Vec<Figure> 
     stand_figures(&walkable::judge(&work.columns, claims))
 }
 
-/// As figures of a cell; none where nobody was asked.
+/// Figures of a cell; those without samples are left out.
 pub fn stand_figures(judged: &Judged) -> Vec<Figure> {
     let heights = &judged.heights;
     let figures = [
@@ -277,7 +277,7 @@ pub fn stand_figures(judged: &Judged) -> Vec<Figure> {
 /// Steepest floor (degrees): the default limit.
 const LIMIT_DEG: f64 = 45.0;
 
-/// Share of wrong verdicts at points whose neighbourhood of two pixels is all floor or all obstacle.
+/// Share of wrong classes at points whose neighbourhood of two pixels is all floor or all obstacle.
 fn slopes(built: &dyn Built, subject: &Subject, pixel_m: f64, effort: &Effort) -> Option<Figure> {
     use scangen::Truth;
     let scene = subject.scene.as_ref().filter(|_| !subject.surfaces.is_empty())?;

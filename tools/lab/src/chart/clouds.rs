@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::query::Aabb;
 use std::cell::OnceCell;
 
-/// What a tree takes for a point; what a collision-affording one does at least (bytes).
+/// Memory of a tree per point; of a collision-affording one at least (bytes).
 const POINT_BYTES: f64 = 64.0;
 const AFFORDING_BYTES: f64 = 600.0;
 
@@ -28,7 +28,7 @@ impl Method for Kiddo {
 
     fn settings(&self) -> String {
         let how = if self.exact {
-            "all points within the sphere around the box, tried one by one"
+            "all points within the sphere around the box, tested in turn"
         } else {
             "the nearest point of six spheres inscribed in the pawn"
         };
@@ -107,7 +107,7 @@ impl Method for Capt {
 struct Leaves {
     tree: Affording,
     points: Vec<Vec3>,
-    /// The same by nearness, made when it is first asked for.
+    /// Tree for nearest points, built on first use.
     near: OnceCell<Tree>,
     origin: Vector3<f64>,
 }

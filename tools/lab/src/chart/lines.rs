@@ -25,7 +25,7 @@ pub struct Measured {
     /// Settings, or why there is no figure.
     pub settings: String,
     pub pixel_cm: u32,
-    /// What was measured, how it came out, and of how many questions; `None` if it was skipped.
+    /// Metric, its value and the number of questions; `None` if it was skipped.
     pub figure: Option<(String, Value, usize)>,
 }
 

@@ -1,4 +1,4 @@
-//! What a method must be able to do to be charted.
+//! Interface of methods that are charted.
 
 use super::subject::Subject;
 use crate::Random;
@@ -41,7 +41,7 @@ pub trait Method {
 
 /// A method, ready to answer.
 pub trait Built {
-    /// Whether a closed box holds matter; every place is in the coordinates of the scene.
+    /// Returns whether a closed box holds solid; every place is in the coordinates of the scene.
     fn hits(&self, shape: &Aabb) -> bool;
 
     /// Size of its file, if it has one (bytes).
@@ -59,10 +59,10 @@ pub trait Built {
         0
     }
 
-    /// Calls `give` with the closed boxes of matter that it claims (m); a point is a box without extent.
+    /// Calls `give` with the closed boxes that it claims as solid (m); a point is a box without extent.
     fn claimed(&self, give: &mut dyn FnMut(Vec3, Vec3)) -> Result<()>;
 
-    /// Distance from a place to the nearest matter that it claims (m), found by growing cubes unless it knows better.
+    /// Returns the distance from a place to the nearest solid that it claims (m), by growing cubes unless overridden.
     fn nearest(&self, to: Point3<f64>) -> f64 {
         nearest_by_boxes(to, |shape| self.hits(shape))
     }
@@ -72,7 +72,7 @@ pub trait Built {
         0.0
     }
 
-    /// Height of the highest matter under a box's footprint, from its bottom down to `depth_m` below.
+    /// Height of the highest solid under a box's footprint, from its bottom down to `depth_m` below.
     fn floor(&self, _shape: &Aabb, _depth_m: f64) -> Option<Option<f64>> {
         None
     }
@@ -87,7 +87,7 @@ pub trait Built {
         None
     }
 
-    /// Whether the matter at a place is an obstacle, for methods that tell.
+    /// Returns whether the solid at a place is an obstacle; `None` if the method does not classify.
     fn obstacle(&self, _at: Point3<f64>) -> Option<bool> {
         None
     }

@@ -1,7 +1,7 @@
-//! Speed beside accuracy: every method in every scene at six pixel sizes, with what each costs and how wrong it is.
+//! Speed against accuracy: every method in every scene at six pixel sizes, with its costs and errors.
 //!
 //! Out: `chart/measured.csv`, one line per figure, and `chart/phantoms.csv`, shares of hits over the distance of the
-//! nearest point. Both grow cell by cell; a run goes on where the last one was stopped. From them [`draw`] makes charts.
+//! nearest point. Both grow cell by cell; a run resumes where the last one stopped. [`draw`] makes charts from them.
 
 mod cell;
 mod clouds;
@@ -35,7 +35,7 @@ use workload::{Grazing, Workload};
 
 pub use plan::Options;
 
-/// What a method may take (bytes).
+/// Memory limit of a method (bytes).
 const MEMORY_BYTES: f64 = 4e9;
 
 /// The scene in whose name doors and paths are measured: they have scenes of their own, one is enough.
@@ -119,7 +119,7 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
                 continue;
             }
             if let Some(known) = same {
-                // Without pixels: the same answers, but doors and boxes near matter are others at each pixel size.
+                // Methods without pixels give equal answers at each size, but doors and boxes near solid depend on it.
                 let mut cell = Cell { pixel_cm, phantoms: Vec::new(), ..known.clone() };
                 if let Some(doors) = &doors {
                     cell.figures.retain(|figure| figure.metric != "door_cm");
@@ -289,7 +289,7 @@ mod tests {
         for metric in ["file_bytes", "slope_wrong", "path_cm", "stand_rmse_cm", "stand_missing", "stand_wrong"] {
             assert!(of("slicewalk plane", metric)? >= 0.0, "{metric}");
         }
-        // One may not be installed, the other may find 32 cm too coarse; both are told of.
+        // One may not be installed, the other may find 32 cm too coarse; both must be reported.
         assert!(text.contains("house,octomap,") && text.contains("house,recast,"));
         for ours in Ours::ALL {
             assert_eq!((of(ours.name, "missed")?, of(ours.name, "in_max_cm")?), (0.0, 0.0), "{}", ours.name);

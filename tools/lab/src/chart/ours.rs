@@ -1,4 +1,4 @@
-//! Ours: each classifier, exact and coarser, and the broad tier.
+//! Slicewalk as a method: each classifier, exact and coarser, and the broad tier.
 
 use super::method::{Built, Method, Vec3};
 use super::subject::Subject;
@@ -21,7 +21,7 @@ pub struct Ours {
     pub classifier: Classifier,
     /// Tolerance (pixels).
     pub tolerance: f64,
-    /// Whether any matter in the pixels and slices of a box is a hit.
+    /// Whether any solid in the pixels and slices of a box is a hit.
     pub broad: bool,
 }
 

@@ -17,7 +17,7 @@ use slicewalk::walk::{Body, Config, Response, Walker, MoveInput};
 /// The pawn (m).
 const RADIUS_M: f64 = 0.25;
 const HEIGHT_M: f64 = 1.8;
-/// What is in the way.
+/// Obstacles on the paths.
 const CASES: [&str; 5] = ["door of 1 m", "inner corner", "kerb of 15 cm", "stairs of 17 cm, up", "ramp of 15°, up"];
 /// Points to a side of a pixel; points farther than this from the exact way are left out (m).
 const PER_PIXEL: f64 = 3.0;

@@ -1,4 +1,4 @@
-//! What a run measures, and how much it asks.
+//! Scope and effort of a run.
 
 use super::cell::Effort;
 use super::subject::NAMES;
@@ -6,9 +6,9 @@ use crate::stability::Result;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Pixel sizes (cm), from coarse to fine, so that what a finer one will take can be told.
+/// Pixel sizes (cm), from coarse to fine, so that the cost of a finer one can be predicted.
 const PIXELS_CM: [u32; 6] = [32, 16, 8, 4, 2, 1];
-/// What to measure.
+/// Options of the measurement.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Options {
     /// Small samples of three scenes: a check that everything runs
@@ -23,7 +23,7 @@ pub struct Options {
     /// Seconds that a method may take to build one cell
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
     pub budget: f64,
-    /// Begins anew instead of going on
+    /// Starts over instead of resuming
     #[arg(long)]
     pub fresh: bool,
 }

@@ -16,9 +16,9 @@ const STEP_M: f64 = 0.05;
 /// Cubes whose faces are still few enough: twelve triangles each at worst.
 const MOST_CUBES: usize = 3_000_000;
 
-/// What it walks on, and how long the last build took.
+/// Triangles to walk on, and the time of the last build.
 pub struct Ground {
-    /// Of a scan there are none: the faces of its cubes stand for them.
+    /// `None` for scans: the faces of their cubes are used instead.
     triangles: Option<Vec<Triangle>>,
     before: Option<(usize, f64)>,
 }
@@ -32,7 +32,7 @@ impl Ground {
         Self { triangles, before: None }
     }
 
-    /// Its cell; pixel sizes are expected from coarse to fine, so that what the next takes can be told.
+    /// Returns its cell; pixel sizes are expected from coarse to fine, so that the cost of the next can be predicted.
     pub fn cell(
         &mut self,
         subject: &Subject,

@@ -1,4 +1,4 @@
-//! The record of measurements: tables that grow cell by cell, so that a run that was stopped goes on where it was.
+//! Record of measurements: tables that grow cell by cell, so that an interrupted run resumes where it stopped.
 
 use super::lines::{self, Measured, PhantomShare, Value};
 use crate::stability::Result;
@@ -89,7 +89,7 @@ pub struct Record {
 }
 
 impl Record {
-    /// Opens the files in a folder, and finds out what is there already; `fresh` begins anew.
+    /// Opens the files in a folder and reads the cells that they hold; `fresh` starts over.
     pub fn open(folder: &Path, fresh: bool) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
         let (measured, phantoms) = (folder.join("measured.csv"), folder.join("phantoms.csv"));

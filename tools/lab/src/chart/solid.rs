@@ -9,7 +9,7 @@ use parry3d::math::Vector;
 use parry3d::shape::{Shape, TriMesh};
 use slicewalk::query::Aabb;
 
-/// What a cube takes as `Voxels` at worst, alone in its chunk, and as triangles (bytes).
+/// Memory per cube as `Voxels` in the worst case, alone in its chunk, and as triangles (bytes).
 const CHUNK_BYTES: f64 = 700.0;
 const TRIANGLES_BYTES: f64 = 800.0;
 /// Cubes along an edge of a chunk.

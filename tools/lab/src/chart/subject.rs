@@ -1,4 +1,4 @@
-//! What is asked about: the points of a scene, the file that holds them, and what is known of its true surfaces.
+//! Subjects of the questions: the points of a scene, the file that holds them, and its true surfaces if known.
 
 use crate::data;
 use crate::peers::oracle::Oracle;
@@ -23,7 +23,7 @@ const WIDTH_M: f64 = 0.5;
 const HEIGHT_M: f64 = 1.8;
 /// Fits under the flights of the stairs of the scanned building (m).
 const INDOOR_HEIGHT_M: f64 = 1.6;
-/// Of the largest scan the middle is enough: so far to each side (m). All of it would take hours at the finest pixels.
+/// Half the edge of the part of the largest scan that is used (m). All of it would take hours at the finest pixels.
 const AUTZEN_HALF_M: f64 = 100.0;
 /// Pixels of the ground whose number is a scene's area (m).
 const GROUND_M: f64 = 0.32;
@@ -37,7 +37,7 @@ pub struct Subject {
     pub name: String,
     /// The points that every method is given (m).
     pub points: Vec<Point3<f64>>,
-    /// The same, or the triangles, in a file.
+    /// File with these points, or with the triangles.
     pub file: PathBuf,
     /// Length of a unit of the file.
     pub units: Units,
@@ -166,7 +166,7 @@ impl Subject {
         !self.triangles.is_empty()
     }
 
-    /// Distance from a place to the nearest matter (m).
+    /// Returns the distance from a place to the nearest solid (m).
     pub fn distance(&self, to: Point3<f64>) -> f64 {
         match &self.scene {
             Some(scene) if self.is_mesh() => scene.distance_to_point(to.into()),

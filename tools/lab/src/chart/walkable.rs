@@ -12,7 +12,7 @@ use slicewalk::store::Snapshot;
 
 /// A claim within this of a floor is about that floor (m).
 const SAME_M: f64 = CLIMB;
-/// Edge of the patch under the middle of the feet whose highest matter is the floor (m): scans have holes.
+/// Edge of the patch under the middle of the feet whose highest solid is the floor (m): scans have holes.
 const FOOT_M: f64 = 0.05;
 
 /// Whether one may stand on a floor.

@@ -1,4 +1,4 @@
-//! What is asked: boxes anywhere, boxes along a walk, sweeps, and boxes that graze matter; with what is true of each.
+//! Questions with their true answers: random boxes, boxes along a walk, sweeps, and boxes that graze solid.
 
 use super::subject::Subject;
 use super::walkable::{self, Column};
@@ -14,7 +14,7 @@ const STEP_M: f64 = 0.0233;
 /// How high it climbs, and how far down floor is looked for (m).
 const CLIMB_M: f64 = 0.35;
 pub const DEPTH_M: f64 = 1.0;
-/// A walk begins anew elsewhere after so many steps.
+/// A walk restarts elsewhere after this many steps.
 const STEPS: usize = 500;
 /// Length of a sweep (m).
 const SWEEP_M: f64 = 0.5;
@@ -23,7 +23,7 @@ const NEAREST: f64 = -1.0;
 const FARTHEST: f64 = 4.0;
 const BINS: f64 = 4.0;
 
-/// Boxes and whether they hold matter.
+/// Boxes and whether they hold solid.
 pub struct Boxes {
     pub shapes: Vec<Aabb>,
     pub truth: Vec<bool>,
@@ -43,15 +43,15 @@ pub struct Workload {
     /// The boxes of the walk from the height that it climbs, and the highest point under each (m).
     raised: Vec<Aabb>,
     floors: Vec<Option<f64>>,
-    /// Sweeps of such boxes that begin free, and how far they come (m). Coarse cubes make floors begin too high; that is
-    /// told by the height of floors, and should not be told again as a wall.
+    /// Sweeps of such boxes that begin free, and how far they come (m). They are raised because coarse cubes make
+    /// floors begin too high, which the height of floors already measures.
     pub sweeps: Vec<(Aabb, Vector3<f64>)>,
     pub reached: Vec<f64>,
     /// Places all over the scene, and where one may stand there; none without true surfaces.
     pub columns: Vec<Column>,
 }
 
-/// Whether a closed box holds matter.
+/// Returns whether a closed box holds solid.
 fn holds(subject: &Subject, shape: &Aabb) -> bool {
     match &subject.scene {
         Some(scene) if subject.is_mesh() => scene.distance_to_box(shape.min().into(), shape.max().into()) <= 0.0,
@@ -129,13 +129,13 @@ fn stand(subject: &Subject, random: &mut Random) -> Result<Point3<f64>> {
     Err(format!("{}: no place to stand was found in 20,000", subject.name).into())
 }
 
-/// Boxes near matter at one pixel size, and where floors can be told from walls.
+/// Boxes near solid at one pixel size, and where floors can be distinguished from walls.
 pub struct Grazing {
     /// Boxes, and the signed distance of the nearest point, negative inside (m).
     pub shapes: Vec<Aabb>,
     pub gaps: Vec<f64>,
-    /// Raised boxes of the walk and the highest points under them, where nothing much higher is within a pixel and a half:
-    /// how far walls reach is told by other figures.
+    /// Raised boxes of the walk and the highest points under them, where nothing much higher is within a pixel and a
+    /// half: other figures measure how far walls reach.
     pub floors: Vec<(Aabb, f64)>,
 }
 

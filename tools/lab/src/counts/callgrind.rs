@@ -16,7 +16,7 @@ pub fn check() -> Result<()> {
     }
 }
 
-/// The paths of a group, with their instructions, in their order.
+/// Returns the paths of a group with their instruction counts, in order.
 pub fn count(folder: &Path, group: Group) -> Result<Vec<(paths::Path, u64)>> {
     let out = folder.join(format!("{group:?}.callgrind"));
     let mut command = Command::new("valgrind");

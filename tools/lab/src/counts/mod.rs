@@ -31,7 +31,7 @@ const PER_PIXEL: f64 = 1.6;
 /// Distance between points of the scan that is converted (m).
 const CONVERTED_SPACING_M: f64 = 0.2;
 
-/// What to count.
+/// Options of a count.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Counts {
     /// Writes the counts as the new committed ones
@@ -52,7 +52,7 @@ struct Counted {
 }
 
 impl Counted {
-    /// Instructions per operation: those of the first run, for all are nearly equal.
+    /// Instructions per operation, from the first run; all are nearly equal.
     fn each(&self) -> f64 {
         self.instructions[0] as f64 / self.path.operations as f64
     }

@@ -74,7 +74,7 @@ pub struct Path {
 }
 
 impl Path {
-    /// What a process said that it called.
+    /// Parses the list of called paths that a process printed.
     pub fn parse_all(group: Group, said: &str) -> Result<Vec<Self>> {
         let line = |line: &str| {
             let (name, operations) = line.split_once(' ')?;
@@ -87,7 +87,7 @@ impl Path {
     }
 }
 
-/// What to call.
+/// Options of a process that calls the paths.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Calls {
     group: Group,
@@ -183,7 +183,7 @@ fn each<T, R>(name: &'static str, items: &[T], call: impl Fn(&T) -> R) {
     });
 }
 
-/// What callgrind counts. Its name is its switch: it must be a function of its own, and no other may bear its name.
+/// Region that callgrind counts. Callgrind selects it by name: it must be a function of its own with a unique name.
 #[inline(never)]
 fn region(name: &'static str, operations: usize, work: &mut dyn FnMut()) {
     work();

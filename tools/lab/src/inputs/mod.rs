@@ -30,7 +30,7 @@ const LEAST_RATIO: f64 = 0.8;
 const LEAST_TEXT: f64 = 100e6;
 const ROUNDS: usize = 5;
 
-/// What to measure.
+/// Options of the measurement.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Inputs {
     /// Small samples: a check that everything runs
@@ -87,7 +87,7 @@ impl Inputs {
         if self.quick { 1 } else { ROUNDS }
     }
 
-    /// Writes a town of about so many points in this format; their number.
+    /// Writes a town of about `points` points in this format; returns their number.
     fn town(&self, path: &Path, points: u64, clouds: u64) -> Result<u64> {
         let points = if self.quick { points / 100 } else { points };
         let town = Town::new(points / (DENSITY * SURFACE_M2));
@@ -216,7 +216,7 @@ fn check(points: u64, found: u64) -> Result<()> {
     if found == points { Ok(()) } else { Err(format!("of {points} points {found} were read").into()) }
 }
 
-/// Hands numbers from 0 to `count` to `work` on threads, one after the other, and adds up what it returns.
+/// Passes the numbers from 0 to `count` to `work` on threads, in ascending order, and adds up the results.
 fn on_threads(
     threads: usize,
     count: usize,

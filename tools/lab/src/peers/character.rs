@@ -14,12 +14,12 @@ use std::time::Instant;
 
 /// Length of a frame (s).
 pub const FRAME_S: f64 = 1.0 / 60.0;
-/// Frames of a walk at most: twice what ours needs. It ends where the pawn has not come on for so many frames.
+/// Most frames of a walk: twice as many as Slicewalk needs. A walk ends after `STANDS` frames without progress.
 const FRAMES: usize = 3200;
 const STANDS: usize = 240;
-/// Steps of the controller: greatest height, and least width of a tread (m). The first is our climb height.
+/// Steps of the controller: greatest height, and least width of a tread (m). The first is Slicewalk's climb height.
 pub const STEPS: [(f32, f32); 2] = [(0.35, 0.05), (0.35, 0.2)];
-/// The body less this much is inside matter if it holds a point (m).
+/// The body less this margin is inside solid if it holds a point (m).
 const SHRUNK: f64 = 0.03;
 
 /// How a walk ended.
@@ -134,13 +134,13 @@ impl<'a> Pawn<'a> {
         self.center - Vector3::new(0.0, 0.0, self.half)
     }
 
-    /// A frame in which it wants to go so far across (m), and keeps its height where nothing else says so.
+    /// Runs a frame that moves by `across` (m) and keeps its height unless obstacles change it.
     pub fn float(&mut self, across: Vector2<f64>) {
         self.falling = -9.81 * FRAME_S;
         self.step(across);
     }
 
-    /// A frame in which it wants to go so far across (m), and falls where nothing holds it; how long that took (ns).
+    /// Runs a frame that moves by `across` (m) and falls without support; returns its time (ns).
     pub fn step(&mut self, across: Vector2<f64>) -> f64 {
         self.falling += 9.81 * FRAME_S;
         let wanted = across.push(-self.falling * FRAME_S);

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-/// A method that is too slow for all items gets so much time for one round.
+/// Time for one round of a method that is too slow for all items.
 const ROUND: Duration = Duration::from_millis(1500);
 const ROUNDS: usize = 3;
 

@@ -1,5 +1,5 @@
-//! Ours beside its peers: the same questions about the same real scan, in one run on one machine, with the wrong answers
-//! beside the times. Brute force over the points says which answers are wrong.
+//! Slicewalk beside its peers: the same questions about the same real scan, in one run on one machine, with the wrong
+//! answers beside the times. Brute force over the points decides which answers are wrong.
 //!
 //! `bench peers` writes `peers.md`. Needs a real scan.
 
@@ -140,7 +140,7 @@ impl World<'_> {
 
     fn walks(&self, page: &mut String) -> Result<()> {
         let places = scene::route()?.len();
-        head(page, "A frame of a walk, 60 a second", ["frames inside matter", "waypoints not reached"]);
+        head(page, "A frame of a walk, 60 a second", ["frames inside solid", "waypoints not reached"]);
         let mut add = |who: &str, walked: character::Walked| {
             row(page, who, &walked.measured, [walked.inside(self.oracle), places - walked.reached]);
         };
@@ -184,7 +184,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         let thinned = spheres::thinned(&points, pixel);
         let _ = writeln!(
             page,
-            "\nOurs: {:.2} MB in memory. {triangles} triangles. `capt` over {} points{}.",
+            "\nSlicewalk: {:.2} MB in memory. {triangles} triangles. `capt` over {} points{}.",
             store.weight_bytes() as f64 / 1e6,
             thinned.len(),
             if pixel < 0.03 { " was not run: see above" } else { "" },

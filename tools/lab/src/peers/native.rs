@@ -1,12 +1,12 @@
-//! Peers in C++: a few plain functions of ours around a library, built with the system's compiler when the library is
-//! installed, and loaded into this process.
+//! Peers in C++: a few plain functions around a library, built with the system's compiler if the library is installed,
+//! and loaded into this process.
 
 use crate::stability::Result;
 use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// What a file of ours needs to be built.
+/// Source of a C++ peer and the requirements to build it.
 pub struct Recipe<'a> {
     /// Its name, and what it holds.
     pub name: &'a str,
@@ -16,16 +16,17 @@ pub struct Recipe<'a> {
     pub beside: &'a [(&'a str, &'a str)],
     /// Lines that compile where the library is installed.
     pub probe: &'a str,
-    /// What is missing where they do not.
+    /// Missing package that the message names if they do not compile.
     pub missing: &'a str,
     /// Options of the compiler.
     pub options: &'a [String],
-    /// What is linked, after the source.
+    /// Libraries to link, after the source.
     pub libraries: &'a [String],
 }
 
 impl Recipe<'_> {
-    /// Builds and loads it; an error says in one line why there is none. The file may go when the library is loaded.
+    /// Builds and loads it; an error says in one line why it cannot. The files may be deleted once the library is
+    /// loaded.
     pub fn load(&self) -> Result<libloading::Library> {
         let folder = tempfile::tempdir()?;
         let library = folder.path().join("libpeer.so");

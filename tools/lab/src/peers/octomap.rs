@@ -1,4 +1,4 @@
-//! OctoMap: an octree of occupied cubes, behind a few C++ functions of ours that are built when its library is installed.
+//! OctoMap: an octree of occupied cubes, behind a few C++ functions that are built if its library is installed.
 
 use super::native::Recipe;
 use crate::stability::Result;
@@ -7,9 +7,9 @@ use slicewalk::query::Aabb;
 use std::ffi::{c_int, c_void};
 use std::sync::Arc;
 
-/// What its documentation advises, and how boxes are asked.
+/// Settings that its documentation advises, and the method for boxes.
 pub const SETTINGS: &str = "updateNode as occupied, lazy; updateInnerOccupancy, toMaxLikelihood, prune; no free space; \
-     boxes by a search down from the root, into what meets the box only";
+     boxes by a search down from the root, only into nodes that meet the box";
 const SOURCE: &str = include_str!("../../octomap/octomap.cc");
 /// Cubes to a side of its trees.
 const SIDE: f64 = 65_536.0;
@@ -31,7 +31,7 @@ struct Functions {
 pub struct Octomap(Arc<Functions>);
 
 impl Octomap {
-    /// Builds and loads it; an error says in one line why there is none.
+    /// Builds and loads it; an error says in one line why it cannot.
     pub fn load() -> Result<Self> {
         let recipe = Recipe {
             name: "octomap.cc",
@@ -120,7 +120,7 @@ impl Tree {
         // SAFETY: as above; without room nothing is written.
         let count = unsafe { (self.functions.leaves)(self.handle, std::ptr::null_mut(), 0) };
         let mut leaves = vec![[0.0; 4]; count];
-        // SAFETY: as above; there is room for four numbers for each of so many leaves, and the tree has not changed.
+        // SAFETY: as above; there is room for four numbers for each of `count` leaves, and the tree has not changed.
         unsafe { (self.functions.leaves)(self.handle, leaves.as_mut_ptr().cast(), count) };
         let corners = |[x, y, z, edge]: [f64; 4]| {
             let least = Point3::new(x, y, z) + self.from;
@@ -132,7 +132,7 @@ impl Tree {
 
 impl Drop for Tree {
     fn drop(&mut self) {
-        // SAFETY: nobody else has the handle.
+        // SAFETY: no other owner has the handle.
         unsafe { (self.functions.free)(self.handle) }
     }
 }

@@ -19,7 +19,7 @@ fn cell(p: &Point3<f64>, edge: f64) -> [i32; 3] {
     [p.x, p.y, p.z].map(|v| (v / edge).floor() as i32)
 }
 
-/// What is touched is not met: points on the faces of a box do not stop it.
+/// Shrinks a box slightly: points on its faces do not stop it.
 fn inside(shape: &Aabb) -> (Point3<f64>, Point3<f64>) {
     let skin = Vector3::repeat(1e-6);
     (shape.min() + skin, shape.max() - skin)

@@ -44,7 +44,7 @@ pub fn sweep(world: &dyn Shape, shape: &Aabb, way: Vector3<f64>) -> f64 {
     hit.ok().flatten().map_or(1.0, |hit| f64::from(hit.time_of_impact)) * way.norm()
 }
 
-/// Height of the highest matter under the footprint, down to `depth` below: a thin plate falls.
+/// Height of the highest solid under the footprint, down to `depth` below: a thin plate falls.
 pub fn top(world: &dyn Shape, shape: &Aabb, depth: f64) -> Option<f64> {
     let (min, mut max) = (shape.min(), shape.max());
     max.z = min.z + 1e-3;
@@ -53,7 +53,7 @@ pub fn top(world: &dyn Shape, shape: &Aabb, depth: f64) -> Option<f64> {
     (fallen < depth).then_some(min.z - fallen)
 }
 
-/// Distance to the first matter (m).
+/// Distance to the first solid (m).
 pub fn ray(world: &dyn Shape, ray: &Ray) -> Option<f64> {
     let length = ray.direction().norm();
     let cast = parry3d::query::Ray::new(vector(&ray.origin().coords), vector(&(ray.direction() / length)));

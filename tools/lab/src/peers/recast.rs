@@ -19,7 +19,7 @@ pub const HEIGHT: f64 = 1.8;
 pub const CLIMB: f64 = 0.35;
 /// The steepest floor it walks on (degrees).
 pub const SLOPE_DEG: f64 = 45.0;
-/// What its documentation advises, with cells of a pixel instead of a half or a third of the radius.
+/// Settings that its documentation advises, with cells of a pixel instead of a half or a third of the radius.
 pub const SETTINGS: &str = "cells of t, half as high or 7.2 mm; agent 0.25 m wide, 1.8 m high, climbs 0.35 m, slopes to 45°; \
      the rest by ConfigBuilder::default; one mesh without tiles; heights of the detail mesh";
 /// Columns of a heightfield: more take more than a gigabyte.
@@ -68,7 +68,7 @@ impl Navmesh {
         Self::build_for(RADIUS, triangles, cell_m)
     }
 
-    /// The same for an agent of another radius (m).
+    /// Like [`build`](Self::build) for an agent of another radius (m).
     pub fn build_for(radius: f64, triangles: &[Triangle], cell_m: f64) -> Result<Self> {
         let mut corners = triangles.iter().flatten();
         let first = *corners.next().ok_or("no triangles")?;

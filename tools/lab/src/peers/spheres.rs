@@ -18,7 +18,7 @@ pub fn centers(shape: &Aabb) -> impl Iterator<Item = [f64; 3]> {
     (0..COUNT).map(move |n| [middle.x, middle.y, low + rise * n as f64 / (COUNT - 1) as f64])
 }
 
-/// One point per cube of this edge (m): the same resolution as ours.
+/// Returns one point per cube of this edge (m), the resolution that Slicewalk has.
 pub fn thinned(points: &[Point3<f64>], edge: f64) -> Vec<[f64; 3]> {
     let mut kept: HashMap<[i64; 3], [f64; 3]> = HashMap::new();
     for p in points {
@@ -77,7 +77,7 @@ impl Tree {
         })
     }
 
-    /// Exact: all points in the sphere around the box, tried one by one.
+    /// Exact: tests every point in the sphere around the box.
     pub fn hits(&self, shape: &Aabb) -> bool {
         let (min, max) = (shape.min(), shape.max());
         let middle = nalgebra::center(&min, &max);

@@ -1,4 +1,4 @@
-//! The same LAZ files through `copc_converter`, which makes trees of points out of them, and through ours.
+//! Equal LAZ files through `copc_converter`, which makes trees of points out of them, and through Slicewalk.
 
 use super::town::Town;
 use super::{Found, spread};
@@ -13,7 +13,7 @@ const RUNS: usize = 3;
 /// Points on a square metre of the generated scan; ten blocks have ten million.
 const DENSITY: u64 = 1600;
 
-/// A file, and pixel sizes in its own unit: four times the spacing of its points, as a conversion chooses by itself, and
+/// A file, and pixel sizes in its own unit: four times the spacing of its points, the default of a conversion, and
 /// finer.
 struct Case {
     name: &'static str,
@@ -39,7 +39,7 @@ pub fn measure(found: &mut Found, work: &Path, program: Option<&Path>, quick: bo
         let mut programs: Vec<(String, Vec<Watched>, &Path)> = case
             .pixels
             .iter()
-            .map(|t| (format!("ours, pixels of {t} {}", case.unit), Vec::new(), archive.as_path()))
+            .map(|t| (format!("slicewalk, pixels of {t} {}", case.unit), Vec::new(), archive.as_path()))
             .collect();
         programs.push((version.trim().to_owned(), Vec::new(), &tree));
         let mut sizes = vec![0; programs.len()];
@@ -58,9 +58,9 @@ pub fn measure(found: &mut Found, work: &Path, program: Option<&Path>, quick: bo
         }
     }
     found.section(&format!(
-        "{title}Both with their defaults, on all threads, in turn; median of the runs. What they make differs: it keeps every point \
-         and attribute in an octree, ours keeps occupied voxels with heights. Both decode all points. Memory as the \
-         system tells every 5 ms.\n\n{}\n",
+        "{title}Both with their defaults, on all threads, in turn; median of the runs. Their output differs: `copc_converter` keeps every point \
+         and attribute in an octree, Slicewalk keeps occupied voxels with heights. Both decode all points. Memory as the \
+         system reports it every 5 ms.\n\n{}\n",
         table.markdown()
     ));
     Ok(())

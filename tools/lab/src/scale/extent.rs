@@ -28,7 +28,7 @@ const BLOCK_M: f64 = 60.0;
 
 type Counted = Arc<SlowSource<FileSource>>;
 
-/// What a walk across took.
+/// Cost of a walk across.
 struct Walked {
     metres: f64,
     frames: usize,

@@ -1,6 +1,6 @@
-//! What grows with the size of a scene, and what does not: speed and memory of conversions of one to a thousand million
-//! points, queries in scenes of a hundred thousand to thirty million voxels, a walk across a scene of great extent, and
-//! the same LAZ files through a converter of another project.
+//! Costs that grow with the size of a scene, and costs that do not: speed and memory of conversions of one to a
+//! thousand million points, queries in scenes of a hundred thousand to thirty million voxels, a walk across a scene of
+//! great extent, and equal LAZ files through a converter of another project.
 //!
 //! Out: `chart/scale.csv`, `chart/memory.csv`, `scale.md`. Every conversion runs in a process of its own.
 
@@ -21,7 +21,7 @@ const HEAD: &str = include_str!("head.md");
 /// Memory budget of every conversion (bytes).
 pub(crate) const MEMORY: u64 = 512 << 20;
 
-/// What to measure.
+/// Options of the measurement.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Scale {
     /// Small samples: a check that everything runs
@@ -56,7 +56,7 @@ enum Part {
     Converter,
 }
 
-/// What all parts find: numbers for charts, and sections of the page.
+/// Results of all parts: numbers for charts, and sections of the page.
 #[derive(Debug)]
 struct Found {
     numbers: Vec<Scaled>,
@@ -125,7 +125,7 @@ impl Scale {
     }
 }
 
-/// The machine, as far as the system tells.
+/// Describes the machine from the information that the system gives.
 pub(crate) fn machine() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));

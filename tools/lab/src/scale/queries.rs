@@ -18,7 +18,7 @@ use std::time::Instant;
 const PIXEL_M: f64 = 0.1;
 /// Points on a square metre: two a pixel, to keep files small.
 const DENSITY: u64 = 200;
-/// About so many voxels a block, for the choice of sizes alone; the table has the true numbers.
+/// Approximate voxels per block, used only to choose sizes; the table has the true numbers.
 const VOXELS_PER_BLOCK: f64 = 57_000.0;
 const ASKED: usize = 20_000;
 const REPEATS: usize = 5;
@@ -44,11 +44,11 @@ pub fn measure(found: &mut Found, work: &Path, quick: bool) -> Result<()> {
     ]);
     let mut batches = Table::new([
         "in memory (MB)",
-        "boxes one by one (ns)",
+        "boxes singly (ns)",
         "as a batch",
         "times as fast (least to most)",
         "two threads",
-        "rays one by one (ns)",
+        "rays singly (ns)",
         "as a batch",
         "times as fast (least to most)",
         "two threads",
@@ -63,8 +63,8 @@ pub fn measure(found: &mut Found, work: &Path, quick: bool) -> Result<()> {
         table.markdown()
     ));
     found.section(&format!(
-        "## Batches\n\nThe same towns: {BATCH} boxes anywhere, in random order, one by one and by `overlaps_batch`; then rays of {RAY_M} m from \
-         the middle of each, level, in all directions, one by one and by `cast_batch`. Medians of {REPEATS} rounds, in turns; two \
+        "## Batches\n\nThe same towns: {BATCH} boxes anywhere, in random order, singly and by `overlaps_batch`; then rays of {RAY_M} m from \
+         the middle of each, level, in all directions, singly and by `cast_batch`. Medians of {REPEATS} rounds, in turns; two \
          threads have half of the batch each, in times of the batch of one thread.\n\n{}\n",
         batches.markdown()
     ));
@@ -113,7 +113,7 @@ fn one(found: &mut Found, work: &Path, town: Town, batches: &mut Table) -> Resul
     Ok(row)
 }
 
-/// Times of questions one by one, as a batch, and as a batch in two halves on two threads.
+/// Times of questions asked in turn, as a batch, and as a batch in two halves on two threads.
 fn batch<Q: Sync, A: Send + PartialEq>(
     questions: &[Q],
     mut answers: Vec<A>,
@@ -157,7 +157,7 @@ fn batch<Q: Sync, A: Send + PartialEq>(
     ]
 }
 
-/// Time of a box when all are asked one after the other (ns).
+/// Time of a box when all are asked in turn (ns).
 fn all_at_once(store: &Snapshot, shapes: &[Aabb]) -> f64 {
     let start = Instant::now();
     for shape in shapes {

@@ -12,16 +12,16 @@ use std::path::Path;
 use std::time::Instant;
 
 const PIXEL_M: f64 = 0.1;
-/// Points on a square metre: a pixel is four times their spacing, as a conversion chooses by itself.
+/// Points on a square metre: a pixel is four times their spacing, the default of a conversion.
 const DENSITY: u64 = 1600;
 /// Disk per point: its record, what the conversion writes for a while (limit: 12), and the archive.
 const DISK_PER_POINT: u64 = 20 + 12 + 4;
-/// What is left free on the disk (bytes).
+/// Disk space that must stay free (bytes).
 const DISK_LEFT: u64 = 2 << 30;
-/// Up to so many points a size is measured three times.
+/// Sizes up to this many points are measured three times.
 const REPEATED: u64 = 100_000_000;
 
-/// Converts towns of so many millions of points. Resident memory over time of the largest.
+/// Converts towns of `millions` of points. Returns resident memory over time of the largest.
 pub fn measure(found: &mut Found, work: &Path, millions: &[u64], quick: bool) -> Result<Table> {
     let mut table = Table::new([
         "points (M)",
@@ -147,7 +147,7 @@ fn read_bytes(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Writes so many bytes to a new file in `folder` and reads them back.
+/// Writes `bytes` to a new file in `folder` and reads them back.
 fn spill(folder: &Path, bytes: u64) -> Result<()> {
     let mut file = tempfile::tempfile_in(folder)?;
     let mut piece = vec![1; PIECE];

@@ -27,7 +27,7 @@ pub struct Town {
 }
 
 impl Town {
-    /// A town of so many blocks, at least one.
+    /// Creates a town of `blocks` blocks, at least one.
     pub fn new(blocks: u64) -> Self {
         Self { blocks: blocks.max(1) }
     }
@@ -72,13 +72,13 @@ impl Town {
         pawns::wander(set, count, seed, start, |place| self.holds(place), street)
     }
 
-    /// Writes a scan with so many points on a square metre: block after block in random order, in random order within
-    /// each. The number of points.
+    /// Writes a scan with `density` points on a square metre: block after block in random order, in random order within
+    /// each. Returns the number of points.
     pub fn write(&self, path: &Path, density: u64) -> Result<u64> {
         Ok(write_samples(path, self.all(density), &WriteSpec::for_path(path))?.points)
     }
 
-    /// Writes the same scan in another format, with so many points in a cloud. The number of points.
+    /// Writes the same scan in another format, with `cloud_points` points in a cloud. Returns the number of points.
     pub fn write_clouds(&self, path: &Path, format: CloudFormat, density: u64, cloud_points: u64) -> Result<u64> {
         Ok(write_clouds(path, format, self.all(density), &WriteSpec::default(), cloud_points)?.points)
     }
@@ -95,7 +95,7 @@ impl Town {
     fn samples(&self, block: u64, count: u64) -> Vec<Sample> {
         let scene = self.scene(block);
         let spec = SampleSpec::direct_count(count).with_noise(0.002);
-        // Its numbers are constants of ours, and allowed.
+        // Cannot fail: all of its numbers are constants within the limits.
         scene.samples(block, &spec).map(Iterator::collect).unwrap_or_default()
     }
 

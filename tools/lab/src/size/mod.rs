@@ -286,7 +286,7 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
     };
     let (open, decode, unpack) = (median(&mut open), median(&mut decode), median(&mut unpack));
     let pages = made.stats.pages.iter().sum::<u64>();
-    // What a program that keeps rasters would hold: bottom, top and a bit of kind in each pixel of each tile.
+    // Memory of a program that keeps rasters: bottom, top and a bit of kind in each pixel of each tile.
     let raster = made.stats.needs.iter().sum::<u64>() as f64 * 4096.0 * 2.125;
     Ok(vec![
         case.name.clone(),

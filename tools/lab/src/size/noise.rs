@@ -1,4 +1,4 @@
-//! What no coder can save: the noise of heights on smooth surfaces.
+//! Lower bound for every coder: the noise of heights on smooth surfaces.
 
 use crate::stability::Result;
 use slicewalk::archive::Archive;

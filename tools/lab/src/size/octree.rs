@@ -1,4 +1,4 @@
-//! What the points of a scan take as OctoMap's binary tree (`.bt`) of occupied cubes.
+//! Size of the points of a scan as OctoMap's binary tree (`.bt`) of occupied cubes.
 //!
 //! The size follows from the format (Hornung et al., Autonomous Robots 2013, section 3.4): two bytes for each inner node,
 //! two bits a child; eight equal occupied children are pruned into one leaf. Free space, which a map built from rays

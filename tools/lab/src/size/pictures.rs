@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 /// A voxel in a picture: place, bottom, top, obstacle.
 type Dot = (usize, u8, u8, bool);
 
-/// Bytes of all slices as RGB pictures over the bounds of the points: with the thesis' colours (top, 255 for matter,
-/// obstacle or floor), and with the bottom in the place of the constant 255, which is what an archive holds.
+/// Bytes of all slices as RGB pictures over the bounds of the points: with the thesis' colours (top, 255 for solid,
+/// obstacle or floor), and with the bottom in the place of the constant 255, the content of an archive.
 pub fn bytes(archive: &Archive) -> Result<[u64; 2]> {
     let Some((min, max)) = archive.header().bounds else { return Ok([0; 2]) };
     let frame = archive.frame();

@@ -1,4 +1,4 @@
-//! What a walk through a generated scene reads, and what it would read were each tile stored by itself.
+//! Reads of a walk through a generated scene, and the reads if each tile were stored alone.
 
 use crate::stability::Result;
 use scangen::{Params, Scene, Truth};
@@ -15,7 +15,7 @@ const STEP_M: f64 = 0.05;
 pub struct Reads {
     /// Stored pages: one read each.
     pub pages: usize,
-    /// Tiles with matter: one read each if they were files, as in the thesis.
+    /// Occupied tiles: one read each if they were files, as in the thesis.
     pub tiles: usize,
 }
 

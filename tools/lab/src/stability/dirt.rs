@@ -11,7 +11,7 @@ use scangen::{Kind, Params, SampleSpec, Scene, Truth};
 use slicewalk::query::{Aabb, Answer, Cylinder, floor_under};
 use std::collections::HashMap;
 
-/// Free space around a pawn that no guarantee lets matter fill (m): a pixel's diagonal and a slice, and some.
+/// Free space around a pawn that no guarantee lets solid fill (m): a pixel's diagonal and a slice, with a margin.
 const FREE_M: f64 = 0.25;
 
 /// A house with 1e-5 to 1e-2 outliers per point, and `--min-points` 1, 2 and 3.
@@ -25,7 +25,7 @@ pub fn outliers(effort: Effort) -> Result<Outcome> {
     let mut page = Table::new([
         "outliers per point",
         "thesis as written: free pawns blocked",
-        "ours, --min-points 1",
+        "Slicewalk, --min-points 1",
         "2",
         "3",
         "surface points lost with 2",
@@ -79,7 +79,7 @@ pub fn outliers(effort: Effort) -> Result<Outcome> {
     outcome.plots.push(Plot {
         name: "outliers",
         title: "Pawns in free space that an outlier blocks: house, 4 points per pixel of 5 cm".into(),
-        x: "outliers per point (the leftmost is none)",
+        x: "outliers per point (leftmost: 0)",
         y: "share of pawns blocked",
         log_x: true,
         y_range: (0.0, 1.0),

@@ -105,10 +105,10 @@ pub fn noise(effort: Effort) -> Result<Outcome> {
     }
     outcome.plots.push(Plot {
         name: "noise",
-        title: "Worst share of wrong verdicts among floor, 35°, 55° and wall: limit 45°, 10 points per pixel of 5 cm"
+        title: "Worst share of wrong classes among floor, 35°, 55° and wall: limit 45°, 10 points per pixel of 5 cm"
             .into(),
         x: "noise, one standard deviation (mm)",
-        y: "share of voxels judged wrongly",
+        y: "share of voxels misclassified",
         log_x: false,
         y_range: (0.0, 0.5),
         marks: vec![],
@@ -127,7 +127,7 @@ pub fn noise(effort: Effort) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// What a method says of a level square of pixels.
+/// Results of a method for a level square of pixels.
 struct Level {
     errors: Errors,
     /// Greatest difference of neighbouring pixels (mm).
@@ -175,7 +175,8 @@ pub fn phase_z(effort: Effort) -> Result<Outcome> {
     }
     let mut points = field.points(10.0, NOISE_M, &mut random);
     let sigma = Setting::new(PIXEL_M).slice_m();
-    // The thesis' slices begin at the lowest point: one on a boundary, away from all floors, lets them begin as ours.
+    // The thesis' slices begin at the lowest point: a point on a boundary, away from all floors, aligns them with
+    // Slicewalk's.
     points.push([0.0, 0.0, 20.0 * sigma]);
     let scan = Scan::new(points)?;
     let raw = highest(&scan.points);

@@ -21,7 +21,7 @@ pub fn headroom(effort: Effort) -> Result<Outcome> {
         "noise (mm)",
         "thesis as written: least to greatest error (mm)",
         "RMSE",
-        "ours: least to greatest error (mm)",
+        "Slicewalk: least to greatest error (mm)",
         "RMSE",
     ]);
     let mut lines = Vec::new();

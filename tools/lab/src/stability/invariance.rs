@@ -1,4 +1,4 @@
-//! What must not matter: rotation, translation, the order of points, repeated points.
+//! Changes that must not affect the result: rotation, translation, the order of points, repeated points.
 
 use super::lab::{Judged, Method, Scan, Setting, Vec3, Voxel};
 use super::patch::Field;
@@ -62,9 +62,9 @@ pub fn rotation(effort: Effort) -> Result<Outcome> {
     outcome.fact("rotation", page.markdown());
     outcome.plots.push(Plot {
         name: "rotation",
-        title: "Worst share of wrong verdicts of floor, 40°, 50° and wall: limit 45°, 4 points per pixel".into(),
+        title: "Worst share of wrong classes of floor, 40°, 50° and wall: limit 45°, 4 points per pixel".into(),
         x: "heading (degrees)",
-        y: "share of voxels judged wrongly",
+        y: "share of voxels misclassified",
         log_x: false,
         y_range: (0.0, 1.0),
         marks: vec![],
@@ -84,7 +84,7 @@ fn small_scene(pixel_m: f64, density: f64) -> (Field, Vec<Vec3>) {
     (field, points)
 }
 
-/// Verdicts by voxel, in tiles and slices of the shifted scene moved back.
+/// Returns the classes by voxel, in tiles and slices of the shifted scene moved back.
 fn verdicts(judged: &Judged, pixel_m: f64, pixels: i64, z_m: f64) -> Result<BTreeMap<[i64; 3], bool>> {
     let mut verdicts = BTreeMap::new();
     judged.voxels(|Voxel { pixel: [i, j], z, obstacle }| {
@@ -101,7 +101,7 @@ fn differing(a: &BTreeMap<[i64; 3], bool>, b: &BTreeMap<[i64; 3], bool>) -> f64 
     share.value()
 }
 
-/// The same scene at 0, 500, 5000 and 10 000 km, on grids that binary numbers hold exactly and on decimal ones.
+/// One scene at 0, 500, 5000 and 10 000 km, on grids that binary numbers hold exactly and on decimal ones.
 pub fn translation(_: Effort) -> Result<Outcome> {
     let head = [
         "grid",
@@ -117,7 +117,7 @@ pub fn translation(_: Effort) -> Result<Outcome> {
         "grid",
         "shift",
         "method",
-        "verdicts differing from those at 0",
+        "classes differing from those at 0",
         "spans equal",
         "floor RMSE (mm)",
         "greatest change of a floor (mm)",
@@ -186,11 +186,11 @@ pub fn translation(_: Effort) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Verdicts, spans and floors of a scene that has not been shifted.
+/// Classes, spans and floors of a scene that has not been shifted.
 type AtOrigin = (BTreeMap<[i64; 3], bool>, Vec<Spans>, Vec<f64>);
 type Spans = ([i64; 2], [i64; 2], bool);
 
-/// Height from which slices count: the lowest point for the rule as written, the shift for ours.
+/// Height from which slices count: the lowest point for the rule as written, the shift for Slicewalk.
 fn origin(judged: &Judged, shift: f64) -> f64 {
     match judged {
         Judged::Written(written) => written.origin(),

@@ -18,16 +18,16 @@ use tempfile::TempDir;
 /// A point (m).
 pub type Vec3 = [f64; 3];
 
-/// A rule that tells obstacles from floors.
+/// Rule that distinguishes obstacles from floors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// The thesis' algorithm 3.3 to the letter.
     Written,
-    /// The same with all points of a voxel in place of the last one: `--classifier thesis`.
+    /// The thesis' rule over all points of a voxel instead of the last one: `--classifier thesis`.
     OrderFree,
     /// Extent of vertical runs: `--classifier span`.
     Span,
-    /// Ours: `--classifier plane`.
+    /// Slicewalk's default: `--classifier plane`.
     Plane,
 }
 
@@ -55,7 +55,7 @@ pub struct Setting {
     pub limit_deg: f64,
     /// Voxels with fewer points are dropped.
     pub min_points: u32,
-    /// Connected matter of at most so many voxels is dropped.
+    /// Connected solid of at most this many voxels is dropped.
     pub drop_floaters: u16,
 }
 
@@ -65,7 +65,7 @@ impl Setting {
         Self { pixel_m, limit_deg: 45.0, min_points: 1, drop_floaters: 0 }
     }
 
-    /// The same with another limit (degrees).
+    /// Returns the setting with another limit (degrees).
     pub fn limit(self, limit_deg: f64) -> Self {
         Self { limit_deg, ..self }
     }
@@ -128,7 +128,7 @@ impl Scan {
         Ok(Converted { bytes: std::fs::read(&output)?, archive, store })
     }
 
-    /// The verdicts of one method.
+    /// Classifies the scan by one method.
     pub fn judge(&self, setting: Setting, method: Method) -> Result<Judged> {
         let classifier = match method {
             Method::Written => return Ok(Judged::Written(Written::new(setting, self.points.iter().copied()))),
@@ -150,14 +150,14 @@ pub struct Converted {
     pub store: Snapshot,
 }
 
-/// A voxel with matter.
+/// Occupied voxel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Voxel {
     /// Pixel.
     pub pixel: [i64; 2],
     /// Bottom and top of its slice (m).
     pub z: [f64; 2],
-    /// The verdict.
+    /// The class.
     pub obstacle: bool,
 }
 
@@ -189,7 +189,7 @@ impl Converted {
     }
 }
 
-/// What one method made of a scan.
+/// Scan as classified by one method.
 pub enum Judged {
     /// By the thesis' algorithm as written.
     Written(Written),
@@ -241,7 +241,7 @@ impl Judged {
         }
     }
 
-    /// Whether a box touches matter, and whether it touches an obstacle.
+    /// Returns whether a box touches solid, and whether it touches an obstacle.
     pub fn touches(&self, min: Vec3, max: Vec3) -> (bool, bool) {
         match self {
             Self::Written(written) => written.touches(min, max),

@@ -1,7 +1,7 @@
-//! Where methods fail: one sweep per failure, for the thesis' rule as written, the same made order-free, and ours.
+//! Failure modes of the methods: one sweep each over the thesis' rule as written, its order-free form, and Slicewalk's.
 //!
-//! In: nothing but seeds. Out: a CSV and mostly a plot per sweep, and `stability.md`, a page in words around their
-//! numbers. The same bytes on every run: no times, no threads, no platform's random numbers.
+//! In: nothing but seeds. Out: a CSV and usually a plot per sweep, and `stability.md`, a page of text around their
+//! numbers. Every run writes identical bytes: no times, no threads, no random numbers of the platform.
 
 pub(crate) mod lab;
 mod patch;
@@ -28,7 +28,7 @@ use table::Table;
 
 /// Anything that goes wrong here ends the run.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
-/// What a sweep gives.
+/// Result of a sweep.
 pub type Result<T> = std::result::Result<T, Error>;
 
 /// The words of the page; `{{name}}` stands for a number or a table of a sweep.
@@ -48,7 +48,7 @@ impl Effort {
     }
 }
 
-/// What a sweep found.
+/// Output of a sweep.
 #[derive(Debug, Default)]
 pub struct Outcome {
     /// CSV files by name.

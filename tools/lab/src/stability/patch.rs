@@ -1,4 +1,4 @@
-//! Tilted rectangles, many in one file: each on its own site, far enough from the others to be judged alone.
+//! Tilted rectangles, many in one file: each on its own site, far enough from the others to be classified alone.
 
 use super::lab::{Vec3, Voxel};
 use crate::Random;

@@ -157,7 +157,8 @@ fn theta_head() -> [String; 7] {
     ["points per pixel".into(), a, b, c, d, "order-free: θ50 by heading".into(), "plane: θ50 by heading".into()]
 }
 
-/// Whether the verdict is right three degrees from the limit, for every heading, phase and pixel size.
+/// Measures whether slopes three degrees from the limit are classified correctly, for every heading, phase and pixel
+/// size.
 pub fn at_the_limit(effort: Effort) -> Result<Outcome> {
     const OFF: f64 = 3.0;
     let (headings, phases) = effort.of((24, 8), (6, 2));
@@ -259,7 +260,7 @@ pub fn at_the_limit(effort: Effort) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Per patch of `patches`: voxels judged rightly, and pixels of which all voxels are.
+/// Per patch of `patches`: voxels classified correctly, and pixels of which all voxels are.
 fn right(
     field: &Field,
     judged: &Judged,

@@ -36,9 +36,9 @@ pub struct Plot {
     pub name: &'static str,
     /// One line above.
     pub title: String,
-    /// What x is, with its unit.
+    /// Label of the x axis, with its unit.
     pub x: &'static str,
-    /// What y is, with its unit.
+    /// Label of the y axis, with its unit.
     pub y: &'static str,
     /// Whether x is logarithmic.
     pub log_x: bool,
@@ -50,7 +50,7 @@ pub struct Plot {
     pub lines: Vec<Line>,
 }
 
-/// Told apart by the colour-blind too (Okabe and Ito).
+/// Colours that colour-blind readers can distinguish too (Okabe and Ito).
 pub(crate) const COLOURS: [RGBColor; 8] = [
     RGBColor(213, 94, 0),
     RGBColor(230, 159, 0),

@@ -12,7 +12,8 @@ use scangen::{Params, SampleSpec, Scene, Truth};
 const STEEPEST_DEG: f64 = 40.0;
 /// Points per squared pixel of surface, on a jittered grid: no pixel of a floor is empty by chance.
 const DENSITY: f64 = 4.0;
-/// Floors are looked for from so far above the true one to so far below: not through a slab to its underside (m).
+/// Floors are searched from `ABOVE_M` above the true one to `BELOW_M` below it: not through a slab to its underside
+/// (m).
 const ABOVE_M: f64 = 0.3;
 const BELOW_M: f64 = 0.15;
 /// Edge of the part of a scene that is scanned (pixels).

@@ -38,7 +38,7 @@ impl Table {
     }
 }
 
-/// A number with so many decimals; -0 is 0.
+/// Formats a number with `decimals` digits; -0 is 0.
 pub fn number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {

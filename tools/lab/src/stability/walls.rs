@@ -47,7 +47,7 @@ fn leak(judged: &Judged, field: &Field, number: usize, points: &[Vec3], size: [f
     leak
 }
 
-/// Floors and walls of 0.1 to 100 points per pixel: verdicts, and what leaks through.
+/// Floors and walls of 0.1 to 100 points per pixel: their classes, and the bodies that leak through.
 pub fn density(effort: Effort) -> Result<Outcome> {
     let densities: &[f64] = effort.of(&[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0], &[0.1, 1.0, 10.0]);
     let headings = [0.0, 20.0, 45.0];
@@ -69,8 +69,8 @@ pub fn density(effort: Effort) -> Result<Outcome> {
         "method",
         "floor called obstacle",
         "wall called obstacle",
-        "pawn stopped: matter / obstacle",
-        "cube of 10 cm stopped: matter / obstacle",
+        "pawn stopped: solid / obstacle",
+        "cube of 10 cm stopped: solid / obstacle",
     ]);
     let mut walls = vec![Vec::new(); Method::ALL.len()];
     let mut stops = vec![Vec::new(); Method::ALL.len()];

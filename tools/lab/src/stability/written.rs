@@ -34,7 +34,7 @@ const SLICE_BITS: u32 = 20;
 const PIXEL_BITS: u32 = 22;
 
 impl Written {
-    /// Colours `points` in their order.
+    /// Colours `points` in the order given.
     pub fn new(setting: Setting, points: impl Iterator<Item = Vec3> + Clone) -> Self {
         let z0 = points.clone().map(|p| p[2]).fold(f64::INFINITY, f64::min);
         let index = |v: f64| (v / setting.pixel_m).floor() as i64;
@@ -48,7 +48,7 @@ impl Written {
                 (written.key(index(x), index(y), above.floor() as i64), above.fract())
             })
             .collect();
-        // Stable: the points of a voxel stay in their order.
+        // A stable sort keeps the points of a voxel in their original sequence.
         drawn.sort_by_key(|(key, _)| *key);
         written.pixels = drawn.chunk_by(|a, b| a.0 == b.0).map(colour).collect();
         written
@@ -108,8 +108,8 @@ impl Written {
         heights.find(|z| (from - depth..=from).contains(z))
     }
 
-    /// Height that the image gives for the lowest pixel over a footprint, in the slice of `from` (m) or above: red
-    /// stands for the highest point, for there is no other.
+    /// Returns the height that the image gives for the lowest pixel over a footprint, in the slice of `from` (m) or
+    /// above: red is the highest point, the only height stored.
     pub fn ceiling(&self, min: Vec3, max: Vec3, from: f64) -> Option<f64> {
         let index = |v: f64| (v / self.setting.pixel_m).floor() as i64;
         let pixels = (index(min[0])..=index(max[0])).flat_map(|i| (index(min[1])..=index(max[1])).map(move |j| (i, j)));
@@ -141,7 +141,7 @@ impl Written {
     }
 }
 
-/// Draws the points of one voxel one after the other.
+/// Draws the points of one voxel in turn.
 fn colour(points: &[(u64, f64)]) -> Pixel {
     let mut stored: Option<f64> = None;
     let mut highest = f64::NEG_INFINITY;

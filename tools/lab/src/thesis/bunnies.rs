@@ -1,4 +1,4 @@
-//! Two Stanford bunnies in random poses: ours at some pixel sizes, and their triangles by `parry3d`.
+//! Two Stanford bunnies in random poses: in Slicewalk at some pixel sizes, and as triangles in `parry3d`.
 
 use super::models::triangles;
 use crate::Random;
@@ -18,7 +18,7 @@ use std::time::Instant;
 const REACH_M: f64 = 0.16;
 /// Most denied hits of which the distance is asked: it takes `parry3d` about a second.
 const DISTANCES: usize = 25;
-/// Rounds over all poses, ours.
+/// Rounds over all poses with Slicewalk.
 const ROUNDS: usize = 3;
 
 /// The table by name.
@@ -51,7 +51,7 @@ pub fn measure(quick: bool) -> Result<Vec<(&'static str, String)>> {
         "a pose, mean (µs)",
         "median (µs)",
         "99 % below (µs)",
-        "parry3d / ours, mean",
+        "parry3d / Slicewalk, mean",
         "hits",
         "hits that triangles deny",
         "furthest of these (pixels)",

@@ -24,7 +24,7 @@ pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'st
     let mut table = Table::new([
         "model",
         "thesis (frames per second, with and without)",
-        "ours: a frame's collision, mean (µs)",
+        "Slicewalk: a frame's collision, mean (µs)",
         "99.9 % below (µs)",
         "share of a frame at 60 Hz",
         "moved (m)",
@@ -50,12 +50,12 @@ pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'st
     Ok(vec![("frames", table.markdown())])
 }
 
-/// Mean and 99.9th percentile of a frame (µs), and the way walked (m). The pawn turns now and then, and begins anew
-/// elsewhere every ten seconds.
+/// Returns mean and 99.9th percentile of a frame (µs), and the distance walked (m). The pawn turns now and then, and
+/// restarts elsewhere every ten seconds.
 fn walk(store: &Snapshot, model: &Model, frames: usize) -> Result<[f64; 3]> {
     let mut times = vec![f64::INFINITY; frames];
     let mut moved = 0.0;
-    // The same way each time, and for each frame the best: other work on the machine only adds.
+    // The path is equal each time, and the best of each frame counts: other work on the machine only adds.
     for _ in 0..ROUNDS {
         moved = walk_once(store, model, &mut times)?;
     }

@@ -1,6 +1,6 @@
-//! The thesis' tables again: its numbers, ours, and what differs; objects against triangles.
+//! The thesis' tables with Slicewalk's numbers and the differences; objects against triangles.
 //!
-//! Out: `thesis.md`. Every conversion runs in a process of its own, so that its memory can be told.
+//! Out: `thesis.md`. Every conversion runs in a process of its own, so that its memory can be measured.
 
 mod bunnies;
 mod frames;

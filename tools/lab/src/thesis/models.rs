@@ -12,7 +12,7 @@ use slicewalk_input::{InputOptions, InputSet, PointDecoder, Units};
 use slicewalk_mesh::{MeshOptions, MeshSet, Triangle};
 use std::path::{Path, PathBuf};
 
-/// What the thesis says of a model (tables 4.2, 4.3 and 4.4).
+/// Numbers of the thesis for a model (tables 4.2, 4.3 and 4.4).
 #[derive(Debug, Clone, Copy)]
 pub struct Thesis {
     pub name: &'static str,
@@ -59,13 +59,13 @@ impl Model {
         !self.triangles.is_empty()
     }
 
-    /// Pixel size for so many pixels along the longer side: equation 3.3 with the sides of the images.
+    /// Returns the pixel size for `pixels` pixels along the longer side: equation 3.3 with the sides of the images.
     pub fn pixel(&self, pixels: f64) -> f64 {
         let size = self.size();
         size[0].max(size[1]) / pixels
     }
 
-    /// The same as printed: with one of the sides and the height.
+    /// Returns the pixel size by the equation as printed: with one of the sides and the height.
     pub fn pixel_as_printed(&self, pixels: f64) -> f64 {
         let size = self.size();
         size[0].max(size[2]) / pixels
@@ -154,7 +154,7 @@ pub fn read_scan(path: &Path, units: Units) -> Result<Vec<[f64; 3]>> {
     Ok(all)
 }
 
-/// So many of the points, all equally likely, in their order.
+/// Picks `count` of the points, all equally likely, and keeps their order.
 fn thinned(points: &[[f64; 3]], count: usize) -> Vec<[f64; 3]> {
     let mut random = Random(5);
     let (mut wanted, mut left) = (count as f64, points.len() as f64);
@@ -173,7 +173,7 @@ fn bounds<'a>(points: impl Iterator<Item = &'a [f64; 3]>) -> ([f64; 3], [f64; 3]
     })
 }
 
-/// What the models are.
+/// Table of the models.
 pub fn table(models: &[Model]) -> String {
     let mut table = Table::new(["model", "what it is", "triangles or points", "size (m)", "in the thesis (points)"]);
     for model in models {

@@ -39,12 +39,12 @@ fn points(meshes: &[&Model]) -> String {
     let mut table = Table::new([
         "model",
         "thesis, 350",
-        "t mended, 350",
+        "t corrected, 350",
         "t printed, 350",
         "thesis, 700",
-        "t mended, 700",
+        "t corrected, 700",
         "t printed, 700",
-        "ours / thesis, 700",
+        "Slicewalk / thesis, 700",
     ]);
     for model in meshes {
         let mut cells = vec![model.name.to_owned()];
@@ -167,8 +167,8 @@ fn scans(models: &[Model], folder: &Path, rounds: usize) -> Result<String> {
         "",
         "thesis: image-based",
         "thesis: R-tree of BVHs",
-        "ours, pixels of eq. 3.3 at 700",
-        "thesis / ours",
+        "Slicewalk, pixels of eq. 3.3 at 700",
+        "thesis / Slicewalk",
     ]);
     let Some(scan) = models.iter().find(|model| model.points.len() == 580_062) else {
         return Ok("The scan was not there.".into());

@@ -11,7 +11,7 @@ use slicewalk::walk::{Body, Config};
 
 /// A pawn, a scene, and the exact way.
 pub struct Case {
-    /// What is in the way.
+    /// Name of the obstacle.
     pub name: &'static str,
     /// The scene.
     pub scene: Scene,
@@ -21,7 +21,7 @@ pub struct Case {
     pub toward: Vector2<f64>,
     /// The exact way of the feet (m), a polyline.
     pub truth: Vec<Point3<f64>>,
-    /// Whether it goes on beyond its last point, in the same direction.
+    /// Whether the exact path continues beyond its last point, in the same direction.
     pub goes_on: bool,
     /// How long the exact pawn takes for it (s).
     pub seconds: f64,
@@ -78,7 +78,7 @@ impl Place<'_> {
     }
 }
 
-/// All cases for one body; in a scene turned by so many degrees and moved by `shift` (m).
+/// Returns all cases for one body, in a scene turned by `turn_deg` degrees and moved by `shift` (m).
 pub fn all(body: Body, turn_deg: f64, shift: [f64; 3]) -> Vec<Case> {
     let at = Placement { rotate_deg: turn_deg, translate: shift };
     let place = Place { at: &at, body };
@@ -175,7 +175,7 @@ fn arc(name: &'static str, build: Builder, center: [f64; 2], radius: f64, y: f64
     let arc = (0..=100).map(|n| on_circle(from * (1.0 - f64::from(n) / 100.0)));
     let end = [center[0] + 1.2, center[1] + radius, 0.0];
     let truth = std::iter::once(start).chain(arc).chain([end]).collect();
-    // Along the circle it gets on at the cosine of its slope: the integral of 1 / cos.
+    // Along the circle it advances at the cosine of its slope: the integral of 1 / cos.
     let slowest = std::f64::consts::FRAC_PI_2 - 1e-6;
     let on_arc = radius * (from.min(slowest) / 2.0 + std::f64::consts::FRAC_PI_4).tan().ln();
     Layout { name, build, truth, way: (contact[0] + 2.0) + on_arc + 1.2, heading_deg: 0.0 }

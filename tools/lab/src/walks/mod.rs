@@ -72,7 +72,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
     Ok(())
 }
 
-/// The worst deviation per case, and in words how many walks of ours are within two pixels.
+/// Returns the worst deviation per case, and a sentence on how many of Slicewalk's walks are within two pixels.
 fn paths(pixel_m: f64, variants: usize) -> Result<(Table, String)> {
     let mut rows: Vec<(String, [Worst; 3])> = Vec::new();
     let (mut beyond, mut all) = (Vec::new(), 0);

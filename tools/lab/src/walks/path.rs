@@ -28,8 +28,8 @@ pub fn walk(set: &Snapshot, case: &Case, response: Response) -> Deviation {
     seen
 }
 
-/// Distance to the nearest point of a polyline, whose last stretch may go on for ever (m), and where that is as a share of
-/// its length.
+/// Returns the distance to the nearest point of a polyline, whose last segment may extend without end (m), and the
+/// place of that point as a share of the length.
 pub fn nearest(line: &[Point3<f64>], goes_on: bool, to: Point3<f64>) -> (f64, f64) {
     let (mut best, mut before) = ((f64::INFINITY, 0.0), 0.0);
     for (n, ends) in line.windows(2).enumerate() {

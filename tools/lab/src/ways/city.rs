@@ -1,6 +1,6 @@
 //! Routes across a city that does not fit in memory: coarse ones from the overview levels, and exact ones, from a cold cache.
 //!
-//! Each route is a run of `slicetool` of its own, so what is told of memory is all memory of the process.
+//! Each route is a run of `slicetool` of its own, so the reported memory is all memory of the process.
 
 use super::Effort;
 use crate::Random;

@@ -1,4 +1,4 @@
-//! Who claims that one can stand where, beside what is true.
+//! Claims that one can stand somewhere, beside the truth.
 
 use super::truth::{CLIMB, Floors, HEIGHT, SLOPE_DEG};
 use crate::stability::table::Share;
@@ -7,15 +7,15 @@ use slicewalk::frame::Frame;
 
 /// A claim and a floor that lie nearer to each other are about the same place, beyond a climb (m).
 const NEAR_M: f64 = 0.03;
-/// A floor's verdict is promised to turn within so much of the steepest floor (degrees).
+/// A floor's class is promised to change within this angle of the steepest floor (degrees).
 const VERDICT_DEG: f64 = 3.0;
-/// What feet may rest on without being in the way of the body (m).
+/// Feet may rest on solid up to this height without its being in the way of the body (m).
 const FEET_M: f64 = 0.01;
 
 /// A pixel.
 pub type Pixel = [i64; 2];
 
-/// What a point was measured of.
+/// Origin of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Of {
     /// A surface that one can stand on.
@@ -24,16 +24,16 @@ enum Of {
     Surface,
     /// Nothing: two surfaces at an edge, which give a point between them.
     Edge,
-    /// Nothing: what a mirror shows.
+    /// Nothing: a mirror image.
     Image,
 }
 
-/// Points that stand for no surface, by what they are.
+/// Points that belong to no surface, by kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ghost {
     /// Between two surfaces at an edge.
     Edge,
-    /// What a mirror shows.
+    /// Mirror image.
     Image,
 }
 
@@ -129,7 +129,7 @@ pub struct Judged {
     pub off: [(u64, f64); 4],
 }
 
-/// Why heights lie outside the true ones, in the order of [`Judged::off`].
+/// Reasons why heights lie outside the true ones, in the order of [`Judged::off`].
 pub const WHY_OFF: [&str; 4] =
     ["on points in the air at edges", "on what a mirror shows", "below them", "on other points above them"];
 
@@ -229,7 +229,7 @@ impl Question<'_> {
         }
     }
 
-    /// Compares what is claimed over sampled pixels with the truth. With `excuse`, what was not scanned is nobody's fault.
+    /// Compares the claims over sampled pixels with the truth. With `excuse`, missing points excuse an error.
     pub fn judge(&self, pixels: &[Pixel], claims: impl Fn(Pixel) -> Vec<f64>, excuse: bool) -> Judged {
         let footprint = self.footprint();
         let mut judged = Judged::default();

@@ -1,4 +1,4 @@
-//! Holes in floors: each one that was cut is listed, and none where there is none.
+//! Holes in floors: each cut hole must be listed, and no other.
 
 use super::{Effort, known, reached, spot};
 use crate::Random;
@@ -43,7 +43,7 @@ fn rects(random: &mut Random, most: usize, taken: &[Rect]) -> Vec<Rect> {
     rects
 }
 
-/// What lies under the holes.
+/// Floor under the holes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Below {
     Nothing,

@@ -46,7 +46,7 @@ struct Guess {
     holds: bool,
 }
 
-/// What came of all pairs on a level.
+/// Results of all pairs on a level.
 #[derive(Default)]
 struct Tally {
     connected: usize,

@@ -45,7 +45,7 @@ pub enum Part {
     Speed,
 }
 
-/// What to measure.
+/// Options of the measurement.
 #[derive(Debug, clap::Args)]
 pub struct Options {
     /// Parts [default: all]
@@ -145,7 +145,7 @@ fn spot(store: &Snapshot, standing: &mut StandingPlaces, at: [f64; 3]) -> Result
     known(standing.spot(store, at.into())?)
 }
 
-/// Processor time of this thread so far (s): other work on the machine does not count.
+/// Processor time of this thread (s), which other work on the machine does not affect.
 fn processor_s() -> f64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let nanoseconds = text.split_whitespace().next().and_then(|word| word.parse::<f64>().ok());

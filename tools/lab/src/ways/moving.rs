@@ -79,7 +79,7 @@ impl Moving {
     }
 }
 
-/// What a station measures in a file of its own.
+/// Sampling of one station, which writes a file of its own.
 fn station_spec(station: [f64; 3], rays: usize, people: usize) -> SampleSpec {
     let scanner = ScannerSpec { stations: vec![station], people, clearance_m: 0.15, ..ScannerSpec::default() };
     SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(rays as u64) }.with_noise(NOISE_M)
@@ -110,7 +110,7 @@ fn scans(scene: &Scene, rays: usize, people: usize, seed: u64, folder: &Path, ke
     Ok(all)
 }
 
-/// Cells of 1/128 pixel and whole millimetres: what places of removed points tell.
+/// Rounds a place to cells of 1/128 pixel and whole millimetres, the precision of the places of removed points.
 fn cell([x, y, z]: [f64; 3]) -> [i64; 3] {
     let sub = |v: f64| (v * (1.0 / PIXEL_M) * 128.0).floor() as i64;
     [sub(x), sub(y), (z * 1000.0).round() as i64]
@@ -121,7 +121,7 @@ fn removed(path: &Path) -> Result<HashSet<[i64; 3]>> {
     Ok(read_scan(path, Units::Factor(1.0))?.into_iter().map(cell).collect())
 }
 
-/// Whether the doorways of a scene are free of matter.
+/// Counts the doorways of a scene that are free.
 fn is_open(archive: &Path, doors: &[[f64; 6]]) -> Result<usize> {
     let store = Snapshot::resident(&Archive::open(archive)?, &NoMonitor)?;
     let mut open = 0;
@@ -240,7 +240,7 @@ fn eyes(scene: &Scene, rays: usize, people: usize, seed: u64) -> Result<Vec<Eye>
     (0..).zip(scene.stations()).map(eye).collect()
 }
 
-/// The points on people by what other stations could tell of their places, in shares of all, and how many of each went.
+/// Classifies the points on people by [`RayBound`]: shares of all, and how many of each were removed.
 fn by_sight(scene: &Scene, eyes: &[Eye], samples: &[Sample], is_gone: &dyn Fn(&Sample) -> bool) -> [String; 11] {
     let mut gone: BTreeMap<RayBound, Share> = BTreeMap::new();
     let mut all = 0u64;
@@ -272,7 +272,7 @@ fn by_sight(scene: &Scene, eyes: &[Eye], samples: &[Sample], is_gone: &dyn Fn(&S
     ]
 }
 
-/// What `dufomap` takes for moving, point by point; `None`, and a line on standard error, where it is not at hand.
+/// Returns the points that `dufomap` takes for moving; `None`, and a line on standard error, if it is not installed.
 fn dufomap(scene: &Scene, folder: &Path, samples: &[Sample]) -> Result<Option<Vec<bool>>> {
     let Some(python) = std::env::var_os("DUFOMAP_PYTHON") else {
         eprintln!("skipped: dufomap; DUFOMAP_PYTHON names a Python that has it");

@@ -13,7 +13,7 @@ const STEP_M: f64 = 0.05;
 /// Cubes whose faces are still few enough.
 const MOST_CUBES: usize = 2_000_000;
 
-/// What Recast is given.
+/// Input of Recast.
 pub struct Meshes {
     pub truth: Vec<Triangle>,
     /// `None`: too many voxels.
@@ -40,7 +40,7 @@ impl Meshes {
     }
 }
 
-/// What a navmesh claims over the middle of a pixel; nothing where none could be built.
+/// Returns the heights that a navmesh claims over the middle of a pixel; empty if no navmesh could be built.
 pub fn claims(navmesh: Option<&Navmesh>, frame: &Frame, pixel: Pixel) -> Vec<f64> {
     let [x, y] = pixel.map(|v| (v as f64 + 0.5) * frame.pixel_m());
     navmesh.map_or_else(Vec::new, |navmesh| navmesh.heights(x, y))

@@ -23,7 +23,7 @@ use std::path::Path;
 const PIXEL_M: f64 = 0.05;
 /// How near a walker must come to the end of its route (m).
 const NEAR_M: f64 = 0.1;
-/// One of so many routes is also searched without preparing the region.
+/// One in this many routes is also searched without preparing the region.
 const UNPREPARED: usize = 10;
 /// Routes that are planned alone, without a prepared region.
 const ALONE: usize = 100;

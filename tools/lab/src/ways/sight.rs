@@ -1,4 +1,4 @@
-//! What other stations could have seen through, by the true surfaces: a bound for whoever removes people.
+//! Places that other stations could have seen through, by the true surfaces: an upper bound for the removal of people.
 
 use scangen::geometry::{Vec3, add, cross, length, scale, sub, unit};
 use scangen::sample::Crowd;
@@ -6,26 +6,26 @@ use scangen::{Scene, Truth};
 
 /// Range of the scanner (m).
 const RANGE_M: f64 = 120.0;
-/// How far behind a place something must be to tell that nothing is there (m), by the distance of the place.
+/// Least distance of a surface behind a place that proves the place empty (m), and its share of the distance.
 const BEHIND_M: [f64; 2] = [0.05, 0.01];
-/// Panes of glass that a ray passes at most, and how far behind each it goes on (m).
+/// Most panes of glass that a ray passes, and how far behind each it continues (m).
 const MOST_PANES: usize = 8;
 const CLEAR_M: f64 = 1e-6;
 /// Angle between a direction and those around it, about twice that between neighbouring rays (degrees).
 const AROUND_DEG: f64 = 1.0;
 
-/// What those stations that did not measure a point could tell of its place, the best last.
+/// Evidence about a point's place from the stations that did not measure it, in ascending order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RayBound {
     /// A wall or furniture is in front of it.
     Hidden,
-    /// Somebody was in front of it while the station looked there.
+    /// A person was in front of it while the station looked there.
     Crowded,
     /// Nothing is behind it within the range of a scanner.
     Open,
-    /// What is behind it is too near to tell from it.
+    /// The surface behind it is too near to distinguish from it.
     Near,
-    /// Somebody stood there while the station looked there.
+    /// A person stood there while the station looked there.
     Occupied,
     /// It could be seen through, but more stations hit something there.
     Outvoted,
@@ -41,7 +41,7 @@ pub struct Eye {
     pub crowd: Option<Crowd>,
 }
 
-/// The best that one of these stations could tell of a place (m) which one more measured.
+/// Returns the best evidence that one of these stations could give about a place (m) which another measured.
 pub fn best<'a>(scene: &Scene, eyes: impl Iterator<Item = &'a Eye>, point: Vec3) -> RayBound {
     let sights: Vec<RayBound> = eyes.map(|eye| of(scene, eye, point)).collect();
     let best = sights.iter().copied().max().unwrap_or(RayBound::Hidden);
@@ -63,7 +63,7 @@ fn of(scene: &Scene, eye: &Eye, point: Vec3) -> RayBound {
     let far = distance * AROUND_DEG.to_radians().tan();
     let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (f64::from(a) * far, f64::from(b) * far)));
     let mut ways = around.map(|(a, b)| add(way, add(scale(side, a), scale(up, b))));
-    // Where nothing is behind, nothing is measured, and that hinders nobody.
+    // A direction without background gives no measurement, which is no objection.
     if ways.all(|way| matches!(toward(scene, eye, way, distance), RayBound::Clear | RayBound::Open)) {
         RayBound::Clear
     } else {
@@ -71,7 +71,7 @@ fn of(scene: &Scene, eye: &Eye, point: Vec3) -> RayBound {
     }
 }
 
-/// What a ray in the direction of `way` tells of a place at `distance` (m).
+/// Returns the evidence of a ray in the direction of `way` about a place at `distance` (m).
 fn toward(scene: &Scene, eye: &Eye, way: Vec3, distance: f64) -> RayBound {
     let direction = unit(way);
     let (sight, margin) = (beyond(scene, eye.station, direction, distance), margin(distance));
@@ -91,7 +91,7 @@ fn margin(distance: f64) -> f64 {
     BEHIND_M[0] + BEHIND_M[1] * distance
 }
 
-/// What a ray tells of a place at `distance` (m) where nobody is.
+/// Returns the evidence of a ray about a place at `distance` (m) without people.
 fn beyond(scene: &Scene, station: Vec3, direction: Vec3, distance: f64) -> RayBound {
     let (mut from, mut passed) = (station, 0.0);
     for _ in 0..MOST_PANES {

@@ -25,7 +25,7 @@ const NOISE_M: f64 = 0.002;
 const PER_PIXEL: f64 = 3.0;
 /// Height of a pawn that ceilings are hardly in the way of (m).
 const LOW_M: f64 = 1.0;
-/// Connected matter of at most so many voxels is dropped from scans that are cleaned.
+/// Connected solid of at most this many voxels is dropped from scans that are cleaned.
 const FLOATERS: u16 = 8;
 
 /// How a scene is scanned.
@@ -33,9 +33,9 @@ const FLOATERS: u16 = 8;
 enum How {
     /// Evenly, hidden surfaces too.
     Even,
-    /// From stations: shadows, edges that give points in the air; so many million rays.
+    /// From stations, with this many million rays: shadows, and edges that give points in the air.
     Stations(f64),
-    /// The same, converted with `--drop-floaters`.
+    /// From stations, converted with `--drop-floaters`.
     Cleaned(f64),
 }
 
@@ -99,7 +99,7 @@ impl Subject {
         Ok((scan, samples))
     }
 
-    /// The same rays without noise and without points in the air.
+    /// Returns the sampling without noise and without points in the air.
     fn calm(&self) -> SampleSpec {
         let mode = match &self.spec.mode {
             Mode::Scanner(scanner) => Mode::Scanner(ScannerSpec { mixed_rate: 0.0, ..scanner.clone() }),
@@ -192,7 +192,7 @@ impl Causes {
             ("mirror", self.mirror[at]),
             ("edge points", self.edge[at]),
             ("noise", self.noise[at]),
-            ("verdict", self.verdict[at]),
+            ("class", self.verdict[at]),
             ("headroom", headroom),
             ("definition", self.definition[at]),
         ];
@@ -202,7 +202,7 @@ impl Causes {
     }
 }
 
-/// Archives of the same scene that tell causes apart, made when the first place asks for them.
+/// Archives of the scene that separate the causes, made when the first place needs them.
 struct Others<'a> {
     subject: &'a Subject,
     scan: &'a Scan,
@@ -410,7 +410,7 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
     ))
 }
 
-/// Some of many places, for a look.
+/// Picks some of many places, for printing.
 fn sample(places: &[(Pixel, f64)]) -> Vec<(Pixel, f64)> {
     places.iter().step_by((places.len() / 6).max(1)).copied().collect()
 }

@@ -1,4 +1,4 @@
-//! Random steps with a guard rail: nobody falls out of the world.
+//! Random steps with a guard rail: no pawn falls out of the world.
 
 use super::routes::{converted, generated};
 use super::{Effort, everywhere};
@@ -29,7 +29,7 @@ const SCENES: [(&str, &[(&str, f64)]); 9] = [
     ("tower", &[("storeys", 5.0)]),
 ];
 
-/// What came of many steps.
+/// Results of many steps.
 #[derive(Debug, Default)]
 struct Walked {
     steps: usize,

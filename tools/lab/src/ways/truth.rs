@@ -1,4 +1,4 @@
-//! What surfaces in closed form say about standing.
+//! Standing places by surfaces in closed form.
 //!
 //! A cylinder rests on the highest surface under it that it climbs onto from the surface under its middle. It stands there if nothing is in it,
 //! and if what it rests on is floor: a surface up to 45° steep lies under it, at most 5 cm below its feet. A claim may take the surface under the
@@ -10,7 +10,7 @@ use scangen::{Scene, Truth};
 pub const HEIGHT: f64 = 1.8;
 pub const CLIMB: f64 = 0.35;
 pub const SLOPE_DEG: f64 = 45.0;
-/// Floor counts as at the feet down to so far below them (m).
+/// Floor counts as at the feet down to this distance below them (m).
 const NEAR_FEET_M: f64 = 0.05;
 /// A measured point lies no farther from its surface (m).
 const MEASURED_M: f64 = 0.03;
@@ -60,8 +60,8 @@ impl<'a> Floors<'a> {
         floors
     }
 
-    /// Whether a point measured at a place lies on a floor: on a surface up to 45° steep that nothing covers within a climb. The underside of a
-    /// slab is none.
+    /// Returns whether a point measured at a place lies on a floor: on a surface up to 45° steep that nothing covers
+    /// within a climb. Undersides of slabs are not floors.
     pub fn holds(&self, [x, y, z]: [f64; 3]) -> bool {
         let top = self.scene.floor_under(x, y, z + CLIMB);
         top.is_some_and(|(top, slope)| (top - z).abs() <= MEASURED_M && slope <= SLOPE_DEG)

@@ -325,7 +325,7 @@ def _checked_target(output: StrPath, force: bool) -> Path | str:
 
     if target.exists():
         if not target.is_file():
-            raise refuse("is no regular file", "choose another name")
+            raise refuse("is not a regular file", "choose another name")
         if not force:
             raise refuse("exists already", "force=True replaces it")
         with target.open("rb") as file:

@@ -13,7 +13,7 @@ from typing import Any
 
 
 class Error(Exception):
-    """Base class of all errors of slicewalk. Attributes that do not apply are None.
+    """Base class of all errors of slicewalk. Attributes hold None where they do not apply.
 
     Attributes:
         path: file or address of the error

@@ -103,7 +103,7 @@ impl Scene {
         Self { name: name.into(), surfaces, bounds, tree: Bvh::new(&boxes), walk: None, stations: Vec::new() }
     }
 
-    /// The same scene, with surfaces, walk and stations moved.
+    /// Returns the scene with surfaces, walk and stations moved.
     pub fn placed(&self, place: &Placement) -> Self {
         let surfaces = self.surfaces.iter().map(|s| Surface { shape: s.shape.placed(place), label: s.label }).collect();
         let mut scene = Self::new(self.name.clone(), surfaces);

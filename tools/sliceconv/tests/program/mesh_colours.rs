@@ -447,7 +447,7 @@ fn textures_that_cannot_be_used_are_warnings_and_the_material_colours_in_their_p
         assert_eq!(only_colour(&Archive::open(at.join("a.slices")).unwrap()), Some([255; 3]), "{name}");
     }
     // Materials that are missing, or have other names.
-    for (text, word) in [("", "there is none called"), ("newmtl other\nKd 1 1 1\n", "there is none called")] {
+    for (text, word) in [("", "no material is called"), ("newmtl other\nKd 1 1 1\n", "no material is called")] {
         fs::write(at.join("a.mtl"), text).unwrap();
         write_obj(&at.join("a.obj"), &quad(2), "../a.mtl a.mtl");
         let said = converts(at, &arguments("a.obj", &["--colour", "auto"]));

@@ -1,5 +1,5 @@
 //! Meshes: every format gives the same archive, real meshes answer boxes without a miss (G1) or a phantom (G2), order,
-//! threads and memory do not matter (G4), and bad files are refused in one line.
+//! threads and memory change nothing (G4), and bad files are refused in one line.
 
 use crate::files;
 use crate::sat;

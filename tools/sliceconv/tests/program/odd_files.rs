@@ -53,7 +53,7 @@ fn tried(folder: &Path, input: &Path, arguments: &[&str]) -> bool {
     false
 }
 
-/// Peak resident memory of a running process so far; 0 if the system does not report it.
+/// Returns the peak resident memory of a running process; 0 if the system does not report it.
 fn peak_memory_kib(process: u32) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

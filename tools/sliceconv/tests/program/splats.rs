@@ -1,4 +1,4 @@
-//! Gaussian splats: places inside their solid parts are hits (G1), order, threads and memory do not matter (G4), and
+//! Gaussian splats: places inside their solid parts are hits (G1), order, threads and memory change nothing (G4), and
 //! options leave out what they say.
 
 use crate::scans;

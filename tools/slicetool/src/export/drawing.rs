@@ -83,7 +83,7 @@ impl<'a> Plan<'a> {
             }
             let runs: usize = areas.iter().map(Area::runs).sum();
             if runs > MOST_RUNS && areas.iter_mut().map(Area::joined_runs).sum::<usize>() > MOST_RUNS {
-                let reason = format!("the matter in the slice has more than {MOST_RUNS} runs of pixels");
+                let reason = format!("the solid in the slice has more than {MOST_RUNS} runs of pixels");
                 return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
             }
         }

@@ -12,8 +12,8 @@ pub enum Wanted {
     Outside,
 }
 
-/// Parses `header`, the value of `Range`, for a file of `len` bytes. Several ranges and other units are ignored, as the
-/// standard allows.
+/// Parses `header`, the value of `Range` in a request of a file with `len` bytes. Ignores several ranges and other
+/// units, as the standard allows.
 pub fn wanted(header: Option<&str>, len: u64) -> Wanted {
     let range = header.and_then(|value| value.trim().strip_prefix("bytes="));
     let Some((first, last)) = range.and_then(|range| range.trim().split_once('-')) else { return Wanted::Whole };

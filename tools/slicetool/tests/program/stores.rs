@@ -138,7 +138,7 @@ fn a_part_that_is_replaced_while_it_is_read_is_noticed() {
     let at = folder.path();
     server.done(at, &merge(&PARTS)).unwrap();
     let requests = server.store().requests.len();
-    // The same part of another scan, and the part with other bytes but the same head.
+    // The wanted part of another scan, and a part with other bytes but an equal head.
     scan(&at.join("scan.las"), 8);
     let strange = archive(at, "2.slices", Some(ShardOptions { index: 2, count: COUNT }));
     let part = server.get("2.slices").unwrap();

@@ -125,7 +125,7 @@ pub(super) fn connect(mut url: Url, options: &RemoteOptions, how: Use) -> Result
         Ok((ObjectStoreScheme::GoogleCloudStorage | ObjectStoreScheme::MicrosoftAzure, _)) => {
             return Err("is of a store that this build does not know; build it with --features clouds".into());
         }
-        _ => return Err("is none that is supported; use https, http, s3, gs, az or file".into()),
+        _ => return Err("has an unsupported scheme; use https, http, s3, gs, az or file".into()),
     };
     Ok(Connected { store, path, unsigned, runtime: bucket.runtime.clone(), process: bucket.process })
 }

@@ -100,7 +100,7 @@ impl Station {
 pub(super) struct View {
     pub station: Station,
     /// For each level from the first one on, all faces, row by row: [`FARTHEST_CM`] + 1 minus the least distance (cm),
-    /// 0 if there is none.
+    /// or 0 without a return.
     levels: [Vec<AtomicU16>; LEVELS],
     /// Value of the farthest distance in the image that [`View::may_see_through`] reads first; 0 while the image is
     /// empty.

@@ -244,7 +244,7 @@ impl Column {
             (Some("Float"), None | Some("double")) => Kind::Double,
             (Some(integer @ ("Integer" | "ScaledInteger")), _) => {
                 let (Ok(min), Ok(max)) = (whole("minimum", i64::MIN), whole("maximum", i64::MAX)) else {
-                    return wrong("minimum or maximum is no whole number");
+                    return wrong("minimum or maximum is not a whole number");
                 };
                 if max < min {
                     return wrong("its maximum lies below its minimum");
@@ -252,7 +252,7 @@ impl Column {
                 let scaled = integer == "ScaledInteger";
                 match (real("scale", 1.0), real("offset", 0.0)) {
                     (Ok(scale), Ok(offset)) if scaled => Kind::Integer { min, max, scale, offset },
-                    _ if scaled => return wrong("scale or offset is no finite number"),
+                    _ if scaled => return wrong("scale or offset is not a finite number"),
                     _ => Kind::Integer { min, max, scale: 1.0, offset: 0.0 },
                 }
             }

@@ -144,7 +144,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let mut xml = vec![0; xml_len as usize];
     pages.read(&mut xml, xml_at, true)?;
     let xml =
-        String::from_utf8(xml).map_err(|_| opening.error("XML", "it is no text in UTF-8; write the file again"))?;
+        String::from_utf8(xml).map_err(|_| opening.error("XML", "it is not text in UTF-8; write the file again"))?;
     let error_of = |wrong: Wrong| match wrong {
         Wrong::Damaged(at, reason) => Error::input(path, at, reason),
         Wrong::Unsupported(what) => unsupported(path, what),

@@ -144,7 +144,7 @@ impl Fault {
 
     /// Returns the fault of a line that is too long for a row.
     pub fn too_long() -> Self {
-        Self::cell(format!("a line of more than {MOST_LINE} bytes: this is no text, or damaged"))
+        Self::cell(format!("a line of more than {MOST_LINE} bytes: the file is not text, or it is damaged"))
     }
 
     #[cold]

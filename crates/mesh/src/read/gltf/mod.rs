@@ -169,8 +169,7 @@ impl GltfReader {
         }
         if structure.extension_needed.as_ref().is_some_and(|extension| extension.contains(SPLATS)) {
             return wrong(
-                "it holds Gaussian splats, which are no mesh; convert the scan that they were made from, or their mesh"
-                    .into(),
+                "it holds Gaussian splats, not a mesh; convert the scan that they were made from, or their mesh".into(),
             );
         }
         if let Some(extension) = &structure.extension_needed {

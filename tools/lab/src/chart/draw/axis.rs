@@ -6,7 +6,7 @@ use std::ops::Range;
 /// An axis and how values lie on it.
 #[derive(Debug, Clone)]
 pub struct Axis {
-    /// What it shows, with its unit.
+    /// Label with the unit.
     pub label: String,
     scale: Scale,
     /// Values of the ends.
@@ -42,7 +42,7 @@ impl Axis {
         Self { label: label.into(), scale, low: below(low / 1.3), high: above(high * 1.3) }
     }
 
-    /// The same, but no farther than a value that nothing exceeds.
+    /// Returns the axis cut at `most`, a value that nothing exceeds.
     pub fn up_to(self, most: f64) -> Self {
         Self { high: self.high.min(most), ..self }
     }
@@ -116,7 +116,7 @@ impl Ranged for Axis {
     }
 
     fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
-        // Marks without numbers are none.
+        // Light points have no numbers.
         if hint.weight().allow_light_points() { vec![] } else { self.ticks() }
     }
 

@@ -21,7 +21,7 @@ pub struct Figure {
     pub notes: Vec<String>,
 }
 
-/// The dots of one method or quantity, joined in their order.
+/// Dots of one method or quantity, joined in order.
 #[derive(Debug, Clone)]
 pub struct Track {
     /// In the legend.

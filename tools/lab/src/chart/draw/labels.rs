@@ -34,7 +34,7 @@ impl Rect {
     }
 }
 
-/// What words have to keep clear of.
+/// Shapes that labels must not cover.
 pub struct Surroundings {
     /// They stay inside.
     pub bounds: Rect,

@@ -15,7 +15,7 @@ pub fn machine() -> String {
     format!("{cores} core{} of {model}", if cores == 1 { "" } else { "s" })
 }
 
-/// What the measuring run left in `folder`; without that, this machine, and the words say so.
+/// Returns the machine that the measuring run noted in `folder`; without a note, this machine, marked as such.
 pub fn measured_on(folder: &Path) -> Result<String> {
     let path = folder.join(MACHINE_FILE);
     if !path.exists() {

@@ -28,7 +28,7 @@ struct Drawn {
     name: String,
     /// The scene, or [`plots::SCALE`].
     group: String,
-    /// What is charted against what, in a few words.
+    /// Short description of both axes.
     what: String,
     svg: String,
 }

@@ -1,4 +1,4 @@
-//! What was measured, by scene, method and pixel size.
+//! Measured figures, by scene, method and pixel size.
 
 use super::style;
 use crate::chart::lines::{Measured, Value};

@@ -29,7 +29,7 @@ fn section(page: &mut String, scene: &Scene, drawn: &[Drawn]) -> Result<()> {
     let shown = super::axis::short(plots::SHOWN_CM);
     writeln!(page, "## {}\n\n{}", scene.name, pictures(&scene.name, drawn))?;
     if let Some(stands) = verdict::table(scene) {
-        writeln!(page, "Ours on the fronts:\n\n{stands}\n")?;
+        writeln!(page, "Slicewalk on the fronts:\n\n{stands}\n")?;
     }
     writeln!(page, "At t = {shown} cm:\n\n{}\n", tables::costs(scene))?;
     if let Some(walking) = tables::walking(scene) {

@@ -13,7 +13,7 @@ pub const SCALE: &str = "scale";
 /// Pixels of the chart of phantoms and of the tables (cm), where they were measured.
 pub const SHOWN_CM: f64 = 4.0;
 
-/// What is charted against a cost.
+/// Error measure that is charted against a cost.
 #[derive(Debug, Clone, Copy)]
 struct Wrong {
     /// Part of the names of its files, before that of the cost.
@@ -21,7 +21,7 @@ struct Wrong {
     what: &'static str,
     axis: &'static str,
     of: fn(&Setting) -> Option<f64>,
-    /// What it never exceeds.
+    /// Greatest possible value.
     most: f64,
 }
 
@@ -155,7 +155,7 @@ struct Over {
     y: &'static str,
     /// Metric, and its name in the legend.
     metrics: &'static [(&'static str, &'static str)],
-    /// What nothing may exceed, and its name.
+    /// Limit of all values, and its name.
     limit: Option<(f64, &'static str)>,
 }
 

@@ -31,7 +31,7 @@ pub fn render(figure: &Figure) -> Result<String> {
         spots
     };
     let body = text.trim_end().strip_suffix("</svg>").ok_or("the drawing has no end")?;
-    // What is so anyway need not be said: the page is a seventh smaller.
+    // Leaving out default attributes makes the page a seventh smaller.
     Ok(format!("{}{spots}</svg>\n", body.replace(r#" opacity="1""#, "").replace(r#" stroke-width="1""#, "")))
 }
 
@@ -124,7 +124,7 @@ fn marks(root: &Root, figure: &Figure, pixel: impl Fn((f64, f64)) -> (f64, f64),
             line(ends.map(|end| inside(pixel(end))).to_vec(), colour.stroke_width(1))?;
         }
     }
-    // Ours last, so that it lies on top.
+    // Slicewalk comes first in the list; drawn last, it lies on top.
     for track in figure.tracks.iter().rev() {
         let (colour, shape) = track.style;
         for dot in &track.dots {

@@ -1,4 +1,4 @@
-//! What was measured at one pixel size, as tables; the settings; and what was left out.
+//! Tables of one pixel size; the settings; and the cells that were left out.
 
 use super::axis::{figures, short};
 use super::model::{COSTS, Scene, Series, Setting, Skipped};
@@ -9,7 +9,7 @@ const NONE: &str = "–";
 /// Metrics of the second table: metric, heading, and whether it is a share.
 const WALKING: [(&str, &str, bool); 10] = [
     ("floor_rmse_cm", "floor, RMSE (cm)", false),
-    ("slope_wrong", "wrong slope verdicts", true),
+    ("slope_wrong", "wrong slope classes", true),
     ("door_cm", "least door (cm)", false),
     ("path_cm", "path off (cm)", false),
     ("toi_cm", "contact, mean error (cm)", false),
@@ -17,7 +17,7 @@ const WALKING: [(&str, &str, bool); 10] = [
     ("stand_rmse_cm", "where one may stand: height, RMSE (cm)", false),
     ("stand_missing", "not claimed", true),
     ("stand_wrong", "of claims wrong", true),
-    ("out_max_cm", "claimed matter to point, most (cm)", false),
+    ("out_max_cm", "claimed solid to point, most (cm)", false),
 ];
 
 fn shown(scene: &Scene) -> impl Iterator<Item = (&Series, &Setting)> {
@@ -88,7 +88,7 @@ pub fn settings(scenes: &[Scene]) -> String {
     table.markdown()
 }
 
-/// What was not run and why, the pixel sizes of one reason together.
+/// Skipped cells with their reasons; pixel sizes with the same reason share a row.
 pub fn skipped(scene: &Scene) -> String {
     let mut groups: Vec<(&Skipped, Vec<f64>)> = Vec::new();
     for cell in &scene.skipped {

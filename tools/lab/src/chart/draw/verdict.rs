@@ -1,4 +1,4 @@
-//! Whether ours is on the front, and who beats it where it is not.
+//! Says where Slicewalk is on the Pareto front, and which peers beat it elsewhere.
 
 use super::axis::short;
 use super::front::dominates;
@@ -6,20 +6,20 @@ use super::model::{COSTS, Cost, Scene};
 use super::plots::costly;
 use crate::stability::table::Table;
 
-/// How ours stands at one pixel size, for one cost.
+/// Standing of Slicewalk at one pixel size, for one cost.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Stand {
-    /// These methods of ours are on the front.
+    /// These Slicewalk methods are on the front.
     Front(Vec<String>),
-    /// No peer beats these methods of ours, but ours at another setting beats all of ours here.
+    /// No peer beats these Slicewalk methods, but Slicewalk at another setting beats all of its methods here.
     OnlyOurs(Vec<String>),
-    /// Peers, each with its pixel size (cm), that beat the method of ours that the fewest beat.
+    /// Peers, each with its pixel size (cm), that beat the Slicewalk method that the fewest beat.
     Beaten { method: String, by: Vec<(String, f64)> },
-    /// Every method of ours misses points here.
+    /// Every Slicewalk method misses points here.
     Misses,
 }
 
-/// How ours stands at each of its pixel sizes; empty where cost or error of ours is not known.
+/// Returns the standing at each of Slicewalk's pixel sizes; empty where its cost or error is unknown.
 pub fn stands(scene: &Scene, cost: &Cost) -> Vec<(f64, Stand)> {
     let all: Vec<_> = costly(scene, cost).collect();
     let mut sizes: Vec<f64> = all.iter().filter(|found| found.0.ours()).map(|found| found.1.pixel_cm).collect();
@@ -56,7 +56,9 @@ impl Stand {
     fn words(&self) -> String {
         match self {
             Self::Front(methods) => format!("front: {}", listed(methods)),
-            Self::OnlyOurs(methods) => format!("no peer better than {}, ours at another setting is", listed(methods)),
+            Self::OnlyOurs(methods) => {
+                format!("no peer better than {}, but Slicewalk at another setting", listed(methods))
+            }
             Self::Beaten { method, by } => {
                 let peers: Vec<_> = by.chunk_by(|a, b| a.0 == b.0).map(at_sizes).collect();
                 format!("**`{method}` beaten** by {}", peers.join(", "))
@@ -81,7 +83,7 @@ fn at_sizes(same: &[(String, f64)]) -> String {
     format!("`{}` at {} cm", same[0].0, sizes.join(", "))
 }
 
-/// A row for each pixel size, a column for each cost, as Markdown; none where nothing of ours was measured.
+/// Returns a row for each pixel size and a column for each cost, as Markdown; `None` without figures of Slicewalk.
 pub fn table(scene: &Scene) -> Option<String> {
     let costs: Vec<_> =
         COSTS.iter().map(|cost| (cost, stands(scene, cost))).filter(|(_, all)| !all.is_empty()).collect();
@@ -114,7 +116,7 @@ pub fn summary(scenes: &[Scene]) -> String {
         }
         let beaten: Vec<_> = all.iter().filter_map(|(scene, all)| beaten_in(&scene.name, all)).collect();
         words.push(format!(
-            "- error and {}: of {pairs} pairs of scene and t, ours is on the front at {}, and no peer is better in both at {}{}",
+            "- error and {}: of {pairs} pairs of scene and t, Slicewalk is on the front at {}, and no peer is better in both at {}{}",
             cost.what,
             count(|stand| matches!(stand, Stand::Front(_))),
             count(Stand::unbeaten),
@@ -132,7 +134,7 @@ fn beaten_in(scene: &str, all: &[(f64, Stand)]) -> Option<String> {
     for (_, stand) in beaten() {
         match stand {
             Stand::Beaten { by, .. } => peers.extend(by.iter().map(|(peer, _)| format!("`{peer}`"))),
-            _ => peers.push("ours misses points".into()),
+            _ => peers.push("Slicewalk misses points".into()),
         }
     }
     peers.sort();

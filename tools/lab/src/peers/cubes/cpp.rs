@@ -17,7 +17,7 @@ pub const JOLT: &str = "SLICEWALK_JOLT";
 /// Folder of a virtual environment of Python.
 pub const VENV: &str = "SLICEWALK_VENV";
 
-/// `Matter` of `peer.h`.
+/// Cubes and their mesh: `Matter` of `peer.h`.
 #[repr(C)]
 struct Input {
     cubes: *const [i32; 3],
@@ -47,7 +47,7 @@ struct Functions {
 /// A library behind its functions.
 #[derive(Clone)]
 pub struct Native {
-    /// What it is called.
+    /// Name in messages and tables.
     name: &'static str,
     functions: Arc<Functions>,
     files: [Option<&'static str>; 2],
@@ -96,7 +96,7 @@ impl Native {
             options: &[
                 format!("-I{}", place("include")),
                 "-I/usr/include/eigen3".into(),
-                // What the package's own pkg-config file says.
+                // Definitions of the package's own pkg-config file.
                 "-DCOAL_HAS_OCTOMAP".into(),
                 "-DCOAL_HAVE_OCTOMAP".into(),
                 "-DOCTOMAP_MAJOR_VERSION=1".into(),
@@ -181,7 +181,7 @@ impl Native {
         Ok(World { native: self.clone(), handle, questions: Vec::new() })
     }
 
-    /// The matter, and the questions that will be asked.
+    /// Builds the world of these cubes, with the questions that will be asked.
     pub fn peer(&self, matter: &Matter, mesh: &Mesh, questions: &Questions) -> Result<World> {
         let mut world = self.build(&matter.cubes, matter.edge, mesh)?;
         world.questions = Kind::ALL.map(|kind| questions.numbers(kind)).into();
@@ -201,7 +201,7 @@ fn coal_prefix() -> Result<PathBuf> {
     Ok(versions.into_iter().find_map(prefix).ok_or_else(missing)?)
 }
 
-/// What a library built, and the questions as plain numbers.
+/// World built by a library, and the questions as plain numbers.
 pub struct World {
     native: Native,
     handle: *mut c_void,
@@ -223,7 +223,7 @@ impl World {
         let walk = self.native.functions.walk?;
         let (mut feet, mut times) = (vec![[0.0; 3]; frames], vec![0.0; frames]);
         let (start, velocity): ([f64; 3], [f64; 2]) = (start.into(), velocity.into());
-        // SAFETY: the handle is that of a world until it is dropped; there is room for so many frames.
+        // SAFETY: the handle is that of a world until it is dropped; the place has room for `FRAMES` frames.
         unsafe {
             walk(
                 self.handle,
@@ -251,7 +251,7 @@ impl Peer for World {
         };
         let place = Kind::ALL.iter().position(|of| *of == kind).unwrap_or_default();
         let questions = self.questions.get(place).and_then(|all| all.get(..count * numbers));
-        let questions = questions.ok_or("there are not so many questions")?;
+        let questions = questions.ok_or("a batch exceeds the questions")?;
         answers.clear();
         answers.resize(count, f64::NAN);
         let start = Instant::now();
@@ -282,7 +282,7 @@ impl Peer for World {
 
 impl Drop for World {
     fn drop(&mut self) {
-        // SAFETY: nobody else has the handle.
+        // SAFETY: no other owner has the handle.
         unsafe { (self.native.functions.free)(self.handle) }
     }
 }

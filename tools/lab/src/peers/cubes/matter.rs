@@ -1,4 +1,5 @@
-//! The matter that everybody holds: cubes of a pixel's edge, which slicewalk holds exactly too, as whole thirds of slices.
+//! Cubes that all libraries hold: their edge is a pixel's, and Slicewalk holds them exactly too, as whole thirds of
+//! slices.
 
 use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
@@ -198,7 +199,8 @@ impl Matter {
         builder.mesh
     }
 
-    /// The same, but faces of a plane that make a rectangle are two triangles together: rows first, then equal rows.
+    /// Like [`mesh`](Self::mesh), but faces of one plane that make a rectangle are two triangles: rows first, then
+    /// equal rows.
     pub fn merged(&self) -> Mesh {
         let mut planes: BTreeMap<(usize, i32, i32), Vec<[i32; 2]>> = BTreeMap::new();
         self.faces(|axis, side, cube| {
@@ -212,7 +214,7 @@ impl Matter {
                 (cube[(axis + 1) % 3], cube[(axis + 2) % 3]) = (first, from);
                 builder.rectangle(axis, side, cube, [end - first, to - from]);
             };
-            // Rows that go on: by their ends, the row in which they began.
+            // Open rows, by their ends: the row in which each began.
             let (mut open, mut last) = (BTreeMap::<[i32; 2], i32>::new(), i32::MIN);
             for row in cells.chunk_by(|a, b| a[0] == b[0]) {
                 let at = row[0][0];
@@ -247,7 +249,7 @@ impl Builder {
         Self { edge, numbers: HashMap::new(), mesh: Mesh { vertices: Vec::new(), triangles: Vec::new() } }
     }
 
-    /// The side of a cube, grown to so many cubes along the two axes that follow.
+    /// Adds the side of a cube, extended to `along` and `beyond` cubes along the two axes that follow.
     fn rectangle(&mut self, axis: usize, side: i32, cube: [i32; 3], [along, beyond]: [i32; 2]) {
         // The other two axes, so that their cross product points along the first.
         let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);

@@ -1,5 +1,5 @@
-//! The same cubes in many libraries: each holds exactly the voxels that slicewalk holds, shows it by its answers, and is then
-//! asked in turn with it.
+//! Identical cubes in many libraries: each holds exactly the voxels that Slicewalk holds, proves it by its answers, and
+//! is then queried in turn with Slicewalk.
 //!
 //! `bench peers` writes `cubes.md`. What is not installed is skipped, with a word.
 
@@ -29,17 +29,17 @@ use std::time::Instant;
 
 /// Scenes, and pixels (m).
 const SCENES: [(&str, f64); 4] = [("house", 0.05), ("indoor", 0.05), ("indoor", 0.02), ("delft", 0.1)];
-/// What a peer's name is followed by that has fewer, larger triangles.
+/// Suffix of the name of a peer that has fewer, larger triangles.
 const MERGED: &str = ", merged faces";
 /// Questions of each kind at most.
 const QUESTIONS: usize = 6000;
-/// Answers of each kind that are judged, one by one.
+/// Number of answers of each kind that are checked, each alone.
 const JUDGED: usize = 2000;
-/// Who gives more wrong answers than this share of the judged is not timed.
+/// A peer with a larger share of wrong answers than this is not timed.
 const WRONG: f64 = 0.01;
-/// Rounds; in each everybody is asked once, just after slicewalk was asked the same.
+/// Rounds; in each, every peer is queried once, just after Slicewalk was asked the same.
 const ROUNDS: usize = 7;
-/// A slow peer is asked as many questions as it answers in this time (s), and at least so many.
+/// A slow peer is asked as many questions as it answers in `ROUND_S` (s), and at least `LEAST`.
 const ROUND_S: f64 = 0.05;
 const LEAST: usize = 100;
 
@@ -83,7 +83,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
     Ok(())
 }
 
-/// How many processes wanted to run in the last minute, as the system tells it.
+/// Returns how many processes wanted to run in the last minute, as reported by the system.
 fn load() -> String {
     let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     text.split_whitespace().next().unwrap_or("unknown").to_owned()
@@ -193,7 +193,7 @@ fn scene(
         println!("{title}");
         let _ = write!(
             page,
-            "\n### {title}\n\n| | ns | least and greatest | × slicewalk | least and greatest | asked | judged | rounded | wrong |\n\
+            "\n### {title}\n\n| | ns | least and greatest | × slicewalk | least and greatest | asked | checked | rounded | wrong |\n\
              | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
         );
         measure(page, &matter, &questions, kind, &mut asked)?;
@@ -236,14 +236,14 @@ fn bytes(page: &mut String, matter: &Matter, entries: &[Entry]) {
     }
 }
 
-/// Somebody who knows a kind of question, and was asked once.
+/// Peer that knows a kind of question, after a first query.
 struct Asked<'a> {
     name: String,
     peer: &'a mut dyn Peer,
     kind: Kind,
     /// How many questions a round has for it.
     count: usize,
-    /// Its answers; none are judged where there are none.
+    /// Its answers; empty if they are not checked.
     answers: Vec<f64>,
     /// Per round its time, and that of slicewalk for the same questions (s).
     times: Vec<[f64; 2]>,
@@ -268,7 +268,7 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Judges, asks in rounds, and writes a row for each.
+/// Checks the answers, measures in rounds, and writes a row for each peer.
 fn measure(page: &mut String, matter: &Matter, q: &Questions, kind: Kind, asked: &mut [Asked]) -> Result<()> {
     let judge = |asked: &Asked| {
         let step = asked.answers.len().div_ceil(JUDGED).max(1);

@@ -32,7 +32,7 @@ fn numbers(path: &Path, values: &[f64]) -> Result<()> {
 }
 
 impl Open3d {
-    /// Starts it; an error says in one line why there is none.
+    /// Starts it; an error says in one line why it cannot.
     pub fn new(matter: &Matter, mesh: &Mesh, questions: &Questions) -> Result<Self> {
         let python = python()?;
         let has = Command::new(&python).args(["-c", "import numpy, open3d"]).stderr(Stdio::null()).status()?;
@@ -89,7 +89,7 @@ impl Peer for Open3d {
 
 impl Drop for Open3d {
     fn drop(&mut self) {
-        // Without input it ends by itself.
+        // It exits when its input closes.
         self.asks = None;
         let _ = self.child.wait();
     }

@@ -22,10 +22,10 @@ use slicewalk::store::Snapshot;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-/// Somebody who holds the cubes.
+/// Library that holds the cubes.
 pub trait Peer {
-    /// Asks the first `count` questions of a kind, one after the other; gives how long that took (s), or nothing where it
-    /// knows no such question. The answers replace what was in `answers`: 1 or 0 for places and boxes, else distances (m).
+    /// Answers the first `count` questions of a kind in turn; returns the time (s), or `None` if it does not know the
+    /// kind. The answers replace the content of `answers`: 1 or 0 for places and boxes, else distances (m).
     fn ask(&mut self, kind: Kind, count: usize, answers: &mut Vec<f64>) -> Result<Option<f64>>;
 
     /// Its version, as it says itself.
@@ -174,7 +174,7 @@ pub struct Obvhs {
     rays: CwBvh,
     /// In the order of the tree, so that a leaf's lie side by side.
     triangles: Vec<RtTriangle>,
-    /// With the runs in its order.
+    /// The tree, with the runs in the tree's order.
     boxes: Option<(Bvh2, Vec<Bounds>)>,
     questions: Rc<Questions>,
 }

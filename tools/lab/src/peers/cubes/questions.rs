@@ -1,4 +1,4 @@
-//! What everybody is asked about the cubes, and which answers are right.
+//! Questions about the cubes, equal for all libraries, and their right answers.
 
 use super::matter::Matter;
 use crate::Random;
@@ -48,12 +48,12 @@ impl Kind {
     }
 }
 
-/// Questions, in metres from the matter's origin.
+/// Questions, in metres from the origin of the cubes.
 pub struct Questions {
     pub points: Vec<Point3<f64>>,
     pub random: Vec<Aabb>,
     pub walk: Vec<Aabb>,
-    /// The same from the height of a step up: floors of coarse cubes are not in their way.
+    /// The boxes of the walk from the height of a step up, clear of the floors of coarse cubes.
     pub raised: Vec<Aabb>,
     pub rays: Vec<Ray>,
     /// From places that are free.
@@ -103,7 +103,7 @@ impl Questions {
         }
     }
 
-    /// All of a kind as plain numbers, as `peer.h` tells.
+    /// Returns all questions of a kind as plain numbers, in the layout of `peer.h`.
     pub fn numbers(&self, kind: Kind) -> Vec<f64> {
         let corners = |shape: &Aabb| [shape.min(), shape.max()].into_iter().flat_map(<[f64; 3]>::from);
         match kind {
@@ -136,7 +136,7 @@ pub enum Verdict {
 }
 
 impl Questions {
-    /// Judges the answer to question `n`: 1 or 0 for places and boxes, else a distance (m).
+    /// Checks the answer to question `n`: 1 or 0 for places and boxes, else a distance (m).
     pub fn judge(&self, matter: &Matter, kind: Kind, n: usize, answer: f64) -> Verdict {
         let yes = |hit: bool| if hit { 1.0 } else { 0.0 };
         let of_box = |min: &Point3<f64>, max: &Point3<f64>| {
