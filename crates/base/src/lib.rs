@@ -10,6 +10,7 @@ pub mod error;
 pub mod frame;
 pub mod monitor;
 pub mod output;
+pub mod placement;
 pub mod plan;
 pub mod raster;
 pub mod text;

@@ -194,7 +194,7 @@ pub(super) fn source_of_plan(
 ) -> Result<Option<Found>> {
     let found = match source {
         None => None,
-        Some(source) if inputs.meshes.is_empty() => {
+        Some(source) if inputs.meshes.is_empty() && inputs.splats.is_empty() => {
             prepare(&mut inputs.scans, source, options.threads, monitor)?;
             Some(Found { source, points: true })
         }

@@ -1,11 +1,12 @@
 //! Facts about each input that a plan stores: enough to recognise it on another machine and to assign it to parts.
 
 use super::points::bounds;
+use super::splats::SplatSet;
 use super::work::on_threads;
 use crate::bytes::open_named;
 use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds, threads_to_look};
 use crate::{Error, Monitor, NoMonitor, Result};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
@@ -31,18 +32,23 @@ pub struct InputFacts {
 }
 
 impl InputFacts {
-    /// Collects the facts of all scans of `set`, then of its meshes. Cost: eight small reads per file, by `threads`
+    /// Collects the facts of all scans of a set, then of its meshes, then of splats. Cost: eight small reads per file, by `threads`
     /// threads.
-    pub(super) fn of(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
+    pub(super) fn of(
+        (set, splats): (&InputSet, &SplatSet),
+        threads: usize,
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<Self>> {
         let scans = set.files().iter().map(|file| (file.path(), Some(file)));
-        let all: Vec<_> = scans.chain(set.meshes().iter().map(|path| (path.as_path(), None))).collect();
+        let others = set.meshes().iter().map(PathBuf::as_path).chain(splats.paths());
+        let all: Vec<_> = scans.chain(others.map(|path| (path, None))).collect();
         let one = |(path, scan): (&Path, Option<&ScanFile>)| {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
             let (bytes, fingerprint) = fingerprint(path)?;
             let name = name_of(path);
-            // Meshes have no header with bounds: every part reads them.
+            // Meshes and splats have no header with bounds: every part reads them.
             let (points, bounds) = scan.map_or((0, None), |scan| (scan.points_stated(), scan.bounds_with_slack()));
             Ok(Self { name, bytes, points, fingerprint, bounds })
         };
@@ -64,8 +70,12 @@ impl InputFacts {
 
     /// Like [`of`](Self::of), but with the number and bounds of the kept points for scans whose headers do not state
     /// them. Cost: one pass over these scans.
-    pub(super) fn measured(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
-        let mut facts = Self::of(set, threads, monitor)?;
+    pub(super) fn measured(
+        (set, splats): (&InputSet, &SplatSet),
+        threads: usize,
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<Self>> {
+        let mut facts = Self::of((set, splats), threads, monitor)?;
         let is_open = |file: usize| !set.files()[file].has_header();
         if !(0..set.files().len()).any(is_open) {
             return Ok(facts);

@@ -1,11 +1,11 @@
 //! Facts of an archive as JSON: the only place that names the keys.
 
-use crate::Result;
 use crate::archive::{Archive, Header, Shard};
 use crate::colour::{ColourPlan, ColourSource};
 use crate::plan::{Noise, Plan};
 use crate::text::{counted, number, rounded};
 use crate::unit::{LengthUnit, unit_name};
+use crate::{Result, Similarity, SplatCounts, UpFound};
 use serde_json::{Value, json};
 
 /// Quantum to which input coordinates are rounded before they reach the grid (m); 0 means none. Integers with scale and
@@ -123,6 +123,49 @@ pub fn plan_info(plan: &Plan) -> Value {
 /// Returns the noise from which an automatic tolerance was chosen.
 pub fn noise_info(noise: &Noise) -> Value {
     json!({ "noise": noise.noise_m, "regions": noise.regions, "region_size": noise.region_m })
+}
+
+/// Adds the counts of splats.
+pub fn splat_info(facts: &mut Value, splats: &SplatCounts) {
+    facts["splats_read"] = splats.read.into();
+    facts["splats_transparent"] = splats.transparent.into();
+    facts["splats_faint"] = splats.faint.into();
+    facts["splats_large"] = splats.large.into();
+    facts["splats_unusable"] = splats.unusable.into();
+}
+
+/// Adds the direction that was found to point up, and the matrix that places the input, row by row.
+pub fn placing_info(facts: &mut Value, up: Option<&UpFound>, placement: Option<&Similarity>) {
+    if let Some(up) = up {
+        facts["up_auto"] = up_info(up);
+    }
+    if let Some(placement) = placement {
+        facts["placement"] = json!(placement.matrix());
+    }
+}
+
+/// Returns the direction that was found to point up.
+pub fn up_info(up: &UpFound) -> Value {
+    let (axis, tilt_deg) = up.axis();
+    json!({
+        "direction": up.up,
+        "axis": axis,
+        "tilt_deg": tilt_deg,
+        "sure": up.sure,
+        "floor_m2": up.floor_m2,
+        "next_m2": up.next_m2,
+    })
+}
+
+/// Describes the direction that was found to point up.
+pub fn up_in_words(up: &UpFound) -> String {
+    let (axis, tilt_deg) = up.axis();
+    let tilt = if tilt_deg > 0.0 { format!(", tilted by {}°", rounded(tilt_deg, 0.1)) } else { String::new() };
+    let [sure, floor, next] =
+        [(100.0 * up.sure, 1.0), (up.floor_m2, 0.1), (up.next_m2, 0.1)].map(|(v, to)| rounded(v, to));
+    format!(
+        "{axis} points up{tilt}; {sure} % sure (floor of {floor} m² in the sample, largest other surface {next} m²)"
+    )
 }
 
 /// Describes the noise of a scan.

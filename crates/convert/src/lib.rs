@@ -46,6 +46,7 @@ mod stations;
 mod sync;
 #[cfg(test)]
 mod tests;
+mod upright;
 mod voxel;
 mod work;
 mod writer;
@@ -56,7 +57,9 @@ pub use plan_file::{PlanFile, Stated};
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
 pub use resume::Resumed;
-pub use splats::{Similarity, SplatCounts, SplatRules};
+pub use slicewalk_base::placement::Similarity;
+pub use splats::{SplatCounts, SplatRules};
+pub use upright::{Turn, UpFound};
 pub use writer::PointWriter;
 
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Totals};
@@ -83,11 +86,12 @@ use shard_filter::ShardScope;
 use shard_inputs::Chosen;
 use slicewalk::{archive, codec, page};
 use slicewalk_base::{
-    Error, Monitor, NoMonitor, Parameter, Result, Warning, bytes, colour, disk, frame, output, plan, text, unit,
+    Error, Monitor, NoMonitor, Parameter, Result, Warning, bytes, colour, disk, frame, output, placement, plan, text,
+    unit,
 };
 use slicewalk_input as input;
 use slicewalk_mesh as mesh;
-use splats::{SplatSet, read_splats};
+use splats::{Divided, SplatSet, read_splats};
 use stations::Stations;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -112,6 +116,10 @@ pub(crate) struct Inputs {
     pub splats: SplatSet,
     /// Unit of splats.
     units: Units,
+    /// Direction that points up, if the input shows it.
+    pub up: Option<UpFound>,
+    /// Placement of all inputs, its rotation upwards included.
+    pub placement: Option<Similarity>,
     /// Choice of inputs of a part that need not open all of them.
     pub chosen: Option<Chosen>,
 }
@@ -150,6 +158,7 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
         epsg: options.epsg,
         columns: options.columns,
         up: options.plan.up,
+        placement: options.placement,
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads as u64,
         // Set later, and not needed for an automatic pixel size.
@@ -159,22 +168,20 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
         hash: false,
         threads: options.threads,
     };
-    let (splats, others) = if chosen.is_some() { Default::default() } else { SplatSet::among(options, monitor)? };
-    let mut scans = match &chosen {
-        None => match others {
-            None => InputSet::open(&options.inputs, input_options, monitor)?,
-            Some(others) => InputSet::of_paths(others, input_options, monitor)?,
-        },
+    let (mut scans, splats) = match &chosen {
+        None => Divided::open(&options.inputs, input_options, monitor)?,
         Some(chosen) => {
             let mut scans = InputSet::of_paths(chosen.opened.clone(), input_options, monitor)?;
             chosen.check_stated(&scans)?;
             scans.set_crs(chosen.stated.crs.clone());
-            scans
+            (scans, chosen.splats.clone())
         }
     };
+    let mut splats = SplatSet::open(splats, options, monitor)?;
     let mesh_options = MeshOptions {
         units: options.units,
         up: options.plan.up,
+        placement: options.placement,
         memory_bytes: options.memory_bytes / 8,
         temp_dir: options.temp_dir.clone(),
         allow_incomplete: options.allow_incomplete,
@@ -185,7 +192,44 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     scans.set_meshes(meshes.paths());
-    Ok(Inputs { scans, meshes, splats, units: options.units, chosen })
+    let (up, placement) = place(options, &mut scans, &meshes, &mut splats, monitor)?;
+    Ok(Inputs { scans, meshes, splats, units: options.units, up, placement, chosen })
+}
+
+/// Places all inputs. Returns the direction that points up if it was found, and the placement.
+fn place(
+    options: &ConvertOptions,
+    scans: &mut InputSet,
+    meshes: &MeshSet,
+    splats: &mut SplatSet,
+    monitor: &dyn Monitor,
+) -> Result<(Option<UpFound>, Option<Similarity>)> {
+    let refused = |path: &Path, reason: &str| {
+        Err(Error::parameter(Parameter::Other("up".into()), format!("{}: {reason}", path.display())))
+    };
+    if options.turn != Turn::None {
+        if let Some(mesh) = meshes.paths().next() {
+            return refused(mesh, "meshes are turned by --up y or z, or by --transform");
+        }
+        if let (Some(_), Some(scan)) = (scans.crs().filter(|_| options.epsg.is_none()), scans.files().first()) {
+            return refused(scan.path(), "it states a reference system, in which z is up; leave --up out");
+        }
+    }
+    let up = match options.turn {
+        Turn::Auto => {
+            scans.set_placement(None);
+            Some(upright::find_up(scans, splats, options, monitor)?)
+        }
+        _ => None,
+    };
+    let placement = options.placement_with(up.as_ref());
+    if options.placement.is_some() && options.plan_file.is_none() && options.epsg.is_none() && scans.crs().is_some() {
+        let text = "a scan states a reference system; the matrix moves its points, and the archive keeps the system";
+        monitor.warn(&text.into());
+    }
+    scans.set_placement(placement);
+    splats.set_placement(placement);
+    Ok((up, placement))
 }
 
 /// Measurements from which automatic options follow; `None` where the options were given.
@@ -365,13 +409,13 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         Some(chosen) => chosen.stated.units.clone(),
         None => inputs.length_units(),
     };
-    let Inputs { scans: mut set, meshes, splats, chosen, .. } = inputs;
+    let Inputs { scans: mut set, meshes, splats, up, placement, chosen, .. } = inputs;
     let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
         return Err(error.with_suggestion(Parameter::Units));
     }
-    let mut scope = scope(options, &set, &plan, colours, chosen.as_ref(), monitor)?;
+    let mut scope = scope(options, (&set, &splats), &plan, colours, chosen.as_ref(), monitor)?;
     drop(chosen);
     let seeing = match plan.options.remove_moving {
         true => {
@@ -433,7 +477,10 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         removed.finish()?;
     }
     match done {
-        Ok(report) => Ok(Report { spacing: surveyed.spacing, resumed, temp_bytes: store.temp_bytes(), ..report }),
+        Ok(report) => {
+            let up = up.or(options.plan_file.as_ref().and_then(|file| file.up));
+            Ok(Report { spacing: surveyed.spacing, up, placement, resumed, temp_bytes: store.temp_bytes(), ..report })
+        }
         Err(error) => Err(keep(options, &mut store, error)),
     }
 }
@@ -461,17 +508,17 @@ fn colours_of(
 /// file.
 fn scope(
     options: &ConvertOptions,
-    set: &InputSet,
+    inputs: (&InputSet, &SplatSet),
     plan: &Plan,
     colour: Option<ColourPlan>,
     chosen: Option<&Chosen>,
     monitor: &dyn Monitor,
 ) -> Result<Option<ShardScope>> {
     if let Some(shard) = options.shard {
-        return ShardScope::new(shard, set, plan, options, colour, chosen, monitor).map(Some);
+        return ShardScope::new(shard, inputs, plan, options, colour, chosen, monitor).map(Some);
     }
     if let Some(file) = &options.plan_file {
-        let facts = InputFacts::of(set, options.threads, monitor)?;
+        let facts = InputFacts::of(inputs, options.threads, monitor)?;
         file.check_same_inputs(&PlanFile::of(facts, plan.clone(), options))?;
     }
     Ok(None)
@@ -575,12 +622,14 @@ impl Conversion<'_> {
         let reading = MeshReading { build_bytes, scope, colouring: colouring.filter(|_| meshes.has_paint()) };
         let mesh_read = read_meshes(meshes, options, plan, store, reading, monitor)?;
         read.merge(&mesh_read.read);
-        let splat_read = read_splats(splats, options, plan, store, build_bytes, of_splats, monitor)?;
+        let reading = MeshReading { build_bytes, scope, colouring: of_splats };
+        let splat_read = read_splats(splats, options, plan, store, reading, monitor)?;
         read.merge(&splat_read.read);
         if let Some(scope) = scope {
             let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
             let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
-            writer.set_read(scope.inputs_read(scans.chain(meshes)));
+            let splats = splats.paths().zip(splat_read.hashes);
+            writer.set_read(scope.inputs_read(scans.chain(meshes).chain(splats)));
         }
         let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete && splat_read.complete;
         if whole {
@@ -618,6 +667,8 @@ impl Conversion<'_> {
             units,
             noise,
             spacing: None,
+            up: None,
+            placement: None,
             texts: texts(set),
             input_bytes: set.bytes().saturating_add(meshes.bytes()).saturating_add(splats.bytes()),
             temp_bytes: 0,
@@ -653,7 +704,7 @@ fn pixel_of_extent(
     monitor: &dyn Monitor,
 ) -> Result<f64> {
     monitor.stage("extent", 0, "triangles and splats");
-    let both = meshes.bounds(monitor)?.into_iter().chain(splats.bounds(options, monitor)?);
+    let both = meshes.bounds(monitor)?.into_iter().chain(splats.survey(options, monitor)?.1);
     let along = |axis: usize| {
         let ends = both.clone().map(|(min, max)| (min[axis], max[axis]));
         ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or(0.0, |(min, max)| max - min)

@@ -2,9 +2,11 @@
 
 use super::plan_file::PlanFile;
 use super::splats::SplatRules;
+use super::upright::{Turn, UpFound};
 use crate::colour::ColourSource;
 use crate::input::{Columns, Units};
 use crate::mesh::MeshMode;
+use crate::placement::Similarity;
 use crate::plan::PlanOptions;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -118,6 +120,10 @@ pub struct ConvertOptions {
     pub temp_dir: PathBuf,
     /// Unit of the input.
     pub units: Units,
+    /// Rotation of scans and splats upwards.
+    pub turn: Turn,
+    /// Placement of all inputs in metres, after their axes; `None` leaves them in place.
+    pub placement: Option<Similarity>,
     /// EPSG code for scans that state no reference system; a scan that states another is refused.
     pub epsg: Option<u32>,
     /// Columns of text without a header of its own; x, y and z come first by default.
@@ -164,6 +170,19 @@ impl ConvertOptions {
         };
     }
 
+    /// Returns the placement of all inputs, the rotation upwards included, if `up` is the direction that the input shows.
+    pub fn placement_with(&self, up: Option<&UpFound>) -> Option<Similarity> {
+        let turn = match self.turn {
+            Turn::None => None,
+            Turn::From(up) => Some(Similarity::raising(up)),
+            Turn::Auto => up.map(UpFound::turn),
+        };
+        match (self.placement, turn.filter(|turn| *turn != Similarity::IDENTITY)) {
+            (Some(placement), Some(turn)) => Some(placement * turn),
+            (placement, turn) => placement.or(turn),
+        }
+    }
+
     /// Creates the defaults of the command line for these inputs and this output.
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
         Self {
@@ -178,6 +197,8 @@ impl ConvertOptions {
             threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
             temp_dir: std::env::temp_dir(),
             units: Units::Auto,
+            turn: Turn::None,
+            placement: None,
             epsg: None,
             columns: None,
             mesh: MeshMode::Exact,

@@ -2,7 +2,9 @@
 
 use super::options::ConvertOptions;
 use super::stations::Stations;
-use super::{Limits, Surveyed, check_free_space, open_inputs, plan, scope, temp_bytes};
+use super::{
+    Limits, Similarity, SplatCounts, Surveyed, UpFound, check_free_space, open_inputs, plan, scope, temp_bytes,
+};
 use crate::archive::Bounds;
 use crate::disk::Files;
 use crate::input::scenes::{Scene, far_apart};
@@ -21,6 +23,12 @@ pub struct Preview {
     pub plan: Plan,
     /// Measured point spacing, if the pixel size follows from it.
     pub spacing: Option<Spacing>,
+    /// Direction that points up, if the input shows it.
+    pub up: Option<UpFound>,
+    /// Placement of all inputs, the rotation upwards included; `None` if they stay in place.
+    pub placement: Option<Similarity>,
+    /// Splats, and those that would be left out.
+    pub splats: SplatCounts,
     /// Noise of the scan, if the tolerance follows from it.
     pub noise: Option<Noise>,
     /// Files that would be read: scans, then meshes.
@@ -63,7 +71,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     check_free_space(options, &Files::current(), temp_bytes)?;
     let (plan, Surveyed { spacing, noise }) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
-    scope(options, set, &plan, None, None, monitor)?;
+    scope(options, (set, &opened.splats), &plan, None, None, monitor)?;
     if options.plan.remove_moving {
         Stations::find(options.stations.as_deref(), set)?;
     }
@@ -71,7 +79,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     far_apart(&scenes).inspect(|warning| monitor.warn(warning));
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);
     let scans = scans.map(|StatedBounds { min, max }| (min, max));
-    let splats = opened.splats.bounds(options, monitor)?;
+    let (counts, splats) = opened.splats.survey(options, monitor)?;
     let bounds = scans.chain(meshes.bounds(monitor)?).chain(splats).reduce(|(min, max), (other_min, other_max)| {
         let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
         (axes(f64::min, min, other_min), axes(f64::max, max, other_max))
@@ -91,6 +99,9 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     Ok(Preview {
         plan,
         spacing,
+        up: opened.up.or(options.plan_file.as_ref().and_then(|file| file.up)),
+        placement: opened.placement,
+        splats: counts,
         noise: noise.or(options.plan_file.as_ref().and_then(|file| file.noise)),
         bounds,
         crs: set.crs().unwrap_or_default().to_owned(),

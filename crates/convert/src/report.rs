@@ -1,8 +1,8 @@
 //! Result of a conversion, as a value and as JSON.
 
-use super::{Resumed, SplatCounts};
+use super::{Resumed, Similarity, SplatCounts, UpFound};
 use crate::archive::{Header, Shard};
-use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, shard_info};
+use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, placing_info, shard_info, splat_info};
 use crate::input::TextLayout;
 use crate::input::spacing::Spacing;
 use crate::mesh::MeshCounts;
@@ -21,6 +21,10 @@ pub struct Report {
     pub shard: Option<Shard>,
     /// Measured point spacing, if the pixel size was chosen automatically.
     pub spacing: Option<Spacing>,
+    /// Direction that points up, if the input showed it.
+    pub up: Option<UpFound>,
+    /// Placement of all inputs, the rotation upwards included; `None` if they stayed in place.
+    pub placement: Option<Similarity>,
     /// Noise of the scan, if the tolerance was chosen from it.
     pub noise: Option<Noise>,
     /// Text of the coordinate reference system; empty if the input names none.
@@ -65,11 +69,8 @@ impl Report {
         facts["complete"] = self.complete.into();
         facts["triangles_read"] = self.triangles.read.into();
         facts["triangles_left_out"] = self.triangles.left_out.into();
-        facts["splats_read"] = self.splats.read.into();
-        facts["splats_transparent"] = self.splats.transparent.into();
-        facts["splats_faint"] = self.splats.faint.into();
-        facts["splats_large"] = self.splats.large.into();
-        facts["splats_unusable"] = self.splats.unusable.into();
+        splat_info(&mut facts, &self.splats);
+        placing_info(&mut facts, self.up.as_ref(), self.placement.as_ref());
         facts["points_made"] = self.points_made.into();
         facts["voxels_dropped"] = self.voxels_dropped.into();
         let of_text = |(path, layout): &(PathBuf, TextLayout)| {

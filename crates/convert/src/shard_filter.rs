@@ -5,6 +5,7 @@ use super::holes::Closer;
 use super::options::{ConvertOptions, ShardOptions};
 use super::plan_file::PlanFile;
 use super::shard_inputs::Chosen;
+use super::splats::SplatSet;
 use super::split::{QuadCell, TileRect, tiles};
 use crate::archive::{InputRead, Shard};
 use crate::colour::ColourPlan;
@@ -21,7 +22,7 @@ use xxhash_rust::xxh3::xxh3_128;
 /// Part of a conversion, and how it treats each file.
 pub(crate) struct ShardScope {
     pub shard: Shard,
-    /// Roles by number in the set of inputs: scans, then meshes.
+    /// Roles by number in the set of inputs: scans, then meshes, then splats.
     roles: Vec<Role>,
     /// True if the part reads all inputs of the plan.
     reads_all: bool,
@@ -80,11 +81,11 @@ pub(super) fn meets(frame: &Frame, reach: i64, input: &InputFacts, first: u64, l
 }
 
 impl ShardScope {
-    /// Creates the part that `options` ask for. The inputs `set` must be those of its plan file, or the `chosen` ones
+    /// Creates the part that `options` ask for. The `inputs` must be those of its plan file, or the `chosen` ones
     /// of them.
     pub fn new(
         shard: ShardOptions,
-        set: &InputSet,
+        inputs: (&InputSet, &SplatSet),
         plan: &Plan,
         options: &ConvertOptions,
         colour: Option<ColourPlan>,
@@ -92,8 +93,8 @@ impl ShardScope {
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let facts = match &options.plan_file {
-            Some(_) => InputFacts::of(set, options.threads, monitor)?,
-            None => InputFacts::measured(set, options.threads, monitor)?,
+            Some(_) => InputFacts::of(inputs, options.threads, monitor)?,
+            None => InputFacts::measured(inputs, options.threads, monitor)?,
         };
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
         if let (Some(file), Some(chosen)) = (&options.plan_file, chosen) {
@@ -191,7 +192,7 @@ impl ShardScope {
         self.roles[file].owns
     }
 
-    /// Returns whether the triangles of meshes count in this part.
+    /// Returns whether the triangles of meshes, and splats, count in this part.
     pub fn owns_meshes(&self) -> bool {
         self.shard.index == 1
     }

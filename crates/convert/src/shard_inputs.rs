@@ -9,9 +9,10 @@ use super::facts::name_of;
 use super::options::ConvertOptions;
 use super::plan_file::Stated;
 use super::shard_filter::{meets, reach};
+use super::splats::Divided;
 use crate::archive::Shard;
 use crate::bytes::address;
-use crate::input::{InputSet, expand_inputs};
+use crate::input::InputSet;
 use crate::{Error, Monitor, Result};
 use std::path::PathBuf;
 
@@ -21,6 +22,8 @@ pub(crate) struct Chosen {
     pub shard: Shard,
     /// Inputs to open, in order of their paths.
     pub opened: Vec<PathBuf>,
+    /// Files of splats among the inputs; every part reads them.
+    pub splats: Vec<PathBuf>,
     /// All other inputs.
     pub closed: Vec<PathBuf>,
     /// True for each file of the plan, by its number, that is not opened.
@@ -58,7 +61,7 @@ impl Chosen {
             let end = order.partition_point(|number| key(number) <= (&name, bytes.1));
             (end - first == 1).then(|| order[first])
         };
-        let paths = expand_inputs(&options.inputs, monitor)?;
+        let Divided { splats, others: paths } = Divided::of(&options.inputs, monitor)?;
         let numbers: Vec<Option<u32>> = paths.iter().map(find).collect();
         let mut claims = vec![0u8; file.inputs.len()];
         for &number in numbers.iter().flatten() {
@@ -78,7 +81,7 @@ impl Chosen {
                 _ => opened.push(path),
             }
         }
-        Ok(Some(Self { shard, opened, closed, is_closed, stated: stated.clone() }))
+        Ok(Some(Self { shard, opened, splats, closed, is_closed, stated: stated.clone() }))
     }
 
     /// Refuses the plan if the opened inputs contradict what it states of all inputs, as after an edit by hand.

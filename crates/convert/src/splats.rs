@@ -1,11 +1,14 @@
 //! First pass over Gaussian splats: writes the voxels that their ellipsoids fill into runs.
 
+use super::ConvertOptions;
+use super::meshes::{Colouring, MeshReading};
 use super::points::{Own, Read, out_of_reach};
+use super::shard_filter::ShardScope;
 use super::work::on_threads;
-use super::{ConvertOptions, meshes::Colouring};
 use crate::bytes::{open_named, spawn_in};
 use crate::input::scenes::Scene;
-use crate::input::{PointCounts, Units};
+use crate::input::{InputOptions, InputSet, PointCounts, Units, expand_inputs};
+use crate::placement::Similarity;
 use crate::plan::{Plan, Up};
 use crate::unit::LengthUnit;
 use crate::voxel::ellipsoids::EllipsoidBuilder;
@@ -13,9 +16,10 @@ use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Parameter, Result};
 use slicewalk_splat::ellipsoid::{DEFAULT_OPACITY, Ellipsoid};
-use slicewalk_splat::{HEAD_BYTES, Splat, SplatOptions, SplatReader, recognise};
+use slicewalk_splat::{HEAD_BYTES, Splat, SplatFormat, SplatOptions, SplatReader, recognise};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use xxhash_rust::xxh3::xxh3_128;
 
 /// Rules by which splats become solid.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,13 +30,11 @@ pub struct SplatRules {
     pub min_opacity: f64,
     /// Splats whose solid part is longer than this are left out (m).
     pub max_size_m: Option<f64>,
-    /// Placement of splats after their unit and axes; `None` leaves them in place.
-    pub placement: Option<Similarity>,
 }
 
 impl Default for SplatRules {
     fn default() -> Self {
-        Self { opacity: DEFAULT_OPACITY, min_opacity: 0.0, max_size_m: None, placement: None }
+        Self { opacity: DEFAULT_OPACITY, min_opacity: 0.0, max_size_m: None }
     }
 }
 
@@ -52,55 +54,6 @@ impl SplatRules {
             Some(size) if !(size > 0.0 && size.is_finite()) => refused("greatest size", size, "a length above 0"),
             _ => Ok(()),
         }
-    }
-}
-
-/// A rotation, a uniform scale and a shift.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Similarity {
-    rows: [[f64; 3]; 3],
-    factor: f64,
-    shift: [f64; 3],
-}
-
-impl Similarity {
-    /// Greatest deviation of a matrix from a rotation times a scale, relative to the scale.
-    const SLACK: f64 = 1e-5;
-
-    /// Parses 16 numbers, row by row, separated by white space or commas. Fails with a reason if the matrix is not a
-    /// rotation with a uniform scale and a shift.
-    pub fn parse(text: &str) -> std::result::Result<Self, String> {
-        let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
-        let numbers: Vec<f64> = words
-            .map(|word| {
-                word.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| format!("{word:?} is not a number"))
-            })
-            .collect::<std::result::Result<_, _>>()?;
-        let Ok(m) = <[f64; 16]>::try_from(numbers) else {
-            return Err("expected 16 numbers: the rows of a 4 × 4 matrix".into());
-        };
-        if m[12..] != [0.0, 0.0, 0.0, 1.0] {
-            return Err("expected 0 0 0 1 as the last row; write the matrix row by row".into());
-        }
-        let rows = [0, 1, 2].map(|row| [m[4 * row], m[4 * row + 1], m[4 * row + 2]]);
-        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-        let [a, b, c] = rows;
-        let determinant = a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
-            + a[2] * (b[0] * c[1] - b[1] * c[0]);
-        let factor = libm::cbrt(determinant);
-        let rows = rows.map(|row| row.map(|v| v / factor));
-        let is_rotation = (0..3)
-            .all(|i| (0..3).all(|k| (dot(rows[i], rows[k]) - if i == k { 1.0 } else { 0.0 }).abs() <= Self::SLACK));
-        if !(factor > 0.0 && factor.is_finite() && is_rotation) {
-            return Err(
-                "expected a rotation with one scale for all axes and a shift; it mirrors, shears or stretches".into()
-            );
-        }
-        Ok(Self { rows, factor, shift: [m[3], m[7], m[11]] })
-    }
-
-    fn apply(&self, ellipsoid: &Ellipsoid) -> Ellipsoid {
-        ellipsoid.moved(self.factor, &self.rows, self.shift)
     }
 }
 
@@ -141,51 +94,86 @@ pub(crate) struct SplatSet {
     bytes: u64,
     count: u64,
     colours: bool,
+    /// Placement after unit and axes.
+    placement: Option<Similarity>,
 }
 
-/// Returns whether there are splats at `path`, by content and name.
+/// Returns the file that describes the folder of splats at `path`; `None` if there is none.
+fn described(path: &Path) -> Option<PathBuf> {
+    let names = if path.is_dir() { ["lod-meta.json", "meta.json"].as_slice() } else { &[] };
+    names.iter().map(|name| path.join(name)).find(|file| file.is_file())
+}
+
+/// Returns whether a file holds splats, by content and name.
 fn is_splat(path: &Path) -> bool {
-    if path.is_dir() {
-        return ["meta.json", "lod-meta.json"].iter().any(|name| path.join(name).is_file());
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let known = ["ply", "spz", "sog", "zip", "splat", "ksplat", "gltf", "glb", "json"];
+    // A store is not asked twice, and only names that can be those of splats are opened.
+    if crate::bytes::address(path).is_some() || !known.contains(&&ending[..]) || !path.is_file() {
+        return false;
     }
     let Ok(source) = open_named(path) else { return false };
     let mut head = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
     source.read_at(0, &mut head).is_ok() && recognise(&head, path).is_some()
 }
 
-/// Returns whether a name can be that of splats, so that other files are not opened to see.
-fn may_be_splat(path: &Path) -> bool {
-    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
-    let known = ["ply", "spz", "sog", "zip", "splat", "ksplat", "gltf", "glb", "json"];
-    crate::bytes::address(path).is_none() && (known.contains(&&ending[..]) || path.is_dir())
+/// Inputs of a conversion, divided.
+pub(crate) struct Divided {
+    /// Files of splats.
+    pub splats: Vec<PathBuf>,
+    /// Scans and meshes.
+    pub others: Vec<PathBuf>,
+}
+
+impl Divided {
+    /// Expands inputs and sets the splats among them aside.
+    pub fn of(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Self> {
+        let (mut splats, rest) = apart(inputs);
+        let mut others =
+            if rest.is_empty() && !splats.is_empty() { Vec::new() } else { expand_inputs(&rest, monitor)? };
+        splats.extend(others.extract_if(.., |path| is_splat(path)));
+        Ok(Self { splats, others })
+    }
+
+    /// Opens the scans among inputs; returns them and the files of splats.
+    pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<(InputSet, Vec<PathBuf>)> {
+        let (mut splats, rest) = apart(inputs);
+        if rest.is_empty() && !splats.is_empty() {
+            return Ok((InputSet::of_paths(Vec::new(), options, monitor)?, splats));
+        }
+        let (scans, mut more) = InputSet::open_apart(&rest, &is_splat, options, monitor)?;
+        splats.append(&mut more);
+        Ok((scans, splats))
+    }
+}
+
+/// Separates folders of splats, by the files that describe them, from all other inputs.
+fn apart(inputs: &[PathBuf]) -> (Vec<PathBuf>, Vec<PathBuf>) {
+    let (mut folders, mut rest) = (Vec::new(), Vec::new());
+    for input in inputs {
+        match described(input) {
+            Some(file) => folders.push(file),
+            None => rest.push(input.clone()),
+        }
+    }
+    (folders, rest)
 }
 
 impl SplatSet {
-    /// Sets the splats among the inputs aside. Returns them, and the paths of all other inputs if there are splats.
-    pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Option<Vec<PathBuf>>)> {
-        let is = |path: &Path| may_be_splat(path) && is_splat(path);
-        // Folders and patterns name scans alone; a store is not asked twice.
-        let is_local = |path: &Path| path.is_file() || path.is_dir();
-        let (mut paths, rest): (Vec<_>, Vec<_>) =
-            options.inputs.iter().cloned().partition(|path| is_local(path) && is(path));
-        if paths.is_empty() {
-            return Ok((Self::default(), None));
-        }
+    /// Opens files of splats.
+    pub fn open(mut paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         paths.sort();
-        if options.shard.is_some() || options.plan_file.is_some() {
-            let reason = format!("{}: splats are converted in one run, without a plan", paths[0].display());
-            return Err(Error::parameter(Parameter::Shard, reason));
-        }
-        if options.units == Units::Auto {
-            let text = format!("{}: splats state no unit; metres are assumed", paths[0].display());
+        paths.dedup();
+        if let (Some(first), Units::Auto) = (paths.first(), options.units) {
+            let text = format!("{}: splats state no unit; metres are assumed", first.display());
             monitor.warn(&crate::Warning::from(text).with_suggestion(Parameter::Units));
         }
-        let (mut bytes, mut count) = (0, 0u64);
+        let mut set = Self::default();
         for path in &paths {
-            count = count.saturating_add(SplatReader::open(path, &reading(options))?.count());
-            bytes += path.metadata().map_or(0, |about| about.len());
+            set.count = set.count.saturating_add(SplatReader::open(path, &reading(options))?.count());
+            set.bytes += path.metadata().map_or(0, |about| about.len());
         }
-        Ok((Self { paths, bytes, count, colours: false }, Some(rest)))
+        Ok(Self { paths, ..set })
     }
 
     pub fn is_empty(&self) -> bool {
@@ -199,6 +187,15 @@ impl SplatSet {
     /// Length of all files (bytes), for progress only.
     pub fn bytes(&self) -> u64 {
         self.bytes
+    }
+
+    /// Number of splats that the files state.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    pub fn set_placement(&mut self, placement: Option<Similarity>) {
+        self.placement = placement;
     }
 
     pub fn set_colours(&mut self, wanted: bool) {
@@ -217,23 +214,43 @@ impl SplatSet {
         })
     }
 
-    /// Reads all files and returns the bounds of all solid parts (m), or `None` without any.
-    pub fn bounds(&self, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<([f64; 3], [f64; 3])>> {
-        let (mut read, mut counts) = (Read::NOTHING, SplatCounts::default());
-        let placing = Placing::of(options);
+    /// Reads all files and passes the solid parts of all splats to `give`; returns counts of all of them.
+    pub fn for_each_solid(
+        &self,
+        options: &ConvertOptions,
+        monitor: &dyn Monitor,
+        give: &mut dyn FnMut(&Ellipsoid),
+    ) -> Result<SplatCounts> {
+        let mut counts = SplatCounts::default();
         for path in &self.paths {
             let mut reader = SplatReader::open(path, &reading(options))?;
-            reader.for_each_batch(&Silent(monitor), options.memory_bytes / 8, &mut |batch| {
-                for splat in batch {
-                    if let Some(ellipsoid) = placing.solid(splat, &mut counts) {
-                        let (min, max) = ellipsoid.bounds();
-                        read.merge(&Read { min, max, ..Read::NOTHING });
-                    }
+            let placing = Placing::of(options, self.placement, reader.format());
+            let summary = reader.for_each_batch(&Silent(monitor), options.memory_bytes / 8, &mut |batch| {
+                if monitor.cancelled() {
+                    return Err(Error::Interrupted);
                 }
+                batch.iter().filter_map(|splat| placing.solid(splat, &mut counts)).for_each(|solid| give(&solid));
                 Ok(())
             })?;
+            counts.read += summary.lost();
+            counts.unusable += summary.lost();
         }
-        Ok((read.min[0] <= read.max[0]).then_some((read.min, read.max)))
+        Ok(counts)
+    }
+
+    /// Reads all files and returns the counts of all splats, and the bounds of all solid parts (m), or `None` without
+    /// any.
+    pub fn survey(
+        &self,
+        options: &ConvertOptions,
+        monitor: &dyn Monitor,
+    ) -> Result<(SplatCounts, Option<([f64; 3], [f64; 3])>)> {
+        let mut read = Read::NOTHING;
+        let counts = self.for_each_solid(options, monitor, &mut |ellipsoid| {
+            let (min, max) = ellipsoid.bounds();
+            read.merge(&Read { min, max, ..Read::NOTHING });
+        })?;
+        Ok((counts, (read.min[0] <= read.max[0]).then_some((read.min, read.max))))
     }
 }
 
@@ -250,26 +267,24 @@ impl Monitor for Silent<'_> {
     }
 }
 
-/// Rules and placement of all splats of a conversion.
+/// Rules and placement of the splats of a file.
 struct Placing<'a> {
     rules: &'a SplatRules,
-    /// Unit and axes.
-    axes: Option<Similarity>,
+    /// Unit and axes, then the placement.
+    place: Option<Similarity>,
 }
 
 impl<'a> Placing<'a> {
-    fn of(options: &'a ConvertOptions) -> Self {
+    fn of(options: &'a ConvertOptions, placement: Option<Similarity>, format: SplatFormat) -> Self {
         let factor = match options.units {
             Units::Auto => 1.0,
             Units::Factor(factor) => factor,
         };
-        let rows = match options.plan.up {
-            Up::Z => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            Up::Y => [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
-        };
-        let axes = Similarity { rows, factor, shift: [0.0; 3] };
-        let moves = factor != 1.0 || options.plan.up != Up::Z;
-        Self { rules: &options.splats, axes: moves.then_some(axes) }
+        // As for meshes: glTF fixes its axes.
+        let is_turned = options.plan.up == Up::Y || format == SplatFormat::Gltf;
+        let axes = if is_turned { Similarity::raising([0.0, 1.0, 0.0]) } else { Similarity::IDENTITY };
+        let place = placement.unwrap_or(Similarity::IDENTITY) * axes * Similarity::scaling(factor);
+        Self { rules: &options.splats, place: (place != Similarity::IDENTITY).then_some(place) }
     }
 
     /// Returns the solid part of a splat, or counts why it has none.
@@ -283,7 +298,10 @@ impl<'a> Placing<'a> {
             counts.transparent += 1;
             return None;
         };
-        let ellipsoid = self.axes.iter().chain(&self.rules.placement).fold(ellipsoid, |at, place| place.apply(&at));
+        let ellipsoid = match &self.place {
+            Some(place) => ellipsoid.moved(place.factor(), place.rows(), place.shift()),
+            None => ellipsoid,
+        };
         if self.rules.max_size_m.is_some_and(|most| ellipsoid.size() > most) {
             counts.large += 1;
             return None;
@@ -292,12 +310,24 @@ impl<'a> Placing<'a> {
     }
 }
 
+/// Hash of everything that a splat makes.
+fn hash_of(splat: &Splat) -> u128 {
+    let Splat { mean, scale, rotation, opacity, colour } = splat;
+    let mut bytes = [0; 59];
+    let numbers = mean.iter().flat_map(|v| v.to_le_bytes());
+    let small = scale.iter().chain(rotation).chain([opacity]).flat_map(|v| v.to_le_bytes());
+    bytes.iter_mut().zip(numbers.chain(small).chain(*colour)).for_each(|(byte, value)| *byte = value);
+    xxh3_128(&bytes)
+}
+
 /// Result of the first pass over splats.
 pub(super) struct SplatRead<'a> {
     /// Splats counted as if they were points, with the bounds of their solid parts.
     pub read: Read,
     pub counts: SplatCounts,
     pub scenes: Vec<Scene<'a>>,
+    /// Hashes of the splats of each file, in any order; 0 unless a part is converted.
+    pub hashes: Vec<u128>,
     pub complete: bool,
 }
 
@@ -307,33 +337,47 @@ pub(super) fn read_splats<'a>(
     options: &ConvertOptions,
     plan: &Plan,
     store: &RunStore,
-    build_bytes: u64,
-    colouring: Option<Colouring>,
+    MeshReading { build_bytes, scope, colouring }: MeshReading<'_>,
     monitor: &dyn Monitor,
 ) -> Result<SplatRead<'a>> {
-    let mut all = SplatRead { read: Read::NOTHING, counts: SplatCounts::default(), scenes: Vec::new(), complete: true };
+    let mut all = SplatRead {
+        read: Read::NOTHING,
+        counts: SplatCounts::default(),
+        scenes: Vec::new(),
+        hashes: Vec::new(),
+        complete: true,
+    };
     if set.is_empty() {
         return Ok(all);
     }
     monitor.stage("reading splats", set.count, "splats");
-    let placing = Placing::of(options);
     for path in &set.paths {
         let mut reader = SplatReader::open(path, &reading(options))?;
+        let placing = Placing::of(options, set.placement, reader.format());
         let failed = AtomicBool::new(false);
         let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
         let (send, receive) = crossbeam_channel::bounded::<Vec<Splat>>(options.threads);
-        let work = || -> Result<(Read, SplatCounts)> {
+        let work = || -> Result<(Read, SplatCounts, u128)> {
             let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
+            if let Some(scope) = scope {
+                runs = runs.only(scope.keeps());
+            }
             let mut builder = EllipsoidBuilder::new(plan);
             if let Some(Colouring { scale, with_points }) = colouring {
-                builder = builder
-                    .colouring(scale, RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points));
+                let mut values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
+                if let Some(scope) = scope {
+                    values = values.only(scope.keeps());
+                }
+                builder = builder.colouring(scale, values);
             }
-            let (mut read, mut counts) = (Read::NOTHING, SplatCounts::default());
+            let (mut read, mut counts, mut hash) = (Read::NOTHING, SplatCounts::default(), 0u128);
             for batch in &receive {
                 for splat in &batch {
                     if cancelled() {
                         return Err(Error::Interrupted);
+                    }
+                    if scope.is_some() {
+                        hash = hash.wrapping_add(hash_of(splat));
                     }
                     let Some(ellipsoid) = placing.solid(splat, &mut counts) else { continue };
                     let (min, max) = ellipsoid.bounds();
@@ -345,7 +389,7 @@ pub(super) fn read_splats<'a>(
             }
             builder.flush(&mut runs, store)?;
             runs.flush(store)?;
-            Ok((read, counts))
+            Ok((read, counts, hash))
         };
         let (summary, done) = std::thread::scope(|scope| {
             let cancelled = &cancelled;
@@ -370,8 +414,9 @@ pub(super) fn read_splats<'a>(
             (summary, done) => (Some(summary?), done?),
         };
         let Some(summary) = summary else { return Err(Error::Interrupted) };
-        let mut of_file = Read::NOTHING;
-        for (read, counts) in done {
+        let (mut of_file, mut of_hash) = (Read::NOTHING, 0u128);
+        for (read, counts, hash) in done {
+            of_hash = of_hash.wrapping_add(hash);
             of_file.merge(&read);
             all.counts.add(&counts);
         }
@@ -381,11 +426,14 @@ pub(super) fn read_splats<'a>(
         if of_file.min[0] <= of_file.max[0] {
             all.scenes.push(Scene { path, min: of_file.min, max: of_file.max });
         }
+        all.hashes.push(of_hash);
         all.read.merge(&of_file);
     }
     let (read, left_out) = (all.counts.read, all.counts.left_out());
     all.read.counts.read = read;
-    all.read.own.kept = read - left_out;
-    all.read.own.left_out = PointCounts { read: left_out, ..Read::NOTHING.counts };
+    if scope.is_none_or(ShardScope::owns_meshes) {
+        all.read.own.kept = read - left_out;
+        all.read.own.left_out = PointCounts { read: left_out, ..Read::NOTHING.counts };
+    }
     Ok(all)
 }

@@ -3,6 +3,7 @@
 use super::pages::{Writing, write_archive};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
+use super::upright::Turn;
 use super::{ConvertOptions, Limits, PixelSize};
 use crate::archive::ArchiveWriter;
 use crate::input::{FARTHEST_M, PointBatch, PointCounts};
@@ -67,6 +68,10 @@ impl PointWriter {
             let reason = "the pixel size cannot follow from points that are still to come; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));
         };
+        if options.turn != Turn::None {
+            let reason = "points that are not there yet have no floor; turn them by the placement";
+            return Err(Error::parameter(Parameter::Other("up".into()), reason));
+        }
         if options.tolerance_auto {
             let reason = "the noise of points that are still to come is unknown; give the tolerance in metres";
             return Err(Error::parameter(Parameter::Tolerance, reason));
@@ -107,12 +112,13 @@ impl PointWriter {
             let reason = format!("{} x, {} y and {} z are no points", x.len(), y.len(), z.len());
             return Err(Error::parameter("points", reason));
         }
-        let up = self.plan.options.up;
+        let (up, placement) = (self.plan.options.up, self.options.placement);
         for start in (0..x.len()).step_by(PIECE) {
             let range = start..(start + PIECE).min(x.len());
             self.piece.clear();
             for at in range.clone() {
                 let point = up.turn([x[at], y[at], z[at]]);
+                let point = placement.map_or(point, |placement| placement.apply(point));
                 if point.iter().all(|v| v.abs() <= FARTHEST_M) {
                     self.piece.push(point);
                 }
@@ -151,6 +157,8 @@ impl PointWriter {
             shard: None,
             spacing: None,
             noise: None,
+            up: None,
+            placement: options.placement,
             crs: self.crs,
             units,
             texts: Vec::new(),

@@ -2,8 +2,9 @@
 //!
 //! Input: whole records as bytes, in the layout of a LAS file. Output: kept points in a [`PointBatch`].
 //! The arithmetic is exactly `(raw · scale + offset) · unit` in `f64`, each step rounded once (no fused operation),
-//! followed by the rotation to z up, so that an independent reader gets the same bits.
+//! followed by the rotation to z up and the placement, if there is one, so that an independent reader gets the same bits.
 
+use crate::placement::Similarity;
 use crate::plan::{ClassSet, Up};
 use crate::{PointBatch, PointCounts};
 
@@ -18,6 +19,8 @@ pub(super) struct Transform {
     /// Metres per file unit along the file's x, y and z.
     pub unit: [f64; 3],
     pub up: Up,
+    /// Placement of the points (m, z up).
+    pub placement: Option<Similarity>,
 }
 
 impl Transform {
@@ -33,7 +36,7 @@ impl Transform {
 
     /// Returns the point of a record (m, z up).
     pub(super) fn point(&self, record: &[u8]) -> [f64; 3] {
-        self.up.turn(self.place(record))
+        self.placed(self.up.turn(self.place(record)))
     }
 
     /// Returns whether every raw value yields a coordinate within [`FARTHEST_M`].
@@ -44,8 +47,23 @@ impl Transform {
     /// Converts a corner from file units to metres, z up; `None` if not finite.
     pub(super) fn corner(&self, at: [f64; 3]) -> Option<[f64; 3]> {
         let m = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
-        let turned = self.up.turn(m);
-        turned.iter().all(|v| v.is_finite()).then_some(turned)
+        let placed = self.placed(self.up.turn(m));
+        placed.iter().all(|v| v.is_finite()).then_some(placed)
+    }
+
+    fn placed(&self, at: [f64; 3]) -> [f64; 3] {
+        self.placement.map_or(at, |placement| placement.apply(at))
+    }
+
+    /// Converts a box from file units to metres, z up: a box that holds the placed one. `None` if not finite.
+    pub(super) fn bounds(&self, a: [f64; 3], b: [f64; 3]) -> Option<([f64; 3], [f64; 3])> {
+        let unplaced = Self { placement: None, ..*self };
+        let (a, b) = (unplaced.corner(a)?, unplaced.corner(b)?);
+        let pick = |f: fn(f64, f64) -> f64| std::array::from_fn(|axis| f(a[axis], b[axis]));
+        let (min, max) = (pick(f64::min), pick(f64::max));
+        let Some(placement) = self.placement else { return Some((min, max)) };
+        let (min, max) = placement.apply_to_box(min, max);
+        min.iter().chain(&max).all(|v| v.is_finite()).then_some((min, max))
     }
 }
 
@@ -181,6 +199,7 @@ pub(super) fn convert(
         std::mem::swap(&mut batch.y, &mut batch.z);
         batch.y.iter_mut().for_each(|y| *y = -*y);
     }
+    transform.placement.iter().for_each(|placement| placement.apply_to(batch.columns()));
 }
 
 fn whole<const STRIDE: usize>(records: &[u8], transform: &Transform, batch: &mut PointBatch) {
@@ -254,7 +273,8 @@ mod tests {
         (batch, counts)
     }
 
-    const PLAIN: Transform = Transform { scale: [0.01; 3], offset: [1.0, -2.0, 3.0], unit: [1.0; 3], up: Up::Z };
+    const PLAIN: Transform =
+        Transform { scale: [0.01; 3], offset: [1.0, -2.0, 3.0], unit: [1.0; 3], up: Up::Z, placement: None };
 
     #[test]
     fn every_stride_gives_the_same_exact_coordinates() {

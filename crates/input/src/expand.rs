@@ -18,9 +18,11 @@ use std::path::{Path, PathBuf};
 /// - A file is accepted whatever its name; its signature decides later.
 /// - A directory stands for the scans directly in it, by extension in any case: `.las`, `.laz`, `.e57`, `.pcd`,
 ///   `.pts`, `.ptx`, `.xyz`, the last three also with `.gz` or `.zst`. Subdirectories are not entered, because tiles of
-///   one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
+///   one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them. A directory without scans
+///   stands for the Gaussian splats directly in it, by extension.
 /// - A path that does not exist and contains `*`, `?` or `[` is a pattern. It finds files with these extensions, and
-///   meshes and PLY only if the pattern has the same extension, because an export beside the scans is not input.
+///   meshes, PLY and Gaussian splats only if the pattern has the same extension, because an export beside the scans is
+///   not input. A pattern that ends in `meta.json` or `lod-meta.json` finds folders of splats.
 ///   Neither are tables: `.txt` and `.csv` must be named individually.
 ///
 /// With `diagnostics`, unreadable inputs are recorded there and reported to `monitor`, unless nothing else is left.
@@ -103,7 +105,7 @@ fn expand_one(
                 None => Err(error),
             };
             pattern::walk(input, monitor, &mut failed, &mut |path| {
-                if is_scan(path) || is_mesh_named(path) && same_ending(path, input) {
+                if is_scan(path) || is_export(path) && same_ending(path, input) || is_splat_folder(path, input) {
                     found.push(path.to_path_buf());
                 }
             })?;
@@ -184,6 +186,17 @@ fn is_scan(path: &Path) -> bool {
         || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
 }
 
+/// Returns whether the name has the extension of a mesh or of Gaussian splats.
+fn is_export(path: &Path) -> bool {
+    is_mesh_named(path) || cloud::splat_named(path).is_some()
+}
+
+/// Returns whether a file describes a folder of splats, and a pattern asks for its name.
+fn is_splat_folder(path: &Path, pattern: &Path) -> bool {
+    let name = path.file_name();
+    name == pattern.file_name() && name.is_some_and(|name| name == "meta.json" || name == "lod-meta.json")
+}
+
 /// Returns whether the name has the extension of a mesh.
 fn is_mesh_named(path: &Path) -> bool {
     const ENDINGS: [&str; 5] = ["obj", "ply", "stl", "gltf", "glb"];
@@ -205,12 +218,17 @@ fn has_signature_of_scan(path: &Path) -> bool {
 
 fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
     let before = found.len();
+    let mut splats = Vec::new();
     let list = |e| Error::io(path, "list", e);
     for entry in fs::read_dir(path).map_err(list)? {
         let file = entry.map_err(list)?.path();
-        if is_scan(&file) && !file.is_dir() {
-            found.push(file);
+        let (scan, splat) = (is_scan(&file), cloud::splat_named(&file).is_some());
+        if (scan || splat) && !file.is_dir() {
+            (if scan { &mut *found } else { &mut splats }).push(file);
         }
+    }
+    if found.len() == before {
+        found.append(&mut splats);
     }
     if found.len() == before {
         let reason = "no scan lies in it (name .txt, .csv and .ply explicitly); directories inside are not entered, \

@@ -124,7 +124,13 @@ impl ScanFile {
         findings.notes.append(&mut records.notes);
         let georeference = crs::Georeference::read(&records, header.says_wkt);
         let (reference, unit) = settle(path, georeference, options, findings)?;
-        let transform = Transform { scale: header.scale, offset: header.offset, unit, up: options.up };
+        let transform = Transform {
+            scale: header.scale,
+            offset: header.offset,
+            unit,
+            up: options.up,
+            placement: options.placement,
+        };
         let content = match (&records.laszip, header.compressed) {
             (Some(body), true) => {
                 let packing = common.packing(&source, body, options.memory_bytes)?;
@@ -199,7 +205,13 @@ impl ScanFile {
             points_at: 0,
             points_stated: cloud.points_stated(),
             bounds: [[f64::NAN; 3]; 2],
-            transform: Transform { scale: [1.0; 3], offset: [0.0; 3], unit, up: options.up },
+            transform: Transform {
+                scale: [1.0; 3],
+                offset: [0.0; 3],
+                unit,
+                up: options.up,
+                placement: options.placement,
+            },
             content: Content::Cloud(cloud),
             widen: false,
             text: text.map(Box::new),
@@ -375,8 +387,9 @@ impl ScanFile {
 
     /// Returns the XXH3-128 of everything in the header that affects coordinates.
     pub(super) fn hash(&self) -> u128 {
-        let Transform { scale, offset, unit, .. } = self.transform;
-        let numbers = [scale, offset, unit].concat().into_iter().flat_map(f64::to_le_bytes);
+        let Transform { scale, offset, unit, placement, .. } = self.transform;
+        let placement = placement.into_iter().flat_map(|placement| placement.matrix());
+        let numbers = [scale, offset, unit].concat().into_iter().chain(placement).flat_map(f64::to_le_bytes);
         let counts = [self.points_at, self.points_expected(), u64::from(self.record_bytes), u64::from(self.format)];
         let state = match &self.content {
             Content::Cloud(cloud) => cloud.state(),
@@ -402,15 +415,16 @@ impl ScanFile {
     pub fn bounds_stated(&self) -> Option<StatedBounds> {
         let [a, b] = self.bounds;
         let in_order = (0..3).all(|axis| a[axis] <= b[axis]);
-        let (a, b) = (self.transform.corner(a)?, self.transform.corner(b)?);
-        let pick = |f: fn(f64, f64) -> f64| std::array::from_fn(|axis| f(a[axis], b[axis]));
-        in_order.then_some(StatedBounds { min: pick(f64::min), max: pick(f64::max) })
+        let (min, max) = self.transform.bounds(a, b)?;
+        in_order.then_some(StatedBounds { min, max })
     }
 
     /// Returns whether the stated bounds differ from `min` and `max` of the points by more than one coordinate step.
     /// The stated bounds may be larger unless `all` points of the file are covered.
     pub fn bounds_disagree(&self, min: [f64; 3], max: [f64; 3], all: bool) -> bool {
         let Some(stated) = self.bounds_stated() else { return self.has_header() };
+        // Turned bounds are larger than those of the turned points.
+        let all = all && self.transform.placement.is_none();
         (0..3).any(|axis| {
             let slack = self.slack(min[axis], max[axis]);
             let (below, above) = (stated.min[axis] - min[axis], max[axis] - stated.max[axis]);
@@ -437,9 +451,10 @@ impl ScanFile {
     /// Tolerance for comparing a coordinate between `min` and `max` with the header (m): one step of the largest scale,
     /// plus rounding.
     fn slack(&self, min: f64, max: f64) -> f64 {
+        let factor = self.transform.placement.map_or(1.0, |placement| placement.factor());
         let step =
             (0..3).map(|axis| (self.transform.scale[axis] * self.transform.unit[axis]).abs()).fold(0.0, f64::max);
-        step + 1e-9 * min.abs().max(max.abs())
+        factor * step + 1e-9 * min.abs().max(max.abs())
     }
 }
 

@@ -46,11 +46,12 @@ use self::convert::{Filter, Layout};
 use self::file::Common;
 use crate::bytes::address;
 use crate::colour::ColourSource;
+use crate::placement::Similarity;
 use crate::plan::{ClassSet, Up};
 use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use diagnostics::{Diagnostics, Findings};
-use slicewalk_base::{Error, Monitor, Parameter, Result, Warning, bytes, colour, plan, text, unit};
+use slicewalk_base::{Error, Monitor, Parameter, Result, Warning, bytes, colour, placement, plan, text, unit};
 
 pub use self::cloud::{Depth, Standpoint};
 pub use self::columns::{Columns, TextColumn, TextLayout};
@@ -103,6 +104,8 @@ pub struct InputOptions {
     pub columns: Option<Columns>,
     /// Axis of the files that points up.
     pub up: Up,
+    /// Placement of all points, in metres with z up; `None` leaves them in place.
+    pub placement: Option<Similarity>,
     /// LAS classes to leave out: class `c` is bit `c % 64` of word `c / 64`.
     pub exclude_classes: ClassSet,
     /// Byte limit for one compressed LAZ chunk in one decoder, and for all chunk tables of the set together.
@@ -124,6 +127,7 @@ impl Default for InputOptions {
             epsg: None,
             columns: None,
             up: Up::Z,
+            placement: None,
             exclude_classes: ClassSet::default(),
             memory_bytes: 64 << 20,
             colour: None,
@@ -183,6 +187,10 @@ impl PointBatch {
         for (column, value) in [&mut self.x, &mut self.y, &mut self.z].into_iter().zip(point) {
             column.push(value);
         }
+    }
+
+    fn columns(&mut self) -> [&mut [f64]; 3] {
+        [&mut self.x, &mut self.y, &mut self.z]
     }
 
     fn resize(&mut self, points: usize) {
@@ -320,6 +328,19 @@ impl InputSet {
         let diagnostics = Diagnostics::default();
         let paths = expand::expand(inputs, options.allow_incomplete.then_some(&diagnostics), monitor)?;
         Self::with(paths, diagnostics, options, monitor)
+    }
+
+    /// Like [`open`](Self::open), but sets the files aside for which `is_apart` is true, and returns their paths.
+    pub fn open_apart(
+        inputs: &[PathBuf],
+        is_apart: &dyn Fn(&Path) -> bool,
+        options: InputOptions,
+        monitor: &dyn Monitor,
+    ) -> Result<(Self, Vec<PathBuf>)> {
+        let diagnostics = Diagnostics::default();
+        let paths = expand::expand(inputs, options.allow_incomplete.then_some(&diagnostics), monitor)?;
+        let (apart, paths) = paths.into_iter().partition(|path| is_apart(path));
+        Ok((Self::with(paths, diagnostics, options, monitor)?, apart))
     }
 
     /// Like [`open`](Self::open), but takes the files that [`expand_inputs`] found; there may be none.
@@ -528,6 +549,12 @@ impl InputSet {
     /// Sets the source of colour values to read from now on.
     pub fn set_colour(&mut self, source: Option<ColourSource>) {
         self.options.colour = source;
+    }
+
+    /// Sets the placement of all points, in metres with z up.
+    pub fn set_placement(&mut self, placement: Option<Similarity>) {
+        self.options.placement = placement;
+        self.files.iter_mut().for_each(|file| file.transform.placement = placement);
     }
 
     /// Sets the kind of tag to read from now on.

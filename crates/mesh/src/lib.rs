@@ -17,7 +17,9 @@ pub mod sample;
 
 pub use read::{MeshBatch, MeshCounts, MeshFeed, MeshOptions, MeshSet};
 pub use slicewalk_base::raster::{self, Triangle};
-use slicewalk_base::{Error, Monitor, Parameter, Result, Warning, bytes, colour, disk, frame, plan, text, unit};
+use slicewalk_base::{
+    Error, Monitor, Parameter, Result, Warning, bytes, colour, disk, frame, placement, plan, text, unit,
+};
 use slicewalk_input as input;
 
 /// How triangles become voxels.

@@ -7,13 +7,13 @@ mod values;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use signal_hook::{consts, flag};
-use slicewalk::plan::{Classifier, Up};
+use slicewalk::plan::Classifier;
 use slicewalk::{Error, Monitor, Parameter};
 use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk_base::text::{counted, finite_number, whole_number};
 use slicewalk_convert::size::parse_size;
 use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, Preview, Report, convert, preview};
-use slicewalk_convert::{PlanFile, ShardOptions, Tolerance};
+use slicewalk_convert::{PlanFile, ShardOptions, Tolerance, Turn};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
 use slicewalk_terminal::{Terminal, say};
@@ -23,7 +23,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
-use values::{classes, epsg, length, part, scale_from, transform};
+use values::{UpChoice, classes, epsg, length, part, scale_from, transform};
 
 /// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (PLY,
 /// SPZ, SOG, .splat, .ksplat, glTF) of any size into one slice archive, in bounded memory.
@@ -114,9 +114,10 @@ struct Arguments {
     /// the archive marks inferred floor. Takes one more pass, and temporary data of about the archive's size
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     fill_holes: Option<f64>,
-    /// Axis of the input that points up (glTF files state it)
-    #[arg(long, value_enum, default_value_t = Axis::Z)]
-    up: Axis,
+    /// Axis of the input that points up (glTF files state it), or `auto` for scans and splats: the floor shows it, or it
+    /// is refused as not sure, which takes one more pass over the input
+    #[arg(long, default_value = "z", allow_hyphen_values = true, value_name = "auto|z|y|x|-z|-y|-x")]
+    up: UpChoice,
     /// Unit of the input: `auto` takes it from the CRS; else metres, feet, US survey feet, or metres per unit
     #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR")]
     units: Units,
@@ -139,8 +140,8 @@ struct Arguments {
     /// Gaussian splats: unit from a known distance, two places in the file's coordinates and the metres between them
     #[arg(long, num_args = 3, conflicts_with = "units", allow_hyphen_values = true, value_names = ["X,Y,Z", "X,Y,Z", "METRES"])]
     scale_from: Vec<String>,
-    /// Gaussian splats: place them, after --units and --up, by the 4 × 4 matrix in a text file (16 numbers, row by row; a
-    /// rotation, one scale and a shift)
+    /// Place the input, after --units and --up, by the 4 × 4 matrix in a text file (16 numbers, row by row; a rotation,
+    /// one scale and a shift)
     #[arg(long, value_name = "MATRIX.txt")]
     transform: Option<PathBuf>,
     /// How meshes become voxels
@@ -212,12 +213,6 @@ enum Surfaces {
     Exact,
     /// Points a pixel apart, as in the thesis; misses pixels
     Sampled,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Axis {
-    Z,
-    Y,
 }
 
 /// Result of a run.
@@ -332,6 +327,9 @@ fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
         Error::Parameter { what: Parameter::AutomaticPixelSize, reason } => {
             (format!("--pixel auto: {reason}"), ExitCode::FAILURE)
         }
+        Error::Parameter { what: Parameter::Other(name), reason } if name == "automatic up" => {
+            (format!("--up auto: {reason}"), ExitCode::FAILURE)
+        }
         Error::Parameter { what, reason } => match option_of(what) {
             Some(option) => (format!("{option}: {reason}"), ExitCode::from(2)),
             None => (error.to_string(), ExitCode::FAILURE),
@@ -371,6 +369,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::FillHoles => "--fill-holes",
         Parameter::Colour => "--colour",
         Parameter::ColourError => "--colour-error",
+        Parameter::Other(name) if name == "up" => "--up",
         Parameter::Splats("opacity") => "--opacity",
         Parameter::Splats("least opacity") => "--min-opacity",
         Parameter::Splats("greatest size") => "--max-size",
@@ -404,10 +403,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.fill_holes_m = arguments.fill_holes;
     options.stations = arguments.stations.clone();
     options.removed = arguments.removed.clone();
-    options.plan.up = match arguments.up {
-        Axis::Z => Up::Z,
-        Axis::Y => Up::Y,
-    };
+    (options.plan.up, options.turn) = (arguments.up.axis, arguments.up.turn);
     options.units = arguments.units;
     if let [from, to, metres] = &arguments.scale_from[..] {
         options.units = scale_from(from, to, metres).map_err(|why| Failure::Usage(format!("--scale-from: {why}")))?;
@@ -416,7 +412,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.splats.min_opacity = arguments.min_opacity;
     options.splats.max_size_m = arguments.max_size;
     if let Some(path) = &arguments.transform {
-        options.splats.placement = Some(transform(path)?);
+        options.placement = Some(transform(path)?);
     }
     options.epsg = arguments.crs;
     options.columns = arguments.columns;
@@ -461,6 +457,12 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
     };
     let same_holes = wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes);
     let same_tolerance = planned.plan_file.as_ref().is_some_and(|file| file.has_tolerance_of(wanted));
+    // The plan holds one placement, which follows from both options.
+    let found = planned.plan_file.as_ref().and_then(|file| file.up);
+    let placement = wanted.placement_with(found.as_ref());
+    let same_placement = placement == planned.placement;
+    let same_up = wanted.plan.up == planned.plan.up && (wanted.turn == Turn::Auto) == found.is_some();
+    let same_up = same_up && (same_placement || wanted.placement.is_none() && wanted.turn == Turn::Auto);
     // The plan holds what `auto` found.
     let same_colour = wanted.colour == ColourMode::Auto || wanted.colour == planned.colour;
     let options = [
@@ -475,8 +477,13 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("drop_floaters", "--drop-floaters", wanted.plan.drop_floaters == planned.plan.drop_floaters),
         ("remove_moving", "--remove-moving", wanted.plan.remove_moving == planned.plan.remove_moving),
         ("fill_holes", "--fill-holes", same_holes),
-        ("up", "--up", wanted.plan.up == planned.plan.up),
+        ("up", "--up", same_up),
+        ("transform", "--transform", same_placement),
+        ("opacity", "--opacity", wanted.splats.opacity == planned.splats.opacity),
+        ("min_opacity", "--min-opacity", wanted.splats.min_opacity == planned.splats.min_opacity),
+        ("max_size", "--max-size", wanted.splats.max_size_m == planned.splats.max_size_m),
         ("units", "--units", wanted.units == planned.units),
+        ("scale_from", "--scale-from", wanted.units == planned.units),
         ("crs", "--crs", wanted.epsg == planned.epsg),
         ("columns", "--columns", wanted.columns == planned.columns),
         ("mesh", "--mesh", wanted.mesh == planned.mesh),

@@ -6,9 +6,10 @@ use slicewalk::archive::Header;
 use slicewalk::plan::{Noise, Plan};
 use slicewalk_base::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, place, rounded};
 use slicewalk_convert::info::{
-    colour_words, crs_name, noise_in_words, noise_info, plan_info, slice_count, unit_info, units_in_words,
+    colour_words, crs_name, noise_in_words, noise_info, placing_info, plan_info, slice_count, splat_info, unit_info,
+    units_in_words, up_in_words,
 };
-use slicewalk_convert::{PlanFile, Preview, Report};
+use slicewalk_convert::{PlanFile, Preview, Report, SplatCounts, UpFound};
 use slicewalk_input::TextLayout;
 use slicewalk_input::spacing::Spacing;
 use slicewalk_terminal::say;
@@ -27,6 +28,7 @@ pub fn print(result: impl Display) {
 }
 
 pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
+    say_up(arguments, file.up.as_ref());
     if arguments.json {
         let mut out = BufWriter::new(std::io::stdout().lock());
         let _ = file.write_text(&mut out).and_then(|()| out.flush());
@@ -51,7 +53,13 @@ fn of_tolerance(plan: &Plan, noise: &Noise) -> String {
     format!("tolerance {} m: {}{finer}", number(plan.options.tolerance_m), noise_in_words(noise))
 }
 
+/// Says which direction was found to point up.
+fn say_up(arguments: &Arguments, up: Option<&UpFound>) {
+    up.filter(|_| !arguments.quiet).iter().for_each(|up| say(&format!("--up auto: {}", up_in_words(up))));
+}
+
 pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
+    say_up(arguments, report.up.as_ref());
     if arguments.json {
         let mut facts = report.info();
         facts["seconds"] = seconds.into();
@@ -59,6 +67,21 @@ pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
     } else if !arguments.quiet {
         summary(arguments, report, seconds);
     }
+}
+
+/// Describes how many splats would be left out, and why.
+fn of_splats(splats: &SplatCounts) -> String {
+    let reasons = [
+        (splats.transparent, "below --opacity everywhere"),
+        (splats.faint, "below --min-opacity"),
+        (splats.large, "above --max-size"),
+        (splats.unusable, "unusable"),
+    ];
+    let reasons = reasons.iter().filter(|(count, _)| *count > 0);
+    let reasons: Vec<_> = reasons.map(|(count, why)| format!("{} {why}", grouped(*count))).collect();
+    let left_out = splats.left_out();
+    let why = if left_out > 0 { format!(" ({})", reasons.join(", ")) } else { String::new() };
+    format!("{}, {} of them left out{why}", counted(splats.read, "splat"), grouped(left_out))
 }
 
 /// Prints a short summary.
@@ -156,6 +179,7 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
 }
 
 pub fn of_preview(arguments: &Arguments, preview: &Preview) {
+    say_up(arguments, preview.up.as_ref());
     let bytes: u64 = preview.inputs.iter().map(|input| input.bytes).sum();
     let points = preview.inputs.iter().filter_map(|input| input.points).fold(0, u64::saturating_add);
     let temp_dir = arguments.temp_dir.clone().unwrap_or_else(std::env::temp_dir);
@@ -180,6 +204,8 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
         if let Some(noise) = &preview.noise {
             facts["tolerance_auto"] = noise_info(noise);
         }
+        splat_info(&mut facts, &preview.splats);
+        placing_info(&mut facts, preview.up.as_ref(), preview.placement.as_ref());
         facts["memory_bytes"] = arguments.memory.into();
         facts["temp_bytes"] = preview.temp_bytes.into();
         facts["temp_dir"] = temp_dir.to_string_lossy().into();
@@ -203,6 +229,9 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
         rows.push(("", format!("and {} more", grouped((files - MOST_LISTED) as u64))));
     }
     rows.push(("points", format!("{} stated", grouped(points))));
+    if preview.splats.read > 0 {
+        rows.push(("splats", of_splats(&preview.splats)));
+    }
     rows.push((
         "extent",
         preview.bounds.map_or("unknown".into(), |(min, max)| {

@@ -1,11 +1,13 @@
 //! Values of options, with messages for wrong ones.
 
 use slicewalk::Error;
-use slicewalk_convert::Similarity;
+use slicewalk::plan::Up;
+use slicewalk_convert::{Similarity, Turn};
 use slicewalk_input::Units;
 use std::io::Read;
 use std::ops::RangeInclusive;
 use std::path::Path;
+use std::str::FromStr;
 
 pub fn length(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -20,6 +22,32 @@ pub fn classes(text: &str) -> Result<RangeInclusive<u8>, String> {
     match (first.trim().parse(), last.trim().parse()) {
         (Ok(first), Ok(last)) if first <= last => Ok(first..=last),
         _ => Err("expected classes from 0 to 255 and ranges of them, such as 7,18,64-255".into()),
+    }
+}
+
+/// Choice of the direction that points up.
+#[derive(Debug, Clone, Copy)]
+pub struct UpChoice {
+    pub axis: Up,
+    /// Turn of scans and splats, if meshes cannot be turned likewise.
+    pub turn: Turn,
+}
+
+impl FromStr for UpChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (axis, turn) = match text {
+            "z" => (Up::Z, Turn::None),
+            "y" => (Up::Y, Turn::None),
+            "x" => (Up::Z, Turn::From([1.0, 0.0, 0.0])),
+            "-x" => (Up::Z, Turn::From([-1.0, 0.0, 0.0])),
+            "-y" => (Up::Z, Turn::From([0.0, -1.0, 0.0])),
+            "-z" => (Up::Z, Turn::From([0.0, 0.0, -1.0])),
+            "auto" => (Up::Z, Turn::Auto),
+            _ => return Err("expected auto, z, y, x, -z, -y or -x".into()),
+        };
+        Ok(Self { axis, turn })
     }
 }
 

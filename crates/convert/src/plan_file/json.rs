@@ -1,13 +1,16 @@
 //! Plan files as JSON.
 
+use super::super::splats::SplatRules;
+use super::super::upright::UpFound;
 use super::{InputFacts, PlanFile, Stated};
 use crate::bytes::{ByteSource, open_named};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::Frame;
-use crate::info::noise_info;
+use crate::info::{noise_info, up_info};
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
 use crate::output::{Existing, Output, OutputKind, PLAN_KEY, Protected};
+use crate::placement::Similarity;
 use crate::plan::{ClassSet, Classifier, Noise, Plan, PlanOptions, Up};
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
@@ -62,6 +65,13 @@ impl PlanFile {
                 "error": f64::from(error_milli) / 1000.0,
             })),
             "point_spacing": self.spacing_m,
+            "placement": self.placement.map(|placement| placement.matrix()),
+            "up_auto": self.up.as_ref().map(up_info),
+            "splats": {
+                "opacity": self.splats.opacity,
+                "min_opacity": self.splats.min_opacity,
+                "max_size": self.splats.max_size_m,
+            },
             "tolerance_auto": self.noise.as_ref().map(noise_info),
             "stated": self.stated.as_ref().map(|Stated { crs, units }| json!({
                 "reference_system": crs,
@@ -344,6 +354,18 @@ fn from_json(Read { facts, inputs }: Read) -> Result<PlanFile, Wrong> {
         colour,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         // Missing in plans of earlier builds.
+        up: match value.get("up_auto") {
+            None | Some(Value::Null) => None,
+            Some(up) => Some(up_from_json(up)?),
+        },
+        placement: match value.get("placement") {
+            None | Some(Value::Null) => None,
+            Some(matrix) => Some(placement_from_json(matrix)?),
+        },
+        splats: match value.get("splats") {
+            None => SplatRules::default(),
+            Some(rules) => splats_from_json(rules)?,
+        },
         noise: match value.get("tolerance_auto") {
             None | Some(Value::Null) => None,
             Some(noise) => Some(noise_from_json(noise)?),
@@ -374,6 +396,43 @@ fn stated_from_json(value: &Value) -> Result<Stated, Wrong> {
         })
     })();
     stated.map_err(|wrong: Wrong| Wrong { at: format!("stated.{}", wrong.at), ..wrong })
+}
+
+fn placement_from_json(value: &Value) -> Result<Similarity, Wrong> {
+    let wrong = |why: String| Wrong::new("placement", format!("a matrix of 16 numbers, but {why}"));
+    let numbers = value.as_array().and_then(|numbers| numbers.iter().map(number).collect::<Option<Vec<_>>>());
+    let matrix = numbers.and_then(|numbers| <[f64; 16]>::try_from(numbers).ok());
+    Similarity::of_matrix(matrix.ok_or_else(|| wrong("it is none".into()))?).map_err(wrong)
+}
+
+fn up_from_json(value: &Value) -> Result<UpFound, Wrong> {
+    let direction = |v: &Value| {
+        let [x, y, z] = &v.as_array()?[..] else { return None };
+        Some([number(x)?, number(y)?, number(z)?])
+    };
+    let found = (|| {
+        Ok(UpFound {
+            up: field(value, "direction", "three numbers", direction)?,
+            sure: field(value, "sure", "a number from 0 to 1", number)?,
+            floor_m2: field(value, "floor_m2", "an area", number)?,
+            next_m2: field(value, "next_m2", "an area", number)?,
+        })
+    })();
+    found.map_err(|wrong: Wrong| Wrong { at: format!("up_auto.{}", wrong.at), ..wrong })
+}
+
+fn splats_from_json(value: &Value) -> Result<SplatRules, Wrong> {
+    let size = |v: &Value| if v.is_null() { Some(None) } else { number(v).map(Some) };
+    let rules = (|| {
+        Ok(SplatRules {
+            opacity: field(value, "opacity", "an opacity", number)?,
+            min_opacity: field(value, "min_opacity", "an opacity", number)?,
+            max_size_m: field(value, "max_size", "a length in metres or null", size)?,
+        })
+    })();
+    let rules: SplatRules = rules.map_err(|wrong: Wrong| Wrong { at: format!("splats.{}", wrong.at), ..wrong })?;
+    rules.check().map_err(|error| Wrong::new("splats", format!("rules within their limits, but {error}")))?;
+    Ok(rules)
 }
 
 fn noise_from_json(value: &Value) -> Result<Noise, Wrong> {
@@ -478,7 +537,25 @@ mod tests {
                 crs: flags.0.then(|| "EPSG:25832".to_owned()),
                 units: vec![LengthUnit { horizontal_m: 0.3048, vertical_m: 1.0 }],
             });
-            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, colour, spacing_m, noise, stated, inputs };
+            let placement = flags.1.then(|| Similarity::parse("0 -2 0 1.5\n2 0 0 -3\n0 0 2 1e6\n0 0 0 1").unwrap());
+            let up = flags.0.then_some(UpFound { up: [0.0, pixel, -1.0], sure: 0.3, floor_m2: slice, next_m2: 0.1 });
+            let splats = SplatRules { opacity: 0.2, min_opacity: 0.25, max_size_m: flags.0.then_some(slice) };
+            let mut file = PlanFile {
+                plan,
+                units,
+                epsg,
+                columns,
+                mesh,
+                levels: rule % 2 == 0,
+                colour,
+                spacing_m,
+                up,
+                placement,
+                splats,
+                noise,
+                stated,
+                inputs,
+            };
             file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -500,7 +577,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, noise: None, stated: None, inputs: Vec::new() }.facts().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, up: None, placement: None, splats: SplatRules::default(), noise: None, stated: None, inputs: Vec::new() }.facts().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

@@ -8,7 +8,7 @@
 //! Each point counts in one part: a kept point in the part of its column, any other in the part that *owns* its file,
 //! the first that needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie, so the owner,
 //! which reads its file whole, fails if a point lies outside of them: no point is lost unnoticed. Every part reads the
-//! meshes; their triangles count in the first part, and their bounds in all.
+//! meshes and splats; their triangles and splats count in the first part, and their bounds in all.
 //!
 //! A file that changes between two parts would be in the whole in two versions. The plan knows files by samples of
 //! their bytes. In addition, each part records a hash of all that it read of files that other parts read too, computed
@@ -19,12 +19,15 @@ mod json;
 use super::Surveyed;
 use super::facts::InputFacts;
 use super::options::{ColourMode, ConvertOptions, PixelSize};
+use super::splats::SplatRules;
 use super::split::split;
+use super::upright::{Turn, UpFound};
 use crate::archive::{MAX_SHARDS, Shard};
 use crate::colour::{ColourPlan, ColourScale};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::{Columns, ScanFile, Units};
 use crate::mesh::MeshMode;
+use crate::placement::Similarity;
 use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
@@ -50,6 +53,12 @@ pub struct PlanFile {
     pub colour: Option<ColourPlan>,
     /// Measured point spacing, if the pixel size follows from it (m).
     pub spacing_m: Option<f64>,
+    /// Direction that points up, if the inputs showed it.
+    pub up: Option<UpFound>,
+    /// Placement of all inputs, the rotation upwards included.
+    pub placement: Option<Similarity>,
+    /// How Gaussian splats become solid.
+    pub splats: SplatRules,
     /// Noise of the scan, if the tolerance follows from it.
     pub noise: Option<Noise>,
     /// Statements of the headers of all inputs together; `None` in plans of earlier builds, whose parts open every
@@ -74,10 +83,6 @@ impl PlanFile {
     /// colours.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let mut inputs = super::open_inputs(options, monitor)?;
-        if let Some(path) = inputs.splats.paths().next() {
-            let reason = format!("{}: splats are converted in one run, without a plan", path.display());
-            return Err(Error::parameter(crate::Parameter::Plan, reason));
-        }
         let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
         let found = super::colours::source_of(options, &mut inputs, monitor)?;
         let set = &mut inputs.scans;
@@ -86,14 +91,32 @@ impl PlanFile {
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         let stated = Some(Stated { crs: inputs.scans.crs().map(str::to_owned), units: inputs.length_units() });
-        let file = Self::of(InputFacts::measured(&inputs.scans, options.threads, monitor)?, plan, options);
-        Ok(Self { stated, spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, colour, ..file })
+        let file =
+            Self::of(InputFacts::measured((&inputs.scans, &inputs.splats), options.threads, monitor)?, plan, options);
+        let (up, placement) = (inputs.up, inputs.placement);
+        Ok(Self { up, placement, stated, spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, colour, ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
         let ConvertOptions { units, epsg, columns, mesh, levels, .. } = *options;
         let (colour, spacing_m, noise, stated) = (None, None, None, None);
-        let mut file = Self { plan, units, epsg, columns, mesh, levels, colour, spacing_m, noise, stated, inputs };
+        let (up, placement, splats) = (None, options.placement, options.splats.clone());
+        let mut file = Self {
+            plan,
+            units,
+            epsg,
+            columns,
+            mesh,
+            levels,
+            colour,
+            spacing_m,
+            up,
+            placement,
+            splats,
+            noise,
+            stated,
+            inputs,
+        };
         file.sort_inputs();
         file
     }
@@ -126,6 +149,12 @@ impl PlanFile {
             bytes.extend(source.name().as_bytes());
             bytes.extend([low, high, error_milli].map(u16::to_le_bytes).concat());
         }
+        // Plans without them keep the hash that they had in earlier builds.
+        bytes.extend(self.placement.iter().flat_map(|placement| placement.matrix()).flat_map(f64::to_le_bytes));
+        if self.splats != SplatRules::default() {
+            let SplatRules { opacity, min_opacity, max_size_m } = self.splats;
+            bytes.extend([opacity, min_opacity, max_size_m.unwrap_or(f64::INFINITY)].map(f64::to_le_bytes).concat());
+        }
         for input in &self.inputs {
             bytes.extend(input.fingerprint.to_le_bytes());
             bytes.extend(input.points.to_le_bytes());
@@ -144,6 +173,9 @@ impl PlanFile {
         options.fill_holes_m = None;
         options.tolerance_auto = false;
         options.units = self.units;
+        options.turn = Turn::None;
+        options.placement = self.placement;
+        options.splats = self.splats.clone();
         options.epsg = self.epsg;
         options.columns = self.columns;
         options.mesh = self.mesh;
@@ -196,14 +228,17 @@ impl PlanFile {
         if let Some(name) = missing(here, self) {
             return Err(Self::left_out(&name));
         }
-        let options = |file: &Self| (file.units, file.epsg, file.columns, file.mesh);
+        let options =
+            |file: &Self| (file.units, file.epsg, file.columns, file.mesh, file.placement, file.splats.clone());
         Self::refuse_other_options(here.plan != self.plan || options(here) != options(self))
     }
 
     /// Refuses options that are not those of the plan file.
     pub(super) fn check_same_options(&self, plan: &Plan, options: &ConvertOptions) -> Result<()> {
-        let ConvertOptions { units, epsg, columns, mesh, .. } = *options;
-        let same = (units, epsg, columns, mesh) == (self.units, self.epsg, self.columns, self.mesh);
+        let ConvertOptions { units, epsg, columns, mesh, placement, .. } = *options;
+        let same = (units, epsg, columns, mesh) == (self.units, self.epsg, self.columns, self.mesh)
+            && placement == self.placement
+            && options.splats == self.splats;
         Self::refuse_other_options(*plan != self.plan || !same)
     }
 
@@ -257,6 +292,9 @@ mod tests {
             levels: true,
             colour: None,
             spacing_m: None,
+            up: None,
+            placement: None,
+            splats: SplatRules::default(),
             noise: None,
             stated: None,
             inputs: areas.iter().enumerate().map(facts).collect(),

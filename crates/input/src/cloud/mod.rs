@@ -23,6 +23,7 @@ use super::diagnostics::{Findings, without_path};
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts, TextLayout};
 use crate::colour::ColourSource;
+use crate::placement::Similarity;
 use crate::plan::{ClassSet, Up};
 use crate::text::shown;
 use crate::{Error, Monitor, Parameter, Result};
@@ -201,6 +202,7 @@ pub(super) fn open(format: Format, mut opening: Opening<'_, '_>) -> Result<Opene
 pub(super) struct Taker<'a> {
     unit: [f64; 3],
     up: Up,
+    placement: Option<Similarity>,
     exclude: Option<&'a ClassSet>,
     batch: &'a mut PointBatch,
     counts: PointCounts,
@@ -228,9 +230,23 @@ impl<'a> Taker<'a> {
         batch.cloud = 0;
         let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
         let counts = PointCounts::default();
-        let InputOptions { up, colour, allow_incomplete, .. } = *options;
+        let InputOptions { up, placement, colour, allow_incomplete, .. } = *options;
         let (refused, reason) = (false, None);
-        Self { unit, up, exclude, batch, counts, since: 0, sink, refused, colour, widen: 1, allow_incomplete, reason }
+        Self {
+            unit,
+            up,
+            placement,
+            exclude,
+            batch,
+            counts,
+            since: 0,
+            sink,
+            refused,
+            colour,
+            widen: 1,
+            allow_incomplete,
+            reason,
+        }
     }
 
     /// Scales values from 8 to 16 bits if `widen` is set.
@@ -347,6 +363,7 @@ impl<'a> Taker<'a> {
             std::mem::swap(&mut self.batch.y, &mut self.batch.z);
             self.batch.y.iter_mut().for_each(|y| *y = -*y);
         }
+        self.placement.iter().for_each(|placement| placement.apply_to(self.batch.columns()));
         let taken = (self.sink)(self.batch).inspect_err(|_| self.refused = true);
         self.batch.clear();
         self.since = 0;

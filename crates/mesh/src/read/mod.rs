@@ -19,6 +19,7 @@ use super::Triangle;
 use super::paint::Paint;
 use crate::bytes::{Regular, Stamp};
 use crate::input::{Units, is_of_input};
+use crate::placement::Similarity;
 use crate::plan::Up;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result, Warning};
@@ -39,6 +40,8 @@ pub struct MeshOptions {
     pub units: Units,
     /// Up axis of the files. Ignored for glTF, whose up axis is always y.
     pub up: Up,
+    /// Placement of all triangles, in metres with z up; `None` leaves them in place.
+    pub placement: Option<Similarity>,
     /// Most memory that a reader uses for one file (bytes).
     pub memory_bytes: u64,
     /// Folder for vertices that do not fit in memory.
@@ -58,6 +61,7 @@ impl Default for MeshOptions {
         Self {
             units: Units::Auto,
             up: Up::Z,
+            placement: None,
             memory_bytes: 64 << 20,
             temp_dir: std::env::temp_dir(),
             allow_incomplete: false,
@@ -288,7 +292,8 @@ impl MeshSet {
         let turned = self.options.up == Up::Y || self.files[number].kind == MeshFormat::Gltf;
         for corner in triangle {
             let [x, y, z] = corner.map(|v| v * factor);
-            *corner = if turned { [x, -z, y] } else { [x, y, z] };
+            let at = if turned { [x, -z, y] } else { [x, y, z] };
+            *corner = self.options.placement.map_or(at, |placement| placement.apply(at));
         }
     }
 }

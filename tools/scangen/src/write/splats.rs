@@ -3,7 +3,7 @@
 use super::Written;
 use crate::geometry::{Aabb, add, scale};
 use crate::sample::Stream;
-use crate::{Error, Result, Sample, Scene};
+use crate::{Error, Result, Sample, Scene, Truth};
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -33,7 +33,13 @@ impl SplatLook {
 /// Properties of a splat, all of them floats.
 const PROPERTIES: &str = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
 
-/// Writes one splat per sample: a disc along the surface, 0.5 to 2 times the typical size, of opacity 0.3 to 0.99.
+/// Standard deviations at which a splat still shows: training shrinks those that reach into free space.
+const SEEN: f64 = 2.0;
+/// Distance from a surface at which a splat's rim shows (m).
+const SEEN_M: f64 = 0.01;
+
+/// Writes one splat per sample: a disc along the surface, 0.5 to 2 times the typical size, of opacity 0.3 to 0.99. Discs
+/// that reach beyond an edge into free space are smaller, as after training.
 pub fn write_splats(
     path: &Path,
     scene: &Scene,
@@ -53,9 +59,20 @@ pub fn write_splats(
         let shape = &scene.surfaces()[sample.surface as usize].shape;
         let normal = shape.normal_at(sample.position);
         let mut size = |typical: f64| typical * libm::exp2(2.0 * rng.unit() - 1.0);
-        let sizes = [size(look.spread_m), size(look.spread_m), size(look.thickness_m)];
+        let mut sizes = [size(look.spread_m), size(look.spread_m), size(look.thickness_m)];
         let opacity = 0.3 + 0.69 * rng.unit();
         let rotation = turned_to(normal, rng.unit());
+        for axis in 0..2 {
+            let along = axis_of(rotation, axis);
+            let in_air = |size: f64| {
+                [-SEEN, SEEN]
+                    .iter()
+                    .any(|side| scene.distance_to_point(add(sample.position, scale(along, side * size))) > SEEN_M)
+            };
+            while sizes[axis] > look.thickness_m && in_air(sizes[axis]) {
+                sizes[axis] *= 0.7;
+            }
+        }
         put(&mut file, sample.position, sizes, rotation, opacity).map_err(io("write"))?;
         count += 1;
         found.grow(sample.position);
@@ -63,7 +80,8 @@ pub fn write_splats(
             let edge = [0, 1, 2].map(|axis| (bounds.max[axis] - bounds.min[axis]) * rng.unit());
             let mut size = |typical: f64| typical * libm::exp2(4.0 * rng.unit() - 2.0);
             let sizes = [0; 3].map(|_| size(look.spread_m));
-            let opacity = 0.02 + 0.3 * rng.unit();
+            // Most are faint, a few are not.
+            let opacity = 0.02 + 0.6 * rng.unit().powi(3);
             let at = add(bounds.min, edge);
             found.grow(at);
             put(&mut file, at, sizes, [1.0, 0.0, 0.0, 0.0], opacity).map_err(io("write"))?;
@@ -90,6 +108,14 @@ fn turned_to([x, y, z]: [f64; 3], share: f64) -> [f64; 4] {
     let length = tilt.iter().map(|v| v * v).sum::<f64>().sqrt();
     let [w, a, b, _] = tilt.map(|v| v / length);
     [w * c, a * c + b * s, b * c - a * s, w * s]
+}
+
+/// Direction of the first or second axis of a splat with this rotation.
+fn axis_of([w, x, y, z]: [f64; 4], axis: usize) -> [f64; 3] {
+    match axis {
+        0 => [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
+        _ => [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
+    }
 }
 
 fn put(file: &mut impl Write, at: [f64; 3], sizes: [f64; 3], q: [f64; 4], opacity: f64) -> std::io::Result<()> {

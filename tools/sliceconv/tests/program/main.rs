@@ -45,8 +45,10 @@ mod meshes;
 mod moving;
 mod odd_files;
 mod outputs;
+mod placing;
 mod resume;
 mod shards;
+mod splat_rooms;
 mod splats;
 #[cfg(feature = "remote")]
 mod stores;

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Centre, standard deviations, quaternion, opacity.
-type Splat = ([f64; 3], [f64; 3], [f64; 4], f64);
+pub type Splat = ([f64; 3], [f64; 3], [f64; 4], f64);
 
 fn scene(count: usize) -> Vec<Splat> {
     let mut random = Random(5);
@@ -25,7 +25,8 @@ fn scene(count: usize) -> Vec<Splat> {
         .collect()
 }
 
-fn write(path: &Path, splats: &[Splat]) {
+/// Writes splats as 3DGS PLY.
+pub fn write(path: &Path, splats: &[Splat]) {
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let mut bytes = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", splats.len()).into_bytes();
     names.split(' ').for_each(|name| bytes.extend(format!("property float {name}\n").bytes()));
@@ -114,5 +115,4 @@ fn a_matrix_and_a_distance_place_splats() {
     let line = refuses(folder.path(), &[&fixed[..], &["--transform", text(&at("m.txt"))]].concat(), 1);
     assert!(line.contains("mirrors"), "{line}");
     refuses(folder.path(), &[&fixed[..], &["--opacity", "0"]].concat(), 2);
-    refuses(folder.path(), &[&fixed[..], &["--shard", "1/2"]].concat(), 2);
 }
