@@ -72,10 +72,13 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);
     let scans = scans.map(|StatedBounds { min, max }| (min, max));
     let splats = opened.splats.bounds(options, monitor)?;
-    let bounds = scans.chain(meshes.bounds(monitor)?).chain(splats).reduce(|(min, max), (other_min, other_max)| {
-        let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
-        (axes(f64::min, min, other_min), axes(f64::max, max, other_max))
-    });
+    let cubes = opened.cubes.bounds(options, monitor)?;
+    let bounds =
+        scans.chain(meshes.bounds(monitor)?).chain(splats).chain(cubes).reduce(|(min, max), (other_min, other_max)| {
+            let axes =
+                |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
+            (axes(f64::min, min, other_min), axes(f64::max, max, other_max))
+        });
     let scans = set.files().iter().map(|file| {
         let (points, text) = (Some(file.points_expected()), file.text_layout().cloned());
         Ok(PreviewInput { path: file.path().into(), bytes: file.bytes(), points, text })
@@ -84,7 +87,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
         Ok(PreviewInput { path: path.clone(), bytes: about.len(), points: None, text: None })
     };
-    let of_splats = opened.splats.paths().map(|path| {
+    let of_splats = opened.splats.paths().chain(opened.cubes.inputs()).map(|path| {
         let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
         Ok(PreviewInput { path: path.into(), bytes: about.len(), points: None, text: None })
     });

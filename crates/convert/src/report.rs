@@ -47,6 +47,8 @@ pub struct Report {
     pub triangles: MeshCounts,
     /// Gaussian splats; they also count as points in the header.
     pub splats: SplatCounts,
+    /// Solid cubes of octrees; they also count as points in the header.
+    pub cubes: u64,
     /// Points sampled from the triangles, if they were sampled.
     pub points_made: u64,
     /// Voxels dropped because they had too few points or were isolated. Their points are dropped with them: boxes that
@@ -70,6 +72,7 @@ impl Report {
         facts["splats_faint"] = self.splats.faint.into();
         facts["splats_large"] = self.splats.large.into();
         facts["splats_unusable"] = self.splats.unusable.into();
+        facts["cubes_read"] = self.cubes.into();
         facts["points_made"] = self.points_made.into();
         facts["voxels_dropped"] = self.voxels_dropped.into();
         let of_text = |(path, layout): &(PathBuf, TextLayout)| {

@@ -161,15 +161,18 @@ fn may_be_splat(path: &Path) -> bool {
 }
 
 impl SplatSet {
-    /// Sets the splats among the inputs aside. Returns them, and the paths of all other inputs if there are splats.
-    pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Option<Vec<PathBuf>>)> {
+    /// Sets the splats among `inputs` aside. Returns them, and all other inputs.
+    pub fn among(
+        options: &ConvertOptions,
+        inputs: Vec<PathBuf>,
+        monitor: &dyn Monitor,
+    ) -> Result<(Self, Vec<PathBuf>)> {
         let is = |path: &Path| may_be_splat(path) && is_splat(path);
         // Folders and patterns name scans alone; a store is not asked twice.
         let is_local = |path: &Path| path.is_file() || path.is_dir();
-        let (mut paths, rest): (Vec<_>, Vec<_>) =
-            options.inputs.iter().cloned().partition(|path| is_local(path) && is(path));
+        let (mut paths, rest): (Vec<_>, Vec<_>) = inputs.into_iter().partition(|path| is_local(path) && is(path));
         if paths.is_empty() {
-            return Ok((Self::default(), None));
+            return Ok((Self::default(), rest));
         }
         paths.sort();
         if options.shard.is_some() || options.plan_file.is_some() {
@@ -185,7 +188,7 @@ impl SplatSet {
             count = count.saturating_add(SplatReader::open(path, &reading(options))?.count());
             bytes += path.metadata().map_or(0, |about| about.len());
         }
-        Ok((Self { paths, bytes, count, colours: false }, Some(rest)))
+        Ok((Self { paths, bytes, count, colours: false }, rest))
     }
 
     pub fn is_empty(&self) -> bool {

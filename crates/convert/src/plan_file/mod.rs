@@ -78,6 +78,10 @@ impl PlanFile {
             let reason = format!("{}: splats are converted in one run, without a plan", path.display());
             return Err(Error::parameter(crate::Parameter::Plan, reason));
         }
+        if let Some(path) = inputs.cubes.inputs().next() {
+            let reason = format!("{}: cubes are converted in one run, without a plan", path.display());
+            return Err(Error::parameter(crate::Parameter::Plan, reason));
+        }
         let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
         let found = super::colours::source_of(options, &mut inputs, monitor)?;
         let set = &mut inputs.scans;
