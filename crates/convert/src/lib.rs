@@ -22,6 +22,7 @@
 
 mod colours;
 mod columns;
+mod cubes;
 mod facts;
 mod holes;
 #[doc(hidden)]
@@ -77,6 +78,7 @@ use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
 use crate::voxel::visibility::Views;
+use cubes::{CubeSet, read_cubes};
 use meshes::{Colouring, MeshReading, read_meshes};
 use pages::{Writing, write_archive};
 use points::{Reading, Seeing, read_points};
@@ -114,7 +116,8 @@ pub(crate) struct Inputs {
     pub scans: InputSet,
     pub meshes: MeshSet,
     pub splats: SplatSet,
-    /// Unit of splats.
+    pub cubes: CubeSet,
+    /// Unit of splats and cubes.
     units: Units,
     /// Direction that points up, if the input shows it.
     pub up: Option<UpFound>,
@@ -129,13 +132,17 @@ impl Inputs {
     fn paths(&self) -> impl Iterator<Item = &Path> {
         let opened = self.scans.files().iter().map(ScanFile::path);
         let closed = self.chosen.iter().flat_map(|chosen| &chosen.closed);
-        opened.chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path)).chain(self.splats.paths())
+        opened
+            .chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path))
+            .chain(self.splats.paths())
+            .chain(self.cubes.paths())
     }
 
     /// Returns the distinct units of the inputs.
     fn length_units(&self) -> Vec<LengthUnit> {
+        let of_scans = self.scans.length_units().chain(self.meshes.length_unit());
         LengthUnit::distinct(
-            self.scans.length_units().chain(self.meshes.length_unit()).chain(self.splats.length_unit(self.units)),
+            of_scans.chain(self.splats.length_unit(self.units)).chain(self.cubes.length_unit(self.units)),
         )
     }
 }
@@ -168,8 +175,16 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
         hash: false,
         threads: options.threads,
     };
+    let mut cubes = CubeSet::default();
     let (mut scans, splats) = match &chosen {
-        None => Divided::open(&options.inputs, input_options, monitor)?,
+        None => {
+            let (of_cubes, others) = CubeSet::among(options, monitor)?;
+            cubes = of_cubes;
+            match others.is_empty() && !options.inputs.is_empty() {
+                true => (InputSet::of_paths(others, input_options, monitor)?, Vec::new()),
+                false => Divided::open(&others, input_options, monitor)?,
+            }
+        }
         Some(chosen) => {
             let mut scans = InputSet::of_paths(chosen.opened.clone(), input_options, monitor)?;
             chosen.check_stated(&scans)?;
@@ -192,8 +207,8 @@ fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn M
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     scans.set_meshes(meshes.paths());
-    let (up, placement) = place(options, &mut scans, &meshes, &mut splats, monitor)?;
-    Ok(Inputs { scans, meshes, splats, units: options.units, up, placement, chosen })
+    let (up, placement) = place(options, &mut scans, &meshes, &mut splats, &cubes, monitor)?;
+    Ok(Inputs { scans, meshes, splats, cubes, units: options.units, up, placement, chosen })
 }
 
 /// Places all inputs. Returns the direction that points up if it was found, and the placement.
@@ -202,6 +217,7 @@ fn place(
     scans: &mut InputSet,
     meshes: &MeshSet,
     splats: &mut SplatSet,
+    cubes: &CubeSet,
     monitor: &dyn Monitor,
 ) -> Result<(Option<UpFound>, Option<Similarity>)> {
     let refused = |path: &Path, reason: &str| {
@@ -214,6 +230,9 @@ fn place(
         if let (Some(_), Some(scan)) = (scans.crs().filter(|_| options.epsg.is_none()), scans.files().first()) {
             return refused(scan.path(), "it states a reference system, in which z is up; leave --up out");
         }
+    }
+    if let Some(file) = cubes.inputs().next().filter(|_| options.turn != Turn::None || options.placement.is_some()) {
+        return refused(file, "its cubes lie on the grid of pixels and are not moved; leave --up and --transform out");
     }
     let up = match options.turn {
         Turn::Auto => {
@@ -264,15 +283,20 @@ impl Surveyed {
 /// earlier run.
 pub(crate) fn plan(
     options: &ConvertOptions,
-    Inputs { scans: set, meshes, splats, .. }: &Inputs,
+    Inputs { scans: set, meshes, splats, cubes, .. }: &Inputs,
     known: Option<Surveyed>,
     monitor: &dyn Monitor,
 ) -> Result<(Plan, Surveyed)> {
     let surveyed = Surveyed::of(options, set, known, monitor)?;
+    let is_auto = options.pixel == PixelSize::Auto && surveyed.spacing.is_none();
+    let of_cubes = cubes.finest_m().filter(|_| is_auto);
     let pixel_m = match (options.pixel, surveyed.spacing) {
         (PixelSize::Metres(pixel_m), _) => pixel_m,
         (PixelSize::Auto, Some(spacing)) => round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2),
-        (PixelSize::Auto, None) => pixel_of_extent(options, meshes, splats, monitor)?,
+        (PixelSize::Auto, None) => match of_cubes {
+            Some(finest_m) => finest_m,
+            None => pixel_of_extent(options, meshes, splats, monitor)?,
+        },
     };
     if surveyed.noise.is_some_and(|noise| noise.regions == 0) {
         let text = "--tolerance auto: too little of the input is flat to measure its noise; heights stay as they are";
@@ -283,6 +307,10 @@ pub(crate) fn plan(
         return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
     }
     let mut plan = options.plan_of(pixel_m)?;
+    if let Some(finest_m) = of_cubes.filter(|_| options.slice_m.is_none()) {
+        // A cube is a voxel, so exporting the archive again gives the same cubes.
+        plan.frame = Frame::new(finest_m, finest_m)?;
+    }
     if let Some(noise) = surveyed.noise {
         plan.options.tolerance_m = noise.tolerance_m().min(MAX_CELL_M);
     }
@@ -409,7 +437,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         Some(chosen) => chosen.stated.units.clone(),
         None => inputs.length_units(),
     };
-    let Inputs { scans: mut set, meshes, splats, up, placement, chosen, .. } = inputs;
+    let Inputs { scans: mut set, meshes, splats, cubes, up, placement, chosen, .. } = inputs;
     let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
@@ -462,6 +490,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         set: &set,
         meshes: &meshes,
         splats: &splats,
+        cubes: &cubes,
         scope,
         progress,
         notes,
@@ -564,6 +593,7 @@ struct Conversion<'a> {
     set: &'a InputSet,
     meshes: &'a MeshSet,
     splats: &'a SplatSet,
+    cubes: &'a CubeSet,
     scope: Option<ShardScope>,
     progress: Progress,
     notes: bool,
@@ -590,6 +620,7 @@ impl Conversion<'_> {
             set,
             meshes,
             splats,
+            cubes,
             scope,
             progress,
             notes,
@@ -625,6 +656,9 @@ impl Conversion<'_> {
         let reading = MeshReading { build_bytes, scope, colouring: of_splats };
         let splat_read = read_splats(splats, options, plan, store, reading, monitor)?;
         read.merge(&splat_read.read);
+        let of_runs = [build_bytes, limits.retain_bytes];
+        let cube_read = read_cubes(cubes, options, plan, store, of_runs, monitor)?;
+        read.merge(&cube_read.read);
         if let Some(scope) = scope {
             let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
             let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
@@ -633,8 +667,8 @@ impl Conversion<'_> {
         }
         let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete && splat_read.complete;
         if whole {
-            let scenes: Vec<Scene> =
-                points::scenes(set, &of_files).chain(mesh_read.scenes).chain(splat_read.scenes).collect();
+            let of_splats = splat_read.scenes.into_iter().chain(cube_read.scenes);
+            let scenes: Vec<Scene> = points::scenes(set, &of_files).chain(mesh_read.scenes).chain(of_splats).collect();
             far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         }
         if whole && read.counts.read == 0 {
@@ -670,7 +704,9 @@ impl Conversion<'_> {
             up: None,
             placement: None,
             texts: texts(set),
-            input_bytes: set.bytes().saturating_add(meshes.bytes()).saturating_add(splats.bytes()),
+            input_bytes: [set.bytes(), meshes.bytes(), splats.bytes(), cubes.bytes()]
+                .into_iter()
+                .fold(0, u64::saturating_add),
             temp_bytes: 0,
             resumed: None,
             points_not_finite,
@@ -679,6 +715,7 @@ impl Conversion<'_> {
             complete,
             triangles: mesh_read.triangles,
             splats: splat_read.counts,
+            cubes: cube_read.count,
             points_made: mesh_read.points_made,
             voxels_dropped,
         })

@@ -80,7 +80,9 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);
     let scans = scans.map(|StatedBounds { min, max }| (min, max));
     let (counts, splats) = opened.splats.survey(options, monitor)?;
-    let bounds = scans.chain(meshes.bounds(monitor)?).chain(splats).reduce(|(min, max), (other_min, other_max)| {
+    let cubes = opened.cubes.bounds(options, monitor)?;
+    let all = scans.chain(meshes.bounds(monitor)?).chain(splats).chain(cubes);
+    let bounds = all.reduce(|(min, max), (other_min, other_max)| {
         let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
         (axes(f64::min, min, other_min), axes(f64::max, max, other_max))
     });
@@ -92,7 +94,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
         Ok(PreviewInput { path: path.clone(), bytes: about.len(), points: None, text: None })
     };
-    let of_splats = opened.splats.paths().map(|path| {
+    let of_splats = opened.splats.paths().chain(opened.cubes.inputs()).map(|path| {
         let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
         Ok(PreviewInput { path: path.into(), bytes: about.len(), points: None, text: None })
     });

@@ -51,6 +51,8 @@ pub struct Report {
     pub triangles: MeshCounts,
     /// Gaussian splats; they also count as points in the header.
     pub splats: SplatCounts,
+    /// Solid cubes of octrees; they also count as points in the header.
+    pub cubes: u64,
     /// Points sampled from the triangles, if they were sampled.
     pub points_made: u64,
     /// Voxels dropped because they had too few points or were isolated. Their points are dropped with them: boxes that
@@ -71,6 +73,7 @@ impl Report {
         facts["triangles_left_out"] = self.triangles.left_out.into();
         splat_info(&mut facts, &self.splats);
         placing_info(&mut facts, self.up.as_ref(), self.placement.as_ref());
+        facts["cubes_read"] = self.cubes.into();
         facts["points_made"] = self.points_made.into();
         facts["voxels_dropped"] = self.voxels_dropped.into();
         let of_text = |(path, layout): &(PathBuf, TextLayout)| {

@@ -169,6 +169,7 @@ impl PointWriter {
             points_missing: 0,
             complete: true,
             splats: Default::default(),
+            cubes: 0,
             triangles: MeshCounts::default(),
             points_made: 0,
             points_moving: 0,

@@ -42,7 +42,8 @@ use values::{UpChoice, classes, epsg, length, part, scale_from, transform};
     override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]"
 )]
 struct Arguments {
-    /// Scans and meshes: files, folders of scans, or glob patterns in quotes. Folders and patterns skip .txt and .csv
+    /// Scans, meshes, splats, and octrees of solid cubes (OctoMap .bt and .ot, .voxel.json): files, folders of scans, or
+    /// glob patterns in quotes. Folders and patterns skip .txt and .csv
     /// files, and folders also skip .ply; text may be compressed (.gz, .zst). Scans may also be at https:// addresses
     /// or in object stores: s3://bucket/key (gs://, az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with
     /// credentials from AWS_* (GOOGLE_*, AZURE_*) in the environment

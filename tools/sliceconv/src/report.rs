@@ -91,6 +91,7 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     let frame = &header.plan.frame;
     let splats = &report.splats;
     let (one, many) = match report.triangles.read {
+        _ if report.cubes > 0 && report.cubes == points_read => ("cube", "cubes"),
         0 if splats.read > 0 && splats.read == points_read => ("splat", "splats"),
         0 if splats.read > 0 => ("point and splat", "points and splats"),
         0 => ("point", "points"),
@@ -217,7 +218,7 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
     let files = preview.inputs.len();
     let mut rows = vec![("files", format!("{}, {}", counted(files as u64, "file"), file_size(bytes)))];
     for input in preview.inputs.iter().take(MOST_LISTED) {
-        let holds = input.points.map_or("a mesh or splats".into(), |points| counted(points, "point"));
+        let holds = input.points.map_or("a mesh, splats or cubes".into(), |points| counted(points, "point"));
         rows.push(("", format!("{}: {holds}, {}", input.path.display(), file_size(input.bytes))));
         if let Some(text) = &input.text {
             let points = text.first_points.iter().map(|point| place(*point)).collect::<Vec<_>>();

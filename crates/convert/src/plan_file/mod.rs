@@ -83,6 +83,10 @@ impl PlanFile {
     /// colours.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let mut inputs = super::open_inputs(options, monitor)?;
+        if let Some(path) = inputs.cubes.inputs().next() {
+            let reason = format!("{}: cubes are converted in one run, without a plan", path.display());
+            return Err(Error::parameter(crate::Parameter::Plan, reason));
+        }
         let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
         let found = super::colours::source_of(options, &mut inputs, monitor)?;
         let set = &mut inputs.scans;

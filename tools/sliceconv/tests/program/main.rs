@@ -31,6 +31,7 @@ use scans::data;
 mod cli;
 mod clouds;
 mod colours;
+mod cubes;
 mod determinism;
 mod faults;
 mod floaters;

@@ -102,6 +102,9 @@ def main(folder: Path) -> None:
         ends = np.array([head["sceneBounds"]["min"], head["sceneBounds"]["max"]]) / PIXEL_M
         low, high = np.min(list(cubes), axis=0), np.max(list(cubes), axis=0) + 1
         assert np.allclose(ends, [[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]]), (ends, low, high)
+        solid = set(map(tuple, np.loadtxt(folder / "house.voxel.txt", dtype=int).tolist()))
+        assert solid == cubes, (len(solid), len(cubes))
+        print(f"SuperSplat: {len(solid):,} voxels, the cubes of OctoMap")
         print(f"OctoMap: {len(leaves):,} leaves, {len(cubes):,} cubes, no point outside")
 
 

@@ -1,0 +1,266 @@
+//! First pass over solid cubes (OctoMap trees, voxel octrees): writes the voxels that they fill into runs.
+
+use super::ConvertOptions;
+use super::points::{Own, Read, out_of_reach};
+use super::work::on_threads;
+use crate::bytes::open_named;
+use crate::disk::Files;
+use crate::input::Units;
+use crate::input::scenes::Scene;
+use crate::plan::{Plan, Up};
+use crate::text::grouped;
+use crate::unit::LengthUnit;
+use crate::voxel::cubes::{CubeBuilder, CubeGrid, PlacedCube};
+use crate::voxel::record::Recorder;
+use crate::voxel::runs::{RunBuilder, RunStore};
+use crate::{Error, Monitor, Parameter, Result};
+use slicewalk_cube::{Cube, CubeFormat, CubeReader, HEAD_BYTES, binary_of, recognise};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Temporary data of one voxel (bytes).
+const VOXEL_BYTES: f64 = 9.0;
+
+/// Files of cubes among the inputs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct CubeSet {
+    paths: Vec<PathBuf>,
+    /// Files that belong to those in `paths`.
+    beside: Vec<PathBuf>,
+    bytes: u64,
+    /// Least size of a cube (m).
+    finest_m: Option<f64>,
+}
+
+/// Returns the format of the cubes at `path`, by name and content; `None` if there are none.
+fn format_of(path: &Path) -> Option<CubeFormat> {
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let may_be = ["bt", "ot", "json"].contains(&&ending[..]) && crate::bytes::address(path).is_none();
+    if !may_be || !path.is_file() {
+        return None;
+    }
+    let source = open_named(path).ok()?;
+    let mut head = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
+    source.read_at(0, &mut head).ok()?;
+    recognise(&head, path)
+}
+
+/// A file of cubes and their place.
+struct Placed {
+    reader: CubeReader,
+    grid: CubeGrid,
+    /// True if the file's axes are turned by the options.
+    turned: bool,
+}
+
+impl Placed {
+    fn open(path: &Path, options: &ConvertOptions) -> Result<Self> {
+        let reader = CubeReader::open(path)?;
+        // A voxel octree is y-up by its format, so its reader has turned it already.
+        let turned = options.plan.up == Up::Y && binary_of(path).is_none();
+        let factor = match options.units {
+            Units::Auto => 1.0,
+            Units::Factor(factor) => factor,
+        };
+        let grid = CubeGrid { size_m: reader.size() * factor, origin_m: reader.origin().map(|v| v * factor) };
+        Ok(Self { reader, grid, turned })
+    }
+
+    fn next_batch(&mut self, batch: &mut Vec<Cube>) -> Result<bool> {
+        let more = self.reader.next_batch(batch)?;
+        if self.turned {
+            for cube in batch {
+                let [x, y, z] = cube.corner;
+                cube.corner = [x, -z - cube.edge, y];
+            }
+        }
+        Ok(more)
+    }
+}
+
+impl CubeSet {
+    /// Sets the files of cubes among the inputs aside. Returns them and the paths of all other inputs.
+    pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Vec<PathBuf>)> {
+        let (mut paths, rest): (Vec<_>, Vec<_>) =
+            options.inputs.iter().cloned().partition(|path| format_of(path).is_some());
+        if let Some(path) = rest.iter().find(|path| is_words(path)) {
+            let reason = "the words of a voxel octree; name its .voxel.json, which lies beside it";
+            return Err(Error::input(path, "name", reason));
+        }
+        paths.sort();
+        if let Some(first) = paths.first().filter(|_| options.shard.is_some() || options.plan_file.is_some()) {
+            let reason = format!("{}: cubes are converted in one run, without a plan", first.display());
+            return Err(Error::parameter(Parameter::Shard, reason));
+        }
+        let (mut beside, mut bytes, mut finest_m) = (Vec::new(), 0, None::<f64>);
+        for path in &paths {
+            let Placed { grid, .. } = Placed::open(path, options)?;
+            if grid.origin_m != [0.0; 3] {
+                let text = format!(
+                    "{}: its cubes do not lie on a grid from the origin, as pixels do; they grow to whole pixels",
+                    path.display()
+                );
+                monitor.warn(&text.into());
+            }
+            finest_m = Some(finest_m.map_or(grid.size_m, |size| size.min(grid.size_m)));
+            beside.extend(binary_of(path));
+        }
+        for path in paths.iter().chain(&beside) {
+            bytes += path.metadata().map_or(0, |about| about.len());
+        }
+        Ok((Self { paths, beside, bytes, finest_m }, rest))
+    }
+
+    /// Returns the paths of the files that are read, those beside the inputs included.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.paths.iter().chain(&self.beside).map(PathBuf::as_path)
+    }
+
+    /// Returns the paths of the inputs.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        self.paths.iter().map(PathBuf::as_path)
+    }
+
+    /// Length of all files (bytes).
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Returns the size of the smallest cubes that the files can hold (m).
+    pub fn finest_m(&self) -> Option<f64> {
+        self.finest_m
+    }
+
+    /// Returns the unit of the files, if there are any.
+    pub fn length_unit(&self, units: Units) -> Option<LengthUnit> {
+        (!self.paths.is_empty()).then_some(match units {
+            Units::Auto => LengthUnit::METRE,
+            Units::Factor(factor) => LengthUnit::of(factor),
+        })
+    }
+
+    /// Reads all files and returns the bounds of all cubes (m), or `None` without any.
+    pub fn bounds(&self, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<([f64; 3], [f64; 3])>> {
+        let mut all = Read::NOTHING;
+        self.for_each(options, monitor, |grid, cube| {
+            let (min, max) = grid.bounds(cube);
+            all.merge(&Read { min, max, ..Read::NOTHING });
+        })?;
+        Ok((all.min[0] <= all.max[0]).then_some((all.min, all.max)))
+    }
+
+    fn for_each(
+        &self,
+        options: &ConvertOptions,
+        monitor: &dyn Monitor,
+        mut take: impl FnMut(&CubeGrid, &Cube),
+    ) -> Result<()> {
+        let mut batch = Vec::new();
+        for path in &self.paths {
+            let mut file = Placed::open(path, options)?;
+            while file.next_batch(&mut batch)? {
+                if monitor.cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                batch.iter().for_each(|cube| take(&file.grid, cube));
+            }
+        }
+        Ok(())
+    }
+
+    /// Fails if the voxels that the cubes fill do not fit on the disk: a tree of a few bytes can fill any.
+    fn check_space(
+        &self,
+        options: &ConvertOptions,
+        plan: &Plan,
+        retain_bytes: u64,
+        monitor: &dyn Monitor,
+    ) -> Result<()> {
+        let mut voxels = 0.0;
+        self.for_each(options, monitor, |grid, cube| {
+            voxels += PlacedCube::new(&plan.frame, grid, cube).map_or(0.0, |placed| placed.voxels());
+        })?;
+        let (needed, dir) = (voxels * VOXEL_BYTES - retain_bytes as f64, &options.temp_dir);
+        let free = Files::current().free_bytes(dir).map_err(|error| Error::io(dir, "ask for its free space", error))?;
+        if needed > free as f64 {
+            let what = format!(
+                "temporary data for {} voxels of cubes in {} (bytes; more memory needs less)",
+                grouped(voxels as u64),
+                dir.display()
+            );
+            return Err(Error::limit(what, format!("{needed:.0}"), free).with_suggestion(Parameter::TempDir));
+        }
+        Ok(())
+    }
+}
+
+/// Returns whether this is the second file of a voxel octree.
+fn is_words(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    name.to_ascii_lowercase().ends_with(".voxel.bin")
+}
+
+/// Result of the first pass over cubes.
+pub(super) struct CubeRead<'a> {
+    /// Cubes counted as if they were points, with their bounds.
+    pub read: Read,
+    pub count: u64,
+    pub scenes: Vec<Scene<'a>>,
+}
+
+/// First pass: writes all cubes into runs. One worker at a time reads; all of them fill voxels.
+pub(super) fn read_cubes<'a>(
+    set: &'a CubeSet,
+    options: &ConvertOptions,
+    plan: &Plan,
+    store: &RunStore,
+    [build_bytes, retain_bytes]: [u64; 2],
+    monitor: &dyn Monitor,
+) -> Result<CubeRead<'a>> {
+    let mut all = CubeRead { read: Read::NOTHING, count: 0, scenes: Vec::new() };
+    if set.paths.is_empty() {
+        return Ok(all);
+    }
+    monitor.stage("reading cubes", 0, "cubes");
+    set.check_space(options, plan, retain_bytes, monitor)?;
+    for path in &set.paths {
+        let file = Placed::open(path, options)?;
+        let (grid, frame) = (file.grid, &plan.frame);
+        let file = Mutex::new(file);
+        let failed = AtomicBool::new(false);
+        let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
+        let next =
+            |batch: &mut Vec<Cube>| file.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next_batch(batch);
+        let work = || -> Result<Read> {
+            let mut runs = RunBuilder::new(Recorder::new(*frame), build_bytes);
+            let (mut builder, mut read, mut batch) = (CubeBuilder::default(), Read::NOTHING, Vec::new());
+            while next(&mut batch)? {
+                for cube in &batch {
+                    let (min, max) = grid.bounds(cube);
+                    let placed = PlacedCube::new(frame, &grid, cube).ok_or_else(|| out_of_reach(frame, min, max))?;
+                    builder.push(&placed, &mut runs, store, &cancelled)?;
+                    read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
+                    read.counts.read += 1;
+                    if cancelled() {
+                        return Err(Error::Interrupted);
+                    }
+                }
+                monitor.advance(batch.len() as u64);
+            }
+            builder.flush(&mut runs, store)?;
+            runs.flush(store)?;
+            Ok(read)
+        };
+        let done = on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+        let mut of_file = Read::NOTHING;
+        done.iter().for_each(|read| of_file.merge(read));
+        if of_file.counts.read > 0 {
+            all.scenes.push(Scene { path, min: of_file.min, max: of_file.max });
+        }
+        all.read.merge(&of_file);
+    }
+    all.count = all.read.counts.read;
+    all.read.own.kept = all.count;
+    Ok(all)
+}

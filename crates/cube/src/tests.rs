@@ -1,0 +1,277 @@
+use super::*;
+use slicewalk_base::bytes::MemorySource;
+use std::collections::BTreeSet;
+
+fn all(reader: Result<CubeReader>) -> Result<Vec<Cube>> {
+    let mut reader = reader?;
+    let (mut cubes, mut batch) = (Vec::new(), Vec::new());
+    while reader.next_batch(&mut batch)? {
+        cubes.extend_from_slice(&batch);
+    }
+    assert!(!reader.next_batch(&mut batch)?, "stays at its end");
+    Ok(cubes)
+}
+
+/// Numbers of a linear congruential generator.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, most: u64) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % most
+    }
+}
+
+enum Node {
+    Unknown,
+    Free,
+    Solid,
+    Inner(Vec<Node>),
+}
+
+/// A tree whose leaves lie at any depth; it is deep along one path, so that cubes of the finest level occur.
+fn tree(random: &mut Random, levels: u32) -> Node {
+    let path = random.below(8);
+    let child = |random: &mut Random, number: u64| match random.below(12) {
+        _ if number == path && levels > 1 => tree(random, levels - 1),
+        // A node without children would be a leaf in a `.ot`.
+        _ if number == path => Node::Solid,
+        0 if levels > 1 && levels < 5 => tree(random, levels - 1),
+        1..=3 => Node::Solid,
+        4 | 5 => Node::Free,
+        _ => Node::Unknown,
+    };
+    Node::Inner((0..8).map(|number| child(random, number)).collect())
+}
+
+/// Lowest corner and edge of each solid leaf.
+fn leaves(node: &Node, corner: [i64; 3], edge: i64, out: &mut BTreeSet<([i64; 3], i64)>) {
+    match node {
+        Node::Solid => drop(out.insert((corner, edge))),
+        Node::Inner(children) => {
+            let half = edge / 2;
+            for (number, child) in children.iter().enumerate() {
+                let [x, y, z] = [number & 1, number >> 1 & 1, number >> 2].map(|bit| bit as i64 * half);
+                leaves(child, [corner[0] + x, corner[1] + y, corner[2] + z], half, out);
+            }
+        }
+        _ => {}
+    }
+}
+
+fn count(node: &Node) -> u64 {
+    match node {
+        Node::Unknown => 0,
+        Node::Inner(children) => 1 + children.iter().map(count).sum::<u64>(),
+        _ => 1,
+    }
+}
+
+fn encode_binary(node: &Node, out: &mut Vec<u8>) {
+    let Node::Inner(children) = node else { return };
+    let bits = |(number, child): (usize, &Node)| {
+        let bits: u16 = match child {
+            Node::Unknown => 0,
+            Node::Free => 1,
+            Node::Solid => 2,
+            Node::Inner(_) => 3,
+        };
+        bits << (2 * number)
+    };
+    out.extend(children.iter().enumerate().map(bits).sum::<u16>().to_le_bytes());
+    children.iter().for_each(|child| encode_binary(child, out));
+}
+
+fn encode_full(node: &Node, colour: &[u8], out: &mut Vec<u8>) {
+    let odds: f32 = match node {
+        Node::Unknown => return,
+        Node::Free => -0.4,
+        Node::Solid => 0.85,
+        Node::Inner(_) => 3.5,
+    };
+    out.extend(odds.to_le_bytes());
+    out.extend(colour);
+    let Node::Inner(children) = node else { return out.push(0) };
+    let is_there = |child: &Node| !matches!(child, Node::Unknown);
+    out.push(children.iter().enumerate().map(|(number, child)| u8::from(is_there(child)) << number).sum());
+    children.iter().for_each(|child| encode_full(child, colour, out));
+}
+
+fn octomap(first: &str, id: &str, nodes: u64, data: &[u8]) -> Vec<u8> {
+    let mut bytes = format!("{first}\n# a comment\nid {id}\nsize {nodes}\nres 0.05\ndata\n").into_bytes();
+    bytes.extend(data);
+    bytes
+}
+
+const BINARY: &str = "# Octomap OcTree binary file";
+const FULL: &str = "# Octomap OcTree file";
+
+fn read(bytes: &[u8]) -> Result<Vec<Cube>> {
+    all(CubeReader::of_source(Arc::new(MemorySource::new(bytes)), "t.bt"))
+}
+
+fn set(cubes: &[Cube]) -> BTreeSet<([i64; 3], i64)> {
+    let set: BTreeSet<_> = cubes.iter().map(|cube| (cube.corner, cube.edge)).collect();
+    assert_eq!(set.len(), cubes.len(), "a cube came twice");
+    set
+}
+
+#[test]
+fn trees_of_octomap_give_their_solid_leaves() {
+    let mut fine = 0;
+    for seed in 0..40 {
+        let tree = tree(&mut Random(seed), 16);
+        let mut expected = BTreeSet::new();
+        leaves(&tree, [-(1 << 15); 3], 1 << 16, &mut expected);
+        fine += expected.iter().filter(|(_, edge)| *edge == 1).count();
+        let (mut binary, mut full, mut coloured) = (Vec::new(), Vec::new(), Vec::new());
+        encode_binary(&tree, &mut binary);
+        encode_full(&tree, &[], &mut full);
+        encode_full(&tree, &[1, 2, 3], &mut coloured);
+        let nodes = count(&tree);
+        for (first, id, data) in [
+            (BINARY, "OcTree", &binary),
+            (BINARY, "1", &binary),
+            (FULL, "OcTree", &full),
+            (FULL, "ColorOcTree", &coloured),
+        ] {
+            assert_eq!(set(&read(&octomap(first, id, nodes, data)).unwrap()), expected, "{seed} {first} {id}");
+        }
+        for wrong in [nodes - 1, nodes + 1, u64::MAX] {
+            assert!(read(&octomap(BINARY, "OcTree", wrong, &binary)).is_err());
+        }
+    }
+    assert!(fine > 40, "{fine}");
+}
+
+#[test]
+fn moved_trees_are_moved_back_and_empty_ones_are_empty() {
+    let mut tree = octomap(BINARY, "OcTree", 3, &[2, 0b1000_0000]);
+    tree.splice(0..BINARY.len() + 1, format!("{BINARY}\n# moved by 3.2 0 -6.4 m\n").into_bytes());
+    let half = 1 << 15;
+    let expected = [[-half - 64, -half, -half + 128], [-64, 0, 128]].map(|corner| Cube { corner, edge: half });
+    assert_eq!(read(&tree).unwrap(), expected);
+    assert_eq!(read(&octomap(BINARY, "OcTree", 0, &[])).unwrap(), []);
+    let cube = Cube { corner: [-half; 3], edge: 2 * half };
+    let leaf = [&0.0f32.to_le_bytes()[..], &[0]].concat();
+    assert_eq!(read(&octomap(FULL, "OcTree", 1, &leaf)).unwrap(), [cube]);
+}
+
+/// Reads damaged copies of `good`; returns how many were refused. Every message is one line that names the file.
+fn damage(good: &[u8], read: impl Fn(&[u8]) -> Result<Vec<Cube>>) -> usize {
+    let mut refused = 0;
+    let mut check = |bytes: &[u8], must_fail: bool| match read(bytes) {
+        // A block of 8 bytes holds 64 cubes at most.
+        Ok(cubes) => assert!(!must_fail && cubes.len() <= 8 * bytes.len(), "{} bytes", bytes.len()),
+        Err(error) => {
+            let text = error.to_string();
+            assert!(!text.contains('\n') && text.contains("t."), "{text}");
+            refused += 1;
+        }
+    };
+    (0..good.len()).for_each(|len| check(&good[..len], true));
+    for at in 0..good.len() {
+        for mask in [1, 0x80, 0xFF, 0x0F, 0x40] {
+            let mut bytes = good.to_vec();
+            bytes[at] ^= mask;
+            check(&bytes, false);
+        }
+    }
+    let mut random = Random(9);
+    for _ in 0..2000 {
+        let mut bytes = good.to_vec();
+        for _ in 0..1 + random.below(6) {
+            let at = random.below(bytes.len() as u64) as usize;
+            bytes[at] = random.below(256) as u8;
+        }
+        check(&bytes, false);
+    }
+    check(&[good, &[0]].concat(), true);
+    refused
+}
+
+#[test]
+fn damaged_trees_of_octomap_are_refused_in_one_line() {
+    let tree = tree(&mut Random(3), 16);
+    let (mut binary, mut full) = (Vec::new(), Vec::new());
+    encode_binary(&tree, &mut binary);
+    encode_full(&tree, &[], &mut full);
+    for (first, data) in [(BINARY, binary), (FULL, full)] {
+        let good = octomap(first, "OcTree", count(&tree), &data);
+        assert!(damage(&good, read) > good.len());
+    }
+    // Inner nodes down to a level that no tree has.
+    let deep: Vec<u8> = [3, 0].repeat(40);
+    let text = read(&octomap(BINARY, "OcTree", 41, &deep)).unwrap_err().to_string();
+    assert!(text.contains("finest of 16 levels"), "{text}");
+    let deep: Vec<u8> = [0, 0, 0, 0, 1].repeat(40);
+    let text = read(&octomap(FULL, "OcTree", 41, &deep)).unwrap_err().to_string();
+    assert!(text.contains("deeper than the 16 levels"), "{text}");
+    for (kind, expected) in [("OcTreeStamped", "OcTreeStamped"), ("", "found")] {
+        let text = read(&octomap(BINARY, kind, 1, &[0, 0])).unwrap_err().to_string();
+        assert!(text.contains(expected), "{text}");
+    }
+}
+
+/// Header and words of an octree whose root has eight children, solid, mixed and inner ones among them.
+fn octree() -> (String, Vec<u8>) {
+    let inner = |mask: u32, first: u32| mask << 24 | first;
+    let solid = 0xFF00_0000;
+    // Level 0; level 1: children 0, 3 and 7; level 2: children 1 and 2 of 3, and 0 of 7.
+    let nodes = [inner(0b1000_1001, 1), solid, inner(0b110, 4), inner(1, 6), 0, solid, 1];
+    let leaves = [1u64 | 1 << 63, 1 << 27];
+    let words = nodes.iter().flat_map(|word| word.to_le_bytes());
+    let words = words.chain(leaves.iter().flat_map(|bits| bits.to_le_bytes())).collect();
+    let head = r#"{"version":"1.1","gridBounds":{"min":[-0.4,0.2,0.6],"max":[1.2,1.8,2.2]},
+        "sceneBounds":{"min":[0,0,0],"max":[1,1,1]},"voxelResolution":0.1,"leafSize":4,"treeDepth":2,
+        "numInteriorNodes":3,"numMixedLeaves":2,"nodeCount":7,"leafDataCount":4}"#;
+    (head.to_owned(), words)
+}
+
+fn read_octree(head: &[u8], words: &[u8]) -> Result<Vec<Cube>> {
+    let sources = [head, words].map(|bytes| Arc::new(MemorySource::new(bytes)) as Arc<dyn ByteSource>);
+    all(voxel::of_sources(sources, Path::new("t.voxel.json"), "t.voxel.bin".into()))
+}
+
+#[test]
+fn octrees_give_their_solid_cubes_with_z_up() {
+    let (head, words) = octree();
+    let found = read_octree(head.as_bytes(), &words).unwrap();
+    // Corners in the axes of the file, from the corner of the grid: blocks of 4 cubes in a grid of 16.
+    let expected = [([0, 0, 0], 8), ([12, 8, 0], 1), ([15, 11, 3], 1), ([8, 12, 0], 4), ([11, 10, 9], 1)];
+    let turned = expected.map(|([x, y, z], edge): ([i64; 3], i64)| {
+        let [x, y, z] = [x - 4, y + 2, z + 6];
+        ([x, -z - edge, y], edge)
+    });
+    assert_eq!(set(&found), BTreeSet::from(turned));
+    // A grid that is not anchored at the origin keeps its corner.
+    let sources =
+        |head: &str| [head.as_bytes(), &words].map(|bytes| Arc::new(MemorySource::new(bytes)) as Arc<dyn ByteSource>);
+    let open = |head: &str| voxel::of_sources(sources(head), Path::new("t.voxel.json"), "t.voxel.bin".into()).unwrap();
+    assert_eq!((open(&head).size(), open(&head).origin()), (0.1, [0.0; 3]));
+    let reader = open(&head.replace("-0.4,0.2,0.6", "-0.43,0.2,0.6"));
+    assert_eq!(reader.origin(), [-0.43, -0.6, 0.2]);
+    let reader = open(&head.replace("-0.4,0.2,0.6", "-0.4000000059604645,0.2,0.6"));
+    assert_eq!(reader.origin(), [0.0; 3]);
+}
+
+#[test]
+fn damaged_octrees_are_refused_in_one_line() {
+    let (head, words) = octree();
+    assert!(damage(&words, |words| read_octree(head.as_bytes(), words)) > words.len());
+    assert!(damage(head.as_bytes(), |head| read_octree(head, &words)) > head.len());
+    // Both children of one node name the same blocks again: read by every path, a small file would take for ever.
+    let shared: Vec<u8> = [0x0300_0001u32, 0x0300_0003, 0x0300_0003, 0xFF00_0000, 0xFF00_0000]
+        .iter()
+        .flat_map(|word| word.to_le_bytes())
+        .collect();
+    let head = head.replace(
+        "\"numMixedLeaves\":2,\"nodeCount\":7,\"leafDataCount\":4",
+        "\"numMixedLeaves\":0,\"nodeCount\":5,\"leafDataCount\":0",
+    );
+    let text = read_octree(head.as_bytes(), &shared).unwrap_err().to_string();
+    assert!(text.contains("earlier node"), "{text}");
+    let old = head.replace("\"1.1\"", "\"1.0\"");
+    let text = read_octree(old.as_bytes(), &shared).unwrap_err().to_string();
+    assert!(text.contains("expected version 1.1"), "{text}");
+}
