@@ -24,7 +24,7 @@ mod verify;
 mod walk;
 mod web;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use slicewalk::Parameter;
 use slicewalk::archive::Archive;
 use slicewalk_base::output::{Output, OutputKind, Protected};
@@ -244,13 +244,16 @@ pub fn terminal() -> Terminal {
 }
 
 fn main() -> ExitCode {
-    let outcome = match Arguments::parse().command {
+    let given = Arguments::command().get_matches();
+    let arguments = Arguments::from_arg_matches(&given).unwrap_or_else(|error| error.exit());
+    let given = given.subcommand().map(|(_, given)| given.clone()).unwrap_or_default();
+    let outcome = match arguments.command {
         Command::Info { archives, json } => info::run(&archives, json),
         Command::Verify { archive, json } => verify::run(&archive, json),
         Command::Stats { archive, json } => stats::run(&archive, json),
         Command::Show(arguments) => show::run(&arguments),
         Command::Diff { a, b, json } => diff::run(&a, &b, json),
-        Command::Export(arguments) => export::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments, &given),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
         Command::Extract(arguments) => extract::run(&arguments),

@@ -46,7 +46,7 @@ pub enum Which {
 }
 
 /// Everything that the pawn can stand on.
-struct Ground<'a> {
+pub struct Ground<'a> {
     loader: &'a Loader,
     pawn: Pawn,
     region: Region,
@@ -61,23 +61,7 @@ struct Ground<'a> {
 pub fn write(output: &Path, path: &Path, pawns: &Pawns, which: Which) -> Result<String, Failure> {
     let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?;
     let ground = Ground::of(&loader, pawns.pawn())?;
-    let all = &ground.storeys.all;
-    if all.is_empty() {
-        let reason = "the pawn can stand nowhere; give a smaller --pawn";
-        return Err(Failure::Text(format!("{}: {reason}", path.display())));
-    }
-    let chosen = match which {
-        Which::All => None,
-        Which::Number(storey) if storey < all.len() => Some(storey),
-        Which::Number(storey) => {
-            let reason = format!("--storey {storey}: expected 0 to {}, the storeys of the archive", all.len() - 1);
-            return Err(Failure::Text(format!("{}: {reason}", path.display())));
-        }
-        Which::Near(z) => {
-            let far = |storey: &usize| (all[*storey].z - z).abs();
-            (0..all.len()).min_by(|a, b| far(a).total_cmp(&far(b)))
-        }
-    };
+    let (all, chosen) = (&ground.storeys.all, ground.chosen(which)?);
     if let Some(storey) = chosen {
         return ground.grid(storey, output);
     }
@@ -100,7 +84,8 @@ fn file_name(path: &Path) -> String {
 }
 
 impl<'a> Ground<'a> {
-    fn of(loader: &'a Loader, pawn: Pawn) -> Result<Self, Failure> {
+    /// Finds where the pawn can stand.
+    pub fn of(loader: &'a Loader, pawn: Pawn) -> Result<Self, Failure> {
         let archive = loader.archive();
         let broken = |error| crate::broken(loader.path(), &error);
         let (mut low, mut high) = ([i64::MAX; 2], [i64::MIN; 2]);
@@ -121,6 +106,42 @@ impl<'a> Ground<'a> {
         loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
         let region = flood.region(&standing);
         Ok(Self { loader, pawn, storeys: region.storeys(), region, first: low, size })
+    }
+
+    /// Returns the storey to write, `None` for all.
+    pub fn chosen(&self, which: Which) -> Result<Option<usize>, Failure> {
+        let (all, path) = (&self.storeys.all, self.loader.path());
+        if all.is_empty() {
+            let reason = "the pawn can stand nowhere; give a smaller --pawn";
+            return Err(Failure::Text(format!("{}: {reason}", path.display())));
+        }
+        Ok(match which {
+            Which::All => None,
+            Which::Number(storey) if storey < all.len() => Some(storey),
+            Which::Number(storey) => {
+                let reason = format!("--storey {storey}: expected 0 to {}, the storeys of the archive", all.len() - 1);
+                return Err(Failure::Text(format!("{}: {reason}", path.display())));
+            }
+            Which::Near(z) => {
+                let far = |storey: &usize| (all[*storey].z - z).abs();
+                (0..all.len()).min_by(|a, b| far(a).total_cmp(&far(b)))
+            }
+        })
+    }
+
+    /// All storeys, from the lowest up.
+    pub fn storeys(&self) -> &[Storey] {
+        &self.storeys.all
+    }
+
+    /// First pixel of the grids.
+    pub fn first(&self) -> [i64; 2] {
+        self.first
+    }
+
+    /// Pixels of the grids along x and y.
+    pub fn size(&self) -> [i64; 2] {
+        self.size
     }
 
     fn frame(&self) -> &Frame {

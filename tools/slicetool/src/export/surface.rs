@@ -9,6 +9,7 @@
 //! glTF is y-up: (x, y, z) of the archive becomes (x, z, -y). Positions have 32 bits and are relative to a corner of
 //! the scene; the node's translation restores the coordinates.
 
+use super::gltf::{self, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UNSIGNED_INT};
 use crate::Failure;
 use serde_json::{Value, json};
 use slicewalk::archive::{Archive, PageReader};
@@ -21,22 +22,12 @@ use std::path::Path;
 /// Most spans and rectangles, all held in memory at some hundred bytes each.
 const MOST_SPANS: usize = 1 << 23;
 const MOST_RECTANGLES: usize = 1 << 23;
-/// Magic numbers and version of the container.
-const MAGIC: u32 = 0x4654_6C67;
-const VERSION: u32 = 2;
-const JSON_CHUNK: u32 = 0x4E4F_534A;
-const BINARY_CHUNK: u32 = 0x004E_4942;
-/// Constants of the standard: 32-bit floats and unsigned integers, buffers of vertices and of indices.
-const FLOAT: u32 = 5126;
-const UNSIGNED_INT: u32 = 5125;
-const ARRAY_BUFFER: u32 = 34962;
-const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
 /// A point in corners of pixels (x, y) and quanta (z).
-type Corner = [i64; 3];
+pub type Corner = [i64; 3];
 /// From bottom to top (quanta).
 type Interval = [i64; 2];
-type Columns = BTreeMap<(i64, i64), Vec<Interval>>;
+pub type Columns = BTreeMap<(i64, i64), Vec<Interval>>;
 
 /// Writes the surface; returns the number of triangles.
 pub fn glb(archive: &Archive, path: &Path, to: Output) -> Result<u64, Failure> {
@@ -55,6 +46,12 @@ pub fn glb(archive: &Archive, path: &Path, to: Output) -> Result<u64, Failure> {
     surface.write(archive.frame(), &mut file)?;
     file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
     Ok(surface.triangles.len() as u64)
+}
+
+/// Returns corners and triangles of the boundary of columns of solid.
+pub fn closed(columns: &Columns) -> (Vec<Corner>, Vec<[u32; 3]>) {
+    let Surface { corners, triangles } = Surface::of(&rectangles(columns));
+    (corners, triangles)
 }
 
 /// Solid intervals by pixel, joined where spans or pages touch; `None` if there are too many.
@@ -317,21 +314,9 @@ impl Surface {
         let turned = |[x, y, z]: [f64; 3]| [x, z, -y];
         let relative = |at: &Corner| turned(metres([0, 1, 2].map(|axis| at[axis] - origin[axis]))).map(|v| v as f32);
         let bytes = [12 * self.corners.len() as u64, 12 * self.triangles.len() as u64];
-        let head = self.head(relative, turned(metres(origin)), bytes).to_string();
-        let head = format!("{head}{}", " ".repeat(head.len().next_multiple_of(4) - head.len()));
-        let chunks = if self.triangles.is_empty() { 0 } else { 8 + bytes[0] + bytes[1] };
-        let length = u32::try_from(12 + 8 + head.len() as u64 + chunks).map_err(|_| {
-            Failure::Text("the surface exceeds the 4 GiB of a glTF file; extract a region first".into())
-        })?;
-        for word in [MAGIC, VERSION, length, head.len() as u32, JSON_CHUNK] {
-            out.write_all(&word.to_le_bytes())?;
-        }
-        out.write_all(head.as_bytes())?;
-        if self.triangles.is_empty() {
+        let head = self.head(relative, turned(metres(origin)), bytes);
+        if !gltf::write_head(&head, bytes[0] + bytes[1], out)? {
             return Ok(());
-        }
-        for word in [(bytes[0] + bytes[1]) as u32, BINARY_CHUNK] {
-            out.write_all(&word.to_le_bytes())?;
         }
         for at in &self.corners {
             for value in relative(at) {
@@ -346,7 +331,7 @@ impl Surface {
 
     /// The scene: one node at `origin` with one mesh.
     fn head(&self, relative: impl Fn(&Corner) -> [f32; 3], origin: [f64; 3], bytes: [u64; 2]) -> Value {
-        let asset = json!({ "version": "2.0", "generator": concat!("slicetool ", env!("CARGO_PKG_VERSION")) });
+        let asset = gltf::asset();
         if self.triangles.is_empty() {
             return json!({ "asset": asset, "scene": 0, "scenes": [{}] });
         }
