@@ -46,6 +46,7 @@ mod moving;
 mod odd_files;
 mod outputs;
 mod resume;
+mod seen;
 mod shards;
 mod splats;
 #[cfg(feature = "remote")]
