@@ -189,8 +189,8 @@ impl Place {
 pub fn seen_space(archive: &Archive, path: &Path, most_bytes: u64) -> Result<Arc<SeenSpace>, Failure> {
     let seen = archive.seen_space(most_bytes).map_err(|error| crate::broken(path, &error))?;
     seen.map(Arc::new).ok_or_else(|| {
-        let way_out = "convert with --free-space, or leave out --seen";
-        Failure::Text(format!("{}: --seen: it does not say which space was seen; {way_out}", path.display()))
+        let way_out = "convert the scan with --free-space";
+        Failure::Text(format!("{}: it does not say which space was seen; {way_out}", path.display()))
     })
 }
 

@@ -168,3 +168,20 @@ fn pictures_show_seen_space() {
     assert_eq!(out.status.code(), Some(1));
     assert!(!at.join("b.png").exists());
 }
+
+#[test]
+fn the_next_station_stands_where_seen_space_ends() {
+    let folder = folder();
+    let at = folder.path();
+    let report: Value = serde_json::from_str(&answer(at, &["stats", "a.slices", "--coverage", "--json"], "")).unwrap();
+    assert_eq!(report["seen"]["cells"], space(at).cells());
+    let first = &report["next"][0];
+    let value = |key: &str| first[key].as_f64().unwrap();
+    // The hall was seen through the door of the west room alone, which ends at x = 5.
+    assert!(value("x") > 4.0 && (1.2..2.0).contains(&value("z")) && value("share") > 0.3, "{report:#}");
+    assert!(report["border_m2"].as_f64().unwrap() > 1.0);
+    let said = answer(at, &["stats", "a.slices", "--coverage", "-o", "plan.png"], "");
+    assert!(said.contains("station 1: ") && at.join("plan.png").exists(), "{said}");
+    let out = tool(at, &["stats", "plain.slices", "--coverage"], "");
+    assert_eq!(out.status.code(), Some(1));
+}
