@@ -22,6 +22,7 @@ from encoding import U64, Bytes, column_of, crc32c, tile_of, unpack_frame
 from head import INDEX, Head
 from levels import check_levels, read_table
 from page import SIDE, SLICE, TOP, Page, Refused, check_span, need, size_of, slices_of
+from seen import read_seen
 
 END_MAGIC = b"\x89ALS\r\n\x1a\n"
 PAGE_MAGIC = b"\x89PAG"
@@ -228,7 +229,8 @@ def check_footer(head, footer):
     need(same, "F3", "head and footer are of different archives")
 
 
-def read_entries(head, directory):
+def read_entries(head, directory, seen_len=0):
+    """The entries of all leaves; `seen_len` bytes of seen space end the section of pages."""
     entries, place, at, window = [], 0, 0, deque(maxlen=WINDOW)
     ends = [record[:2] for record in head.root[1:]] + [None]
     for record, end_key in zip(head.root, ends):
@@ -244,7 +246,7 @@ def read_entries(head, directory):
                 same = found < len(window) and window[found] == entry.same()
                 need(same, "D10", f"page {entry.key()} shares bytes of no page")
         entries += leaf
-    need(place == head.pages_len, "D9", f"pages of {place} bytes in a section of {head.pages_len}")
+    need(place == head.pages_len - seen_len, "D9", f"pages of {place} bytes in a section of {head.pages_len}")
     return entries
 
 
@@ -326,7 +328,8 @@ def read_archive(data):
     pages, colours, section, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
     check_footer(head, data[ends[-1] :])
     crs, part, units, noise = read_metadata(metadata, head.metadata_crc)
-    entries = read_entries(head, directory)
+    seen_len, cells, seen = read_seen(head, pages, part)
+    entries = read_entries(head, directory, seen_len)
     occupied = obstacle = inferred = 0
     extent = Extent()
     decoded, contents, all_columns = {}, [], {}
@@ -365,6 +368,10 @@ def read_archive(data):
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles, {inferred} inferred")
     check_bounds(head, part, extent)
     content = {"info": show(head, crs, part, units, noise), "pages": contents}
+    if seen is not None:
+        content["seen"] = seen
+        content["info"]["seen"] = {"cells": cells, "bytes": seen_len}
+        content["info"]["bytes"]["tiles"] -= seen_len
     keys = list(all_columns)
     blocks, parts = check_colours(head, colours, keys, all_columns.get)
     for item, block in zip(contents, blocks or ()):

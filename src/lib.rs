@@ -83,6 +83,7 @@
 //! | read bytes from other sources | [`bytes`] |
 //! | keep pages in memory | [`store`], [`page`](mod@slice) |
 //! | query | [`query`], [`object`] |
+//! | tell free space from space that no scanner saw | [`seen`] |
 //! | walk | [`walk`] |
 //! | find where a pawn can walk, and routes | [`reach`] |
 //! | the grid, options of archives, units, errors, progress | [`frame`], [`plan`], [`unit`](mod@unit), [`error`], [`monitor`] |
@@ -95,6 +96,7 @@ pub mod object;
 pub mod page;
 pub mod query;
 pub mod reach;
+pub mod seen;
 pub mod stats;
 pub mod store;
 pub mod walk;

@@ -3,7 +3,7 @@
 use super::FORMAT_VERSION;
 use super::colour_section::EncodedColours;
 use super::dedup::WINDOW;
-use super::head::{COLOURS, Header, LEVELS};
+use super::head::{COLOURS, Header, LEVELS, SEEN};
 use super::levels::CoarseSpan;
 use super::page_coding::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
@@ -81,7 +81,7 @@ impl<K: Copy + Eq + Hash> Copier<K> {
 pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
     let (major, minor) = header.version;
     let newer = minor > FORMAT_VERSION.1;
-    let features = header.features_optional & !(LEVELS | COLOURS);
+    let features = header.features_optional & !(LEVELS | COLOURS | SEEN);
     (newer || features != 0).then(|| match newer {
         true => format!("what format {major}.{minor} adds to the head"),
         false => format!("optional features {features:#x}"),

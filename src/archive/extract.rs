@@ -6,11 +6,13 @@ use super::head::{Bounds, Header};
 use super::metadata::{Metadata, tag_name};
 use super::page_coding::{PageDecoder, PageEncoder};
 use super::reader::Archive;
+use super::seen::SeenReader;
 use super::writer::{ArchiveWriter, Totals};
 use crate::codec::ColourEncoder;
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::output::{Existing, Protected};
 use crate::page::{Inferred, Page, PageBuilder, Span};
+use crate::seen::{CELL_PIXELS, SeenBlock, SeenPage};
 use crate::{Error, Monitor, Parameter, Result};
 use std::path::Path;
 
@@ -167,6 +169,7 @@ pub fn extract(
             Ok((part.slices() != 0).then(|| encoder.encode_inferred(entry.key, &part, &inferred)))
         })?;
     }
+    extract_seen(archive, &region, &mut writer)?;
     let bounds = writer.fit(header.bounds.and_then(|whole| region.bounds(frame, &whole)));
     let mut dropped: Vec<_> = unknown.iter().map(|(tag, _)| format!("metadata {}", tag_name(tag))).collect();
     dropped.extend(shard.map(|shard| format!("that it is {shard}")));
@@ -175,7 +178,40 @@ pub fn extract(
     Ok(Extracted { header, dropped })
 }
 
+/// Copies the seen cells that meet the region.
+fn extract_seen(archive: &Archive, region: &Region, writer: &mut ArchiveWriter) -> Result<()> {
+    let Some(table) = archive.seen_table()? else { return Ok(()) };
+    writer.set_seen();
+    let mut reader = SeenReader::new(archive);
+    for entry in table.entries().iter().filter(|entry| region.meets_block(entry.key)) {
+        let block = reader.block(entry)?;
+        let mut kept = SeenBlock::new(block.key);
+        for (key, mut page) in block.each_page() {
+            if let Some(part) = region.part_of(key) {
+                let mut inside = SeenPage::NOTHING;
+                let cells = |(first, last): (u32, u32)| [first, last].map(|at| at as usize / CELL_PIXELS as usize);
+                inside.mark([cells(part.px), cells(part.py), [part.slices.0, part.slices.1].map(|at| at as usize)]);
+                page.intersect(&inside);
+                kept.push(SeenBlock::place_of(key).1, &page);
+            }
+        }
+        if !kept.is_empty() {
+            writer.put_seen(&kept)?;
+        }
+    }
+    Ok(())
+}
+
 impl Region {
+    /// Returns whether some page of a block of seen space lies in the region.
+    fn meets_block(&self, key: PageKey) -> bool {
+        let across = [(self.i, key.tx), (self.j, key.ty)];
+        let first = i64::from(key.layer) * 64 * PAGE_SLICES;
+        across.iter().all(|&(range, at)| within(range, i64::from(at) * TILE_PIXELS).is_some())
+            && self.slices.0 < first + 64 * PAGE_SLICES
+            && self.slices.1 >= first
+    }
+
     /// Returns the part of `whole` in the region, if any.
     fn bounds(&self, frame: &Frame, whole: &Bounds) -> Option<Bounds> {
         let least =

@@ -6,10 +6,11 @@
 
 use super::colour_section::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
-use super::head::{Bounds, Header, Voxels};
+use super::head::{Bounds, Header, SEEN, Voxels};
 use super::metadata::{Metadata, Tag, Unknown, tag_name};
 use super::page_coding::{PageDecoder, PageEncoder};
 use super::reader::Archive;
+use super::seen::SeenReader;
 use super::shard::{InputRead, Shard};
 use super::solid_bounds::Matter;
 use super::writer::{ArchiveWriter, Totals};
@@ -151,12 +152,20 @@ fn join(
     if let Some(colours) = first.header.colours {
         writer.set_colours(colours.plan);
     }
+    let seen = has_seen(&first.header);
+    if seen {
+        writer.set_seen();
+    }
     // Parts of one plan file agree, unless one was modified.
     let noise = first.noise.filter(|_| parts.iter().all(|part| part.noise == first.noise));
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), noise, ..Totals::default() };
     for part in &parts {
         copy(part, &plan, &mut writer, monitor)?;
         add(&mut totals, part)?;
+    }
+    // Seen space follows all pages.
+    for part in parts.iter().filter(|_| seen) {
+        copy_seen(part, &mut writer)?;
     }
     let (unknown, dropped) = common_records(&parts);
     writer.set_unknown(unknown);
@@ -258,6 +267,10 @@ fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>
         if pair[0].header.levels.is_some() != pair[1].header.levels.is_some() {
             let reason = format!("only one of it and {} has overview levels", pair[0].path.display());
             return pair[1].refuse(format!("{reason}; convert both with the same --levels"));
+        }
+        if has_seen(&pair[0].header) != has_seen(&pair[1].header) {
+            let reason = format!("only one of it and {} has seen space", pair[0].path.display());
+            return pair[1].refuse(format!("{reason}; convert both with --free-space, or none"));
         }
         let colours = |part: &OpenShard<'_>| part.header.colours.map(|colours| colours.plan);
         if colours(&pair[0]) != colours(&pair[1]) {
@@ -371,6 +384,34 @@ fn copy(part: &OpenShard<'_>, plan: &Plan, writer: &mut ArchiveWriter, monitor: 
         return part.refuse(format!("rule T6: expected {expected}, found {found}; convert it again"));
     }
     Ok(())
+}
+
+fn has_seen(header: &Header) -> bool {
+    header.features_optional & SEEN != 0
+}
+
+/// Copies the seen space of `part` into `writer`. Every cell depends on its place alone, so those of all parts are
+/// those of the whole.
+fn copy_seen(part: &OpenShard<'_>, writer: &mut ArchiveWriter) -> Result<()> {
+    let archive = part.reopen()?;
+    let failed = |error| named(part.path, error);
+    let Some(table) = archive.seen_table().map_err(failed)? else { return Ok(()) };
+    let (mut reader, mut cells) = (SeenReader::new(&archive), 0);
+    for entry in table.entries() {
+        if !part.shard.columns().contains(&entry.key.column()) {
+            return part.refuse(format!(
+                "seen space of column {:016x} lies outside its columns (rule V5)",
+                entry.key.column()
+            ));
+        }
+        let block = reader.block(entry).map_err(failed)?;
+        cells += block.cells();
+        writer.put_seen(&block)?;
+    }
+    match cells == table.cells() {
+        true => Ok(()),
+        false => part.refuse("its seen cells are not as many as it says (rule V4); convert it again".into()),
+    }
 }
 
 /// Adds the point counts of `part`; each input point counts in exactly one part.

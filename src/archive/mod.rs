@@ -23,6 +23,8 @@ mod colour_check;
 
 mod levels;
 
+mod seen;
+
 mod shard;
 
 mod dedup;
@@ -63,6 +65,7 @@ pub use opening::{Opened, Opening};
 pub use page_coding::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::{Archive, PageReader};
 pub use recover::{Recovered, recover};
+pub use seen::SeenTable;
 pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};

@@ -11,11 +11,12 @@ use super::catalog::Catalog;
 use super::colour_section::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::directory::{Content, Extent, PageEntry, Storage};
-use super::head::{self, Header, MAX_HEAD, Pages};
+use super::head::{self, Header, MAX_HEAD, Pages, SEEN};
 use super::metadata::Metadata;
 use super::page_coding::{EncodedPage, PageDecoder, PageEncoder, own_key};
 use super::reader::Archive;
 use super::salvage::{Found, find_pages};
+use super::seen::SeenReader;
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
 use crate::frame::PageKey;
@@ -292,6 +293,25 @@ impl Rescue<'_> {
         self.count(entry.key, len.into())
     }
 
+    /// Recovers the sound blocks of seen space. Returns what is lost of it, as text.
+    fn seen_space(&mut self, archive: &Archive) -> Result<Option<String>> {
+        if archive.header().features_optional & SEEN == 0 {
+            return Ok(None);
+        }
+        // Without the table, no blocks can be found.
+        let Ok(Some(table)) = archive.seen_table() else { return Ok(Some("seen space (damaged)".into())) };
+        self.writer.set_seen();
+        let (mut reader, mut cells) = (SeenReader::new(archive), 0);
+        for entry in table.entries() {
+            if let Ok(block) = reader.block(entry) {
+                cells += block.cells();
+                self.writer.put_seen(&block)?;
+            }
+        }
+        let lost = table.cells().saturating_sub(cells);
+        Ok((lost > 0).then(|| format!("{lost} of {} cells of seen space (damaged)", table.cells())))
+    }
+
     fn count(&mut self, key: PageKey, bytes: u64) -> Result<()> {
         let (first, _) = self.columns.unwrap_or((key.column(), 0));
         self.columns = Some((first, key.column()));
@@ -327,6 +347,9 @@ impl Rescue<'_> {
             && stated > self.colours_found
         {
             dropped.push(format!("colours of {} of {stated} voxels (damaged)", stated - self.colours_found));
+        }
+        if let Some(archive) = old {
+            dropped.extend(self.seen_space(archive)?);
         }
         dropped.extend(header.and_then(beyond_this_version));
         let totals = match header {

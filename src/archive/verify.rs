@@ -14,6 +14,7 @@ use super::head::{Pages, Tiles, Voxels};
 use super::levels::{CoarseColour, CoarseSpan, LevelCheck, coarse, coarse_colours};
 use super::page_coding::{PageDecoder, PageEncoder, check_entry, check_key, check_leader};
 use super::reader::Archive;
+use super::seen::{SeenReader, SeenTable};
 use super::shard::Shard;
 use super::solid_bounds::Matter;
 use crate::codec::Violation;
@@ -107,9 +108,12 @@ impl Archive {
             coarse_kept: 0,
             colours: None,
             colour_decoder: PageDecoder::new(),
+            pages_end: header.colours_offset(),
+            lost_seen: false,
         };
         pass.metadata();
         pass.colour_table();
+        pass.seen_space(monitor)?;
         if header.levels.is_some() {
             match LevelCheck::new(self) {
                 Ok(levels) => pass.levels = Some(levels),
@@ -195,6 +199,10 @@ struct Pass<'a> {
     /// `None` without colours, or if their table is damaged.
     colours: Option<ColourCheck>,
     colour_decoder: PageDecoder,
+    /// Where the pages end; seen space may follow.
+    pages_end: u64,
+    /// True if that is unknown, because seen space is damaged.
+    lost_seen: bool,
 }
 
 impl Pass<'_> {
@@ -221,6 +229,50 @@ impl Pass<'_> {
             Ok(check) => self.colours = check,
             Err(error) => self.error(error, "table of colours", header.colours_offset()),
         }
+    }
+
+    /// Checks seen space (rules V1 to V5), which ends the section of pages.
+    fn seen_space(&mut self, monitor: &dyn Monitor) -> Result<()> {
+        match self.archive.seen_table() {
+            Ok(None) => {}
+            Ok(Some(table)) => {
+                self.pages_end = table.start();
+                self.summary.bytes += table.bytes();
+                return self.seen_blocks(&table, monitor);
+            }
+            Err(error) => {
+                let at = self.archive.header().colours_offset();
+                self.error(error, "seen space", at);
+                // Where the pages end is now unknown.
+                self.lost_seen = true;
+            }
+        }
+        Ok(())
+    }
+
+    fn seen_blocks(&mut self, table: &SeenTable, monitor: &dyn Monitor) -> Result<()> {
+        let (mut reader, mut cells, mut complete) = (SeenReader::new(self.archive), 0, true);
+        for entry in table.entries() {
+            if monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            if let Some(shard) = self.shard.filter(|shard| !shard.columns().contains(&entry.key.column())) {
+                let expected = format!("columns {:016x} to {:016x} of {shard}", shard.first, shard.last);
+                let found = format!("{:016x}", entry.key.column());
+                self.error(Violation::new("V5", expected, found).at("seen space", table.start()), "seen space", 0);
+            }
+            match reader.block(entry) {
+                Ok(block) => cells += block.cells(),
+                Err(error) => {
+                    complete = false;
+                    self.error(error, "seen space", table.start());
+                }
+            }
+        }
+        if complete && cells != table.cells() {
+            self.error(Violation::new("V4", cells, table.cells()).at("seen space", table.start()), "seen space", 0);
+        }
+        Ok(())
     }
 
     /// Loads the colour leaf of directory leaf `index`.
@@ -490,8 +542,8 @@ impl Pass<'_> {
     /// right. After any finding it skips the totals, which the damage would falsify.
     fn totals(&mut self) {
         let header = self.archive.header();
-        let pages_end = header.colours_offset();
-        if let Some(end) = self.next.filter(|&end| end != pages_end) {
+        let pages_end = self.pages_end;
+        if let Some(end) = self.next.filter(|&end| end != pages_end && !self.lost_seen) {
             let violation = Violation::new("D9", format!("pages up to byte {pages_end}"), end);
             self.error(violation.at("pages", header.pages_offset()), "pages", 0);
         }

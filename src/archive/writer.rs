@@ -10,6 +10,7 @@ use super::head::{self, Bounds, Header, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, 
 use super::levels::{CoarseSpan, LevelWriter};
 use super::metadata::{Metadata, Unknown};
 use super::page_coding::EncodedPage;
+use super::seen::SeenWriter;
 use super::shard::{InputRead, Shard};
 use super::solid_bounds::Matter;
 use super::spill::{Entries, write_leaves};
@@ -20,6 +21,7 @@ use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::page::{PageBounds, PageSize};
 use crate::plan::{Noise, Plan};
+use crate::seen::SeenBlock;
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::path::Path;
@@ -73,6 +75,8 @@ pub struct ArchiveWriter {
     flushed: u64,
     /// Where the bytes after the head begin; [`MAX_HEAD`] until the exact length of the head is known.
     base: u64,
+    /// True once no page may follow.
+    pages_ended: bool,
     entries: Entries,
     window: Window,
     last: Option<PageKey>,
@@ -80,6 +84,7 @@ pub struct ArchiveWriter {
     matter: Matter,
     levels: Option<LevelWriter>,
     colours: Option<ColourWriter>,
+    seen: Option<SeenWriter>,
     shard: Option<Shard>,
     read: Vec<InputRead>,
     unknown: Unknown,
@@ -144,12 +149,14 @@ impl ArchiveWriter {
             buffer: Vec::new(),
             flushed: 0,
             base: MAX_HEAD as u64,
+            pages_ended: false,
             window: Window::default(),
             last: None,
             counts,
             matter: Matter::default(),
             levels: None,
             colours: None,
+            seen: None,
             shard: None,
             read: Vec::new(),
             unknown: Unknown::new(),
@@ -192,6 +199,46 @@ impl ArchiveWriter {
     /// Returns whether the archive has overview levels.
     pub fn has_levels(&self) -> bool {
         self.levels.is_some()
+    }
+
+    /// Adds seen space to the archive; its blocks follow the last page ([`put_seen`](Self::put_seen)).
+    pub fn set_seen(&mut self) {
+        self.seen = Some(SeenWriter::new());
+        self.counts.features_optional |= head::SEEN;
+    }
+
+    /// Adds a block of seen space, of which something must have been seen. Keys must ascend, and no page may follow.
+    pub fn put_seen(&mut self, block: &SeenBlock) -> Result<()> {
+        let Some(mut seen) = self.seen.take() else {
+            return Err(Error::parameter(format!("block {}", block.key), "the archive is written without seen space"));
+        };
+        self.end_pages();
+        let added = seen.add(block, &mut |bytes| self.append(bytes));
+        self.seen = Some(seen);
+        added
+    }
+
+    /// Completes the seen space and returns its cells and the bytes of its section.
+    pub fn end_seen(&mut self) -> Result<(u64, u64)> {
+        let Some(seen) = self.seen.take() else {
+            return Err(Error::parameter("seen space", "the archive is written without it"));
+        };
+        self.end_pages();
+        seen.finish(&mut |bytes| self.append(bytes))
+    }
+
+    /// Fixes the length of the head, which depends on the pages alone.
+    fn end_pages(&mut self) {
+        if !self.pages_ended {
+            self.pages_ended = true;
+            if self.flushed == 0 {
+                self.base = head::exact_len(self.leaf_count()) as u64;
+            }
+        }
+    }
+
+    fn leaf_count(&self) -> usize {
+        self.entries.len().div_ceil(head::leaf_entries(self.entries.len()) as u64) as usize
     }
 
     /// Marks the archive as a part of a conversion; its pages must lie in the columns of `shard`.
@@ -275,6 +322,9 @@ impl ArchiveWriter {
     }
 
     fn check_key(&self, key: PageKey) -> Result<()> {
+        if self.pages_ended {
+            return Err(Error::parameter(format!("page {key}"), "put after seen space; pages come first"));
+        }
         if self.last.is_some_and(|last| last >= key) || !key_in_grid(key) {
             let last = self.last.map_or("nothing".into(), |last| last.to_string());
             let reason = format!("put after {last}; keys ascend, within ±2^30");
@@ -387,9 +437,9 @@ impl ArchiveWriter {
     fn complete(&mut self, totals: Totals) -> Result<Header> {
         let mut header = self.counts.clone();
         let leaf_entries = head::leaf_entries(self.entries.len());
-        let leaf_count = self.entries.len().div_ceil(leaf_entries as u64) as usize;
-        if self.flushed == 0 {
-            self.base = head::exact_len(leaf_count) as u64;
+        self.end_pages();
+        if self.seen.is_some() {
+            self.end_seen()?;
         }
         let pages = self.flushed + self.buffer.len() as u64;
         let (mut colours_len, mut levels_len) = (0, 0);

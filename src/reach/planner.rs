@@ -2,9 +2,11 @@
 
 use super::{Flood, Pawn, PlaceId, Refusal, Region, Route, Search, StandingPlaces};
 use crate::query::Answer;
+use crate::seen::SeenSpace;
 use crate::store::{Missing, Snapshot};
 use crate::{Monitor, Result};
 use nalgebra::Point3;
+use std::sync::Arc;
 
 /// Routes are searched up to this multiple of the straight line, plus some metres for the way around obstacles at the
 /// ends (m).
@@ -62,6 +64,12 @@ impl Planner {
             is_bounded: false,
             peak_bytes: 0,
         })
+    }
+
+    /// Keeps the route within seen space; see [`StandingPlaces::within_seen`].
+    #[must_use]
+    pub fn within_seen(self, seen: Option<Arc<SeenSpace>>) -> Self {
+        Self { standing: self.standing.within_seen(seen), ..self }
     }
 
     /// Restricts the search to where routes of up to `length` (m) may lead. [`Refusal::NotConnected`] then means that

@@ -6,9 +6,11 @@ use super::tiles::TileNumbers;
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
+use crate::seen::SeenSpace;
 use crate::store::Snapshot;
 use nalgebra::{Point2, Point3};
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 /// Edge of a tile (pixels).
 const TILE: usize = 64;
@@ -107,13 +109,26 @@ pub struct StandingPlaces {
     pub(super) grid: Grid,
     pub(super) tiles: Vec<Tile>,
     numbers: TileNumbers,
+    /// Space in which the pawn must stay.
+    seen: Option<Arc<SeenSpace>>,
 }
 
 impl StandingPlaces {
     /// Creates the standing places of `pawn` in `set` without computing any tile. Fails for an invalid pawn, and for a
     /// set of pages larger than 2²⁴ tiles or 2¹⁶ layers.
     pub fn new(set: &Snapshot, pawn: Pawn) -> Result<Self> {
-        Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: TileNumbers::default() })
+        let grid = Grid::new(set, pawn)?;
+        Ok(Self { grid, tiles: Vec::new(), numbers: TileNumbers::default(), seen: None })
+    }
+
+    /// Counts as standing places only those where a scanner saw the middle of the pawn, from the climb height to the
+    /// head; call it before anything else. All other ground counts as no floor.
+    ///
+    /// Only the middle, because nothing is stored as seen beside surfaces: whatever is wider than that would make a way
+    /// along a wall unseen.
+    #[must_use]
+    pub fn within_seen(self, seen: Option<Arc<SeenSpace>>) -> Self {
+        Self { seen, ..self }
     }
 
     /// Returns the pawn.
@@ -240,7 +255,10 @@ impl StandingPlaces {
         if let Some(number) = self.numbers.get(at) {
             return ControlFlow::Continue(number);
         }
-        let tile = compute(set, &self.grid, at)?;
+        let mut tile = compute(set, &self.grid, at)?;
+        if let Some(seen) = &self.seen {
+            refuse_unseen(&self.grid, seen, &mut tile);
+        }
         self.numbers.add(at);
         self.tiles.push(tile);
         ControlFlow::Continue(self.tiles.len() - 1)
@@ -317,6 +335,21 @@ fn compute(set: &Snapshot, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
         starts.push(blocks.len() as u32);
     }
     ControlFlow::Continue(Tile { at, starts: starts.into(), blocks: blocks.into() })
+}
+
+/// Makes the ground on which the middle of the pawn was not seen no floor.
+fn refuse_unseen(grid: &Grid, seen: &SeenSpace, tile: &mut Tile) {
+    for (cell, ends) in tile.starts.windows(2).enumerate() {
+        let pixel = [0, 1].map(|axis| tile.at[axis] * TILE as i32 + ((cell >> (6 * axis)) & 63) as i32);
+        let [x, y] = [0, 1].map(|axis| grid.middle(pixel[axis], axis));
+        for block in &mut tile.blocks[ends[0] as usize..ends[1] as usize] {
+            let feet = grid.z(block.top);
+            let [low, high] = [grid.pawn.climb, grid.pawn.body.height()].map(|above| Point3::new(x, y, feet + above));
+            if block.kind != Kind::Refused && !seen.is_box_seen(low, high) {
+                block.kind = Kind::Refused;
+            }
+        }
+    }
 }
 
 /// Blocks of a tile and of the pixels around it.

@@ -2,7 +2,9 @@
 
 use serde_json::{Value, json};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry, Storage};
+use slicewalk::frame::PageKey;
 use slicewalk::page::Span;
+use slicewalk::seen::SeenPage;
 use slicewalk::{Error, NoMonitor, Result};
 use slicewalk_convert::info;
 
@@ -47,11 +49,30 @@ pub fn content(archive: &Archive) -> Result<Value> {
     };
     let pages = archive.entries().map(one).collect::<Result<Vec<_>>>()?;
     let mut content = json!({ "info": info::info(archive)?, "pages": pages });
+    if let Some(space) = archive.seen_space(1 << 30)? {
+        content["seen"] = space.pages().map(|(key, page)| seen(key, &page)).collect();
+    }
     if archive.header().levels.is_some() {
         let levels = archive.levels()?.iter().map(|told| level(archive, told));
         content["levels"] = levels.collect::<Result<Vec<_>>>()?.into();
     }
     Ok(content)
+}
+
+/// Key of a page, and its seen cells: those of each slice in hexadecimal digits.
+fn seen(key: PageKey, page: &SeenPage) -> Value {
+    let slice = |words: &[u64; 4]| {
+        let digits: String = words.iter().rev().map(|word| format!("{word:016x}")).collect();
+        match digits.trim_start_matches('0') {
+            "" => "0".to_owned(),
+            digits => digits.to_owned(),
+        }
+    };
+    let cells = match page.cells() {
+        SeenPage::CELLS => "all".to_owned(),
+        _ => page.slices().iter().map(slice).collect::<Vec<_>>().join(" "),
+    };
+    json!([key.tx, key.ty, key.layer, cells])
 }
 
 fn level(archive: &Archive, level: &Level) -> Result<Value> {

@@ -18,6 +18,9 @@ pub fn info(archive: &Archive) -> Result<Value> {
     if let Some(noise) = archive.noise()? {
         facts["tolerance_auto"] = noise_info(&noise);
     }
+    if let Some(seen) = archive.seen_table()? {
+        set_seen(&mut facts, seen.cells(), seen.bytes());
+    }
     if let Some(shard) = archive.shard()? {
         facts["shard"] = shard_info(&shard);
     }
@@ -222,6 +225,13 @@ pub fn units_in_words(units: &[LengthUnit]) -> String {
         [] => "unknown".to_owned(),
         units => units.iter().map(whole).collect::<Vec<_>>().join("; "),
     }
+}
+
+/// Adds the facts of seen space to those of an archive: cells, and bytes of its section, which follows the pages.
+pub fn set_seen(facts: &mut Value, cells: u64, bytes: u64) {
+    facts["seen"] = json!({ "cells": cells, "bytes": bytes });
+    let with_pages = facts["bytes"]["tiles"].as_u64().unwrap_or(0);
+    facts["bytes"]["tiles"] = with_pages.saturating_sub(bytes).into();
 }
 
 /// Returns the facts of a part of a conversion.

@@ -24,6 +24,7 @@ mod colours;
 mod columns;
 mod cubes;
 mod facts;
+mod free;
 mod holes;
 #[doc(hidden)]
 pub mod info;
@@ -53,6 +54,7 @@ mod work;
 mod writer;
 
 pub use facts::InputFacts;
+pub use free::SeenCounts;
 pub use options::{ColourMode, ConvertOptions, PixelSize, ShardOptions, Tolerance};
 pub use plan_file::{PlanFile, Stated};
 pub use preview::{Preview, PreviewInput, preview};
@@ -79,6 +81,7 @@ use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
 use crate::voxel::visibility::Views;
 use cubes::{CubeSet, read_cubes};
+use free::write_seen;
 use meshes::{Colouring, MeshReading, read_meshes};
 use pages::{Writing, write_archive};
 use points::{Reading, Seeing, read_points};
@@ -342,6 +345,11 @@ impl ConvertOptions {
         Err(Error::parameter(Parameter::FillHoles, reason))
     }
 
+    /// Returns whether the positions of scanners change the archive.
+    pub(crate) fn needs_stations(&self) -> bool {
+        self.plan.remove_moving || self.free_space
+    }
+
     fn check(&self) -> Result<()> {
         if self.memory_bytes < MIN_MEMORY_BYTES {
             let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", self.memory_bytes);
@@ -354,8 +362,8 @@ impl ConvertOptions {
             let reason = format!("{} is not a width of holes in metres; give a length above 0", number(widest_m));
             return Err(Error::parameter(Parameter::FillHoles, reason));
         }
-        if self.stations.is_some() && !self.plan.remove_moving {
-            let reason = "a table of stations changes nothing unless moving points are to be removed";
+        if self.stations.is_some() && !self.needs_stations() {
+            let reason = "a table of stations changes nothing unless moving points are removed or seen space is stored";
             return Err(Error::parameter(Parameter::Stations, reason));
         }
         if self.resume && crate::bytes::address(&self.output).is_some() {
@@ -389,7 +397,7 @@ impl Limits {
         let builders = options.threads as u64 * if options.colour == ColourMode::Off { 1 } else { 2 };
         let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / builders;
         // The views of stations take half of what runs have otherwise.
-        let views_bytes = if options.plan.remove_moving { options.memory_bytes / 4 } else { 0 };
+        let views_bytes = if options.needs_stations() { options.memory_bytes / 4 } else { 0 };
         Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
     }
 
@@ -445,12 +453,16 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
     let mut scope = scope(options, (&set, &splats), &plan, colours, chosen.as_ref(), monitor)?;
     drop(chosen);
-    let seeing = match plan.options.remove_moving {
+    let seeing = match options.needs_stations() {
         true => {
             let Stations { stations, of_cloud, tag } = Stations::find(options.stations.as_deref(), &set)?;
             set.set_tag(tag);
             scope.iter_mut().for_each(|scope| scope.sees_from(&stations));
-            Some(Seeing { views: Views::new(&stations, plan.frame, limits.views_bytes)?, of_cloud })
+            Some(Seeing {
+                views: Views::new(&stations, plan.frame, limits.views_bytes)?,
+                of_cloud,
+                removes: plan.options.remove_moving,
+            })
         }
         false => None,
     };
@@ -459,6 +471,9 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let mut writer = ArchiveWriter::on(output, &plan)?;
     if options.levels {
         writer.set_levels();
+    }
+    if options.free_space {
+        writer.set_seen();
     }
     if let Some(shard) = shard {
         writer.set_shard(shard);
@@ -648,7 +663,10 @@ impl Conversion<'_> {
         set.check_complete(monitor)?;
         let PointCounts { not_finite: points_not_finite, missing, .. } = read.own.left_out;
         let points_missing = set.points_missing().saturating_add(missing);
-        let colouring = colours.map(|ColourPlan { scale, .. }| Colouring { scale, with_points: seeing.is_some() });
+        let colouring = colours.map(|ColourPlan { scale, .. }| Colouring {
+            scale,
+            with_points: seeing.is_some_and(|seeing| seeing.removes),
+        });
         let of_splats = colouring.filter(|_| splats.has_paint());
         let reading = MeshReading { build_bytes, scope, colouring: colouring.filter(|_| meshes.has_paint()) };
         let mesh_read = read_meshes(meshes, options, plan, store, reading, monitor)?;
@@ -681,11 +699,15 @@ impl Conversion<'_> {
         if let Some(removed) = &mut removed {
             removed.set_bounds(read.min, read.max);
         }
-        let views = seeing.map(|seeing| &seeing.views);
-        views.inspect(|views| views.finish());
+        seeing.inspect(|seeing| seeing.views.finish());
+        let views = seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views);
         let temp_dir = &options.temp_dir;
         let writing = Writing { memory_bytes: options.memory_bytes, threads, columns, views, temp_dir };
         let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
+        let seen = match seeing.filter(|_| options.free_space) {
+            Some(seeing) => Some(write_seen(&seeing.views, columns, threads, &mut writer, monitor)?),
+            None => None,
+        };
         let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
         read.own.kept -= points_moving;
         read.own.left_out.read += points_moving;
@@ -712,6 +734,7 @@ impl Conversion<'_> {
             points_not_finite,
             points_missing,
             points_moving,
+            seen,
             complete,
             triangles: mesh_read.triangles,
             splats: splat_read.counts,

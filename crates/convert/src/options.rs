@@ -141,8 +141,11 @@ pub struct ConvertOptions {
     pub colour_error: f64,
     /// True if input that is only partly readable is converted with warnings instead of being refused.
     pub allow_incomplete: bool,
+    /// True if the archive also stores which space the stations saw (see [`seen`](slicewalk::seen)); off by default.
+    pub free_space: bool,
     /// Table of scanner positions with the columns `file,x,y,z` (also `source_id`, or `t` for paths by GPS time).
-    /// Needed if the plan removes moving points and a scan does not state its station, as E57 and PTX do.
+    /// Needed for `free_space`, or if the plan removes moving points, and a scan does not state its station, as E57 and
+    /// PTX do.
     pub stations: Option<PathBuf>,
     /// File for the points that were removed as moving, as LAS.
     pub removed: Option<PathBuf>,
@@ -207,6 +210,7 @@ impl ConvertOptions {
             colour: ColourMode::Off,
             colour_error: Self::DEFAULT_COLOUR_ERROR,
             allow_incomplete: false,
+            free_space: false,
             stations: None,
             removed: None,
             overwrite: false,

@@ -122,6 +122,8 @@ pub(super) struct Reading<'a> {
 pub(super) struct Seeing {
     pub views: Views,
     pub of_cloud: Vec<Vec<Measured>>,
+    /// True if points that other stations saw through are removed.
+    pub removes: bool,
 }
 
 impl Seeing {
@@ -178,8 +180,9 @@ pub(super) fn read_points(
     let work = || -> Result<(Read, Option<Values>)> {
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
-        // With stations, each value follows its point's record, so that it is removed with the point.
-        let of_values = || RunBuilder::of_values(recorder, build_bytes, seeing.is_some());
+        // If points are removed, each value follows its point's record, so that it is removed with the point.
+        let removes = seeing.is_some_and(|seeing| seeing.removes);
+        let of_values = || RunBuilder::of_values(recorder, build_bytes, removes);
         let mut values = source.map(|source| (source, Values::new(source), of_values()));
         if let Some(scope) = scope {
             builder = builder.only(scope.keeps());

@@ -72,7 +72,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     let (plan, Surveyed { spacing, noise }) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
     scope(options, (set, &opened.splats), &plan, None, None, monitor)?;
-    if options.plan.remove_moving {
+    if options.needs_stations() {
         Stations::find(options.stations.as_deref(), set)?;
     }
     let scenes: Vec<Scene> = set.files().iter().filter_map(ScanFile::scene_stated).collect();

@@ -1,8 +1,8 @@
 //! Result of a conversion, as a value and as JSON.
 
-use super::{Resumed, Similarity, SplatCounts, UpFound};
+use super::{Resumed, SeenCounts, Similarity, SplatCounts, UpFound};
 use crate::archive::{Header, Shard};
-use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, placing_info, shard_info, splat_info};
+use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, placing_info, set_seen, shard_info, splat_info};
 use crate::input::TextLayout;
 use crate::input::spacing::Spacing;
 use crate::mesh::MeshCounts;
@@ -45,6 +45,8 @@ pub struct Report {
     pub points_missing: u64,
     /// Points removed because other stations of the scan saw through their positions.
     pub points_moving: u64,
+    /// Seen space; `None` if it is not stored.
+    pub seen: Option<SeenCounts>,
     /// True if all of the input was read; always true unless incomplete input is allowed.
     pub complete: bool,
     /// Triangles of meshes; they also count as points in the header.
@@ -68,6 +70,9 @@ impl Report {
         facts["points_not_finite"] = self.points_not_finite.into();
         facts["points_missing"] = self.points_missing.into();
         facts["points_moving"] = self.points_moving.into();
+        if let Some(seen) = &self.seen {
+            set_seen(&mut facts, seen.cells, seen.bytes);
+        }
         facts["complete"] = self.complete.into();
         facts["triangles_read"] = self.triangles.read.into();
         facts["triangles_left_out"] = self.triangles.left_out.into();

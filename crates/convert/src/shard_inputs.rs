@@ -40,7 +40,7 @@ impl Chosen {
     pub fn of(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<Self>> {
         let (Some(wanted), Some(file)) = (options.shard, &options.plan_file) else { return Ok(None) };
         let Some(stated) = &file.stated else { return Ok(None) };
-        if file.colour.is_some() || file.plan.options.remove_moving || options.allow_incomplete {
+        if file.colour.is_some() || file.plan.options.remove_moving || options.free_space || options.allow_incomplete {
             return Ok(None);
         }
         let shard = file.shard(wanted.index, wanted.count)?;

@@ -60,6 +60,10 @@ impl PointWriter {
             let reason = "points from memory have no stations; convert files to remove what moved";
             return Err(Error::parameter(Parameter::Stations, reason));
         }
+        if options.free_space {
+            let reason = "points from memory have no stations; convert files to store which space they saw";
+            return Err(Error::parameter(Parameter::Stations, reason));
+        }
         if options.colour != super::ColourMode::Off {
             let reason = "points from memory come without values for colours; convert files";
             return Err(Error::parameter(Parameter::Colour, reason));
@@ -173,6 +177,7 @@ impl PointWriter {
             triangles: MeshCounts::default(),
             points_made: 0,
             points_moving: 0,
+            seen: None,
             voxels_dropped: left_out.voxels,
         })
     }

@@ -46,6 +46,8 @@ pub(super) const INFERRED: u64 = 1;
 pub(super) const LEVELS: u64 = 1;
 /// Bit of `features_optional`: the archive has colours, and so have its levels.
 pub(super) const COLOURS: u64 = 2;
+/// Bit of `features_optional`: the pages section ends with seen space.
+pub(super) const SEEN: u64 = 4;
 /// Ends of the level fields and of the inferred-voxel count within the reserved bytes.
 const LEVELS_END: usize = 19;
 const INFERRED_END: usize = LEVELS_END + 8;

@@ -46,7 +46,9 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///         `drop_isolated`, and only one of the two may be given
 ///     fill_holes: close holes in floors up to this wide (m) with floor that the archive marks as inferred
 ///     remove_moving: remove points that other stations of the scan saw through
-///     stations: table ``file,x,y,z`` of the stations for `remove_moving`; E57 and PTX state them themselves
+///     free_space: also store which space the stations saw
+///     stations: table ``file,x,y,z`` of the stations for `remove_moving` and `free_space`; E57 and PTX state
+///         them themselves
 ///     removed: LAS file to write the removed points to
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit

@@ -170,6 +170,7 @@ impl Asked {
                     options.plan.drop_floaters = floaters.get();
                 }
                 "remove_moving" => options.plan.remove_moving = take(own, YES_OR_NO, &value)?,
+                "free_space" => options.free_space = take(own, YES_OR_NO, &value)?,
                 "fill_holes" => options.fill_holes_m = Some(take(own, "metres", &value)?),
                 "stations" => options.stations = Some(take(own, "a file", &value)?),
                 "removed" => options.removed = Some(take(own, "a file", &value)?),
@@ -220,10 +221,11 @@ impl Asked {
             return Err(refuse("drop_isolated", "is drop_floaters=1, which is given too; leave one of them out"));
         }
         options.plan.drop_floaters = options.plan.drop_floaters.max(isolated.into());
-        for name in ["stations", "removed"] {
-            if is_named(name) && !options.plan.remove_moving {
-                return Err(refuse(name, "is for remove_moving=True; give both, or none"));
-            }
+        if is_named("stations") && !(options.plan.remove_moving || options.free_space) {
+            return Err(refuse("stations", "is for remove_moving=True and free_space=True; give one of these, too"));
+        }
+        if is_named("removed") && !options.plan.remove_moving {
+            return Err(refuse("removed", "is for remove_moving=True; give both, or none"));
         }
         // With the interpreter released: a plan may lie in an object store.
         let read = |path: PathBuf| match given {

@@ -39,7 +39,9 @@ use values::{UpChoice, classes, epsg, length, part, scale_from, transform};
     name = "sliceconv",
     version,
     max_term_width = 110,
-    override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]"
+    override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]",
+    // What the positions of scanners are for.
+    group = clap::ArgGroup::new("visibility").args(["remove_moving", "free_space"]).multiple(true)
 )]
 struct Arguments {
     /// Scans, meshes, splats, and octrees of solid cubes (OctoMap .bt and .ot, .voxel.json): files, folders of scans, or
@@ -103,10 +105,13 @@ struct Arguments {
     /// Remove points that moved: other stations saw through their positions
     #[arg(long)]
     remove_moving: bool,
-    /// Table of scanner positions with the columns file,x,y,z, in the scan's coordinates. With a column source_id, a
+    /// Also store which space the stations saw: queries can then tell free from never seen
+    #[arg(long)]
+    free_space: bool,
+    /// Table of scanner positions, for --remove-moving and --free-space, with the columns file,x,y,z, in the scan's coordinates. With a column source_id, a
     /// row applies to the points of that point source id; with a column t, the rows are the scanner's path by GPS time
     /// (s). E57 with poses and PTX state the positions themselves; the table has precedence
-    #[arg(long, requires = "remove_moving", value_name = "STATIONS.csv")]
+    #[arg(long, requires = "visibility", value_name = "STATIONS.csv")]
     stations: Option<PathBuf>,
     /// Write the points that were removed as moving to a LAS file
     #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
@@ -401,6 +406,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.plan.min_points = arguments.min_points;
     options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
     options.plan.remove_moving = arguments.remove_moving;
+    options.free_space = arguments.free_space;
     options.fill_holes_m = arguments.fill_holes;
     options.stations = arguments.stations.clone();
     options.removed = arguments.removed.clone();

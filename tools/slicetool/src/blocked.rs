@@ -7,6 +7,8 @@
 //! this way leaves what the pawn reaches. If that fails, too, ground is missing: where what is reached from the start
 //! comes nearest to what is reached from the end.
 //!
+//! A pawn that must stay in seen space is first tried without that: if it then gets through, the reason is `unseen`.
+//!
 //! Ways are looked for within an ellipse around both ends. Cost: up to about 25 floods of it.
 
 use crate::Failure;
@@ -88,6 +90,8 @@ struct Ways<'a> {
     loader: &'a Loader,
     ends: [Point3<f64>; 2],
     length_m: f64,
+    /// True if the pawn may leave seen space.
+    anywhere: bool,
 }
 
 /// A respect in which a pawn is changed.
@@ -149,9 +153,21 @@ impl Change {
 /// Returns why the pawn does not get from one place to the other, both standing places that are not connected.
 pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<Option<Blocked>, Failure> {
     let straight = (ends[1] - ends[0]).xy().norm();
-    let search = Ways { loader, ends, length_m: LONGEST * straight + DETOUR_M };
+    let search = Ways { loader, ends, length_m: LONGEST * straight + DETOUR_M, anywhere: false };
     let Some(own) = search.reached(pawn, ends[0])? else { return Ok(None) };
     let own = Ground::of(loader, &own.region());
+    if let Some(seen) = loader.seen()
+        && let Some(route) = (Ways { anywhere: true, ..search }).route(pawn, ends[1])?
+        && let Some(stop) = own.leaves(&route)
+    {
+        let is_seen = |feet: &Point3<f64>| {
+            let [low, high] = [pawn.climb, pawn.body.height()].map(|above| Point3::new(feet.x, feet.y, feet.z + above));
+            seen.is_box_seen(low, high)
+        };
+        let beyond = route[stop + 1..].iter().skip_while(|feet| is_seen(feet)).find(|feet| is_seen(feet));
+        let needs = (beyond.unwrap_or(&ends[1]) - route[stop]).norm();
+        return Ok(Some(Blocked { at: route[stop], reason: "unseen", needs }));
+    }
     if let Some((change, value, passing)) = search.least_change(pawn, ends[1])?
         && let Some(route) = search.route(&passing, ends[1])?
         && let Some(stop) = own.leaves(&route)
@@ -177,9 +193,16 @@ pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<O
 }
 
 impl Ways<'_> {
+    fn standing(&self, pawn: &Pawn) -> Result<StandingPlaces, Failure> {
+        match self.anywhere {
+            true => Ok(StandingPlaces::new(&self.loader.snapshot(), *pawn)?),
+            false => Ok(self.loader.standing(*pawn)?),
+        }
+    }
+
     /// Everything that a pawn reaches from `from`; `None` if it can stand nowhere near.
     fn reached(&self, pawn: &Pawn, from: Point3<f64>) -> Result<Option<Reached>, Failure> {
-        let mut standing = StandingPlaces::new(&self.loader.snapshot(), *pawn)?;
+        let mut standing = self.standing(pawn)?;
         let start = self.loader.known(|view| standing.snapped(view, from, SNAP_M))?;
         let Some(start) = start else { return Ok(None) };
         let mut flood = Flood::from(start.spot);
@@ -253,7 +276,7 @@ impl Ways<'_> {
 
     /// The first place of a way at which the pawn can stand without having reached it.
     fn stands_beyond(&self, pawn: &Pawn, way: &[Point3<f64>], own: &Ground) -> Result<Option<Point3<f64>>, Failure> {
-        let mut standing = StandingPlaces::new(&self.loader.snapshot(), *pawn)?;
+        let mut standing = self.standing(pawn)?;
         for place in way.iter().filter(|place| !own.holds(place)) {
             if self.loader.known(|view| standing.spot(view, *place))?.is_some() {
                 return Ok(Some(*place));

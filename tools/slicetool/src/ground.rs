@@ -7,11 +7,13 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Pawn, Snapped, StandingPlaces};
+use slicewalk::seen::SeenSpace;
 use slicewalk::store::{MISSING_KEYS, Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::Body;
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A kind of visitor: defaults of the pawn's options.
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
@@ -66,7 +68,10 @@ pub struct Pawns {
     max_drop: Option<f64>,
     #[command(flatten)]
     inferred: crate::Inferred,
-    /// Memory for pages
+    /// Stay where a scanner saw the middle of the pawn, from the climb height to the head (`sliceconv --free-space`)
+    #[arg(long)]
+    seen: bool,
+    /// Memory for pages, and as much again for seen space
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
 }
@@ -99,6 +104,20 @@ impl Pawns {
     /// Opens the archive.
     pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
         self.inferred.open(archive)
+    }
+
+    /// Makes a loader of the archive, which knows its seen space if the pawn must stay in it.
+    pub fn loader(&self, archive: Archive, path: &Path) -> Result<Loader, Failure> {
+        let seen = match self.seen {
+            true => Some(seen_space(&archive, path, self.cache)?),
+            false => None,
+        };
+        Ok(Loader { seen, ..Loader::new(archive, path, self.cache)? })
+    }
+
+    /// True if the pawn must stay in seen space.
+    pub fn needs_seen(&self) -> bool {
+        self.seen
     }
 
     /// Memory for pages (bytes).
@@ -166,10 +185,23 @@ impl Place {
     }
 }
 
+/// Reads the seen space of an archive into at most `most_bytes` of memory.
+pub fn seen_space(archive: &Archive, path: &Path, most_bytes: u64) -> Result<Arc<SeenSpace>, Failure> {
+    let seen = archive.seen_space(most_bytes).map_err(|error| crate::broken(path, &error))?;
+    seen.map(Arc::new).ok_or_else(|| {
+        let suggestion = "convert the scan with --free-space";
+        Failure::Text(format!("{}: it does not say which space was seen; {suggestion}", path.display()))
+    })
+}
+
 /// Loads pages as queries need them.
 pub struct Loader {
     stream: Stream,
     archive: PathBuf,
+    /// Space in which the pawn must stay.
+    seen: Option<Arc<SeenSpace>>,
+    /// Seen space, where it only matters for what is reported.
+    known: Option<Arc<SeenSpace>>,
 }
 
 impl Loader {
@@ -178,12 +210,33 @@ impl Loader {
         let budget = usize::try_from(cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
         let stream = Stream::open(archive, options).map_err(|error| crate::broken(path, &error))?;
-        Ok(Self { stream, archive: path.to_path_buf() })
+        Ok(Self { stream, archive: path.to_path_buf(), seen: None, known: None })
     }
 
     /// The pages in memory now.
     pub fn view(&self) -> Snapshot {
         self.stream.snapshot()
+    }
+
+    /// Reads the seen space of the archive, if it has any, into at most `most_bytes` of memory.
+    pub fn knowing_seen(self, most_bytes: u64) -> Result<Self, Failure> {
+        let known = self.archive().seen_space(most_bytes).map_err(|error| crate::broken(&self.archive, &error))?;
+        Ok(Self { known: known.map(Arc::new), ..self })
+    }
+
+    /// The seen space that was read.
+    pub fn known_seen(&self) -> Option<&SeenSpace> {
+        self.known.as_deref()
+    }
+
+    /// The standing places of a pawn.
+    pub fn standing(&self, pawn: Pawn) -> slicewalk::Result<StandingPlaces> {
+        Ok(StandingPlaces::new(&self.snapshot(), pawn)?.within_seen(self.seen.clone()))
+    }
+
+    /// Space in which the pawn must stay, if any.
+    pub fn seen(&self) -> Option<&Arc<SeenSpace>> {
+        self.seen.as_ref()
     }
 
     /// The archive.

@@ -3,7 +3,7 @@
 use crate::{Failure, Outcome, broken, say};
 use serde_json::Value;
 use slicewalk::NoMonitor;
-use slicewalk::archive::Header;
+use slicewalk::archive::{Header, SeenTable};
 use slicewalk_base::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
 use slicewalk_convert::info::{
     INPUT_QUANTUM_M, colour_words, crs_name, info, noise_in_words, slice_count, units_in_words,
@@ -94,7 +94,9 @@ fn as_text(path: &Path) -> Result<String, Failure> {
     let [occupied, stored, unique] = [header.tiles.occupied, header.tiles.stored, header.tiles.unique].map(grouped);
     rows.push(("tiles", format!("{occupied} occupied, {stored} stored, {unique} unique")));
     let directory = header.bytes.head + header.bytes.directory;
-    let [pages, directory, levels] = [header.bytes.pages, directory, header.bytes.levels].map(grouped);
+    let seen = archive.seen_table().map_err(failed)?;
+    let pages = header.bytes.pages - seen.as_ref().map_or(0, SeenTable::bytes);
+    let [pages, directory, levels] = [pages, directory, header.bytes.levels].map(grouped);
     let levels = if header.bytes.levels > 0 { format!(", levels {levels}") } else { String::new() };
     rows.push(("bytes", format!("{}: pages {pages}, directory {directory}{levels}", grouped(header.file_len))));
     if let Some(colours) = header.colours {
@@ -107,6 +109,12 @@ fn as_text(path: &Path) -> Result<String, Failure> {
                 counted(header.bytes.colours, "byte")
             ),
         ));
+    }
+    if let Some(seen) = seen {
+        let [across, up] = [4.0 * frame.pixel_m(), frame.slice_m()].map(number);
+        let cells = counted(seen.cells(), "cell");
+        let bytes = counted(seen.bytes(), "byte");
+        rows.push(("seen", format!("{cells} of {across} × {across} × {up} m in {bytes}")));
     }
     let unit = if units.is_empty() { "unknown".into() } else { format!("{} in the source", units_in_words(&units)) };
     rows.push(("unit", format!("{unit}; the archive is in metres")));

@@ -2,6 +2,7 @@
 //! success, 1 failure (one line: what, where, what to do), 2 usage.
 
 mod blocked;
+mod coverage;
 mod demo;
 mod diff;
 mod export;
@@ -123,10 +124,17 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Count how pages and tiles are stored, and bytes by part
+    /// Count how pages and tiles are stored, and bytes by part; or report what was seen
     Stats {
         /// Slice archive
         archive: PathBuf,
+        /// Report how much space was seen (`sliceconv --free-space`), where it ends in the open, and where the next
+        /// stations should stand
+        #[arg(long)]
+        coverage: bool,
+        /// Plan of the coverage to draw (PNG): seen space blue, where it ends red, stations white
+        #[arg(short, long, requires = "coverage", value_name = "PLAN.png")]
+        output: Option<PathBuf>,
         /// Print JSON
         #[arg(long)]
         json: bool,
@@ -250,7 +258,8 @@ fn main() -> ExitCode {
     let outcome = match arguments.command {
         Command::Info { archives, json } => info::run(&archives, json),
         Command::Verify { archive, json } => verify::run(&archive, json),
-        Command::Stats { archive, json } => stats::run(&archive, json),
+        Command::Stats { archive, coverage: true, output, json } => coverage::run(&archive, output.as_deref(), json),
+        Command::Stats { archive, json, .. } => stats::run(&archive, json),
         Command::Show(arguments) => show::run(&arguments),
         Command::Diff { a, b, json } => diff::run(&a, &b, json),
         Command::Export(arguments) => export::run(&arguments, &given),

@@ -6,6 +6,7 @@ use crate::{Failure, Outcome, cache_too_small};
 use nalgebra::Point3;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
+use slicewalk::seen::SeenSpace;
 use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk_convert::size::parse_size;
 use std::collections::HashSet;
@@ -22,7 +23,8 @@ const RAY_COLUMNS: [&str; 7] = ["x", "y", "z", "dx", "dy", "dz", "max"];
 pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
-    /// Boxes: columns xmin,ymin,zmin,xmax,ymax,zmax; adds hit,obstacle,floor_z. `-` reads standard input
+    /// Boxes: columns xmin,ymin,zmin,xmax,ymax,zmax; adds hit,obstacle,floor_z. `-` reads standard input. An archive
+    /// with seen space adds a last column `seen`: 1 if a scanner saw through all of the box, or of the ray up to its hit
     #[arg(long, value_name = "Q.csv", group = "what")]
     boxes: Option<PathBuf>,
     /// Rays: columns x,y,z,dx,dy,dz,max; adds hit,distance,nx,ny,nz. `-` reads standard input
@@ -50,7 +52,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let archive = arguments.inferred.open(&arguments.archive)?;
     // Two sets of pages share the memory.
     let sets = 1 + u64::from(arguments.show_inferred);
-    let cache = usize::try_from(arguments.cache / sets).unwrap_or(usize::MAX);
+    let space = archive.seen_space(arguments.cache / 2).map_err(|error| crate::broken(&arguments.archive, &error))?;
+    let left = arguments.cache - space.as_ref().map_or(0, |space| space.bytes() as u64);
+    let cache = usize::try_from(left / sets).unwrap_or(usize::MAX);
     let open = |archive| {
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
         Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))
@@ -58,7 +62,17 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let scanned =
         if arguments.show_inferred { Some(open(crate::open(&arguments.archive)?.ignoring_inferred())?) } else { None };
     let stream = open(archive)?;
-    let more = if arguments.show_inferred { ",inferred" } else { "" };
+    let more = match (arguments.show_inferred, space.is_some()) {
+        (true, true) => ",inferred,seen",
+        (true, false) => ",inferred",
+        (false, true) => ",seen",
+        (false, false) => "",
+    };
+    let seen = |text: &mut String, is_seen: &dyn Fn(&SeenSpace) -> bool| {
+        if let Some(space) = &space {
+            text.push_str(if is_seen(space) { ",1" } else { ",0" });
+        }
+    };
     let inferred = |text: &mut String, differs: &dyn Fn(&Stream) -> Result<bool, Failure>| -> Result<(), Failure> {
         if let Some(scanned) = &scanned {
             write!(text, ",{}", u8::from(differs(scanned)?))?;
@@ -74,7 +88,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
             let found = ask(&stream)?;
             write!(text, "{},{},", u8::from(found.hit), u8::from(found.obstacle))?;
             found.floor_z.map_or(Ok(()), |z| write!(text, "{z}"))?;
-            inferred(text, &|scanned| Ok(ask(scanned)? != found))
+            inferred(text, &|scanned| Ok(ask(scanned)? != found))?;
+            seen(text, &|space| space.is_box_seen(shape.min(), shape.max()));
+            Ok(())
         }),
         (None, Some(path)) => answer(path, RAY_COLUMNS, &format!("hit,distance,nx,ny,nz{more}"), |values, text| {
             let [x, y, z, dx, dy, dz, max] = values;
@@ -90,7 +106,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 }
                 None => text.push_str("0,,,,"),
             }
-            inferred(text, &|scanned| Ok(ask(scanned)? != found))
+            inferred(text, &|scanned| Ok(ask(scanned)? != found))?;
+            seen(text, &|space| match &found {
+                Some(hit) => space.is_ray_seen(ray.origin(), ray.direction(), hit.distance, true),
+                None => space.is_ray_seen(ray.origin(), ray.direction(), ray.max(), false),
+            });
+            Ok(())
         }),
         (None, None) => Err(Failure::Text("give --boxes or --rays".into())),
     }

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Coarse, Planned, Planner, Refusal, Route, RouteRefiner, StandingPlaces};
+use slicewalk::reach::{Coarse, Planned, Planner, Refusal, Route, RouteRefiner};
 use slicewalk::store::Snapshot;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -141,21 +141,22 @@ fn find(
     stop: &mut Option<Blocked>,
     bytes: &mut usize,
 ) -> Result<Found, Failure> {
-    let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
+    let loader = arguments.walks.loader(archive, &arguments.archive)?;
     let pawn = arguments.walks.pawn();
     if let Err(refusal) = stand(arguments, &loader, ends)? {
         return Ok(Err(refusal));
     }
     let ends = ends.map(|end| end.0);
     let straight = (ends[1] - ends[0]).xy().norm();
-    let known = match straight > NEAR_M {
+    // Overview levels do not say what was seen.
+    let known = match straight > NEAR_M && loader.seen().is_none() {
         true => match coarse(arguments, loader.archive(), ends, bytes)? {
             Ok(guess) => refined(arguments, &loader, ends, guess, bytes)?,
             Err(_) => None,
         },
         false => None,
     };
-    let mut planner = Planner::new(&loader.snapshot(), pawn, ends[0], ends[1])?;
+    let mut planner = Planner::new(&loader.snapshot(), pawn, ends[0], ends[1])?.within_seen(loader.seen().cloned());
     let known = match known {
         Some(route) => {
             // Only a route this short would be better by more than the bound.
@@ -183,7 +184,7 @@ fn find(
 
 /// Moves the ends to standing places and records by how much (m).
 fn stand(arguments: &Arguments, loader: &Loader, ends: &mut Ends) -> Result<Result<(), Refusal>, Failure> {
-    let mut standing = StandingPlaces::new(&loader.snapshot(), arguments.walks.pawn())?;
+    let mut standing = loader.standing(arguments.walks.pawn())?;
     for (end, refusal) in ends.iter_mut().zip([Refusal::NotStandingFrom, Refusal::NotStandingTo]) {
         match arguments.walks.snapped(loader, &mut standing, end.0)? {
             Some(snapped) => *end = (snapped.feet, snapped.moved),
@@ -228,6 +229,10 @@ fn on_levels(
     ends: &mut Ends,
     bytes: &mut usize,
 ) -> Result<Result<Guess, Refusal>, Failure> {
+    if arguments.walks.needs_seen() {
+        let text = "--coarse: overview levels do not say what was seen; leave out --coarse or --seen";
+        return Err(Failure::Usage(text.into()));
+    }
     if archive.levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
         let path = arguments.archive.display();
         let text = format!("{path}: it has no overview levels; convert with --levels on, or leave out --coarse");

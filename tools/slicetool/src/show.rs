@@ -4,6 +4,7 @@ use crate::{Failure, Outcome, figures};
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::page::Span;
+use slicewalk::seen::{CELL_PIXELS, SeenSpace};
 use slicewalk_base::text::{finite_number, grouped, number, one_line, rounded, whole_number};
 use slicewalk_convert::info::slice_count;
 use std::io::{BufWriter, Write};
@@ -15,6 +16,9 @@ pub const BLUES: [u8; 3] = [26, 255, 128];
 pub const INFERRED: usize = 2;
 /// Colour of voxels without a colour, where voxels are drawn in their colours.
 pub const COLOURLESS: [u8; 3] = [96; 3];
+/// Colour of seen space, and most memory for it (bytes).
+const SEEN: [u8; 3] = [0, 0, 96];
+const MOST_SEEN_BYTES: u64 = 4 << 30;
 /// Margin around the parts of a legend, length of its colour ramps, and its minimum width (pixels).
 const MARGIN: i64 = 8;
 const RAMP: i64 = 64;
@@ -49,6 +53,9 @@ pub struct Arguments {
     /// Draw voxels in their own colours (`sliceconv --colour`); those without one are grey
     #[arg(long, conflicts_with = "legend")]
     colour: bool,
+    /// Also draw seen space (`sliceconv --free-space`), dark blue; what is black was never seen
+    #[arg(long, conflicts_with_all = ["legend", "colour", "level"])]
+    seen: bool,
 }
 
 /// Draws the requested slice.
@@ -60,7 +67,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let slice = slice(&archive, &arguments.archive, arguments.slice, arguments.z)?;
     let (lowest, _) = slices(&archive, &arguments.archive)?;
     let strip = if arguments.legend { Look::Legend } else { Look::Plain };
-    let look = if arguments.colour { Look::Colour } else { strip };
+    let look = match (arguments.colour, arguments.seen) {
+        (true, _) => Look::Colour,
+        (_, true) => Look::Seen,
+        _ => strip,
+    };
     let (width, height) = draw(&archive, &arguments.archive, slice, look, &arguments.output)?;
     let frame = archive.frame();
     let [bottom, top] = [slice, slice + 1].map(|slice| rounded(frame.bottom_of_slice(slice), frame.quantum_m()));
@@ -116,6 +127,8 @@ pub enum Look {
     Legend,
     /// The colours of the voxels.
     Colour,
+    /// The thesis' colours, and seen space.
+    Seen,
 }
 
 /// Reads the colours of the archive at `path`; fails if it has none.
@@ -146,6 +159,7 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
                 .map_or(String::new(), |level| format!("draw --level {level}, or "))
         )));
     }
+    let seen = if look == Look::Seen { Some(crate::ground::seen_space(archive, path, MOST_SEEN_BYTES)?) } else { None };
     let mut colours = if look == Look::Colour { Some(colours(archive, path)?) } else { None };
     let mut output = crate::output(to, archive, &[])?;
     let kinds = if archive.plan().options.fill_holes > 0 { &BLUES[..] } else { &BLUES[..INFERRED] };
@@ -173,6 +187,9 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
     let (mut rest, mut decoder) = (&entries[..], PageDecoder::new());
     for ty in (low.div_euclid(TILE_PIXELS)..=high.div_euclid(TILE_PIXELS)).rev() {
         rows.fill(0);
+        if let Some(seen) = &seen {
+            draw_seen(seen, slice, [ty * TILE_PIXELS, left, width], &mut rows);
+        }
         let count = rest.iter().take_while(|entry| i64::from(entry.key.ty) == ty).count();
         let (row, others) = rest.split_at(count);
         rest = others;
@@ -216,6 +233,25 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
     drop(file);
     output.publish()?;
     Ok((full_width, height + strip_height))
+}
+
+/// Draws the seen cells of a slice in a row of tiles whose first pixel along y is `low`; `left` is the first pixel of the
+/// picture along x.
+fn draw_seen(seen: &SeenSpace, slice: i64, [low, left, width]: [i64; 3], rows: &mut [u8]) {
+    for (key, page) in seen.pages() {
+        if i64::from(key.ty) * TILE_PIXELS != low || i64::from(key.layer) != slice.div_euclid(PAGE_SLICES) {
+            continue;
+        }
+        let cells = &page.slices()[slice.rem_euclid(PAGE_SLICES) as usize];
+        for (px, py) in (0..TILE_PIXELS).flat_map(|py| (0..TILE_PIXELS).map(move |px| (px, py))) {
+            let (cx, cy) = ((px / CELL_PIXELS) as usize, (py / CELL_PIXELS) as usize);
+            let x = i64::from(key.tx) * TILE_PIXELS + px - left;
+            if (0..width).contains(&x) && cells[cy / 4] >> (16 * (cy % 4) + cx) & 1 == 1 {
+                let at = (py * width + x) as usize * 3;
+                rows[at..at + 3].copy_from_slice(&SEEN);
+            }
+        }
+    }
 }
 
 /// The legend: a bar of a round length, then colour ramps for heights within the slice, each labelled.

@@ -48,6 +48,8 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     let levels = archive.levels().map_err(|error| crate::broken(path, &error))?;
     let header = archive.header();
     let of_levels = level_colours(&archive).map_err(|error| crate::broken(path, &error))?;
+    let seen = archive.seen_table().map_err(|error| crate::broken(path, &error))?.map_or(0, |table| table.bytes());
+    let page_bytes = header.bytes.pages.saturating_sub(seen);
     let level_bytes = of_levels.iter().sum::<u64>();
     let own_colours = header.bytes.colours.saturating_sub(level_bytes);
     let per = |amount: u64, of: u64| if of == 0 { 0.0 } else { amount as f64 / of as f64 };
@@ -80,7 +82,8 @@ pub fn run(path: &Path, json: bool) -> Outcome {
             },
             "bytes": {
                 "file": header.file_len,
-                "tiles": header.bytes.pages,
+                "tiles": page_bytes,
+                "seen": seen,
                 "directory": header.bytes.head + header.bytes.directory,
                 "levels": header.bytes.levels,
                 "colours": header.bytes.colours,
@@ -149,12 +152,13 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     }
     writeln!(
         text,
-        "The file has {} ({bytes_per_voxel:.2} a voxel): pages {}, directory {}, overview levels {}. In memory it takes {} \
+        "The file has {} ({bytes_per_voxel:.2} a voxel): pages {}, directory {}, overview levels {}, seen space {}. In memory it takes {} \
          ({memory_per_voxel:.2} bytes a voxel).",
         counted(header.file_len, "byte"),
-        grouped(header.bytes.pages),
+        grouped(page_bytes),
         grouped(header.bytes.head + header.bytes.directory),
         grouped(header.bytes.levels),
+        grouped(seen),
         memory_size(stats.memory_bytes)
     )?;
     if !levels.is_empty() {

@@ -59,6 +59,7 @@ class ConvertOptions(PlanOptions, total=False):
 
     plan: StrPath | None
     remove_moving: bool
+    free_space: bool
     stations: StrPath | None
     removed: StrPath | None
     resume: bool

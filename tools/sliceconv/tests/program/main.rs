@@ -48,6 +48,7 @@ mod odd_files;
 mod outputs;
 mod placing;
 mod resume;
+mod seen;
 mod shards;
 mod splat_rooms;
 mod splats;

@@ -2,7 +2,8 @@
 //!
 //! A grid has one sample per pixel, with the greatest y first: *free* where the middle of the pawn can stand on the
 //! storey, *occupied* where its body above the climb height collides, *unknown* elsewhere. Where the pawn cannot stand,
-//! its feet count as level with the nearest standing place of the storey. Format: the page on the map server in the
+//! its feet count as level with the nearest standing place of the storey. Where an archive stores seen space, places
+//! where no scanner saw the middle of the pawn above its climb height are unknown, not free. Format: the page on the map server in the
 //! documentation of Nav2, trinary mode; its thresholds are those at which the three grey values differ.
 
 use crate::Failure;
@@ -59,7 +60,7 @@ pub struct Ground<'a> {
 /// Writes the grids of an archive at `path`; returns a line about each file. Memory: the region, the pages in the
 /// cache, and one grid.
 pub fn write(output: &Path, path: &Path, pawns: &Pawns, which: Which) -> Result<String, Failure> {
-    let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?;
+    let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?.knowing_seen(pawns.cache())?;
     let ground = Ground::of(&loader, pawns.pawn())?;
     let (all, chosen) = (&ground.storeys.all, ground.chosen(which)?);
     if let Some(storey) = chosen {
@@ -203,7 +204,9 @@ impl<'a> Ground<'a> {
             if levels[at].is_nan() {
                 next.push_back(at);
             }
-            samples[at] = FREE;
+            if self.is_seen(pixel, z) {
+                samples[at] = FREE;
+            }
             levels[at] = levels[at].max((z - base) as f32);
         }
         // Breadth first: each pixel takes the height of a nearest place.
@@ -235,6 +238,15 @@ impl<'a> Ground<'a> {
             }
         }
         Ok(samples)
+    }
+
+    /// Returns whether the middle of the pawn was seen, from the climb height to the head; true if the archive does not
+    /// say.
+    fn is_seen(&self, pixel: [i64; 2], z: f64) -> bool {
+        let Some(seen) = self.loader.known_seen() else { return true };
+        let [x, y] = pixel.map(|at| self.frame().edge_of_pixel(at).midpoint(self.frame().edge_of_pixel(at + 1)));
+        let [low, high] = [self.pawn.climb, self.pawn.body.height()].map(|above| Point3::new(x, y, z + above));
+        seen.is_box_seen(low, high)
     }
 
     /// Returns whether the body above the climb height meets anything solid.

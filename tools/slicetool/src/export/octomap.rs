@@ -1,8 +1,8 @@
 //! Occupied space as an octree of OctoMap (`.bt`): cubes with the edge of a pixel, anchored like pixels at the origin.
 //!
 //! A cube is occupied if a span reaches into it, so the tree contains every scanned point and nothing higher or lower
-//! than a pixel beyond a span. What no span reaches is unknown. Eight occupied cubes make one leaf of the next larger
-//! size. Format: `writeBinary` of OctoMap 1.9 (class `OccupancyOcTreeBase`): a text header, then for each inner node in
+//! than a pixel beyond a span. Where an archive stores seen space, cubes that lie in it are free unless a span reaches
+//! into them. All other cubes are unknown. Eight occupied or eight free cubes make one leaf of the next larger size. Format: `writeBinary` of OctoMap 1.9 (class `OccupancyOcTreeBase`): a text header, then for each inner node in
 //! depth-first order two bits for each of its eight children, x fastest (0 unknown, 1 free, 2 occupied, 3 inner node).
 //!
 //! A tree of OctoMap has 2¹⁶ cubes along each axis, around the origin. An archive that reaches beyond is moved by whole
@@ -11,8 +11,10 @@
 use super::cubes::each_span;
 use crate::Failure;
 use slicewalk::archive::Archive;
+use slicewalk::frame::{Frame, PAGE_SLICES};
+use slicewalk::seen::{CELL_PIXELS, SeenSpace};
 use slicewalk_base::output::Output;
-use slicewalk_base::text::{counted, number};
+use slicewalk_base::text::{counted, grouped, number};
 use std::collections::BTreeMap;
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
@@ -22,44 +24,73 @@ const EDGE: i64 = 64;
 /// Levels of the tree above blocks, and blocks along each axis.
 const UPPER: u32 = 10;
 const BLOCKS: i64 = 1 << UPPER;
+/// Most memory for seen space (bytes).
+const MOST_SEEN_BYTES: u64 = 4 << 30;
+/// Differences of heights that count as rounding (cubes).
+const ROUNDING: f64 = 1e-6;
 /// Values of the two bits of a child.
+const FREE: u16 = 1;
 const OCCUPIED: u16 = 2;
 const INNER: u16 = 3;
 
 /// A part of the tree.
 enum Node {
     Empty,
-    Full,
+    /// A leaf: free or occupied.
+    Full(u16),
     /// Its bytes, and the number of nodes below it.
     Inner(Vec<u8>, u64),
 }
 
-/// Bits along z for each pixel of a block.
-type Block = Box<[u64; (EDGE * EDGE) as usize]>;
+/// Bits along z for each pixel of a block: occupied cubes, and free ones.
+struct Block {
+    occupied: Box<[u64; (EDGE * EDGE) as usize]>,
+    free: Box<[u64; (EDGE * EDGE) as usize]>,
+}
+
+impl Block {
+    fn new() -> Self {
+        let empty = || Box::new([0; (EDGE * EDGE) as usize]);
+        Self { occupied: empty(), free: empty() }
+    }
+}
+
+/// Calls `give` with the parts of the cubes from `first` up to `end` along z: block, and bits in it.
+fn in_blocks((first, end): (i64, i64), mut give: impl FnMut(i64, u64)) {
+    let mut at = first;
+    while at < end {
+        let block = at.div_euclid(EDGE);
+        let last = end.min((block + 1) * EDGE);
+        give(block, (u64::MAX >> (EDGE - (last - at))) << at.rem_euclid(EDGE));
+        at = last;
+    }
+}
 
 /// Writes the tree; returns a message about it. Memory: the tree, and the blocks of a tile column (32 KiB each).
 pub fn bt(archive: &Archive, path: &Path, to: Output) -> Result<String, Failure> {
     let mut nodes: Vec<([i64; 3], Node)> = Vec::new();
     let (mut blocks, mut column, mut occupied) = (BTreeMap::<i64, Block>::new(), None, 0u64);
+    let mut free = Free::of(archive, path)?;
     each_span(archive, path, |tile, pixel, (first, end)| {
         if column != Some(tile) {
+            free.add(&mut blocks, column);
             finish(&mut blocks, column, &mut nodes);
             column = Some(tile);
         }
         let [x, y] = pixel.map(|pixel| pixel.rem_euclid(EDGE));
-        let mut at = first;
-        while at < end {
-            let block = at.div_euclid(EDGE);
-            let last = end.min((block + 1) * EDGE);
-            let bits = (u64::MAX >> (EDGE - (last - at))) << at.rem_euclid(EDGE);
-            let words = blocks.entry(block).or_insert_with(|| Box::new([0; (EDGE * EDGE) as usize]));
-            let word = &mut words[(y * EDGE + x) as usize];
+        in_blocks((first, end), |block, bits| {
+            let block = blocks.entry(block).or_insert_with(Block::new);
+            let word = &mut block.occupied[(y * EDGE + x) as usize];
             occupied += u64::from((bits & !*word).count_ones());
             *word |= bits;
-            at = last;
-        }
+        });
     })?;
+    free.add(&mut blocks, column);
     finish(&mut blocks, column, &mut nodes);
+    for column in free.rest() {
+        free.add(&mut blocks, Some(column));
+        finish(&mut blocks, Some(column), &mut nodes);
+    }
     let by = shift(&nodes).ok_or_else(|| {
         let reason = format!("larger than the {} cubes of an OctoMap tree along an axis", BLOCKS * EDGE);
         Failure::Text(format!("{}: {reason}; extract a region first", path.display()))
@@ -78,13 +109,79 @@ pub fn bt(archive: &Archive, path: &Path, to: Output) -> Result<String, Failure>
     // A tree that is one leaf has no place in the format, and no archive is that large; an empty one has no nodes.
     let (bytes, count) = match &root {
         Node::Inner(bytes, below) => (&bytes[..], below + 1),
-        Node::Empty | Node::Full => (&[][..], 0),
+        Node::Empty | Node::Full(_) => (&[][..], 0),
     };
     write!(file, "id OcTree\nsize {count}\nres {}\ndata\n", number(size))?;
     file.write_all(bytes)?;
     file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
     let moved = if is_moved { format!(", moved by {} m", moved.join(",")) } else { String::new() };
-    Ok(format!("{} of {} m{moved}", counted(occupied, "occupied cube"), number(size)))
+    let seen = if free.cubes > 0 { format!(", {} free", grouped(free.cubes)) } else { String::new() };
+    Ok(format!("{}{seen} of {} m{moved}", counted(occupied, "occupied cube"), number(size)))
+}
+
+/// Free cubes by tile column: those that lie in runs of seen cells.
+struct Free {
+    /// Runs of a cell: its first pixel in the column, and its cubes along z.
+    columns: BTreeMap<[i64; 2], Vec<([i64; 2], (i64, i64))>>,
+    cubes: u64,
+}
+
+impl Free {
+    fn of(archive: &Archive, path: &Path) -> Result<Self, Failure> {
+        let mut columns = BTreeMap::<[i64; 2], Vec<_>>::new();
+        let space = archive.seen_space(MOST_SEEN_BYTES).map_err(|error| crate::broken(path, &error))?;
+        let frame = *archive.frame();
+        for (key, page) in space.iter().flat_map(SeenSpace::pages) {
+            let tile = [i64::from(key.tx), i64::from(key.ty)];
+            let slices = page.slices();
+            for (x, y) in (0..16).flat_map(|y| (0..16).map(move |x| (x, y))) {
+                let is_seen = |k: usize| slices[k][y / 4] >> (16 * (y % 4) + x) & 1 == 1;
+                let mut k = 0;
+                while k < 64 {
+                    let first = k;
+                    while k < 64 && is_seen(k) {
+                        k += 1;
+                    }
+                    if k > first {
+                        let cubes =
+                            inner_cubes(&frame, [first, k].map(|k| i64::from(key.layer) * PAGE_SLICES + k as i64));
+                        columns.entry(tile).or_default().push(([x, y].map(|at| at as i64 * CELL_PIXELS), cubes));
+                    }
+                    k += 1;
+                }
+            }
+        }
+        Ok(Self { columns, cubes: 0 })
+    }
+
+    /// Moves the free cubes of a tile column to its blocks, unless they are occupied.
+    fn add(&mut self, blocks: &mut BTreeMap<i64, Block>, column: Option<[i64; 2]>) {
+        let runs = column.and_then(|column| self.columns.remove(&column));
+        for (pixel, cubes) in runs.into_iter().flatten() {
+            in_blocks(cubes, |block, bits| {
+                let block = blocks.entry(block).or_insert_with(Block::new);
+                for (x, y) in (0..CELL_PIXELS).flat_map(|y| (0..CELL_PIXELS).map(move |x| (x, y))) {
+                    let at = ((pixel[1] + y) * EDGE + pixel[0] + x) as usize;
+                    let clear = bits & !block.occupied[at];
+                    block.free[at] |= clear;
+                    self.cubes += u64::from(clear.count_ones());
+                }
+            });
+        }
+    }
+
+    /// Tile columns that are left: those without spans.
+    fn rest(&self) -> Vec<[i64; 2]> {
+        self.columns.keys().copied().collect()
+    }
+}
+
+/// Returns the first cube above the bottom of slice `from`, and the one after the last below that of slice `to`.
+fn inner_cubes(frame: &Frame, [from, to]: [i64; 2]) -> (i64, i64) {
+    let size = frame.pixel_m();
+    // A cube that ends with the slice may seem to end above it, by rounding.
+    let [first, end] = [from, to].map(|slice| frame.bottom_of_slice(slice) / size);
+    (((first - ROUNDING).ceil()) as i64, ((end + ROUNDING).floor()) as i64)
 }
 
 /// Encodes the blocks of a tile column.
@@ -94,7 +191,7 @@ fn finish(blocks: &mut BTreeMap<i64, Block>, column: Option<[i64; 2]>, nodes: &m
         let (mut bytes, mut below) = (Vec::new(), 0);
         let node = match encode(&block, [0; 3], EDGE, &mut bytes, &mut below) {
             0 => Node::Empty,
-            OCCUPIED => Node::Full,
+            leaf @ (FREE | OCCUPIED) => Node::Full(leaf),
             _ => Node::Inner(bytes, below),
         };
         nodes.push(([tx, ty, z], node));
@@ -105,18 +202,21 @@ fn finish(blocks: &mut BTreeMap<i64, Block>, column: Option<[i64; 2]>, nodes: &m
 /// writes for it, and adds the nodes below it to `below`.
 fn encode(block: &Block, at: [i64; 3], edge: i64, out: &mut Vec<u8>, below: &mut u64) -> u16 {
     let mask = u64::MAX >> (EDGE - edge) << at[2];
-    let (mut any, mut all) = (0, mask);
+    let (mut any, mut occupied, mut free) = (0, mask, mask);
     for y in at[1]..at[1] + edge {
         let first = (y * EDGE + at[0]) as usize;
-        for word in &block[first..first + edge as usize] {
-            (any, all) = (any | word & mask, all & word);
+        let own = first..first + edge as usize;
+        for (solid, clear) in block.occupied[own.clone()].iter().zip(&block.free[own]) {
+            (any, occupied, free) = (any | (solid | clear) & mask, occupied & solid, free & clear);
         }
     }
     if any == 0 {
         return 0;
     }
-    if all == mask {
-        return OCCUPIED;
+    for (all, leaf) in [(occupied, OCCUPIED), (free, FREE)] {
+        if all == mask {
+            return leaf;
+        }
     }
     let (start, half) = (out.len(), edge / 2);
     out.extend([0, 0]);
@@ -169,7 +269,7 @@ fn joined(nodes: &mut [([i64; 3], Node)], depth: u32) -> Node {
         rest = others;
         let bits = match joined(own, depth + 1) {
             Node::Empty => 0,
-            Node::Full => OCCUPIED,
+            Node::Full(leaf) => leaf,
             Node::Inner(own, count) => {
                 bytes.extend(own);
                 below += count;
@@ -181,7 +281,8 @@ fn joined(nodes: &mut [([i64; 3], Node)], depth: u32) -> Node {
     }
     match children {
         0 => Node::Empty,
-        children if children == OCCUPIED * 0x5555 => Node::Full,
+        children if children == OCCUPIED * 0x5555 => Node::Full(OCCUPIED),
+        children if children == FREE * 0x5555 => Node::Full(FREE),
         _ => {
             bytes[..2].copy_from_slice(&children.to_le_bytes());
             Node::Inner(bytes, below)

@@ -4,10 +4,10 @@ mod files;
 mod geojson;
 mod map;
 
-use crate::ground::{Loader, Walks, end_json, tidy};
+use crate::ground::{Walks, end_json, tidy};
 use crate::{Failure, Outcome};
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Leak, Passage, Region, Route, Search, Snapped, StandingPlaces, Storeys};
+use slicewalk::reach::{Flood, Leak, Passage, Region, Route, Search, Snapped, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
@@ -54,9 +54,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let started = Instant::now();
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let archive = arguments.walks.open(&arguments.archive)?;
-    let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
+    let loader = arguments.walks.loader(archive, &arguments.archive)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let mut standing = StandingPlaces::new(&loader.snapshot(), arguments.walks.pawn())?;
+    let mut standing = loader.standing(arguments.walks.pawn())?;
     let Some(from) = arguments.walks.snapped(&loader, &mut standing, arguments.from)? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(

@@ -80,6 +80,13 @@ fn expected(folder: &Path) -> BTreeSet<Cube> {
 /// Occupied cubes of a binary tree of OctoMap, the metres by which it was moved, and whether a leaf was larger than a
 /// cube.
 fn octomap(bytes: &[u8]) -> (BTreeSet<Cube>, [f64; 3], bool) {
+    let ([free, occupied], moved, is_joined) = leaves_of_octomap(bytes);
+    assert!(free.is_empty(), "a free leaf");
+    (occupied, moved, is_joined)
+}
+
+/// Like [`octomap`], with the free cubes before the occupied ones.
+pub fn leaves_of_octomap(bytes: &[u8]) -> ([BTreeSet<Cube>; 2], [f64; 3], bool) {
     let data = bytes.windows(6).position(|part| part == b"\ndata\n").unwrap();
     let head = std::str::from_utf8(&bytes[..data]).unwrap();
     assert!(head.starts_with("# Octomap OcTree binary file\n"));
@@ -88,7 +95,7 @@ fn octomap(bytes: &[u8]) -> (BTreeSet<Cube>, [f64; 3], bool) {
     let moved: Vec<f64> = value("# moved by ").map_or(vec![0.0; 3], |text| {
         text.trim_end_matches(" m").split(' ').map(|number| number.parse().unwrap()).collect()
     });
-    let (mut at, mut nodes, mut cubes, mut is_joined) = (data + 6, 1u64, BTreeSet::new(), false);
+    let (mut at, mut nodes, mut cubes, mut is_joined) = (data + 6, 1u64, [BTreeSet::new(), BTreeSet::new()], false);
     // Depth first: position of a node's corner in cubes, and its edge.
     let mut open = vec![([-(1 << 15); 3], 1i64 << 16)];
     while let Some((corner, edge)) = open.pop() {
@@ -102,14 +109,13 @@ fn octomap(bytes: &[u8]) -> (BTreeSet<Cube>, [f64; 3], bool) {
             nodes += u64::from(bits != 0);
             match bits {
                 0 => {}
-                2 => {
+                leaf @ (1 | 2) => {
                     is_joined |= half > 1;
                     for (x, y, z) in cubes_within(half) {
-                        cubes.insert([corner[0] + x, corner[1] + y, corner[2] + z]);
+                        cubes[usize::from(leaf - 1)].insert([corner[0] + x, corner[1] + y, corner[2] + z]);
                     }
                 }
-                3 => inner.push((corner, half)),
-                _ => panic!("a free leaf"),
+                _ => inner.push((corner, half)),
             }
         }
         open.extend(inner.into_iter().rev());

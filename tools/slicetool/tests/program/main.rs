@@ -18,6 +18,7 @@ mod cubes;
 mod exports;
 mod outputs;
 mod reach;
+mod seen;
 mod serve;
 #[cfg(feature = "remote")]
 mod stores;

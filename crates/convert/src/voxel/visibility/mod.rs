@@ -24,6 +24,7 @@
 
 mod boxes;
 mod cell;
+mod free;
 mod places;
 mod view;
 
@@ -31,6 +32,8 @@ use super::record::{ColumnKey, Content, Record};
 use crate::frame::Frame;
 use crate::{Error, Parameter, Result};
 use boxes::Boxes;
+use free::FreeView;
+pub use free::{FreeColumn, FreeSpace};
 pub use places::Places;
 pub use view::Station;
 use view::{BATCH, Counts, View, Visibility};
@@ -69,6 +72,11 @@ impl Views {
     /// Completes the views; all points must have been added.
     pub fn finish(&self) {
         self.views.iter().for_each(View::make_coarser);
+    }
+
+    /// Makes the images from which seen space follows; the views must be complete.
+    pub fn free_space(&self) -> FreeSpace {
+        FreeSpace::new(self.views.iter().map(FreeView::new).collect(), self.frame)
     }
 
     /// Returns which of at most [`CHUNK`] records are points that count as moving.

@@ -144,6 +144,11 @@ impl View {
         }
     }
 
+    /// Returns the values of an image that the station has.
+    pub fn values(&self, level: usize) -> &[AtomicU16] {
+        &self.levels[level]
+    }
+
     pub fn make_coarser(&self) {
         for level in self.station.first_level() + 1..LEVELS {
             let edge = (EDGE >> level) as i64;
