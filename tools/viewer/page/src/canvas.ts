@@ -144,6 +144,11 @@ export class Canvas {
     return this.#covered.share;
   }
 
+  /** Number of pictures for which it was measured. */
+  get measured(): number {
+    return this.#covered.count;
+  }
+
   /** Draws; `bare`: without a finish, for overlays that bring their own colours. */
   render(now = performance.now(), bare = false): void {
     if (this.lost) return;

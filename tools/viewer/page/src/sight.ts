@@ -40,6 +40,9 @@ const SLOW_FPS = 18;
 const FAST_FPS = 45;
 /** The finish waits until the view has rested for so long where graphics are slow (s). */
 const REST_S = 0.5;
+/** Archives of fewer bytes are loaded whole soon, and then seen as far as this. */
+const SMALL_BYTES = 16 << 20;
+const SMALL_M = 150;
 /** Roofs are cut off only where the pawn is seen from near. */
 const ROOF_M = 60;
 
@@ -78,7 +81,7 @@ export class Sight {
     const { view, world } = this.session;
     const outside = mode !== "walk";
     // Measured from the camera, which is this far away.
-    const radius = outside ? Math.max(settings.radius, distance) + distance : settings.radius;
+    const radius = outside ? Math.max(settings.radius, distance) + distance : this.#around(settings.radius);
     this.#radius = radius;
     view.set({
       radius: this.#loaded,
@@ -153,6 +156,14 @@ export class Sight {
     world.opened = this.#mode !== "walk" || low > -FAR_M || high < FAR_M;
     const { min, max } = this.session.content;
     this.shell.colours.show([min[2], max[2]], settings.slope);
+  }
+
+  /** How far one sees: a small archive without overview levels is seen whole, up to a limit. */
+  #around(radius: number): number {
+    const { min, max } = this.session.content;
+    const { levels, fileBytes } = this.session.archive.info;
+    const small = levels === 0 && fileBytes < SMALL_BYTES;
+    return small ? Math.max(radius, Math.min(distance(min, max), SMALL_M)) : radius;
   }
 
   /** Draws what collides instead of smooth surfaces. */

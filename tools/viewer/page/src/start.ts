@@ -8,20 +8,27 @@ import type { Settings } from "./settings";
 const SPIRAL = 49;
 const MOST_HEIGHTS = 24;
 /** Height above a floor from which it counts as free, because it is stored to a quantum. */
-const ABOVE_FLOOR_M = 0.02;
+const ABOVE_FLOOR_M = 0.1;
 
 /** Places compared for a view, and least distance between them as a share of the scan. */
 const PLACES = 20;
 const TRIED = 80;
 /** Rays around a place: every so many degrees along, at these pitches; as far as this. */
 const STEP = 10;
-const RAY_PITCHES = [-66, -54, -42, -30, -20, -10, 0, 10, 20, 32] as const;
+const RAY_PITCHES = [-82, -66, -54, -42, -30, -20, -10, 0, 10, 20, 32] as const;
 const RAY_M = 150;
 /** Rays for which pages are loaded first, and how far. */
 const LOADED_STEP = 30;
 const LOADED_M = 25;
+/**
+ * Pages with fewer voxels are sparse: bare rays slip between points that are drawn as a surface, so wide ones are swept as
+ * well, this wide and this far.
+ */
+const SPARSE = 900;
+const WIDE_M = 0.8;
+const SWEPT_M = 60;
 /** Pitches of views, and half the angles that a view shows. */
-const PITCHES = [0, -6, -12, -18, -25, -34, -45] as const;
+const PITCHES = [0, -6, -12, -18, -25, -34, -45, -58] as const;
 const HALF_X = 45;
 const HALF_Y = 34;
 /** Share of a view that should show the scan, and how much a pitch costs per degree. */
@@ -55,7 +62,8 @@ async function floors(
   signal: AbortSignal,
 ): Promise<number[]> {
   const { pixelSize, sliceHeight } = archive.info;
-  const half = pixelSize / 2;
+  // As wide as the pawn: floors scanned from the air have gaps.
+  const half = Math.max(pixelSize, settings.width) / 2;
   const probes = tops.flatMap((top) => [x - half, y - half, top - sliceHeight, x + half, y + half, top]);
   const found = await archive.floor(new Float64Array(probes), { load: true, signal });
   const heights = [...new Set(found)].filter(Number.isFinite).sort((a, b) => a - b);
@@ -119,9 +127,14 @@ export async function findView(
     const inner = 0.35 + (0.6 * n) / TRIED;
     const x = (min[0] + max[0]) / 2 + (u - 0.5) * inner * (max[0] - min[0]);
     const y = (min[1] + max[1]) / 2 + (v - 0.5) * inner * (max[1] - min[1]);
-    for (const z of (await floors(archive, settings, [x, y], tops, signal)).slice(0, 3)) {
-      const at: Vec3 = [x, y, z];
-      if (tried.every((other) => distance(other, at) > apart)) await judge(at);
+    try {
+      for (const z of (await floors(archive, settings, [x, y], tops, signal)).slice(0, 3)) {
+        const at: Vec3 = [x, y, z];
+        if (tried.every((other) => distance(other, at) > apart)) await judge(at);
+      }
+    } catch (error) {
+      // Where the budget has no room for a place's pages, another one is looked at.
+      if (signal.aborted || archive.error !== null) throw error;
     }
   }
 }
@@ -148,6 +161,18 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
   const headings = turns(STEP);
   const rays = headings.flatMap((heading) => RAY_PITCHES.flatMap((pitch) => row(heading, pitch, RAY_M)));
   const { distances } = await archive.castFar(new Float64Array(rays), { signal });
+  const { voxels, pages } = archive.info;
+  if (voxels.occupied < SPARSE * pages) {
+    const box = flat(standing([from[0], from[1], from[2] - WIDE_M / 2], WIDE_M, WIDE_M));
+    const ways = headings.flatMap((heading) => RAY_PITCHES.map((pitch) => direction({ heading, pitch })));
+    const swept = await archive.sweep(new Float64Array(ways.flatMap((way) => [...box, ...way.map((v) => v * SWEPT_M)])), {
+      signal,
+    });
+    swept.forEach((share, n) => {
+      const far = distances[n] ?? NaN;
+      if (share < 1 && !(far < share * SWEPT_M)) distances[n] = share * SWEPT_M;
+    });
+  }
   let best: Start = { at, look: { heading: 0, pitch: 0 }, covered: 0, rating: -1 };
   for (const heading of headings) {
     for (const pitch of PITCHES) {
@@ -166,7 +191,7 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
         });
       }
       const covered = hits / all;
-      const rating = (worth / all) * Math.min(1, covered / ENOUGH) + PITCH_COST * pitch;
+      const rating = (worth / all) * Math.min(1, covered / ENOUGH) ** 2 + PITCH_COST * pitch;
       if (rating > best.rating) best = { at, look: { heading, pitch }, covered, rating };
     }
   }

@@ -12,6 +12,7 @@ use cells::Cells;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::slice::Page;
 use smooth::Smooth;
+pub(crate) use smooth::sparseness;
 
 /// Largest cell, as a power of two of pixels.
 pub(crate) const COARSEST: u32 = 4;

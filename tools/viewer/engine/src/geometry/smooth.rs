@@ -1,7 +1,10 @@
 //! Smooth surfaces for the eye: tops and undersides of neighbouring cells meet at the mean of their heights, and holes
 //! that a surface surrounds are closed. Collision knows neither.
 
+use super::COARSEST;
 use super::cells::{Bar, Cells};
+use slicewalk::frame::TILE_PIXELS;
+use slicewalk::slice::Page;
 
 /// Surfaces meet if their heights differ by at most the climb height of a pawn (m), within these multiples of a cell:
 /// less would show slopes as steps, more would show steps as slopes.
@@ -12,6 +15,32 @@ const MOST_CELLS: f64 = 1.5;
 const SURROUNDING: usize = 5;
 /// Most ends of bars that are looked at around a corner or a hole.
 const MOST: usize = 24;
+
+/// Pages in which fewer of the occupied pixels have a neighbour count as sparse, and are drawn with cells of which this
+/// share is occupied.
+const CONNECTED: f64 = 0.5;
+const FILLED: f64 = 0.45;
+
+/// Coarseness with which a page is drawn at least: points that lie apart, as scanned from the air, become a surface.
+pub(crate) fn sparseness(page: &Page) -> u32 {
+    let mut rows = [0u64; TILE_PIXELS as usize + 1];
+    let mut blocks = 0u64;
+    for (x, y, _) in page.columns() {
+        rows[y as usize] |= 1 << x;
+        blocks |= 1 << (x / 8 + y / 8 * 8);
+    }
+    let (mut count, mut connected) = (0.0, 0.0);
+    for pair in rows.windows(2) {
+        let (row, next) = (pair[0], pair[1]);
+        count += f64::from(row.count_ones());
+        connected += f64::from((row & (row << 1 | next | next << 1 | next >> 1)).count_ones());
+    }
+    let (mut share, mut coarseness) = (count / (64.0 * f64::from(blocks.count_ones())), 0);
+    while connected < CONNECTED * count && share < FILLED && coarseness < COARSEST {
+        (share, coarseness) = (share * 4.0, coarseness + 1);
+    }
+    coarseness
+}
 
 /// Which end of a bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -7,6 +7,8 @@ const EVERY_MS = 250;
 export class Covered {
   /** 0 to 1. */
   share = 0;
+  /** Number of pictures measured. */
+  count = 0;
   #copy: WebGLFramebuffer | null = null;
   /** Receives the pixels; a new one each time, because browsers warn about one that is used again. */
   #pixels: WebGLBuffer | null = null;
@@ -69,5 +71,6 @@ export class Covered {
     let shown = 0;
     for (let at = 3; at < found.length; at += 4) shown += found[at] === 255 ? 1 : 0;
     this.share = shown / (WIDTH * HEIGHT);
+    this.count++;
   }
 }

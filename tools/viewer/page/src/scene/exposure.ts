@@ -9,13 +9,15 @@ const [LOW, HIGH] = [0.02, 0.98];
 /** Brightness that the quantiles are moved to, at most this much brighter. */
 const [DARKEST, BRIGHTEST] = [0.04, 0.94];
 const MOST_GAIN = 4;
+/** Brightness that a darker median is lifted towards. */
+const MIDDLE = 0.42;
 /** Scans that are brighter than this stay as they are. */
 const BRIGHT = 0.72;
 const SPREAD = 0.12;
 
 export class Exposure {
-  /** Darkest value, and what the rest is multiplied with. */
-  range: readonly [number, number] = [0, 1];
+  /** Darkest value, what the rest is multiplied with, and how much its middle is lifted. */
+  range: readonly [number, number, number] = [0, 1, 0];
   readonly #counts = new Uint32Array(256);
   #sum = 0;
 
@@ -34,7 +36,9 @@ export class Exposure {
     const dark = high < BRIGHT ? 1 : Math.max(0, Math.min(1, (1 - high) / (1 - BRIGHT)));
     const gain = Math.min(MOST_GAIN, (BRIGHTEST - DARKEST) / Math.max(SPREAD, high - low));
     const [wanted, shift] = [1 + dark * (gain - 1), dark * Math.max(0, low - DARKEST / gain)];
-    this.range = this.#sum < 50 ? [0, 1] : [shift, Math.max(1, wanted)];
+    const middle = Math.min(0.95, Math.max(0.05, (this.#quantile(0.5) - shift) * Math.max(1, wanted)));
+    const lift = Math.max(0, Math.min(1, (MIDDLE - middle) / (middle * (1 - middle))));
+    this.range = this.#sum < 50 ? [0, 1, 0] : [shift, Math.max(1, wanted), lift];
   }
 
   #quantile(share: number): number {

@@ -82,7 +82,7 @@ uniform float slope;
 uniform float far;
 uniform float fogShare;
 uniform float fineness;
-uniform vec2 exposure;
+uniform vec3 exposure;
 uniform vec3 sun;
 uniform vec3 haze;
 uniform vec3 ramp[5];
@@ -211,7 +211,9 @@ void main() {
     vec4 own = fineness > 0.5 && vDistance < 60.0 ? blended() : scanned();
     if (own.a < 0.5) own = paintUsual;
     // Without a colour, the grey of its height.
-    base = own.a > 0.5 ? clamp((own.rgb - exposure.x) * exposure.y, 0.0, 1.0) : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
+    vec3 lit = clamp((own.rgb - exposure.x) * exposure.y, 0.0, 1.0);
+    lit += exposure.z * (lit * (1.0 - lit) + 0.09 * (1.0 - lit));
+    base = own.a > 0.5 ? lit : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
     // The scan's colours include its lighting, so shade them less.
     shade = mix(1.0, shade, 0.6);
   }
@@ -247,8 +249,8 @@ export class Shading {
     background: IUniform<Vector3>;
     /** 0: as cheap as possible; 1: colours blended. */
     fineness: IUniform<number>;
-    /** Darkest value of the scan's colours, and what they are multiplied with. */
-    exposure: IUniform<Vector2>;
+    /** Darkest value of the scan's colours, what they are multiplied with, and how much their middle is lifted. */
+    exposure: IUniform<Vector3>;
     sun: IUniform<Vector3>;
     haze: IUniform<Vector3>;
     paintUsual: IUniform<Vector4>;
@@ -274,7 +276,7 @@ export class Shading {
       obstacleColour: { value: plain(OBSTACLE) },
       background: { value: new Vector3() },
       fineness: { value: 1 },
-      exposure: { value: new Vector2(0, 1) },
+      exposure: { value: new Vector3(0, 1, 0) },
       sun: { value: new Vector3(-0.45, -0.6, 0.66).normalize() },
       haze: { value: new Vector3() },
       paintUsual: { value: new Vector4() },
