@@ -38,11 +38,11 @@ describe("getting about", () => {
     await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     await until(page, "standing", ({ ground, speed }) => ground === "walking" && speed === 0);
     await page.waitForTimeout(1500);
-    await hold(page, ["w"], "2 m on", ({ at }) => at[1] > WAY.start[1] + 2);
+    await hold(page, ["w"], "a metre on", ({ at }) => at[1] > WAY.start[1] + 1.2);
     const { at } = await until(page, "standing", ({ speed }) => speed === 0);
     await page.keyboard.press("r");
     await until(page, "back a little", (now) => near(now.at, WAY.start, 2.5) && !near(now.at, at));
-    await page.evaluate((place) => window.slicewalk.goto({ at: place }), [1.5, 5, 0]);
+    await page.evaluate((place) => window.slicewalk.goto({ at: place }), [4, 5, 0]);
     await page.keyboard.press("Home");
     await until(page, "at the start", (now) => near(now.at, WAY.start));
     await page.keyboard.press("Home");
@@ -55,7 +55,6 @@ describe("getting about", () => {
     await page.keyboard.press("f");
     await page.mouse.move(middle.x, middle.y);
     await page.mouse.wheel(0, -400);
-    await page.getByText(/Flying at [\d.]+ m\/s/).waitFor();
     await hold(page, ["w"], "fast", ({ speed }) => speed > 4 * 1.4 + 0.5);
   });
 
