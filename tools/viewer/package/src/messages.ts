@@ -91,7 +91,13 @@ export function readInput(numbers: ArrayLike<number>, at = 0): InputMessage {
 }
 
 export function writeInput(message: InputMessage): number[] {
-  return [message.x, message.y, message.pace, message.lift, message.flags];
+  return [
+    message.x,
+    message.y,
+    message.pace,
+    message.lift,
+    message.flags,
+  ];
 }
 
 /** Numbers of a `InputMessage`. */
@@ -237,7 +243,12 @@ export function readAction(numbers: ArrayLike<number>, at = 0): ActionMessage {
 }
 
 export function writeAction(message: ActionMessage): number[] {
-  return [message.action, message.fetch, message.start, message.end];
+  return [
+    message.action,
+    message.fetch,
+    message.start,
+    message.end,
+  ];
 }
 
 /** Numbers of a `ActionMessage`. */
@@ -347,7 +358,11 @@ export function readPaint(numbers: ArrayLike<number>, at = 0): PaintMessage {
 }
 
 export function writePaint(message: PaintMessage): number[] {
-  return [message.view, message.page, message.edge];
+  return [
+    message.view,
+    message.page,
+    message.edge,
+  ];
 }
 
 /** Numbers of a `PaintMessage`. */

@@ -84,6 +84,7 @@ impl Around {
         Self([(0, 0); MOST], 0)
     }
 
+    #[inline(never)]
     fn add(&mut self, height: u16, cell: u8) {
         if self.1 < MOST {
             let mut at = self.1;
@@ -98,7 +99,8 @@ impl Around {
 
     /// Splits the heights into surfaces: each at most once per cell, without gaps above `reach`. The split depends
     /// only on the heights, so that all cells around a corner agree.
-    fn surfaces(&self, reach: u16, mut each: impl FnMut(&[(u16, u8)]) -> bool) {
+    #[inline(never)] // one copy keeps the engine small
+    fn surfaces(&self, reach: u16, each: &mut dyn FnMut(&[(u16, u8)]) -> bool) {
         let all = &self.0[..self.1];
         let mut from = 0;
         for to in 1..=all.len() {
@@ -123,6 +125,7 @@ impl Smooth {
 
     /// The corner with the least x and y of cell (`x`, `y`), of the surface that has `height` (steps) in one of the four
     /// cells that meet there.
+    #[inline(never)]
     pub fn corner(&self, cells: &Cells, x: isize, y: isize, end: End, height: u16) -> Corner {
         let mut around = Around::new();
         for cell in 0..4u8 {
@@ -135,7 +138,7 @@ impl Smooth {
             }
         }
         let mut corner = Corner { height: (u32::from(height) * self.step) as u16, normal: [0, 0, 127] };
-        around.surfaces(self.reach, |surface| {
+        around.surfaces(self.reach, &mut |surface| {
             let is_ours = surface.iter().any(|at| at.0 == height);
             if is_ours {
                 corner = self.mean(surface);
@@ -184,7 +187,7 @@ impl Smooth {
                 let (dx, dy) = (isize::from(cell % 3) - 1, isize::from(cell / 3) - 1);
                 cells.at(x + dx, y + dy).iter().for_each(|bar| around.add(bar.top, cell));
             }
-            around.surfaces(self.reach, |surface| {
+            around.surfaces(self.reach, &mut |surface| {
                 let (low, high) = (surface[0].0, surface[surface.len() - 1].0);
                 let has_own = |bar: &Bar| bar.bottom <= high + self.reach && bar.top + self.reach >= low;
                 if surface.len() >= SURROUNDING && !cells.at(x, y).iter().any(has_own) {

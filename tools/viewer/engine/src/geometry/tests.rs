@@ -81,23 +81,25 @@ fn alone(page: &Page) -> [Option<&Page>; 9] {
 
 #[test]
 fn smooth_slopes_have_no_risers_and_steps_do() {
-    // 45 degrees along x.
-    let ramp = page(|x, _| vec![(0, 200 + 85 * x, false)]);
+    // Rises by 60 and 50 quanta per pixel, of 85 quanta.
+    let ramp = page(|x, y| vec![(0, 200 + 60 * x + 50 * y, false)]);
     let smooth = Geometry::of(&frame(), KEY, &ramp, Some(&alone(&ramp)), 0);
     let blocks = Geometry::of(&frame(), KEY, &ramp, None, 0);
     assert!(smooth.triangles() < blocks.triangles(), "{} of {}", smooth.triangles(), blocks.triangles());
-    let inner = |at: usize| smooth.positions[3 * at] > 0 && smooth.positions[3 * at] < 64;
+    let mut checked = 0;
     for vertex in 0..smooth.positions.len() / 3 {
-        let [face, _, _, _] = smooth.attributes[4 * vertex..][..4] else { unreachable!() };
-        if face == 0 && inner(vertex) {
-            // The mean of the two columns that meet at this x, and a normal between -x and z.
-            let expected = 200.0 + 85.0 * (f64::from(smooth.positions[3 * vertex]) - 0.5);
-            assert!((f64::from(smooth.positions[3 * vertex + 2]) - expected).abs() < 22.0);
-            assert!(
-                (80..100).contains(&-smooth.normals[4 * vertex]) && (80..100).contains(&smooth.normals[4 * vertex + 2])
-            );
+        let [x, y, z] = smooth.positions[3 * vertex..][..3] else { unreachable!() };
+        let inner = (1..64).contains(&x) && (1..64).contains(&y);
+        if smooth.attributes[4 * vertex] == 0 && inner {
+            // The mean of the four columns that meet here.
+            let expected = 200.0 + 60.0 * (f64::from(x) - 0.5) + 50.0 * (f64::from(y) - 0.5);
+            assert!((f64::from(z) - expected).abs() < 22.0, "{z} at {x}, {y}, expected {expected}");
+            let [nx, ny, nz] = smooth.normals[4 * vertex..][..3] else { unreachable!() };
+            assert!((-90..-40).contains(&nx) && (-80..-30).contains(&ny) && nz > 75, "{nx} {ny} {nz}");
+            checked += 1;
         }
     }
+    assert!(checked > 10_000);
     // Risers of 17.6 cm stay.
     let stairs = page(|x, _| vec![(1000, 1020 + x / 16 * 300, false)]);
     let [smooth, blocks] = [Some(&alone(&stairs)), None].map(|around| Geometry::of(&frame(), KEY, &stairs, around, 0));
