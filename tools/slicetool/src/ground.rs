@@ -214,7 +214,7 @@ impl Loader {
     }
 
     /// The pages in memory now.
-    pub fn view(&self) -> Snapshot {
+    pub fn snapshot(&self) -> Snapshot {
         self.stream.snapshot()
     }
 

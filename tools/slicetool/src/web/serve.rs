@@ -127,7 +127,7 @@ async fn answer(State(table): State<Arc<Table>>, method: Method, uri: Uri, heade
 }
 
 async fn respond(table: &Table, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Response<Body>, StatusCode> {
-    if !is_own_host(headers) {
+    if !is_own_host(uri, headers) {
         return Err(StatusCode::FORBIDDEN);
     }
     if method != Method::GET && method != Method::HEAD {
@@ -171,15 +171,19 @@ fn missing(path: &Path, error: &std::io::Error) -> StatusCode {
 }
 
 /// Returns whether a request names this machine; a foreign site whose name resolves to 127.0.0.1 does not (DNS
-/// rebinding).
-fn is_own_host(headers: &HeaderMap) -> bool {
-    let Some(host) = headers.get(header::HOST) else { return true };
-    let host = host.to_str().unwrap_or("");
-    let name = host
-        .rsplit_once(':')
-        .filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit()))
-        .map_or(host, |(name, _)| name);
-    name == "127.0.0.1" || name.eq_ignore_ascii_case("localhost")
+/// rebinding). HTTP/2 names it in the address instead of a header; a request that names none is refused.
+fn is_own_host(uri: &Uri, headers: &HeaderMap) -> bool {
+    let in_header = headers.get(header::HOST).map(|host| host.to_str().unwrap_or(""));
+    let in_address = uri.authority().map(|authority| authority.as_str());
+    let is_own = |host: &str| {
+        let name = host
+            .rsplit_once(':')
+            .filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit()))
+            .map_or(host, |(name, _)| name);
+        name == "127.0.0.1" || name.eq_ignore_ascii_case("localhost")
+    };
+    let mut hosts = in_header.into_iter().chain(in_address).peekable();
+    hosts.peek().is_some() && hosts.all(is_own)
 }
 
 fn plain(status: StatusCode) -> Response<Body> {

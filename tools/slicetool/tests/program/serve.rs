@@ -238,6 +238,14 @@ fn nothing_else_of_the_disk_is_served() {
     // A foreign name that resolves to this machine must not read scans from the browser.
     let foreign = server.ask("GET /a.slices HTTP/1.1\r\nHost: example.com\r\nConnection: close\r\n\r\n");
     assert_eq!(foreign.status, 403);
+    // Nor one in the address, as in HTTP/2, or no name at all.
+    let host = format!("Host: {}\r\nConnection: close\r\n\r\n", server.address);
+    let address = server.ask(&format!("GET http://example.com/a.slices HTTP/1.1\r\n{host}"));
+    assert_eq!(address.status, 403);
+    let own = server.ask(&format!("GET http://{}/a.slices HTTP/1.1\r\n{host}", server.address));
+    assert_eq!(own.status, 200);
+    let nameless = server.ask("GET /a.slices HTTP/1.0\r\n\r\n");
+    assert_eq!(nameless.status, 403);
 }
 
 #[cfg(unix)]

@@ -183,7 +183,8 @@ impl Colours {
 #[cfg(test)]
 mod tests {
     use crate::Engine;
-    use crate::engine::{CANCEL, FETCH, FETCH_COLOURS, WAIT, tests::polled};
+    use crate::engine::tests::{is, polled, state};
+    use crate::messages::{ActionCode, ActionMessage};
     use crate::outline::tests::coloured_ground;
     use slicewalk::archive::Archive;
     use std::ops::Range;
@@ -191,8 +192,8 @@ mod tests {
     const SETTINGS: [f64; 10] = [0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN];
     const STILL: [f64; 5] = [0.0, 0.0, 1.0, 0.0, 0.0];
 
-    fn give(engine: &mut Engine, bytes: &[u8], fetch: &[f64]) {
-        engine.given(fetch[1] as u32, bytes[fetch[2] as usize..fetch[3] as usize].to_vec(), 0.0);
+    fn give(engine: &mut Engine, bytes: &[u8], fetch: &ActionMessage) {
+        engine.given(fetch.fetch as u32, bytes[fetch.start as usize..fetch.end as usize].to_vec(), 0.0);
         while engine.decode(0.0) {}
     }
 
@@ -201,18 +202,20 @@ mod tests {
         loop {
             let (todo, mut busy) = (polled(engine), false);
             for what in &todo {
-                match what[..] {
-                    [FETCH_COLOURS, name, start, _] if wanted.contains(&(start as u64)) => return Some(name as u32),
-                    [FETCH | FETCH_COLOURS, ..] => give(engine, bytes, what),
-                    _ => continue,
+                let of_colours = is(what, ActionCode::FetchColours);
+                if of_colours && wanted.contains(&(what.start as u64)) {
+                    return Some(what.fetch as u32);
                 }
-                busy = true;
+                if of_colours || is(what, ActionCode::Fetch) {
+                    give(engine, bytes, what);
+                    busy = true;
+                }
             }
             busy |= scene.is_some_and(|scene| !engine.build(scene).unwrap().is_empty());
             while !engine.paint().unwrap().is_empty() {
                 busy = true;
             }
-            if !busy && todo.iter().all(|what| what[0] == WAIT) {
+            if !busy && todo.iter().all(|what| is(what, ActionCode::Wait)) {
                 return None;
             }
         }
@@ -223,21 +226,22 @@ mod tests {
     fn assert_gives_up(bytes: &[u8], eye: [f64; 3], far: [f64; 3], overview: bool, wanted: &Range<u64>) {
         let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
         assert_eq!(until_colours(&mut engine, bytes, None, wanted), None);
-        let scene = engine.scene(2.0, 1e5, 0.01, overview);
+        let scene = engine.scene(2.0, 1e5, 0.01, overview, false);
         engine.bring_colours();
         engine.look(scene, &eye).unwrap();
         let first = until_colours(&mut engine, bytes, Some(scene), wanted).expect("colours of what is drawn");
         let pawn = engine.pawn(&SETTINGS, &far).unwrap();
-        assert!(engine.step(pawn, 0.05, &STILL).unwrap()[9] > 0.0, "it waits");
+        assert!(state(&mut engine, pawn, &STILL).missing > 0.0, "it waits");
         let todo = polled(&mut engine);
-        assert!(todo.contains(&vec![CANCEL, f64::from(first)]), "{todo:?}");
-        let of_pages = todo.iter().find(|what| what[0] == FETCH).expect("what it waits for").clone();
-        assert!(polled(&mut engine).iter().all(|what| what[0] != FETCH_COLOURS), "none while it waits");
+        let cancelled = |what: &&ActionMessage| is(what, ActionCode::Cancel) && what.fetch == f64::from(first);
+        assert!(todo.iter().any(|what| cancelled(&what)), "{todo:?}");
+        let of_pages = *todo.iter().find(|what| is(what, ActionCode::Fetch)).expect("what it waits for");
+        assert!(polled(&mut engine).iter().all(|what| !is(what, ActionCode::FetchColours)), "none while it waits");
         // An answer that arrives after all is ignored.
         engine.given(first, vec![0; 12], 0.0);
         assert!(engine.take_report().is_empty());
         give(&mut engine, bytes, &of_pages);
-        assert_eq!(engine.step(pawn, 0.05, &STILL).unwrap()[9], 0.0);
+        assert_eq!(state(&mut engine, pawn, &STILL).missing, 0.0);
         let again = until_colours(&mut engine, bytes, Some(scene), wanted).expect("colours again");
         assert!(again > first);
     }

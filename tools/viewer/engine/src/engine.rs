@@ -6,13 +6,14 @@ use crate::facts;
 use crate::fault::{self, invalid};
 use crate::geometry::Geometry;
 use crate::map::{columns, map};
+use crate::messages::{ActionCode, ActionMessage, PageMessage, PaintMessage, StatsMessage};
 use crate::named::{Moving, Named};
 use crate::outline::{self, Outline};
 use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
 use crate::scene::{HORIZON_S, Scenes};
 use slicewalk::archive::Catalog;
-use slicewalk::frame::{PAGE_SLICES, PageKey};
+use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
 use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, PageSlot, RequestId, Snapshot, Time};
 use std::collections::VecDeque;
@@ -28,11 +29,8 @@ const OUTLINE_LEAST: f64 = 4e6;
 /// An overview level is fetched before pages that are needed later than this.
 const OUTLINE_BEFORE: Duration = Duration::from_secs(1);
 
-/// Codes in the result of [`Engine::poll`], each followed by its numbers.
-pub(crate) const FETCH: f64 = 1.0;
-pub(crate) const CANCEL: f64 = 2.0;
-pub(crate) const WAIT: f64 = 3.0;
-pub(crate) const FETCH_COLOURS: f64 = 4.0;
+/// Most columns of pages that [`Engine::page_boxes`] visits.
+const MOST_COLUMNS: usize = 10_000;
 
 /// One open archive.
 #[wasm_bindgen]
@@ -102,9 +100,8 @@ impl Engine {
 
     // Streaming ----------------------------------------------------------------------------------------------------------------
 
-    /// Returns the next actions as numbers: 1, name, start, end (fetch these bytes); 2, name (cancel this fetch); 4,
-    /// name, start, end (fetch these bytes of colours); 3, milliseconds (poll again then; ∞: after an event). Fails
-    /// while the archive cannot be opened.
+    /// Returns the next actions as numbers of [`ActionMessage`]s; the last one waits. Fails while the archive cannot be
+    /// opened.
     pub fn poll(&mut self, now_ms: f64) -> Result<Vec<f64>, String> {
         // Pages with the content of resident ones arrive without a fetch.
         let resident = |loader: &Loader| (loader.counters().resident_pages, loader.counters().evicted);
@@ -126,13 +123,13 @@ impl Engine {
                     }
                     let name = self.name();
                     self.fetches.insert(name, fetch.id);
-                    todo.extend([FETCH, f64::from(name), fetch.range.start as f64, fetch.range.end as f64]);
+                    todo.extend(fetching(ActionCode::Fetch, name, &fetch.range));
                 }
                 Next::Cancel(id) => {
                     let name = self.fetches.0.iter().find(|(_, other)| *other == id).map(|(name, _)| *name);
                     if let Some(name) = name {
                         self.fetches.remove(name);
-                        todo.extend([CANCEL, f64::from(name)]);
+                        todo.extend(acting(ActionCode::Cancel, name, 0.0, 0.0));
                     }
                 }
                 Next::Report(page) => {
@@ -142,7 +139,8 @@ impl Engine {
                 Next::Wait(until) => {
                     self.ask_outline(&mut todo);
                     let until = self.ask_colours(now, until, &mut todo);
-                    todo.extend([WAIT, until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0)]);
+                    let until = until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0);
+                    todo.extend(acting(ActionCode::Wait, 0, until, 0.0));
                     return Ok(todo);
                 }
             }
@@ -221,7 +219,7 @@ impl Engine {
         if let Some(range) = self.loader.catalog().and_then(outline::range) {
             let name = self.name();
             self.outline = Distant::Asked(name);
-            todo.extend([FETCH, f64::from(name), range.start as f64, range.end as f64]);
+            todo.extend(fetching(ActionCode::Fetch, name, &range));
         }
     }
 
@@ -231,7 +229,7 @@ impl Engine {
         self.colours.begin(&self.loader);
         let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
         if waits && let Some(name) = self.colours.give_up() {
-            todo.extend([CANCEL, f64::from(name)]);
+            todo.extend(acting(ActionCode::Cancel, name, 0.0, 0.0));
         }
         let is_busy = waits
             || !self.fetches.0.is_empty()
@@ -244,7 +242,7 @@ impl Engine {
         let (range, retry_at) = self.colours.ask(next, &self.scenes, outline, now);
         if let Some(range) = range {
             self.names = next;
-            todo.extend([FETCH_COLOURS, f64::from(next), range.start as f64, range.end as f64]);
+            todo.extend(fetching(ActionCode::FetchColours, next, &range));
         }
         [until, retry_at].into_iter().flatten().min()
     }
@@ -273,24 +271,24 @@ impl Engine {
         Ok(facts::reference(&crs, &units))
     }
 
-    /// Nine numbers: resident pages, their bytes, bytes in use, peak bytes, budget, pages loaded and evicted so far,
-    /// pages that pawns wait for, pages to be built.
+    /// Numbers of a [`StatsMessage`].
     pub fn stats(&self) -> Vec<f64> {
         let counters = self.loader.counters();
         let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
         let unbuilt: usize = self.scenes.things().map(|scene| scene.thing.unbuilt()).sum();
         let [used, peak, budget] = self.outline().map_or([0; 3], Outline::bytes);
-        vec![
-            counters.resident_pages as f64,
-            counters.resident_bytes as f64,
-            (counters.used_bytes + used) as f64,
-            (counters.peak_bytes + peak) as f64,
-            (counters.budget_bytes + budget) as f64,
-            self.loaded as f64,
-            counters.evicted as f64,
-            missing as f64,
-            unbuilt as f64,
-        ]
+        let stats = StatsMessage {
+            resident_pages: counters.resident_pages as f64,
+            resident_bytes: counters.resident_bytes as f64,
+            used_bytes: (counters.used_bytes + used) as f64,
+            peak_bytes: (counters.peak_bytes + peak) as f64,
+            budget_bytes: (counters.budget_bytes + budget) as f64,
+            loaded: self.loaded as f64,
+            evicted: counters.evicted as f64,
+            missing: missing as f64,
+            unbuilt: unbuilt as f64,
+        };
+        stats.numbers().to_vec()
     }
 
     /// Requests the pages that touch a box (six numbers, min and max); returns the name of the request.
@@ -366,6 +364,30 @@ impl Engine {
         batch::floor(&view, boxes, &mut self.lacks)
     }
 
+    /// Boxes around all solid, six numbers each (min, max): the runs of occupied slices of pages, in memory or not. Of a
+    /// large archive, some pages only.
+    pub fn page_boxes(&self) -> Result<Vec<f64>, String> {
+        let view = self.snapshot()?;
+        let frame = view.frame();
+        let edge = frame.pixel_m() * TILE_PIXELS as f64;
+        let mut boxes = Vec::new();
+        for number in (0..view.column_count()).step_by(view.column_count() / MOST_COLUMNS + 1) {
+            let (tx, ty, slots) = view.column_at(number);
+            let (x, y) = (f64::from(tx) * edge, f64::from(ty) * edge);
+            for slot in slots {
+                let (mut slices, first) = (slot.slices(), i64::from(slot.layer()) * PAGE_SLICES);
+                while slices != 0 {
+                    let low = slices.trailing_zeros();
+                    let high = low + (slices >> low).trailing_ones();
+                    slices &= u64::MAX.checked_shl(high).unwrap_or(0);
+                    let bottom = |slice: u32| frame.bottom_of_slice(first + i64::from(slice));
+                    boxes.extend([x, y, bottom(low), x + edge, y + edge, bottom(high)]);
+                }
+            }
+        }
+        Ok(boxes)
+    }
+
     /// Draws a plan between two heights: width, height and edge of a cell (eight bytes each, as numbers), then one byte
     /// per cell. `area`: minimum x and y, maximum x and y, lowest and highest z.
     pub fn map(&self, area: &[f64], cells: u32) -> Result<Vec<u8>, String> {
@@ -387,7 +409,8 @@ impl Engine {
         Ok(name)
     }
 
-    /// Advances a pawn by a time step; returns its state (see [`Pawn::state`]). `input`: see [`Input::from_numbers`].
+    /// Advances a pawn by a time step; returns the numbers of its state (see [`Pawn::state`]). `input`: numbers of an
+    /// [`InputMessage`](crate::messages::InputMessage).
     pub fn step(&mut self, pawn: u32, seconds: f64, input: &[f64]) -> Result<Vec<f64>, String> {
         let (view, input) = (self.snapshot()?, Input::from_numbers(input)?);
         self.moving(pawn)?.thing.step(&view, seconds, &input);
@@ -397,7 +420,7 @@ impl Engine {
 
     /// State of a pawn.
     pub fn pawn_state(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
-        Ok(self.moving(pawn)?.thing.state().to_vec())
+        Ok(self.moving(pawn)?.thing.state().numbers().to_vec())
     }
 
     /// Moves a pawn elsewhere.
@@ -440,19 +463,22 @@ impl Engine {
     // Scenes -------------------------------------------------------------------------------------------------------------------
 
     /// Creates a scene (see [`Scenes::new`]); returns its name.
-    pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool) -> u32 {
+    pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool, blocks: bool) -> u32 {
         let body = self.loader.body();
         let name = self.name();
-        let mut scenes = Scenes::new(radius, triangles, detail, overview);
+        let mut scenes = Scenes::new(radius, triangles, detail, overview, blocks);
         scenes.overview(self.outline().and_then(Outline::level));
         self.scenes.insert(name, Moving { thing: scenes, body, hinted: None });
         name
     }
 
     /// Changes the parameters of a scene.
-    pub fn set_scene(&mut self, scene: u32, radius: f64, triangles: f64, detail: f64, overview: bool) {
+    #[rustfmt::skip]
+    pub fn set_scene(
+        &mut self, scene: u32, radius: f64, triangles: f64, detail: f64, overview: bool, blocks: bool,
+    ) {
         if let Some(scene) = self.scenes.get_mut(scene) {
-            scene.thing.set(radius, triangles, detail, overview);
+            scene.thing.set(radius, triangles, detail, overview, blocks);
         }
     }
 
@@ -473,9 +499,9 @@ impl Engine {
         Ok(())
     }
 
-    /// Builds the next page of a scene and returns 17 numbers: name, tx, ty, layer, origin, scale, lowest and highest
-    /// corner, level; [`take_positions`](Self::take_positions) and similar functions return its geometry. Empty if
-    /// there is no page to build.
+    /// Builds the next page of a scene and returns the numbers of a [`PageMessage`];
+    /// [`take_positions`](Self::take_positions) and similar functions return its geometry. Empty if there is no page to
+    /// build.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
         let (view, outline) = (self.snapshot()?, self.outline().and_then(Outline::view));
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
@@ -485,9 +511,15 @@ impl Engine {
             self.colours.drawn();
         }
         let Some((id, key, _, geometry)) = &self.drawn else { return Ok(Vec::new()) };
-        let place = [*id as f64, f64::from(key.tx), f64::from(key.ty), f64::from(key.layer)];
-        Ok([&place[..], &geometry.origin, &geometry.scale, geometry.bounds.as_flattened(), &[f64::from(level)]]
-            .concat())
+        let ([x, y, z], [scale_x, scale_y, scale_z]) = (geometry.origin, geometry.scale);
+        let [[min_x, min_y, min_z], [max_x, max_y, max_z]] = geometry.bounds;
+        let (page, level) = (f64::from(*id), f64::from(level));
+        let (tx, ty, layer) = (f64::from(key.tx), f64::from(key.ty), f64::from(key.layer));
+        #[rustfmt::skip]
+        let message = PageMessage {
+            page, tx, ty, layer, x, y, z, scale_x, scale_y, scale_z, min_x, min_y, min_z, max_x, max_y, max_z, level,
+        };
+        Ok(message.numbers().to_vec())
     }
 
     /// Starts bringing colours for what scenes draw.
@@ -500,8 +532,7 @@ impl Engine {
         self.colours.unpainted(&self.scenes)
     }
 
-    /// Paints the next page and returns 3 numbers: scene, name of the page, cells along an edge;
-    /// [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) return the rest. Empty if there is no
+    /// Paints the next page and returns the numbers of a [`PaintMessage`]; [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) return the rest. Empty if there is no
     /// page to paint.
     pub fn paint(&mut self) -> Result<Vec<f64>, String> {
         if !self.colours.are_on() {
@@ -513,7 +544,8 @@ impl Engine {
             return Ok(Vec::new());
         };
         let paint = self.painted.insert(paint);
-        Ok(vec![f64::from(scene), f64::from(page), f64::from(paint.edge)])
+        let message = PaintMessage { view: f64::from(scene), page: f64::from(page), edge: f64::from(paint.edge) };
+        Ok(message.numbers().to_vec())
     }
 
     /// Cells of the page painted last; returned once.
@@ -557,7 +589,7 @@ impl Engine {
         self.loader.catalog().ok_or_else(not_open)
     }
 
-    fn view(&self) -> Result<Snapshot, String> {
+    fn snapshot(&self) -> Result<Snapshot, String> {
         self.loader.snapshot().ok_or_else(not_open)
     }
 
@@ -593,6 +625,14 @@ impl Engine {
     }
 }
 
+fn acting(action: ActionCode, fetch: u32, start: f64, end: f64) -> [f64; ActionMessage::LEN] {
+    ActionMessage { action: action.into(), fetch: f64::from(fetch), start, end }.numbers()
+}
+
+fn fetching(action: ActionCode, fetch: u32, range: &std::ops::Range<u64>) -> [f64; ActionMessage::LEN] {
+    acting(action, fetch, range.start as f64, range.end as f64)
+}
+
 fn of_distant(distant: &Distant) -> Option<&Outline> {
     match distant {
         Distant::Here(outline) => Some(outline),
@@ -619,15 +659,18 @@ fn not_open() -> String {
 pub(crate) mod tests {
     use super::*;
 
-    /// Result of a poll, split into actions with their numbers.
-    pub fn polled(engine: &mut Engine) -> Vec<Vec<f64>> {
+    pub fn is(what: &ActionMessage, action: ActionCode) -> bool {
+        what.action == f64::from(action)
+    }
+
+    /// Steps a pawn.
+    pub fn state(engine: &mut Engine, pawn: u32, input: &[f64]) -> crate::messages::StateMessage {
+        crate::messages::StateMessage::from_numbers(&engine.step(pawn, 0.05, input).unwrap()).unwrap()
+    }
+
+    /// Actions of a poll.
+    pub fn polled(engine: &mut Engine) -> Vec<ActionMessage> {
         let todo = engine.poll(0.0).unwrap();
-        let (mut at, mut found) = (0, Vec::new());
-        while at < todo.len() {
-            let len = if [FETCH, FETCH_COLOURS].contains(&todo[at]) { 4 } else { 2 };
-            found.push(todo[at..at + len].to_vec());
-            at += len;
-        }
-        found
+        todo.chunks(ActionMessage::LEN).map(|numbers| ActionMessage::from_numbers(numbers).unwrap()).collect()
     }
 }

@@ -13,6 +13,7 @@ mod facts;
 mod fault;
 mod geometry;
 mod map;
+mod messages;
 mod named;
 mod outline;
 mod paint;
@@ -21,5 +22,6 @@ mod scene;
 
 pub use engine::Engine;
 pub use geometry::Geometry;
+pub use messages::{ActionCode, ActionMessage};
 pub use pawn::{Input, Pawn, Settings, TICK_S};
 pub use scene::{BuiltPage, Scenes};

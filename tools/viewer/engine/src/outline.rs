@@ -51,7 +51,7 @@ impl Outline {
     }
 
     /// The level's pages, once all are resident.
-    pub fn view(&self) -> Option<Snapshot> {
+    pub fn snapshot(&self) -> Option<Snapshot> {
         self.loading.as_ref().filter(|_| self.is_ready)?.1.snapshot()
     }
 
@@ -117,7 +117,8 @@ fn keys(view: &Snapshot) -> Vec<PageKey> {
 pub(crate) mod tests {
     use super::*;
     use crate::Engine;
-    use crate::engine::{FETCH_COLOURS, tests::polled};
+    use crate::engine::tests::{is, polled};
+    use crate::messages::{ActionCode, PageMessage, PaintMessage};
     use slicewalk::archive::{Archive, ArchiveWriter, EncodedColours, PageEncoder, Totals};
     use slicewalk::codec::ColourEncoder;
     use slicewalk::colour::{ColourPlan, ColourScale};
@@ -181,11 +182,14 @@ pub(crate) mod tests {
         for _ in 0..5000 {
             let mut busy = false;
             for what in polled(&mut engine) {
-                let [kind, name, start, end] = what[..] else { continue };
-                let range = [start as u64, end as u64];
-                let fetches = if kind == FETCH_COLOURS { &mut seen.of_colours } else { &mut seen.fetches };
-                fetches.extend(scene.map(|_| range));
-                engine.given(name as u32, bytes[start as usize..end as usize].to_vec(), 0.0);
+                let of_colours = is(&what, ActionCode::FetchColours);
+                if !of_colours && !is(&what, ActionCode::Fetch) {
+                    continue;
+                }
+                let fetches = if of_colours { &mut seen.of_colours } else { &mut seen.fetches };
+                fetches.extend(scene.map(|_| [what.start as u64, what.end as u64]));
+                let range = what.start as usize..what.end as usize;
+                engine.given(what.fetch as u32, bytes[range].to_vec(), 0.0);
                 busy = true;
             }
             while engine.decode(0.0) {
@@ -195,7 +199,7 @@ pub(crate) mod tests {
                 Some(name) => name,
                 None if !engine.is_open() => continue,
                 None => {
-                    let name = engine.scene(20.0, 1e6, 0.02, overview);
+                    let name = engine.scene(20.0, 1e6, 0.02, overview, false);
                     engine.look(name, &[1.0, 1.0, 1.0]).unwrap();
                     if has_colours {
                         engine.bring_colours();
@@ -204,13 +208,12 @@ pub(crate) mod tests {
                 }
             };
             loop {
-                let numbers = engine.build(name).unwrap();
-                let [page, _, .., level] = numbers[..] else { break };
-                seen.built.push((page as u32, [numbers[4], level]));
+                let Some(page) = PageMessage::from_numbers(&engine.build(name).unwrap()) else { break };
+                seen.built.push((page.page as u32, [page.x, page.level]));
                 busy = true;
             }
-            while let [of, page, edge] = engine.paint().unwrap()[..] {
-                assert!(of == f64::from(name) && edge >= 1.0);
+            while let Some(PaintMessage { view, page, edge }) = PaintMessage::from_numbers(&engine.paint().unwrap()) {
+                assert!(view == f64::from(name) && edge >= 1.0);
                 assert_eq!(engine.take_cells().len(), (4.0 * edge * edge) as usize);
                 assert!(!engine.take_colours().is_empty());
                 seen.painted.push(page as u32);

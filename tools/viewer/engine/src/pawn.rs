@@ -4,6 +4,7 @@
 //! replay gives the same path bit for bit, whatever was in memory during the recording.
 
 use crate::fault::{self, invalid};
+use crate::messages::{GroundCode, InputMessage, SettingsMessage, StateMessage, StopCode};
 use slicewalk::frame::Frame;
 use slicewalk::nalgebra::{Point2, Point3, Vector2, Vector3};
 use slicewalk::query::Answer;
@@ -42,12 +43,10 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Reads ten numbers: shape (0 box, 1 cylinder), x or radius, y, height, climb, speed, gravity, jump, crouching
-    /// height, deepest drop (NaN: any).
+    /// Reads the numbers of a [`SettingsMessage`].
     pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
-        let &[shape, x, y, height, climb, speed, gravity, jump, crouch, max_drop] = numbers else {
-            return Err(invalid("settings are ten numbers"));
-        };
+        let message = SettingsMessage::from_numbers(numbers).ok_or_else(|| invalid("settings are ten numbers"))?;
+        let SettingsMessage { shape, x, y, height, climb, speed, gravity, jump, crouch, max_drop } = message;
         let body = if shape == 0.0 { Body::Box { x, y, height } } else { Body::Cylinder { radius: x, height } };
         let max_drop = (!max_drop.is_nan()).then_some(max_drop);
         let settings = Self { body, climb, speed, gravity, jump, crouch, max_drop };
@@ -103,9 +102,10 @@ pub struct Input {
 }
 
 impl Input {
-    /// Reads five numbers: wish x and y, pace, lift, flags (1 jump, 2 crouch, 4 fly, 8 toward).
+    /// Reads the numbers of an [`InputMessage`].
     pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
-        let &[x, y, pace, lift, flags] = numbers else { return Err(invalid("an input is five numbers")) };
+        let message = InputMessage::from_numbers(numbers).ok_or_else(|| invalid("an input is five numbers"))?;
+        let InputMessage { x, y, pace, lift, flags } = message;
         let finite = x.is_finite() && y.is_finite() && lift.is_finite();
         if !finite || !(0.0..=100.0).contains(&pace) {
             return Err(invalid(format_args!("no pawn can go ({x}, {y}) at pace {pace}, lift {lift}")));
@@ -330,40 +330,39 @@ impl Pawn {
         Ok(path)
     }
 
-    /// Twelve numbers: feet, ground (0 walking, 1 falling, 2 blocked, 3 flying), block reason (0 none), horizontal and
-    /// upward speed, whether it crouches, height, missing pages, ticks, steps.
-    pub fn state(&self) -> [f64; 12] {
+    /// State for the package.
+    pub fn state(&self) -> StateMessage {
         let feet = self.walker.feet();
         let ground = match self.walker.state() {
-            _ if self.flying => 3,
-            _ if self.walker.ground() == Ground::Air => 1,
-            State::Blocked => 2,
-            State::Falling | State::Walking | State::Arrived => 0,
+            _ if self.flying => GroundCode::Flying,
+            _ if self.walker.ground() == Ground::Air => GroundCode::Falling,
+            State::Blocked => GroundCode::Blocked,
+            State::Falling | State::Walking | State::Arrived => GroundCode::Walking,
         };
         let stop = match self.stop {
-            None => 0,
-            Some(Stop::Wall) => 1,
-            Some(Stop::Steep) => 2,
-            Some(Stop::Headroom) => 3,
-            Some(Stop::Corner) => 4,
-            Some(Stop::Inside) => 5,
-            Some(Stop::Ledge) => 6,
-            Some(Stop::Void) => 7,
+            None => StopCode::None,
+            Some(Stop::Wall) => StopCode::Wall,
+            Some(Stop::Steep) => StopCode::Steep,
+            Some(Stop::Headroom) => StopCode::Headroom,
+            Some(Stop::Corner) => StopCode::Corner,
+            Some(Stop::Inside) => StopCode::Inside,
+            Some(Stop::Ledge) => StopCode::Ledge,
+            Some(Stop::Void) => StopCode::Void,
         };
-        [
-            feet.x,
-            feet.y,
-            feet.z,
-            f64::from(ground),
-            f64::from(stop),
-            self.speed[0],
-            self.speed[1],
-            f64::from(u8::from(self.crouched)),
-            self.body().height(),
-            self.missing.map_or(0, |missing| missing.count()) as f64,
-            self.ticks as f64,
-            self.steps as f64,
-        ]
+        StateMessage {
+            x: feet.x,
+            y: feet.y,
+            z: feet.z,
+            ground: ground.into(),
+            stop: stop.into(),
+            speed: self.speed[0],
+            rise: self.speed[1],
+            crouched: f64::from(u8::from(self.crouched)),
+            height: self.body().height(),
+            missing: self.missing.map_or(0, |missing| missing.count()) as f64,
+            ticks: self.ticks as f64,
+            steps: self.steps as f64,
+        }
     }
 }
 

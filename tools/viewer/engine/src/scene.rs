@@ -3,10 +3,11 @@
 //! In: the pages in memory and the position of the camera. Out: geometry, nearest first. Memory: a few words per page
 //! drawn.
 
-use crate::geometry::{COARSEST, Geometry};
+use crate::geometry::{COARSEST, Geometry, sparseness};
 use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
+use slicewalk::page::Page;
 use slicewalk::store::{MotionHint, PageSlot, Snapshot};
 use std::collections::HashMap;
 
@@ -51,18 +52,25 @@ pub struct Scenes {
     has_overview: bool,
 }
 
+/// Eight neighbours and the page itself, row by row.
+type Around<'a> = [Option<&'a Page>; 9];
+
 impl Scenes {
-    /// Creates scenes like `Scene::new`; `overview`: draws a level too, once it is loaded.
-    pub fn new(radius: f64, triangles: f64, detail: f64, overview: bool) -> Self {
+    /// Creates scenes like `Scene::new`; `overview`: draws a level too, once it is loaded. Surfaces are smooth unless
+    /// `blocks`: then they are drawn as they collide.
+    pub fn new(radius: f64, triangles: f64, detail: f64, overview: bool, blocks: bool) -> Self {
         let mut far = Scene::new(OVERVIEW_M, triangles, detail);
         far.names = OVERVIEW_NAMES;
         let near = Scene::new(radius, triangles, detail);
-        Self { near, far, level: None, given: [radius, triangles, detail], has_overview: overview }
+        let mut scenes = Self { near, far, level: None, given: [radius, triangles, detail], has_overview: overview };
+        scenes.set(radius, triangles, detail, overview, blocks);
+        scenes
     }
 
     /// Changes the parameters of [`new`](Self::new).
-    pub fn set(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool) {
+    pub fn set(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool, blocks: bool) {
         (self.given, self.has_overview) = ([radius, triangles, detail], overview);
+        [&mut self.near, &mut self.far].into_iter().for_each(|scene| scene.set_blocks(blocks));
         let Some((level, frame)) = self.level.filter(|_| overview) else {
             return self.near.set(radius, triangles, detail);
         };
@@ -83,7 +91,7 @@ impl Scenes {
         if self.level.is_none() && level.is_some() {
             self.level = level;
             let [radius, triangles, detail] = self.given;
-            self.set(radius, triangles, detail, self.has_overview);
+            self.set(radius, triangles, detail, self.has_overview, self.near.blocks);
         }
     }
 
@@ -159,6 +167,7 @@ struct Scene {
     radius: f64,
     triangles: usize,
     detail: f64,
+    blocks: bool,
     /// Factor by which everything is coarser than `detail` requires, to stay within `triangles`.
     coarser: f64,
     drawn: HashMap<PageKey, Drawn>,
@@ -178,6 +187,9 @@ struct Drawn {
     triangles: usize,
     /// Coarseness of its colours, or [`UNPAINTED`].
     painted: u32,
+    blocks: bool,
+    /// Pages around it that were in memory when it was built.
+    neighbours: usize,
 }
 
 const UNPAINTED: u32 = u32::MAX;
@@ -191,6 +203,7 @@ impl Scene {
             radius: 0.0,
             triangles: 0,
             detail: 0.0,
+            blocks: false,
             coarser: 1.0,
             drawn: HashMap::new(),
             queue: Vec::new(),
@@ -210,6 +223,11 @@ impl Scene {
             (self.radius, self.triangles, self.detail) = wanted;
             (self.coarser, self.stale) = (1.0, true);
         }
+    }
+
+    fn set_blocks(&mut self, blocks: bool) {
+        self.stale |= blocks != self.blocks;
+        self.blocks = blocks;
     }
 
     /// Moves the camera.
@@ -267,9 +285,16 @@ impl Scene {
                     continue;
                 }
                 let coarseness = self.coarseness(&frame, far);
-                let built = self.drawn.get(&key).map(|drawn| drawn.coarseness);
-                if built.is_none_or(|built| coarseness + STEADY < built || built + STEADY < coarseness) {
+                let Some(built) = self.drawn.get(&key) else {
                     wanted.push((far, key, coarseness));
+                    continue;
+                };
+                let changed = coarseness + STEADY < built.coarseness || built.coarseness + STEADY < coarseness;
+                if changed || built.blocks != self.blocks {
+                    wanted.push((far, key, coarseness));
+                } else if !self.blocks && neighbours(set, key).iter().flatten().count() > built.neighbours {
+                    // New neighbours only bend its edge, which is less urgent than all the rest.
+                    wanted.push((far + self.radius, key, built.coarseness));
                 }
             }
         }
@@ -315,18 +340,30 @@ impl Scene {
         while let Some((key, coarseness)) = self.nearest() {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
             let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
-            let geometry = Geometry::of(set.frame(), key, page, coarseness);
+            let around = (!self.blocks).then(|| neighbours(set, key));
+            let least = if self.blocks { 0 } else { sparseness(page) };
+            let geometry = Geometry::of(set.frame(), key, page, around.as_ref(), coarseness.max(least));
+            let neighbours = around.map_or(0, |around| around.iter().flatten().count());
             let before = self.drawn.get(&key).map(|drawn| (drawn.id, drawn.painted));
             let (id, painted) = before.unwrap_or_else(|| {
                 self.names += 1;
                 (self.names, UNPAINTED)
             });
-            self.drawn.insert(key, Drawn { id, coarseness, triangles: geometry.triangles(), painted });
+            let (triangles, blocks) = (geometry.triangles(), self.blocks);
+            self.drawn.insert(key, Drawn { id, coarseness, triangles, painted, blocks, neighbours });
             self.stale |= self.queue.is_empty() && self.sum() > self.triangles;
             return Some((id, key, coarseness, geometry));
         }
         None
     }
+}
+
+/// Pages in memory around a page in its layer, and the page itself.
+fn neighbours(set: &Snapshot, key: PageKey) -> Around<'_> {
+    std::array::from_fn(|n| {
+        let (tx, ty) = (key.tx.checked_add(n as i32 % 3 - 1)?, key.ty.checked_add(n as i32 / 3 - 1)?);
+        set.column(tx, ty).iter().find(|slot| slot.layer() == key.layer)?.page()
+    })
 }
 
 /// Distance from a place to the nearest point of a page's box (m).

@@ -48,9 +48,24 @@ function absolute(address: string | URL): string {
   }
 }
 
+const NO_STATS: Stats = {
+  pages: { resident: 0, bytes: 0 },
+  usedBytes: 0,
+  peakBytes: 0,
+  budgetBytes: 0,
+  loaded: 0,
+  evicted: 0,
+  missing: 0,
+  unbuilt: 0,
+  requests: 0,
+  bytesLoaded: 0,
+  pending: 0,
+  colours: { missing: 0, requests: 0, bytes: 0 },
+};
+
 class OpenArchive implements Archive {
   info!: ArchiveInfo;
-  stats: Stats = toStats(new Float64Array(15));
+  stats: Stats = NO_STATS;
   private readonly link: Link;
   private readonly views = new Map<number, ViewHandle>();
   private readonly listeners: { [E in keyof ArchiveEvents]: Set<ArchiveEvents[E]> } = {
@@ -168,6 +183,10 @@ class OpenArchive implements Archive {
     return { width, height, cell, cells: bytes.subarray(24), min: area.min };
   }
 
+  pageBoxes(): Promise<Float64Array> {
+    return this.link.call<Float64Array>({ call: "boxes" });
+  }
+
   walker(options: WalkerOptions): Promise<Walker> {
     return makeWalker(this.link, options);
   }
@@ -183,7 +202,7 @@ class OpenArchive implements Archive {
   private happened(event: Extract<FromWorker, { event: string }>): void {
     switch (event.event) {
       case "stats":
-        this.stats = toStats(event.numbers);
+        this.stats = event.stats;
         this.tell("stats", this.stats);
         break;
       case "trouble":
@@ -196,7 +215,7 @@ class OpenArchive implements Archive {
         this.views.get(event.view)?.page(event);
         break;
       case "colours":
-        this.views.get(event.numbers[0] ?? 0)?.colours(event);
+        this.views.get(event.paint.view)?.colours(event);
         break;
       case "drop":
         this.views.get(event.view)?.drop(event.ids);
@@ -209,22 +228,4 @@ class OpenArchive implements Archive {
       (listener as (value: unknown) => void)(value);
     }
   }
-}
-
-function toStats(numbers: Float64Array): Stats {
-  const at = (index: number): number => numbers[index] ?? 0;
-  return {
-    pages: { resident: at(0), bytes: at(1) },
-    usedBytes: at(2),
-    peakBytes: at(3),
-    budgetBytes: at(4),
-    loaded: at(5),
-    evicted: at(6),
-    missing: at(7),
-    unbuilt: at(8),
-    requests: at(9),
-    bytesLoaded: at(10),
-    pending: at(11),
-    colours: { missing: at(12), requests: at(13), bytes: at(14) },
-  };
 }

@@ -5,9 +5,10 @@
 
 import { aborted, asError, asFault } from "./fault.js";
 import { browser, HttpSource, type Outside } from "./http.js";
+import { ACTION_CODE, ACTION_LENGTH, INPUT_LENGTH, readAction, readPaint, readPage, readState, readStats } from "./messages.js";
 import type { Call, FromWorker, Note, Open, Step, ToWorker } from "./protocol.js";
 import { BlobSource, TailFirst } from "./source.js";
-import { NOT_LOADED, SlicewalkError } from "./types.js";
+import { NOT_LOADED, SlicewalkError, type Stats } from "./types.js";
 import type { Engine } from "./wasm/engine.js";
 
 /** Most bytes of the head of an archive. */
@@ -60,7 +61,7 @@ export class Host {
   private statsWait = false;
   private lastStats = "";
   /** Input of a step, reused. */
-  private readonly input = new Float64Array(5);
+  private readonly input = new Float64Array(INPUT_LENGTH);
   /** Wakes the worker without the delay of a timer. */
   private readonly bell = new MessageChannel();
 
@@ -101,13 +102,13 @@ export class Host {
   }
 
   private step(message: Step): void {
-    const [id = 0, walker = 0, seconds = 0] = message;
+    const [id, walker, seconds, ...input] = message;
     try {
-      this.input.set(message.slice(3));
+      this.input.set(input);
       const state = this.ready().step(walker, seconds, this.input);
       this.port.post([id, ...state], []);
       // Missing pages block the walker.
-      if (state[9] || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
+      if (readState(state).missing > 0 || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
         this.wake();
       } else {
         this.wakeLater();
@@ -167,16 +168,18 @@ export class Host {
         }
         return plain(undefined);
       }
+      case "boxes":
+        return moved(engine.page_boxes());
       case "map":
         return moved(engine.map(call.area, call.cells));
       case "walker":
         return this.woken(plain(engine.pawn(call.settings, call.at)));
       case "place":
-        return this.woken(moved(engine.place(call.walker, call.at)));
+        return this.woken(plain(readState(engine.place(call.walker, call.at))));
       case "settings":
-        return this.woken(moved(engine.set_pawn(call.walker, call.settings)));
+        return this.woken(plain(readState(engine.set_pawn(call.walker, call.settings))));
       case "record":
-        return moved(engine.record(call.walker));
+        return plain(readState(engine.record(call.walker)));
       case "recording":
         return plain({ steps: engine.recorded_steps(call.walker), path: engine.recorded_path(call.walker) });
       case "view": {
@@ -424,17 +427,15 @@ export class Host {
   private poll(engine: Engine): number {
     const todo = engine.poll(this.outside.now());
     let wait = Number.POSITIVE_INFINITY;
-    for (let at = 0; at < todo.length;) {
-      const [what = 0, a = 0, b = 0, c = 0] = todo.subarray(at, at + 4);
-      if (what === 1 || what === 4) {
-        void this.fetch(engine, a, b, c, what === 4);
-        at += 4;
-      } else if (what === 2) {
-        this.fetches.get(a)?.abort();
-        at += 2;
+    for (let at = 0; at < todo.length; at += ACTION_LENGTH) {
+      const { action, fetch, start, end } = readAction(todo, at);
+      const what = ACTION_CODE[action];
+      if (what === "cancel") {
+        this.fetches.get(fetch)?.abort();
+      } else if (what === "wait") {
+        wait = start;
       } else {
-        wait = a;
-        at += 2;
+        void this.fetch(engine, fetch, start, end, what === "fetch-colours");
       }
     }
     for (let report = engine.take_report(); report !== ""; report = engine.take_report()) {
@@ -482,8 +483,8 @@ export class Host {
       }
       if (numbers.length > 0) {
         const [positions, normals, attributes] = [engine.take_positions(), engine.take_normals(), engine.take_attributes()];
-        const transfer = [numbers, positions, normals, attributes].map((array) => array.buffer as ArrayBuffer);
-        this.port.post({ event: "page", view, numbers, positions, normals, attributes }, transfer);
+        const transfer = [positions, normals, attributes].map((array) => array.buffer as ArrayBuffer);
+        this.port.post({ event: "page", view, page: readPage(numbers), positions, normals, attributes }, transfer);
         // Next time another view goes first.
         this.views.push(...this.views.splice(this.views.indexOf(view), 1));
         return true;
@@ -499,8 +500,8 @@ export class Host {
       return false;
     }
     const [cells, colours] = [engine.take_cells(), engine.take_colours()];
-    const transfer = [numbers, cells, colours].map((array) => array.buffer as ArrayBuffer);
-    this.port.post({ event: "colours", numbers, cells, colours }, transfer);
+    const transfer = [cells, colours].map((array) => array.buffer as ArrayBuffer);
+    this.port.post({ event: "colours", paint: readPaint(numbers), cells, colours }, transfer);
     return true;
   }
 
@@ -546,18 +547,26 @@ export class Host {
     this.statsAt = this.outside.now();
     this.statsDue = false;
     const { requests, bytes } = this.source ?? { requests: 0, bytes: 0 };
-    const numbers = Float64Array.from([
-      ...engine.stats(),
+    const memory = readStats(engine.stats());
+    const [colourRequests, colourBytes] = this.coloured;
+    const stats: Stats = {
+      pages: { resident: memory.residentPages, bytes: memory.residentBytes },
+      usedBytes: memory.usedBytes,
+      peakBytes: memory.peakBytes,
+      budgetBytes: memory.budgetBytes,
+      loaded: memory.loaded,
+      evicted: memory.evicted,
+      missing: memory.missing,
+      unbuilt: memory.unbuilt,
       requests,
-      bytes,
-      this.fetches.size,
-      engine.unpainted(),
-      ...this.coloured,
-    ]);
-    const text = numbers.join();
+      bytesLoaded: bytes,
+      pending: this.fetches.size,
+      colours: { missing: engine.unpainted(), requests: colourRequests, bytes: colourBytes },
+    };
+    const text = JSON.stringify(stats);
     if (text !== this.lastStats) {
       this.lastStats = text;
-      this.port.post({ event: "stats", numbers }, []);
+      this.port.post({ event: "stats", stats }, []);
     }
   }
 

@@ -1,7 +1,7 @@
 /** The page's side of a worker: calls with answers, notes, events. */
 
 import { aborted, asError, fromFault } from "./fault.js";
-import type { Call, FromWorker, Note, Step, ToWorker } from "./protocol.js";
+import type { Call, FromWorker, Note, Step, Stepped, ToWorker } from "./protocol.js";
 import { SlicewalkError } from "./types.js";
 
 type Event = Extract<FromWorker, { event: string }>;
@@ -67,16 +67,15 @@ export class Link {
     });
   }
 
-  /** Makes a step of a walker from its numbers, without the first; resolves to the worker's answer. */
-  step(numbers: Step): Promise<Step> {
-    return new Promise<Step>((resolve, reject) => {
+  /** Makes a step of a walker; resolves to the numbers of its state, after the first one. */
+  step(walker: number, seconds: number, input: readonly number[]): Promise<Stepped> {
+    return new Promise<Stepped>((resolve, reject) => {
       if (this.error) {
         throw this.error;
       }
       const id = ++this.ids;
-      numbers[0] = id;
       this.waiting.set(id, { resolve: resolve as (value: unknown) => void, reject });
-      this.worker.postMessage(numbers);
+      this.worker.postMessage([id, walker, seconds, ...input] satisfies Step);
     });
   }
 

@@ -1,6 +1,8 @@
 /** Messages between page and worker. */
 
 import type { Fault } from "./fault.js";
+import type { PageMessage, PaintMessage } from "./messages.js";
+import type { Stats } from "./types.js";
 
 /** Opens an archive: the first message to a worker. */
 export interface Open {
@@ -14,12 +16,13 @@ export interface Open {
 
 export type BatchKind = "overlaps" | "sweep" | "cast" | "far" | "floor";
 
-export type SceneSettings = readonly [radius: number, triangles: number, detail: number, overview: boolean];
+export type SceneSettings = readonly [radius: number, triangles: number, detail: number, overview: boolean, blocks: boolean];
 
 /** Calls with an answer. */
 export type Call =
   | Open
   | { readonly call: "reference" }
+  | { readonly call: "boxes" }
   | { readonly call: "batch"; readonly kind: BatchKind; readonly rows: Float64Array; readonly load: boolean }
   | { readonly call: "load"; readonly box: Float64Array }
   | { readonly call: "map"; readonly area: Float64Array; readonly cells: number }
@@ -38,41 +41,41 @@ export type Note =
   | { readonly note: "abort"; readonly id: number };
 
 /**
- * A step. Its numbers are in a plain array, because steps come every frame, and browsers take longer for objects and
- * typed arrays. To the worker: id of the call, walker, seconds, and the five numbers of the input. The answer: id of
- * the call, and the twelve numbers of a state. A fault comes as for any call.
+ * A step and its answer, whose fault comes as for any call. They come every frame, so they are arrays: browsers take
+ * longer for objects. The numbers are those of an `InputMessage` and of a `StateMessage`.
  */
-export type Step = number[];
+export type Step = [id: number, walker: number, seconds: number, ...input: number[]];
+export type Stepped = [id: number, ...state: number[]];
 
 export type ToWorker = (Call & { readonly id: number }) | Note | Step;
 
-/** A built page; `numbers` are those of the engine's `build`. */
-export interface PageMessage {
+/** A built page. */
+export interface PageEvent {
   readonly event: "page";
   readonly view: number;
-  readonly numbers: Float64Array;
+  readonly page: PageMessage;
   readonly positions: Uint16Array;
   readonly normals: Int8Array;
   readonly attributes: Uint8Array;
 }
 
-/** Colours of a built page; `numbers` are view, page and cells along an edge. */
-export interface ColoursMessage {
+/** Colours of a built page. */
+export interface ColoursEvent {
   readonly event: "colours";
-  readonly numbers: Float64Array;
+  readonly paint: PaintMessage;
   readonly cells: Uint32Array;
   readonly colours: Uint8Array;
 }
 
 export type FromWorker =
-  | Step
-  | ColoursMessage
+  | Stepped
+  | ColoursEvent
   | { readonly id: number; readonly value: unknown }
   | { readonly id: number; readonly fault: Fault }
-  | { readonly event: "stats"; readonly numbers: Float64Array }
+  | { readonly event: "stats"; readonly stats: Stats }
   | { readonly event: "trouble"; readonly fault: Fault | null }
   | { readonly event: "failed"; readonly fault: Fault }
-  | PageMessage
+  | PageEvent
   | { readonly event: "drop"; readonly view: number; readonly ids: Uint32Array };
 
 /** Contents of a recording. */

@@ -226,6 +226,12 @@ export interface Archive {
     cells?: number,
   ): Promise<SliceMap>;
 
+  /**
+   * Boxes N×6 (min, max) around all solid, from the table of pages: nothing is loaded. Each has the width of a page; of
+   * archives with more than 10,000 columns of pages, only some columns are listed.
+   */
+  pageBoxes(): Promise<Float64Array>;
+
   /** Creates a pawn. Pages are loaded ahead of it. */
   walker(options: WalkerOptions): Promise<Walker>;
 
@@ -388,6 +394,11 @@ export interface ViewSettings {
    * fine as `detail` requires. False by default.
    */
   overview?: boolean;
+  /**
+   * Draws exactly what collides. By default surfaces are smooth: tops and undersides of neighbouring cells meet at the
+   * mean of their heights if these differ by less than a pawn climbs, and holes of single cells are closed.
+   */
+  blocks?: boolean;
 }
 
 export interface View {
@@ -401,8 +412,8 @@ export interface View {
  * Geometry of one page: the tops, undersides and sides of its spans as quads, with equal neighbours joined.
  *
  * A vertex lies at `origin + scale · position`, which needs double precision where coordinates are large: give a mesh
- * the position `origin − yourOrigin` and the scale `scale`. Heights are rounded to `scale[2]`, a quarter of a cell; the
- * drawing may differ from the collision geometry by that much.
+ * the position `origin − yourOrigin` and the scale `scale`. Heights are rounded to a quarter of a cell and, unless the
+ * view draws blocks, averaged with those beside them; the drawing differs from the collision geometry by that much.
  */
 export interface PageGeometry {
   /** Identifies the page in this view. */
@@ -417,7 +428,7 @@ export interface PageGeometry {
   readonly bounds: Bounds;
   /** Three per vertex (x, y in cells, z in steps). */
   readonly positions: Uint16Array;
-  /** Four per vertex: the normal's x, y, z as 127, 0 or -127, and 0. */
+  /** Four per vertex: the normal's x, y, z times 127, and 0. */
   readonly normals: Int8Array;
   /**
    * Four per vertex: face (0 top, 1 underside, 2 side), obstacle (0 or 1), slope of the surrounding surface (degrees,

@@ -1,11 +1,12 @@
 /** Views as seen by the page. */
 
 import type { Link } from "./link.js";
-import type { ColoursMessage, PageMessage, SceneSettings } from "./protocol.js";
+import type { ColoursEvent, PageEvent, SceneSettings } from "./protocol.js";
 import type { PageGeometry, Vec3, View, ViewOptions, ViewSettings } from "./types.js";
 
-function complete({ radius = 40, triangles = 1_000_000, detail = 0.01, overview = false }: ViewSettings): SceneSettings {
-  return [radius, triangles, detail, overview];
+function complete(settings: ViewSettings): SceneSettings {
+  const { radius = 40, triangles = 1_000_000, detail = 0.01, overview = false, blocks = false } = settings;
+  return [radius, triangles, detail, overview, blocks];
 }
 
 /** The corner indices of triangles are the same in every page except for their number. */
@@ -22,21 +23,19 @@ function quadIndices(quads: number): Uint32Array {
   return indices.subarray(0, 6 * quads);
 }
 
-function geometry(page: PageMessage, pixelSize: number): PageGeometry {
-  const [id = 0, tx = 0, ty = 0, layer = 0, ...rest] = page.numbers;
-  const triple = (at: number): Vec3 => [rest[at] ?? 0, rest[at + 1] ?? 0, rest[at + 2] ?? 0];
-  const scale = triple(3);
+function geometry({ page, positions, normals, attributes }: PageEvent, pixelSize: number): PageGeometry {
+  const { tx, ty, layer, level } = page;
   return {
-    id,
-    key: { tx, ty, layer, level: rest[12] ?? 0 },
-    cell: pixelSize * Math.round(scale[0] / pixelSize),
-    origin: triple(0),
-    scale,
-    bounds: { min: triple(6), max: triple(9) },
-    positions: page.positions,
-    normals: page.normals,
-    attributes: page.attributes,
-    indices: quadIndices(page.positions.length / 12),
+    id: page.page,
+    key: { tx, ty, layer, level },
+    cell: pixelSize * Math.round(page.scaleX / pixelSize),
+    origin: [page.x, page.y, page.z],
+    scale: [page.scaleX, page.scaleY, page.scaleZ],
+    bounds: { min: [page.minX, page.minY, page.minZ], max: [page.maxX, page.maxY, page.maxZ] },
+    positions,
+    normals,
+    attributes,
+    indices: quadIndices(positions.length / 12),
   };
 }
 
@@ -101,12 +100,12 @@ export class ViewHandle implements View {
     }
   }
 
-  page(message: PageMessage): void {
+  page(message: PageEvent): void {
     this.options.onPage(geometry(message, this.pixelSize));
   }
 
-  colours({ numbers, cells, colours }: ColoursMessage): void {
-    this.options.onColours?.({ id: numbers[1] ?? 0, edge: numbers[2] ?? 0, cells, colours });
+  colours({ paint, cells, colours }: ColoursEvent): void {
+    this.options.onColours?.({ id: paint.page, edge: paint.edge, cells, colours });
   }
 
   drop(ids: Uint32Array): void {

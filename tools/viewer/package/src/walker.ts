@@ -1,12 +1,11 @@
 /** Walkers as seen by the page. */
 
 import type { Link } from "./link.js";
-import type { Recorded, Step } from "./protocol.js";
+import { GROUND_CODE, readState, type StateMessage, STOP_CODE, writeInput, writeSettings } from "./messages.js";
+import type { Recorded } from "./protocol.js";
 import {
   type Body,
-  type Ground,
   SlicewalkError,
-  type Stop,
   type Vec3,
   type Walker,
   type WalkerInput,
@@ -15,9 +14,6 @@ import {
   type WalkerSettings,
   type WalkerState,
 } from "./types.js";
-
-const GROUNDS: readonly Ground[] = ["walking", "falling", "blocked", "flying"];
-const STOPS: readonly (Stop | null)[] = [null, "wall", "steep", "headroom", "corner", "inside", "ledge", "void"];
 
 type Settings = Required<WalkerSettings>;
 
@@ -42,36 +38,30 @@ function defined<T extends object>(given: T): Partial<T> {
   return Object.fromEntries(Object.entries(given).filter(([, value]) => value !== undefined)) as Partial<T>;
 }
 
-function bodyNumbers(body: Body): [number, number, number, number] {
-  return body.shape === "box" ? [0, body.x, body.y, body.height] : [1, body.radius, 0, body.height];
-}
-
 function numbers(settings: Settings): Float64Array {
-  const { body, climb, speed, gravity, jump, crouchHeight, maxDrop } = settings;
-  return Float64Array.of(...bodyNumbers(body), climb, speed, gravity, jump, crouchHeight, maxDrop ?? Number.NaN);
+  const { climb, speed, gravity, jump, crouchHeight: crouch, maxDrop } = settings;
+  const body: Body = settings.body;
+  const shape = body.shape === "box" ? { shape: 0, x: body.x, y: body.y } : { shape: 1, x: body.radius, y: 0 };
+  const height = body.height;
+  return Float64Array.from(
+    writeSettings({ ...shape, height, climb, speed, gravity, jump, crouch, maxDrop: maxDrop ?? Number.NaN }),
+  );
 }
 
-/** Message of a step; the link adds the first number. */
-function stepNumbers(walker: number, seconds: number, input: WalkerInput): Step {
-  const [x, y] = input.toward ?? input.wish ?? [0, 0];
-  const flags = (input.jump ? 1 : 0) | (input.crouch ? 2 : 0) | (input.fly ? 4 : 0) | (input.toward ? 8 : 0);
-  return [0, walker, seconds, x, y, input.pace ?? 1, input.lift ?? 0, flags];
+function inputNumbers({ toward, wish, pace = 1, lift = 0, jump, crouch, fly }: WalkerInput): number[] {
+  const [x, y] = toward ?? wish ?? [0, 0];
+  const flags = (jump ? 1 : 0) | (crouch ? 2 : 0) | (fly ? 4 : 0) | (toward ? 8 : 0);
+  return writeInput({ x, y, pace, lift, flags });
 }
 
-/** Parses the engine's twelve numbers. */
-function state(numbers: ArrayLike<number>): WalkerState {
-  const at = (n: number): number => numbers[n] ?? 0;
+function toState({ x, y, z, ground, stop, crouched, ...rest }: StateMessage): WalkerState {
+  const reason = STOP_CODE[stop] ?? "none";
   return {
-    at: [at(0), at(1), at(2)],
-    ground: GROUNDS[at(3)] ?? "walking",
-    stop: STOPS[at(4)] ?? null,
-    speed: at(5),
-    rise: at(6),
-    crouched: at(7) !== 0,
-    height: at(8),
-    missing: at(9),
-    ticks: at(10),
-    steps: at(11),
+    ...rest,
+    at: [x, y, z],
+    ground: GROUND_CODE[ground] ?? "walking",
+    stop: reason === "none" ? null : reason,
+    crouched: crouched !== 0,
   };
 }
 
@@ -95,13 +85,13 @@ class WalkerHandle implements Walker {
   ) {
     this.start = at;
     const { height } = complete(given).body;
-    this.state = state(Float64Array.of(...at, 0, 0, 0, 0, 0, height, 0, 0, 0));
+    const [x, y, z] = at;
+    this.state = toState({ ...readState([]), x, y, z, height });
   }
 
   async step(seconds: number, input: WalkerInput): Promise<WalkerState> {
     this.check();
-    const answer = await this.link.step(stepNumbers(this.name, seconds, input));
-    this.state = state(answer.slice(1));
+    this.state = toState(readState(await this.link.step(this.name, seconds, inputNumbers(input)), 1));
     return this.state;
   }
 
@@ -143,7 +133,7 @@ class WalkerHandle implements Walker {
 
   private async told(call: Parameters<Link["call"]>[0]): Promise<WalkerState> {
     this.check();
-    this.state = state(await this.link.call<Float64Array>(call));
+    this.state = toState(await this.link.call<StateMessage>(call));
     return this.state;
   }
 }

@@ -7,6 +7,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { before, test } from "node:test";
 import { openArchive } from "../dist/index.js";
+import { ACTION_CODE, ACTION_LENGTH, readAction, STATE_LENGTH } from "../dist/messages.js";
 import { engineModule, FileHost, folder, numbers, read } from "./local.js";
 
 const scene = read("scene.slices");
@@ -16,16 +17,23 @@ before(async () => {
   module = await engineModule();
 });
 
+/** What the engine wants done. */
+function actions(engine, now) {
+  const todo = engine.poll(now);
+  const all = [];
+  for (let at = 0; at < todo.length; at += ACTION_LENGTH) {
+    const message = readAction(todo, at);
+    all.push({ ...message, what: ACTION_CODE[message.action] });
+  }
+  return all;
+}
+
 function serve(engine, now, archive = scene) {
   for (;;) {
-    const todo = engine.poll(now);
-    let fetched = false;
-    for (let at = 0; todo[at] === 1; at += 4) {
-      engine.given(todo[at + 1], archive.slice(todo[at + 2], todo[at + 3]), now);
-      fetched = true;
-    }
+    const fetches = actions(engine, now).filter(({ what }) => what === "fetch");
+    for (const { fetch, start, end } of fetches) engine.given(fetch, archive.slice(start, end), now);
     while (engine.decode(now));
-    if (!fetched) return;
+    if (fetches.length === 0) return;
   }
 }
 
@@ -70,7 +78,7 @@ test("rays beyond the pages in memory, by an overview level", () => {
   const levels = read("levels.slices");
   const engine = module.open(levels.length, 64e6, 4);
   serve(engine, 0, levels);
-  const view = engine.scene(0.1, 1e5, 0.01, true);
+  const view = engine.scene(0.1, 1e5, 0.01, true, false);
   engine.look(view, Float64Array.of(0, 0, 1));
   serve(engine, 0, levels);
   engine.load(Float64Array.of(-3, -3, -1, 1, 1, 4));
@@ -98,11 +106,11 @@ test("a box and a cylinder that a player moves for ten minutes", () => {
     const pawn = engine.pawn(body, Float64Array.of(-2, 2, 0.2));
     for (let row = 0; row < inputs.length; row += 6) {
       found.set(play(engine, pawn, inputs.subarray(row, row + 6)), at);
-      at += 12;
+      at += STATE_LENGTH;
     }
   }
   same(found, expected, "states");
-  const seen = (column) => new Set(found.filter((_, at) => at % 12 === column));
+  const seen = (column) => new Set(found.filter((_, at) => at % STATE_LENGTH === column));
   assert.deepEqual([seen(3).size, seen(4).size >= 5], [4, true], "walks, falls, flies and is blocked, and for several reasons");
   engine.free();
 });
@@ -123,17 +131,14 @@ test("a walk over a slow link asks for the same bytes at the same times", () => 
       pawn ??= engine.pawn(settings.subarray(0, 10), Float64Array.of(-2, 2, 0.2));
       words.push(...play(engine, pawn, inputs.subarray(row, row + 6)));
     }
-    const todo = engine.poll(now);
-    for (let at = 0; at < todo.length;) {
-      const [what, name, start, end] = todo.subarray(at, at + 4);
-      if (what === 1) {
+    for (const { what, fetch: name, start, end } of actions(engine, now)) {
+      if (what === "fetch") {
         words.push(start, end);
         freeAt = Math.max(freeAt, now + 40) + (end - start) / 2500;
         link.push({ at: freeAt, name, start, end });
-      } else if (what === 2) {
+      } else if (what === "cancel") {
         link = link.filter((answer) => answer.name !== name);
       }
-      at += what === 1 ? 4 : 2;
     }
     now += 1000 / 60;
   }

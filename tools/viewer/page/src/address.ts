@@ -11,7 +11,8 @@ export interface Place {
   archive: string | null;
   at: Vec3 | null;
   look: Look | null;
-  mode: Mode;
+  /** Null: the address does not say. */
+  mode: Mode | null;
   splats: { readonly url: string; readonly alignment: Alignment } | null;
 }
 
@@ -30,7 +31,7 @@ export function parseAddress(search: string): Place {
     archive: fields.get("archive") || null,
     at: at as Vec3 | null,
     look: look && { heading: look[0] ?? 0, pitch: look[1] ?? 0 },
-    mode: view === "orbit" || view === "plan" ? view : "walk",
+    mode: view === "orbit" || view === "plan" || view === "walk" ? view : null,
     splats: splats === null ? null : { url: splats, alignment: alignment(fields) },
   };
 }
@@ -49,7 +50,7 @@ export function formatAddress({ archive, at, look, mode, splats }: Place): strin
   if (archive !== null) fields.push(`archive=${url(archive)}`);
   if (at !== null) fields.push(`at=${[round(at[0], 3), round(at[1], 3), round(Math.ceil(at[2] * 1000) / 1000, 3)].join(",")}`);
   if (look !== null) fields.push(`look=${round(look.heading, 2)},${round(look.pitch, 2)}`);
-  if (mode !== "walk") fields.push(`view=${mode}`);
+  if (mode !== null && mode !== "walk") fields.push(`view=${mode}`);
   if (splats !== null) {
     const { at: origin, turn, scale, up } = splats.alignment;
     fields.push(`splats=${url(splats.url)}`, `align=${[...origin, turn, scale].join(",")}`, `up=${up}`);

@@ -1,39 +1,46 @@
-// The page: opens archives, passes inputs to the pawn and draws the result, frame by frame.
+// The page: opens archives, passes inputs to the pawn and draws the result, frame by frame. How each way to look answers
+// is in `modes`, ways to get about are in `places.ts`.
 
 import { SlicewalkError, type Stats, type Vec3 } from "slicewalk";
 import { formatAddress, type Mode, type Place } from "./address";
 import { Canvas } from "./canvas";
-import { clamp, wrap, type Look, type Ray } from "./geometry";
+import { clamp, distance, wrap, type Look, type Ray } from "./geometry";
 import { readGamepad } from "./input/gamepad";
-import { joined } from "./input/intent";
+import { joined, moves } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
 import { Pointer } from "./input/pointer";
 import { Sticks } from "./input/sticks";
-import { pick } from "./measure";
+import { First } from "./modes/first";
+import { Fly } from "./modes/fly";
+import type { Mode as ModeOf, Stage } from "./modes/mode";
+import { Orbit } from "./modes/orbit";
+import { Plan } from "./modes/plan";
+import { Walk } from "./modes/walk";
 import { Overlays } from "./overlays";
+import { Places } from "./places";
 import { ALIGNED } from "./scene/alignment";
 import { Cameras } from "./scene/cameras";
 import { Cover } from "./scene/cover";
+import { Goal } from "./scene/goal";
 import { hasHeadset } from "./scene/headset";
 import { Shading } from "./scene/material";
 import { fromAddress, Session, type Source } from "./session";
-import { loadSettings, saveSettings, walkerSettings, type Settings } from "./settings";
-import type { Table } from "./table";
+import { loadSettings, QUALITIES, saveSettings, THEMES, walkerSettings, type Settings } from "./settings";
+import { copyLink, savePicture } from "./share";
 import { Sight } from "./sight";
+import type { Table } from "./table";
 import { texts } from "./texts.en";
-import { Shell } from "./ui/shell";
 import { Minimap } from "./ui/minimap";
+import { Shell } from "./ui/shell";
+import { Stops } from "./ui/stops";
 
 const TURN_PER_S = 110;
 const TILT_PER_S = 70;
-const DRAG_DEGREES = 0.16;
-const MOUSE_DEGREES = 0.11;
 /** Interval at which texts and numbers are updated (ms). */
 const WRITE_MS = 250;
 const SECOND_MS = 1000;
 /** Longest time that a frame counts for (s); after a longer one the page was in the background. */
 const LONGEST_FRAME_S = 0.25;
-const FLOOR_NORMAL = 0.5;
 /** Time that a message about damage stays (ms). */
 const DAMAGE_MS = 15_000;
 
@@ -44,20 +51,31 @@ const NO_STATS = {
   colours: { missing: 0, requests: 0, bytes: 0 },
 } satisfies Partial<Stats>;
 
-export class App {
-  readonly #shell: Shell;
-  readonly #canvas: Canvas;
-  readonly #cameras = new Cameras();
-  readonly #pointer: Pointer;
+export class App implements Stage {
+  readonly shell: Shell;
+  readonly canvas: Canvas;
+  readonly cameras = new Cameras();
+  readonly pointer: Pointer;
+  settings = loadSettings();
+  session: Session | null = null;
+  sight: Sight | null = null;
   readonly #keyboard: Keyboard;
   readonly #sticks: Sticks;
-  #settings = loadSettings();
-  #session: Session | null = null;
+  readonly #orbit = new Orbit(this);
+  readonly #modes: Record<Mode, ModeOf> = { walk: new Walk(this), orbit: this.#orbit, plan: new Plan(this) };
+  readonly #fly = new Fly(this);
+  readonly #first = new First(this, this.#orbit);
+  readonly #places = new Places(this);
+  readonly #goal = new Goal();
+  readonly #stops: Stops;
+  readonly #overlays: Overlays;
+  /** Keeps the shaders that all archives share. */
+  readonly #shading = new Shading(new Cover(1, 1));
+  readonly #light = matchMedia("(prefers-color-scheme: light)");
   #minimap: Minimap | null = null;
   #opening: AbortController | null = null;
   #last: Source | null = null;
   #mode: Mode = "walk";
-  #sight: Sight | null = null;
   #ready = false;
   #error: string | null = null;
   #troubled = false;
@@ -67,64 +85,79 @@ export class App {
   #fps = 0;
   #longestTask = 0;
   #seenTriangles = 0;
-  readonly #overlays: Overlays;
-  /** Keeps the shaders that all archives share. */
-  readonly #shading = new Shading(new Cover(1, 1));
 
   constructor(parent: HTMLElement) {
-    this.#shell = new Shell(parent, this.#settings, {
+    this.shell = new Shell(parent, this.settings, {
       mode: (mode) => this.setMode(mode),
-      fly: () => this.#fly(),
+      fly: () => this.#flight(),
       panel: () => this.#colour(),
-      link: () => void this.#link(),
-      screenshot: () => void this.#screenshot(),
+      link: () => void copyLink(this, this.#place()),
+      screenshot: () => void savePicture(this),
       headset: () => void this.#wear(),
-      help: () => this.#shell.help(),
-      open: () => this.#shell.welcome.show(),
+      help: () => this.shell.help(),
+      open: () => this.shell.welcome.show(),
+      home: () => this.#home(),
+      walkIn: () => void this.#walkIn(null),
       file: (file) => void this.open({ archive: file, link: null, name: file.name }, null),
       address: (url) => void this.#openAddress(url),
-      close: () => this.#shell.canvas.focus(),
+      close: () => this.shell.canvas.focus(),
       settings: (settings) => void this.#change(settings),
       colouring: (colouring) => {
-        if (this.#sight) this.#sight.colouring = colouring;
+        if (this.sight) this.sight.colouring = colouring;
         this.#colour();
       },
+      blocks: (blocks) => this.sight?.showBlocks(blocks),
       slices: () => this.#colour(),
       cloud: (shown) => this.#overlays.showCloud(shown),
       splats: (shown) => void this.#overlays.showSplats(shown),
       matter: (shown) => this.#overlays.showMatter(shown),
       align: (alignment) => this.#overlays.align(alignment),
       splatsFile: (file) => {
-        if (this.#session === null) this.#shell.messages.say(texts.news.splatsFirst);
+        if (this.session === null) this.shell.messages.say(texts.news.splatsFirst);
         else this.#overlays.take(file, ALIGNED);
       },
     });
     const graphics = (lost: boolean): void => {
-      this.#shell.messages.wait(lost ? texts.news.graphicsLost : null);
-      if (!lost) this.#shell.messages.say(texts.news.graphicsBack);
+      this.shell.messages.wait(lost ? texts.news.graphicsLost : null);
+      if (!lost) this.shell.messages.say(texts.news.graphicsBack);
     };
-    this.#canvas = new Canvas(this.#shell.canvas, this.#cameras, graphics, (worn) => (this.#shell.toolbars.worn = worn));
-    void hasHeadset().then((has) => (this.#shell.toolbars.hasHeadset = has));
-    this.#overlays = new Overlays(this.#canvas, this.#shell);
-    void this.#canvas.prepare(this.#shading.all);
-    this.#canvas.scene.add(this.#shell.measure.marks);
+    this.canvas = new Canvas(this.shell.canvas, this.cameras, graphics, (worn) => (this.shell.toolbars.worn = worn));
+    void hasHeadset().then((has) => (this.shell.toolbars.hasHeadset = has));
+    this.#overlays = new Overlays(this.canvas, this.shell);
+    this.#stops = new Stops(this.shell.stop, {
+      crouch: () => this.#keyboard.latchCrouch(),
+      smaller: () => void this.#change({ ...this.settings, width: 0.3, height: 1.2, eye: 1.1 }),
+      fly: () => this.#flight(),
+    });
+    this.#theme();
+    this.#light.addEventListener("change", () => this.#theme());
+    void this.canvas.prepare(this.#shading.all);
+    this.canvas.marks.add(this.shell.measure.marks, this.#goal.group);
     this.#keyboard = new Keyboard((code) => this.#key(code));
     this.#sticks = new Sticks(parent);
-    this.#pointer = new Pointer(this.#shell.canvas, {
-      drag: (right, down, pan) => this.#drag(right, down, pan),
-      click: (x, y) => void this.#click(x, y),
-      doubleClick: (x, y) => void this.#walkTo(x, y),
-      hover: (x, y) => this.#hover(x, y),
-      zoom: (factor) => this.#zoom(factor),
-      captures: () => this.#mode === "walk" && this.#shell.toolbars.panel !== "measure",
-      captured: (captured) => {
-        this.#shell.crosshair.hidden = !captured;
-        if (captured) this.#shell.messages.say(texts.news.captured);
+    this.pointer = new Pointer(this.shell.canvas, {
+      drag: (right, down, pan) => {
+        this.#first.touch();
+        this.#view.drag(right, down, pan);
       },
+      click: (x, y) => void this.#click(x, y, false),
+      doubleClick: (x, y) => void this.#click(x, y, true),
+      hover: (x, y) => this.#hover(x, y),
+      zoom: (factor) => {
+        this.#first.touch();
+        this.#view.zoom(factor);
+        if (this.#view.outside) this.#see();
+      },
+      captures: () => this.#mode === "walk" && this.shell.toolbars.panel !== "measure",
+      captured: (captured) => {
+        this.shell.crosshair.hidden = !captured;
+        if (captured) this.shell.messages.say(texts.news.captured);
+      },
+      refused: () => this.shell.messages.say(texts.news.refused),
     });
     this.#watchTasks();
     let last = performance.now();
-    this.#canvas.loop((now) => {
+    this.canvas.loop((now) => {
       this.#frame(clamp((now - last) / 1000, 0, LONGEST_FRAME_S));
       last = now;
     });
@@ -133,57 +166,68 @@ export class App {
     window.setInterval(() => {
       this.#fps = this.#frames - counted;
       counted = this.#frames;
-      if (this.#session !== null && !document.hidden) this.#sight?.adapt(this.#fps);
+      if (this.session !== null && !document.hidden) this.sight?.adapt(this.#fps);
     }, SECOND_MS);
   }
 
-  /** Opens an archive, at a place if given, and closes the previous one. */
-  async open(source: Source, place: Pick<Place, "at" | "look" | "mode"> | null): Promise<void> {
+  /**
+   * Opens an archive, at a place if given, and then closes the previous one: an archive that cannot be opened leaves the
+   * walk as it is.
+   */
+  async open(source: Source, place: Partial<Pick<Place, "at" | "look" | "mode">> | null): Promise<void> {
     this.#opening?.abort();
     const opening = new AbortController();
     this.#opening = opening;
-    this.#last = source;
-    this.#leave();
-    this.#shell.messages.clear();
-    this.#shell.messages.wait(texts.loading.opening(source.name));
+    const before = this.session;
+    if (before === null) this.#last = source;
+    this.shell.messages.clear();
+    this.shell.messages.wait(texts.loading.opening(source.name));
     try {
-      const session = await Session.open(source, place?.at ?? null, place?.look ?? null, this.#settings, opening.signal);
+      const session = await Session.open(source, place?.at ?? null, place?.look ?? null, this.settings, opening.signal);
       if (opening.signal.aborted) {
         session.close();
         return;
       }
-      this.#enter(session, place?.mode ?? "walk");
+      this.#last = source;
+      this.#leave();
+      this.#enter(session, place ?? {});
     } catch (error) {
-      if (!opening.signal.aborted) this.#fail(error);
+      if (opening.signal.aborted) return;
+      if (before === null || this.#error !== null) this.#fail(error);
+      else this.#refuse(error);
     }
   }
 
   async #openAddress(url: string): Promise<void> {
+    let source: Source;
     try {
-      await this.open(fromAddress(url), null);
+      source = fromAddress(url);
     } catch (error) {
-      this.#fail(error); // not a valid address
+      if (this.session === null) this.#fail(error);
+      else this.#refuse(error);
+      return;
+    }
+    await this.open(source, null);
+    // What was chosen is in the address: it can be reloaded, and Back returns to the one before.
+    if (this.session?.source === source) {
+      history.pushState(null, "", formatAddress({ archive: url, at: null, look: null, mode: null, splats: null }));
     }
   }
 
   setMode(mode: Mode): void {
+    this.#first.end();
     this.#mode = mode;
-    this.#shell.toolbars.mode = mode;
-    if (mode !== "walk") this.#pointer.release();
-    const { orbit } = this.#cameras;
-    const pawn = this.#session?.pawn;
-    if (pawn && mode !== "walk") {
-      orbit.target = pawn.at;
-      orbit.look.heading = mode === "plan" ? 0 : pawn.look.heading;
-    }
+    this.shell.toolbars.mode = mode;
+    if (mode !== "walk") this.pointer.release();
+    this.#view.begin();
     this.#see();
   }
 
   // Interface for programs and tests --------------------------------------------------------------------------------------------
 
   get state(): Record<string, unknown> {
-    const pawn = this.#session?.pawn;
-    const stats = this.#session?.archive.stats ?? NO_STATS;
+    const pawn = this.session?.pawn;
+    const stats = this.session?.archive.stats ?? NO_STATS;
     return {
       ready: this.#ready,
       error: this.#error,
@@ -193,12 +237,13 @@ export class App {
       ground: pawn?.state.ground ?? "walking",
       speed: pawn?.state.speed ?? 0,
       missing: pawn?.state.missing ?? 0,
+      covered: this.session === null ? 0 : this.canvas.covered,
       pages: { resident: stats.pages.resident, bytes: stats.pages.bytes },
       requests: stats.requests,
       bytesLoaded: stats.bytesLoaded,
       colours: { ...stats.colours },
       drawn: {
-        ...(this.#session?.world.counts ?? { pages: 0, overview: 0, coloured: 0, distant: 0 }),
+        ...(this.session?.world.counts ?? { pages: 0, overview: 0, coloured: 0, distant: 0 }),
         splats: this.#overlays.count,
       },
       frames: this.#frames,
@@ -207,82 +252,142 @@ export class App {
   }
 
   async goto({ at, look }: { at?: Vec3; look?: readonly [number, number] }): Promise<void> {
-    const session = this.#session;
+    const { session } = this;
     if (session === null) throw new SlicewalkError("invalid", "no archive is open");
+    if (this.#first.shown) this.setMode("walk");
     if (look !== undefined) this.#look({ heading: look[0], pitch: look[1] });
     if (at === undefined) return;
-    await session.goto(at, this.#settings);
-    this.#cameras.orbit.target = at;
+    await session.goto(at, this.settings);
+    this.cameras.orbit.target = at;
   }
 
   /** Offers files beside the page, and the welcome if nothing opens at once. */
   offer({ archives, cloud }: Table, splats: Place["splats"], welcome: boolean): void {
     this.#overlays.offer(cloud);
     if (splats !== null) this.#overlays.take(splats.url, splats.alignment);
-    this.#shell.welcome.offer(archives);
-    if (welcome) this.#shell.welcome.show();
+    this.shell.welcome.offer(archives);
+    if (welcome) this.shell.welcome.show();
   }
 
-  get session(): Session | null {
-    return this.#session;
+  /** Opens what an address names, unless it is open already. */
+  async visit(url: string, place: Place): Promise<void> {
+    try {
+      const source = fromAddress(url);
+      if (this.session !== null && this.session.source.archive === source.archive) {
+        if (place.mode !== null && place.mode !== this.#mode) this.setMode(place.mode);
+        await this.goto({
+          ...(place.at && { at: place.at }),
+          ...(place.look && { look: [place.look.heading, place.look.pitch] }),
+        });
+      } else await this.open(source, place);
+    } catch (error) {
+      this.#fail(error);
+    }
   }
 
   // Archives ---------------------------------------------------------------------------------------------------------------------
 
-  #enter(session: Session, mode: Mode): void {
-    this.#session = session;
+  #enter(session: Session, { at, look, mode }: Partial<Pick<Place, "at" | "look" | "mode">>): void {
+    this.session = session;
     this.#error = null;
     this.#damage = null;
     this.#troubled = false;
     const { archive, world, pawn } = session;
-    world.moveOrigin(pawn.at);
-    this.#canvas.scene.add(world.group);
+    const isFirst = !at && !look && !mode;
+    this.canvas.scene.add(world.group);
+    this.canvas.sky.light(world.shading, mode === "plan");
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
-    pawn.onArrival = (how) => this.#shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
-    this.#minimap = new Minimap(archive);
-    this.#shell.colours.offer(archive.info.voxels.coloured > 0);
-    this.#sight = new Sight(session, this.#shell);
-    this.#sight.colouring = this.#shell.colours.chosen;
-    this.#shell.opened(session.source.name, archive.info, this.#minimap);
-    this.setMode(mode);
-    this.#shell.toolbars.flying = pawn.flying;
+    pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
+    this.#minimap = new Minimap(
+      archive,
+      (place) => void this.#goThere(place),
+      (at) => void this.#places.go({ at, look: pawn.look }),
+    );
+    this.shell.colours.offer(archive.info.voxels.coloured > 0);
+    this.sight = new Sight(session, this.shell, this.cameras, this.canvas);
+    this.sight.colouring = this.shell.colours.chosen;
+    this.sight.showBlocks(this.shell.colours.blocks);
+    this.shell.opened(session.source.name, archive.info, this.#minimap);
+    this.#places.clear();
+    this.#places.start = { at: pawn.at, look: { ...pawn.look } };
+    this.setMode(isFirst ? "orbit" : (mode ?? "walk"));
+    if (isFirst || (mode === "orbit" && !at)) this.#first.begin(!pawn.flying);
+    if (!isFirst && this.#first.shown) this.shell.first.hide();
+    world.moveOrigin(this.#view.outside ? this.cameras.orbit.target : pawn.at);
+    this.#see();
+    this.shell.toolbars.flying = pawn.flying;
     this.#overlays.opened(session);
     // The first picture and the first texts take long, so the walk begins after them.
     this.#frame(0);
     this.#write();
     this.#ready = true;
-    this.#shell.messages.wait(null);
-    this.#shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
-    this.#shell.canvas.focus({ preventScroll: true });
+    this.shell.messages.wait(null);
+    if (!this.#first.shown) this.shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
+    this.shell.canvas.focus({ preventScroll: true });
     void session.describe();
+  }
+
+  /** Ends the first view: at its best place, or at one that was pointed at. */
+  async #walkIn(place: Vec3 | null): Promise<void> {
+    const { session } = this;
+    if (session === null || !this.#first.shown) return;
+    this.shell.messages.wait(texts.loading.place);
+    const { at, look, flies } = await this.#first.start();
+    if (session !== this.session || !this.#first.shown) return;
+    if (place === null) {
+      session.pawn.flying = flies;
+      this.shell.toolbars.flying = flies;
+      Object.assign(session.pawn.look, look);
+    } else {
+      session.pawn.flying = this.shell.toolbars.flying = false;
+      session.pawn.look.heading = this.cameras.orbit.look.heading;
+    }
+    this.setMode("walk");
+    this.#places.start = { at: place ?? at, look: { ...session.pawn.look } };
+    await session.goto(place ?? at, this.settings).catch(() => {});
+    this.shell.messages.wait(null);
+    this.shell.messages.say(session.pawn.flying ? texts.loading.found : texts.news.capture);
+    this.shell.canvas.focus({ preventScroll: true });
   }
 
   #leave(): void {
     this.#ready = false;
     this.#minimap = null;
+    this.#first.end();
     this.#overlays.left();
-    const session = this.#session;
-    this.#session = null;
+    const { session } = this;
+    this.session = null;
     if (session === null) return;
-    this.#canvas.scene.remove(session.world.group);
-    this.#shell.measure.clear();
+    this.canvas.scene.remove(session.world.group);
+    this.shell.measure.clear();
     session.close();
   }
 
   #trouble(error: SlicewalkError | null): void {
     if (error !== null && error.kind !== "network") {
       // Reported once: damaged colours leave shapes grey, damaged pages block the pawn.
-      if (this.#damage === null) this.#shell.messages.say(texts.news.damage(error.message), DAMAGE_MS);
+      if (this.#damage === null) this.shell.messages.say(texts.news.damage(error.message), DAMAGE_MS);
       this.#damage ??= error.message;
     } else if (error !== null) {
       this.#troubled = true;
-      this.#shell.messages.wait(texts.news.trouble(error.message));
+      this.shell.messages.wait(texts.news.trouble(error.message));
     } else if (this.#troubled) {
       this.#troubled = false;
-      this.#shell.messages.wait(null);
-      this.#shell.messages.say(texts.news.back);
+      this.shell.messages.wait(null);
+      this.shell.messages.say(texts.news.back);
     }
+  }
+
+  /** Says why something cannot be opened while the open archive stays. */
+  #refuse(error: unknown): void {
+    const message = error instanceof Error ? error.message : String(error);
+    this.shell.messages.wait(null);
+    const kind = error instanceof SlicewalkError ? error.kind : "page";
+    this.shell.messages.trouble(kind, message, [
+      { label: texts.actions.stay, act: () => this.shell.canvas.focus({ preventScroll: true }) },
+      { label: texts.actions.other, act: () => this.shell.welcome.show() },
+    ]);
   }
 
   /** Reports an error with possible actions; the picture stays. */
@@ -292,174 +397,128 @@ export class App {
     const kind = known?.kind ?? "page";
     this.#error = `${texts.errors[kind].title}: ${message}`;
     this.#ready = false;
-    this.#pointer.release();
-    this.#shell.messages.wait(null);
+    this.pointer.release();
+    this.shell.messages.wait(null);
     const source = this.#last;
-    const pawn = this.#session?.pawn;
-    const place = pawn ? { at: pawn.at, look: { ...pawn.look }, mode: this.#mode } : null;
+    const place = this.#place();
     const again = source === null ? [] : [{ label: texts.actions.again, act: () => void this.open(source, place) }];
-    const other = { label: texts.actions.other, act: () => this.#shell.welcome.show() };
-    this.#shell.messages.trouble(kind, message, [...again, other]);
+    const other = { label: texts.actions.other, act: () => this.shell.welcome.show() };
+    this.shell.messages.trouble(kind, message, [...again, other]);
+  }
+
+  /** Where the pawn is, as part of an address. */
+  #place(): Omit<Place, "archive"> | null {
+    const pawn = this.session?.pawn;
+    if (pawn === undefined || this.#first.shown) return null;
+    return { at: pawn.at, look: { ...pawn.look }, mode: this.#mode, splats: this.#overlays.link };
   }
 
   // Inputs -----------------------------------------------------------------------------------------------------------------------
+
+  get #view(): ModeOf {
+    return this.#mode === "walk" && this.session?.pawn.flying === true ? this.#fly : this.#modes[this.#mode];
+  }
 
   #key(code: string): void {
     const toggle = (mode: Mode): void => this.setMode(this.#mode === mode ? "walk" : mode);
     const keys: Record<string, () => void> = {
       KeyM: () => toggle("plan"),
-      KeyO: () => toggle("orbit"),
-      KeyF: () => this.#fly(),
-      KeyH: () => this.#shell.help(),
-      Escape: () => this.#shell.toolbars.show(null),
+      KeyO: () => (this.#first.shown ? void this.#walkIn(null) : toggle("orbit")),
+      KeyF: () => this.#flight(),
+      KeyH: () => this.shell.help(),
+      KeyR: () => void this.#places.back(),
+      Home: () => this.#home(),
+      Enter: () => void this.#walkIn(null),
+      Escape: () => this.shell.toolbars.show(null),
     };
-    if (this.#session !== null || code === "KeyH") keys[code]?.();
+    if (this.session !== null || code === "KeyH") keys[code]?.();
   }
 
-  #fly(): void {
-    const pawn = this.#session?.pawn;
-    if (pawn === undefined) return;
-    pawn.stop();
-    pawn.flying = !pawn.flying;
-    this.#shell.toolbars.flying = pawn.flying;
-    this.#shell.messages.say(pawn.flying ? texts.news.flyOn : texts.news.flyOff);
-  }
-
-  #look({ heading, pitch }: Look): void {
-    const look = this.#session?.pawn.look;
-    if (look) Object.assign(look, { heading: wrap(heading), pitch: clamp(pitch, -89, 89) });
-  }
-
-  #drag(right: number, down: number, pan: boolean): void {
-    const pawn = this.#session?.pawn;
-    if (pawn === undefined) return;
-    const high = Math.max(this.#shell.canvas.clientHeight, 1);
-    if (this.#mode !== "walk") {
-      if (pan || this.#mode === "plan") this.#cameras.pan(right / high, -down / high);
-      else this.#cameras.turn(right * 2 * DRAG_DEGREES, -down * 2 * DRAG_DEGREES);
+  /** Back to where the walk began; while there already, to all of the scan. */
+  #home(): void {
+    const { start } = this.#places;
+    const pawn = this.session?.pawn;
+    if (pawn === undefined || start === null) return;
+    if (!this.#first.shown && this.#mode === "walk" && distance(pawn.at, start.at) > 1) {
+      void this.#places.home();
       return;
     }
-    // A captured mouse turns the head; dragging moves the picture.
-    const degrees = this.#settings.sensitivity * (this.#pointer.captured ? MOUSE_DEGREES : -DRAG_DEGREES);
-    this.#look({ heading: pawn.look.heading + right * degrees, pitch: pawn.look.pitch - down * degrees });
-  }
-
-  #zoom(factor: number): void {
-    if (this.#mode === "walk") return;
-    this.#cameras.zoom(factor);
+    this.setMode("orbit");
+    this.#first.begin(!pawn.flying);
     this.#see();
   }
 
+  #flight(): void {
+    const pawn = this.session?.pawn;
+    if (pawn === undefined) return;
+    if (this.#first.shown) this.setMode("walk");
+    pawn.stop();
+    pawn.flying = !pawn.flying;
+    this.shell.toolbars.flying = pawn.flying;
+    this.shell.messages.say(pawn.flying ? texts.news.flyOn : texts.news.flyOff);
+  }
+
+  #look({ heading, pitch }: Look): void {
+    const look = this.session?.pawn.look;
+    if (look) Object.assign(look, { heading: wrap(heading), pitch: clamp(pitch, -89, 89) });
+  }
+
   #ray(x: number, y: number): Ray | null {
-    return this.#session && this.#cameras.ray(x, y, this.#session.world);
+    return this.session && this.cameras.ray(x, y, this.session.world);
   }
 
   #hover(x: number, y: number): void {
     const ray = this.#ray(x, y);
-    if (this.#session && ray && this.#shell.toolbars.panel === "measure") this.#shell.measure.hover(this.#session.archive, ray);
+    if (this.session && ray && this.shell.toolbars.panel === "measure") this.shell.measure.hover(this.session.archive, ray);
   }
 
-  async #click(x: number, y: number): Promise<void> {
-    const session = this.#session;
+  async #click(x: number, y: number, twice: boolean): Promise<void> {
+    const { session } = this;
     const ray = this.#ray(x, y);
     if (session === null || ray === null) return;
-    if (this.#shell.toolbars.panel === "measure") {
-      await this.#shell.measure.click(session.archive, session.world, ray);
-      return;
-    }
-    const place = await this.#floorAt(ray);
-    if (place !== null) await session.goto(place, this.#settings).catch(() => {});
+    if (this.shell.toolbars.panel === "measure") await this.shell.measure.click(session.archive, session.world, ray);
+    else if (this.#first.shown) {
+      const place = await this.#places.floorAt(ray);
+      if (place !== null) await this.#walkIn(place);
+    } else await this.#places.send(ray, twice);
   }
 
-  async #walkTo(x: number, y: number): Promise<void> {
-    const ray = this.#ray(x, y);
-    const place = ray && (await this.#floorAt(ray));
-    if (!place || this.#session === null) return;
-    this.#session.pawn.walkTo(place);
-    this.#shell.messages.say(texts.news.walkingThere);
-  }
-
-  /**
-   * Place where a pawn sent along a ray would stand: on the surface that the ray hits, or below the wall that it hits.
-   */
-  async #floorAt(ray: Ray): Promise<Vec3 | null> {
-    const session = this.#session;
-    if (session === null) return null;
-    const signal = new AbortController().signal;
-    try {
-      const shown = this.#sight?.enter(ray) ?? ray;
-      const spot = await pick(session.archive, shown, signal);
-      if (spot !== null && spot.normal[2] > FLOOR_NORMAL) return spot.at;
-      if (spot !== null) {
-        const back = session.archive.info.pixelSize + this.#settings.width / 2;
-        const [x, y] = [spot.at[0] - shown.direction[0] * back, spot.at[1] - shown.direction[1] * back];
-        const half = session.archive.info.pixelSize / 2;
-        const probe = [x - half, y - half, spot.at[2] - 1, x + half, y + half, spot.at[2]];
-        const z = (await session.archive.floor(new Float64Array(probe), { load: true, signal }))[0] ?? NaN;
-        if (Number.isFinite(z)) return [x, y, z];
-      }
-    } catch {
-      return null; // a failed archive is reported elsewhere
-    }
-    this.#shell.messages.say(texts.news.nothingThere);
-    return null;
+  /** Goes to a place on the map, on the pawn's storey. */
+  async #goThere([x, y]: readonly [number, number]): Promise<void> {
+    const { session } = this;
+    if (session === null) return;
+    const z = session.pawn.at[2];
+    await this.#places.send({ origin: [x, y, z + this.settings.height], direction: [0, 0, -1] }, true);
   }
 
   async #change(settings: Settings): Promise<void> {
-    const before = this.#settings;
-    this.#settings = settings;
+    const before = this.settings;
+    this.settings = settings;
     try {
-      await this.#session?.pawn.walker.set(walkerSettings(settings));
+      await this.session?.pawn.walker.set(walkerSettings(settings));
     } catch (error) {
       if (!(error instanceof SlicewalkError) || error.kind !== "invalid") return;
-      this.#settings = { ...settings, width: before.width, height: before.height, climb: before.climb, eye: before.eye };
-      this.#shell.messages.say(texts.settings.refused);
+      this.settings = { ...settings, width: before.width, height: before.height, climb: before.climb, eye: before.eye };
+      this.shell.messages.say(texts.settings.refused);
     }
-    saveSettings(this.#settings);
-    this.#shell.settings.show(this.#settings);
+    saveSettings(this.settings);
+    this.shell.settings.show(this.settings);
+    this.#theme();
     this.#see();
   }
 
-  async #link(): Promise<void> {
-    const session = this.#session;
-    if (session === null) return;
-    if (session.source.link === null) {
-      this.#shell.messages.say(texts.news.local);
-      return;
-    }
-    const { pawn, source } = session;
-    const address = formatAddress({
-      archive: source.link,
-      at: pawn.at,
-      look: pawn.look,
-      mode: this.#mode,
-      splats: this.#overlays.link,
-    });
-    history.replaceState(null, "", address);
-    try {
-      await navigator.clipboard.writeText(location.href);
-      this.#shell.messages.say(texts.news.linkCopied);
-    } catch {
-      this.#shell.messages.say(texts.news.link);
-    }
-  }
-
-  async #screenshot(): Promise<void> {
-    const picture = await this.#canvas.picture();
-    if (picture === null) return;
-    const name = `slicewalk-${new Date().toISOString().slice(0, 19).replaceAll(":", "-")}.png`;
-    const anchor = document.createElement("a");
-    anchor.href = URL.createObjectURL(picture);
-    anchor.download = name;
-    anchor.click();
-    URL.revokeObjectURL(anchor.href);
-    this.#shell.messages.say(texts.news.screenshot(name));
+  #theme(): void {
+    const chosen = THEMES[this.settings.theme] ?? "auto";
+    const theme = chosen !== "auto" ? chosen : this.#light.matches ? "light" : "dark";
+    document.documentElement.dataset["theme"] = theme;
+    this.canvas.paint(theme);
+    if (this.session !== null) this.canvas.sky.light(this.session.world.shading, this.#mode === "plan");
   }
 
   /** Starts or ends the use of the headset. */
   async #wear(): Promise<void> {
-    const { headset } = this.#canvas;
-    const pawn = this.#session?.pawn;
+    const { headset } = this.canvas;
+    const pawn = this.session?.pawn;
     if (pawn === undefined) return;
     try {
       if (headset.worn) await headset.leave();
@@ -468,7 +527,7 @@ export class App {
         await headset.enter(pawn.look.heading);
       }
     } catch (error) {
-      this.#shell.messages.say(texts.news.noHeadset(error instanceof Error ? error.message : String(error)));
+      this.shell.messages.say(texts.news.noHeadset(error instanceof Error ? error.message : String(error)));
     }
   }
 
@@ -476,66 +535,82 @@ export class App {
 
   #frame(seconds: number): void {
     this.#frames++;
-    const session = this.#session;
+    const { session } = this;
     if (session === null) {
-      this.#canvas.render();
+      this.canvas.sky.mesh.visible = false;
+      this.canvas.render();
       return;
     }
     const { pawn, world, view } = session;
-    const { headset } = this.#canvas;
+    const { headset } = this.canvas;
     const intent = joined([this.#keyboard.read(), readGamepad(), this.#sticks.read(), headset.read()]);
+    if (this.#first.shown && moves(intent) && this.#ready) void this.#walkIn(null);
     if (intent.turn !== 0 || intent.tilt !== 0) {
-      const [turn, tilt] = [intent.turn * TURN_PER_S * seconds, intent.tilt * TILT_PER_S * seconds];
-      if (this.#mode === "walk") this.#look({ heading: pawn.look.heading + turn, pitch: pawn.look.pitch + tilt });
-      else this.#cameras.turn(turn, tilt);
+      this.#first.touch();
+      this.#view.turn(intent.turn * TURN_PER_S * seconds, intent.tilt * TILT_PER_S * seconds);
     }
-    const heading = this.#cameras.heading(pawn.look);
-    if (this.#ready) pawn.step(seconds, intent, heading);
+    this.#first.advance(seconds);
+    const heading = this.cameras.heading(pawn.look);
+    if (this.#ready && !this.#first.shown) pawn.step(seconds, intent, heading);
+    const outside = this.#view.outside;
     // Seen from outside, a pawn faces where it walks.
-    if (this.#mode !== "walk" && (intent.forward !== 0 || intent.right !== 0)) {
+    if (outside && !this.#first.shown && (intent.forward !== 0 || intent.right !== 0)) {
       pawn.look.heading = wrap(heading + (Math.atan2(intent.right, intent.forward) * 180) / Math.PI);
-      this.#cameras.orbit.target = pawn.at;
+      this.cameras.orbit.target = pawn.at;
+      this.cameras.framed = null;
     }
-    const eye = pawn.eye(this.#settings.eye, seconds);
-    this.#cameras.update(this.#mode, world, eye, pawn.look);
-    if (world.moveOrigin(this.#mode === "walk" ? eye : this.#cameras.orbit.target)) {
-      this.#cameras.update(this.#mode, world, eye, pawn.look);
-      this.#shell.measure.moved(world);
+    const eye = pawn.eye(this.settings.eye, seconds);
+    this.cameras.update(this.#mode, world, eye, pawn.look);
+    if (world.moveOrigin(outside ? this.cameras.orbit.target : eye)) {
+      this.cameras.update(this.#mode, world, eye, pawn.look);
+      this.shell.measure.moved(world);
       this.#overlays.place();
     }
     // Visible pages load after those that the first step needs.
-    if (headset.worn) Object.assign(pawn.look, headset.place(world, eye, this.#settings.eye));
-    const from = this.#mode === "walk" ? eye : this.#cameras.stand;
-    if (pawn.state.ticks > 0) view.look(from);
+    if (headset.worn) Object.assign(pawn.look, headset.place(world, eye, this.settings.eye));
+    const from = outside ? this.cameras.stand : eye;
+    if (pawn.state.ticks > 0 || this.#first.shown) view.look(from);
     world.settle();
-    void this.#sight?.follow(pawn.at, this.#settings);
-    this.#sight?.update();
-    this.#seenTriangles = world.cull(this.#canvas.camera, from);
-    const { distance } = this.#cameras.orbit;
-    this.#canvas.mark(this.#mode !== "walk", world, pawn.state, pawn.look, this.#settings.width, distance);
-    this.#canvas.render();
+    void this.sight?.follow(pawn.at, this.settings);
+    this.sight?.update(from, seconds);
+    this.#places.watch(seconds);
+    this.#stops.update(pawn, seconds);
+    this.#seenTriangles = world.cull(this.canvas.camera, from);
+    const metresHigh = this.cameras.orbit.distance;
+    this.canvas.mark(outside && !this.#first.shown, world, pawn.state, pawn.look, this.settings.width, metresHigh);
+    this.#goal.show(world, pawn.at, pawn.target, outside ? metresHigh : 0);
+    const { min, max } = session.content;
+    this.canvas.sky.follow(
+      this.canvas.camera,
+      this.#mode === "plan",
+      from[2] - min[2],
+      Math.hypot(max[0] - min[0], max[1] - min[1]),
+    );
+    this.canvas.render(performance.now(), this.#overlays.bringColours);
     this.#minimap?.update(pawn.at, pawn.look.heading);
   }
 
   #see(): void {
-    if (this.#session !== null) this.#sight?.see(this.#mode, this.#settings, this.#cameras.orbit.distance);
+    if (this.session === null) return;
+    this.canvas.sky.light(this.session.world.shading, this.#mode === "plan");
+    this.sight?.see(this.#mode, this.settings, QUALITIES[this.settings.quality] ?? "auto");
   }
 
   #colour(): void {
-    if (this.#session !== null) this.#sight?.colour(this.#settings);
+    if (this.session !== null) this.sight?.colour(this.settings);
   }
 
   #write(): void {
-    const session = this.#session;
+    const { session } = this;
     if (session === null) return;
     const { archive, pawn, crs } = session;
     const facts = { state: pawn.state, stats: archive.stats, crs, fps: this.#fps, triangles: this.#seenTriangles };
-    this.#shell.status.update(facts);
-    this.#shell.slices.update(pawn.at[2]);
-    if (!this.#troubled && this.#ready && !this.#canvas.lost) {
-      const waits = pawn.state.missing;
+    this.shell.status.update(facts);
+    this.shell.slices.update(pawn.at[2]);
+    if (!this.#troubled && this.#ready && !this.canvas.lost) {
+      const waits = this.#first.shown ? 0 : pawn.state.missing;
       const reason = this.#damage === null ? texts.loading.waiting(waits) : texts.loading.damaged(waits, this.#damage);
-      this.#shell.messages.wait(waits > 0 ? reason : null);
+      if (waits > 0 || !this.#first.shown) this.shell.messages.wait(waits > 0 ? reason : null);
     }
   }
 

@@ -17,17 +17,30 @@ import {
   Scene,
   WebGLRenderer,
 } from "three";
-import { BACKGROUND } from "./scene/material";
 import type { Cameras } from "./scene/cameras";
+import { Covered } from "./scene/covered";
+import { Finish } from "./scene/finish";
 import { Headset } from "./scene/headset";
+import { NO_SCAN, Sky, type Theme } from "./scene/sky";
 import type { World } from "./scene/world";
 import type { Look } from "./geometry";
 import type { WalkerState } from "slicewalk";
 
 const MOST_PIXELS = 2;
 
+/** How much a picture may cost: as little as possible, a finish from its depth, and smooth outlines as well. */
+export type Quality = "lowest" | "finished" | "smooth";
+
 export class Canvas {
   readonly scene = new Scene();
+  /** Marks above the picture. */
+  readonly marks = new Scene();
+  readonly sky = new Sky();
+  /** Whether graphics are computed by the processor. */
+  readonly isSoftware: boolean;
+  quality: Quality = "finished";
+  readonly #finish = new Finish();
+  readonly #covered: Covered;
   readonly headset: Headset;
   readonly renderer: WebGLRenderer;
   readonly #marker = new Group();
@@ -41,13 +54,19 @@ export class Canvas {
     readonly graphics: (lost: boolean) => void,
     readonly worn: (worn: boolean) => void,
   ) {
-    this.renderer = new WebGLRenderer({ canvas: element, antialias: true, powerPreference: "high-performance" });
+    this.renderer = new WebGLRenderer({ canvas: element, alpha: true, antialias: false, powerPreference: "high-performance" });
+    this.renderer.info.autoReset = false;
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    this.#covered = new Covered(gl);
+    const unmasked = gl.getExtension("WEBGL_debug_renderer_info");
+    const name = String(gl.getParameter(unmasked?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
+    this.isSoftware = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+    this.scene.add(this.sky.mesh);
     this.headset = new Headset(this.renderer, (worn) => {
       this.resize();
       this.worn(worn);
     });
     this.scene.add(this.headset.room);
-    this.scene.background = new Color(BACKGROUND);
     const accent = "#ffb547";
     this.#body = new LineSegments(
       new EdgesGeometry(new BoxGeometry(1, 1, 1)),
@@ -56,10 +75,11 @@ export class Canvas {
     this.#nose = new Mesh(new ConeGeometry(0.28, 0.8, 4), new MeshBasicMaterial({ color: accent, depthTest: false }));
     this.#body.renderOrder = this.#nose.renderOrder = 1;
     this.#marker.add(this.#body, this.#nose);
-    this.scene.add(this.#marker);
+    this.marks.add(this.#marker);
     // three.js requests a new context and uploads everything again.
     element.addEventListener("webglcontextlost", () => {
       this.lost = true;
+      this.#covered.lost();
       graphics(true);
     });
     element.addEventListener("webglcontextrestored", () => {
@@ -74,7 +94,7 @@ export class Canvas {
     const { clientWidth, clientHeight } = this.element;
     // A headset has its own size.
     if (clientWidth === 0 || clientHeight === 0 || this.headset.worn || this.renderer.xr.isPresenting) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.renderer.setPixelRatio(this.quality === "lowest" ? 1 : Math.min(devicePixelRatio, MOST_PIXELS));
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
   }
@@ -119,8 +139,36 @@ export class Canvas {
     return this.headset.worn ? this.headset.head : this.cameras.current;
   }
 
-  render(): void {
-    if (!this.lost) this.renderer.render(this.scene, this.camera);
+  /** Share of the last picture that shows the scan. */
+  get covered(): number {
+    return this.#covered.share;
+  }
+
+  /** Number of pictures for which it was measured. */
+  get measured(): number {
+    return this.#covered.count;
+  }
+
+  /** Draws; `bare`: without a finish, for overlays that bring their own colours. */
+  render(now = performance.now(), bare = false): void {
+    if (this.lost) return;
+    const { renderer, camera } = this;
+    renderer.info.reset();
+    if (this.headset.worn || bare || this.quality === "lowest") renderer.render(this.scene, camera);
+    else this.#finish.render(renderer, this.scene, camera, this.quality === "smooth");
+    if (this.headset.worn) return;
+    if (this.marks.children.some((mark) => mark.visible && (mark.children.length > 0 || "geometry" in mark))) {
+      renderer.autoClear = false;
+      renderer.render(this.marks, camera);
+      renderer.autoClear = true;
+    }
+    this.#covered.measure(now);
+  }
+
+  /** Sets the colours of what was not scanned. */
+  paint(theme: Theme): void {
+    this.sky.theme = theme;
+    this.renderer.setClearColor(new Color().setStyle(this.sky.paper, "srgb-linear"), NO_SCAN);
   }
 
   /** The current picture. */

@@ -1,9 +1,8 @@
 // Starts the page: finds the archive that the address or the host names, and exposes the page's state to programs.
 
 import type { Vec3, WalkerRecording } from "slicewalk";
-import { parseAddress } from "./address";
+import { parseAddress, type Place } from "./address";
 import { App } from "./app";
-import { fromAddress } from "./session";
 import { readTable } from "./table";
 import { texts } from "./texts.en";
 import { h } from "./ui/dom";
@@ -27,6 +26,7 @@ function refuse(parent: HTMLElement): void {
 }
 
 async function start(parent: HTMLElement): Promise<void> {
+  parent.replaceChildren();
   let app: App;
   try {
     app = new App(parent);
@@ -44,11 +44,18 @@ async function start(parent: HTMLElement): Promise<void> {
     record: async () => walker().record(),
     recording: async () => walker().recording(),
   };
-  const place = parseAddress(location.search);
   const table = await readTable();
-  const url = place.archive ?? table.archives[0]?.url ?? null;
+  const named = (): { place: Place; url: string | null } => {
+    const place = parseAddress(location.search);
+    return { place, url: place.archive ?? table.archives[0]?.url ?? null };
+  };
+  const { place, url } = named();
   app.offer(table, place.splats, url === null);
-  if (url !== null) await app.open(fromAddress(url), place);
+  window.addEventListener("popstate", () => {
+    const { place, url } = named();
+    if (url !== null) void app.visit(url, place);
+  });
+  if (url !== null) await app.visit(url, place);
 }
 
 const parent = document.getElementById("app");

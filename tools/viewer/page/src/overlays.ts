@@ -32,6 +32,11 @@ export class Overlays {
     return this.#splats?.count ?? 0;
   }
 
+  /** Whether something is drawn whose colours the finish would change. */
+  get bringColours(): boolean {
+    return this.#splats !== null || this.#cloud !== null;
+  }
+
   /** Part of a link; null without splats, or for a local file. */
   get link(): { readonly url: string; readonly alignment: Alignment } | null {
     return typeof this.#source === "string" ? { url: this.#source, alignment: this.#alignment } : null;

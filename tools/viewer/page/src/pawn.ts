@@ -5,7 +5,7 @@ import { across, direction, type Look } from "./geometry";
 import { moves, type Intent } from "./input/intent";
 
 const RUN_PACE = 2.5;
-const FLY_PACE = 4;
+const FLIGHT_PACE = 4;
 /** Longest step of the engine, which drops the rest. */
 const LONGEST_STEP_S = 0.25;
 /** Delay with which the eye follows stairs. */
@@ -20,9 +20,11 @@ export type Arrival = "arrived" | "gave-up";
 
 export class Pawn {
   flying = false;
+  /** Factor of the walking speed while flying. */
+  flightPace = FLIGHT_PACE;
   readonly look: Look = { heading: 0, pitch: 0 };
   onArrival: (how: Arrival) => void = () => {};
-  #target: readonly [number, number] | null = null;
+  #target: Vec3 | null = null;
   #stuck = 0;
   #time = 0;
   #busy = false;
@@ -41,12 +43,12 @@ export class Pawn {
     return this.state.at;
   }
 
-  get target(): readonly [number, number] | null {
+  get target(): Vec3 | null {
     return this.#target;
   }
 
   walkTo(place: Vec3): void {
-    this.#target = [place[0], place[1]];
+    this.#target = place;
     this.#stuck = 0;
   }
 
@@ -87,14 +89,14 @@ export class Pawn {
   }
 
   #input(intent: Intent, heading: number): WalkerInput {
-    if (this.#target !== null) return { toward: this.#target };
+    if (this.#target !== null) return { toward: [this.#target[0], this.#target[1]] };
     const { forward, right } = across(heading);
     const along = this.flying ? direction({ heading, pitch: this.look.pitch }) : [...forward, 0];
     const wish = [0, 1].map((axis) => intent.forward * (along[axis] ?? 0) + intent.right * (right[axis] ?? 0));
     const lift = intent.lift + intent.forward * (along[2] ?? 0);
     return {
       wish: [wish[0] ?? 0, wish[1] ?? 0],
-      pace: (this.flying ? FLY_PACE : 1) * (intent.run ? RUN_PACE : 1),
+      pace: Math.min(100, (this.flying ? this.flightPace : 1) * (intent.run ? RUN_PACE : 1)),
       jump: this.#jump && !this.flying,
       crouch: intent.crouch && !this.flying,
       fly: this.flying,

@@ -1,11 +1,12 @@
 // An open archive with its pawn and the geometry around it.
 
-import { openArchive, SlicewalkError, type Archive, type Vec3, type View } from "slicewalk";
+import { openArchive, SlicewalkError, type Archive, type Bounds, type Vec3, type View } from "slicewalk";
 import { standing, type Look } from "./geometry";
 import { Pawn } from "./pawn";
+import { contentBounds } from "./scene/framing";
 import { World } from "./scene/world";
 import { walkerSettings, type Settings } from "./settings";
-import { findLook, findStart } from "./start";
+import { findStart, viewFrom } from "./start";
 import { crsName } from "./ui/status";
 
 /** Distance around a pawn that must be loaded before a place counts as loaded (m). */
@@ -26,11 +27,22 @@ export interface Source {
 }
 
 /** The archive at an address relative to the page. */
-export const fromAddress = (url: string): Source => ({ archive: new URL(url, location.href).href, link: url, name: url });
+export function fromAddress(url: string): Source {
+  try {
+    return { archive: new URL(url, location.href).href, link: url, name: url };
+  } catch (cause) {
+    throw new SlicewalkError("invalid", `${url} is no address`, { cause });
+  }
+}
+
+const NOTHING: Bounds = { min: [0, 0, 0], max: [0, 0, 0] };
 
 export class Session {
   readonly world: World;
   readonly view: View;
+  /** Boxes of all pages, and their bounds without strays. */
+  boxes = new Float64Array();
+  content: Bounds = NOTHING;
   crs = "";
   /** Metres per unit of the input. */
   unit = 1;
@@ -59,15 +71,19 @@ export class Session {
   ): Promise<Session> {
     const archive = await openArchive(source.archive, { signal, budgetBytes: BUDGET_BYTES });
     try {
-      const found = at ?? (await findStart(archive, settings, signal));
-      const { bounds } = archive.info;
-      const middle = (axis: 0 | 1): number => (bounds === null ? 0 : (bounds.min[axis] + bounds.max[axis]) / 2);
-      const place: Vec3 = found ?? [middle(0), middle(1), (bounds?.max[2] ?? 0) + HOVER_M];
+      const boxes = await archive.pageBoxes();
+      const content = contentBounds(boxes, archive.info.bounds) ?? NOTHING;
+      const found = at ?? (await findStart(archive, settings, content, signal));
+      const middle = (axis: 0 | 1): number => (content.min[axis] + content.max[axis]) / 2;
+      const place: Vec3 = found ?? [middle(0), middle(1), content.max[2] + HOVER_M];
       await archive.load(around(place, settings), { signal });
       const pawn = new Pawn(await archive.walker({ ...walkerSettings(settings), at: place }));
       pawn.flying = found === null;
-      Object.assign(pawn.look, look ?? (await findLook(archive, place, settings.eye)));
-      return new Session(source, archive, pawn);
+      if (look === null && at !== null) Object.assign(pawn.look, (await viewFrom(archive, place, settings.eye, signal)).look);
+      else if (look !== null) Object.assign(pawn.look, look);
+      const session = new Session(source, archive, pawn);
+      Object.assign(session, { boxes, content });
+      return session;
     } catch (error) {
       archive.close();
       throw error;

@@ -14,7 +14,16 @@ export interface Settings {
   slope: number;
   radius: number;
   sensitivity: number;
+  /** Index of `QUALITIES` and of `THEMES`. */
+  quality: number;
+  theme: number;
 }
+
+export const QUALITIES = ["auto", "lowest", "best"] as const;
+export const THEMES = ["auto", "light", "dark"] as const;
+
+/** Settings that are a choice among words. */
+export const choices: Partial<Record<keyof Settings, readonly string[]>> = { quality: QUALITIES, theme: THEMES };
 
 export interface Limit {
   readonly usual: number;
@@ -30,10 +39,12 @@ export const limits: Record<keyof Settings, Limit> = {
   climb: { usual: 0.35, min: 0, max: 0.45, step: 0.01 },
   speed: { usual: 1.4, min: 0.2, max: 20, step: 0.1 },
   jump: { usual: 0.5, min: 0, max: 3, step: 0.05 },
-  drop: { usual: 0, min: 0, max: 100, step: 0.1 },
+  drop: { usual: 200, min: 0, max: 1000, step: 0.1 },
   slope: { usual: 45, min: 1, max: 89, step: 1 },
   radius: { usual: 40, min: 5, max: 400, step: 5 },
   sensitivity: { usual: 1, min: 0.1, max: 5, step: 0.1 },
+  quality: { usual: 0, min: 0, max: 2, step: 1 },
+  theme: { usual: 0, min: 0, max: 2, step: 1 },
 };
 
 const KEY = "slicewalk.settings";

@@ -2,10 +2,12 @@
 
 import type { Vec3 } from "slicewalk";
 import type { Mode } from "./address";
+import type { Canvas } from "./canvas";
 import { distance, flat, standing, type Ray } from "./geometry";
+import type { Cameras } from "./scene/cameras";
 import type { Colouring } from "./scene/material";
 import type { Session } from "./session";
-import type { Settings } from "./settings";
+import type { QUALITIES, Settings } from "./settings";
 import type { Shell } from "./ui/shell";
 
 /** The roof is cut this far below the ceiling, and at most this far above the feet. */
@@ -36,6 +38,13 @@ const OUTSIDE_DETAIL = 0.004;
 const WALK_DETAIL = 0.01;
 const SLOW_FPS = 18;
 const FAST_FPS = 45;
+/** The finish waits until the view has rested for so long where graphics are slow (s). */
+const REST_S = 0.5;
+/** Archives of fewer bytes are loaded whole soon, and then seen as far as this. */
+const SMALL_BYTES = 16 << 20;
+const SMALL_M = 150;
+/** Roofs are cut off only where the pawn is seen from near. */
+const ROOF_M = 60;
 
 export class Sight {
   colouring: Colouring = "height";
@@ -47,31 +56,42 @@ export class Sight {
   #outlined: boolean;
   #overview = 0;
   #idleS = 0;
+  #wanted: (typeof QUALITIES)[number] = "auto";
+  #slow: boolean;
+  #restsS = 0;
+  #seen = "";
+  #blocks = false;
 
   constructor(
     readonly session: Session,
     readonly shell: Shell,
+    readonly cameras: Cameras,
+    readonly canvas: Canvas,
   ) {
+    this.#slow = canvas.isSoftware;
     this.#outlined = session.archive.info.levels === 0;
   }
 
   /** Sets the viewing distance of the engine and the shader for a view from inside, or `outside` from `distance`. */
-  see(mode: Mode, settings: Settings, distance: number): void {
+  see(mode: Mode, settings: Settings, quality: (typeof QUALITIES)[number]): void {
     this.#mode = mode;
     this.#from = null;
+    this.#wanted = quality;
+    const { distance } = this.cameras.orbit;
     const { view, world } = this.session;
     const outside = mode !== "walk";
     // Measured from the camera, which is this far away.
-    const radius = outside ? Math.max(settings.radius, distance) + distance : settings.radius;
+    const radius = outside ? Math.max(settings.radius, distance) + distance : this.#around(settings.radius);
     this.#radius = radius;
     view.set({
       radius: this.#loaded,
       detail: outside ? OUTSIDE_DETAIL : WALK_DETAIL,
       triangles: Math.round(this.#triangles),
+      blocks: this.#blocks,
     });
     const { uniforms } = world.shading;
     // Beyond the pages, an overview level shows the rest.
-    uniforms.far.value = Math.max(radius, this.#extent);
+    uniforms.far.value = Math.max(2 * radius, this.#extent, 80);
     uniforms.fogShare.value = outside ? 0 : 1;
     this.colour(settings);
   }
@@ -81,6 +101,7 @@ export class Sight {
     const { view, world } = this.session;
     const slow = fps < SLOW_FPS && world.triangles > this.#triangles / 2;
     const fast = fps > FAST_FPS;
+    if (slow && this.#triangles <= LEAST_TRIANGLES) this.#slow = true;
     if (slow) this.#triangles = Math.max(LEAST_TRIANGLES, this.#triangles / 2);
     else if (fast) this.#triangles = Math.min(MOST_TRIANGLES, this.#triangles * 1.5);
     if (this.#settled) this.#outline();
@@ -112,7 +133,7 @@ export class Sight {
   }
 
   get #settled(): boolean {
-    return this.session.pawn.state.steps >= FIRST_STEPS;
+    return this.cameras.framed !== null || this.session.pawn.state.steps >= FIRST_STEPS;
   }
 
   /** Heights between which solid is shown. */
@@ -123,28 +144,63 @@ export class Sight {
       const bottom = info.origin[2] + slice * info.sliceHeight;
       return [bottom, bottom + info.sliceHeight];
     }
-    return [-FAR_M, this.#mode !== "walk" && roof ? this.#roofZ : FAR_M];
+    const cuts = roof && this.#mode !== "walk" && this.cameras.framed === null;
+    return [-FAR_M, cuts && this.cameras.orbit.distance < ROOF_M ? this.#roofZ : FAR_M];
   }
 
   colour(settings: Settings): void {
-    const { world, archive } = this.session;
+    const { world } = this.session;
     world.shading.colouring = this.#showsSlices ? "slice" : this.colouring;
     world.shading.uniforms.slope.value = settings.slope;
     const [low, high] = this.cut;
     world.opened = this.#mode !== "walk" || low > -FAR_M || high < FAR_M;
-    const { bounds } = archive.info;
-    this.shell.colours.show([bounds?.min[2] ?? 0, bounds?.max[2] ?? 1], settings.slope);
+    const { min, max } = this.session.content;
+    this.shell.colours.show([min[2], max[2]], settings.slope);
+  }
+
+  /** How far one sees: a small archive without overview levels is seen whole, up to a limit. */
+  #around(radius: number): number {
+    const { min, max } = this.session.content;
+    const { levels, fileBytes } = this.session.archive.info;
+    const small = levels === 0 && fileBytes < SMALL_BYTES;
+    return small ? Math.max(radius, Math.min(distance(min, max), SMALL_M)) : radius;
+  }
+
+  /** Draws what collides instead of smooth surfaces. */
+  showBlocks(blocks: boolean): void {
+    this.#blocks = blocks;
+    this.session.view.set({ blocks });
+  }
+
+  /** Chooses how much the picture may cost: where graphics are slow, more only while the view rests. */
+  #rate(from: Vec3, seconds: number): void {
+    const { look } = this.session.pawn;
+    const { orbit } = this.cameras;
+    const seen = [...from, look.heading, look.pitch, orbit.look.heading, orbit.look.pitch].map((n) => n.toFixed(3)).join();
+    this.#restsS = seen === this.#seen ? this.#restsS + seconds : 0;
+    this.#seen = seen;
+    const best = this.canvas.isSoftware ? "finished" : "smooth";
+    const free = this.#wanted === "best" || !this.#slow || this.#restsS > REST_S;
+    const quality = this.#wanted === "lowest" || !free ? "lowest" : best;
+    // A view that rests is not drawn again with other pixels.
+    if (quality !== this.canvas.quality) {
+      this.canvas.quality = quality;
+      if (!this.canvas.isSoftware) this.canvas.resize();
+    }
+    this.session.world.shading.uniforms.fineness.value = quality === "lowest" ? 0 : 1;
   }
 
   /** Updates the shader's heights, which are relative to the moving local origin. */
-  update(): void {
+  update(from: Vec3, seconds: number): void {
+    this.#rate(from, seconds);
     const { world, archive, pawn } = this.session;
     const { info } = archive;
     const { uniforms } = world.shading;
     const [low, high] = this.cut;
     const z = world.origin[2];
     uniforms.cut.value.set(low - z, high - z);
-    uniforms.heights.value.set((info.bounds?.min[2] ?? 0) - z, (info.bounds?.max[2] ?? 1) - z);
+    const { min, max } = this.session.content;
+    uniforms.heights.value.set(min[2] - z, max[2] - z);
     uniforms.slicing.value.set(info.origin[2] - z, info.sliceHeight);
     const slice = Math.floor((pawn.at[2] - info.origin[2] + 1e-6) / info.sliceHeight);
     const bottom = info.origin[2] + slice * info.sliceHeight - z;

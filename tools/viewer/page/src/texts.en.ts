@@ -31,6 +31,17 @@ const errors: Record<ErrorKind | "webgl" | "page", Trouble> = {
   page: { title: "Unexpected error in the page", wayOut: "Reload the page." },
 };
 
+/** Why the pawn stopped, as told at the crosshair. */
+const stopped: Record<Stop, string> = {
+  wall: "A wall, or a step that is too high",
+  steep: "Too steep to walk",
+  headroom: "No headroom",
+  corner: "Too narrow here",
+  inside: "Inside something solid",
+  ledge: "A deep drop",
+  void: "Nothing was scanned below",
+};
+
 const stops: Record<Stop, string> = {
   wall: "a wall or a step that is too high",
   steep: "too steep",
@@ -63,6 +74,13 @@ export const texts = {
       `Waiting for ${pages === 1 ? "1 page" : `${pages} pages`} of an archive that is damaged: ${message}`,
     found: "No place to stand was found; flying instead.",
   },
+  first: {
+    label: "First view",
+    walkIn: "Walk in",
+    size: (metres: string) => `${metres} m`,
+  },
+  stops: stopped,
+  remedies: { crouch: "Crouch", smaller: "Smaller pawn", fly: "Fly" },
   modes: { label: "View", walk: "Walk", orbit: "Orbit", plan: "Plan" },
   tools: {
     label: "Tools",
@@ -75,6 +93,8 @@ export const texts = {
     screenshot: "Screenshot",
     headset: "Enter VR",
     help: "Help",
+    home: "Start",
+    homeKey: "Home",
     close: "Close",
   },
   colours: {
@@ -84,6 +104,7 @@ export const texts = {
     slope: "Slope",
     obstacle: "Floor and obstacle",
     slice: "Slice",
+    blocks: "Show what collides",
   },
   overlays: {
     cloud: "Point cloud",
@@ -163,11 +184,17 @@ export const texts = {
     slope: "Marks slopes steeper than (°)",
     radius: "View distance (m)",
     sensitivity: "Mouse speed",
+    quality: "Picture",
+    theme: "Theme",
+    choices: { auto: "automatic", lowest: "fastest", best: "best", light: "light", dark: "dark" } as Record<string, string>,
     reset: "Default settings",
     refused: "This pawn does not fit here; the old one stays.",
   },
   minimap: {
-    label: (heading: string) => `Map around the pawn; it looks ${heading}`,
+    label: (heading: string) => `Map around the pawn; it looks ${heading}. A click goes there.`,
+    north: "N",
+    storeys: "Storeys",
+    storey: (metres: string) => `${metres} m`,
     cardinal: ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"],
   },
   news: {
@@ -175,7 +202,10 @@ export const texts = {
     link: "The link to this place is in the address bar.",
     screenshot: (name: string) => `Saved ${name}.`,
     capture: "Click to look around with the mouse; Escape releases it.",
-    captured: "Click: teleport. Double click: walk there. Escape releases the mouse.",
+    captured: "Click: walk there. Double click: be there at once. Escape releases the mouse.",
+    refused: "The browser does not capture the mouse now. Drag to look around; a click walks there.",
+    flightSpeed: (speed: string) => `Flying at ${speed} m/s.`,
+    fell: "You fell out of the scan; back to where you last stood.",
     walkingThere: "Walking there.",
     arrived: "Arrived.",
     gaveUp: "The way there is blocked.",
@@ -197,7 +227,7 @@ export const texts = {
     noCloud: (reason: string) => `The point cloud cannot be drawn: ${reason}`,
   },
   errors,
-  actions: { again: "Open again", other: "Open another archive" },
+  actions: { stay: "Stay here", again: "Open again", other: "Open another archive" },
   help: {
     heading: "Keys and gestures",
     rows: [
@@ -211,10 +241,12 @@ export const texts = {
       ["M", "plan view and back"],
       ["O", "orbit view and back"],
       ["Click in the walk view", "capture the mouse; Escape releases it"],
-      ["Click, captured or in another view", "teleport there"],
-      ["Double click", "walk there"],
-      ["Drag, wheel", "look, turn, zoom"],
-      ["Touch", "left stick walks, right stick looks, a tap teleports"],
+      ["Click, captured or in another view", "walk there"],
+      ["Double click", "be there at once"],
+      ["Drag, wheel", "look, turn, zoom; speed while flying"],
+      ["Home", "back to the start, then all of the scan"],
+      ["R", "back to the last safe place"],
+      ["Touch", "left stick walks, right stick looks, a tap walks there"],
       ["Headset", "left stick walks, right stick turns; A jumps, left grip runs"],
       ["Gamepad", "left stick walks, right stick looks; A jumps, B crouches, shoulder runs"],
     ],

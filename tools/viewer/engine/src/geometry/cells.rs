@@ -14,8 +14,10 @@ pub(super) struct Bar {
 /// Bars per cell, row by row; lowest first and disjoint.
 #[derive(Debug)]
 pub(super) struct Cells {
-    /// Cells along an edge.
+    /// Cells along an edge of the page.
     pub edge: usize,
+    /// Cells of the neighbours around them: 0 or 1.
+    margin: usize,
     bars: Vec<Bar>,
     /// Index of each cell's first bar, then the total.
     first: Vec<u32>,
@@ -25,20 +27,56 @@ impl Cells {
     /// Builds cells of `2^coarseness` pixels, with heights in steps of `step` quanta.
     ///
     /// A height within a step of a neighbour's takes the neighbour's value: noisy floors become level, and the drawing
-    /// has few large quads.
-    pub fn of(page: &Page, coarseness: u32, step: u32) -> Self {
-        let edge = TILE_PIXELS as u32 >> coarseness;
-        let mut cells = Self { edge: edge as usize, bars: Vec::new(), first: vec![0] };
+    /// has few large quads. `around`: pages of the neighbours, row by row with the page itself in the middle, whose
+    /// nearest cells surround the page's.
+    pub fn of(page: &Page, around: Option<&[Option<&Page>; 9]>, coarseness: u32, step: u32) -> Self {
+        let (edge, margin) = (TILE_PIXELS as u32 >> coarseness, u32::from(around.is_some()));
+        let mut cells = Self { edge: edge as usize, margin: margin as usize, bars: Vec::new(), first: vec![0] };
         let mut spans: Vec<Span> = Vec::new();
-        for number in 0..edge * edge {
+        let wide = edge + 2 * margin;
+        // Coordinates begin a page before the page, so that they are not negative.
+        let first = TILE_PIXELS as u32 - (margin << coarseness);
+        for number in 0..wide * wide {
             spans.clear();
-            let (x, y) = ((number % edge) << coarseness, (number / edge) << coarseness);
-            for (px, py) in (0..1 << coarseness).flat_map(|dy| (0..1 << coarseness).map(move |dx| (x + dx, y + dy))) {
-                page.column(px, py).iter().for_each(|span| put(&mut spans, *span));
+            let (x, y) = (first + ((number % wide) << coarseness), first + ((number / wide) << coarseness));
+            let place = (y / TILE_PIXELS as u32 * 3 + x / TILE_PIXELS as u32) as usize;
+            let page = around.map_or(Some(page), |around| around[place]);
+            let (x, y) = (x % TILE_PIXELS as u32, y % TILE_PIXELS as u32);
+            for (dx, dy) in (0..1 << coarseness).flat_map(|dy| (0..1 << coarseness).map(move |dx| (dx, dy))) {
+                page.into_iter()
+                    .for_each(|page| page.column(x + dx, y + dy).iter().for_each(|span| put(&mut spans, *span)));
             }
             cells.add(&spans, step);
         }
         cells
+    }
+
+    /// Adds bars to cells (x, y) in their order.
+    pub fn add_bars(&mut self, added: &[(isize, isize, Bar)]) {
+        if added.is_empty() {
+            return;
+        }
+        let (bars, first) = (std::mem::take(&mut self.bars), std::mem::replace(&mut self.first, vec![0]));
+        let numbered: Vec<(usize, Bar)> = added.iter().map(|(x, y, bar)| (self.number(*x, *y), *bar)).collect();
+        let mut added = numbered.into_iter().peekable();
+        for (number, ends) in first.windows(2).enumerate() {
+            let start = self.bars.len();
+            self.bars.extend(&bars[ends[0] as usize..ends[1] as usize]);
+            while let Some((_, bar)) = added.next_if(|(of, _)| *of == number) {
+                let below = self.bars[start..].iter().take_while(|other| other.bottom < bar.bottom).count();
+                self.bars.insert(start + below, bar);
+            }
+            self.first.push(self.bars.len() as u32);
+        }
+    }
+
+    fn wide(&self) -> usize {
+        self.edge + 2 * self.margin
+    }
+
+    fn number(&self, x: isize, y: isize) -> usize {
+        let place = |v: isize| (v + self.margin as isize) as usize;
+        place(y) * self.wide() + place(x)
     }
 
     /// Adds the next cell, from spans with ascending bottoms.
@@ -70,8 +108,8 @@ impl Cells {
             ends.filter(|level| (u32::from(*level) * step).abs_diff(height) <= step)
                 .min_by_key(|level| (u32::from(*level) * step).abs_diff(height))
         };
-        let left = (!number.is_multiple_of(self.edge)).then(|| near(self.cell(number - 1))).flatten();
-        let below = || (number >= self.edge).then(|| near(self.cell(number - self.edge))).flatten();
+        let left = (!number.is_multiple_of(self.wide())).then(|| near(self.cell(number - 1))).flatten();
+        let below = || (number >= self.wide()).then(|| near(self.cell(number - self.wide()))).flatten();
         left.or_else(below).unwrap_or(((height + step / 2) / step) as u16)
     }
 
@@ -81,8 +119,15 @@ impl Cells {
 
     /// Bars of cell (`x`, `y`); empty outside.
     pub fn at(&self, x: isize, y: isize) -> &[Bar] {
+        let margin = self.margin as isize;
+        let inside = |v: isize| (-margin..self.edge as isize + margin).contains(&v);
+        if inside(x) && inside(y) { self.cell(self.number(x, y)) } else { &[] }
+    }
+
+    /// The same without the cells of neighbours.
+    pub fn within(&self, x: isize, y: isize) -> &[Bar] {
         let inside = |v: isize| (0..self.edge as isize).contains(&v);
-        if inside(x) && inside(y) { self.cell(y as usize * self.edge + x as usize) } else { &[] }
+        if inside(x) && inside(y) { self.at(x, y) } else { &[] }
     }
 }
 

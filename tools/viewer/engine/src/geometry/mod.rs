@@ -1,15 +1,18 @@
 //! Geometry of a page for drawing: tops, undersides and sides of its spans as quads.
 //!
 //! In: a page, and the width of a drawing's cell in pixels. Out: quads on a grid of cells and of vertical steps of a
-//! quarter of a cell. Every page is a closed surface: neighbours need not be in memory, and adjacent pages of another
-//! detail leave no gap.
+//! quarter of a cell, or of quanta where surfaces are smooth. Every page is a closed surface: neighbours need not be in
+//! memory, and adjacent pages of another detail leave no gap.
 
 mod cells;
 mod quads;
+mod smooth;
 
 use cells::Cells;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::page::Page;
+use smooth::Smooth;
+pub(crate) use smooth::sparseness;
 
 /// Largest cell, as a power of two of pixels.
 pub(crate) const COARSEST: u32 = 4;
@@ -32,14 +35,18 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Builds the geometry of `page` with cells of `2^coarseness` pixels.
-    pub fn of(frame: &Frame, key: PageKey, page: &Page, coarseness: u32) -> Self {
+    /// Builds the geometry of `page` with cells of `2^coarseness` pixels: what collides, or if there are pages `around`
+    /// it (see [`Cells::of`]), with smooth surfaces.
+    pub fn of(frame: &Frame, key: PageKey, page: &Page, around: Option<&[Option<&Page>; 9]>, coarseness: u32) -> Self {
         let coarseness = coarseness.min(COARSEST);
         let pixels = f64::from(1 << coarseness);
         let cell_m = frame.pixel_m() * pixels;
         let step = (cell_m / 4.0 / frame.quantum_m()).round().clamp(1.0, PAGE_QUANTA as f64) as u32;
-        let cells = Cells::of(page, coarseness, step);
-        let mut faces = Faces { step_cells: f64::from(step) * frame.quantum_m() / cell_m, ..Faces::default() };
+        let mut cells = Cells::of(page, around, coarseness, step);
+        let step_cells = f64::from(step) * frame.quantum_m() / cell_m;
+        let smooth = around.map(|_| Smooth::new(cell_m, step, step_cells));
+        smooth.iter().for_each(|smooth| smooth.close_holes(&mut cells));
+        let mut faces = Faces { step_cells, smooth, ..Faces::default() };
         quads::levels(&cells, true, &mut faces);
         quads::levels(&cells, false, &mut faces);
         quads::sides(&cells, &mut faces);
@@ -55,7 +62,8 @@ impl Geometry {
             };
             [at(bounds.min, 0), at(bounds.max, 1)]
         });
-        let scale = [cell_m, cell_m, f64::from(step) * frame.quantum_m()];
+        let z_quanta = if smooth.is_some() { 1 } else { step };
+        let scale = [cell_m, cell_m, f64::from(z_quanta) * frame.quantum_m()];
         let Faces { positions, normals, attributes, .. } = faces;
         Self { origin, scale, bounds, positions, normals, attributes }
     }
@@ -79,15 +87,22 @@ enum Face {
 struct Faces {
     /// Height of a step in cells.
     step_cells: f64,
+    smooth: Option<Smooth>,
     positions: Vec<u16>,
     normals: Vec<i8>,
     attributes: Vec<u8>,
 }
 
 impl Faces {
-    /// Adds a quad with these corners, counterclockwise seen from where `normal` points.
+    /// Adds a quad with these corners (z in steps), counterclockwise seen from where `normal` points.
     fn quad(&mut self, corners: [[u16; 3]; 4], normal: [i8; 3], attributes: [u8; 3]) {
-        for corner in corners {
+        let step = self.smooth.map_or(1, |smooth| smooth.step as u16);
+        self.bent(corners.map(|[x, y, z]| [x, y, z * step]), [normal; 4], attributes);
+    }
+
+    /// Adds a quad whose corners have normals of their own, and z in units of the geometry.
+    fn bent(&mut self, corners: [[u16; 3]; 4], normals: [[i8; 3]; 4], attributes: [u8; 3]) {
+        for (corner, normal) in corners.into_iter().zip(normals) {
             self.positions.extend(corner);
             self.normals.extend([normal[0], normal[1], normal[2], 0]);
             self.attributes.extend([attributes[0], attributes[1], attributes[2], 0]);

@@ -1,6 +1,7 @@
 //! Converts cells to quads; equal neighbours are joined, along x first.
 
 use super::cells::{Bar, Cells};
+use super::smooth::{Corner, End};
 use super::{Face, Faces};
 
 /// Slopes are rounded to this many degrees, so that nearly level faces can be joined.
@@ -35,6 +36,9 @@ pub(super) fn levels(cells: &Cells, top: bool, faces: &mut Faces) {
                 let slope = if top { slope(cells, faces.step_cells, x, y, z) } else { 0 };
                 let face = if top { Face::Top } else { Face::Underside };
                 let attributes = [face as u8, u8::from(bar.obstacle), slope];
+                if bent(cells, top, [x, y], z, attributes, faces) {
+                    continue;
+                }
                 let joins = |at: &&usize| (strips[**at].z, strips[**at].attributes) == (z, attributes);
                 if let Some(&at) = ends.iter().find(joins) {
                     strips[at].x1 += 1;
@@ -71,6 +75,23 @@ pub(super) fn levels(cells: &Cells, top: bool, faces: &mut Faces) {
             }
         }
     }
+}
+
+/// Adds the face of one cell if it is smooth and not level; returns whether it is.
+fn bent(cells: &Cells, top: bool, [x, y]: [isize; 2], z: u16, attributes: [u8; 3], faces: &mut Faces) -> bool {
+    let Some(smooth) = faces.smooth else { return false };
+    let end = if top { End::Top } else { End::Bottom };
+    let corners = [(x, y), (x + 1, y), (x + 1, y + 1), (x, y + 1)];
+    let found = corners.map(|(x, y)| smooth.corner(cells, x, y, end, z));
+    let level =
+        Corner { height: (u32::from(z) * smooth.step) as u16, normal: if top { [0, 0, 127] } else { [0, 0, -127] } };
+    if found.iter().all(|corner| *corner == level) {
+        return false;
+    }
+    let place = |n: usize| [corners[n].0 as u16, corners[n].1 as u16, found[n].height];
+    let order = if top { [0, 1, 2, 3] } else { [0, 3, 2, 1] };
+    faces.bent(order.map(place), order.map(|n| found[n].normal), attributes);
+    true
 }
 
 /// Slope of the surface around a top (degrees, in steps), from the tops up to two cells away.
@@ -111,11 +132,14 @@ pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
     for along_y in [true, false] {
         for plane in 0..=edge {
             for at in 0..=edge {
-                let cell = |side: isize| if along_y { cells.at(side, at) } else { cells.at(at, side) };
+                let cell = |side: isize| if along_y { cells.within(side, at) } else { cells.within(at, side) };
                 let (below, above) = (cell(plane - 1), cell(plane));
                 for (here, there, up) in [(below, above, true), (above, below, false)] {
-                    uncovered(here, there, |bottom, top, obstacle| {
-                        let side = Side { bottom, top, obstacle, up };
+                    uncovered(here, there, |bar, bottom, top| {
+                        let side = Side { bottom, top, obstacle: bar.obstacle, up };
+                        if bent_side(cells, faces, along_y, side, [plane, at], bar) {
+                            return;
+                        }
                         // A side that continues is no longer open.
                         let goes_on = open.iter().position(|(other, _)| *other == side);
                         now.push((side, goes_on.map_or(at as u16, |n| open.swap_remove(n).1)));
@@ -130,32 +154,62 @@ pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
     }
 }
 
+/// Adds a side of one cell whose ends are smooth and not level, unless they meet; returns whether they are.
+fn bent_side(cells: &Cells, faces: &mut Faces, along_y: bool, side: Side, [plane, at]: [isize; 2], bar: &Bar) -> bool {
+    let Some(smooth) = faces.smooth else { return false };
+    // A side ends where its bar does, or at a bar of the other cell.
+    let low = (if side.bottom == bar.bottom { End::Bottom } else { End::Top }, side.bottom);
+    let high = (if side.top == bar.top { End::Top } else { End::Bottom }, side.top);
+    let corner = |along: isize| if along_y { [plane, along] } else { [along, plane] };
+    let ends = [at, at + 1].map(|along| smooth.side(cells, corner(along), [low, high]));
+    let level = [side.bottom, side.top].map(|z| (u32::from(z) * smooth.step) as u16);
+    if ends == [level; 2] {
+        return false;
+    }
+    if ends.iter().any(|[bottom, top]| bottom < top) {
+        let point = |along: isize, z: u16| {
+            let [x, y] = corner(along);
+            [x as u16, y as u16, z]
+        };
+        let [[a0, a1], [b0, b1]] = ends;
+        let corners = [point(at, a0), point(at + 1, b0), point(at + 1, b1), point(at, a1)];
+        let (corners, normal) = facing(corners, along_y, side.up);
+        faces.bent(corners, [normal; 4], [Face::Side as u8, u8::from(side.obstacle), 90]);
+    }
+    true
+}
+
+/// Corners of a side in their order, and its normal.
+fn facing(corners: [[u16; 3]; 4], along_y: bool, up: bool) -> ([[u16; 3]; 4], [i8; 3]) {
+    let way = if up { 127 } else { -127 };
+    let normal = if along_y { [way, 0, 0] } else { [0, way, 0] };
+    // Seen against +x, y runs to the right; seen against +y, x runs to the left.
+    match up == along_y {
+        true => (corners, normal),
+        false => ([corners[0], corners[3], corners[2], corners[1]], normal),
+    }
+}
+
 fn side_quad(faces: &mut Faces, along_y: bool, side: Side, plane: u16, [a, b]: [u16; 2]) {
     let Side { bottom: z0, top: z1, obstacle, up } = side;
     let corner = |along: u16, z: u16| if along_y { [plane, along, z] } else { [along, plane, z] };
     let corners = [corner(a, z0), corner(b, z0), corner(b, z1), corner(a, z1)];
-    let way = if up { 127 } else { -127 };
-    let normal = if along_y { [way, 0, 0] } else { [0, way, 0] };
-    // Seen against +x, y runs to the right; seen against +y, x runs to the left.
-    let corners = match up == along_y {
-        true => corners,
-        false => [corners[0], corners[3], corners[2], corners[1]],
-    };
+    let (corners, normal) = facing(corners, along_y, up);
     faces.quad(corners, normal, [Face::Side as u8, u8::from(obstacle), 90]);
 }
 
 /// Calls `f` for the parts of `here` that `there` does not cover.
-fn uncovered(here: &[Bar], there: &[Bar], mut f: impl FnMut(u16, u16, bool)) {
+fn uncovered<'a>(here: &'a [Bar], there: &[Bar], mut f: impl FnMut(&'a Bar, u16, u16)) {
     for bar in here {
         let mut from = bar.bottom;
         for other in there.iter().filter(|other| other.top > bar.bottom && other.bottom < bar.top) {
             if other.bottom > from {
-                f(from, other.bottom, bar.obstacle);
+                f(bar, from, other.bottom);
             }
             from = from.max(other.top);
         }
         if from < bar.top {
-            f(from, bar.top, bar.obstacle);
+            f(bar, from, bar.top);
         }
     }
 }

@@ -32,7 +32,7 @@ fn volume(geometry: &Geometry) -> i64 {
 }
 
 fn matter(page: &Page, coarseness: u32, step: u32) -> i64 {
-    let cells = Cells::of(page, coarseness, step);
+    let cells = Cells::of(page, None, coarseness, step);
     let edge = cells.edge as isize;
     let places = (0..edge).flat_map(|y| (0..edge).map(move |x| (x, y)));
     places.flat_map(|(x, y)| cells.at(x, y)).map(|bar| i64::from(bar.top - bar.bottom)).sum()
@@ -42,12 +42,12 @@ fn matter(page: &Page, coarseness: u32, step: u32) -> i64 {
 fn a_level_floor_is_a_box_of_six_quads() {
     let page = page(|_, _| vec![(1000, 1020, false)]);
     for coarseness in 0..=COARSEST {
-        let geometry = Geometry::of(&frame(), KEY, &page, coarseness);
+        let geometry = Geometry::of(&frame(), KEY, &page, None, coarseness);
         assert_eq!(geometry.positions.len(), 6 * 4 * 3, "{coarseness}");
         assert_eq!(geometry.triangles(), 12);
         assert_eq!(geometry.origin, [-3.2, 6.4, 9.6]);
     }
-    let geometry = Geometry::of(&frame(), KEY, &page, 0);
+    let geometry = Geometry::of(&frame(), KEY, &page, None, 0);
     assert!((geometry.bounds[1][2] - (9.6 + 1020.0 * frame().quantum_m())).abs() < 1e-9);
     assert_eq!(geometry.bounds[0][..2], [-3.2, 6.4]);
     let top = geometry.origin[2] + f64::from(geometry.positions[2]) * geometry.scale[2];
@@ -57,9 +57,9 @@ fn a_level_floor_is_a_box_of_six_quads() {
 #[test]
 fn noise_below_a_step_draws_no_risers_and_stairs_do() {
     let noisy = page(|x, y| vec![(1000, 1020 + (x * 7 + y * 13) % 8, false)]);
-    assert!(Geometry::of(&frame(), KEY, &noisy, 0).triangles() < 24);
+    assert!(Geometry::of(&frame(), KEY, &noisy, None, 0).triangles() < 24);
     let stairs = page(|x, _| vec![(1000, 1020 + x / 16 * 300, false)]);
-    let geometry = Geometry::of(&frame(), KEY, &stairs, 0);
+    let geometry = Geometry::of(&frame(), KEY, &stairs, None, 0);
     // Four treads, three risers and the outer sides.
     assert!((40..80).contains(&geometry.triangles()), "{}", geometry.triangles());
     assert!(geometry.attributes.chunks(4).any(|a| a[0] == 2));
@@ -69,9 +69,78 @@ fn noise_below_a_step_draws_no_risers_and_stairs_do() {
 fn slopes_are_told_in_degrees() {
     // A rise of one pixel (85 quanta) per pixel is 45 degrees.
     let ramp = page(|x, _| vec![(0, 200 + 85 * x, false)]);
-    let geometry = Geometry::of(&frame(), KEY, &ramp, 0);
+    let geometry = Geometry::of(&frame(), KEY, &ramp, None, 0);
     let tops: Vec<u8> = geometry.attributes.chunks(4).filter(|a| a[0] == 0).map(|a| a[2]).collect();
     assert!(tops.iter().filter(|slope| **slope == 45).count() * 10 > tops.len() * 9, "{tops:?}");
+}
+
+/// The page alone, without neighbours.
+fn alone(page: &Page) -> [Option<&Page>; 9] {
+    std::array::from_fn(|n| (n == 4).then_some(page))
+}
+
+#[test]
+fn smooth_slopes_have_no_risers_and_steps_do() {
+    // Rises by 60 and 50 quanta per pixel, of 85 quanta.
+    let ramp = page(|x, y| vec![(0, 200 + 60 * x + 50 * y, false)]);
+    let smooth = Geometry::of(&frame(), KEY, &ramp, Some(&alone(&ramp)), 0);
+    let blocks = Geometry::of(&frame(), KEY, &ramp, None, 0);
+    assert!(smooth.triangles() < blocks.triangles(), "{} of {}", smooth.triangles(), blocks.triangles());
+    let mut checked = 0;
+    for vertex in 0..smooth.positions.len() / 3 {
+        let [x, y, z] = smooth.positions[3 * vertex..][..3] else { unreachable!() };
+        let inner = (1..64).contains(&x) && (1..64).contains(&y);
+        if smooth.attributes[4 * vertex] == 0 && inner {
+            // The mean of the four columns that meet here.
+            let expected = 200.0 + 60.0 * (f64::from(x) - 0.5) + 50.0 * (f64::from(y) - 0.5);
+            assert!((f64::from(z) - expected).abs() < 22.0, "{z} at {x}, {y}, expected {expected}");
+            let [nx, ny, nz] = smooth.normals[4 * vertex..][..3] else { unreachable!() };
+            assert!((-90..-40).contains(&nx) && (-80..-30).contains(&ny) && nz > 75, "{nx} {ny} {nz}");
+            checked += 1;
+        }
+    }
+    assert!(checked > 10_000);
+    // Risers of 17.6 cm stay.
+    let stairs = page(|x, _| vec![(1000, 1020 + x / 16 * 300, false)]);
+    let [smooth, blocks] = [Some(&alone(&stairs)), None].map(|around| Geometry::of(&frame(), KEY, &stairs, around, 0));
+    assert_eq!(smooth.triangles(), blocks.triangles());
+}
+
+#[test]
+fn surrounded_holes_are_closed_for_the_eye() {
+    let floor = |holes: &'static [(u32, u32)]| {
+        page(move |x, y| match holes.contains(&(x, y)) {
+            true => vec![],
+            false => vec![(1000, 1020, false)],
+        })
+    };
+    let triangles = |page: &Page| Geometry::of(&frame(), KEY, page, Some(&alone(page)), 0).triangles();
+    let whole = triangles(&floor(&[]));
+    assert_eq!(triangles(&floor(&[(9, 9), (30, 40)])), whole);
+    let wide = floor(&[(9, 9), (10, 9), (11, 9), (9, 10), (10, 10), (11, 10), (9, 11), (10, 11), (11, 11)]);
+    assert!(triangles(&wide) > whole);
+}
+
+#[test]
+fn neighbouring_pages_meet_at_the_same_heights() {
+    let ground =
+        |shift: u32| page(move |x, y| vec![(0, 900 + (x + shift) * 7 + y * 3 + (x + shift) * y % 11 * 9, false)]);
+    let (left, right) = (ground(0), ground(64));
+    let mut around = alone(&left);
+    around[5] = Some(&right);
+    let first = Geometry::of(&frame(), KEY, &left, Some(&around), 0);
+    let mut around = alone(&right);
+    around[3] = Some(&left);
+    let second = Geometry::of(&frame(), KEY, &right, Some(&around), 0);
+    // Tops at the common edge, by y; corners of the pages have other neighbours.
+    let edge = |geometry: &Geometry, x: u16| {
+        let tops = geometry.attributes.chunks(4).zip(geometry.positions.chunks(3)).zip(geometry.normals.chunks(4));
+        let at = tops.filter(|((a, p), _)| a[0] == 0 && p[0] == x && (1..64).contains(&p[1]));
+        at.map(|((_, p), n)| (p[1], (p[2], n[0]))).collect::<std::collections::BTreeMap<_, _>>()
+    };
+    let (a, b) = (edge(&first, 64), edge(&second, 0));
+    let differing = a.iter().filter(|(y, at)| b.get(y).is_some_and(|other| other.0.abs_diff(at.0) > 40)).count();
+    assert!(a.len() > 50 && differing == 0, "{a:?} {b:?}");
 }
 
 proptest! {
@@ -94,7 +163,7 @@ proptest! {
             spans
         });
         let frame = frame();
-        let geometry = Geometry::of(&frame, KEY, &page, coarseness);
+        let geometry = Geometry::of(&frame, KEY, &page, None, coarseness);
         let step = (geometry.scale[2] / frame.quantum_m()).round() as u32;
         prop_assert_eq!(volume(&geometry), 6 * matter(&page, coarseness, step));
         for (vertices, normals) in geometry.positions.chunks(12).zip(geometry.normals.chunks(16)) {

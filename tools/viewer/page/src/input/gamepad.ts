@@ -10,8 +10,17 @@ function stick(value: number | undefined): number {
   return size < DEAD ? 0 : Math.sign(value ?? 0) * Math.min(1, (size - DEAD) / (1 - DEAD));
 }
 
+/** Gamepads that may steer: other devices have axes of their own meaning, which rest anywhere. */
+function pads(): readonly (Gamepad | null)[] {
+  try {
+    return navigator.getGamepads?.() ?? [];
+  } catch {
+    return []; // the page's host does not permit them
+  }
+}
+
 export function readGamepad(): Intent {
-  const pad = navigator.getGamepads?.().find((pad) => pad?.connected === true && pad.axes.length >= 4);
+  const pad = pads().find((pad) => pad?.connected === true && pad.mapping === "standard" && pad.axes.length >= 4);
   if (!pad) return nothing();
   const held = (...buttons: number[]): boolean => buttons.some((button) => pad.buttons[button]?.pressed === true);
   const [jump, crouch] = [held(0), held(1)];

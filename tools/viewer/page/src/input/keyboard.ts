@@ -37,6 +37,8 @@ function isTaken(event: KeyboardEvent): boolean {
 export class Keyboard {
   readonly #down = new Set<string>();
   #jump = false;
+  /** Crouches until C is pressed, or the pawn is told to jump. */
+  #crouch = false;
 
   /** `pressed` is called once for each key that does not walk. */
   constructor(pressed: (code: string) => void) {
@@ -45,6 +47,7 @@ export class Keyboard {
       if (HELD.has(event.code)) {
         event.preventDefault();
         if (event.code === "Space" && !event.repeat) this.#jump = true;
+        if (event.code === "Space" || event.code === "KeyC") this.#crouch = false;
         this.#down.add(event.code);
       } else if (!event.repeat) {
         pressed(event.code);
@@ -62,6 +65,10 @@ export class Keyboard {
     this.#jump = false;
   }
 
+  latchCrouch(): void {
+    this.#crouch = true;
+  }
+
   read(): Intent {
     const held = (...codes: string[]): number => (codes.some((code) => this.#down.has(code)) ? 1 : 0);
     const intent: Intent = {
@@ -74,7 +81,7 @@ export class Keyboard {
       run: held("ShiftLeft", "ShiftRight") > 0,
       // A key pressed and released between two frames still jumps.
       jump: this.#jump || held("Space") > 0,
-      crouch: held("KeyC") > 0,
+      crouch: this.#crouch || held("KeyC") > 0,
     };
     this.#jump = false;
     return intent;

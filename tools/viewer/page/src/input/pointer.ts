@@ -2,6 +2,8 @@
 
 /** Longest time between the clicks of a double click (ms). */
 const DOUBLE_MS = 260;
+/** Time after a refusal before the mouse is captured again (ms); browsers refuse for a second after Escape. */
+const REFUSED_MS = 1_200;
 /** Largest movement of a click (pixels); beyond it the pointer drags. */
 const STILL_PX = 5;
 
@@ -16,13 +18,15 @@ export interface PointerEvents {
   /** Returns whether a click should capture the mouse instead. */
   captures(): boolean;
   captured(captured: boolean): void;
+  /** The browser does not let the mouse be captured, at least not now. */
+  refused(): void;
 }
 
 export class Pointer {
   readonly #fingers = new Map<number, { x: number; y: number }>();
   #moved = 0;
   #timer = 0;
-  #refused = false;
+  #refusedAt = Number.NEGATIVE_INFINITY;
 
   constructor(
     readonly canvas: HTMLCanvasElement,
@@ -35,7 +39,7 @@ export class Pointer {
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
     document.addEventListener("pointerlockchange", () => events.captured(this.captured));
-    document.addEventListener("pointerlockerror", () => (this.#refused = true));
+    document.addEventListener("pointerlockerror", () => this.#refuse());
   }
 
   get captured(): boolean {
@@ -93,7 +97,7 @@ export class Pointer {
   #up(event: PointerEvent): void {
     const clicked = this.#fingers.delete(event.pointerId) && this.#moved < STILL_PX && event.button === 0;
     if (!clicked || this.#fingers.size > 0) return;
-    if (this.events.captures() && !this.captured && event.pointerType === "mouse" && !this.#refused) {
+    if (this.events.captures() && !this.captured && event.pointerType === "mouse" && !this.#isRefused) {
       void this.#capture();
       return;
     }
@@ -110,11 +114,20 @@ export class Pointer {
     }, DOUBLE_MS);
   }
 
+  #refuse(): void {
+    this.#refusedAt = performance.now();
+    this.events.refused();
+  }
+
+  get #isRefused(): boolean {
+    return performance.now() - this.#refusedAt < REFUSED_MS;
+  }
+
   async #capture(): Promise<void> {
     try {
       await this.canvas.requestPointerLock();
     } catch {
-      this.#refused = true; // not allowed here: dragging looks, and the next click teleports
+      this.#refuse(); // dragging looks, and the next click walks there
     }
   }
 

@@ -1,18 +1,27 @@
 // Three views: from the pawn's eyes, orbiting it, and from above.
 
-import type { Vec3 } from "slicewalk";
+import type { Bounds, Vec3 } from "slicewalk";
 import { OrthographicCamera, PerspectiveCamera, Vector3, type Camera } from "three";
 import { type Mode } from "../address";
 import { across, add, clamp, direction, wrap, type Look, type Ray } from "../geometry";
+import { frame, type Frame } from "./framing";
 import type { World } from "./world";
 
 const UP = new Vector3(0, 0, 1);
+const RADIANS = Math.PI / 180;
+const FIELD = 70;
+/** Distance from which a pawn is looked at. */
+const AROUND_M = 18;
+/** Height of the part of a storey that a plan shows. */
+const PLAN_M = 40;
 
 export class Cameras {
-  readonly #eye = new PerspectiveCamera(70, 1, 0.04, 4000);
+  readonly #eye = new PerspectiveCamera(FIELD, 1, 0.04, 12_000);
   readonly #top = new OrthographicCamera(-1, 1, 1, -1, 0.1, 8000);
   /** Orbit and plan: target, distance and direction. */
-  readonly orbit = { target: [0, 0, 0] as Vec3, distance: 18, look: { heading: 30, pitch: -40 } as Look };
+  readonly orbit = { target: [0, 0, 0] as Vec3, distance: AROUND_M, look: { heading: 30, pitch: -40 } as Look };
+  /** The frame that shows all of the scan, while it is shown so. */
+  framed: Frame | null = null;
   #aspect = 1;
   #mode: Mode = "walk";
   #position: Vec3 = [0, 0, 0];
@@ -33,6 +42,38 @@ export class Cameras {
 
   resize(width: number, height: number): void {
     this.#aspect = width / Math.max(height, 1);
+  }
+
+  /** Field of view from top to bottom; a narrow screen shows as wide a view as a square one. */
+  get #field(): number {
+    const narrow = (2 / RADIANS) * Math.atan(Math.tan((FIELD / 2) * RADIANS) / this.#aspect);
+    return this.#aspect < 1 ? Math.min(100, narrow) : FIELD;
+  }
+
+  /** Shows all of a scan with these pages. */
+  frame(boxes: Float64Array, bounds: Bounds): void {
+    const tan = Math.tan((this.#field / 2) * RADIANS);
+    this.framed = frame(boxes, bounds, tan * this.#aspect, tan);
+    Object.assign(this.orbit, { ...this.framed, look: { ...this.framed.look } });
+  }
+
+  /** Turns back and forth around the frame, by `share` of its range from -1 to 1. */
+  sway(degrees: number): void {
+    if (this.framed !== null) this.orbit.look.heading = wrap(this.framed.look.heading + degrees);
+  }
+
+  /** Looks at a pawn, from no farther than all of the scan needs. */
+  around(at: Vec3, mode: Mode, heading: number, { min, max }: Bounds): void {
+    const [wide, long] = [max[0] - min[0], max[1] - min[1]];
+    const isPlan = mode === "plan";
+    // A storey that fits into the plan is shown whole.
+    const whole = Math.max(long, wide / this.#aspect) * 1.15;
+    const fits = isPlan && whole <= PLAN_M;
+    this.framed = null;
+    this.orbit.target = fits ? [(min[0] + max[0]) / 2, (min[1] + max[1]) / 2, at[2]] : at;
+    this.orbit.distance = isPlan ? clamp(whole, 2, PLAN_M) : clamp(1.2 * Math.hypot(wide, long, max[2] - min[2]), 2, AROUND_M);
+    this.orbit.look.heading = isPlan ? 0 : heading;
+    if (!isPlan) this.orbit.look.pitch = -40;
   }
 
   /** Heading that points up on the screen, or ahead. */
@@ -56,7 +97,7 @@ export class Cameras {
   }
 
   zoom(factor: number): void {
-    this.orbit.distance = clamp(this.orbit.distance * factor, 1, 2000);
+    this.orbit.distance = clamp(this.orbit.distance * factor, 0.3, 8000);
   }
 
   update(mode: Mode, world: World, eye: Vec3, look: Look): void {
@@ -80,10 +121,8 @@ export class Cameras {
     } else {
       camera.up.copy(UP);
       this.#eye.aspect = this.#aspect;
-      // A narrow screen shows as wide a view as a square one.
-      this.#eye.fov =
-        this.#aspect < 1 ? Math.min(100, (360 / Math.PI) * Math.atan(Math.tan((70 * Math.PI) / 360) / this.#aspect)) : 70;
-      this.#eye.near = mode === "walk" ? 0.04 : Math.max(0.1, orbit.distance / 500);
+      this.#eye.fov = this.#field;
+      this.#eye.near = mode === "walk" ? 0.04 : Math.max(0.02, orbit.distance / 300);
       this.#eye.updateProjectionMatrix();
     }
     camera.lookAt(world.local(add(this.#position, this.#forward)));

@@ -7,6 +7,7 @@ import {
   ShaderMaterial,
   Vector2,
   Vector3,
+  Vector4,
   Color,
   type DataTexture,
   type IUniform,
@@ -24,14 +25,20 @@ export const COLOURINGS: readonly Colouring[] = ["height", "slope", "obstacle", 
 export const RAMP = ["#7d93bd", "#74adb8", "#a3c6a1", "#e3d29d", "#e2a67c"] as const;
 export const FLOOR = "#9db4c4";
 export const OBSTACLE = "#d98a68";
-export const BACKGROUND = "#16191e";
+
+/** Colours pass to the screen unchanged: the shaders work in the screen's colour space. */
+export const plain = (hex: string): Vector3 => {
+  const { r, g, b } = new Color().setStyle(hex, "srgb-linear");
+  return new Vector3(r, g, b);
+};
 
 const vertex = /* glsl */ `
 in vec4 attributes;
 out vec3 vLocal;
 out vec3 vCell;
 out float vDistance;
-flat out vec3 vNormal;
+out vec3 vNormal;
+flat out vec3 vFace;
 flat out vec3 vKind;
 void main() {
   vec4 local = modelMatrix * vec4(position, 1.0);
@@ -39,6 +46,7 @@ void main() {
   vLocal = local.xyz;
   vCell = position;
   vNormal = normal;
+  vFace = attributes.x > 1.5 ? sign(normal) : vec3(0.0, 0.0, 1.0 - 2.0 * attributes.x);
   vKind = attributes.xyz;
   vDistance = length(seen.xyz);
   gl_Position = projectionMatrix * seen;
@@ -58,11 +66,13 @@ precision highp usampler2D;
 in vec3 vLocal;
 in vec3 vCell;
 in float vDistance;
-flat in vec3 vNormal;
+in vec3 vNormal;
+flat in vec3 vFace;
 flat in vec3 vKind;
 uniform usampler2D paintCells;
 uniform sampler2D paintColours;
 uniform vec3 paintShare;
+uniform vec4 paintUsual;
 uniform int colouring;
 uniform vec2 heights;
 uniform vec2 cut;
@@ -71,6 +81,10 @@ uniform vec2 pawnSlice;
 uniform float slope;
 uniform float far;
 uniform float fogShare;
+uniform float fineness;
+uniform vec3 exposure;
+uniform vec3 sun;
+uniform vec3 haze;
 uniform vec3 ramp[5];
 uniform vec3 floorColour;
 uniform vec3 obstacleColour;
@@ -116,7 +130,7 @@ vec4 scannedAt(ivec2 at, int slice, int reach) {
 vec4 scanned() {
   int edge = textureSize(paintCells, 0).x;
   vec3 place = vCell * paintShare;
-  place -= vNormal * vec3(0.3 / float(edge), 0.3 / float(edge), 0.02);
+  place -= vFace * vec3(0.3 / float(edge), 0.3 / float(edge), 0.02);
   ivec2 at = clamp(ivec2(floor(place.xy * float(edge))), ivec2(0), ivec2(edge - 1));
   int slice = int(floor(place.z));
   int reach = 3 * max(1, int(64.0 * paintShare.x + 0.5));
@@ -135,10 +149,32 @@ vec4 scanned() {
   return found;
 }
 
+// Colours of the four voxels around a place of a face, blended by their distance.
+vec4 blended() {
+  int edge = textureSize(paintCells, 0).x;
+  vec3 grid = vCell * paintShare * vec3(float(edge), float(edge), 1.0);
+  vec3 within = 1.0 - abs(vFace);
+  grid -= vFace * vec3(0.3, 0.3, 0.02) + 0.5 * within;
+  vec3 low = floor(grid);
+  vec3 part = grid - low;
+  int reach = 3 * max(1, int(64.0 * paintShare.x + 0.5));
+  vec4 sum = vec4(0.0);
+  for (int n = 0; n < 4; n++) {
+    vec2 on = vec2(float(n & 1), float(n >> 1));
+    vec3 next = within.z < 0.5 ? vec3(on, 0.0) : within.x < 0.5 ? vec3(0.0, on) : vec3(on.x, 0.0, on.y);
+    vec3 weights = mix(vec3(1.0), mix(1.0 - part, part, next), within);
+    vec3 place = low + next;
+    ivec2 at = clamp(ivec2(place.xy), ivec2(0), ivec2(edge - 1));
+    // A little of each, so that a lone voxel keeps its colour.
+    sum += scannedAt(at, int(place.z), within.z < 0.5 ? reach : 1) * (weights.x * weights.y * weights.z + 1e-4);
+  }
+  return sum.a > 0.0 ? vec4(sum.rgb / sum.a, 1.0) : scanned();
+}
+
 #ifdef OVERVIEW
 // Returns whether the page behind this face is drawn in full.
 bool covered() {
-  vec3 place = floor((vLocal - 0.01 * vNormal + coverRest) / page);
+  vec3 place = floor((vLocal - 0.01 * vFace + coverRest) / page);
   ivec3 size = textureSize(cover, 0);
   if (any(greaterThanEqual(abs(place + coverDelta), vec3(size / 2)))) return false;
   return texelFetch(cover, ivec3(place + coverWrap) & (size - 1), 0).r > 0.5;
@@ -156,7 +192,7 @@ void main() {
     return;
   }
   // Seen from inside, solid was cut open: show it as if filled up to the cut.
-  float z = gl_FrontFacing ? vLocal.z - 1e-4 * vNormal.z : cut.y - 1e-4;
+  float z = gl_FrontFacing ? vLocal.z - 1e-4 * vFace.z : cut.y - 1e-4;
   vec3 base;
   if (colouring == 1) {
     base = vKind.z > slope ? mix(obstacleColour, vec3(0.55, 0.16, 0.16), clamp((vKind.z - slope) / (90.5 - slope), 0.0, 1.0))
@@ -169,26 +205,31 @@ void main() {
   } else {
     base = onRamp((z - heights.x) / max(heights.y - heights.x, 0.01));
   }
-  float up = vNormal.z;
-  float shade = up > 0.5 ? 1.0 : up < -0.5 ? 0.58 : 0.80 + 0.10 * vNormal.x - 0.07 * vNormal.y;
+  // Light of the sky from above, and of the sun by the slope of the surface.
+  float shade = 0.7 + 0.12 * vNormal.z + 0.26 * max(dot(vNormal, sun), 0.0);
   if (colouring == 4) {
-    vec4 own = scanned();
-    // Grey until colours arrive, and where there are none.
-    base = own.a > 0.5 ? own.rgb : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
+    vec4 own = fineness > 0.5 && vDistance < 60.0 ? blended() : scanned();
+    if (own.a < 0.5) own = paintUsual;
+    // Without a colour, the grey of its height.
+    vec3 lit = clamp((own.rgb - exposure.x) * exposure.y, 0.0, 1.0);
+    lit += exposure.z * (lit * (1.0 - lit) + 0.09 * (1.0 - lit));
+    base = own.a > 0.5 ? lit : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
     // The scan's colours include its lighting, so shade them less.
-    shade = up > 0.5 ? 1.0 - 0.0012 * vKind.z : mix(1.0, shade, 0.55);
+    shade = mix(1.0, shade, 0.6);
   }
-  float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
-  shade *= 1.0 + 0.07 * near * (grain(vCell + 0.01) - 0.5);
+  if (fineness > 0.5) {
+    float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
+    if (near > 0.0) shade *= 1.0 + 0.05 * near * (grain(vCell + 0.01) - 0.5);
+  }
   if (!gl_FrontFacing) {
     if (colouring != 3) base = mix(base, vec3(0.93), 0.35);
     shade = 1.0;
   }
   if (colouring == 3 && z >= pawnSlice.x && z < pawnSlice.y) shade *= 1.12;
   else if (colouring == 3 && pawnSlice.y > pawnSlice.x) base = mix(base, vec3(dot(base, vec3(0.33))), 0.45) * 0.8;
-  float mist = fogShare * smoothstep(0.45 * far, far, vDistance);
-  colour = vec4(mix(base * shade, background, mist), 1.0);
-  colour.rgb *= mix(1.06, 0.92, smoothstep(0.0, 0.6 * far, vDistance));
+  // Air: what is far takes the colour of the horizon, but never all of it.
+  float air = fogShare * min(0.75, vDistance / far);
+  colour = vec4(mix(base * shade, haze, air * air), 1.0);
 }`;
 
 /** All uniforms; heights are relative to the scene's local origin. */
@@ -206,6 +247,13 @@ export class Shading {
     floorColour: IUniform<Vector3>;
     obstacleColour: IUniform<Vector3>;
     background: IUniform<Vector3>;
+    /** 0: as cheap as possible; 1: colours blended. */
+    fineness: IUniform<number>;
+    /** Darkest value of the scan's colours, what they are multiplied with, and how much their middle is lifted. */
+    exposure: IUniform<Vector3>;
+    sun: IUniform<Vector3>;
+    haze: IUniform<Vector3>;
+    paintUsual: IUniform<Vector4>;
     paintCells: IUniform<DataTexture>;
     paintColours: IUniform<DataTexture>;
     paintShare: IUniform<Vector3>;
@@ -214,11 +262,6 @@ export class Shading {
   readonly #overview: Record<"solid" | "opened", ShaderMaterial>;
 
   constructor(cover: Cover) {
-    // Colours are passed to the screen unchanged: the shader works in the screen's colour space.
-    const plain = (hex: string): Vector3 => {
-      const { r, g, b } = new Color().setStyle(hex, "srgb-linear");
-      return new Vector3(r, g, b);
-    };
     this.uniforms = {
       colouring: { value: 0 },
       heights: { value: new Vector2(0, 1) },
@@ -231,7 +274,12 @@ export class Shading {
       ramp: { value: RAMP.map(plain) },
       floorColour: { value: plain(FLOOR) },
       obstacleColour: { value: plain(OBSTACLE) },
-      background: { value: plain(BACKGROUND) },
+      background: { value: new Vector3() },
+      fineness: { value: 1 },
+      exposure: { value: new Vector3(0, 1, 0) },
+      sun: { value: new Vector3(-0.45, -0.6, 0.66).normalize() },
+      haze: { value: new Vector3() },
+      paintUsual: { value: new Vector4() },
       paintCells: { value: PLAIN.cells },
       paintColours: { value: PLAIN.colours },
       paintShare: { value: new Vector3(1, 1, 1) },
@@ -258,12 +306,16 @@ export class Shading {
     return (level > 0 ? this.#overview : this.#pages)[opened ? "opened" : "solid"];
   }
 
-  /** Colours of the next page drawn with this material: the fraction of a page in a cell, and slices per step. */
-  paint(material: Material, paint: Paint, share: Vector3): void {
-    const { paintCells, paintColours, paintShare, colouring } = this.uniforms;
+  /**
+   * Colours of the next page drawn with this material: the fraction of a page in a cell, and slices per step. `usual`: of
+   * what has no colours yet.
+   */
+  paint(material: Material, paint: Paint, share: Vector3, usual: Vector4): void {
+    const { paintCells, paintColours, paintShare, paintUsual, colouring } = this.uniforms;
     if (COLOURINGS[colouring.value] !== "scan") return;
     [paintCells.value, paintColours.value] = [paint.cells, paint.colours];
     paintShare.value.copy(share);
+    paintUsual.value.copy(usual);
     (material as ShaderMaterial).uniformsNeedUpdate = true;
   }
 

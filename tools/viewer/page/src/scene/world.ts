@@ -2,11 +2,24 @@
 // exact to a tenth of a millimetre whatever the coordinates of the scan.
 
 import type { Bounds, PageColours, PageGeometry, Vec3 } from "slicewalk";
-import { Box3, BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3, type Camera } from "three";
+import {
+  Box3,
+  BufferAttribute,
+  BufferGeometry,
+  Frustum,
+  Group,
+  Matrix4,
+  Mesh,
+  Sphere,
+  Vector3,
+  Vector4,
+  type Camera,
+} from "three";
 import { distance } from "../geometry";
 import { Cover } from "./cover";
+import { Exposure } from "./exposure";
 import { Shading } from "./material";
-import { forget, type Paint, paintOf, PLAIN } from "./paint";
+import { forget, meanOf, type Paint, paintOf, PLAIN } from "./paint";
 
 /** Distance from the local origin beyond which another one is chosen. */
 const NEAR_ORIGIN_M = 500;
@@ -15,6 +28,8 @@ const UPLOAD_MS = 4;
 const UPLOAD_BYTES = 1 << 20;
 /** Pixels along an edge of a page. */
 const PAGE_PIXELS = 64;
+
+const NO_COLOUR = new Vector4();
 
 interface Drawn {
   readonly mesh: Mesh;
@@ -35,6 +50,9 @@ export class World {
   readonly #waiting = new Map<number, PageGeometry>();
   /** Colours by page, and those that arrived since. */
   readonly #paints = new Map<number, Paint>();
+  readonly #exposure = new Exposure();
+  /** Colours of pages whose own are still to come: the means of the overview pages around them. */
+  readonly #usuals = new Map<number, Vector4>();
   readonly #unmixed = new Map<number, PageColours>();
   readonly #frustum = new Frustum();
   readonly #matrix = new Matrix4();
@@ -112,6 +130,7 @@ export class World {
     const drawn = this.#drawn.get(id);
     if (drawn === undefined) return;
     this.#drawn.delete(id);
+    this.#usuals.delete(id);
     this.group.remove(drawn.mesh);
     drawn.mesh.geometry.dispose();
     this.triangles -= drawn.page.indices.length / 3;
@@ -145,6 +164,9 @@ export class World {
       this.#unmixed.delete(id);
       this.#bleach(id);
       const paint = paintOf(colours);
+      this.#exposure.take(colours);
+      if ((this.#drawn.get(id)?.page.key.level ?? 0) > 0) this.#usuals.clear();
+      this.shading.uniforms.exposure.value.set(...this.#exposure.range);
       this.#paints.set(id, paint);
       this.bytes += paint.bytes;
       bytes += paint.bytes;
@@ -190,8 +212,10 @@ export class World {
     const edge = this.pixelSize * PAGE_PIXELS * coarser;
     const share = new Vector3(page.scale[0] / edge, page.scale[1] / edge, page.scale[2] / (this.sliceHeight * coarser));
     const { id } = page;
-    mesh.onBeforeRender = (_renderer, _scene, _camera, _geometry, material) =>
-      this.shading.paint(material, this.#paints.get(id) ?? PLAIN, share);
+    mesh.onBeforeRender = (_renderer, _scene, _camera, _geometry, material) => {
+      const paint = this.#paints.get(id);
+      this.shading.paint(material, paint ?? PLAIN, share, paint ? NO_COLOUR : this.#usual(page));
+    };
     mesh.matrixAutoUpdate = false;
     const arrays = [page.positions, page.normals, page.attributes, page.indices];
     const drawn = { mesh, page, box: new Box3(), bytes: arrays.reduce((sum, array) => sum + array.byteLength, 0) };
@@ -202,6 +226,27 @@ export class World {
     this.triangles += page.indices.length / 3;
     this.bytes += drawn.bytes;
     return drawn.bytes;
+  }
+
+  /** The mean colour of the overview page around a page. */
+  #usual({ id, key }: PageGeometry): Vector4 {
+    const known = this.#usuals.get(id);
+    if (known !== undefined || key.level > 0) return known ?? NO_COLOUR;
+    const usual = this.#overviewColour(key);
+    this.#usuals.set(id, usual);
+    return usual;
+  }
+
+  #overviewColour(key: PageGeometry["key"]): Vector4 {
+    for (const { page } of this.#drawn.values()) {
+      const { level, tx, ty, layer } = page.key;
+      const wide = 4 ** level;
+      const holds = (at: number, of: number): boolean => Math.floor(of / wide) === at;
+      if (level === 0 || !holds(tx, key.tx) || !holds(ty, key.ty) || !holds(layer, key.layer)) continue;
+      const paint = this.#paints.get(page.id);
+      return paint === undefined ? NO_COLOUR : meanOf(paint);
+    }
+    return NO_COLOUR;
   }
 
   #place({ mesh, page, box }: Drawn): void {

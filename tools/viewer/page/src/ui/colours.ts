@@ -8,6 +8,7 @@ import { h } from "./dom";
 export class ColoursPanel {
   readonly element = h("section", { class: "panel colours", "aria-label": texts.colours.label, hidden: true });
   readonly #legend = h("div", { class: "legend" });
+  readonly #blocks = h("input", { type: "checkbox", id: "show-blocks" });
   readonly #choices = new Map<Colouring, { input: HTMLInputElement; element: HTMLElement }>();
   #chosen: Colouring = "height";
   /** True once a person has chosen. */
@@ -15,8 +16,11 @@ export class ColoursPanel {
 
   constructor(
     readonly changed: (colouring: Colouring) => void,
+    showBlocks: (blocks: boolean) => void,
     overlays: HTMLElement,
   ) {
+    this.#blocks.addEventListener("change", () => showBlocks(this.blocks));
+    const blocks = h("div", { class: "field check" }, this.#blocks, h("label", { for: "show-blocks" }, texts.colours.blocks));
     const choices = COLOURINGS.toReversed().map((name) => {
       const input = h("input", {
         type: "radio",
@@ -33,7 +37,12 @@ export class ColoursPanel {
       this.#choices.set(name, { input, element });
       return element;
     });
-    this.element.append(h("fieldset", {}, h("legend", {}, texts.colours.label), ...choices), this.#legend, overlays);
+    this.element.append(h("fieldset", {}, h("legend", {}, texts.colours.label), ...choices), this.#legend, blocks, overlays);
+  }
+
+  /** Whether to draw what collides. */
+  get blocks(): boolean {
+    return this.#blocks.checked;
   }
 
   get chosen(): Colouring {

@@ -6,9 +6,11 @@ import type { Settings } from "../settings";
 import { texts } from "../texts.en";
 import { ColoursPanel } from "./colours";
 import { h, icons, picture } from "./dom";
+import { FirstCard } from "./first";
 import { MeasurePanel } from "./measure";
 import { Messages } from "./messages";
 import type { Minimap } from "./minimap";
+import { shortName } from "./names";
 import { OverlayFields, type OverlayEvents } from "./overlays";
 import { SettingsPanel } from "./settings";
 import { SlicesPanel } from "./slices";
@@ -19,12 +21,17 @@ import { Welcome, type WelcomeEvents } from "./welcome";
 export interface ShellEvents extends ToolEvents, WelcomeEvents, OverlayEvents {
   settings(settings: Settings): void;
   colouring(colouring: Colouring): void;
+  blocks(blocks: boolean): void;
   slices(): void;
+  walkIn(): void;
 }
 
 export class Shell {
   readonly canvas = h("canvas", { class: "view", tabindex: 0, role: "application", "aria-label": texts.title });
   readonly crosshair = h("div", { class: "crosshair", "aria-hidden": "true", hidden: true });
+  /** Why the pawn does not get on. */
+  readonly stop = h("div", { class: "stop", role: "status", hidden: true });
+  readonly first: FirstCard;
   readonly messages = new Messages();
   readonly status = new StatusPanel();
   readonly measure = new MeasurePanel();
@@ -48,7 +55,8 @@ export class Shell {
     this.#parent = parent;
     this.settings = new SettingsPanel(settings, events.settings);
     this.overlays = new OverlayFields(events);
-    this.colours = new ColoursPanel(events.colouring, this.overlays.element);
+    this.colours = new ColoursPanel(events.colouring, events.blocks, this.overlays.element);
+    this.first = new FirstCard(events.walkIn);
     this.slices = new SlicesPanel(events.slices);
     this.welcome = new Welcome(events);
     this.toolbars = new Toolbars({ ...events, panel: (name) => this.#panel(name) });
@@ -67,10 +75,12 @@ export class Shell {
       {},
       this.canvas,
       this.crosshair,
+      this.stop,
       head,
       panels,
       this.#left,
       this.#map,
+      this.first.element,
       this.messages.progress,
       this.messages.news,
     );
@@ -83,7 +93,7 @@ export class Shell {
   }
 
   opened(name: string, info: ArchiveInfo, minimap: Minimap): void {
-    const short = decodeURIComponent(name.split(/[?#]/)[0]?.split("/").at(-1) || name);
+    const short = shortName(name);
     this.#name.textContent = short;
     this.#name.title = name;
     document.title = `${short} – ${texts.title}`;
@@ -100,6 +110,7 @@ export class Shell {
   #panel(name: PanelName | null): void {
     const panels = { measure: this.measure, slices: this.slices, colours: this.colours, settings: this.settings };
     Object.entries(panels).forEach(([key, panel]) => (panel.element.hidden = key !== name));
+    document.documentElement.classList.toggle("panel-open", name !== null);
     this.events.panel(name);
   }
 }

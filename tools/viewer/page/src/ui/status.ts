@@ -29,10 +29,23 @@ export interface Facts {
   readonly triangles: number;
 }
 
+/** The EPSG code of a WKT itself, not of its datum or units: a child right below the outermost brackets. */
+function ownCode(crs: string): string | undefined {
+  let depth = 0;
+  for (const { index, 0: found } of crs.matchAll(/"[^"]*"|[[\]]/g)) {
+    if (found === "[") depth++;
+    else if (found === "]") depth--;
+    else if (depth === 2 && found === '"EPSG"' && /(?:AUTHORITY|ID)\s*\[\s*$/.test(crs.slice(0, index))) {
+      return /^\s*,\s*"?(\d+)/.exec(crs.slice(index + found.length))?.[1];
+    }
+  }
+  return undefined;
+}
+
 /** The name in a WKT, or the text itself. */
 export function crsName(crs: string): string {
   const name = /^\s*\w+\s*\[\s*"([^"]+)"/.exec(crs)?.[1] ?? crs.trim();
-  const code = [...crs.matchAll(/(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?/g)].at(-1)?.[1];
+  const code = ownCode(crs);
   return code === undefined || name.includes(code) ? name : `${name} (EPSG:${code})`;
 }
 
@@ -54,7 +67,6 @@ export class StatusPanel {
       h("summary", {}, this.#place),
       list,
     );
-    this.element.open = matchMedia("(min-width: 720px) and (min-height: 560px)").matches;
   }
 
   update({ state, stats, crs, fps, triangles }: Facts): void {
@@ -62,7 +74,8 @@ export class StatusPanel {
     const place = state.at.map((value) => metres(value)).join("  ");
     const stop = state.stop !== null && state.ground !== "flying" ? `, ${panel.stopped(state.stop)}` : "";
     const ground = `${panel.states[state.ground]}${stop}`;
-    write(this.#place, this.element.open ? panel.label : `${place} · ${panel.states[state.ground]}`);
+    const name = crs === "" ? "" : ` · ${crs}`;
+    write(this.#place, `${place}${name} · ${panel.states[state.ground]}`);
     const rows: Record<Row, string> = {
       position: place,
       crs: crs === "" ? panel.unknownCrs : crs,

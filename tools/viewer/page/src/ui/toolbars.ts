@@ -15,6 +15,8 @@ export interface ToolEvents {
   headset(): void;
   help(): void;
   open(): void;
+  /** Back to the start, or to all of the scan. */
+  home(): void;
 }
 
 const MODES: readonly Mode[] = ["walk", "orbit", "plan"];
@@ -47,6 +49,7 @@ export class Toolbars {
     this.#headset = tool(icons.headset, texts.tools.headset, null, events.headset);
     this.hasHeadset = this.worn = false;
     const others = [
+      tool(icons.home, texts.tools.home, texts.tools.homeKey, events.home, true),
       this.#headset,
       tool(icons.link, texts.tools.link, null, events.link, true),
       tool(icons.screenshot, texts.tools.screenshot, null, events.screenshot, true),

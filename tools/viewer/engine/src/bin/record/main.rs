@@ -7,7 +7,7 @@ mod random;
 mod scene;
 
 use random::Random;
-use slicewalk_engine::Engine;
+use slicewalk_engine::{ActionCode, ActionMessage, Engine};
 use std::path::Path;
 use std::time::Instant;
 
@@ -157,7 +157,7 @@ fn open(bytes: &[u8]) -> Result<Engine, String> {
 fn partly(bytes: &[u8]) -> Result<Engine, String> {
     let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
     serve(&mut engine, bytes, 0.0)?;
-    let scene = engine.scene(0.1, 1e5, 0.01, true);
+    let scene = engine.scene(0.1, 1e5, 0.01, true, false);
     engine.look(scene, &[0.0, 0.0, 1.0])?;
     serve(&mut engine, bytes, 0.0)?;
     engine.load(&CORNER)?;
@@ -165,13 +165,23 @@ fn partly(bytes: &[u8]) -> Result<Engine, String> {
     Ok(engine)
 }
 
+/// What the engine wants done.
+fn actions(engine: &mut Engine, now: f64) -> Result<Vec<ActionMessage>, String> {
+    let todo = engine.poll(now)?;
+    Ok(todo.chunks(ActionMessage::LEN).filter_map(ActionMessage::from_numbers).collect())
+}
+
+fn is(what: &ActionMessage, action: ActionCode) -> bool {
+    what.action == f64::from(action)
+}
+
 /// Delivers all requested bytes at once.
 fn serve(engine: &mut Engine, bytes: &[u8], now: f64) -> Result<(), String> {
     loop {
-        let todo = engine.poll(now)?;
-        let fetches: Vec<_> = todo.chunks(4).filter(|chunk| chunk[0] == 1.0 && chunk.len() == 4).collect();
+        let mut fetches = actions(engine, now)?;
+        fetches.retain(|action| is(action, ActionCode::Fetch));
         for fetch in &fetches {
-            engine.given(fetch[1] as u32, bytes[fetch[2] as usize..fetch[3] as usize].to_vec(), now);
+            engine.given(fetch.fetch as u32, bytes[fetch.start as usize..fetch.end as usize].to_vec(), now);
         }
         while engine.decode(now) {}
         if fetches.is_empty() {
@@ -205,22 +215,14 @@ fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
             };
             words.extend(play(&mut engine, pawn, input)?);
         }
-        let todo = engine.poll(now)?;
-        let mut at = 0;
-        while at < todo.len() {
-            match todo[at] {
-                1.0 => {
-                    let (start, end) = (todo[at + 2], todo[at + 3]);
-                    words.extend([start, end]);
-                    free_at = free_at.max(now + 40.0) + (end - start) / 2500.0;
-                    link.push(Coming { at: free_at, name: todo[at + 1] as u32, range: start as usize..end as usize });
-                    at += 4;
-                }
-                2.0 => {
-                    link.retain(|coming| f64::from(coming.name) != todo[at + 1]);
-                    at += 2;
-                }
-                _ => at += 2,
+        for action in actions(&mut engine, now)? {
+            let ActionMessage { fetch, start, end, .. } = action;
+            if is(&action, ActionCode::Fetch) {
+                words.extend([start, end]);
+                free_at = free_at.max(now + 40.0) + (end - start) / 2500.0;
+                link.push(Coming { at: free_at, name: fetch as u32, range: start as usize..end as usize });
+            } else if is(&action, ActionCode::Cancel) {
+                link.retain(|coming| f64::from(coming.name) != fetch);
             }
         }
         now += 1000.0 / 60.0;

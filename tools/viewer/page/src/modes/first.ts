@@ -1,0 +1,120 @@
+// The first view: all of the scan, turning slowly, until a person walks in. Meanwhile it looks for the best place to begin.
+
+import type { Vec3 } from "slicewalk";
+import { add, direction, type Look } from "../geometry";
+import { findView, type Start } from "../start";
+import type { Orbit } from "./orbit";
+import type { Stage } from "./mode";
+
+/** Range and speed of the turn. */
+const SWAY_DEGREES = 12;
+const SWAY_PER_S = 0.35;
+/** A scan that is open or thin is looked at from nearer, until it fills so much of the picture. */
+const ENOUGH = 0.31;
+const NEARER = 0.85;
+const NEAREST = 0.55;
+/** Pictures without news after which the picture counts as complete. */
+const QUIET = 3;
+/** Longest wait for any place to begin (ms). */
+const LONGEST_MS = 15_000;
+/** Longest wait for a better place after the person wants to walk in (ms). */
+const PATIENCE_MS = 4_000;
+/** Without a place to stand, one flies this much nearer than the frame. */
+const FLIGHT_SHARE = 0.6;
+const FLIGHT_M = 60;
+/** Standing places that show less of the scan than this are left for a flight. */
+const POOR = 0.35;
+
+export class First {
+  #shown = false;
+  #swayed: number | null = null;
+  #best: Start | null = null;
+  #looking: AbortController | null = null;
+  #done: Promise<void> = Promise.resolve();
+  #found: Promise<void> = Promise.resolve();
+  #loaded = -1;
+  #quiet = 0;
+  #measured = 0;
+
+  constructor(
+    readonly stage: Stage,
+    readonly orbit: Orbit,
+  ) {}
+
+  get shown(): boolean {
+    return this.#shown;
+  }
+
+  /** Begins; `stands`: the pawn has a place already. */
+  begin(stands: boolean): void {
+    const { session, shell } = this.stage;
+    if (session === null) return;
+    this.orbit.frame();
+    this.#shown = true;
+    this.#best = null;
+    this.#swayed = matchMedia("(prefers-reduced-motion: reduce)").matches ? null : 0;
+    shell.first.show(session.source.name, session.content);
+    const looking = new AbortController();
+    this.#looking = looking;
+    const { archive, pawn, content } = session;
+    let found = (): void => {};
+    this.#found = new Promise((resolve) => (found = resolve));
+    const better = (start: Start): void => {
+      this.#best = start;
+      found();
+    };
+    this.#done = findView(archive, this.stage.settings, content, stands ? pawn.at : null, looking.signal, better).catch(
+      () => {}, // stopped, or a failed archive, which is reported elsewhere
+    );
+  }
+
+  /** Turns on, unless a person has taken over. */
+  advance(seconds: number): void {
+    if (!this.#shown || this.#swayed === null) return;
+    this.#swayed += seconds;
+    const { cameras, canvas, session } = this.stage;
+    const { orbit, framed } = cameras;
+    const { unbuilt = 1, pending = 1, loaded = 0 } = session?.archive.stats ?? {};
+    const still = unbuilt === 0 && pending === 0 && loaded === this.#loaded && session?.world.waiting === 0;
+    this.#quiet = still ? this.#quiet + 1 : 0;
+    this.#loaded = loaded;
+    const isNew = canvas.measured > this.#measured + 1;
+    if (
+      isNew &&
+      this.#quiet > QUIET &&
+      framed !== null &&
+      canvas.covered < ENOUGH &&
+      orbit.distance > NEAREST * framed.distance
+    ) {
+      // The next measure is of a picture from there.
+      this.#measured = canvas.measured;
+      orbit.distance *= Math.max(NEARER, Math.sqrt(canvas.covered / ENOUGH));
+    }
+    cameras.sway(SWAY_DEGREES * Math.sin(SWAY_PER_S * this.#swayed));
+  }
+
+  /** A person turns the scan. */
+  touch(): void {
+    this.#swayed = null;
+  }
+
+  end(): void {
+    this.#looking?.abort();
+    this.#looking = null;
+    this.#shown = false;
+    this.stage.shell.first.hide();
+  }
+
+  /** The place to begin: where most is seen, or in the air. */
+  async start(): Promise<{ at: Vec3; look: Look; flies: boolean }> {
+    const late = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
+    await Promise.race([this.#done, late(PATIENCE_MS)]);
+    await Promise.race([this.#done, this.#found, late(LONGEST_MS)]);
+    const best = this.#best as Start | null;
+    if (best !== null && best.covered >= POOR) return { at: best.at, look: best.look, flies: false };
+    const { cameras, settings } = this.stage;
+    const { target, distance, look } = cameras.framed ?? cameras.orbit;
+    const eye = add(target, direction(look), -Math.min(FLIGHT_M, FLIGHT_SHARE * Math.min(distance, cameras.orbit.distance)));
+    return { at: add(eye, [0, 0, -settings.eye]), look: { ...look }, flies: true };
+  }
+}

@@ -1,0 +1,72 @@
+// The first view: all of the scan, then the place where most of it is seen.
+
+import assert from "node:assert/strict";
+import { after, before, beforeEach, describe } from "node:test";
+import { it, pages, state, until, walkIn } from "./browser.js";
+import { DIST, house, scanned, twoStoreys, WAY } from "./scans.js";
+import { StaticServer } from "./static-server.js";
+import { address } from "./steer.js";
+
+/** Least shares of the picture that show the scan. */
+const FRAMED = 0.25;
+const WALKING = 0.5;
+const PATIENT = { timeout: 110_000 };
+
+let server, page;
+const tests = pages();
+const data = process.env.SLICEWALK_DATA;
+
+before(async () => {
+  const files = { "/house.slices": house() };
+  if (data) {
+    files["/indoor.slices"] = twoStoreys();
+    for (const name of ["pump_room", "delft_city_block_ahn3"]) files[`/${name}.slices`] = scanned(name);
+  }
+  server = await new StaticServer(DIST, files).start();
+});
+after(async () => {
+  await server?.stop();
+});
+beforeEach(() => {
+  page = tests.page;
+});
+
+const button = () => page.getByRole("button", { name: "Walk in" });
+
+async function covers(archive) {
+  await walkIn(page, `${server.address}?archive=${archive}`);
+  const { mode } = await until(page, "framed", ({ covered }) => covered >= FRAMED, PATIENT);
+  assert.equal(mode, "orbit");
+  // Software graphics draw so few frames that a check for a still button takes long.
+  await button().click({ force: true });
+  await until(page, "walking with the scan before the eyes", (now) => now.mode === "walk" && now.covered >= WALKING, PATIENT);
+  assert.ok(!(await button().isVisible()));
+}
+
+describe("the first view", () => {
+  it("shows all of the house, names it, and walks in where most is seen", async () => {
+    await covers("house.slices");
+    const { at, ground } = await until(page, "standing", (now) => now.ground === "walking" && now.speed === 0);
+    assert.ok(at[0] > 0 && at[0] < 14 && at[1] > 0 && at[1] < 10, `${at}, ${ground}`);
+  });
+
+  it("names the scan and its size, and goes in by a key that walks", async () => {
+    await walkIn(page, `${server.address}?archive=house.slices`);
+    await page.getByRole("heading", { name: "house.slices", level: 2 }).waitFor();
+    await page.getByText(/^\d+\.\d × \d+\.\d × \d+\.\d m$/).waitFor();
+    const { frames } = await state(page);
+    await until(page, "frames", (now) => now.frames > frames + 3);
+    await page.keyboard.press("w");
+    await until(page, "walking", ({ mode }) => mode === "walk");
+  });
+
+  it("is skipped by addresses that name a place", async () => {
+    await walkIn(page, address(server, { at: WAY.start }));
+    assert.equal((await state(page)).mode, "walk");
+    assert.ok(!(await button().isVisible()));
+  });
+
+  for (const archive of ["indoor", "pump_room", "delft_city_block_ahn3"]) {
+    it(`shows enough of ${archive}`, { skip: data ? false : "SLICEWALK_DATA is not set" }, () => covers(`${archive}.slices`));
+  }
+});
