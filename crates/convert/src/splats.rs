@@ -3,7 +3,7 @@
 use super::points::{Own, Read, out_of_reach};
 use super::work::on_threads;
 use super::{ConvertOptions, meshes::Colouring};
-use crate::bytes::{open_named, spawn_in};
+use crate::bytes::{HAS_THREADS, is_file_at, len_at, open_named, spawn_in};
 use crate::input::scenes::Scene;
 use crate::input::{PointCounts, Units};
 use crate::plan::{Plan, Up};
@@ -146,7 +146,7 @@ pub(crate) struct SplatSet {
 /// Returns whether there are splats at `path`, by content and name.
 fn is_splat(path: &Path) -> bool {
     if path.is_dir() {
-        return ["meta.json", "lod-meta.json"].iter().any(|name| path.join(name).is_file());
+        return ["meta.json", "lod-meta.json"].iter().any(|name| is_file_at(&path.join(name)));
     }
     let Ok(source) = open_named(path) else { return false };
     let mut head = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
@@ -165,7 +165,7 @@ impl SplatSet {
     pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Option<Vec<PathBuf>>)> {
         let is = |path: &Path| may_be_splat(path) && is_splat(path);
         // Folders and patterns name scans alone; a store is not asked twice.
-        let is_local = |path: &Path| path.is_file() || path.is_dir();
+        let is_local = |path: &Path| is_file_at(path) || path.is_dir();
         let (mut paths, rest): (Vec<_>, Vec<_>) =
             options.inputs.iter().cloned().partition(|path| is_local(path) && is(path));
         if paths.is_empty() {
@@ -183,7 +183,7 @@ impl SplatSet {
         let (mut bytes, mut count) = (0, 0u64);
         for path in &paths {
             count = count.saturating_add(SplatReader::open(path, &reading(options))?.count());
-            bytes += path.metadata().map_or(0, |about| about.len());
+            bytes += len_at(path).unwrap_or(0);
         }
         Ok((Self { paths, bytes, count, colours: false }, Some(rest)))
     }
@@ -301,6 +301,56 @@ pub(super) struct SplatRead<'a> {
     pub complete: bool,
 }
 
+/// Work of one thread of the first pass: writes the solid parts of splats into its runs.
+struct Rasteriser<'a> {
+    placing: &'a Placing<'a>,
+    plan: &'a Plan,
+    store: &'a RunStore,
+    runs: RunBuilder,
+    builder: EllipsoidBuilder,
+    read: Read,
+    counts: SplatCounts,
+}
+
+impl<'a> Rasteriser<'a> {
+    fn new(
+        placing: &'a Placing<'a>,
+        plan: &'a Plan,
+        build_bytes: u64,
+        colouring: Option<Colouring>,
+        store: &'a RunStore,
+    ) -> Self {
+        let runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
+        let mut builder = EllipsoidBuilder::new(plan);
+        if let Some(Colouring { scale, with_points }) = colouring {
+            let values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
+            builder = builder.colouring(scale, values);
+        }
+        Self { placing, plan, store, runs, builder, read: Read::NOTHING, counts: SplatCounts::default() }
+    }
+
+    fn take(&mut self, batch: &[Splat], cancelled: &dyn Fn() -> bool) -> Result<()> {
+        for splat in batch {
+            if cancelled() {
+                return Err(Error::Interrupted);
+            }
+            let Some(ellipsoid) = self.placing.solid(splat, &mut self.counts) else { continue };
+            let (min, max) = ellipsoid.bounds();
+            if !self.builder.push(&ellipsoid, splat.colour, &mut self.runs, self.store, cancelled)? {
+                return Err(out_of_reach(&self.plan.frame, min, max));
+            }
+            self.read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<(Read, SplatCounts)> {
+        self.builder.flush(&mut self.runs, self.store)?;
+        self.runs.flush(self.store)?;
+        Ok((self.read, self.counts))
+    }
+}
+
 /// First pass: writes the solid parts of all splats into runs. One thread reads; all workers rasterise.
 pub(super) fn read_splats<'a>(
     set: &'a SplatSet,
@@ -322,48 +372,39 @@ pub(super) fn read_splats<'a>(
         let failed = AtomicBool::new(false);
         let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
         let (send, receive) = crossbeam_channel::bounded::<Vec<Splat>>(options.threads);
+        let start = || Rasteriser::new(&placing, plan, build_bytes, colouring, store);
         let work = || -> Result<(Read, SplatCounts)> {
-            let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
-            let mut builder = EllipsoidBuilder::new(plan);
-            if let Some(Colouring { scale, with_points }) = colouring {
-                builder = builder
-                    .colouring(scale, RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points));
-            }
-            let (mut read, mut counts) = (Read::NOTHING, SplatCounts::default());
-            for batch in &receive {
-                for splat in &batch {
-                    if cancelled() {
-                        return Err(Error::Interrupted);
-                    }
-                    let Some(ellipsoid) = placing.solid(splat, &mut counts) else { continue };
-                    let (min, max) = ellipsoid.bounds();
-                    if !builder.push(&ellipsoid, splat.colour, &mut runs, store, &cancelled)? {
-                        return Err(out_of_reach(&plan.frame, min, max));
-                    }
-                    read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
-                }
-            }
-            builder.flush(&mut runs, store)?;
-            runs.flush(store)?;
-            Ok((read, counts))
+            let mut rasteriser = start();
+            receive.iter().try_for_each(|batch| rasteriser.take(&batch, &cancelled))?;
+            rasteriser.finish()
         };
-        let (summary, done) = std::thread::scope(|scope| {
-            let cancelled = &cancelled;
-            let produce = move || {
-                let sink = &mut |batch: &[Splat]| match cancelled() {
-                    true => Err(Error::Interrupted),
-                    false => send.send(batch.to_vec()).map_err(|_| Error::Interrupted),
+        let alone = |reader: &mut SplatReader| -> Result<_> {
+            let mut rasteriser = start();
+            let sink = &mut |batch: &[Splat]| rasteriser.take(batch, &cancelled);
+            let summary = reader.for_each_batch(monitor, options.memory_bytes / 8, sink)?;
+            Ok((Ok(summary), rasteriser.finish().map(|done| vec![done])))
+        };
+        let together = |mut reader: SplatReader| {
+            std::thread::scope(|scope| {
+                let cancelled = &cancelled;
+                let produce = move || {
+                    let sink = &mut |batch: &[Splat]| match cancelled() {
+                        true => Err(Error::Interrupted),
+                        false => send.send(batch.to_vec()).map_err(|_| Error::Interrupted),
+                    };
+                    reader.for_each_batch(monitor, options.memory_bytes / 8, sink)
                 };
-                reader.for_each_batch(monitor, options.memory_bytes / 8, sink)
-            };
-            let producer =
-                spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
-            let done = on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)));
-            // After an error of the workers, the reader may wait for room.
-            receive.iter().for_each(drop);
-            let summary = producer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            Ok::<_, Error>((summary, done))
-        })?;
+                let producer =
+                    spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
+                let done =
+                    on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)));
+                // After an error of the workers, the reader may wait for room.
+                receive.iter().for_each(drop);
+                let summary = producer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                Ok::<_, Error>((summary, done))
+            })
+        };
+        let (summary, done) = if HAS_THREADS { together(reader)? } else { alone(&mut reader)? };
         // The error of the reader says more than that of workers, except where the reader was stopped by them.
         let (summary, done) = match (summary, done) {
             (Err(Error::Interrupted), done) => (None, done?),
