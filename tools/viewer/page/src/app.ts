@@ -16,6 +16,8 @@ import { Cameras } from "./scene/cameras";
 import { Cover } from "./scene/cover";
 import { hasHeadset } from "./scene/headset";
 import { Shading } from "./scene/material";
+import { Conversions, type Opener } from "./conversions";
+import type { Driven, Kiosk } from "./kiosk";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, saveSettings, walkerSettings, type Settings } from "./settings";
 import type { Table } from "./table";
@@ -68,6 +70,9 @@ export class App {
   #longestTask = 0;
   #seenTriangles = 0;
   readonly #overlays: Overlays;
+  readonly conversions: Conversions;
+  /** Drives the page in a public place. */
+  kiosk: Kiosk | null = null;
   /** Keeps the shaders that all archives share. */
   readonly #shading = new Shading(new Cover(1, 1));
 
@@ -80,8 +85,9 @@ export class App {
       screenshot: () => void this.#screenshot(),
       headset: () => void this.#wear(),
       help: () => this.#shell.help(),
+      save: () => void this.conversions.download(),
       open: () => this.#shell.welcome.show(),
-      file: (file) => void this.open({ archive: file, link: null, name: file.name }, null),
+      files: (files) => void this.conversions.take(files),
       address: (url) => void this.#openAddress(url),
       close: () => this.#shell.canvas.focus(),
       settings: (settings) => void this.#change(settings),
@@ -95,7 +101,7 @@ export class App {
       matter: (shown) => this.#overlays.showMatter(shown),
       align: (alignment) => this.#overlays.align(alignment),
       splatsFile: (file) => {
-        if (this.#session === null) this.#shell.messages.say(texts.news.splatsFirst);
+        if (this.#session === null) void this.conversions.take([file]);
         else this.#overlays.take(file, ALIGNED);
       },
     });
@@ -122,6 +128,7 @@ export class App {
         if (captured) this.#shell.messages.say(texts.news.captured);
       },
     });
+    this.conversions = new Conversions(parent, this.#opener(), () => this.#shell.welcome.show());
     this.#watchTasks();
     let last = performance.now();
     this.#canvas.loop((now) => {
@@ -203,6 +210,8 @@ export class App {
       },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
+      converting: this.conversions.converting,
+      kiosk: this.kiosk?.state ?? null,
     };
   }
 
@@ -483,7 +492,13 @@ export class App {
     }
     const { pawn, world, view } = session;
     const { headset } = this.#canvas;
-    const intent = joined([this.#keyboard.read(), readGamepad(), this.#sticks.read(), headset.read()]);
+    const intent = joined([
+      this.#keyboard.read(),
+      readGamepad(),
+      this.#sticks.read(),
+      headset.read(),
+      ...(this.kiosk ? [this.kiosk.intent] : []),
+    ]);
     if (intent.turn !== 0 || intent.tilt !== 0) {
       const [turn, tilt] = [intent.turn * TURN_PER_S * seconds, intent.tilt * TILT_PER_S * seconds];
       if (this.#mode === "walk") this.#look({ heading: pawn.look.heading + turn, pitch: pawn.look.pitch + tilt });
@@ -515,6 +530,47 @@ export class App {
     this.#canvas.mark(this.#mode !== "walk", world, pawn.state, pawn.look, this.#settings.width, distance);
     this.#canvas.render();
     this.#minimap?.update(pawn.at, pawn.look.heading);
+  }
+
+  /** The page for conversions. */
+  #opener(): Opener {
+    const page = this;
+    return {
+      open: (source) => page.open(source, null),
+      say: (text) => page.#shell.messages.say(text),
+      get source() {
+        return page.session?.source ?? null;
+      },
+      get error() {
+        return page.#error;
+      },
+    };
+  }
+
+  /** The page for a kiosk. */
+  get drive(): Driven {
+    const page = this;
+    return {
+      get at() {
+        return page.session?.pawn.at ?? null;
+      },
+      get look() {
+        return page.session?.pawn.look ?? null;
+      },
+      get mode() {
+        return page.#mode;
+      },
+      setMode: (mode) => page.setMode(mode),
+      goto: (place) => page.goto(place),
+      walkTo: (place, arrived) => {
+        const pawn = page.session?.pawn;
+        if (pawn === undefined) return;
+        pawn.flying = false;
+        pawn.onArrival = arrived;
+        pawn.walkTo(place);
+      },
+      stop: () => page.session?.pawn.stop(),
+    };
   }
 
   #see(): void {
