@@ -9,6 +9,8 @@ mod sync {
     use shuttle::sync::{Arc, Mutex, mpsc};
     pub use shuttle::thread::{Scope, scope};
 
+    pub const HAS_THREADS: bool = true;
+
     pub struct Sender<T>(mpsc::SyncSender<T>);
     pub struct Receiver<T>(Arc<Mutex<mpsc::Receiver<T>>>);
 

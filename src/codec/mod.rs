@@ -17,6 +17,10 @@ mod page;
 mod rans;
 mod rows;
 mod step_grid;
+#[cfg(not(target_arch = "wasm32"))]
+mod zstd_c;
+#[cfg(any(target_arch = "wasm32", test))]
+mod zstd_rust;
 
 #[doc(hidden)]
 pub use bytes::ByteReader;
@@ -25,7 +29,9 @@ pub use bytes::put_varint;
 pub(crate) use bytes::{unzigzag, zigzag};
 pub use colour_blocks::{ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK};
 #[doc(hidden)]
-pub use compress::{Packer, Unpacker};
+#[cfg(target_arch = "wasm32")]
+pub use compress::set_compressor;
+pub use compress::{LEVEL, Packer, Unpacker};
 pub(crate) use step_grid::LEVEL_STEP;
 
 use crate::Error;

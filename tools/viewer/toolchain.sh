@@ -6,10 +6,6 @@
 #   cargo build --target wasm32-unknown-unknown $WASM_FLAGS ...
 set -euo pipefail
 folder=${1:?folder to unpack into}
-if ! command -v clang >/dev/null; then
-    # clang compiles the C code of zstd.
-    { apt-get update -qq && apt-get install --yes --quiet clang; } >&2
-fi
 if rustup target list --installed 2>/dev/null | grep -qx wasm32-unknown-unknown; then
     echo 'export WASM_FLAGS='
     exit

@@ -419,6 +419,11 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     convert_within(options, Limits::of(options), monitor)
 }
 
+/// Returns `path` as it is from the root; in a browser all paths are.
+fn absolute(path: &Path) -> std::io::Result<PathBuf> {
+    if cfg!(target_arch = "wasm32") { Ok(path.to_path_buf()) } else { std::path::absolute(path) }
+}
+
 /// Like [`convert`], but with other limits.
 pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: &dyn Monitor) -> Result<Report> {
     let mut inputs = open_chosen(options, Chosen::of(options, monitor)?, monitor)?;
@@ -435,7 +440,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         None => None,
     };
     let files = output.files().clone();
-    let target = std::path::absolute(output.beside()).map_err(|error| Error::io(&options.output, "find", error))?;
+    let target = absolute(output.beside()).map_err(|error| Error::io(&options.output, "find", error))?;
     let earlier = Earlier::find(options, &output, &target)?;
     let known = earlier.as_ref().and_then(|earlier| earlier.surveyed(options));
     let (plan, surveyed) = plan(options, &inputs, known, monitor)?;

@@ -198,7 +198,7 @@ impl ConvertOptions {
             fill_holes_m: None,
             memory_bytes: 512 << 20,
             threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
-            temp_dir: std::env::temp_dir(),
+            temp_dir: crate::disk::temp_dir(),
             units: Units::Auto,
             turn: Turn::None,
             placement: None,

@@ -5,7 +5,7 @@
 //! thread that fails or stops drops its ends of the channels, which wakes the others. `tests/schedules.rs` runs this
 //! file under schedules of its own choice.
 
-use super::sync::{Receiver, Sender, bounded, scope, start};
+use super::sync::{HAS_THREADS, Receiver, Sender, bounded, scope, start};
 use std::collections::BTreeMap;
 
 /// Error of a job given after the results are no longer taken; the caller of [`Pipeline::run`] has the reason.
@@ -47,6 +47,9 @@ impl Pipeline {
         check: impl Fn() -> Result<(), E>,
         no_thread: impl Fn(std::io::Error) -> E,
     ) -> Result<(), E> {
+        if !HAS_THREADS {
+            return run_alone(give, worker(), take, check);
+        }
         let Self { threads, ahead } = self;
         let (job_in, job_out) = bounded::<(u64, J)>(threads);
         let (done_in, done_out) = bounded::<Message<D, E>>(ahead);
@@ -86,6 +89,24 @@ impl Pipeline {
             taken
         })
     }
+}
+
+/// Does all the work on the calling thread.
+pub(super) fn run_alone<J, D, E>(
+    give: impl FnOnce(&mut dyn FnMut(J) -> Result<(), Closed>) -> Result<(), E>,
+    mut work: impl FnMut(J) -> Result<D, E>,
+    mut take: impl FnMut(D) -> Result<(), E>,
+    check: impl Fn() -> Result<(), E>,
+) -> Result<(), E> {
+    let mut failed = None;
+    let given = give(&mut |job| {
+        let done = check().and_then(|()| work(job)).and_then(&mut take);
+        done.map_err(|error| {
+            failed.get_or_insert(error);
+            Closed
+        })
+    });
+    failed.map_or(given, Err)
 }
 
 fn take_in_order<D, E>(

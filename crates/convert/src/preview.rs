@@ -6,7 +6,9 @@ use super::{
     Limits, Similarity, SplatCounts, Surveyed, UpFound, check_free_space, open_inputs, plan, scope, temp_bytes,
 };
 use crate::archive::Bounds;
+use crate::bytes::len_at;
 use crate::disk::Files;
+use crate::info::{noise_info, placing_info, plan_info, splat_info, unit_info};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::Spacing;
 use crate::input::{ScanFile, StatedBounds, TextLayout};
@@ -14,6 +16,7 @@ use crate::output::{Existing, OutputKind, check};
 use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
+use serde_json::{Value, json};
 use std::path::PathBuf;
 
 /// Result of [`preview`].
@@ -41,6 +44,39 @@ pub struct Preview {
     pub units: Vec<LengthUnit>,
     /// Temporary data that would be written (bytes), estimated from the stated points.
     pub temp_bytes: u64,
+}
+
+impl Preview {
+    /// Returns the facts under the keys of the command-line contract (`sliceconv --dry-run --json`), except those of the
+    /// machine.
+    pub fn info(&self) -> Value {
+        let mut facts = json!({ "dry_run": true });
+        let inputs = self.inputs.iter().map(|input| {
+            let text = input.text.as_ref().map(TextLayout::info);
+            let path = input.path.to_string_lossy();
+            json!({ "path": path, "bytes": input.bytes, "points_stated": input.points, "text": text })
+        });
+        facts["inputs"] = inputs.collect();
+        facts["input_bytes"] = self.inputs.iter().map(|input| input.bytes).sum::<u64>().into();
+        let points = self.inputs.iter().filter_map(|input| input.points).fold(0, u64::saturating_add);
+        facts["points_stated"] = points.into();
+        facts["bounds"] = self.bounds.map(|(min, max)| json!({ "min": min, "max": max })).into();
+        let size = self.bounds.map(|(min, max)| [0, 1, 2].map(|axis| max[axis] - min[axis]));
+        facts["extent"] = json!(size);
+        facts["crs"] = Some(&self.crs[..]).filter(|crs| !crs.is_empty()).into();
+        facts["unit"] = unit_info(&self.units);
+        if let (Some(facts), Some(plan)) = (facts.as_object_mut(), plan_info(&self.plan).as_object()) {
+            facts.extend(plan.clone());
+        }
+        facts["point_spacing"] = self.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        if let Some(noise) = &self.noise {
+            facts["tolerance_auto"] = noise_info(noise);
+        }
+        splat_info(&mut facts, &self.splats);
+        placing_info(&mut facts, self.up.as_ref(), self.placement.as_ref());
+        facts["temp_bytes"] = self.temp_bytes.into();
+        facts
+    }
 }
 
 /// Input file of a conversion.
@@ -91,12 +127,12 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         Ok(PreviewInput { path: file.path().into(), bytes: file.bytes(), points, text })
     });
     let of_mesh = |path: &PathBuf| {
-        let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
-        Ok(PreviewInput { path: path.clone(), bytes: about.len(), points: None, text: None })
+        let bytes = len_at(path).map_err(|error| Error::io(path, "read its length", error))?;
+        Ok(PreviewInput { path: path.clone(), bytes, points: None, text: None })
     };
     let of_splats = opened.splats.paths().chain(opened.cubes.inputs()).map(|path| {
-        let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
-        Ok(PreviewInput { path: path.into(), bytes: about.len(), points: None, text: None })
+        let bytes = len_at(path).map_err(|error| Error::io(path, "read its length", error))?;
+        Ok(PreviewInput { path: path.into(), bytes, points: None, text: None })
     });
     Ok(Preview {
         plan,

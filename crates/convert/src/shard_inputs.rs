@@ -11,7 +11,7 @@ use super::plan_file::Stated;
 use super::shard_filter::{meets, reach};
 use super::splats::Divided;
 use crate::archive::Shard;
-use crate::bytes::address;
+use crate::bytes::{address, len_at};
 use crate::input::InputSet;
 use crate::{Error, Monitor, Result};
 use std::path::PathBuf;
@@ -55,7 +55,7 @@ impl Chosen {
             // Asking a store for the length takes a request and shows no more than opening the file does later.
             let bytes = match address(path) {
                 Some(_) => (0, u64::MAX),
-                None => std::fs::metadata(path).ok().map(|about| (about.len(), about.len()))?,
+                None => len_at(path).ok().map(|len| (len, len))?,
             };
             let first = order.partition_point(|number| key(number) < (&name, bytes.0));
             let end = order.partition_point(|number| key(number) <= (&name, bytes.1));

@@ -5,7 +5,7 @@ use super::meshes::{Colouring, MeshReading};
 use super::points::{Own, Read, out_of_reach};
 use super::shard_filter::ShardScope;
 use super::work::on_threads;
-use crate::bytes::{open_named, spawn_in};
+use crate::bytes::{HAS_THREADS, is_file_at, len_at, open_named, spawn_in};
 use crate::input::scenes::Scene;
 use crate::input::{InputOptions, InputSet, PointCounts, Units, expand_inputs};
 use crate::placement::Similarity;
@@ -101,7 +101,7 @@ pub(crate) struct SplatSet {
 /// Returns the file that describes the folder of splats at `path`; `None` if there is none.
 fn described(path: &Path) -> Option<PathBuf> {
     let names = if path.is_dir() { ["lod-meta.json", "meta.json"].as_slice() } else { &[] };
-    names.iter().map(|name| path.join(name)).find(|file| file.is_file())
+    names.iter().map(|name| path.join(name)).find(|file| is_file_at(file))
 }
 
 /// Returns whether a file holds splats, by content and name.
@@ -109,7 +109,7 @@ fn is_splat(path: &Path) -> bool {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let known = ["ply", "spz", "sog", "zip", "splat", "ksplat", "gltf", "glb", "json"];
     // A store is not asked twice, and only names that can be those of splats are opened.
-    if crate::bytes::address(path).is_some() || !known.contains(&&ending[..]) || !path.is_file() {
+    if crate::bytes::address(path).is_some() || !known.contains(&&ending[..]) || !is_file_at(path) {
         return false;
     }
     let Ok(source) = open_named(path) else { return false };
@@ -171,7 +171,7 @@ impl SplatSet {
         let mut set = Self::default();
         for path in &paths {
             set.count = set.count.saturating_add(SplatReader::open(path, &reading(options))?.count());
-            set.bytes += path.metadata().map_or(0, |about| about.len());
+            set.bytes += len_at(path).unwrap_or(0);
         }
         Ok(Self { paths, ..set })
     }
@@ -331,6 +331,65 @@ pub(super) struct SplatRead<'a> {
     pub complete: bool,
 }
 
+/// Work of one thread of the first pass: writes the solid parts of splats into its runs.
+struct Rasteriser<'a> {
+    placing: &'a Placing<'a>,
+    plan: &'a Plan,
+    store: &'a RunStore,
+    runs: RunBuilder,
+    builder: EllipsoidBuilder,
+    read: Read,
+    counts: SplatCounts,
+    /// Hash of the splats in any order, if a part is converted.
+    hash: Option<u128>,
+}
+
+impl<'a> Rasteriser<'a> {
+    fn new(
+        placing: &'a Placing<'a>,
+        plan: &'a Plan,
+        MeshReading { build_bytes, scope, colouring }: MeshReading<'_>,
+        store: &'a RunStore,
+    ) -> Self {
+        let of_part = |runs: RunBuilder| match scope {
+            Some(scope) => runs.only(scope.keeps()),
+            None => runs,
+        };
+        let runs = of_part(RunBuilder::new(Recorder::new(plan.frame), build_bytes));
+        let mut builder = EllipsoidBuilder::new(plan);
+        if let Some(Colouring { scale, with_points }) = colouring {
+            let values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
+            builder = builder.colouring(scale, of_part(values));
+        }
+        let (read, counts, hash) = (Read::NOTHING, SplatCounts::default(), scope.map(|_| 0));
+        Self { placing, plan, store, runs, builder, read, counts, hash }
+    }
+
+    fn take(&mut self, batch: &[Splat], cancelled: &dyn Fn() -> bool) -> Result<()> {
+        for splat in batch {
+            if cancelled() {
+                return Err(Error::Interrupted);
+            }
+            if let Some(hash) = &mut self.hash {
+                *hash = hash.wrapping_add(hash_of(splat));
+            }
+            let Some(ellipsoid) = self.placing.solid(splat, &mut self.counts) else { continue };
+            let (min, max) = ellipsoid.bounds();
+            if !self.builder.push(&ellipsoid, splat.colour, &mut self.runs, self.store, cancelled)? {
+                return Err(out_of_reach(&self.plan.frame, min, max));
+            }
+            self.read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<(Read, SplatCounts, u128)> {
+        self.builder.flush(&mut self.runs, self.store)?;
+        self.runs.flush(self.store)?;
+        Ok((self.read, self.counts, self.hash.unwrap_or(0)))
+    }
+}
+
 /// First pass: writes the solid parts of all splats into runs. One thread reads; all workers rasterise.
 pub(super) fn read_splats<'a>(
     set: &'a SplatSet,
@@ -357,57 +416,39 @@ pub(super) fn read_splats<'a>(
         let failed = AtomicBool::new(false);
         let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
         let (send, receive) = crossbeam_channel::bounded::<Vec<Splat>>(options.threads);
+        let start = || Rasteriser::new(&placing, plan, MeshReading { build_bytes, scope, colouring }, store);
         let work = || -> Result<(Read, SplatCounts, u128)> {
-            let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
-            if let Some(scope) = scope {
-                runs = runs.only(scope.keeps());
-            }
-            let mut builder = EllipsoidBuilder::new(plan);
-            if let Some(Colouring { scale, with_points }) = colouring {
-                let mut values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
-                if let Some(scope) = scope {
-                    values = values.only(scope.keeps());
-                }
-                builder = builder.colouring(scale, values);
-            }
-            let (mut read, mut counts, mut hash) = (Read::NOTHING, SplatCounts::default(), 0u128);
-            for batch in &receive {
-                for splat in &batch {
-                    if cancelled() {
-                        return Err(Error::Interrupted);
-                    }
-                    if scope.is_some() {
-                        hash = hash.wrapping_add(hash_of(splat));
-                    }
-                    let Some(ellipsoid) = placing.solid(splat, &mut counts) else { continue };
-                    let (min, max) = ellipsoid.bounds();
-                    if !builder.push(&ellipsoid, splat.colour, &mut runs, store, &cancelled)? {
-                        return Err(out_of_reach(&plan.frame, min, max));
-                    }
-                    read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
-                }
-            }
-            builder.flush(&mut runs, store)?;
-            runs.flush(store)?;
-            Ok((read, counts, hash))
+            let mut rasteriser = start();
+            receive.iter().try_for_each(|batch| rasteriser.take(&batch, &cancelled))?;
+            rasteriser.finish()
         };
-        let (summary, done) = std::thread::scope(|scope| {
-            let cancelled = &cancelled;
-            let produce = move || {
-                let sink = &mut |batch: &[Splat]| match cancelled() {
-                    true => Err(Error::Interrupted),
-                    false => send.send(batch.to_vec()).map_err(|_| Error::Interrupted),
+        let alone = |reader: &mut SplatReader| -> Result<_> {
+            let mut rasteriser = start();
+            let sink = &mut |batch: &[Splat]| rasteriser.take(batch, &cancelled);
+            let summary = reader.for_each_batch(monitor, options.memory_bytes / 8, sink)?;
+            Ok((Ok(summary), rasteriser.finish().map(|done| vec![done])))
+        };
+        let together = |mut reader: SplatReader| {
+            std::thread::scope(|scope| {
+                let cancelled = &cancelled;
+                let produce = move || {
+                    let sink = &mut |batch: &[Splat]| match cancelled() {
+                        true => Err(Error::Interrupted),
+                        false => send.send(batch.to_vec()).map_err(|_| Error::Interrupted),
+                    };
+                    reader.for_each_batch(monitor, options.memory_bytes / 8, sink)
                 };
-                reader.for_each_batch(monitor, options.memory_bytes / 8, sink)
-            };
-            let producer =
-                spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
-            let done = on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)));
-            // After an error of the workers, the reader may wait for room.
-            receive.iter().for_each(drop);
-            let summary = producer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            Ok::<_, Error>((summary, done))
-        })?;
+                let producer =
+                    spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
+                let done =
+                    on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)));
+                // After an error of the workers, the reader may wait for room.
+                receive.iter().for_each(drop);
+                let summary = producer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                Ok::<_, Error>((summary, done))
+            })
+        };
+        let (summary, done) = if HAS_THREADS { together(reader)? } else { alone(&mut reader)? };
         // The error of the reader says more than that of workers, except where the reader was stopped by them.
         let (summary, done) = match (summary, done) {
             (Err(Error::Interrupted), done) => (None, done?),

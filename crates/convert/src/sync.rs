@@ -1,5 +1,6 @@
 //! Primitives of the job hand-over; `tests/schedules.rs` replaces them by shuttle's types.
 
+pub use crate::bytes::HAS_THREADS;
 pub use crossbeam_channel::{Receiver, Sender, bounded};
 pub use std::thread::{Scope, scope};
 

@@ -6,7 +6,7 @@ use super::diagnostics::Diagnostics;
 use super::{cloud, is_of_input, pattern};
 #[cfg(feature = "remote")]
 use crate::bytes::list;
-use crate::bytes::{FileId, Input, address, local, testing};
+use crate::bytes::{FileId, Input, address, held, local};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::fs;
@@ -85,7 +85,7 @@ fn expand_one(
     if let Some(address) = address(input) {
         return objects(input, address, found);
     }
-    if testing::held(input).is_some() {
+    if held(input).is_some() {
         found.push(input.to_path_buf());
         return Ok(());
     }

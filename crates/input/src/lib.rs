@@ -35,6 +35,7 @@ mod records;
 pub mod scenes;
 mod source;
 pub mod spacing;
+pub mod unzstd;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -98,7 +98,7 @@ pub struct SplatOptions {
 
 impl Default for SplatOptions {
     fn default() -> Self {
-        Self { allow_incomplete: false, temp_dir: std::env::temp_dir() }
+        Self { allow_incomplete: false, temp_dir: slicewalk_base::disk::temp_dir() }
     }
 }
 

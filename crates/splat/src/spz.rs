@@ -12,6 +12,7 @@ use flate2::bufread::GzDecoder;
 use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::{Error, Result};
 use slicewalk_input::number::Number;
+use slicewalk_input::unzstd::unzstd;
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
@@ -314,11 +315,7 @@ impl Body for Spz {
                 }
                 // All windows together stay within the memory; the usual ones have at most 8 MiB.
                 let window = (work.memory / 8).ilog2().min(27);
-                let open = |column| -> std::io::Result<Box<dyn Read>> {
-                    let mut decoder = zstd::stream::read::Decoder::with_buffer(column)?;
-                    decoder.window_log_max(window)?;
-                    Ok(Box::new(decoder))
-                };
+                let open = |column| -> std::io::Result<Box<dyn Read>> { unzstd(column, window) };
                 let columns = columns.into_iter().map(open).collect::<std::io::Result<Vec<_>>>();
                 let columns = columns.map_err(|e| read_error(work.path, "SPZ streams", e))?;
                 let Ok(mut columns) = <[Box<dyn Read>; COLUMNS]>::try_from(columns) else { return Ok(()) };

@@ -1,16 +1,11 @@
 //! Reports of what was done, or would be, as text and as JSON.
 
 use crate::Arguments;
-use serde_json::json;
 use slicewalk::archive::Header;
 use slicewalk::plan::{Noise, Plan};
 use slicewalk_base::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, place, rounded};
-use slicewalk_convert::info::{
-    colour_words, crs_name, noise_in_words, noise_info, placing_info, plan_info, slice_count, splat_info, unit_info,
-    units_in_words, up_in_words,
-};
+use slicewalk_convert::info::{colour_words, crs_name, noise_in_words, slice_count, units_in_words, up_in_words};
 use slicewalk_convert::{PlanFile, Preview, Report, SplatCounts, UpFound};
-use slicewalk_input::TextLayout;
 use slicewalk_input::spacing::Spacing;
 use slicewalk_terminal::say;
 use std::collections::BTreeMap;
@@ -185,30 +180,8 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
     let points = preview.inputs.iter().filter_map(|input| input.points).fold(0, u64::saturating_add);
     let temp_dir = arguments.temp_dir.clone().unwrap_or_else(std::env::temp_dir);
     if arguments.json {
-        let mut facts = json!({ "dry_run": true });
-        let inputs = preview.inputs.iter().map(|input| {
-            let text = input.text.as_ref().map(TextLayout::info);
-            json!({ "path": input.path.to_string_lossy(), "bytes": input.bytes, "points_stated": input.points, "text": text })
-        });
-        facts["inputs"] = inputs.collect();
-        facts["input_bytes"] = bytes.into();
-        facts["points_stated"] = points.into();
-        facts["bounds"] = preview.bounds.map(|(min, max)| json!({ "min": min, "max": max })).into();
-        let size = preview.bounds.map(|(min, max)| [0, 1, 2].map(|axis| max[axis] - min[axis]));
-        facts["extent"] = json!(size);
-        facts["crs"] = Some(&preview.crs[..]).filter(|crs| !crs.is_empty()).into();
-        facts["unit"] = unit_info(&preview.units);
-        if let (Some(facts), Some(plan)) = (facts.as_object_mut(), plan_info(&preview.plan).as_object()) {
-            facts.extend(plan.clone());
-        }
-        facts["point_spacing"] = preview.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
-        if let Some(noise) = &preview.noise {
-            facts["tolerance_auto"] = noise_info(noise);
-        }
-        splat_info(&mut facts, &preview.splats);
-        placing_info(&mut facts, preview.up.as_ref(), preview.placement.as_ref());
+        let mut facts = preview.info();
         facts["memory_bytes"] = arguments.memory.into();
-        facts["temp_bytes"] = preview.temp_bytes.into();
         facts["temp_dir"] = temp_dir.to_string_lossy().into();
         return print(format!("{facts:#}"));
     }

@@ -36,6 +36,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Reason why a command ends early.
+#[derive(Clone)]
 pub enum Failure {
     /// One line for standard error.
     Text(String),
@@ -44,8 +45,18 @@ pub enum Failure {
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
     /// A signal ended the command: its exit code.
-    #[cfg(feature = "serve")]
     Interrupted(u8),
+}
+
+impl Failure {
+    /// The line that says what failed.
+    #[cfg(feature = "serve")]
+    fn text(&self) -> &str {
+        match self {
+            Self::Text(text) | Self::Usage(text) | Self::Result(text) => text,
+            Self::Interrupted(_) => "interrupted",
+        }
+    }
 }
 
 impl<E: std::error::Error + 'static> From<E> for Failure {
@@ -77,6 +88,8 @@ fn suggestion(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Overwrite => "--force replaces it",
         Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
         Parameter::Cache => "give more --cache",
+        Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
+        Parameter::Units => "set the unit with --units",
         _ => return None,
     })
 }
@@ -90,6 +103,8 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Pawn("start") => "--start",
         Parameter::Pawn(_) => "--pawn",
         Parameter::Cache => "--cache",
+        Parameter::PixelSize => "--pixel",
+        Parameter::Units => "--units",
         _ => return None,
     })
 }
@@ -168,10 +183,12 @@ enum Command {
     Reach(reach::Arguments),
     /// Find the shortest route of a pawn between two places
     Route(route::Arguments),
-    /// Show archives in the browser to walk in them, served to this machine only, until Ctrl-C (exit code 130)
+    /// Show archives and scans in the browser to walk in them, served to this machine only, until Ctrl-C (exit code
+    /// 130). Scans are converted first; the page shows the progress
     #[cfg(feature = "serve")]
     Serve(web::serve::Arguments),
-    /// Write a folder with the viewer page and archives for any web host that answers range requests
+    /// Write a folder with the viewer page and archives, or scans converted to them, for any web host that answers range
+    /// requests
     Site(web::site::Arguments),
     /// Generate a scan, convert it, verify it, query it against brute force, draw slices
     Demo(demo::Arguments),
@@ -280,7 +297,6 @@ fn main() -> ExitCode {
     let (text, code) = match outcome {
         Ok(text) => (text, ExitCode::SUCCESS),
         Err(Failure::Result(text)) => (text, ExitCode::FAILURE),
-        #[cfg(feature = "serve")]
         Err(Failure::Interrupted(code)) => return ExitCode::from(code),
         Err(Failure::Text(text)) => {
             say(&text);

@@ -30,6 +30,9 @@ pub fn stop_of_thread() -> Option<Stop> {
     STOP.with_borrow(Clone::clone)
 }
 
+/// True if the system can start threads; a browser's module cannot.
+pub const HAS_THREADS: bool = !cfg!(target_arch = "wasm32");
+
 /// Starts a thread of `scope` that inherits this thread's `stop` function; the system may refuse it.
 pub fn spawn_in<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,

@@ -5,6 +5,7 @@
 
 pub mod crc;
 mod file_id;
+mod held;
 mod interrupt;
 mod named;
 mod positioned;
@@ -15,7 +16,8 @@ mod remote;
 pub mod testing;
 
 pub use file_id::FileId;
-pub use interrupt::spawn_in;
+pub use held::{held, hold_source, is_file_at, len_at, release_sources};
+pub use interrupt::{HAS_THREADS, spawn_in};
 pub use interrupt::{Stop, interruptible, stop_of_thread};
 pub use named::*;
 pub use positioned::*;

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "remote")]
 use super::remote::RemoteSource;
-use super::{ByteSource, FileSource, MemorySource, Stamp, open_regular, read_up_to, testing};
+use super::{ByteSource, FileSource, Stamp, held, open_regular, read_up_to};
 use crate::{Error, Result};
 use std::fs::File;
 use std::io;
@@ -37,8 +37,8 @@ pub fn local(path: &Path) -> Option<std::path::PathBuf> {
 pub fn open_named(path: &Path) -> Result<Box<dyn ByteSource>> {
     let file = local(path);
     let path = file.as_deref().unwrap_or(path);
-    if let Some(bytes) = testing::held(path) {
-        return Ok(Box::new(MemorySource::new(bytes)));
+    if let Some(source) = held(path) {
+        return Ok(Box::new(source));
     }
     match address(path) {
         None => Ok(Box::new(FileSource::open(path)?)),
@@ -68,12 +68,11 @@ pub(super) fn patient() -> super::RemoteOptions {
 }
 
 /// Input read by position, whose changes are detected.
-#[derive(Debug)]
 pub enum Input {
     /// A regular file.
     File(File),
-    /// Bytes held by a test.
-    Held(Arc<[u8]>),
+    /// Bytes that the program provides.
+    Held(Arc<dyn ByteSource>),
     /// An object; every answer belongs to the version that was opened.
     #[cfg(feature = "remote")]
     Object(Box<Ahead>),
@@ -84,9 +83,9 @@ impl Input {
     pub fn open(path: &Path) -> Result<(Self, Stamp)> {
         let file = local(path);
         let path = file.as_deref().unwrap_or(path);
-        if let Some(bytes) = testing::held(path) {
-            let stamp = Stamp::of_held(bytes.len() as u64);
-            return Ok((Self::Held(bytes), stamp));
+        if let Some(source) = held(path) {
+            let stamp = Stamp::of_held(source.len());
+            return Ok((Self::Held(source), stamp));
         }
         match address(path) {
             None => {
@@ -109,22 +108,34 @@ impl Input {
     pub fn read_up_to(&self, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::File(file) => read_up_to(file, offset, buf),
-            Self::Held(bytes) => {
-                let rest = usize::try_from(offset).ok().and_then(|offset| bytes.get(offset..)).unwrap_or_default();
-                let len = rest.len().min(buf.len());
-                buf[..len].copy_from_slice(&rest[..len]);
-                Ok(len)
-            }
+            Self::Held(source) => read_source(source, offset, buf),
             #[cfg(feature = "remote")]
-            Self::Object(source) => {
-                let len = source.len().saturating_sub(offset).min(buf.len() as u64) as usize;
-                source.read_at(offset, &mut buf[..len]).map(|()| len).map_err(|error| match error {
-                    Error::Io { source, .. } => source,
-                    other => io::Error::other(other.to_string()),
-                })
-            }
+            Self::Object(source) => read_source(&**source, offset, buf),
         }
     }
+}
+
+impl std::fmt::Debug for Input {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::File(_) => "Input::File",
+            Self::Held(_) => "Input::Held",
+            #[cfg(feature = "remote")]
+            Self::Object(_) => "Input::Object",
+        })
+    }
+}
+
+/// Fills `buf` with the bytes at `offset`; returns fewer only at the end of the source.
+pub(super) fn read_source(source: &(impl ByteSource + ?Sized), offset: u64, buf: &mut [u8]) -> io::Result<usize> {
+    let len = source.len().saturating_sub(offset).min(buf.len() as u64) as usize;
+    if len == 0 {
+        return Ok(0);
+    }
+    source.read_at(offset, &mut buf[..len]).map(|()| len).map_err(|error| match error {
+        Error::Io { source, .. } => source,
+        other => io::Error::other(other.to_string()),
+    })
 }
 
 /// Object with read-ahead for sequential reads: reading a scan or an archive from its beginning takes one request per
@@ -218,7 +229,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.xyz");
         std::fs::write(&file, &bytes).unwrap();
-        testing::hold("held.xyz", &bytes[..]);
+        crate::bytes::testing::hold("held.xyz", &bytes[..]);
         let held = Path::new("held.xyz");
         let [there, here] = [&*file, held].map(|path| Input::open(path).unwrap());
         assert_eq!(here.1.len(), there.1.len());

@@ -1,8 +1,9 @@
 //! Regular files only: opening a pipe may wait forever, and reading a device may never end.
 
-use super::{FileId, testing};
+use super::named::read_source;
+use super::{ByteSource, FileId, held};
 use std::fs::{File, Metadata};
-use std::io::{self, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -29,16 +30,16 @@ fn check(about: &Metadata) -> io::Result<()> {
 pub enum Regular {
     /// A regular file.
     File(File),
-    /// Bytes held by a test.
-    Held(Cursor<Arc<[u8]>>),
+    /// Bytes that the program provides, and the position of the next read.
+    Held(Arc<dyn ByteSource>, u64),
 }
 
 impl Regular {
     /// Opens the file at `path`; returns it with its state.
     pub fn open(path: &Path) -> io::Result<(Self, Stamp)> {
-        if let Some(bytes) = testing::held(path) {
-            let stamp = Stamp::of_held(bytes.len() as u64);
-            return Ok((Self::Held(Cursor::new(bytes)), stamp));
+        if let Some(source) = held(path) {
+            let stamp = Stamp::of_held(source.len());
+            return Ok((Self::Held(source, 0), stamp));
         }
         let (file, about) = open_regular(path)?;
         let stamp = Stamp::of(&file, &about);
@@ -50,7 +51,11 @@ impl Read for Regular {
     fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::File(file) => file.read(buf),
-            Self::Held(bytes) => bytes.read(buf),
+            Self::Held(source, position) => {
+                let read = read_source(source, *position, buf)?;
+                *position += read as u64;
+                Ok(read)
+            }
         }
     }
 }
@@ -59,7 +64,15 @@ impl Seek for Regular {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         match self {
             Self::File(file) => file.seek(to),
-            Self::Held(bytes) => bytes.seek(to),
+            Self::Held(source, position) => {
+                let to = match to {
+                    SeekFrom::Start(to) => Some(to),
+                    SeekFrom::End(by) => source.len().checked_add_signed(by),
+                    SeekFrom::Current(by) => position.checked_add_signed(by),
+                };
+                *position = to.ok_or(io::ErrorKind::InvalidInput)?;
+                Ok(*position)
+            }
         }
     }
 }
@@ -105,8 +118,8 @@ impl Stamp {
 
     /// Returns whether the file at `path` is in this state.
     pub fn is_of(&self, path: &Path) -> bool {
-        if let Some(bytes) = testing::held(path) {
-            return *self == Self::of_held(bytes.len() as u64);
+        if let Some(source) = held(path) {
+            return *self == Self::of_held(source.len());
         }
         if super::address(path).is_some() {
             return super::Input::open(path).is_ok_and(|(_, now)| now == *self);

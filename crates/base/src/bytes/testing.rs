@@ -2,32 +2,17 @@
 
 use super::ByteSource;
 use crate::{Error, Result};
-use std::cell::RefCell;
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-/// True once a thread holds inputs in memory.
-static HOLDS: AtomicBool = AtomicBool::new(false);
-
-thread_local! {
-    static HELD: RefCell<HashMap<PathBuf, Arc<[u8]>>> = RefCell::default();
-}
-
 /// Makes this thread read `bytes` for a scan, mesh or plan file called `path`, whatever files exist. Tests of millions
 /// of inputs would otherwise spend their time in the file system.
 pub fn hold(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) {
-    HOLDS.store(true, Relaxed);
-    HELD.with_borrow_mut(|held| held.insert(path.into(), bytes.into()));
-}
-
-/// Returns the bytes that this thread holds under this name.
-pub fn held(path: &Path) -> Option<Arc<[u8]>> {
-    if HOLDS.load(Relaxed) { HELD.with_borrow(|held| held.get(path).cloned()) } else { None }
+    super::hold_source(path, super::MemorySource::new(bytes));
 }
 
 /// Source that counts reads and bytes, and sleeps before each read.

@@ -5,8 +5,8 @@
 //! take fewer bytes than it was given. [`Files`] and [`OpenFile`] are for the rest of the library: they repeat
 //! interrupted calls and finish short ones. Cost: one virtual call per call of the operating system.
 //!
-//! [`Files::current`] is the real disk. A test runs work on another disk ([`testing`]) by [`with`]; work that begins in
-//! that call keeps its disk, on all of its threads.
+//! [`Files::current`] is the real disk. Tests ([`testing`]) and browsers run work on another disk by [`with`]; work that
+//! begins in that call keeps its disk, on all of its threads.
 
 mod real;
 mod temporary;
@@ -123,12 +123,21 @@ pub trait DiskFolder: Debug + Send + Sync {
     fn sync(&self) -> io::Result<()>;
 }
 
+/// Returns the system's folder for temporary files; in a browser, a name that only the disk of [`with`] knows.
+pub fn temp_dir() -> PathBuf {
+    if cfg!(target_arch = "wasm32") { PathBuf::from("/") } else { std::env::temp_dir() }
+}
+
+/// Returns the number of this process, where processes have numbers.
+fn process_id() -> u32 {
+    if cfg!(target_arch = "wasm32") { 0 } else { std::process::id() }
+}
+
 thread_local! {
     static CURRENT: RefCell<Option<Files>> = const { RefCell::new(None) };
 }
 
 /// Runs `act` on a disk other than the real one.
-#[cfg(any(test, feature = "testing"))]
 pub fn with<T>(disk: Arc<dyn Disk>, act: impl FnOnce() -> T) -> T {
     struct Back(Option<Files>);
     impl Drop for Back {

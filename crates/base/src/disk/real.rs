@@ -24,9 +24,14 @@ impl Disk for RealDisk {
         Ok(Box::new(options.open(path)?))
     }
 
-    #[cfg(feature = "spill")]
+    #[cfg(all(feature = "spill", not(target_arch = "wasm32")))]
     fn create_unnamed(&self, folder: &Path) -> io::Result<Box<dyn DiskFile>> {
         Ok(Box::new(tempfile::tempfile_in(folder)?))
+    }
+
+    #[cfg(all(feature = "spill", target_arch = "wasm32"))]
+    fn create_unnamed(&self, _: &Path) -> io::Result<Box<dyn DiskFile>> {
+        Err(ErrorKind::Unsupported.into())
     }
 
     fn open(&self, path: &Path, access: Access) -> io::Result<Box<dyn DiskFile>> {
@@ -114,6 +119,9 @@ impl Disk for RealDisk {
     fn free_bytes(&self, folder: &Path) -> io::Result<u64> {
         // Some systems answer for the volume of a folder that does not exist.
         fs::metadata(folder)?;
+        #[cfg(target_arch = "wasm32")]
+        return Err(ErrorKind::Unsupported.into());
+        #[cfg(not(target_arch = "wasm32"))]
         fs4::available_space(folder)
     }
 }

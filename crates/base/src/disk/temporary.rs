@@ -43,7 +43,7 @@ impl Temporary {
         let random = RandomState::new();
         for attempt in 0..ATTEMPTS {
             let mut part = prefix(name);
-            part.push(format!("{:0DIGITS$x}{ending}", random.hash_one((attempt, std::process::id()))));
+            part.push(format!("{:0DIGITS$x}{ending}", random.hash_one((attempt, super::process_id()))));
             let path = folder.join(part);
             let file = match files.create(&path, mode) {
                 Ok(file) => file,

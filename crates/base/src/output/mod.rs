@@ -63,7 +63,7 @@ impl Output {
     /// Creates an output for the target `name`. Refuses a target that must not be replaced, before any work, and
     /// removes temporary files that dead writers of the same name left. Opening a pipe waits for its reader.
     pub fn create(name: &Path, kind: OutputKind, protected: Protected) -> Result<Self> {
-        Self::create_by(name, kind, protected, &std::env::temp_dir())
+        Self::create_by(name, kind, protected, &crate::disk::temp_dir())
     }
 
     /// Like [`create`](Self::create), but an output that cannot be made next to its target, such as an object, is made

@@ -1,6 +1,6 @@
 //! Jobs passed to threads and back (`tests/schedules.rs` tests their schedules).
 
-use crate::pipeline::{Closed, Pipeline};
+use crate::pipeline::{Closed, Pipeline, run_alone};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -48,4 +48,28 @@ fn a_worker_that_panics_wakes_the_others() {
         )
     };
     assert!(catch_unwind(AssertUnwindSafe(run)).is_err());
+}
+
+#[test]
+fn without_threads_jobs_come_in_order_and_the_first_error_ends_them() {
+    let run = |wrong: u64, refused: u64| {
+        let mut taken = Vec::new();
+        let done = run_alone(
+            |job| (0..JOBS).try_for_each(|number| job(number).map_err(|Closed| "closed")),
+            |number| if number == wrong { Err("work") } else { Ok(2 * number) },
+            |number| {
+                if number == 2 * refused {
+                    return Err("take");
+                }
+                taken.push(number);
+                Ok(())
+            },
+            || Ok(()),
+        );
+        (done, taken)
+    };
+    assert_eq!(run(JOBS, JOBS), (Ok(()), (0..JOBS).map(|number| 2 * number).collect()));
+    assert_eq!(run(3, 5), (Err("work"), vec![0, 2, 4]));
+    assert_eq!(run(5, 2), (Err("take"), vec![0, 2]));
+    assert_eq!(run_alone(|_| Err("give"), |()| Ok(()), Ok, || Ok(())), Err("give"));
 }

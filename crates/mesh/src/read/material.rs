@@ -7,6 +7,7 @@ use super::placing::Placing;
 use super::texture::{Fault, Textures, path_beside, read_beside};
 use super::watch::Watch;
 use crate::Result;
+use crate::bytes::is_file_at;
 use crate::paint::{Texture, WHITE, Wrap};
 use crate::text::shown;
 use std::collections::HashMap;
@@ -63,7 +64,7 @@ impl Materials {
     /// several.
     pub(super) fn read_all(&mut self, of: &Path, names: &[u8], watch: &Watch) -> Result<()> {
         let whole = path_beside(of, &String::from_utf8_lossy(names));
-        if whole.is_ok_and(|path| path.is_file()) {
+        if whole.is_ok_and(|path| is_file_at(&path)) {
             return self.read(of, names, watch);
         }
         let words = names.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());

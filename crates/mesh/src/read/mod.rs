@@ -63,7 +63,7 @@ impl Default for MeshOptions {
             up: Up::Z,
             placement: None,
             memory_bytes: 64 << 20,
-            temp_dir: std::env::temp_dir(),
+            temp_dir: slicewalk_base::disk::temp_dir(),
             allow_incomplete: false,
             hash: false,
             colours: false,

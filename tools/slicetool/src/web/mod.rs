@@ -2,8 +2,10 @@
 //! web host (`site`).
 //!
 //! Both provide the same files: the page, the archives beside it, and `archives.json`, which lists their addresses for
-//! the page. A browser can reach nothing that is not in that table.
+//! the page. A browser can reach nothing that is not in that table. Scans are converted first; `serve` shows the page
+//! meanwhile.
 
+mod conversion;
 mod page;
 #[cfg(feature = "serve")]
 mod ranges;
@@ -12,6 +14,7 @@ pub mod serve;
 pub mod site;
 
 use crate::{Failure, open};
+use conversion::{Conversion, ConversionArguments, check_tour, is_archive};
 use page::Page;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use slicewalk::archive::Archive;
@@ -19,21 +22,41 @@ use std::path::{Path, PathBuf};
 
 /// Name of the table of archives, beside the page.
 const TABLE: &str = "archives.json";
+/// Name of the state of a conversion, beside the page.
+const CONVERSION: &str = "conversion.json";
+/// Name of the texts and rules of a place, beside its archive and beside the page.
+const SETTINGS: &str = "settings.json";
 /// Characters that need no escape in the address of a file.
 const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'.').remove(b'-').remove(b'_').remove(b'~');
 
 /// Options shared by `serve` and `site`.
 #[derive(clap::Args)]
 pub struct ShowArguments {
-    /// Archives to walk in; the page opens the first one
-    #[arg(required = true)]
-    archives: Vec<PathBuf>,
+    /// Archives to walk in, and scans, meshes, folders and patterns as for `sliceconv`, which are converted into one
+    /// archive; the page opens the first input
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
     /// COPC point cloud of the same place, which the page can draw over the archive
     #[arg(long, value_name = "FILE")]
     cloud: Option<PathBuf>,
     /// Folder of the built page [default: beside the program, or tools/viewer/dist of the repository]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
+    #[command(flatten)]
+    conversion: ConversionArguments,
+    #[command(flatten)]
+    kiosk: KioskArguments,
+}
+
+/// Options for a page that stands in a public place.
+#[derive(clap::Args)]
+pub struct KioskArguments {
+    /// Kiosk: large controls and no settings; back to the start after this many seconds without a touch
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u32).range(1..=86_400))]
+    kiosk: Option<u32>,
+    /// Walk along this route (columns x, y, z; `slicetool route -o` writes one) until someone touches the page
+    #[arg(long, value_name = "ROUTE.csv")]
+    tour: Option<PathBuf>,
 }
 
 /// A file that is served or copied unchanged.
@@ -41,50 +64,120 @@ struct Shown {
     /// Its name in addresses.
     name: String,
     path: PathBuf,
-    /// The opened archive, if it is one.
-    archive: Option<Archive>,
+    kind: Kind,
+}
+
+enum Kind {
+    Archive(Box<Archive>),
+    /// The archive that scans are converted to.
+    Converted,
+    Cloud,
+    Tour,
+    Settings,
 }
 
 struct Show {
     page: Page,
     files: Vec<Shown>,
+    /// Work to do before all files exist.
+    conversion: Option<Conversion>,
+    kiosk: Option<u32>,
 }
 
 impl Show {
     fn new(arguments: &ShowArguments) -> Result<Self, Failure> {
-        let archives: Vec<_> = arguments
-            .archives
-            .iter()
-            .map(|path| open(path).map(|archive| (path, Some(archive))))
-            .collect::<Result<_, _>>()?;
+        let mut named: Vec<(PathBuf, String, Kind)> = Vec::new();
+        let mut scans = Vec::new();
+        for path in &arguments.inputs {
+            if is_archive(path) {
+                let kind = Kind::Archive(Box::new(open(path)?));
+                named.push((path.clone(), name_of(path), kind));
+            } else {
+                scans.push((path.clone(), named.len()));
+            }
+        }
         let page = Page::find(arguments.page.as_deref())?;
         if let Some(cloud) = &arguments.cloud {
             check_cloud(cloud)?;
+            named.push((cloud.clone(), name_of(cloud), Kind::Cloud));
         }
+        check_tour(&arguments.kiosk)?;
+        if let Some(tour) = &arguments.kiosk.tour {
+            named.push((tour.clone(), name_of(tour), Kind::Tour));
+        }
+        let beside = arguments.inputs.first().and_then(|input| input.parent()).unwrap_or(Path::new(""));
+        let settings = beside.join(SETTINGS);
+        if settings.is_file() {
+            check_settings(&settings)?;
+            named.push((settings, SETTINGS.into(), Kind::Settings));
+        }
+        let first = scans.first().map(|(_, place)| *place);
+        let conversion = match first {
+            None => None,
+            Some(place) => {
+                let scans = scans.into_iter().map(|(path, _)| path).collect();
+                let conversion = Conversion::new(scans, &arguments.conversion)?;
+                named.insert(place, (conversion.path.clone(), conversion.name.clone(), Kind::Converted));
+                Some(conversion)
+            }
+        };
         let mut files: Vec<Shown> = Vec::new();
-        for (path, archive) in archives.into_iter().chain(arguments.cloud.iter().map(|cloud| (cloud, None))) {
-            let name = free_name(path, |name| {
-                page.get(name).is_none() && name != TABLE && files.iter().all(|other| other.name != name)
+        for (path, name, kind) in named {
+            let name = free_name(&name, |name| {
+                let is_own = matches!(name, TABLE | CONVERSION) || name == SETTINGS && !matches!(kind, Kind::Settings);
+                page.get(name).is_none() && !is_own && files.iter().all(|other| other.name != name)
             });
-            files.push(Shown { name, path: path.clone(), archive });
+            files.push(Shown { name, path, kind });
         }
-        Ok(Self { page, files })
+        Ok(Self { page, files, conversion, kiosk: arguments.kiosk.kiosk })
     }
 
     /// The table that the page reads, with addresses relative to the page.
-    fn table(&self) -> String {
+    fn table(&self, is_converting: bool) -> String {
         let address = |file: &Shown| utf8_percent_encode(&file.name, PLAIN).to_string();
-        let (archives, others): (Vec<_>, Vec<_>) = self.files.iter().partition(|file| file.archive.is_some());
-        let archives: Vec<_> =
-            archives.iter().map(|file| serde_json::json!({ "name": file.name, "url": address(file) })).collect();
-        let cloud = others.first().map(|file| address(file));
-        format!("{}\n", serde_json::json!({ "archives": archives, "cloud": cloud }))
+        let find = |wanted: fn(&Kind) -> bool| self.files.iter().find(|file| wanted(&file.kind)).map(address);
+        let archives = self.files.iter().filter(|file| matches!(file.kind, Kind::Archive(_) | Kind::Converted));
+        let archives: Vec<_> = archives
+            .map(|file| {
+                let mut entry = serde_json::json!({ "name": file.name, "url": address(file) });
+                if is_converting && matches!(file.kind, Kind::Converted) {
+                    entry["converting"] = CONVERSION.into();
+                }
+                entry
+            })
+            .collect();
+        let mut table = serde_json::json!({ "archives": archives, "cloud": find(|kind| matches!(kind, Kind::Cloud)) });
+        if let Some(seconds) = self.kiosk {
+            table["kiosk"] = seconds.into();
+        }
+        if let Some(tour) = find(|kind| matches!(kind, Kind::Tour)) {
+            table["tour"] = tour.into();
+        }
+        if let Some(settings) = find(|kind| matches!(kind, Kind::Settings)) {
+            table["settings"] = settings.into();
+        }
+        format!("{table}\n")
     }
 }
 
-/// The name of `path`, changed until it is unused.
-fn free_name(path: &Path, is_free: impl Fn(&str) -> bool) -> String {
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+/// The file name of `path`.
+fn name_of(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Refuses a file of settings that the page could not read.
+fn check_settings(path: &Path) -> Result<(), Failure> {
+    let failed = |reason: String| Failure::Text(format!("{}: {reason}", path.display()));
+    let text = std::fs::read(path).map_err(|error| failed(format!("cannot read: {error}")))?;
+    match serde_json::from_slice(&text) {
+        Ok(serde_json::Value::Object(_)) => Ok(()),
+        Ok(_) => Err(failed("expected a JSON object with the texts of the place".into())),
+        Err(error) => Err(failed(format!("expected JSON with the texts of the place: {error}"))),
+    }
+}
+
+/// Returns `name`, changed until it is unused.
+fn free_name(name: &str, is_free: impl Fn(&str) -> bool) -> String {
     // Web hosts hide names that begin with a dot.
     let name = match name.trim_start_matches('.') {
         "" => "archive.slices",

@@ -1,4 +1,7 @@
 //! The built page: a few files, read once and held in memory, so that no request can reach anything else on the disk.
+//!
+//! It is looked for in the folder that is named, in the program itself (feature `page`), beside the program, and in the
+//! repository.
 
 use crate::Failure;
 use std::collections::BTreeMap;
@@ -6,6 +9,8 @@ use std::path::{Path, PathBuf};
 
 /// Output folder in the repository.
 const BUILT: &str = "tools/viewer/dist";
+/// Program that builds it.
+const BUILD: &str = "tools/viewer/build.mjs";
 /// Folder beside an installed program.
 const BESIDE: &str = "slicewalk-viewer";
 /// Entry file of the page.
@@ -14,6 +19,8 @@ pub const INDEX: &str = "index.html";
 const MOST_BYTES: u64 = 64 << 20;
 const MOST_FILES: usize = 1000;
 const MOST_DEPTH: usize = 8;
+/// Files of the page that the program was built with, by name.
+static OWN: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
 /// Files of the page by name; `/` separates folders.
 pub struct Page(BTreeMap<String, Vec<u8>>);
@@ -26,13 +33,16 @@ impl Page {
             Some(folder) => {
                 let found = if folder.is_dir() { "a folder without it" } else { "no folder" };
                 let text = format!("--page {}: not a built page (expected {INDEX}, found {found})", folder.display());
-                return Err(Failure::Text(format!("{text}; tools/viewer/build.sh builds one in {BUILT}")));
+                return Err(Failure::Text(format!("{text}; `node {BUILD}` builds one in {BUILT}")));
+            }
+            None if !OWN.is_empty() => {
+                return Ok(Self(OWN.iter().map(|(name, bytes)| ((*name).to_owned(), bytes.to_vec())).collect()));
             }
             None => usual_folders().into_iter().find(|folder| folder.join(INDEX).is_file()).ok_or_else(|| {
-                Failure::Text(
-                    "the page is not built; run tools/viewer/build.sh in the repository, or name a built page by --page DIR"
-                        .into(),
-                )
+                Failure::Text(format!(
+                    "the page is not built; run `node {BUILD}` in the repository (minutes; it needs Node.js and Rust only), \
+                     or take it from a release and name its folder by --page DIR"
+                ))
             })?,
         };
         let mut page = Self(BTreeMap::new());

@@ -1,11 +1,12 @@
 //! `slicetool serve`: serves the page and archives to this machine only.
 //!
 //! Requests are answered from a table made at the start. Each request opens its archive again, so a replaced archive
-//! has another tag, which the page reports.
+//! has another tag, which the page reports. Scans are converted on a thread of their own while the page is served.
 
+use super::conversion::{Conversion, Progress};
 use super::page::{INDEX, mime};
 use super::ranges::{Wanted, names_tag, wanted};
-use super::{Show, ShowArguments, TABLE};
+use super::{CONVERSION, Show, ShowArguments, TABLE};
 use crate::{Failure, Outcome, say};
 use axum::Router;
 use axum::body::Body;
@@ -15,7 +16,8 @@ use axum::http::{HeaderMap, Method, Response, StatusCode, Uri};
 use std::io::{SeekFrom, Write};
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::net::TcpListener;
@@ -26,6 +28,12 @@ use tokio_util::io::ReaderStream;
 const GRACE: Duration = Duration::from_secs(1);
 /// Bytes of a file held in memory for each answer.
 const CHUNK: usize = 1 << 17;
+/// Wait for the inputs of a conversion to be opened: until then, a bad one is reported before anything is served.
+const OPENING: Duration = Duration::from_secs(2);
+/// Time that the page gets to ask for the reason why a conversion failed.
+const TELLING: Duration = Duration::from_secs(3);
+/// Pause between looks at a conversion.
+const LOOK: Duration = Duration::from_millis(20);
 /// The page runs its own scripts and wasm, and reads archives from this server and from hosts in its address.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self' blob:; \
                       style-src 'self'; img-src 'self' blob: data:; \
@@ -49,41 +57,130 @@ pub struct Arguments {
 enum Entry {
     Memory { bytes: Vec<u8>, tag: String },
     File(PathBuf),
+    Conversion(Arc<Converting>),
 }
 
 struct Table {
     entries: std::collections::BTreeMap<String, Entry>,
 }
 
+/// A conversion in progress, and its result.
+struct Converting {
+    progress: Progress,
+    result: OnceLock<Result<(), Failure>>,
+    /// True once the page knows that it failed.
+    told: AtomicBool,
+}
+
+impl Converting {
+    /// Begins `conversion`, which is given back at the end.
+    fn begin(conversion: Conversion) -> std::io::Result<(Arc<Self>, std::thread::JoinHandle<Conversion>)> {
+        let all = Arc::new(Self { progress: Progress::new(), result: OnceLock::new(), told: AtomicBool::new(false) });
+        let own = all.clone();
+        let work = move || {
+            let _ = own.result.set(conversion.run(&own.progress));
+            conversion
+        };
+        Ok((all, std::thread::Builder::new().name("conversion".into()).spawn(work)?))
+    }
+
+    /// What the page is told.
+    fn state(&self) -> String {
+        let (mut converting, mut error) = (serde_json::Value::Null, None);
+        match self.result.get() {
+            None => {
+                let (stage, share) = self.progress.stage_and_share().unwrap_or_else(|| ("opening".into(), 0.0));
+                converting = serde_json::json!({ "stage": stage, "share": share });
+            }
+            Some(Ok(())) => {}
+            Some(Err(failure)) => {
+                error = Some(failure.text());
+                self.told.store(true, Ordering::Relaxed);
+            }
+        }
+        format!("{}\n", serde_json::json!({ "converting": converting, "error": error }))
+    }
+
+    fn has_failed(&self) -> bool {
+        self.result.get().is_some_and(Result::is_err)
+    }
+
+    /// Waits until it has failed and the page knows why, or had the time to ask.
+    async fn failed(&self) {
+        while !self.has_failed() {
+            tokio::time::sleep(LOOK).await;
+        }
+        let told = async {
+            while !self.told.load(Ordering::Relaxed) {
+                tokio::time::sleep(LOOK).await;
+            }
+        };
+        let _ = tokio::time::timeout(TELLING, told).await;
+    }
+}
+
 impl Table {
-    fn new(show: Show) -> Self {
-        let table = show.table();
+    fn new(show: Show, converting: Option<&Arc<Converting>>) -> Self {
+        let table = show.table(converting.is_some());
         let memory =
             |bytes: &[u8]| Entry::Memory { bytes: bytes.to_vec(), tag: format!("\"{:08x}\"", crc32c::crc32c(bytes)) };
         let mut entries: std::collections::BTreeMap<_, _> =
             show.page.files().map(|(name, bytes)| (name.to_owned(), memory(bytes))).collect();
         entries.insert(TABLE.into(), memory(table.as_bytes()));
         entries.extend(show.files.into_iter().map(|file| (file.name, Entry::File(file.path))));
+        entries.extend(converting.map(|converting| (CONVERSION.into(), Entry::Conversion(converting.clone()))));
         Self { entries }
     }
 }
 
 /// Serves until it is interrupted.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let table = Arc::new(Table::new(Show::new(&arguments.show)?));
+    let mut show = Show::new(&arguments.show)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let signal = runtime.block_on(serve(arguments, table))?;
+    let (mut begun, mut thread) = (None, None);
+    if let Some(conversion) = show.conversion.take() {
+        // A port in use is reported before the work.
+        drop(runtime.block_on(listen(arguments.port))?);
+        let (converting, running) = Converting::begin(conversion)?;
+        (begun, thread) = (Some(converting), Some(running));
+    }
+    let table = Arc::new(Table::new(show, begun.as_ref()));
+    let ended = runtime.block_on(serve(arguments, table, begun.as_deref()));
     runtime.shutdown_timeout(GRACE);
-    Err(Failure::Interrupted(signal))
+    if let (Some(converting), Some(thread)) = (begun, thread) {
+        // Ends the work if it still runs; then its files are removed.
+        let signal = ended.as_ref().map_or(1, |code| usize::from(code.saturating_sub(128)).max(1));
+        converting.progress.signal.store(signal, Ordering::Relaxed);
+        if let Ok(conversion) = thread.join() {
+            conversion.remove();
+        }
+        if let (Ok(0), Some(Err(failure))) = (&ended, converting.result.get()) {
+            return Err(failure.clone());
+        }
+    }
+    Err(Failure::Interrupted(ended?))
 }
 
-async fn serve(arguments: &Arguments, table: Arc<Table>) -> Result<u8, Failure> {
-    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, arguments.port)).await.map_err(|error| {
-        Failure::Text(format!(
-            "--port {}: cannot listen: {error}; choose another port, or 0 for a free one",
-            arguments.port
-        ))
-    })?;
+async fn listen(port: u16) -> Result<TcpListener, Failure> {
+    TcpListener::bind((Ipv4Addr::LOCALHOST, port)).await.map_err(|error| {
+        Failure::Text(format!("--port {port}: cannot listen: {error}; choose another port, or 0 for a free one"))
+    })
+}
+
+/// Serves until a signal comes, and returns its exit code; or until the conversion has failed: 0.
+async fn serve(arguments: &Arguments, table: Arc<Table>, converting: Option<&Converting>) -> Result<u8, Failure> {
+    if let Some(converting) = converting {
+        let opened = async {
+            while converting.progress.stage_and_share().is_none() && converting.result.get().is_none() {
+                tokio::time::sleep(LOOK).await;
+            }
+        };
+        let _ = tokio::time::timeout(OPENING, opened).await;
+        if converting.has_failed() {
+            return Ok(0);
+        }
+    }
+    let listener = listen(arguments.port).await?;
     let mut signals = Signals::listen()?;
     let address = format!("http://{}/", listener.local_addr()?);
     let mut out = std::io::stdout();
@@ -100,10 +197,28 @@ async fn serve(arguments: &Arguments, table: Arc<Table>) -> Result<u8, Failure> 
         let _ = stopped.await;
     });
     let serving = tokio::spawn(server.into_future());
-    let signal = signals.next().await;
+    let failed = async {
+        match converting {
+            Some(converting) => converting.failed().await,
+            None => std::future::pending().await,
+        }
+    };
+    let signal = first(signals.next(), failed).await;
     let _ = stop.send(());
     let _ = tokio::time::timeout(GRACE, serving).await;
     Ok(signal)
+}
+
+/// Waits for a signal and returns its exit code, or for `failed`: 0.
+async fn first(signal: impl Future<Output = u8>, failed: impl Future<Output = ()>) -> u8 {
+    let (mut signal, mut failed) = (std::pin::pin!(signal), std::pin::pin!(failed));
+    std::future::poll_fn(|context| {
+        if let std::task::Poll::Ready(code) = signal.as_mut().poll(context) {
+            return std::task::Poll::Ready(code);
+        }
+        failed.as_mut().poll(context).map(|()| 0)
+    })
+    .await
 }
 
 async fn answer(State(table): State<Arc<Table>>, method: Method, uri: Uri, headers: HeaderMap) -> Response<Body> {
@@ -139,6 +254,11 @@ async fn respond(table: &Table, method: &Method, uri: &Uri, headers: &HeaderMap)
     let name = path.map_err(|_| StatusCode::NOT_FOUND)?;
     let name = if name.is_empty() { INDEX } else { &name };
     match table.entries.get(name).ok_or(StatusCode::NOT_FOUND)? {
+        Entry::Conversion(converting) => {
+            let mut response = Response::new(Body::from(converting.state()));
+            response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(mime(CONVERSION)));
+            Ok(response)
+        }
         Entry::Memory { bytes, tag } => {
             let about = About { len: bytes.len() as u64, tag: tag.clone(), modified: None };
             let (head, part) = about.head(headers, name)?;

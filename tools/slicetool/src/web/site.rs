@@ -2,8 +2,9 @@
 //!
 //! Each file appears complete. `index.html` is written last: until then, a folder with an older site shows that site.
 
+use super::conversion::Progress;
 use super::page::INDEX;
-use super::{Show, ShowArguments, Shown, TABLE};
+use super::{Kind, Show, ShowArguments, Shown, TABLE};
 use crate::{Failure, Outcome};
 use slicewalk_base::output::{Existing, Output, OutputKind, Protected};
 use std::io::Write;
@@ -25,11 +26,17 @@ pub struct Arguments {
 /// Writes the site and reports where it is.
 pub fn run(arguments: &Arguments) -> Outcome {
     let (show, folder) = (Show::new(&arguments.show)?, &arguments.output);
-    let mut protected: Protected = show.files.iter().map(|file| &file.path).collect();
-    show.files
-        .iter()
-        .filter_map(|file| file.archive.as_ref())
-        .for_each(|archive| protected.add_source(archive.source()));
+    if let Some(conversion) = &show.conversion {
+        let progress = Progress::new();
+        listen(&progress).map_err(|error| Failure::Text(format!("cannot listen for Ctrl-C: {error}")))?;
+        conversion.run(&progress)?;
+    }
+    let mut protected: Protected = show.files.iter().map(|file| &file.path).chain(&arguments.show.inputs).collect();
+    for file in &show.files {
+        if let Kind::Archive(archive) = &file.kind {
+            protected.add_source(archive.source());
+        }
+    }
     create(folder)?;
     for file in &show.files {
         copy(file, &folder.join(&file.name), arguments.force, &protected)?;
@@ -42,12 +49,33 @@ pub fn run(arguments: &Arguments) -> Outcome {
         output.publish()?;
         Ok(())
     };
-    write(TABLE, show.table().as_bytes())?;
+    write(TABLE, show.table(false).as_bytes())?;
     for (name, bytes) in show.page.files().filter(|(name, _)| *name != INDEX && *name != TABLE) {
         write(name, bytes)?;
     }
     write(INDEX, show.page.get(INDEX).unwrap_or_default())?;
+    if let Some(conversion) = show.conversion {
+        conversion.remove();
+    }
     Ok(format!("{}: put this folder on any web host that answers range requests\n", folder.display()))
+}
+
+/// Records the signals that ask to stop; a second one ends the process at once.
+fn listen(progress: &Progress) -> std::io::Result<()> {
+    use signal_hook::{consts, flag};
+    let again = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let asking = [
+        consts::SIGINT,
+        consts::SIGTERM,
+        #[cfg(unix)]
+        consts::SIGHUP,
+    ];
+    for number in asking {
+        flag::register_conditional_shutdown(number, 128 + number, again.clone())?;
+        flag::register(number, again.clone())?;
+        flag::register_usize(number, progress.signal.clone(), number as usize)?;
+    }
+    Ok(())
 }
 
 fn create(folder: &Path) -> Result<(), Failure> {
@@ -58,7 +86,10 @@ fn create(folder: &Path) -> Result<(), Failure> {
 /// Copies an archive or a cloud. An identical archive that exists already stays.
 fn copy(file: &Shown, to: &Path, force: bool, protected: &Protected) -> Result<(), Failure> {
     let existing = if force { Existing::Replace } else { Existing::KeepSame };
-    let kind = if file.archive.is_some() { OutputKind::Archive(existing) } else { OutputKind::Result };
+    let kind = match file.kind {
+        Kind::Archive(_) | Kind::Converted => OutputKind::Archive(existing),
+        Kind::Cloud | Kind::Tour | Kind::Settings => OutputKind::Result,
+    };
     let mut output = Output::create(to, kind, protected.clone())?;
     let mut writer = std::io::BufWriter::with_capacity(1 << 20, &mut output);
     let failed = |error: std::io::Error| {

@@ -76,7 +76,11 @@ struct Server {
 impl Server {
     fn start(folder: &Path, arguments: &[&str]) -> Self {
         let all = [&["serve"], arguments, &["--page", "page"]].concat();
-        let mut child = command(folder, &all).stdout(Stdio::piped()).spawn().unwrap();
+        Self::of(&mut command(folder, &all))
+    }
+
+    fn of(command: &mut Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let address = line.trim_end().strip_prefix("http://").and_then(|rest| rest.strip_suffix('/'));
@@ -296,7 +300,7 @@ fn what_cannot_be_served_is_one_line() {
     let said = refuses(at, &["serve", "secret.txt", "--page", "page"]);
     assert!(said.contains("secret.txt"), "{said}");
     let said = refuses(at, &["serve", "a.slices", "--page", "nowhere"]);
-    assert!(said.contains("nowhere") && said.contains("tools/viewer/build.sh"), "{said}");
+    assert!(said.contains("nowhere") && said.contains("tools/viewer/build.mjs"), "{said}");
     let said = refuses(at, &["serve", "a.slices", "--page", "page", "--cloud", "secret.txt"]);
     assert!(said.contains("secret.txt: not a COPC file"), "{said}");
     let server = Server::start(at, &["a.slices"]);
@@ -341,4 +345,158 @@ fn a_site_is_a_folder_for_any_host() {
     assert!(said.contains("a.slices"), "{said}");
     let left: Vec<_> = fs::read_dir(at.join("site")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert!(left.iter().all(|name| !name.to_string_lossy().contains(".part")), "{left:?}");
+}
+
+/// A scan of two levels, and one in text.
+fn scans(at: &Path) {
+    let step = |n: i32| f64::from(n) * 0.05 + 0.025;
+    let points: Vec<_> = (0..60).flat_map(|i| (0..60).map(move |j| [step(i), step(j), f64::from(i / 30)])).collect();
+    write_las(&at.join("room.las"), points.clone(), &WriteSpec::for_path(&at.join("room.las"))).unwrap();
+    let lines = points.iter().map(|[x, y, z]| format!("{x:.3} {y:.3} {z:.3}\n"));
+    fs::write(at.join("lines.xyz"), lines.collect::<String>()).unwrap();
+}
+
+/// The archive that `sliceconv` makes for the page of these inputs.
+fn converted(at: &Path, inputs: &[&str]) -> Vec<u8> {
+    let output = at.join("expected.slices");
+    let mut options = ConvertOptions::new(inputs.iter().map(|name| at.join(name)).collect(), output.clone());
+    options.colour = slicewalk_convert::ColourMode::Auto;
+    options.units = slicewalk_input::Units::Factor(1.0);
+    options.pixel = PixelSize::Metres(0.1);
+    options.levels = true;
+    options.overwrite = true;
+    convert(&options, &NoMonitor).unwrap();
+    fs::read(output).unwrap()
+}
+
+/// Waits until the conversion ends, and returns its error.
+fn conversion_of(server: &Server) -> Option<String> {
+    let end = Instant::now() + PATIENCE;
+    while Instant::now() < end {
+        let state: serde_json::Value = serde_json::from_slice(&server.get("/conversion.json", "").body).unwrap();
+        if state["converting"].is_null() {
+            return state["error"].as_str().map(str::to_owned);
+        }
+        assert!(state["converting"]["stage"].is_string(), "{state}");
+        assert!((0.0..=1.0).contains(&state["converting"]["share"].as_f64().unwrap()), "{state}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    panic!("the conversion does not end")
+}
+
+const METRES: [&str; 4] = ["--units", "m", "--pixel", "0.1"];
+
+#[test]
+fn scans_are_converted_while_the_page_is_served() {
+    let folder = folder();
+    let at = folder.path();
+    scans(at);
+    let server = Server::start(at, &[&["a.slices", "room.las", "lines.xyz"], &METRES[..]].concat());
+    let table: serde_json::Value = serde_json::from_slice(&server.get("/archives.json", "").body).unwrap();
+    let expected = serde_json::json!([
+        { "name": "a.slices", "url": "a.slices" },
+        { "name": "room.slices", "url": "room.slices", "converting": "conversion.json" },
+    ]);
+    assert_eq!(table["archives"], expected);
+    assert_eq!(conversion_of(&server), None);
+    let answer = server.get("/room.slices", "");
+    assert_eq!(answer.status, 200);
+    assert!(answer.body == converted(at, &["room.las", "lines.xyz"]));
+    assert_eq!(server.get("/room.slices", "Range: bytes=0-7\r\n").status, 206);
+    assert_eq!(server.get("/room.las", "").status, 404);
+}
+
+/// Temporary folders of servers in `temporary`.
+#[cfg(unix)]
+fn left(temporary: &Path) -> usize {
+    fs::read_dir(temporary).unwrap().count()
+}
+
+#[cfg(unix)]
+#[test]
+fn the_converted_archive_goes_with_the_server() {
+    let folder = folder();
+    let at = folder.path();
+    scans(at);
+    let temporary = at.join("temporary");
+    fs::create_dir(&temporary).unwrap();
+    for (signal, code, wait) in [("INT", 130, true), ("TERM", 143, false)] {
+        let all = [&["serve", "room.las", "--page", "page"], &METRES[..]].concat();
+        let mut command = command(at, &all);
+        let mut server = Server::of(command.env("TMPDIR", &temporary));
+        if wait {
+            assert_eq!(conversion_of(&server), None);
+            assert_eq!(left(&temporary), 1);
+        }
+        let killed = Command::new("kill").args(["-s", signal, &server.child.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+        assert_eq!((server.wait(), left(&temporary)), (Some(code), 0), "{signal}");
+    }
+}
+
+#[test]
+fn scans_that_cannot_be_converted_end_the_server_with_one_line() {
+    let folder = folder();
+    let at = folder.path();
+    scans(at);
+    let whole = fs::read(at.join("room.las")).unwrap();
+    fs::write(at.join("cut.las"), &whole[..whole.len() / 2]).unwrap();
+    fs::write(at.join("wrong.laz"), "no scan").unwrap();
+    for name in ["cut.las", "wrong.laz", "none.laz", "page/index.html"] {
+        let said = refuses(at, &[&["serve", name, "--page", "page"], &METRES[..]].concat());
+        assert!(said.contains(name), "{said}");
+        let said = refuses(at, &[&["site", name, "-o", "site", "--page", "page"], &METRES[..]].concat());
+        assert!(said.contains(name), "{said}");
+    }
+    let out = run(at, &["serve", "room.las", "--page", "page", "--pixel", "0"]);
+    assert_eq!(out.status.code(), Some(2));
+}
+
+#[test]
+fn a_site_of_scans_is_one_of_the_archive() {
+    let folder = folder();
+    let at = folder.path();
+    scans(at);
+    let arguments = [&["site", "room.las", "a.slices", "-o", "site", "--page", "page"], &METRES[..]].concat();
+    let out = run(at, &arguments);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert!(fs::read(at.join("site/room.slices")).unwrap() == converted(at, &["room.las"]));
+    let table: serde_json::Value = serde_json::from_slice(&fs::read(at.join("site/archives.json")).unwrap()).unwrap();
+    let names: Vec<_> =
+        table["archives"].as_array().unwrap().iter().map(|entry| entry["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["room.slices", "a.slices"]);
+    assert!(table["archives"][0].get("converting").is_none());
+    // The same again changes nothing.
+    assert!(run(at, &arguments).status.success());
+}
+
+#[test]
+fn a_kiosk_and_its_tour_are_in_the_table() {
+    let folder = folder();
+    let at = folder.path();
+    fs::write(at.join("route.csv"), "# a note\nx,y,z,s\n0.5,0.5,0.4,0\n1.5,0.5,0.4,1\n").unwrap();
+    fs::write(at.join("settings.json"), r#"{"title": {"en": "House", "de": "Haus"}}"#).unwrap();
+    let server = Server::start(at, &["a.slices", "--kiosk", "60", "--tour", "route.csv"]);
+    let table: serde_json::Value = serde_json::from_slice(&server.get("/archives.json", "").body).unwrap();
+    assert_eq!((&table["kiosk"], &table["tour"]), (&serde_json::json!(60), &serde_json::json!("route.csv")));
+    assert_eq!(table["settings"], "settings.json");
+    assert_eq!(server.get("/route.csv", "").body, fs::read(at.join("route.csv")).unwrap());
+    assert_eq!(server.get("/settings.json", "").body, fs::read(at.join("settings.json")).unwrap());
+    drop(server);
+
+    assert!(run(at, &site("a.slices", &["--kiosk", "60", "--tour", "route.csv"])).status.success());
+    assert!(at.join("site/route.csv").is_file() && at.join("site/settings.json").is_file());
+    for (text, expected) in [
+        ("x,y\n1,2\n3,4\n", "columns x, y and z"),
+        ("x,y,z\n1,2,3\n", "at least two places"),
+        ("x,y,z\n1,2,3\n1,2,high\n", "line 3"),
+    ] {
+        fs::write(at.join("bad.csv"), text).unwrap();
+        let said = refuses(at, &["serve", "a.slices", "--page", "page", "--tour", "bad.csv"]);
+        assert!(said.contains("bad.csv") && said.contains(expected), "{said}");
+    }
+    fs::write(at.join("settings.json"), "[1]").unwrap();
+    let said = refuses(at, &["serve", "a.slices", "--page", "page"]);
+    assert!(said.contains("settings.json") && said.contains("object"), "{said}");
+    assert_eq!(run(at, &["serve", "a.slices", "--page", "page", "--kiosk", "0"]).status.code(), Some(2));
 }

@@ -24,6 +24,8 @@ import { Cover } from "./scene/cover";
 import { Goal } from "./scene/goal";
 import { hasHeadset } from "./scene/headset";
 import { Shading } from "./scene/material";
+import { Conversions, type Opener } from "./conversions";
+import type { Driven, Kiosk } from "./kiosk";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, QUALITIES, saveSettings, THEMES, walkerSettings, type Settings } from "./settings";
 import { copyLink, savePicture } from "./share";
@@ -85,6 +87,9 @@ export class App implements Stage {
   #fps = 0;
   #longestTask = 0;
   #seenTriangles = 0;
+  readonly conversions: Conversions;
+  /** Drives the page in a public place. */
+  kiosk: Kiosk | null = null;
 
   constructor(parent: HTMLElement) {
     this.shell = new Shell(parent, this.settings, {
@@ -98,7 +103,8 @@ export class App implements Stage {
       open: () => this.shell.welcome.show(),
       home: () => this.#home(),
       walkIn: () => void this.#walkIn(null),
-      file: (file) => void this.open({ archive: file, link: null, name: file.name }, null),
+      save: () => void this.conversions.download(),
+      files: (files) => void this.conversions.take(files),
       address: (url) => void this.#openAddress(url),
       close: () => this.shell.canvas.focus(),
       settings: (settings) => void this.#change(settings),
@@ -113,7 +119,7 @@ export class App implements Stage {
       matter: (shown) => this.#overlays.showMatter(shown),
       align: (alignment) => this.#overlays.align(alignment),
       splatsFile: (file) => {
-        if (this.session === null) this.shell.messages.say(texts.news.splatsFirst);
+        if (this.session === null) void this.conversions.take([file]);
         else this.#overlays.take(file, ALIGNED);
       },
     });
@@ -155,6 +161,7 @@ export class App implements Stage {
       },
       refused: () => this.shell.messages.say(texts.news.refused),
     });
+    this.conversions = new Conversions(parent, this.#opener(), () => this.shell.welcome.show());
     this.#watchTasks();
     let last = performance.now();
     this.canvas.loop((now) => {
@@ -248,6 +255,8 @@ export class App implements Stage {
       },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
+      converting: this.conversions.converting,
+      kiosk: this.kiosk?.state ?? null,
     };
   }
 
@@ -543,7 +552,13 @@ export class App implements Stage {
     }
     const { pawn, world, view } = session;
     const { headset } = this.canvas;
-    const intent = joined([this.#keyboard.read(), readGamepad(), this.#sticks.read(), headset.read()]);
+    const intent = joined([
+      this.#keyboard.read(),
+      readGamepad(),
+      this.#sticks.read(),
+      headset.read(),
+      ...(this.kiosk ? [this.kiosk.intent] : []),
+    ]);
     if (this.#first.shown && moves(intent) && this.#ready) void this.#walkIn(null);
     if (intent.turn !== 0 || intent.tilt !== 0) {
       this.#first.touch();
@@ -588,6 +603,47 @@ export class App implements Stage {
     );
     this.canvas.render(performance.now(), this.#overlays.bringColours);
     this.#minimap?.update(pawn.at, pawn.look.heading);
+  }
+
+  /** The page for conversions. */
+  #opener(): Opener {
+    const page = this;
+    return {
+      open: (source) => page.open(source, null),
+      say: (text) => page.shell.messages.say(text),
+      get source() {
+        return page.session?.source ?? null;
+      },
+      get error() {
+        return page.#error;
+      },
+    };
+  }
+
+  /** The page for a kiosk. */
+  get drive(): Driven {
+    const page = this;
+    return {
+      get at() {
+        return page.session?.pawn.at ?? null;
+      },
+      get look() {
+        return page.session?.pawn.look ?? null;
+      },
+      get mode() {
+        return page.#mode;
+      },
+      setMode: (mode) => page.setMode(mode),
+      goto: (place) => page.goto(place),
+      walkTo: (place, arrived) => {
+        const pawn = page.session?.pawn;
+        if (pawn === undefined) return;
+        pawn.flying = false;
+        pawn.onArrival = arrived;
+        pawn.walkTo(place);
+      },
+      stop: () => page.session?.pawn.stop(),
+    };
   }
 
   #see(): void {

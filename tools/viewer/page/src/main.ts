@@ -3,6 +3,8 @@
 import type { Vec3, WalkerRecording } from "slicewalk";
 import { parseAddress, type Place } from "./address";
 import { App } from "./app";
+import type { Conversions } from "./conversions";
+import { Kiosk, readKiosk } from "./kiosk";
 import { readTable } from "./table";
 import { texts } from "./texts.en";
 import { h } from "./ui/dom";
@@ -12,6 +14,10 @@ declare global {
   interface Window {
     slicewalk?: {
       state(): Record<string, unknown>;
+      /** Opens an archive or converts a scan; resolves when one can walk. Options are named as in Python. */
+      open: Conversions["open"];
+      /** The bytes of the open archive. */
+      save(): Promise<Blob>;
       goto(place: { at?: Vec3; look?: readonly [number, number] }): Promise<void>;
       /** Records inputs and path of the pawn for tests and reports, to be replayed by the library. */
       record(): Promise<void>;
@@ -40,6 +46,8 @@ async function start(parent: HTMLElement): Promise<void> {
   };
   window.slicewalk = {
     state: () => app.state,
+    open: (input, options) => app.conversions.open(input, options),
+    save: () => app.conversions.save(),
     goto: (place) => app.goto(place),
     record: async () => walker().record(),
     recording: async () => walker().recording(),
@@ -55,7 +63,14 @@ async function start(parent: HTMLElement): Promise<void> {
     const { place, url } = named();
     if (url !== null) void app.visit(url, place);
   });
-  if (url !== null) await app.visit(url, place);
+  const kiosk = await readKiosk(location.search, table, url);
+  if (kiosk !== null) app.kiosk = new Kiosk(parent, kiosk, app.drive);
+  const conversions = table.archives.filter((archive) => archive.converting !== undefined);
+  const followed = conversions.map((archive) => ({ url: archive.url, done: app.conversions.follow(archive.converting ?? "") }));
+  const awaited = followed.find((conversion) => conversion.url === url);
+  if (url === null || (awaited !== undefined && !(await awaited.done))) return;
+  await app.visit(url, place);
+  if (app.state["ready"] === true) await app.kiosk?.opened();
 }
 
 const parent = document.getElementById("app");

@@ -7,6 +7,7 @@
 use super::super::shown;
 use super::layout::Fault;
 use crate::source::{Source, Window};
+use crate::unzstd::unzstd;
 use crate::{Error, Monitor, Result};
 use std::io::{self, Read};
 use std::ops::Range;
@@ -18,6 +19,8 @@ const BLOCK_BYTES: usize = 1 << 18;
 pub(super) const MOST_LINE: usize = 1 << 16;
 /// Largest zstd window, as a power of two: enough for all levels without `--ultra` and `--long`.
 const MOST_WINDOW_LOG: u32 = 23;
+/// Bytes of packed text read at once.
+const PACKED_BYTES: usize = 128 << 10;
 /// Beyond this offset, an error names the byte instead of the line.
 const COUNTED: u64 = 1 << 28;
 
@@ -120,9 +123,8 @@ impl<'a> Lines<'a> {
             Packing::Plain => Input::Plain,
             Packing::Gzip => Input::Packed(Box::new(flate2::read::MultiGzDecoder::new(window))),
             Packing::Zstd => {
-                let mut decoder = zstd::stream::read::Decoder::new(window).map_err(failed)?;
-                decoder.window_log_max(MOST_WINDOW_LOG).map_err(failed)?;
-                Input::Packed(Box::new(decoder))
+                let packed = std::io::BufReader::with_capacity(PACKED_BYTES, window);
+                Input::Packed(unzstd(packed, MOST_WINDOW_LOG).map_err(failed)?)
             }
         };
         let mut lines = Self { input, monitor, ..Self::begin(source, 0) };

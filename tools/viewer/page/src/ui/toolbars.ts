@@ -14,6 +14,7 @@ export interface ToolEvents {
   screenshot(): void;
   headset(): void;
   help(): void;
+  save(): void;
   open(): void;
   /** Back to the start, or to all of the scan. */
   home(): void;
@@ -53,6 +54,7 @@ export class Toolbars {
       this.#headset,
       tool(icons.link, texts.tools.link, null, events.link, true),
       tool(icons.screenshot, texts.tools.screenshot, null, events.screenshot, true),
+      tool(icons.save, texts.tools.save, null, events.save, true),
       tool(icons.open, texts.actions.other, null, events.open, true),
       tool(icons.help, texts.tools.help, "H", events.help, true),
     ];

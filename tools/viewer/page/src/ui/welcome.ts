@@ -5,7 +5,7 @@ import { texts } from "../texts.en";
 import { h } from "./dom";
 
 export interface WelcomeEvents {
-  file(file: File): void;
+  files(files: readonly File[]): void;
   /** Splats to draw over the open archive. */
   splatsFile(file: File): void;
   address(url: string): void;
@@ -19,11 +19,11 @@ export class Welcome {
   readonly curtain = h("div", { class: "curtain", hidden: true, "aria-hidden": "true" }, h("p", {}, texts.open.drop));
 
   constructor(readonly events: WelcomeEvents) {
-    const input = h("input", { type: "file", id: "open-file", accept: ".slices", class: "visually-hidden" });
+    const input = h("input", { type: "file", id: "open-file", multiple: true, class: "visually-hidden" });
     input.addEventListener("change", () => {
-      const file = input.files?.[0];
+      const files = [...(input.files ?? [])];
       input.value = "";
-      if (file) this.#take(() => events.file(file));
+      if (files.length > 0) this.#take(() => events.files(files));
     });
     const address = h("input", {
       type: "text",
@@ -101,9 +101,10 @@ export class Welcome {
       if (!carriesFile(event)) return;
       event.preventDefault();
       this.curtain.hidden = true;
-      const file = event.dataTransfer?.files[0];
-      if (file && namesSplats(file.name)) this.events.splatsFile(file);
-      else if (file) this.#take(() => this.events.file(file));
+      const files = [...(event.dataTransfer?.files ?? [])];
+      const [file] = files;
+      if (file && files.length === 1 && namesSplats(file.name)) this.events.splatsFile(file);
+      else if (file) this.#take(() => this.events.files(files));
     });
   }
 }

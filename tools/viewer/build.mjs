@@ -1,0 +1,117 @@
+// Builds the viewer: the engine and the conversion as wasm, their package (tools/viewer/package/dist) and the page
+// (tools/viewer/dist). On every platform:
+//
+//   node tools/viewer/build.mjs            all of it
+//   node tools/viewer/build.mjs --engine   without the page
+//
+// Needs Rust and Node.js 20.19 or newer with npm, and nothing else. The Rust target wasm32-unknown-unknown is added by rustup
+// if it is not installed; where there is no rustup, or it cannot download, `toolchain.sh` unpacks a compiler on Debian.
+// CARGO_TARGET_DIR is respected.
+
+import { execFileSync, spawnSync } from "node:child_process";
+import { copyFileSync, existsSync, mkdirSync, readFileSync, rmSync } from "node:fs";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
+
+const TARGET = "wasm32-unknown-unknown";
+const viewer = dirname(fileURLToPath(import.meta.url));
+const root = join(viewer, "../..");
+const target = process.env.CARGO_TARGET_DIR ?? join(root, "target");
+const isWindows = process.platform === "win32";
+
+function fail(text) {
+  console.error(`build.mjs: ${text}`);
+  process.exit(1);
+}
+
+/** Runs a program in a folder; its failure is the end. */
+function run(folder, program, words, variables = {}) {
+  // npm is a script of the shell on Windows.
+  const shell = isWindows && program === "npm";
+  const done = spawnSync(program, words, { cwd: folder, stdio: "inherit", shell, env: { ...process.env, ...variables } });
+  if (done.error) fail(`${program} cannot be started: ${done.error.message}`);
+  if (done.status !== 0) fail(`${program} ${words.slice(0, 4).join(" ")} failed`);
+}
+
+function answer(program, words) {
+  const done = spawnSync(program, words, { cwd: root, encoding: "utf8" });
+  return done.status === 0 ? done.stdout.trim() : null;
+}
+
+/** Variables and words for cargo. */
+function toolchain() {
+  const hasTarget = () => {
+    const folder = answer("rustc", ["--print", "target-libdir", "--target", TARGET]);
+    return folder !== null && existsSync(folder);
+  };
+  if (hasTarget()) return { variables: {}, words: [] };
+  if (answer("rustup", ["target", "add", TARGET]) !== null && hasTarget()) return { variables: {}, words: [] };
+  const folder = process.env.SLICEWALK_WASM_TOOLCHAIN ?? join(target, "wasm-toolchain");
+  const found = spawnSync("bash", [join(viewer, "toolchain.sh"), folder], {
+    encoding: "utf8",
+    stdio: ["ignore", "pipe", "inherit"],
+  });
+  if (found.status !== 0) fail(`the Rust target ${TARGET} is not installed; run: rustup target add ${TARGET}`);
+  // The script prints lines for a shell, which resolves the variables in them.
+  const script = `${found.stdout}\nenv -0`;
+  const variables = Object.fromEntries(
+    execFileSync("bash", ["-c", script], { encoding: "utf8" })
+      .split("\0")
+      .filter(Boolean)
+      .map((line) => [line.slice(0, line.indexOf("=")), line.slice(line.indexOf("=") + 1)]),
+  );
+  return { variables, words: (variables.WASM_FLAGS ?? "").split(" ").filter(Boolean) };
+}
+
+function npmPackage(name) {
+  run(join(viewer, name), "npm", ["ci", "--no-audit", "--no-fund", "--loglevel=error"]);
+  if (name !== "bindgen") run(join(viewer, name), "npm", ["run", "--silent", "build"]);
+}
+
+/** Removes what the compiler leaves: duplicate functions, unused parameters and stores. Passes that shrink a module by renaming
+ * and reordering locals (-Os, -Oz) make its compressed form larger. */
+function shrink(path) {
+  const passes = [
+    ["-O1", "--rse", "--vacuum", "--dae-optimizing", "--simplify-locals-nonesting", "--code-folding"],
+    ["--duplicate-function-elimination", "--generate-global-effects", "--vacuum", "--simplify-globals"],
+    ["--remove-unused-module-elements"],
+  ].flat();
+  const program = join(viewer, "bindgen/node_modules/binaryen/bin/wasm-opt");
+  const features = [
+    "--enable-bulk-memory",
+    "--enable-nontrapping-float-to-int",
+    "--enable-sign-ext",
+    "--enable-mutable-globals",
+  ];
+  run(root, process.execPath, [program, ...features, ...passes, path, "-o", path]);
+}
+
+const [major, minor] = process.versions.node.split(".").map(Number);
+if (major < 20 || (major === 20 && minor < 19)) fail(`Node.js ${process.versions.node} is too old; install 20.19 or newer`);
+if (answer("cargo", ["--version"]) === null) fail("cargo is not installed; https://rustup.rs has it");
+
+const { variables, words } = toolchain();
+const wasm = join(viewer, "package/src/wasm");
+const builds = join(target, "wasm");
+const engine = ["build", "--quiet", "-p", "slicewalk-engine", "--lib", "--profile", "wasm", "--target", TARGET];
+run(root, "cargo", [...engine, "--target-dir", builds, ...words], variables);
+const convert = ["build", "--quiet", "--release", "--target", TARGET, "--target-dir", join(target, "wasm-convert")];
+run(join(viewer, "convert"), "cargo", [...convert, ...words], variables);
+run(join(viewer, "bindgen"), "cargo", ["build", "--quiet", "--target-dir", join(target, "viewer-bindgen")], {
+  CARGO_PROFILE_DEV_DEBUG: "0",
+});
+rmSync(wasm, { recursive: true, force: true });
+mkdirSync(wasm, { recursive: true });
+run(root, join(target, `viewer-bindgen/debug/viewer-bindgen${isWindows ? ".exe" : ""}`), [
+  join(builds, TARGET, "wasm/slicewalk_engine.wasm"),
+  wasm,
+]);
+copyFileSync(join(target, "wasm-convert", TARGET, "release/viewer_convert.wasm"), join(wasm, "convert.wasm"));
+npmPackage("bindgen");
+for (const name of ["engine_bg.wasm", "convert.wasm"]) {
+  shrink(join(wasm, name));
+  console.log(`${name}: ${gzipSync(readFileSync(join(wasm, name)), { level: 9 }).length} bytes compressed`);
+}
+npmPackage("package");
+if (!process.argv.includes("--engine")) npmPackage("page");

@@ -1,0 +1,133 @@
+//! Conversion of scans in the browser: the crates that `sliceconv` is made of, as one WebAssembly module without
+//! imports but those of [`host`].
+//!
+//! The program that runs it calls [`allocate`], writes a request as JSON there and calls [`run`]; [`answer`] and
+//! [`answer_len`] then say where the answer is. A request:
+//!
+//! ```json
+//! {"task": "convert", "inputs": [{"name": "scan.laz", "file": 0, "length": 1234}], "options": {"pixel": 0.05}}
+//! ```
+//!
+//! `file` is the number by which the host reads an input. `"task": "preview"` answers what `sliceconv --dry-run --json`
+//! prints, without passing over the points. The answer to `convert` has the `report` that `sliceconv --json` prints, and
+//! the number and length of the host's `file` that holds the archive; or an `error`, with the `parameter` that helps.
+//!
+//! One thread, memory by the option `memory`; the archive has the bytes that `sliceconv` writes with the same options.
+
+mod host;
+mod options;
+
+use host::{HostDisk, HostMonitor, HostSource};
+use serde_json::{Value, json};
+use slicewalk_base::bytes::{hold_source, release_sources};
+use slicewalk_base::disk;
+use slicewalk_base::{Error, Parameter, Result};
+use slicewalk_convert::{ConvertOptions, PixelSize, convert, preview};
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Memory budget (bytes) unless the options name another: with what is needed besides, half of what a tab may use.
+const MEMORY_BYTES: u64 = 256 << 20;
+const OUTPUT: &str = "/scan.slices";
+
+thread_local! {
+    static REQUEST: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+    static ANSWER: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Makes room for a request of `len` bytes and returns its address.
+#[unsafe(no_mangle)]
+pub extern "C" fn allocate(len: usize) -> *mut u8 {
+    REQUEST.with_borrow_mut(|request| {
+        request.clear();
+        request.resize(len, 0);
+        request.as_mut_ptr()
+    })
+}
+
+/// Answers the request.
+#[unsafe(no_mangle)]
+pub extern "C" fn run() {
+    slicewalk::codec::set_compressor(compress);
+    let request = REQUEST.take();
+    let answer = serde_json::from_slice::<Value>(&request).map_or_else(
+        |error| json!({ "error": error.to_string() }),
+        |request| answer_to(&request).unwrap_or_else(|error| error_info(&error)),
+    );
+    release_sources();
+    ANSWER.set(answer.to_string().into_bytes());
+}
+
+/// Returns the address of the answer.
+#[unsafe(no_mangle)]
+pub extern "C" fn answer() -> *const u8 {
+    ANSWER.with_borrow(|answer| answer.as_ptr())
+}
+
+/// Returns the length of the answer (bytes).
+#[unsafe(no_mangle)]
+pub extern "C" fn answer_len() -> usize {
+    ANSWER.with_borrow(Vec::len)
+}
+
+fn answer_to(request: &Value) -> Result<Value> {
+    let mut inputs = Vec::new();
+    for input in request["inputs"].as_array().into_iter().flatten() {
+        let name = PathBuf::from(input["name"].as_str().unwrap_or("scan"));
+        let file = input["file"].as_u64().unwrap_or(0) as u32;
+        let len = input["length"].as_u64().unwrap_or(0);
+        hold_source(&name, HostSource { name: name.clone(), file, len });
+        // A file beside a mesh, such as its materials, is read only if the mesh names it.
+        if input["beside"] != true {
+            inputs.push(name);
+        }
+    }
+    let mut options = ConvertOptions::new(inputs, OUTPUT.into());
+    options.memory_bytes = MEMORY_BYTES;
+    options.threads = 1;
+    options::apply(&mut options, &request["options"])?;
+    let (files, monitor) = (Arc::new(HostDisk::default()), HostMonitor::default());
+    if request["task"] == "preview" {
+        if options.pixel == PixelSize::Auto {
+            // The form must not wait for a pass over the points.
+            options.pixel = PixelSize::Metres(1.0);
+        }
+        options.tolerance_auto = false;
+        let preview = disk::with(files, || preview(&options, &monitor))?;
+        return Ok(json!({ "preview": preview.info() }));
+    }
+    let report = disk::with(files.clone(), || convert(&options, &monitor))?;
+    let (file, length) = files.take(Path::new(OUTPUT)).unwrap_or_default();
+    Ok(json!({ "report": report.info(), "file": file, "length": length }))
+}
+
+fn error_info(error: &Error) -> Value {
+    let parameter = match error {
+        Error::Parameter { what, .. } => Some(what),
+        _ => None,
+    };
+    // The page has fields for these, and no command line.
+    let field = |parameter: &Parameter| match parameter {
+        Parameter::Units => Some("choose its unit"),
+        Parameter::PixelSize => Some("choose a larger pixel size, or the unit"),
+        Parameter::Columns => Some("name its columns"),
+        Parameter::Incomplete => Some("or take what can be read"),
+        Parameter::TempDir => Some("free some space of this browser's storage"),
+        _ => None,
+    };
+    json!({ "error": error.render(field), "parameter": parameter.map(|what| format!("{what:?}")) })
+}
+
+/// Appends the zstd frame of `raw` to `out`.
+fn compress(raw: &[u8], out: &mut Vec<u8>) {
+    use libzstd_rs_sys::{ZSTD_compress, ZSTD_compressBound, ZSTD_isError};
+    let start = out.len();
+    out.resize(start + ZSTD_compressBound(raw.len()), 0);
+    let room = &mut out[start..];
+    let level = slicewalk::codec::LEVEL;
+    // SAFETY: both slices are valid for their lengths and do not overlap.
+    let len = unsafe { ZSTD_compress(room.as_mut_ptr().cast(), room.len(), raw.as_ptr().cast(), raw.len(), level) };
+    assert!(ZSTD_isError(len) == 0, "room for the longest frame");
+    out.truncate(start + len);
+}

@@ -1,0 +1,127 @@
+//! Options of a conversion as JSON, named and meant as in Python.
+
+use serde_json::Value;
+use slicewalk::plan::{ClassSet, Classifier, Up};
+use slicewalk_base::{Error, Parameter, Result};
+use slicewalk_convert::size::parse_size;
+use slicewalk_convert::{ConvertOptions, PixelSize, Tolerance};
+use slicewalk_input::{Columns, Units};
+use slicewalk_mesh::MeshMode;
+use std::str::FromStr;
+
+fn refuse(name: &str, expected: &str, found: &Value) -> Error {
+    Error::parameter(Parameter::Other(name.to_owned()), format!("expected {expected}, found {found}"))
+}
+
+fn number(name: &str, expected: &str, value: &Value) -> Result<f64> {
+    value.as_f64().ok_or_else(|| refuse(name, expected, value))
+}
+
+fn whole(name: &str, most: u32, value: &Value) -> Result<u32> {
+    let number = value.as_u64().filter(|number| (1..=u64::from(most)).contains(number));
+    number.map(|number| number as u32).ok_or_else(|| refuse(name, &format!("a whole number from 1 to {most}"), value))
+}
+
+fn flag(name: &str, value: &Value) -> Result<bool> {
+    value.as_bool().ok_or_else(|| refuse(name, "true or false", value))
+}
+
+fn text<T: FromStr<Err = String>>(name: &str, expected: &str, value: &Value) -> Result<T> {
+    let text = value.as_str().ok_or_else(|| refuse(name, expected, value))?;
+    text.parse().map_err(|reason: String| Error::parameter(Parameter::Other(name.to_owned()), reason))
+}
+
+/// Reads a number, or a text as on the command line.
+fn number_or<T: FromStr<Err = String>>(name: &str, expected: &str, value: &Value, make: fn(f64) -> T) -> Result<T> {
+    if value.is_string() { text(name, expected, value) } else { number(name, expected, value).map(make) }
+}
+
+fn one_of<T: Copy>(name: &str, all: &[(&str, T)], value: &Value) -> Result<T> {
+    let found = value.as_str().and_then(|word| all.iter().find(|(own, _)| *own == word));
+    let words = || all.iter().map(|(own, _)| *own).collect::<Vec<_>>().join(", ");
+    found.map(|(_, value)| *value).ok_or_else(|| refuse(name, &format!("one of {}", words()), value))
+}
+
+fn classes(name: &str, value: &Value) -> Result<ClassSet> {
+    let expected = "classes from 0 to 255, such as [7, 18] or \"7,18,64-255\"";
+    let class = |text: &str| text.trim().parse::<u8>().ok();
+    let range = |text: &str| {
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        Some(class(first)?..=class(last)?).filter(|range| !range.is_empty())
+    };
+    let of_number = |value: &Value| value.as_u64().and_then(|class| u8::try_from(class).ok());
+    let found: Option<ClassSet> = match value {
+        Value::String(text) => {
+            text.split(',').map(range).collect::<Option<Vec<_>>>().map(|ranges| ranges.into_iter().flatten().collect())
+        }
+        Value::Array(all) => all.iter().map(of_number).collect(),
+        other => of_number(other).map(|class| [class].into_iter().collect()),
+    };
+    found.ok_or_else(|| refuse(name, expected, value))
+}
+
+/// Sets the options that `given` names. Those about files, threads and parts have no meaning in a browser.
+pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
+    let Some(given) = given.as_object() else { return Ok(()) };
+    for (name, value) in given.iter().filter(|(_, value)| !value.is_null()) {
+        let own = name.as_str();
+        match own {
+            "pixel" => options.pixel = number_or(own, "metres, or \"auto\"", value, PixelSize::Metres)?,
+            "slice" => options.slice_m = Some(number(own, "metres", value)?),
+            "max_slope" => options.plan.max_slope_deg = number(own, "degrees", value)?,
+            "tolerance" => {
+                options.set_tolerance(number_or(own, "metres, or \"auto\"", value, Tolerance::Metres)?);
+            }
+            "classifier" => {
+                let all = Classifier::ALL.map(|classifier| (classifier.name(), classifier));
+                options.plan.classifier = one_of(own, &all, value)?;
+            }
+            "memory" => {
+                options.memory_bytes = match value.as_str() {
+                    Some(size) => parse_size(size).map_err(|_| refuse(own, "a size such as \"512MiB\"", value))?,
+                    None => value.as_u64().ok_or_else(|| refuse(own, "bytes, or a size such as \"512MiB\"", value))?,
+                };
+            }
+            "exclude_class" => options.plan.exclude_classes = classes(own, value)?,
+            "min_points" => options.plan.min_points = whole(own, u32::MAX, value)?,
+            "drop_isolated" => {
+                if flag(own, value)? {
+                    options.plan.drop_floaters = options.plan.drop_floaters.max(1);
+                }
+            }
+            "drop_floaters" => options.plan.drop_floaters = whole(own, u16::MAX.into(), value)? as u16,
+            "remove_moving" => options.plan.remove_moving = flag(own, value)?,
+            "fill_holes" => options.fill_holes_m = Some(number(own, "metres", value)?),
+            "up" => options.plan.up = one_of(own, &[("z", Up::Z), ("y", Up::Y)], value)?,
+            "units" => options.units = number_or(own, "a unit such as \"m\"", value, Units::Factor)?,
+            "crs" => {
+                let code = value.as_str().and_then(|text| text.get(..5).map(|start| (start, &text[5..])));
+                let code = code.filter(|(start, _)| start.eq_ignore_ascii_case("EPSG:"));
+                let code = code.and_then(|(_, code)| code.parse().ok()).filter(|code| (1..1_000_000).contains(code));
+                options.epsg = Some(code.ok_or_else(|| refuse(own, "a code such as \"EPSG:25832\"", value))?);
+            }
+            "columns" => options.columns = Some(text::<Columns>(own, "a text such as \"x,y,z\"", value)?),
+            "mesh" => {
+                let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
+                options.mesh = one_of(own, &all, value)?;
+            }
+            "opacity" => options.splats.opacity = number(own, "a number", value)?,
+            "min_opacity" => options.splats.min_opacity = number(own, "a number", value)?,
+            "max_size" => options.splats.max_size_m = Some(number(own, "metres", value)?),
+            "levels" => {
+                options.levels = match value.as_bool() {
+                    Some(levels) => levels,
+                    None => one_of(own, &[("on", true), ("off", false)], value)?,
+                };
+            }
+            "colour" => options.colour = text(own, "a text such as \"rgb\"", value)?,
+            "colour_error" => options.colour_error = number(own, "a number", value)?,
+            "allow_incomplete" => options.allow_incomplete = flag(own, value)?,
+            other => {
+                let reason = "is no option of a conversion in the browser";
+                return Err(Error::parameter(Parameter::Other(other.to_owned()), reason));
+            }
+        }
+    }
+    Ok(())
+}

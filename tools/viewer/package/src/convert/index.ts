@@ -1,0 +1,196 @@
+/**
+ * Conversion of scans in the browser. Nothing leaves the machine: inputs are read in parts, temporary data and the archive
+ * lie in the browser's private files.
+ */
+
+import { asError } from "../fault.js";
+import { SlicewalkError } from "../types.js";
+import type { ConversionAnswer } from "./module.js";
+import type { FromConverter, ToConverter } from "./worker.js";
+
+export type { ConversionAnswer, ConversionHost, ConversionRequest } from "./module.js";
+export { runConversion } from "./module.js";
+
+/** Options of `slicewalk.convert` in Python, without those about files, threads and parts. */
+export type ConversionOptions = Readonly<Record<string, unknown>>;
+
+export interface ConversionProgress {
+  /** What the conversion does, in English, as `sliceconv` says it. */
+  readonly stage: string;
+  /** Share of the stage that is done, from 0 to 1; 0 while it is unknown. */
+  readonly share: number;
+}
+
+export interface Converted {
+  /** The archive, in the browser's private files until `release`. */
+  readonly archive: File;
+  /** What `sliceconv --json` prints. */
+  readonly report: Record<string, unknown>;
+  readonly warnings: readonly string[];
+  /** Removes the archive. Otherwise it goes when the page is gone and another conversion begins. */
+  release(): void;
+}
+
+export interface ConverterOptions {
+  /** Makes the worker, where a bundler does not find it. */
+  readonly worker?: () => Worker;
+  /** Address of the module `convert.wasm`. */
+  readonly wasm?: string | URL;
+}
+
+/** An input could not be converted; `parameter` is the option that would help, if one would. */
+export class ConversionError extends SlicewalkError {
+  constructor(
+    kind: "invalid" | "engine" | "out-of-memory" | "aborted",
+    message: string,
+    readonly parameter: string | null = null,
+  ) {
+    super(kind, message);
+    this.name = "ConversionError";
+  }
+}
+
+/** Root of the folders of all conversions. */
+const ROOT = "slicewalk-conversions";
+const PATIENCE_MS = 100;
+const ATTEMPTS = 50;
+
+async function root(): Promise<FileSystemDirectoryHandle | null> {
+  try {
+    return await (await navigator.storage.getDirectory()).getDirectoryHandle(ROOT, { create: true });
+  } catch {
+    return null; // no private files here
+  }
+}
+
+/** Removes the folders of pages that are gone: nobody holds their locks. */
+async function sweep(folder: FileSystemDirectoryHandle): Promise<void> {
+  const names = (folder as unknown as { keys(): AsyncIterable<string> }).keys();
+  for await (const name of names) {
+    await navigator.locks.request(name, { ifAvailable: true }, async (lock) => {
+      if (lock !== null) await folder.removeEntry(name, { recursive: true }).catch(() => {});
+    });
+  }
+}
+
+/** A folder for temporary data that lasts until it is released, or the page is gone. */
+async function claim(): Promise<{ name: string | null; release(): void }> {
+  const folder = await root();
+  if (folder === null || navigator.locks === undefined) return { name: null, release: () => {} };
+  await sweep(folder).catch(() => {});
+  const name = crypto.randomUUID();
+  let end = (): void => {};
+  await new Promise<void>((held) => {
+    void navigator.locks.request(name, () => {
+      held();
+      return new Promise<void>((resolve) => (end = resolve));
+    });
+  });
+  const release = async (): Promise<void> => {
+    // Files of an ended worker stay locked for a moment.
+    for (let n = 0; n < ATTEMPTS; n++) {
+      const failed = await folder.removeEntry(name, { recursive: true }).then(
+        () => false,
+        (error: unknown) => !(error instanceof DOMException && error.name === "NotFoundError"),
+      );
+      if (!failed) break;
+      await new Promise((resolve) => setTimeout(resolve, PATIENCE_MS));
+    }
+    end();
+  };
+  return { name, release: () => void release() };
+}
+
+/** Converts files in a worker of its own. */
+export class Converter {
+  #worker: Worker | null = null;
+  readonly #make: () => Worker;
+  readonly #wasm: string;
+  #stop: ((error: SlicewalkError) => void) | null = null;
+
+  constructor(
+    /** Scans or meshes, and files that meshes name, such as materials. */
+    readonly files: readonly File[],
+    { worker, wasm }: ConverterOptions = {},
+  ) {
+    this.#make = worker ?? (() => new Worker(new URL("./worker.js", import.meta.url), { type: "module" }));
+    this.#wasm = new URL(wasm ?? new URL("../wasm/convert.wasm", import.meta.url), document.baseURI).href;
+  }
+
+  /** What the files are, as `sliceconv --dry-run --json` says it, without a pass over their points. */
+  async preview(options: ConversionOptions = {}): Promise<Record<string, unknown>> {
+    const { answer } = await this.#run("preview", options, null, () => {}, []);
+    return answer.preview ?? {};
+  }
+
+  /** Converts the files; the archive has the bytes that `sliceconv` writes with these options. */
+  async convert(options: ConversionOptions, progress: (now: ConversionProgress) => void): Promise<Converted> {
+    const folder = await claim();
+    const warnings: string[] = [];
+    try {
+      const { answer, archive } = await this.#run("convert", options, folder.name, progress, warnings);
+      if (archive === null) throw new ConversionError("engine", "the conversion gave no archive");
+      return { archive, report: answer.report ?? {}, warnings, release: () => folder.release() };
+    } catch (error) {
+      this.close();
+      folder.release();
+      throw error;
+    }
+  }
+
+  /** Ends what runs, which then fails with `aborted`. */
+  close(): void {
+    this.#worker?.terminate();
+    this.#worker = null;
+    this.#stop?.(new ConversionError("aborted", "the conversion was cancelled"));
+  }
+
+  #run(
+    task: ToConverter["task"],
+    options: ConversionOptions,
+    folder: string | null,
+    progress: (now: ConversionProgress) => void,
+    warnings: string[],
+  ): Promise<{ answer: ConversionAnswer; archive: File | null }> {
+    return new Promise((resolve, reject) => {
+      let worker: Worker;
+      try {
+        worker = this.#worker ??= this.#make();
+      } catch (error) {
+        reject(asError(error));
+        return;
+      }
+      this.#stop = reject;
+      let [stage, total] = ["opening", 0];
+      progress({ stage, share: 0 });
+      worker.onerror = (event) => {
+        event.preventDefault();
+        this.close();
+        reject(new ConversionError("engine", `the conversion stopped: ${event.message || "its program cannot be loaded"}`));
+      };
+      worker.onmessage = ({ data }: MessageEvent<FromConverter>) => {
+        if ("stage" in data) {
+          [stage, total] = [data.stage, data.total];
+          progress({ stage, share: 0 });
+        } else if ("done" in data) {
+          progress({ stage, share: total > 0 ? Math.min(1, data.done / total) : 0 });
+        } else if ("warning" in data) {
+          warnings.push(data.warning);
+        } else if ("fault" in data) {
+          this.close();
+          const kind = data.memory ? "out-of-memory" : "engine";
+          reject(new ConversionError(kind, `the conversion stopped: ${data.fault}`));
+        } else if (data.answer.error !== undefined) {
+          reject(new ConversionError("invalid", data.answer.error, data.answer.parameter ?? null));
+        } else {
+          resolve(data);
+        }
+      };
+      const [first] = this.files;
+      const name = `${(first?.name ?? "scan").replace(/(\.copc)?\.[^.]*$/i, "") || "scan"}.slices`;
+      const isBeside = (file: File): boolean => /\.(mtl|bin|png|jpe?g|prj|wkt)$/i.test(file.name);
+      const inputs = this.files.map((blob) => ({ name: blob.name, blob, beside: isBeside(blob) }));
+      worker.postMessage({ task, inputs, options, wasm: this.#wasm, folder, name } satisfies ToConverter);
+    });
+  }
+}

@@ -1,0 +1,162 @@
+// The conversion module against sliceconv, byte for byte: generated scans, and real ones of the folder SLICEWALK_DATA.
+//
+// SLICEWALK_BIN is the folder of sliceconv and scangen.
+
+import assert from "node:assert/strict";
+import { execFileSync, spawnSync } from "node:child_process";
+import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { basename, join } from "node:path";
+import { after, before, test } from "node:test";
+import { runConversion } from "../dist/convert/module.js";
+import { FileHost } from "./files.js";
+
+const root = new URL("../../../../", import.meta.url).pathname;
+const programs = process.env.SLICEWALK_BIN ?? join(root, "target/debug");
+const data = process.env.SLICEWALK_DATA;
+const folder = mkdtempSync(join(tmpdir(), "convert-"));
+let module;
+before(async () => {
+  module = await WebAssembly.compile(readFileSync(new URL("../dist/wasm/convert.wasm", import.meta.url)));
+});
+after(() => rmSync(folder, { recursive: true, force: true }));
+
+async function convert(paths, options = {}, task = "convert") {
+  const host = new FileHost(paths, join(folder, "temporary"));
+  try {
+    const answer = await runConversion(module, host, { task, inputs: host.inputs, options });
+    return { answer, host, archive: answer.file === undefined ? null : host.bytes(answer.file, answer.length) };
+  } finally {
+    host.close();
+  }
+}
+
+/** Arguments of sliceconv for options as in Python. */
+const words = (options) =>
+  Object.entries(options).flatMap(([name, value]) => {
+    const option = `--${name.replaceAll("_", "-")}`;
+    if (name === "levels") return [option, value ? "on" : "off"];
+    return value === true ? [option] : [option, String(value)];
+  });
+
+function natively(paths, options) {
+  const output = join(folder, "native.slices");
+  rmSync(output, { force: true });
+  const run = spawnSync(join(programs, "sliceconv"), [...paths, "-o", output, "--json", ...words(options)], {
+    encoding: "utf8",
+  });
+  return { error: run.status === 0 ? null : run.stderr, archive: run.status === 0 ? readFileSync(output) : null };
+}
+
+/** Both convert to the same bytes, or both refuse the input. */
+async function agree(paths, options = {}) {
+  const { error, archive } = natively(paths, options);
+  const here = await convert(paths, options);
+  const name = `${paths.map((path) => basename(path)).join(", ")} ${JSON.stringify(options)}`;
+  if (error !== null) {
+    assert.ok(here.answer.error, `${name}: sliceconv refuses it: ${error}`);
+    return false;
+  }
+  assert.equal(here.answer.error, undefined, `${name}: ${here.answer.error}`);
+  assert.ok(Buffer.from(here.archive).equals(archive), `${name}: ${here.archive.length} bytes, natively ${archive.length}`);
+  return true;
+}
+
+function scan(name, ...scene) {
+  const path = join(folder, name);
+  execFileSync(join(programs, "scangen"), [...scene, "-o", path], { stdio: "pipe" });
+  return path;
+}
+
+test("generated scans, with each kind of option", async () => {
+  const laz = scan("house.laz", "demo", "--format", "7", "--colour", "4");
+  for (const options of [
+    { pixel: 0.1, units: "m" },
+    { pixel: "auto", units: "m", colour: "auto", levels: true },
+    { pixel: 0.1, units: "m", tolerance: "auto", exclude_class: "7,18", fill_holes: 0.3 },
+    { pixel: 0.15, slice: 0.3, units: "m", classifier: "span", min_points: 2, drop_isolated: true, up: "y" },
+    { pixel: 0.1, units: "ft", crs: "EPSG:25832", classifier: "thesis", drop_floaters: 4, max_slope: 30 },
+  ]) {
+    assert.ok(await agree([laz], options));
+  }
+  assert.ok(await agree([scan("house.las", "demo")], { pixel: 0.1, units: "m", colour: "class" }));
+});
+
+test("data that memory cannot hold is spilled, and the bytes stay the same", async () => {
+  const path = scan("large.las", "house", "--density", "30000");
+  const options = { pixel: 0.05, units: "m", colour: "intensity" };
+  const whole = await convert([path], options);
+  const spilled = await convert([path], { ...options, memory: "64MiB" });
+  assert.ok(spilled.host.written > 2 * whole.archive.length, `${spilled.host.written} bytes written`);
+  assert.ok(Buffer.from(spilled.archive).equals(Buffer.from(whole.archive)));
+  assert.ok(Buffer.from(whole.archive).equals(natively([path], options).archive));
+});
+
+test("a preview says what the file is", async () => {
+  const { answer } = await convert([join(folder, "house.laz")], { units: "m" }, "preview");
+  const stated = execFileSync(join(programs, "sliceconv"), [join(folder, "house.laz"), "--dry-run", "--json", "--units", "m"], {
+    encoding: "utf8",
+  });
+  const native = JSON.parse(stated);
+  for (const key of ["points_stated", "bounds", "extent", "crs", "unit", "input_bytes"]) {
+    assert.deepEqual(answer.preview[key], native[key], key);
+  }
+});
+
+test("what cannot be converted is said in one line", async () => {
+  const wrong = join(folder, "wrong.laz");
+  writeFileSync(wrong, "no scan at all");
+  const bytes = readFileSync(join(folder, "house.laz"));
+  const cut = join(folder, "cut.laz");
+  writeFileSync(cut, bytes.subarray(0, bytes.length / 2));
+  for (const [path, options, expected] of [
+    [wrong, {}, /wrong\.laz/],
+    [cut, { units: "m" }, /cut\.laz/],
+    [join(folder, "house.laz"), { pixel: -1 }, /pixel/],
+    [join(folder, "house.laz"), { colours: "rgb" }, /colours/],
+  ]) {
+    const { answer } = await convert([path], options);
+    assert.match(answer.error, expected);
+    assert.equal(answer.error.includes("\n"), false);
+  }
+});
+
+test("a full disk and a file that changes end in an error", async () => {
+  const path = join(folder, "house.laz");
+  for (const [fault, expected] of [
+    [{ room: 10_000 }, /space/],
+    [{ changed: 100_000 }, /changed/],
+  ]) {
+    const host = new FileHost([path], join(folder, "temporary"), fault);
+    const options = { pixel: 0.1, units: "m" };
+    const answer = await runConversion(module, host, { task: "convert", inputs: host.inputs, options });
+    host.close();
+    assert.match(answer.error, expected);
+  }
+});
+
+test("real scans and meshes of every format", { skip: data === undefined && "SLICEWALK_DATA is not set" }, async (t) => {
+  const endings = /\.(las|laz|e57|ptx|pts|xyz|txt|csv|pcd|ply|obj|stl|gltf|glb|spz|sog|splat|ksplat|zst|gz)$/i;
+  const most = Number(process.env.SLICEWALK_CONVERT_MOST ?? 12_000_000);
+  let same = 0;
+  for (const below of ["", "odd", "meshes", "formats"]) {
+    const at = join(data, below);
+    if (!existsSync(at)) continue;
+    for (const name of readdirSync(at, { recursive: below === "formats" }).sort()) {
+      const path = join(at, name);
+      if (!endings.test(name) || !statSync(path).isFile() || statSync(path).size > most) continue;
+      // Files that name others lie in a folder that the module does not see.
+      if (/\.gltf$/i.test(name)) continue;
+      const options = { units: "m", colour: "auto", pixel: /odd|formats/.test(below) ? 0.5 : "auto" };
+      if (await agree([path], options)) same += 1;
+    }
+  }
+  t.diagnostic(`${same} files give the same bytes`);
+  assert.ok(same > 40, `${same}`);
+});
+
+test("the module is small enough", () => {
+  const wasm = new URL("../dist/wasm/convert.wasm", import.meta.url).pathname;
+  const packed = execFileSync("gzip", ["-9", "-c", wasm]).length;
+  assert.ok(packed <= 700_000, `${packed} bytes compressed`);
+});

@@ -1,0 +1,364 @@
+// Files that a person drops or chooses, or that a program opens: archives are opened, scans and meshes are converted in this
+// browser first. Whatever fails, the open scene stays.
+
+import { SlicewalkError } from "slicewalk";
+import { ConversionError, Converter, type ConversionOptions, type Converted } from "slicewalk/convert";
+import { chosenLanguage, languageTexts } from "./languages";
+import { fromAddress, type Source } from "./session";
+import { h } from "./ui/dom";
+import "./conversions.css";
+
+/** First bytes of archives of this and of older drafts. */
+const MAGICS = ["\x89SLA\r\n\x1a\n", "\x89SLIC\r\n\x1a"];
+/** Options of a conversion for the eye, unless others are given: those of `slicetool serve`. */
+const USUAL: ConversionOptions = { colour: "auto", levels: true };
+/** Interval at which the page asks for the state of a conversion by the server (ms). */
+const ASK_MS = 250;
+/** Time without an answer after which the server counts as gone (ms). */
+const GONE_MS = 5_000;
+
+export interface Converting {
+  readonly stage: string;
+  readonly share: number;
+}
+
+/** The page, as far as it opens and shows. */
+export interface Opener {
+  /** Opens an archive; resolves when it is open or has failed. */
+  open(source: Source): Promise<void>;
+  /** Source of the open archive. */
+  readonly source: Source | null;
+  /** Reason why the last archive did not open. */
+  readonly error: string | null;
+  say(text: string): void;
+}
+
+type Units = "m" | "ft" | "us-ft" | "cm" | "mm";
+const FACTORS: Readonly<Partial<Record<Units, number>>> = { cm: 0.01, mm: 0.001 };
+
+/** Stated facts of the files, as `sliceconv --dry-run --json` names them. */
+interface Facts {
+  points_stated?: number;
+  extent?: readonly number[] | null;
+  crs?: string | null;
+  unit?: { name: string } | null;
+  inputs?: readonly { points_stated: number | null }[];
+}
+
+const grouped = (number: number): string => number.toLocaleString(chosenLanguage());
+const size = (bytes: number): string => (bytes < 1e6 ? `${Math.ceil(bytes / 1e3)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
+const named = (files: readonly File[]): string => files[0]?.name ?? "";
+
+export class Conversions {
+  readonly #texts = languageTexts();
+  readonly #bar = h("progress", { max: 1 });
+  readonly #words = h("span", { role: "status", "aria-live": "polite" });
+  readonly #working: HTMLElement;
+  readonly #dialog = h("dialog", { class: "conversion", "aria-labelledby": "conversion-title" });
+  readonly #made = h("aside", { class: "made", hidden: true });
+  #running: Converter | null = null;
+  #now: Converting | null = null;
+  /** The archive that was converted last, while it is open. */
+  #converted: Converted | null = null;
+
+  constructor(
+    parent: HTMLElement,
+    readonly opener: Opener,
+    readonly chooseOther: () => void,
+  ) {
+    const { convert } = this.#texts;
+    const cancel = h("button", { type: "button", class: "plain", onclick: () => this.cancel() }, convert.cancel);
+    const quiet = h("small", { class: "quiet" }, convert.privacy);
+    this.#working = h("div", { class: "converting", hidden: true }, this.#words, this.#bar, quiet, cancel);
+    parent.append(this.#working, this.#dialog, this.#made);
+  }
+
+  /** What a conversion does now; null if there is none. */
+  get converting(): Converting | null {
+    return this.#now;
+  }
+
+  /** Opens what a person dropped or chose: asks first how a scan is to be read. */
+  async take(files: readonly File[]): Promise<void> {
+    const [first] = files;
+    if (first === undefined) return;
+    if (await isArchive(first)) {
+      await this.#opened({ archive: first, link: null, name: first.name });
+      return;
+    }
+    await this.#ask(files, {});
+  }
+
+  /** Opens an archive, or converts a scan; resolves when one can walk in it. */
+  async open(input: File | readonly File[] | URL | string, options: ConversionOptions = {}): Promise<void> {
+    if (typeof input === "string" || input instanceof URL) {
+      const source = fromAddress(String(input));
+      const files = await fetchScan(source);
+      if (files === null) await this.#walkIn(source);
+      else await this.#convert([files], options);
+      return;
+    }
+    const files = input instanceof Blob ? [input] : [...input];
+    const [first] = files;
+    if (first === undefined || !files.every((file) => file instanceof Blob)) {
+      throw new SlicewalkError("invalid", "expected a File, several files, or an address");
+    }
+    const name = first.name ?? "scan";
+    if (await isArchive(first)) await this.#walkIn({ archive: first, link: null, name });
+    else await this.#convert(files, options);
+  }
+
+  /** The bytes of the open archive. */
+  async save(): Promise<Blob> {
+    const source = this.opener.source;
+    if (source === null) throw new SlicewalkError("invalid", "no archive is open");
+    if (source.archive instanceof Blob) return source.archive;
+    const answer = await fetch(source.archive);
+    if (!answer.ok) throw new SlicewalkError("network", `the host answered ${answer.status}`);
+    return answer.blob();
+  }
+
+  /** Saves the open archive as a file. */
+  async download(): Promise<void> {
+    const source = this.opener.source;
+    if (source === null) {
+      this.opener.say(this.#texts.convert.nothing);
+      return;
+    }
+    try {
+      const anchor = document.createElement("a");
+      anchor.href = URL.createObjectURL(await this.save());
+      anchor.download = source.name.split(/[?#]/)[0]?.split("/").at(-1) || "scan.slices";
+      anchor.click();
+      setTimeout(() => URL.revokeObjectURL(anchor.href), 60_000);
+    } catch (error) {
+      this.opener.say(error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  /** Ends the conversion that runs. */
+  cancel(): void {
+    this.#running?.close();
+  }
+
+  /** Shows the conversion that the server makes, and resolves to whether it came to its end. */
+  async follow(url: string): Promise<boolean> {
+    let heard = performance.now();
+    for (;;) {
+      try {
+        const answer = await fetch(url, { cache: "no-store" });
+        const state = (await answer.json()) as { converting: Converting | null; error: string | null };
+        heard = performance.now();
+        if (state.error !== null) {
+          this.#show(null);
+          this.#trouble(this.#texts.convert.served, state.error, null);
+          return false;
+        }
+        this.#show(state.converting, false);
+        if (state.converting === null) return true;
+      } catch {
+        if (performance.now() - heard > GONE_MS) {
+          this.#show(null);
+          this.#trouble(this.#texts.convert.served, this.#texts.convert.gone, null);
+          return false;
+        }
+      }
+      await new Promise((resolve) => setTimeout(resolve, ASK_MS));
+    }
+  }
+
+  // Conversion -------------------------------------------------------------------------------------------------------------------
+
+  async #convert(files: readonly File[], options: ConversionOptions): Promise<void> {
+    if (this.#running !== null) throw new SlicewalkError("invalid", "another conversion runs; cancel it first");
+    const converter = new Converter(files);
+    this.#running = converter;
+    let converted: Converted;
+    try {
+      converted = await converter.convert({ ...USUAL, ...options }, (now) => this.#show(now));
+    } finally {
+      this.#running = null;
+      converter.close();
+      this.#show(null);
+    }
+    const before = this.#converted;
+    this.#converted = converted;
+    const { archive } = converted;
+    try {
+      await this.#walkIn({ archive, link: null, name: archive.name });
+    } catch (error) {
+      converted.release();
+      this.#converted = null;
+      throw error;
+    } finally {
+      before?.release();
+    }
+    const { convert } = this.#texts;
+    const save = h("button", { type: "button", class: "primary", onclick: () => void this.download() }, convert.save);
+    const hide = h("button", { type: "button", class: "plain", "aria-label": "×", onclick: () => this.#hide() }, "×");
+    this.#made.replaceChildren(h("span", {}, `${convert.done(archive.name)} ${convert.privacy}`), save, hide);
+    this.#made.hidden = false;
+  }
+
+  #hide(): void {
+    this.#made.hidden = true;
+  }
+
+  async #walkIn(source: Source): Promise<void> {
+    this.#hide();
+    await this.opener.open(source);
+    if (this.opener.error !== null) throw new SlicewalkError("invalid", this.opener.error);
+  }
+
+  async #opened(source: Source): Promise<void> {
+    this.#hide();
+    await this.opener.open(source);
+  }
+
+  #show(now: Converting | null, canCancel = true): void {
+    this.#now = now;
+    this.#working.hidden = now === null;
+    const button = this.#working.lastElementChild;
+    if (button instanceof HTMLElement) button.hidden = !canCancel;
+    if (now === null) return;
+    const percent = Math.floor(100 * now.share);
+    const words = this.#texts.convert.progress(this.#texts.stages[now.stage] ?? now.stage, percent);
+    if (this.#words.textContent !== words) this.#words.textContent = words;
+    if (now.share > 0) this.#bar.value = now.share;
+    else this.#bar.removeAttribute("value");
+  }
+
+  // Questions --------------------------------------------------------------------------------------------------------------------
+
+  /** Shows what the files are, and converts them once a person agrees. */
+  async #ask(files: readonly File[], options: ConversionOptions): Promise<void> {
+    const { convert } = this.#texts;
+    const converter = new Converter(files);
+    const cancel = h("button", { type: "button", class: "plain", onclick: () => this.#dialog.close() }, convert.cancel);
+    this.#fill(convert.title(named(files)), h("p", {}, convert.reading(named(files))), cancel);
+    this.#dialog.addEventListener("close", () => converter.close(), { once: true });
+    let facts: Facts;
+    try {
+      facts = await converter.preview(options);
+    } catch (error) {
+      if (error instanceof SlicewalkError && error.kind === "aborted") return;
+      this.#refused(error);
+      return;
+    }
+    if (!this.#dialog.open) return;
+    const unit = h("select", { id: "conversion-unit" });
+    const stated = facts.unit ? convert.unitAuto(facts.unit.name) : convert.unitUnknown;
+    for (const [value, words] of [["auto", stated], ...Object.entries(convert.units)] as [string, string][]) {
+      unit.append(h("option", { value }, words));
+    }
+    const up = h("select", { id: "conversion-up" });
+    up.append(h("option", { value: "z" }, "z"), h("option", { value: "y" }, "y"));
+    const pixel = h("input", {
+      id: "conversion-pixel",
+      type: "text",
+      inputmode: "decimal",
+      placeholder: convert.pixelAuto,
+      pattern: "[0-9]*[.,]?[0-9]*",
+    });
+    const bytes = files.reduce((sum, file) => sum + file.size, 0);
+    const points = facts.inputs?.some((input) => input.points_stated !== null)
+      ? grouped(facts.points_stated ?? 0)
+      : convert.mesh;
+    const extent = facts.extent ? `${facts.extent.map((metres) => metres.toFixed(1)).join(" × ")} m` : convert.unknown;
+    const crs = facts.crs ? (/"([^"]+)"/.exec(facts.crs)?.[1] ?? facts.crs.slice(0, 60)) : convert.unknown;
+    const rows: readonly [string, string | HTMLElement][] = [
+      [convert.files, `${files.length === 1 ? named(files) : `${files.length}`}, ${size(bytes)}`],
+      [convert.points, points],
+      [convert.extent, extent],
+      [convert.crs, crs],
+      [convert.unit, unit],
+      [convert.up, up],
+      [convert.pixel, pixel],
+    ];
+    const list = h("dl");
+    for (const [name, value] of rows) {
+      const label = value instanceof HTMLElement ? h("label", { for: value.id }, name) : name;
+      list.append(h("div", {}, h("dt", {}, label), h("dd", {}, value)));
+    }
+    const form = h("form", {
+      onsubmit: (event) => {
+        event.preventDefault();
+        const edge = Number(pixel.value.replace(",", "."));
+        const chosen: Record<string, unknown> = { ...options, up: up.value };
+        if (unit.value !== "auto") chosen["units"] = FACTORS[unit.value as Units] ?? unit.value;
+        else if (!facts.unit) chosen["units"] = "m";
+        if (edge > 0) chosen["pixel"] = edge;
+        this.#dialog.close();
+        this.#convert(files, chosen).catch((error: unknown) => this.#refused(error));
+      },
+    });
+    const start = h("button", { class: "primary" }, convert.start);
+    form.append(list, h("p", { class: "quiet" }, convert.privacy), h("div", { class: "actions" }, start, cancel));
+    this.#fill(convert.title(named(files)), h("p", {}, convert.lead), form);
+    start.focus();
+  }
+
+  /** Says why files were not converted; the open scene stays. */
+  #refused(error: unknown): void {
+    const { convert } = this.#texts;
+    if (error instanceof SlicewalkError && error.kind === "aborted") {
+      this.opener.say(convert.cancelled);
+      return;
+    }
+    // A reason that the page shows already, because the archive did not open.
+    if (!(error instanceof ConversionError) && this.opener.error !== null) return;
+    const message = error instanceof Error ? error.message : String(error);
+    const isFull = /space|storage full|no storage/i.test(message);
+    this.#trouble(convert.failed, message, isFull ? convert.full : null);
+  }
+
+  #trouble(title: string, detail: string, wayOut: string | null): void {
+    const { convert } = this.#texts;
+    const other = (): void => {
+      this.#dialog.close();
+      this.chooseOther();
+    };
+    const close = h("button", { type: "button", class: "plain", onclick: () => this.#dialog.close() }, convert.cancel);
+    const again = h("button", { type: "button", class: "primary", onclick: other }, convert.again);
+    const detailText = h("p", { class: "detail" }, detail);
+    const more = wayOut === null ? [] : [h("p", {}, wayOut)];
+    this.#fill(title, detailText, ...more, h("div", { class: "actions" }, again, close));
+  }
+
+  #fill(title: string, ...content: readonly Node[]): void {
+    this.#dialog.replaceChildren(h("h2", { id: "conversion-title" }, title), ...content);
+    if (!this.#dialog.open) this.#dialog.showModal();
+  }
+}
+
+async function isArchive(file: Blob & { name?: string }): Promise<boolean> {
+  if (/\.slices$/i.test(file.name ?? "")) return true;
+  return hasMagic(new Uint8Array(await file.slice(0, 8).arrayBuffer()));
+}
+
+function hasMagic(bytes: Uint8Array): boolean {
+  const start = String.fromCharCode(...bytes.subarray(0, 8));
+  return MAGICS.some((magic) => start.startsWith(magic));
+}
+
+/** The scan at an address as a file; null for an archive, which is read by ranges. */
+async function fetchScan(source: Source): Promise<File | null> {
+  const url = String(source.archive);
+  if (/\.slices$/i.test(new URL(url).pathname)) return null;
+  const stop = new AbortController();
+  let answer: Response;
+  try {
+    answer = await fetch(url, { headers: { Range: "bytes=0-7" }, signal: stop.signal });
+  } catch (cause) {
+    throw new SlicewalkError("network", `${url}: the host does not answer`, { cause });
+  }
+  if (!answer.ok) throw new SlicewalkError("network", `${url}: the host answered ${answer.status}`);
+  const reader = answer.body?.getReader();
+  const first = (await reader?.read())?.value ?? new Uint8Array();
+  stop.abort();
+  if (hasMagic(first)) return null;
+  const whole = await fetch(url);
+  if (!whole.ok) throw new SlicewalkError("network", `${url}: the host answered ${whole.status}`);
+  const name = decodeURIComponent(new URL(url).pathname.split("/").at(-1) ?? "") || "scan";
+  return new File([await whole.blob()], name);
+}

@@ -1,0 +1,324 @@
+// A page in a public place: large controls and no settings, back to the start when nobody touches it, a tour until somebody
+// does; and the texts of a place from `settings.json` beside its archive.
+
+import type { Vec3 } from "slicewalk";
+import type { Mode } from "./address";
+import type { Look } from "./geometry";
+import { nothing, type Intent } from "./input/intent";
+import { languageTexts, translated } from "./languages";
+import type { Arrival } from "./pawn";
+import { h } from "./ui/dom";
+import "./kiosk.css";
+
+/** Distance from a stop within which its caption is shown, unless it names another (m). */
+const NEAR_M = 3;
+/** Pause at the end of a tour before it begins again, and at a place that cannot be reached (ms). */
+const PAUSE_MS = 4_000;
+const LOOK_MS = 250;
+/** Degrees that the eye turns at most towards the way, at once and for each look. */
+const TURN_DEGREES = 12;
+const MODES: readonly Mode[] = ["walk", "orbit", "plan"];
+
+/** Contents of `settings.json`; texts are plain or by language. */
+export interface PlaceSettings {
+  readonly title?: unknown;
+  readonly text?: unknown;
+  /** View at the start: `at` (m), `look` (degrees), `view`. */
+  readonly start?: { readonly at?: readonly number[]; readonly look?: readonly number[]; readonly view?: string };
+  /** Views that visitors may choose. */
+  readonly modes?: readonly string[];
+  readonly stops?: readonly { readonly at?: readonly number[]; readonly caption?: unknown; readonly radius?: number }[];
+}
+
+/** The page, as far as a kiosk drives it. */
+export interface Driven {
+  readonly at: Vec3 | null;
+  readonly look: Look | null;
+  readonly mode: Mode;
+  setMode(mode: Mode): void;
+  goto(place: { at?: Vec3; look?: readonly [number, number] }): Promise<void>;
+  /** Walks straight to a place; `arrived` is called at its end. */
+  walkTo(place: Vec3, arrived: (how: Arrival) => void): void;
+  stop(): void;
+}
+
+export interface KioskOptions {
+  /** Idle time after which the page returns to its start (s); null: no kiosk, texts only. */
+  readonly seconds: number | null;
+  readonly tour: readonly Vec3[];
+  readonly settings: PlaceSettings;
+}
+
+const triple = (numbers: unknown): Vec3 | null =>
+  Array.isArray(numbers) && numbers.length === 3 && numbers.every((number) => Number.isFinite(number))
+    ? (numbers as unknown as Vec3)
+    : null;
+
+/** Reads what the address and the host's table ask for. */
+export async function readKiosk(
+  search: string,
+  table: { readonly kiosk?: number; readonly tour?: string; readonly settings?: string },
+  archive: string | null,
+): Promise<KioskOptions | null> {
+  const fields = new URLSearchParams(search);
+  const given = fields.get("kiosk");
+  const seconds = given === null ? (table.kiosk ?? null) : Number(given);
+  const isKiosk = seconds !== null && Number.isFinite(seconds) && seconds > 0;
+  const tourUrl = fields.get("tour") ?? table.tour ?? null;
+  // Beside the archive; plain hosts are asked only where a kiosk stands, as they may not have such a file.
+  const beside = isKiosk && archive !== null ? new URL("settings.json", new URL(archive, location.href)).href : null;
+  const settingsUrl = fields.get("settings") ?? table.settings ?? beside;
+  if (!isKiosk && tourUrl === null && settingsUrl === null) return null;
+  const [settings, tour] = await Promise.all([readSettings(settingsUrl), readTour(tourUrl)]);
+  return { seconds: isKiosk ? seconds : null, tour, settings };
+}
+
+async function readSettings(url: string | null): Promise<PlaceSettings> {
+  if (url === null) return {};
+  try {
+    const answer = await fetch(url);
+    const settings: unknown = answer.ok ? await answer.json() : {};
+    return typeof settings === "object" && settings !== null ? settings : {};
+  } catch {
+    return {};
+  }
+}
+
+/** Places of a table with the columns x, y and z. */
+export async function readTour(url: string | null): Promise<Vec3[]> {
+  if (url === null) return [];
+  try {
+    const answer = await fetch(url);
+    return answer.ok ? parseTour(await answer.text()) : [];
+  } catch {
+    return [];
+  }
+}
+
+export function parseTour(text: string): Vec3[] {
+  const rows = text.split(/\r\n|\r|\n/).filter((row) => row.trim() !== "" && !row.startsWith("#"));
+  const cells = rows.map((row) => row.split(",").map((cell) => cell.trim()));
+  const head = cells[0]?.map((name) => name.toLowerCase()) ?? [];
+  const columns = ["x", "y", "z"].map((name) => head.indexOf(name));
+  if (columns.includes(-1)) return [];
+  return cells.slice(1).flatMap((row) => {
+    const place = triple(
+      columns.map((column) => (row[column] === undefined || row[column] === "" ? NaN : Number(row[column]))),
+    );
+    return place === null ? [] : [place];
+  });
+}
+
+export class Kiosk {
+  readonly #texts = languageTexts().kiosk;
+  readonly #caption = h("p", { class: "caption", role: "status", "aria-live": "polite", hidden: true });
+  readonly #hint = h("p", { class: "hint", hidden: true });
+  readonly #held = nothing();
+  readonly #modes = new Map<Mode, HTMLButtonElement>();
+  #touched = performance.now();
+  #home: { at: Vec3; look: readonly [number, number]; mode: Mode } | null = null;
+  #next = -1;
+  #resume = 0;
+
+  constructor(
+    parent: HTMLElement,
+    readonly options: KioskOptions,
+    readonly driven: Driven,
+  ) {
+    const { settings, seconds, tour } = options;
+    const title = translated(settings.title);
+    const text = translated(settings.text);
+    if (title !== "" || text !== "") {
+      const head = h("div", { class: "place-texts" });
+      if (title !== "") {
+        head.append(h("h1", {}, title));
+        document.title = title;
+      }
+      if (text !== "") head.append(h("p", {}, text));
+      parent.append(head);
+    }
+    parent.append(this.#caption, this.#hint);
+    if (seconds !== null) {
+      parent.classList.add("kiosk");
+      parent.append(this.#controls());
+    }
+    this.#hint.textContent = this.#texts.touch;
+    for (const event of ["pointerdown", "keydown", "wheel", "touchstart"]) {
+      window.addEventListener(event, () => this.#touch(), { capture: true, passive: true });
+    }
+    if (seconds !== null || tour.length > 0 || (settings.stops?.length ?? 0) > 0) {
+      window.setInterval(() => this.#look(), LOOK_MS);
+    }
+  }
+
+  /** State for programs. */
+  get state(): Record<string, unknown> {
+    const idle = (performance.now() - this.#touched) / 1000;
+    return {
+      seconds: this.options.seconds,
+      idle,
+      touring: this.#next >= 0,
+      stop: this.#next,
+      caption: this.#caption.hidden ? null : this.#caption.textContent,
+    };
+  }
+
+  /** Controls that are held down. */
+  get intent(): Intent {
+    return { ...this.#held };
+  }
+
+  /** Remembers where the page begins, and starts the tour. */
+  async opened(): Promise<void> {
+    const { start } = this.options.settings;
+    const at = triple(start?.at);
+    const look = start?.look;
+    const isLook = Array.isArray(look) && look.length === 2 && look.every(Number.isFinite);
+    const place = { ...(at && { at }), ...(isLook && { look: look as unknown as [number, number] }) };
+    if (at !== null || isLook) await this.driven.goto(place).catch(() => {});
+    const mode = MODES.find((mode) => mode === start?.view) ?? this.driven.mode;
+    if (mode !== this.driven.mode) this.driven.setMode(mode);
+    const { at: now, look: looked } = this.driven;
+    if (now !== null && looked !== null) this.#home = { at: now, look: [looked.heading, looked.pitch], mode };
+    this.#show();
+    if (this.options.tour.length > 0) this.#begin();
+  }
+
+  /** Views that visitors may choose. */
+  get modes(): readonly Mode[] {
+    const { modes } = this.options.settings;
+    const permitted = Array.isArray(modes) ? MODES.filter((mode) => modes.includes(mode)) : MODES;
+    return permitted.length > 0 ? permitted : ["walk"];
+  }
+
+  #controls(): HTMLElement {
+    const { label, forward, back, left, right, home, modes } = this.#texts;
+    const hold = (name: string, sign: string, key: "forward" | "turn", value: number): HTMLElement => {
+      const button = h("button", { type: "button", "aria-label": name, title: name }, sign);
+      const set =
+        (held: boolean) =>
+        (event: Event): void => {
+          event.preventDefault();
+          this.#held[key] = held ? value : 0;
+        };
+      button.addEventListener("pointerdown", set(true));
+      for (const end of ["pointerup", "pointercancel", "pointerleave"]) button.addEventListener(end, set(false));
+      button.addEventListener("contextmenu", (event) => event.preventDefault());
+      return button;
+    };
+    const steps = h(
+      "div",
+      { class: "steps" },
+      hold(left, "↺", "turn", -1),
+      hold(forward, "↑", "forward", 1),
+      hold(right, "↻", "turn", 1),
+      hold(back, "↓", "forward", -1),
+    );
+    const others = h("div", { class: "others" });
+    if (this.modes.length > 1) {
+      for (const mode of this.modes) {
+        const act = (): void => {
+          this.driven.setMode(mode);
+          this.#show();
+        };
+        const button = h("button", { type: "button", onclick: act }, modes[mode]);
+        this.#modes.set(mode, button);
+        others.append(button);
+      }
+    }
+    others.append(h("button", { type: "button", class: "home", onclick: () => void this.#return() }, home));
+    return h("div", { class: "kiosk-controls", role: "group", "aria-label": label }, steps, others);
+  }
+
+  #show(): void {
+    this.#modes.forEach((button, mode) => button.setAttribute("aria-pressed", String(mode === this.driven.mode)));
+  }
+
+  #touch(): void {
+    this.#touched = performance.now();
+    if (this.#next < 0) return;
+    this.#next = -1;
+    this.driven.stop();
+    this.#hint.hidden = true;
+  }
+
+  async #return(): Promise<void> {
+    const home = this.#home;
+    if (home === null) return;
+    this.driven.stop();
+    await this.driven.goto({ at: home.at, look: home.look }).catch(() => {});
+    this.driven.setMode(home.mode);
+    this.#show();
+  }
+
+  /** Looks after idle time, tour and captions. */
+  #look(): void {
+    const now = performance.now();
+    const { seconds, tour } = this.options;
+    if (seconds !== null && this.#next < 0 && now - this.#touched > 1000 * seconds && this.#home !== null) {
+      this.#touched = now;
+      void this.#return().then(() => {
+        if (tour.length > 0) this.#begin();
+      });
+    }
+    if (this.#next >= 0 && this.#resume > 0 && now > this.#resume) this.#walk();
+    if (this.#next >= 0 && this.#resume === 0) this.#face();
+    this.#explain();
+  }
+
+  #begin(): void {
+    this.#next = 0;
+    this.#hint.hidden = false;
+    this.driven.setMode("walk");
+    this.#resume = performance.now();
+  }
+
+  /** Goes on to the next place of the tour; after the last one from the first. */
+  #walk(): void {
+    this.#resume = 0;
+    const place = this.options.tour[this.#next];
+    if (place === undefined) {
+      this.#next = 0;
+      const first = this.options.tour[0];
+      if (first !== undefined) void this.driven.goto({ at: first }).catch(() => {});
+      this.#resume = performance.now() + PAUSE_MS;
+      return;
+    }
+    this.driven.walkTo(place, (how) => {
+      if (this.#next < 0) return;
+      // A place that cannot be walked to is begun from, so that a tour never stands still.
+      if (how === "gave-up") void this.driven.goto({ at: place }).catch(() => {});
+      this.#next += 1;
+      const rests = how === "gave-up" || this.#next >= this.options.tour.length;
+      this.#resume = performance.now() + (rests ? PAUSE_MS : 1);
+      if (!rests) this.#walk();
+    });
+  }
+
+  /** Turns the eye towards the next place. */
+  #face(): void {
+    const { at, look } = this.driven;
+    const place = this.options.tour[this.#next];
+    if (at === null || look === null || place === undefined) return;
+    const [east, north] = [place[0] - at[0], place[1] - at[1]];
+    if (Math.hypot(east, north) < 0.3) return;
+    const heading = (Math.atan2(east, north) * 180) / Math.PI;
+    const turn = ((((heading - look.heading) % 360) + 540) % 360) - 180;
+    look.heading += Math.max(-TURN_DEGREES, Math.min(TURN_DEGREES, turn));
+    look.pitch *= 0.8;
+  }
+
+  /** Shows the caption of the nearest stop. */
+  #explain(): void {
+    const { at } = this.driven;
+    let [best, words] = [Infinity, ""];
+    for (const { at: place, caption, radius = NEAR_M } of this.options.settings.stops ?? []) {
+      const there = triple(place);
+      if (there === null || at === null) continue;
+      const far = Math.hypot(there[0] - at[0], there[1] - at[1], there[2] - at[2]);
+      if (far <= radius && far < best) [best, words] = [far, translated(caption)];
+    }
+    this.#caption.hidden = words === "";
+    if (this.#caption.textContent !== words) this.#caption.textContent = words;
+  }
+}

@@ -1,0 +1,181 @@
+// Scans on the page: dropped, converted, walked in and saved; refused and cancelled ones; what the server converts; kiosks.
+
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, describe } from "node:test";
+import { it, pages, state, until, walkIn } from "./browser.js";
+import { BIN, DIST, house, program, WAY } from "./scans.js";
+import { StaticServer } from "./static-server.js";
+
+const folder = mkdtempSync(join(tmpdir(), "page-"));
+const scan = join(folder, "house.laz");
+const OPTIONS = { units: "m", pixel: 0.1 };
+let server;
+
+before(async () => {
+  program("scangen", "demo", "--format", "7", "--colour", "4", "-o", scan);
+  writeFileSync(join(folder, "wrong.laz"), "this is no scan");
+  writeFileSync(join(folder, "cut.laz"), readFileSync(scan).subarray(0, 200_000));
+  writeFileSync(join(folder, "route.csv"), "x,y,z\n1.5,2,0\n3.8,5,0\n6.4,5,0\n");
+  const settings = {
+    title: { en: "The house", de: "Das Haus" },
+    start: { at: WAY.start, look: [90, 0] },
+    modes: ["walk", "plan"],
+    stops: [{ at: [1.5, 2, 0], caption: "The door", radius: 2 }],
+  };
+  writeFileSync(join(folder, "settings.json"), JSON.stringify(settings));
+  server = await new StaticServer(DIST, {
+    "/house.slices": house(),
+    "/settings.json": join(folder, "settings.json"),
+    "/route.csv": join(folder, "route.csv"),
+  }).start();
+});
+after(async () => {
+  await server?.stop();
+  rmSync(folder, { recursive: true, force: true });
+});
+
+/** The bytes that `sliceconv` writes with the page's options. */
+function natively(options) {
+  const output = join(folder, "native.slices");
+  const words = Object.entries(options).flatMap(([name, value]) => [`--${name}`, String(value)]);
+  program("sliceconv", scan, "-o", output, "--quiet", "--force", "--colour", "auto", "--levels", "on", ...words);
+  return readFileSync(output);
+}
+
+async function saved(page) {
+  const base64 = await page.evaluate(async () => {
+    const bytes = new Uint8Array(await (await window.slicewalk.save()).arrayBuffer());
+    let text = "";
+    for (let at = 0; at < bytes.length; at += 32768) text += String.fromCharCode(...bytes.subarray(at, at + 32768));
+    return btoa(text);
+  });
+  return Buffer.from(base64, "base64");
+}
+
+const choose = (page, ...names) => page.locator("#open-file").setInputFiles(names.map((name) => join(folder, name)));
+
+describe("scans on the page", () => {
+  const tests = pages();
+
+  it("a chosen scan is described, converted, walked in and saved", async () => {
+    const { page } = tests;
+    await page.goto(server.address);
+    await choose(page, "house.laz");
+    const dialog = page.getByRole("dialog", { name: "Convert house.laz" });
+    await dialog.getByText("Nothing leaves this computer.").waitFor();
+    await dialog.getByLabel("Unit").selectOption("m");
+    await dialog.getByLabel("Edge of a pixel (m)").fill("0.1");
+    await dialog.getByRole("button", { name: "Convert and walk in" }).click();
+    await until(page, "the walk", ({ ready }) => ready);
+    assert.ok((await saved(page)).equals(natively(OPTIONS)));
+    await page.getByRole("button", { name: "Save as .slices" }).waitFor();
+    const { converting, error } = await state(page);
+    assert.deepEqual([converting, error], [null, null]);
+  });
+
+  it("a program opens a scan by its address and hears of its progress", async () => {
+    const { page } = tests;
+    server.files["/scan.laz"] = scan;
+    await page.goto(server.address);
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+    const stages = await page.evaluate(async (options) => {
+      const stages = new Set();
+      const timer = setInterval(() => stages.add(window.slicewalk.state().converting?.stage), 5);
+      await window.slicewalk.open("scan.laz", options);
+      clearInterval(timer);
+      return [...stages];
+    }, OPTIONS);
+    assert.ok(stages.includes("reading points"), stages.join());
+    assert.equal((await state(page)).ready, true);
+    assert.ok((await saved(page)).equals(natively(OPTIONS)));
+  });
+
+  it("wrong, damaged and cancelled scans leave the open scene", async () => {
+    const { page } = tests;
+    await walkIn(page, `${server.address}?archive=house.slices&at=${WAY.start}`);
+    for (const name of ["wrong.laz", "cut.laz"]) {
+      await choose(page, name);
+      await page.getByRole("heading", { name: "This file cannot be converted" }).waitFor();
+      await page.getByText(name).first().waitFor();
+      await page.getByRole("dialog").getByRole("button", { name: "Cancel" }).click();
+      assert.equal((await state(page)).ready, true);
+    }
+    const reason = await page.evaluate(async () => {
+      const bytes = await (await fetch("scan.laz")).arrayBuffer();
+      const opening = window.slicewalk.open(new File([bytes], "scan.laz"), { units: "m", pixel: 0.02 });
+      await new Promise((resolve) => setTimeout(resolve, 50));
+      document.querySelector(".converting button").click();
+      return opening.then(
+        () => "converted",
+        (error) => error.kind,
+      );
+    });
+    assert.equal(reason, "aborted");
+    const { ready, converting } = await state(page);
+    assert.deepEqual([ready, converting], [true, null]);
+    const refused = await page.evaluate(() =>
+      window.slicewalk.open(new File(["x"], "a.laz"), { no_such_option: 1 }).catch((error) => error.message),
+    );
+    assert.match(refused, /no_such_option/);
+  });
+
+  it("without private files the conversion works in memory", async () => {
+    const { page } = tests;
+    await page.addInitScript(() => {
+      Object.defineProperty(StorageManager.prototype, "getDirectory", { value: () => Promise.reject(new Error("none")) });
+    });
+    await page.goto(server.address);
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+    await page.evaluate((options) => window.slicewalk.open("scan.laz", options), OPTIONS);
+    assert.ok((await saved(page)).equals(natively(OPTIONS)));
+  });
+
+  it("the server converts a scan while the page waits", async () => {
+    const { page } = tests;
+    const words = ["serve", scan, "--units", "m", "--pixel", "0.1", "--page", DIST];
+    const child = spawn(join(BIN, "slicetool"), words, { stdio: ["ignore", "pipe", "inherit"] });
+    try {
+      const address = await new Promise((resolve) => child.stdout.once("data", (text) => resolve(String(text).trim())));
+      await page.goto(address);
+      await until(page, "the walk", ({ ready }) => ready);
+      assert.ok((await saved(page)).equals(natively(OPTIONS)));
+    } finally {
+      child.kill("SIGINT");
+      await new Promise((resolve) => child.once("exit", resolve));
+    }
+  });
+});
+
+describe("kiosk", () => {
+  const tests = pages();
+
+  it("walks the tour until someone touches, and returns when nobody does", async () => {
+    const { page } = tests;
+    await page.goto(`${server.address}?archive=house.slices&kiosk=4&tour=route.csv&lang=de`);
+    const { kiosk } = await until(page, "the tour", ({ ready, kiosk }) => ready && kiosk?.touring);
+    assert.equal(kiosk.seconds, 4);
+    await page.getByRole("heading", { name: "Das Haus" }).waitFor();
+    await until(page, "a walk", ({ at }) => Math.hypot(at[0] - 1.5, at[1] - 2) > 0.3);
+    const forward = page.getByRole("button", { name: "Vorwärts" });
+    await forward.click();
+    assert.equal((await state(page)).kiosk.touring, false);
+    const { width, height } = await forward.boundingBox();
+    assert.ok(width >= 88 && height >= 88, `${width} × ${height}`);
+    assert.equal(await page.getByRole("button", { name: "Settings" }).isVisible(), false);
+    assert.equal(await page.getByRole("button", { name: "Von außen" }).count(), 0);
+    const back = await until(page, "the start", ({ kiosk }) => kiosk.touring);
+    assert.ok(Math.hypot(back.at[0] - 1.5, back.at[1] - 2) < 1, JSON.stringify(back.at));
+  });
+
+  it("shows the captions of stops", async () => {
+    const { page } = tests;
+    await page.goto(`${server.address}?archive=house.slices&settings=settings.json&lang=en`);
+    await until(page, "the caption", ({ kiosk }) => kiosk?.caption === "The door");
+    await page.evaluate(() => window.slicewalk.goto({ at: [6.4, 5, 0] }));
+    await until(page, "no caption", ({ kiosk }) => kiosk.caption === null);
+  });
+});
