@@ -85,12 +85,14 @@
 //! | query | [`query`], [`object`] |
 //! | walk | [`walk`] |
 //! | find where a pawn can walk, and routes | [`reach`] |
+//! | add and remove solids without changing the archive | [`edit`] |
 //! | the grid, options of archives, units, errors, progress | [`frame`], [`plan`], [`unit`](mod@unit), [`error`], [`monitor`] |
 //!
 //! Without features the crate needs nothing that a browser lacks.
 
 pub mod archive;
 pub mod codec;
+pub mod edit;
 pub mod object;
 pub mod query;
 pub mod reach;

@@ -8,7 +8,7 @@ use super::account::{Account, Room};
 use super::fetch::{PageError, Time};
 use super::outlook::{Outlook, distance};
 use super::publish::{Current, Retired};
-use super::snapshot::{Held, Index, Snapshot, View};
+use super::snapshot::{Edited, Held, Index, Snapshot, View};
 use super::start::pause_after;
 use super::tally::Counters;
 use crate::archive::{PageDecoder, PageEntry, Storage};
@@ -110,13 +110,14 @@ type Wants<'a> = (&'a Order, &'a dyn Fn(u32) -> bool);
 pub struct Views {
     pub(super) index: Arc<Index>,
     pub(super) current: Arc<Current<Snapshot>>,
+    pub(super) edited: Option<Arc<Edited>>,
 }
 
 impl Views {
     /// Returns the pages in memory now. Lock-free; allocates nothing.
     #[inline]
     pub fn view(&self) -> View {
-        View { index: self.index.clone(), snapshot: self.current.get() }
+        View { index: self.index.clone(), snapshot: self.current.get(), edited: self.edited.clone() }
     }
 
     /// Returns the pages that a body touches before it moves; empty if the outlook is invalid.
@@ -164,7 +165,7 @@ impl Cache {
     pub fn new(index: Arc<Index>, table: Room, account: Arc<Account>, run_bytes: usize) -> Self {
         let snapshot = Arc::new(Snapshot::empty(&index));
         let longest_run = run_bytes.min(account.budget() / 8) as u64;
-        let views = Views { index, current: Arc::new(Current::new(snapshot.clone())) };
+        let views = Views { index, current: Arc::new(Current::new(snapshot.clone())), edited: None };
         Self {
             views,
             account,

@@ -1,5 +1,6 @@
 //! The store: all pages of a scan in memory.
 
+use super::edited::edited_pages;
 use super::table::{KeyBounds, SlotTable};
 use super::{PageSet, PageSlot};
 use crate::archive::{Archive, PageEntry};
@@ -7,6 +8,7 @@ use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
 use crate::slice::Page;
 use crate::{Error, Result};
+use std::collections::BTreeMap;
 
 /// Slot of one page in a [`Store`].
 #[derive(Debug)]
@@ -83,8 +85,11 @@ impl Store {
         let weights = entries.iter().map(|entry| entry.weight_bytes().saturating_add(slot));
         check_memory(weights.fold(0, usize::saturating_add), entries.len())?;
         monitor.stage("loading", entries.len() as u64, "pages");
-        let pages = archive.pages(&entries, monitor)?;
-        Ok(Self::from_pages(*archive.frame(), entries.iter().map(|entry| entry.key).zip(pages)))
+        let pages = entries.iter().map(|entry| entry.key).zip(archive.pages(&entries, monitor)?);
+        let Some(edited) = edited_pages(archive)? else { return Ok(Self::from_pages(*archive.frame(), pages)) };
+        let mut all: BTreeMap<PageKey, Page> = pages.collect();
+        all.extend(edited);
+        Ok(Self::from_pages(*archive.frame(), all))
     }
 
     /// Returns the memory of the pages (bytes).

@@ -16,6 +16,7 @@ mod account;
 mod by_id;
 mod cache;
 mod colours;
+mod edited;
 mod fetch;
 mod held;
 mod loader;

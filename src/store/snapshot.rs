@@ -239,6 +239,32 @@ impl Snapshot {
     }
 }
 
+/// Tile columns with edits, which stay in memory.
+#[derive(Debug)]
+pub(super) struct Edited {
+    table: SlotTable<ViewSlot>,
+    /// Tile columns of which the archive has no page.
+    added: Vec<[i32; 2]>,
+    bounds: Option<KeyBounds>,
+}
+
+impl Edited {
+    pub fn new(slots: Vec<(PageKey, ViewSlot)>, index: &Index) -> Self {
+        let table = SlotTable::new(slots);
+        let columns = (0..table.column_count()).map(|number| table.column_at(number));
+        let added =
+            columns.map(|(tx, ty, _)| [tx, ty]).filter(|[tx, ty]| index.tiles.get(*tx, *ty).is_empty()).collect();
+        let bounds = match (index.entries.bounds(), table.bounds()) {
+            (Some(a), Some(b)) => Some(KeyBounds {
+                min: [0, 1, 2].map(|axis| a.min[axis].min(b.min[axis])),
+                max: [0, 1, 2].map(|axis| a.max[axis].max(b.max[axis])),
+            }),
+            (a, b) => a.or(b),
+        };
+        Self { table, added, bounds }
+    }
+}
+
 /// Pages of a [`Stream`](super::Stream) that were in memory when the view was taken: a [`PageSet`] for queries.
 ///
 /// All answers from one view refer to the same moment: pages loaded or evicted meanwhile change nothing. Pages in a
@@ -249,6 +275,7 @@ impl Snapshot {
 pub struct View {
     pub(super) index: Arc<Index>,
     pub(super) snapshot: Arc<Snapshot>,
+    pub(super) edited: Option<Arc<Edited>>,
 }
 
 impl View {
@@ -272,6 +299,13 @@ impl View {
     }
 }
 
+impl ViewSlot {
+    /// Returns the slot of a page that stays in memory.
+    pub(super) fn of_edited(layer: i32, held: Held) -> Self {
+        Self { layer, slices: held.page.slices(), page: Some(Arc::new(held)) }
+    }
+}
+
 impl PageSet for View {
     type Slot = ViewSlot;
 
@@ -282,11 +316,16 @@ impl PageSet for View {
 
     #[inline]
     fn bounds(&self) -> Option<KeyBounds> {
-        self.index.entries.bounds()
+        self.edited.as_deref().map_or_else(|| self.index.entries.bounds(), |edited| edited.bounds)
     }
 
     #[inline]
     fn column(&self, tx: i32, ty: i32) -> &[ViewSlot] {
+        if let Some(edited) =
+            self.edited.as_deref().map(|edited| edited.table.column(tx, ty)).filter(|own| !own.is_empty())
+        {
+            return edited;
+        }
         let range = self.index.tiles.get(tx, ty);
         if range.is_empty() {
             return &[];
@@ -298,6 +337,7 @@ impl PageSet for View {
     #[inline]
     fn has_region(&self, rx: i32, ry: i32) -> bool {
         self.index.entries.has_region(rx, ry)
+            || self.edited.as_deref().is_some_and(|edited| edited.table.has_region(rx, ry))
     }
 
     fn weight_hint(&self) -> usize {
@@ -305,11 +345,19 @@ impl PageSet for View {
     }
 
     fn column_count(&self) -> usize {
-        self.index.entries.column_count()
+        self.index.entries.column_count() + self.edited.as_deref().map_or(0, |edited| edited.added.len())
     }
 
     fn column_at(&self, number: usize) -> (i32, i32, &[ViewSlot]) {
-        let (tx, ty, _) = self.index.entries.column_at(number);
+        let count = self.index.entries.column_count();
+        let added = self.edited.as_deref().map_or(&[][..], |edited| &edited.added);
+        let [tx, ty] = match number.checked_sub(count) {
+            Some(beyond) => added[beyond],
+            None => {
+                let (tx, ty, _) = self.index.entries.column_at(number);
+                [tx, ty]
+            }
+        };
         (tx, ty, self.column(tx, ty))
     }
 }

@@ -2,6 +2,7 @@
 
 use super::cache::Views;
 use super::colours::ColourLoader;
+use super::edited::edited_columns;
 use super::fetch::{Fetch, Next, PageError, Time};
 use super::loader::{BodyId, Loader, LoaderOptions, Turn};
 use super::missing::Missing;
@@ -177,7 +178,8 @@ impl Stream {
                 }
             }
         }
-        let Some(views) = loader.views() else { return Err(Error::parameter("archive", "it has no directory")) };
+        let Some(mut views) = loader.views() else { return Err(Error::parameter("archive", "it has no directory")) };
+        views.edited = edited_columns(&archive, &views.index, loader.account())?.map(Arc::new);
         let prefetch = options.prefetch;
         let colours = Mutex::new(loader.colours());
         let shared = Arc::new(Shared {

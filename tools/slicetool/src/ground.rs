@@ -1,6 +1,7 @@
 //! Pawn options and page loading, shared by `reach`, `route` and `export`.
 
 use crate::Failure;
+use crate::edits::EditOption;
 use crate::nearest::nearest;
 use nalgebra::Point3;
 use slicewalk::archive::Archive;
@@ -65,7 +66,7 @@ pub struct Pawns {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     #[command(flatten)]
-    inferred: crate::Inferred,
+    variant: crate::Variant,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -98,7 +99,12 @@ pub fn tidy(value: f64) -> f64 {
 impl Pawns {
     /// Opens the archive.
     pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
-        self.inferred.open(archive)
+        self.variant.open_for_pawns(archive)
+    }
+
+    /// The edits.
+    pub fn edits(&self) -> &EditOption {
+        self.variant.edits()
     }
 
     /// Memory for pages (bytes).

@@ -4,6 +4,7 @@ use crate::nearest::nearest;
 use crate::standard::table;
 use crate::{Failure, Outcome, cache_too_small};
 use nalgebra::Point3;
+use slicewalk::edit::Edits;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
 use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
@@ -29,10 +30,13 @@ pub struct Arguments {
     #[arg(long, value_name = "R.csv", group = "what")]
     rays: Option<PathBuf>,
     #[command(flatten)]
-    inferred: crate::Inferred,
+    variant: crate::Variant,
     /// Add a column `inferred`: 1 if floor inferred by `--fill-holes` changes the answer
     #[arg(long, conflicts_with = "ignore_inferred")]
     show_inferred: bool,
+    /// Add a column `edited`: 1 if the edits change the answer
+    #[arg(long, requires = "edits", conflicts_with = "show_inferred")]
+    show_edits: bool,
     /// Memory for pages
     #[arg(long, default_value = "1GiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -47,21 +51,24 @@ const LONGEST_LINE: u64 = 1 << 20;
 
 /// Answers row by row; rows before an invalid one are answered.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let archive = arguments.inferred.open(&arguments.archive)?;
+    let archive = arguments.variant.open(&arguments.archive)?;
     // Two sets of pages share the memory.
-    let sets = 1 + u64::from(arguments.show_inferred);
+    let sets = 1 + u64::from(arguments.show_inferred || arguments.show_edits);
     let cache = usize::try_from(arguments.cache / sets).unwrap_or(usize::MAX);
     let open = |archive| {
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
         Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))
     };
-    let scanned =
-        if arguments.show_inferred { Some(open(crate::open(&arguments.archive)?.ignoring_inferred())?) } else { None };
+    let again = || arguments.variant.open(&arguments.archive);
+    let (other, more) = match (arguments.show_inferred, arguments.show_edits) {
+        (true, _) => (Some(open(again()?.ignoring_inferred())?), ",inferred"),
+        (false, true) => (Some(open(again()?.with_edits(Edits::default()))?), ",edited"),
+        _ => (None, ""),
+    };
     let stream = open(archive)?;
-    let more = if arguments.show_inferred { ",inferred" } else { "" };
-    let inferred = |text: &mut String, differs: &dyn Fn(&Stream) -> Result<bool, Failure>| -> Result<(), Failure> {
-        if let Some(scanned) = &scanned {
-            write!(text, ",{}", u8::from(differs(scanned)?))?;
+    let compare = |text: &mut String, differs: &dyn Fn(&Stream) -> Result<bool, Failure>| -> Result<(), Failure> {
+        if let Some(other) = &other {
+            write!(text, ",{}", u8::from(differs(other)?))?;
         }
         Ok(())
     };
@@ -74,7 +81,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             let found = ask(&stream)?;
             write!(text, "{},{},", u8::from(found.hit), u8::from(found.obstacle))?;
             found.floor_z.map_or(Ok(()), |z| write!(text, "{z}"))?;
-            inferred(text, &|scanned| Ok(ask(scanned)? != found))
+            compare(text, &|other| Ok(ask(other)? != found))
         }),
         (None, Some(path)) => answer(path, RAY_COLUMNS, &format!("hit,distance,nx,ny,nz{more}"), |values, text| {
             let [x, y, z, dx, dy, dz, max] = values;
@@ -90,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 }
                 None => text.push_str("0,,,,"),
             }
-            inferred(text, &|scanned| Ok(ask(scanned)? != found))
+            compare(text, &|other| Ok(ask(other)? != found))
         }),
         (None, None) => Err(Failure::Text("give --boxes or --rays".into())),
     }
