@@ -13,10 +13,10 @@
 //!   floor or an obstacle, as requested; everything below the top slice is an obstacle.
 
 mod column;
-mod outline;
+mod polygon;
 
 pub(crate) use column::{EditedColumn, MOST_EDITED_PAGES};
-use outline::Outline;
+use polygon::Outline;
 
 use crate::frame::Frame;
 use crate::{Error, Result};

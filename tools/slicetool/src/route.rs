@@ -4,6 +4,7 @@ use crate::blocked::{Blocked, blocked};
 use crate::edits::Link;
 use crate::ground::{Loader, Walks, end_json, tidy};
 use crate::links::{Joined, Way};
+use crate::reach::geojson;
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
@@ -46,8 +47,9 @@ pub struct Arguments {
     /// Use only the overview levels (`sliceconv --levels on`): immediate over any distance, but approximate
     #[arg(long)]
     coarse: bool,
-    /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes. `-` is standard output
-    #[arg(short, long, value_name = "ROUTE.csv")]
+    /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes, or with .geojson a line, or the
+    /// place where the best way stops, in the coordinates of the scan. `-` writes CSV to standard output
+    #[arg(short, long, value_name = "ROUTE")]
     output: Option<PathBuf>,
     /// Print a summary as JSON
     #[arg(long)]
@@ -62,6 +64,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let edits = arguments.walks.edits().path();
     let output =
         arguments.output.as_deref().map(|output| crate::output(output, &archive, edits.as_slice())).transpose()?;
+    let is_geojson = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("geojson"));
+    let crs = match arguments.output.as_ref().filter(|path| is_geojson(path)) {
+        Some(_) => Some(archive.crs().map_err(|error| crate::broken(&arguments.archive, &error))?),
+        None => None,
+    };
     let mut bytes = 0;
     let mut ends = [(arguments.from, 0.0), (arguments.to, 0.0)];
     let mut stop = None;
@@ -88,7 +95,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
         writeln!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
     }
     if let Some(mut output) = output {
-        output.write_at(0, rows.as_bytes())?;
+        let features = match (&found, &stop) {
+            (Ok(way), _) => vec![geojson::way_feature(way)],
+            (Err(_), stop) => stop.iter().map(geojson::blocked_feature).collect(),
+        };
+        let text = crs.map_or(rows.clone(), |crs| format!("{}\n", geojson::collection(&crs, features)));
+        output.write_at(0, text.as_bytes())?;
         output.publish()?;
     }
     if arguments.json {

@@ -107,6 +107,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if arguments.storey.is_some() && format != Format::Nav2 {
         return Err(Failure::Usage("--storey: only .yaml shows one storey".into()));
     }
+    if arguments.pawns.edits().path().is_some() && format != Format::Nav2 {
+        return Err(Failure::Usage("--edits: only .yaml is made with edits; leave it out".into()));
+    }
     if format == Format::Nav2 {
         let number = arguments.storey.map(|storey| Which::Number(usize::try_from(storey).unwrap_or(usize::MAX)));
         let which = number.or(arguments.z.map(Which::Near)).unwrap_or(Which::All);

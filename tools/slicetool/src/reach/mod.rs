@@ -1,7 +1,7 @@
 //! `slicetool reach`: finds where a pawn can walk from a place, how narrow it gets, and where it leaks.
 
 mod files;
-mod geojson;
+pub mod geojson;
 mod map;
 
 use crate::ground::{Loader, Walks, end_json, tidy};
