@@ -22,7 +22,7 @@ use crate::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::Point2;
 
-/// Most edits of one archive, and most corners of an outline.
+/// Most edits of one archive.
 pub const MOST_EDITS: usize = 10_000;
 /// Most corners of an outline.
 pub const MOST_CORNERS: usize = 1_000;
