@@ -86,12 +86,14 @@
 //! | tell free space from space that no scanner saw | [`seen`] |
 //! | walk | [`walk`] |
 //! | find where a pawn can walk, and routes | [`reach`] |
+//! | add and remove solids without changing the archive | [`edit`] |
 //! | the grid, options of archives, units, errors, progress | [`frame`], [`plan`], [`unit`](mod@unit), [`error`], [`monitor`] |
 //!
 //! Without features the crate needs nothing that a browser lacks.
 
 pub mod archive;
 pub mod codec;
+pub mod edit;
 pub mod object;
 pub mod page;
 pub mod query;

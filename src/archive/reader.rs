@@ -9,6 +9,7 @@ use super::opening::{Opened, Opening};
 use super::page_coding::PageDecoder;
 use super::shard::Shard;
 use crate::bytes::{ByteSource, MapSource, MemorySource, open_named};
+use crate::edit::Edits;
 use crate::frame::{Frame, PageKey};
 use crate::page::{Inferred, Page};
 use crate::plan::{Noise, Plan};
@@ -29,6 +30,7 @@ pub struct Archive {
     catalog: Catalog,
     levels: OnceLock<Vec<Level>>,
     found: Mutex<Option<(usize, Arc<Vec<PageEntry>>)>>,
+    edits: Option<Arc<Edits>>,
 }
 
 impl Archive {
@@ -69,13 +71,24 @@ impl Archive {
 
     /// Creates an archive from a known head, whatever the state of the rest.
     pub(super) fn from_parts(source: Arc<dyn ByteSource>, catalog: Catalog) -> Self {
-        Self { source, catalog, levels: OnceLock::new(), found: Mutex::new(None) }
+        Self { source, catalog, levels: OnceLock::new(), found: Mutex::new(None), edits: None }
     }
 
     /// Returns the archive with inferred spans ignored: its pages, and those of stores and streams on it, then hold
     /// only what was scanned (guarantee G2). Header, directory and overview levels stay as they are.
     pub fn ignoring_inferred(self) -> Self {
-        Self::from_parts(self.source, self.catalog.ignoring_inferred())
+        Self { edits: self.edits, ..Self::from_parts(self.source, self.catalog.ignoring_inferred()) }
+    }
+
+    /// Returns the archive with edits: stores and streams on it, and on its levels, hold the edited space. Its own pages
+    /// and entries stay as they are, as do the loaders of a program that reads bytes itself.
+    pub fn with_edits(self, edits: Edits) -> Self {
+        Self { edits: (!edits.is_empty()).then(|| Arc::new(edits)), ..self }
+    }
+
+    /// Returns the edits that the archive carries.
+    pub fn edits(&self) -> Option<&Edits> {
+        self.edits.as_deref()
     }
 
     /// Returns an archive on the same bytes with `catalog` in place of its own.
@@ -114,7 +127,8 @@ impl Archive {
             };
             Error::parameter(format!("level {number}"), reason)
         })?;
-        Ok(Self::from_parts(self.source.clone(), level.catalog().clone()))
+        let edits = self.edits.clone();
+        Ok(Self { edits, ..Self::from_parts(self.source.clone(), level.catalog().clone()) })
     }
 
     /// Like [`level`](Self::level), but from the bytes of the level alone ([`Level::bytes`]), for programs that fetch

@@ -123,6 +123,11 @@ impl Flood {
         }
     }
 
+    /// Adds a standing place from which the flood spreads, too, such as the other end of a lift.
+    pub fn add(&mut self, start: PlaceId) {
+        self.open.push((start.pixel, start.place));
+    }
+
     /// Returns whether everything has been reached, and nothing is left outside of the ellipse or the corridor.
     pub fn is_whole(&self) -> bool {
         self.parked.is_empty() && self.open.is_empty()
@@ -471,11 +476,11 @@ impl Region {
         }
     }
 
-    /// Leaves out the places that no steps lead to from `start`. Only a pawn with a steepest grade leaves such places
-    /// in the region of a [`Flood`] from one place.
-    pub fn keep_linked(&mut self, start: &PlaceId) {
+    /// Leaves out the places that no steps lead to from any of `starts`. Only a pawn with a steepest grade leaves such
+    /// places in the region of a [`Flood`] from them.
+    pub fn keep_linked(&mut self, starts: &[PlaceId]) {
         let mut seen = vec![false; self.len()];
-        let mut open: Vec<u32> = self.number(start).into_iter().collect();
+        let mut open: Vec<u32> = starts.iter().filter_map(|start| self.number(start)).collect();
         open.iter().for_each(|place| seen[*place as usize] = true);
         while let Some(place) = open.pop() {
             for &next in self.links[place as usize].iter().filter(|next| **next != NO_PLACE) {

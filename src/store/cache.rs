@@ -11,7 +11,7 @@ use super::fetch::{PageError, Time};
 use super::index::Index;
 use super::motion_hint::{MotionHint, distance};
 use super::publish::{Current, Retired};
-use super::snapshot::{Held, Slots, Snapshot};
+use super::snapshot::{Edited, Held, Slots, Snapshot};
 use crate::archive::{PageDecoder, PageEntry, Storage};
 use crate::frame::PageKey;
 use crate::page::Page;
@@ -111,13 +111,14 @@ type Wants<'a> = (&'a Order, &'a dyn Fn(u32) -> bool);
 pub struct Snapshots {
     pub(super) index: Arc<Index>,
     pub(super) current: Arc<Current<Slots>>,
+    pub(super) edited: Option<Arc<Edited>>,
 }
 
 impl Snapshots {
     /// Returns the pages in memory now. Lock-free; allocates nothing.
     #[inline]
     pub fn newest(&self) -> Snapshot {
-        Snapshot::new(self.index.table().clone(), self.current.get())
+        Snapshot::new(self.index.table().clone(), self.current.get()).with_edited(self.edited.clone())
     }
 
     /// Returns the pages that a body touches before it moves; empty if the motion_hint is invalid.
@@ -165,7 +166,7 @@ impl Cache {
     pub fn new(index: Arc<Index>, table: Reservation, budget: Arc<Budget>, run_bytes: usize) -> Self {
         let slots = Arc::new(index.empty_slots());
         let longest_run = run_bytes.min(budget.budget() / 8) as u64;
-        let snapshots = Snapshots { index, current: Arc::new(Current::new(slots.clone())) };
+        let snapshots = Snapshots { index, current: Arc::new(Current::new(slots.clone())), edited: None };
         Self {
             snapshots,
             budget,

@@ -17,6 +17,7 @@ mod cache;
 mod colour_loader;
 mod counters;
 mod directory_loader;
+mod edited;
 mod fetch;
 mod id_map;
 mod index;

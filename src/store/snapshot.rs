@@ -9,12 +9,14 @@
 //! groups and the slots of the groups that change.
 
 use super::budget::Reservation;
+use super::edited::edited_pages;
 use super::table::{KeyBounds, PageTable};
 use crate::archive::{Archive, PageEntry};
 use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
 use crate::page::Page;
 use crate::{Error, Result};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// A page in memory, with its reservation if a budget covers it.
@@ -39,6 +41,11 @@ pub struct PageSlot {
 }
 
 impl PageSlot {
+    /// Creates the slot of a page in memory.
+    pub(super) fn of(layer: i32, held: Held) -> Self {
+        Self { layer, slices: held.page.slices(), page: Some(Arc::new(held)) }
+    }
+
     /// Returns the layer of the page.
     #[inline]
     pub fn layer(&self) -> i32 {
@@ -92,6 +99,32 @@ impl Slots {
     }
 }
 
+/// Tile columns with edits, which stay in memory and stand for those of the archive.
+#[derive(Debug)]
+pub(super) struct Edited {
+    pages: Snapshot,
+    /// Tile columns of which the archive has no page.
+    added: Vec<[i32; 2]>,
+    bounds: Option<KeyBounds>,
+}
+
+impl Edited {
+    /// Creates the columns of an archive with pages in `table`. `slots` ascend.
+    pub fn new(slots: Vec<(PageKey, PageSlot)>, table: &PageTable) -> Self {
+        let pages = Snapshot::of_slots(*table.frame(), slots);
+        let columns = (0..pages.column_count()).map(|number| pages.table.column_at(number));
+        let added = columns.filter(|[tx, ty]| table.pages(*tx, *ty).is_empty()).collect();
+        let bounds = match (table.bounds(), pages.bounds()) {
+            (Some(a), Some(b)) => Some(KeyBounds {
+                min: [0, 1, 2].map(|axis| a.min[axis].min(b.min[axis])),
+                max: [0, 1, 2].map(|axis| a.max[axis].max(b.max[axis])),
+            }),
+            (a, b) => a.or(b),
+        };
+        Self { pages, added, bounds }
+    }
+}
+
 /// The pages of a scene at one moment, all or some of them in memory: what queries, walkers and routes work on. Space
 /// outside its pages is free.
 ///
@@ -124,11 +157,25 @@ impl Slots {
 pub struct Snapshot {
     table: Arc<PageTable>,
     slots: Arc<Slots>,
+    edited: Option<Arc<Edited>>,
 }
 
 impl Snapshot {
     pub(super) fn new(table: Arc<PageTable>, slots: Arc<Slots>) -> Self {
-        Self { table, slots }
+        Self { table, slots, edited: None }
+    }
+
+    pub(super) fn with_edited(self, edited: Option<Arc<Edited>>) -> Self {
+        Self { edited, ..self }
+    }
+
+    /// Creates a scene of slots that ascend.
+    fn of_slots(frame: Frame, slots: Vec<(PageKey, PageSlot)>) -> Self {
+        let table = PageTable::new(frame, slots.iter().map(|(key, _)| *key).collect());
+        let weight = slots.iter().filter_map(|(_, slot)| slot.page()).map(Page::weight_bytes).sum();
+        let mut slots = slots.into_iter().map(|(_, slot)| slot);
+        let groups = table.groups().map(|range| slots.by_ref().take(range.len()).collect()).collect();
+        Self::new(Arc::new(table), Arc::new(Slots { groups, weight }))
     }
 
     /// Creates a resident scene of pages that are in memory already.
@@ -136,18 +183,10 @@ impl Snapshot {
     /// # Panics
     /// If a key occurs twice.
     pub fn from_pages(frame: Frame, pages: impl IntoIterator<Item = (PageKey, Page)>) -> Self {
-        let mut pages: Vec<(PageKey, Page)> = pages.into_iter().collect();
-        pages.sort_unstable_by_key(|(key, _)| *key);
-        let table = PageTable::new(frame, pages.iter().map(|(key, _)| *key).collect());
-        let weight = pages.iter().map(|(_, page)| page.weight_bytes()).sum();
-        let mut pages = pages.into_iter();
-        let slot = |(key, page): (PageKey, Page)| PageSlot {
-            layer: key.layer,
-            slices: page.slices(),
-            page: Some(Arc::new(Held { page, room: None })),
-        };
-        let groups = table.groups().map(|range| pages.by_ref().take(range.len()).map(slot).collect()).collect();
-        Self::new(Arc::new(table), Arc::new(Slots { groups, weight }))
+        let slot = |(key, page): (PageKey, Page)| (key, PageSlot::of(key.layer, Held { page, room: None }));
+        let mut slots: Vec<_> = pages.into_iter().map(slot).collect();
+        slots.sort_unstable_by_key(|(key, _)| *key);
+        Self::of_slots(frame, slots)
     }
 
     /// Reads all pages of an archive: neighbours in reads of up to 1 MiB, four at a time. Fails with the error of the
@@ -159,8 +198,11 @@ impl Snapshot {
         let weights = entries.iter().map(|entry| entry.weight_bytes().saturating_add(slot));
         check_memory(weights.fold(0, usize::saturating_add), entries.len())?;
         monitor.stage("loading", entries.len() as u64, "pages");
-        let pages = archive.pages(&entries, monitor)?;
-        Ok(Self::from_pages(*archive.frame(), entries.iter().map(|entry| entry.key).zip(pages)))
+        let pages = entries.iter().map(|entry| entry.key).zip(archive.pages(&entries, monitor)?);
+        let Some(edited) = edited_pages(archive)? else { return Ok(Self::from_pages(*archive.frame(), pages)) };
+        let mut all: BTreeMap<PageKey, Page> = pages.collect();
+        all.extend(edited);
+        Ok(Self::from_pages(*archive.frame(), all))
     }
 
     /// Returns this snapshot without the pages for which `keep` returns false: they count as not loaded. For tests of
@@ -168,7 +210,8 @@ impl Snapshot {
     pub fn keep_loaded(&self, mut keep: impl FnMut(PageKey) -> bool) -> Self {
         let pages = self.table.keys().iter().zip(0u32..).filter(|(key, _)| !keep(**key));
         let mut dropped: Vec<_> = pages.map(|(_, page)| (page, None)).collect();
-        Self::new(self.table.clone(), Arc::new(self.slots.with(&self.table, &mut dropped)))
+        let slots = Arc::new(self.slots.with(&self.table, &mut dropped));
+        Self::new(self.table.clone(), slots).with_edited(self.edited.clone())
     }
 
     /// Returns the grid of all pages.
@@ -180,12 +223,18 @@ impl Snapshot {
     /// Returns the bounds of all keys; `None` if there are no pages.
     #[inline]
     pub fn bounds(&self) -> Option<KeyBounds> {
-        self.table.bounds()
+        self.edited.as_deref().map_or_else(|| self.table.bounds(), |edited| edited.bounds)
     }
 
     /// Returns the slots of tile column (`tx`, `ty`), lowest layer first; empty if the scan has no page there.
     #[inline]
     pub fn column(&self, tx: i32, ty: i32) -> &[PageSlot] {
+        if let Some(edited) = &self.edited {
+            let own = edited.pages.column(tx, ty);
+            if !own.is_empty() {
+                return own;
+            }
+        }
         let (group, offsets) = self.table.column(tx, ty);
         if offsets.is_empty() { &[] } else { &self.slots.groups[group][offsets] }
     }
@@ -194,17 +243,20 @@ impl Snapshot {
     /// a slot. Long rays skip regions without slots.
     #[inline]
     pub fn has_region(&self, rx: i32, ry: i32) -> bool {
-        self.table.has_region(rx, ry)
+        self.table.has_region(rx, ry) || self.edited.as_deref().is_some_and(|edited| edited.pages.has_region(rx, ry))
     }
 
     /// Returns the number of tile columns with at least one slot.
     pub fn column_count(&self) -> usize {
-        self.table.column_count()
+        self.table.column_count() + self.edited.as_deref().map_or(0, |edited| edited.added.len())
     }
 
-    /// Returns tile column `number` (`0..column_count()`) as `(tx, ty, slots)`, in ascending order of keys.
+    /// Returns tile column `number` (`0..column_count()`) as `(tx, ty, slots)`, in any fixed order.
     pub fn column_at(&self, number: usize) -> (i32, i32, &[PageSlot]) {
-        let [tx, ty] = self.table.column_at(number);
+        let [tx, ty] = match (number.checked_sub(self.table.column_count()), &self.edited) {
+            (Some(beyond), Some(edited)) => edited.added[beyond],
+            _ => self.table.column_at(number),
+        };
         (tx, ty, self.column(tx, ty))
     }
 
@@ -215,6 +267,9 @@ impl Snapshot {
 
     /// Returns whether the page is in memory; `None` if the scan has no such page.
     pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
+        if self.edited.as_deref().is_some_and(|edited| !edited.pages.column(key.tx, key.ty).is_empty()) {
+            return Some(true);
+        }
         let (group, offset) = self.table.place(self.table.find(key)?);
         Some(self.slots.groups[group][offset].page.is_some())
     }

@@ -3,6 +3,7 @@
 use super::cache::Snapshots;
 use super::colour_loader::ColourLoader;
 use super::counters::Counters;
+use super::edited::edited_columns;
 use super::fetch::{Fetch, Next, PageError, Time};
 use super::index::Index;
 use super::loader::{BodyId, Loader, LoaderOptions, Turn};
@@ -178,9 +179,10 @@ impl Stream {
                 }
             }
         }
-        let Some(snapshots) = loader.snapshots() else {
+        let Some(mut snapshots) = loader.snapshots() else {
             return Err(Error::parameter("archive", "it has no directory"));
         };
+        snapshots.edited = edited_columns(&archive, &snapshots.index, loader.budget())?.map(Arc::new);
         let prefetch = options.prefetch;
         let colours = Mutex::new(loader.colours());
         let shared = Arc::new(Shared {

@@ -4,7 +4,8 @@
 //! which the end is reached. The least of these changes, as a share of the pawn's own measure, is the reason; the place
 //! is where the way of the changed pawn leaves what the pawn itself reaches. If no single change helps, a narrow pawn that
 //! is also low, or climbs high, finds a way; the reason is then the least change that leads past the first place where
-//! this way leaves what the pawn reaches. If that fails, too, ground is missing: where what is reached from the start
+//! this way leaves what the pawn reaches, or the width that passes there once the other measure does not matter. If that
+//! fails, too, ground is missing: where what is reached from the start
 //! comes nearest to what is reached from the end.
 //!
 //! A pawn that must stay in seen space is first tried without that: if it then gets through, the reason is `unseen`.
@@ -81,7 +82,7 @@ impl Reached {
     /// The places with their steps, without ground that is too steep and what lies beyond it.
     fn region(&self) -> Region {
         let mut region = self.flood.region(&self.standing);
-        region.keep_linked(&self.start.spot);
+        region.keep_linked(&[self.start.spot]);
         region
     }
 }
@@ -144,6 +145,12 @@ impl Change {
         }
     }
 
+    /// How much of the pawn's own measure the change to `value` is.
+    fn share(self, pawn: &Pawn, value: f64, pixel_m: f64) -> f64 {
+        let own = self.range(pawn, pixel_m)[0];
+        (value - own).abs() / own.max(PRECISION_M)
+    }
+
     /// The value as it is reported: metres, or percent.
     fn needs(self, value: f64) -> f64 {
         if matches!(self, Self::Slope) { value * 100.0 } else { value }
@@ -174,7 +181,7 @@ pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<O
     {
         return Ok(Some(Blocked { at: route[stop], reason: change.reason(), needs: change.needs(value) }));
     }
-    let pixel_m = loader.archive().frame().pixel_m();
+    let pixel_m = search.pixel_m();
     // A low pawn cannot climb high, so these exclude each other.
     for other in [Change::Headroom, Change::Step] {
         let changed = [Change::Width, other].into_iter().fold(*pawn, |pawn, change| {
@@ -184,10 +191,16 @@ pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<O
         let Some(route) = search.route(&changed, ends[1])? else { continue };
         let Some(stop) = own.leaves(&route) else { continue };
         let beyond = search.stands_beyond(pawn, &route[stop..], &own)?.unwrap_or(ends[1]);
-        let change = search.least_change(pawn, beyond)?;
-        let (reason, needs) =
-            change.map_or(("width", pixel_m), |(change, value, _)| (change.reason(), change.needs(value)));
-        return Ok(Some(Blocked { at: route[stop], reason, needs }));
+        let found = match search.least_change(pawn, beyond)? {
+            Some((change, value, _)) => Some((change, value)),
+            // Both measures are too large: the width that passes once the other one does not matter.
+            None => {
+                let eased = other.apply(pawn, other.range(pawn, pixel_m)[1]);
+                search.bisect(&eased, Change::Width, beyond, None)?.map(|value| (Change::Width, value))
+            }
+        };
+        let Some((change, value)) = found else { continue };
+        return Ok(Some(Blocked { at: route[stop], reason: change.reason(), needs: change.needs(value) }));
     }
     search.missing_ground(pawn, &own)
 }
@@ -224,36 +237,47 @@ impl Ways<'_> {
 
     /// The least single change with which the pawn gets to `to`, its value, and the pawn.
     fn least_change(&self, pawn: &Pawn, to: Point3<f64>) -> Result<Option<(Change, f64, Pawn)>, Failure> {
-        let pixel_m = self.loader.archive().frame().pixel_m();
         let mut best: Option<(f64, Change, f64)> = None;
         for change in Change::ALL {
-            let [own, furthest] = change.range(pawn, pixel_m);
-            let precision = match change {
-                Change::Width => pixel_m / 2.0,
-                Change::Headroom | Change::Step => PRECISION_M,
-                Change::Slope => PRECISION_M / 10.0,
-            };
-            let share = |value: f64| (value - own).abs() / own.max(PRECISION_M);
-            if (furthest - own).abs() < precision || !self.connects(&change.apply(pawn, furthest), to)? {
-                continue;
-            }
-            let (mut blocked, mut passing) = (own, furthest);
-            while (passing - blocked).abs() > precision {
-                // A change that is larger than the best cannot become the least.
-                if best.is_some_and(|(least, ..)| share(blocked) >= least) {
-                    break;
+            let least = best.map(|(least, ..)| least);
+            if let Some(value) = self.bisect(pawn, change, to, least)? {
+                let share = change.share(pawn, value, self.pixel_m());
+                if least.is_none_or(|least| share < least) {
+                    best = Some((share, change, value));
                 }
-                let middle = passing.midpoint(blocked);
-                match self.connects(&change.apply(pawn, middle), to)? {
-                    true => passing = middle,
-                    false => blocked = middle,
-                }
-            }
-            if best.is_none_or(|(least, ..)| share(passing) < least) {
-                best = Some((share(passing), change, passing));
             }
         }
         Ok(best.map(|(_, change, value)| (change, value, change.apply(pawn, value))))
+    }
+
+    /// The value nearest to the pawn's own with which it gets to `to`; `None` if no value that is tried does. Ends early,
+    /// with a value that passes, once the change is certain to be larger than the share `least`.
+    fn bisect(&self, pawn: &Pawn, change: Change, to: Point3<f64>, least: Option<f64>) -> Result<Option<f64>, Failure> {
+        let pixel_m = self.pixel_m();
+        let [own, furthest] = change.range(pawn, pixel_m);
+        let precision = match change {
+            Change::Width => pixel_m / 2.0,
+            Change::Headroom | Change::Step => PRECISION_M,
+            Change::Slope => PRECISION_M / 10.0,
+        };
+        if (furthest - own).abs() < precision || !self.connects(&change.apply(pawn, furthest), to)? {
+            return Ok(None);
+        }
+        let (mut blocked, mut passing) = (own, furthest);
+        while (passing - blocked).abs() > precision
+            && least.is_none_or(|least| change.share(pawn, blocked, pixel_m) < least)
+        {
+            let middle = passing.midpoint(blocked);
+            match self.connects(&change.apply(pawn, middle), to)? {
+                true => passing = middle,
+                false => blocked = middle,
+            }
+        }
+        Ok(Some(passing))
+    }
+
+    fn pixel_m(&self) -> f64 {
+        self.loader.archive().frame().pixel_m()
     }
 
     /// Places along a pawn's way from the start to `to`, a pixel apart.

@@ -1,6 +1,7 @@
 //! Pawn options and page loading, shared by `reach`, `route` and `export`.
 
 use crate::Failure;
+use crate::edits::EditOption;
 use crate::nearest::nearest;
 use nalgebra::Point3;
 use slicewalk::archive::Archive;
@@ -67,7 +68,7 @@ pub struct Pawns {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     #[command(flatten)]
-    inferred: crate::Inferred,
+    variant: crate::Variant,
     /// Stay where a scanner saw the middle of the pawn, from the climb height to the head (`sliceconv --free-space`)
     #[arg(long)]
     seen: bool,
@@ -103,7 +104,12 @@ pub fn tidy(value: f64) -> f64 {
 impl Pawns {
     /// Opens the archive.
     pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
-        self.inferred.open(archive)
+        self.variant.open_for_pawns(archive)
+    }
+
+    /// The edits.
+    pub fn edits(&self) -> &EditOption {
+        self.variant.edits()
     }
 
     /// Makes a loader of the archive, which knows its seen space if the pawn must stay in it.

@@ -5,11 +5,13 @@ mod blocked;
 mod coverage;
 mod demo;
 mod diff;
+mod edits;
 mod export;
 mod extract;
 mod figures;
 mod ground;
 mod info;
+mod links;
 mod manual;
 mod merge;
 mod nearest;
@@ -28,6 +30,7 @@ mod web;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use slicewalk::Parameter;
 use slicewalk::archive::Archive;
+use slicewalk::edit::Edits;
 use slicewalk_base::output::{Output, OutputKind, Protected};
 use slicewalk_base::text::lines;
 use slicewalk_terminal::Terminal;
@@ -211,19 +214,39 @@ pub fn open(path: &Path) -> Result<Archive, Failure> {
     Archive::open(path).map_err(|error| info::other_file(path).unwrap_or_else(|| broken(path, &error)))
 }
 
-/// Option `--ignore-inferred`.
+/// Options that change what an archive holds: `--ignore-inferred` and `--edits`.
 #[derive(clap::Args)]
-pub struct Inferred {
+pub struct Variant {
     /// Ignore floor inferred by `--fill-holes`
     #[arg(long)]
     ignore_inferred: bool,
+    #[command(flatten)]
+    edits: edits::EditOption,
 }
 
-impl Inferred {
-    /// Opens the archive at `path`, without inferred floor if the option is set.
+impl Variant {
+    /// Opens the archive at `path` as boxes and rays meet it.
     pub fn open(&self, path: &Path) -> Result<Archive, Failure> {
+        self.opened(path, edits::EditFile::for_queries)
+    }
+
+    /// Opens the archive at `path` as pawns meet it: no-go areas are in their way.
+    pub fn open_for_pawns(&self, path: &Path) -> Result<Archive, Failure> {
+        self.opened(path, edits::EditFile::for_pawns)
+    }
+
+    fn opened(&self, path: &Path, edits: fn(&edits::EditFile) -> Edits) -> Result<Archive, Failure> {
         let archive = open(path)?;
-        Ok(if self.ignore_inferred { archive.ignoring_inferred() } else { archive })
+        let archive = if self.ignore_inferred { archive.ignoring_inferred() } else { archive };
+        Ok(match self.edits.read()? {
+            Some(file) => archive.with_edits(edits(&file)),
+            None => archive,
+        })
+    }
+
+    /// The edits.
+    pub fn edits(&self) -> &edits::EditOption {
+        &self.edits
     }
 }
 

@@ -4,6 +4,7 @@ use crate::nearest::nearest;
 use crate::standard::table;
 use crate::{Failure, Outcome, cache_too_small};
 use nalgebra::Point3;
+use slicewalk::edit::Edits;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
 use slicewalk::seen::SeenSpace;
@@ -31,10 +32,13 @@ pub struct Arguments {
     #[arg(long, value_name = "R.csv", group = "what")]
     rays: Option<PathBuf>,
     #[command(flatten)]
-    inferred: crate::Inferred,
+    variant: crate::Variant,
     /// Add a column `inferred`: 1 if floor inferred by `--fill-holes` changes the answer
     #[arg(long, conflicts_with = "ignore_inferred")]
     show_inferred: bool,
+    /// Add a column `edited`: 1 if the edits change the answer
+    #[arg(long, requires = "edits", conflicts_with = "show_inferred")]
+    show_edits: bool,
     /// Memory for pages
     #[arg(long, default_value = "1GiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -49,9 +53,9 @@ const LONGEST_LINE: u64 = 1 << 20;
 
 /// Answers row by row; rows before an invalid one are answered.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let archive = arguments.inferred.open(&arguments.archive)?;
+    let archive = arguments.variant.open(&arguments.archive)?;
     // Two sets of pages share the memory.
-    let sets = 1 + u64::from(arguments.show_inferred);
+    let sets = 1 + u64::from(arguments.show_inferred || arguments.show_edits);
     let space = archive.seen_space(arguments.cache / 2).map_err(|error| crate::broken(&arguments.archive, &error))?;
     let left = arguments.cache - space.as_ref().map_or(0, |space| space.bytes() as u64);
     let cache = usize::try_from(left / sets).unwrap_or(usize::MAX);
@@ -59,23 +63,22 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
         Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))
     };
-    let scanned =
-        if arguments.show_inferred { Some(open(crate::open(&arguments.archive)?.ignoring_inferred())?) } else { None };
-    let stream = open(archive)?;
-    let more = match (arguments.show_inferred, space.is_some()) {
-        (true, true) => ",inferred,seen",
-        (true, false) => ",inferred",
-        (false, true) => ",seen",
-        (false, false) => "",
+    let again = || arguments.variant.open(&arguments.archive);
+    let (other, more) = match (arguments.show_inferred, arguments.show_edits) {
+        (true, _) => (Some(open(again()?.ignoring_inferred())?), ",inferred"),
+        (false, true) => (Some(open(again()?.with_edits(Edits::default()))?), ",edited"),
+        _ => (None, ""),
     };
+    let stream = open(archive)?;
+    let more = if space.is_some() { format!("{more},seen") } else { more.to_owned() };
     let seen = |text: &mut String, is_seen: &dyn Fn(&SeenSpace) -> bool| {
         if let Some(space) = &space {
             text.push_str(if is_seen(space) { ",1" } else { ",0" });
         }
     };
-    let inferred = |text: &mut String, differs: &dyn Fn(&Stream) -> Result<bool, Failure>| -> Result<(), Failure> {
-        if let Some(scanned) = &scanned {
-            write!(text, ",{}", u8::from(differs(scanned)?))?;
+    let compare = |text: &mut String, differs: &dyn Fn(&Stream) -> Result<bool, Failure>| -> Result<(), Failure> {
+        if let Some(other) = &other {
+            write!(text, ",{}", u8::from(differs(other)?))?;
         }
         Ok(())
     };
@@ -88,7 +91,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             let found = ask(&stream)?;
             write!(text, "{},{},", u8::from(found.hit), u8::from(found.obstacle))?;
             found.floor_z.map_or(Ok(()), |z| write!(text, "{z}"))?;
-            inferred(text, &|scanned| Ok(ask(scanned)? != found))?;
+            compare(text, &|other| Ok(ask(other)? != found))?;
             seen(text, &|space| space.is_box_seen(shape.min(), shape.max()));
             Ok(())
         }),
@@ -106,7 +109,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 }
                 None => text.push_str("0,,,,"),
             }
-            inferred(text, &|scanned| Ok(ask(scanned)? != found))?;
+            compare(text, &|other| Ok(ask(other)? != found))?;
             seen(text, &|space| match &found {
                 Some(hit) => space.is_ray_seen(ray.origin(), ray.direction(), hit.distance, true),
                 None => space.is_ray_seen(ray.origin(), ray.direction(), ray.max(), false),

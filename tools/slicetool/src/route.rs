@@ -1,7 +1,10 @@
 //! `slicetool route`: finds the shortest route of a pawn between two places.
 
 use crate::blocked::{Blocked, blocked};
-use crate::ground::{Loader, Walks, end_json};
+use crate::edits::Link;
+use crate::ground::{Loader, Walks, end_json, tidy};
+use crate::links::{Joined, Way};
+use crate::reach::geojson;
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
@@ -44,8 +47,9 @@ pub struct Arguments {
     /// Use only the overview levels (`sliceconv --levels on`): immediate over any distance, but approximate
     #[arg(long)]
     coarse: bool,
-    /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes. `-` is standard output
-    #[arg(short, long, value_name = "ROUTE.csv")]
+    /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes, or with .geojson a line, or the
+    /// place where the best way stops, in the coordinates of the scan. `-` writes CSV to standard output
+    #[arg(short, long, value_name = "ROUTE")]
     output: Option<PathBuf>,
     /// Print a summary as JSON
     #[arg(long)]
@@ -57,17 +61,32 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let archive = arguments.walks.open(&arguments.archive)?;
-    let output = arguments.output.as_deref().map(|output| crate::output(output, &archive, &[])).transpose()?;
+    let edits = arguments.walks.edits().path();
+    let output =
+        arguments.output.as_deref().map(|output| crate::output(output, &archive, edits.as_slice())).transpose()?;
+    let is_geojson = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("geojson"));
+    let crs = match arguments.output.as_ref().filter(|path| is_geojson(path)) {
+        Some(_) => Some(archive.crs().map_err(|error| crate::broken(&arguments.archive, &error))?),
+        None => None,
+    };
     let mut bytes = 0;
     let mut ends = [(arguments.from, 0.0), (arguments.to, 0.0)];
     let mut stop = None;
-    let (found, guess) = if arguments.coarse {
+    let links = arguments.walks.edits().read()?.map(|file| file.links).unwrap_or_default();
+    let on_foot = |found: Found| found.map(|Route { points, length_m, .. }| Way::on_foot(points, length_m));
+    let (found, guess) = if !links.is_empty() {
+        if arguments.coarse {
+            let text = "--coarse: the overview levels do not have the links of --edits; leave out one of them";
+            return Err(Failure::Usage(text.into()));
+        }
+        (by_links(arguments, archive, &links, &mut ends, &mut stop, &mut bytes)?, None)
+    } else if arguments.coarse {
         match on_levels(arguments, archive, &mut ends, &mut bytes)? {
-            Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
+            Ok(guess) => (on_foot(Ok(guess.route)), Some((guess.level, guess.doubt_m))),
             Err(refusal) => (Err(refusal), None),
         }
     } else {
-        (find(arguments, archive, &mut ends, &mut stop, &mut bytes)?, None)
+        (on_foot(find(arguments, archive, &mut ends, &mut stop, &mut bytes)?), None)
     };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
@@ -76,7 +95,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
         writeln!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
     }
     if let Some(mut output) = output {
-        output.write_at(0, rows.as_bytes())?;
+        let features = match (&found, &stop) {
+            (Ok(way), _) => vec![geojson::way_feature(way)],
+            (Err(_), stop) => stop.iter().map(geojson::blocked_feature).collect(),
+        };
+        let text = crs.map_or(rows.clone(), |crs| format!("{}\n", geojson::collection(&crs, features)));
+        output.write_at(0, text.as_bytes())?;
         output.publish()?;
     }
     if arguments.json {
@@ -87,6 +111,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "blocked": stop.map(Blocked::to_json),
             "from": end_json(ends[0].0, ends[0].1),
             "to": end_json(ends[1].0, ends[1].1),
+            "way_s": found.as_ref().ok().map(|way| tidy(way.seconds)),
+            "links": found.as_ref().map(|way| &way.links[..]).unwrap_or_default(),
             "level": guess.map(|guess| guess.0),
             "doubt_m": guess.map(|guess| guess.1),
             "memory_bytes": bytes,
@@ -100,7 +126,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 0.0 => format!("about, on overview level {level}: "),
                 doubt_m => format!("about, on overview level {level}, with {doubt_m:.1} m in doubt: "),
             });
-            crate::say(&format!("{about}{:.2} m over {} places", route.length_m, route.points.len()));
+            let by = if route.links.is_empty() { String::new() } else { format!(" and {}", route.links.join(", ")) };
+            crate::say(&format!("{about}{:.2} m over {} places{by}", route.length_m, route.points.len()));
             for (name, (feet, moved)) in ["start", "end"].into_iter().zip(ends).filter(|end| end.1.1 > 0.0) {
                 crate::say(&format!("{name} moved by {moved:.2} m to {:.2},{:.2},{:.2}", feet.x, feet.y, feet.z));
             }
@@ -180,6 +207,36 @@ fn find(
         (Err(_), Some(known)) => Ok(known),
         (found, _) => found,
     })
+}
+
+/// Finds the way of least time over links. Moves `ends` like [`find`].
+fn by_links(
+    arguments: &Arguments,
+    archive: Archive,
+    links: &[Link],
+    ends: &mut Ends,
+    stop: &mut Option<Blocked>,
+    bytes: &mut usize,
+) -> Result<Result<Way, Refusal>, Failure> {
+    let loader = arguments.walks.loader(archive, &arguments.archive)?;
+    let pawn = arguments.walks.pawn();
+    let mut standing = loader.standing(pawn)?;
+    let mut snapped = Vec::new();
+    for (end, refusal) in ends.iter_mut().zip([Refusal::NotStandingFrom, Refusal::NotStandingTo]) {
+        let Some(found) = arguments.walks.snapped(&loader, &mut standing, end.0)? else { return Ok(Err(refusal)) };
+        *end = (found.feet, found.moved);
+        snapped.push(found);
+    }
+    let joined = Joined::from(&loader, &arguments.walks, &mut standing, &snapped[0], links)?;
+    let way = joined.way(&loader, [&snapped[0], &snapped[1]], links)?;
+    *bytes = loader.memory_bytes() + joined.memory_bytes() + standing.memory_bytes();
+    match way {
+        Some(way) => Ok(Ok(way)),
+        None => {
+            *stop = blocked(&loader, &pawn, ends.map(|end| end.0))?;
+            Ok(Err(Refusal::NotConnected))
+        }
+    }
 }
 
 /// Moves the ends to standing places and records by how much (m).

@@ -59,7 +59,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 60.0, value_name = "HZ", value_parser = rate)]
     hz: f64,
     #[command(flatten)]
-    inferred: crate::Inferred,
+    variant: crate::Variant,
     #[command(flatten)]
     snap: Snap,
     /// Memory for pages
@@ -151,7 +151,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut walker = Walker::new(config, start)?;
     let mut route = Waypoints::new(places)?;
     let stream = stream(arguments)?;
-    let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;
+    let mut output = crate::output(&arguments.output, stream.archive(), &protected(arguments))?;
     let frame_s = 1.0 / arguments.hz;
     let most = (arguments.max_seconds * arguments.hz).ceil().max(1.0) as u64;
     let mut path = String::from("t,x,y,z,state,frame_us,missing\n");
@@ -241,6 +241,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if state == State::Blocked { Err(Failure::Result(result)) } else { Ok(result) }
 }
 
+/// Files that the path must not replace.
+fn protected(arguments: &Arguments) -> Vec<&Path> {
+    arguments.variant.edits().path().into_iter().chain([arguments.waypoints.as_path()]).collect()
+}
+
 /// Rise of the way over the last metre.
 struct Grade {
     /// Steepest allowed grade, as rise over run.
@@ -305,7 +310,7 @@ fn ends(arguments: &Arguments, last: Point2<f64>, z: Option<f64>) -> Result<(Poi
         return Ok((asked, 0.0, goal));
     }
     let pawn = arguments.pawn();
-    let archive = arguments.inferred.open(&arguments.archive)?;
+    let archive = arguments.variant.open_for_pawns(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
     let mut standing = StandingPlaces::new(&loader.snapshot(), pawn)?;
     // If a search does not fit in memory, that end stays; the walk itself reports how much it needs.
@@ -342,7 +347,7 @@ fn in_the_way(stop: Option<Stop>) -> &'static str {
 }
 
 fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
-    let archive = arguments.inferred.open(&arguments.archive)?;
+    let archive = arguments.variant.open_for_pawns(&arguments.archive)?;
     let prefetch = if arguments.prefetch == Switch::On { Prefetch::Thread } else { Prefetch::Off };
     let budget = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
     Ok(Stream::open(archive, StreamOptions { prefetch, ..StreamOptions::new(budget) })?)

@@ -1,14 +1,18 @@
-//! Areas of storeys as polygons, passages and leaks as points, in the scan's coordinates.
+//! Areas of storeys as polygons, ways as lines, passages, leaks and places where a way stops as points, in the scan's
+//! coordinates.
 
 use super::Reach;
 use super::files::Out;
 use crate::Failure;
+use crate::blocked::Blocked;
 use crate::ground::Loader;
+use crate::links::Way;
 use crate::outline::{Area, Corner};
+use nalgebra::Point3;
 use serde_json::{Value, json};
 use std::io::Write;
 
-pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failure> {
+pub(super) fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failure> {
     let frame = loader.archive().frame();
     let mut areas: Vec<Area> = reach.storeys.all.iter().map(|_| Area::default()).collect();
     for (place, storey) in reach.region.places().zip(&reach.storeys.of) {
@@ -24,26 +28,43 @@ pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failur
         let properties = json!({ "what": "storey", "z": storey.z, "area_m2": storey.area_m2 });
         features.push(feature(json!({ "type": "MultiPolygon", "coordinates": polygons }), properties));
     }
-    let point = |at: nalgebra::Point3<f64>| json!({ "type": "Point", "coordinates": [at.x, at.y, at.z] });
     for passage in &reach.passages {
         features.push(feature(point(passage.at), json!({ "what": "passage", "width": passage.width })));
     }
-    if let Some(way) = &reach.way {
-        let line = way.points.iter().map(|at| json!([at.x, at.y, at.z])).collect::<Vec<_>>();
-        let properties = json!({ "what": "way", "length_m": way.length_m });
-        features.push(feature(json!({ "type": "LineString", "coordinates": line }), properties));
-    }
+    features.extend(reach.way.as_ref().map(way_feature));
     for leak in &reach.leaks {
         let properties = json!({ "what": "leak", "kind": leak.kind.name(), "width": leak.width, "drop": leak.drop });
         features.push(feature(point(leak.at), properties));
     }
-    let mut collection = json!({ "type": "FeatureCollection" });
     let crs = loader.archive().crs().map_err(|error| crate::broken(loader.path(), &error))?;
+    Ok(writeln!(out, "{}", collection(&crs, features))?)
+}
+
+/// A collection of features in the coordinates of a scan with this reference system, empty if unknown.
+pub fn collection(crs: &str, features: Vec<Value>) -> Value {
+    let mut collection = json!({ "type": "FeatureCollection" });
     if !crs.is_empty() {
         collection["crs"] = json!({ "type": "name", "properties": { "name": crs } });
     }
     collection["features"] = features.into();
-    Ok(writeln!(out, "{collection}")?)
+    collection
+}
+
+/// A way as a line.
+pub fn way_feature(way: &Way) -> Value {
+    let line = way.points.iter().map(|at| json!([at.x, at.y, at.z])).collect::<Vec<_>>();
+    let properties = json!({ "what": "way", "length_m": way.length_m, "way_s": way.seconds, "links": way.links });
+    feature(json!({ "type": "LineString", "coordinates": line }), properties)
+}
+
+fn point(at: Point3<f64>) -> Value {
+    json!({ "type": "Point", "coordinates": [at.x, at.y, at.z] })
+}
+
+/// A place where a way stops.
+pub fn blocked_feature(blocked: &Blocked) -> Value {
+    let properties = json!({ "what": "blocked", "reason": blocked.reason, "needs": blocked.needs });
+    feature(point(blocked.at), properties)
 }
 
 fn feature(geometry: Value, properties: Value) -> Value {

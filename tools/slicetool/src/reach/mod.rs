@@ -1,13 +1,13 @@
 //! `slicetool reach`: finds where a pawn can walk from a place, how narrow it gets, and where it leaks.
 
 mod files;
-mod geojson;
+pub mod geojson;
 mod map;
 
 use crate::ground::{Walks, end_json, tidy};
+use crate::links::{Joined, Way};
 use crate::{Failure, Outcome};
-use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Leak, Passage, Region, Route, Search, Snapped, Storeys};
+use slicewalk::reach::{Leak, Passage, Region, Snapped, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
@@ -42,7 +42,7 @@ struct Reach {
     passages: Vec<Passage>,
     leaks: Vec<Leak>,
     /// Route to the other place, if requested and reachable.
-    way: Option<Route>,
+    way: Option<Way>,
     /// Where the pawn starts, and where the route should end.
     from: Snapped,
     to: Option<Snapped>,
@@ -55,7 +55,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let archive = arguments.walks.open(&arguments.archive)?;
     let loader = arguments.walks.loader(archive, &arguments.archive)?;
-    let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
+    let edits = arguments.walks.edits().path();
+    let output = arguments
+        .output
+        .as_deref()
+        .map(|output| crate::output(output, loader.archive(), edits.as_slice()))
+        .transpose()?;
     let mut standing = loader.standing(arguments.walks.pawn())?;
     let Some(from) = arguments.walks.snapped(&loader, &mut standing, arguments.from)? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
@@ -68,22 +73,20 @@ pub fn run(arguments: &Arguments) -> Outcome {
         Some(to) => arguments.walks.snapped(&loader, &mut standing, to)?,
         None => None,
     };
-    let mut flood = Flood::from(from.spot);
-    loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
-    let mut region = flood.region(&standing);
-    region.keep_linked(&from.spot);
-    let leaks = loader.known(|view| region.leaks(&mut standing, view))?;
+    let links = arguments.walks.edits().read()?.map(|file| file.links).unwrap_or_default();
+    let joined = Joined::from(&loader, &arguments.walks, &mut standing, &from, &links)?;
+    let leaks = loader.known(|view| joined.region.leaks(&mut standing, view))?;
     let mut way = None;
     if let Some(asked) = arguments.to {
         if let Some(to) = &to {
-            let mut search = Search::new();
-            way = loader.known(|view| search.route(view, &region, &from.spot, &to.spot, &NoMonitor))?;
+            way = joined.way(&loader, [&from, to], &links)?;
         }
         if way.is_none() {
             crate::say(&format!("--to {},{},{}: no way leads there", asked.x, asked.y, asked.z));
         }
     }
-    let own = standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
+    let own = standing.memory_bytes() + joined.memory_bytes();
+    let region = joined.region;
     let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, way, region, from, to };
     if let (Some(write), Some(output)) = (write, output) {
         let mut out = BufWriter::new(output);
@@ -119,6 +122,8 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         "from": end_json(reach.from.feet, reach.from.moved),
         "to": reach.to.map(|to| end_json(to.feet, to.moved)),
         "way_m": reach.way.as_ref().map(|way| way.length_m),
+        "way_s": reach.way.as_ref().map(|way| tidy(way.seconds)),
+        "links": reach.way.as_ref().map(|way| &way.links[..]).unwrap_or_default(),
         "memory_bytes": memory_bytes,
         "seconds": seconds,
     });

@@ -144,3 +144,182 @@ fn missing_ground_is_a_gap_or_unseen() {
     let below = islands().chain(floor([4.0, 5.5], [0.0, 6.0], 0.0));
     check(&route(below.collect(), ends, &[]), "gap", 1.5, 0.5, None);
 }
+
+#[test]
+fn a_door_both_narrow_and_low_needs_the_width_that_passes() {
+    // 0.3 m wide and 1.3 m high: neither a narrower nor a lower pawn passes, but one that is both.
+    let ground = floor([0.0, 8.0], [0.0, 6.0], 0.0);
+    let walls = wall([0.0, 2.0], [0.0, 2.5]).chain(wall([2.0, 2.3], [1.3, 2.5])).chain(wall([2.3, 6.0], [0.0, 2.5]));
+    let found = route(ground.chain(walls).collect(), ENDS, &["--pawn", "box:0.8x0.8x1.8"]);
+    check(&found, "width", 0.3, 0.06, Some([1.6, 2.8]));
+}
+
+/// Rooms along a side of a random house, edge of a room, and height of its walls (m).
+const ROOMS: usize = 3;
+const ROOM_M: f64 = 3.0;
+const WALL_M: f64 = 3.6;
+/// Width, height and climb of the default pawn (m).
+const PAWN: [f64; 3] = [0.5, 1.8, 0.35];
+/// Middle of a door along its wall, in the middle of a pixel (m).
+const MIDDLE_M: f64 = 1.55;
+/// How exact a width, a headroom and a step are: half a pixel, the spacing of points and the precision of the search (m).
+const EXACT: [f64; 3] = [0.06, 0.07, 0.04];
+const REASONS: [&str; 3] = ["width", "headroom", "step"];
+
+/// A wall between two rooms with a door.
+struct Door {
+    rooms: [usize; 2],
+    /// First corner of the wall (m) and the axis along which it stands.
+    from: [f64; 2],
+    along: usize,
+    /// Width, height and step (m); the wall is closed if the width is 0.
+    measures: [f64; 3],
+}
+
+impl Door {
+    fn middle(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.from[axis] + if axis == self.along { MIDDLE_M } else { 0.0 })
+    }
+
+    /// Whether a pawn with these measures passes.
+    fn passes(&self, pawn: [f64; 3]) -> bool {
+        self.measures[0] >= pawn[0] && self.measures[1] >= pawn[1] && self.measures[2] <= pawn[2]
+    }
+}
+
+/// A house with doors that are narrow, low, high or two of these, and floors at different heights.
+fn random_house(random: &mut crate::house::Random) -> (Vec<Door>, Vec<f64>, Vec<[f64; 3]>) {
+    let heights: Vec<f64> = (0..ROOMS * ROOMS).map(|_| [0.0, 0.0, 0.0, 0.0, 0.45, 0.6][random.below(6)]).collect();
+    let mut doors = Vec::new();
+    for room in 0..ROOMS * ROOMS {
+        let [x, y] = [room % ROOMS, room / ROOMS].map(|at| at as f64 * ROOM_M);
+        let sides = [
+            (room % ROOMS + 1 < ROOMS, room + 1, [x + ROOM_M, y], 1),
+            (room / ROOMS + 1 < ROOMS, room + ROOMS, [x, y + ROOM_M], 0),
+        ];
+        for (_, other, from, along) in sides.into_iter().filter(|side| side.0) {
+            let width = [0.0, 0.1, 0.3, 0.3, 1.1, 1.1, 1.1, 1.1][random.below(8)];
+            let high = if random.below(4) > 0 { 2.2 } else { 1.0 + random.below(7) as f64 * 0.1 };
+            let step = (heights[room] - heights[other]).abs();
+            doors.push(Door { rooms: [room, other], from, along, measures: [width, high, step] });
+        }
+    }
+    let count = |length: f64| (length / 0.05).round() as i32;
+    let at = |n: i32| f64::from(n) * 0.05 + 0.025;
+    let mut points = Vec::new();
+    for (room, height) in heights.iter().enumerate() {
+        let [x, y] = [room % ROOMS, room / ROOMS].map(|at| at as f64 * ROOM_M);
+        points.extend(floor([x, x + ROOM_M], [y, y + ROOM_M], *height));
+    }
+    let mut wall = |from: [f64; 2], along: usize, length: f64, opening: Option<([f64; 3], f64)>| {
+        for (n, k) in (0..count(length)).flat_map(|n| (0..count(WALL_M)).map(move |k| (n, k))) {
+            let mut place = [from[0] + 0.025, from[1] + 0.025, at(k)];
+            place[along] = from[along] + at(n);
+            let is_open = opening.is_some_and(|([width, high, _], sill)| {
+                (at(n) - MIDDLE_M).abs() < width / 2.0 && (sill..sill + high).contains(&at(k))
+            });
+            if !is_open {
+                points.push(place);
+            }
+        }
+    };
+    let length = ROOMS as f64 * ROOM_M;
+    for beyond in [0.0, length - 0.05] {
+        wall([0.0, beyond], 0, length, None);
+        wall([beyond, 0.0], 1, length, None);
+    }
+    for door in &doors {
+        let sill = heights[door.rooms[0]].max(heights[door.rooms[1]]);
+        wall(door.from, door.along, ROOM_M, Some((door.measures, sill)));
+    }
+    (doors, heights, points)
+}
+
+/// Rooms that a pawn with these measures gets to.
+fn rooms_of(doors: &[Door], pawn: [f64; 3], from: usize) -> Vec<bool> {
+    let mut found = vec![false; ROOMS * ROOMS];
+    found[from] = true;
+    for _ in 0..ROOMS * ROOMS {
+        for door in doors.iter().filter(|door| door.passes(pawn)) {
+            let either = door.rooms.iter().any(|room| found[*room]);
+            door.rooms.iter().for_each(|room| found[*room] |= either);
+        }
+    }
+    found
+}
+
+/// The value of each measure, nearest to the pawn's own, with which it gets from one room to another.
+fn least_changes(doors: &[Door], [from, to]: [usize; 2]) -> [Option<f64>; 3] {
+    [0, 1, 2].map(|measure| {
+        let all = doors.iter().map(|door| door.measures[measure]).filter(|value| *value > 0.0);
+        let passing = all.filter(|value| {
+            let mut pawn = PAWN;
+            pawn[measure] = *value;
+            rooms_of(doors, pawn, from)[to]
+        });
+        let far = |value: &f64| (value - PAWN[measure]).abs();
+        passing.min_by(|a, b| far(a).total_cmp(&far(b)))
+    })
+}
+
+/// `SLICEWALK_BLOCKED` sets the number of pairs, `SLICEWALK_FIRST` the first house.
+#[test]
+fn reasons_in_random_houses_are_the_least_changes_of_brute_force() {
+    let number = |name: &str| std::env::var(name).ok().map(|value| value.parse::<usize>().unwrap());
+    let (most, first) = (number("SLICEWALK_BLOCKED").unwrap_or(12), number("SLICEWALK_FIRST").unwrap_or(0));
+    let (mut pairs, mut twofold, mut wrong) = (0, 0, Vec::new());
+    for seed in first.. {
+        if pairs >= most {
+            break;
+        }
+        let mut random = crate::house::Random(seed as u64);
+        let (doors, heights, points) = random_house(&mut random);
+        let folder = archive_of(points);
+        for _ in 0..4 {
+            let ends = [random.below(ROOMS * ROOMS), random.below(ROOMS * ROOMS)];
+            let own = rooms_of(&doors, PAWN, ends[0]);
+            if own[ends[1]] {
+                continue;
+            }
+            let place = |room: usize| {
+                let [x, y] = [room % ROOMS, room / ROOMS].map(|at| (at as f64 + 0.5) * ROOM_M);
+                format!("{x},{y},{}", heights[room] + 0.1)
+            };
+            let [from, to] = ends.map(place);
+            let out = slicetool(&folder, "route", &["--from", &from, "--to", &to]);
+            let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+            let what = format!("house {seed}, {from} to {to}: {found}");
+            assert_eq!(found["reason"], Value::from("not_connected"), "{what}");
+            pairs += 1;
+            let blocked = &found["blocked"];
+            let (reason, needs) = (blocked["reason"].as_str().unwrap_or_default(), blocked["needs"].as_f64());
+            let truths = least_changes(&doors, ends);
+            let share = |measure: usize, value: f64| (value - PAWN[measure]).abs() / PAWN[measure];
+            let shares = (0..3).filter_map(|measure| Some(share(measure, truths[measure]?)));
+            let Some(least) = shares.reduce(f64::min) else {
+                // No single change helps: two at once may, or a wall without a door.
+                twofold += 1;
+                if blocked.is_null() || reason == "width" && needs.is_some_and(|needs| needs < 0.1 - EXACT[0]) {
+                    wrong.push(what);
+                }
+                continue;
+            };
+            let is_right = REASONS.iter().position(|name| *name == reason).is_some_and(|measure| {
+                let slack = EXACT[measure] / PAWN[measure];
+                truths[measure].zip(needs).is_some_and(|(truth, needs)| {
+                    (truth - needs).abs() <= EXACT[measure] && share(measure, truth) <= least + slack
+                })
+            });
+            let [x, y] = ["x", "y"].map(|axis| blocked[axis].as_f64().unwrap_or(f64::NAN));
+            let is_there = doors.iter().filter(|door| own[door.rooms[0]] != own[door.rooms[1]]).any(|door| {
+                let [at_x, at_y] = door.middle();
+                (x - at_x).hypot(y - at_y) < 1.2
+            });
+            if !is_right || !is_there {
+                wrong.push(format!("{what}; expected {truths:?}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{} of {pairs} pairs, {twofold} with two changes:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(twofold < pairs, "no pair has a single change");
+}

@@ -1,0 +1,216 @@
+//! `--edits`: random houses beside a search over their rooms, and each kind of edit on its own.
+
+use crate::house::{House, ROOM_M, Side, archive_of, slicetool};
+use serde_json::{Value, json};
+use std::collections::HashSet;
+use std::fs;
+use tempfile::TempDir;
+
+/// Rooms along a side of a house.
+const ROOMS: usize = 3;
+
+fn write(folder: &TempDir, edits: &Value) {
+    fs::write(folder.path().join("e.json"), edits.to_string()).unwrap();
+}
+
+fn summary(folder: &TempDir, command: &str, arguments: &[&str]) -> Value {
+    let out = slicetool(folder, command, &[&["a.slices", "--json"], arguments].concat());
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    serde_json::from_slice(&out.stdout).unwrap()
+}
+
+/// Rooms that `reach` gets to from the first one: those with a place near their middle.
+fn reached(folder: &TempDir, house: &House, options: &[&str]) -> HashSet<usize> {
+    let from = house.middle(0);
+    let from = format!("{},{},0.1", from[0], from[1]);
+    let out = slicetool(folder, "reach", &[&["a.slices", "--from", &from, "-o", "r.csv"], options].concat());
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let table = fs::read_to_string(folder.path().join("r.csv")).unwrap();
+    let number = |line: &str| -> Vec<f64> { line.split(',').map(|field| field.parse().unwrap()).collect() };
+    let places: Vec<Vec<f64>> = table.lines().skip(1).map(number).collect();
+    let is_near = |room: usize| {
+        let [x, y] = house.middle(room);
+        places.iter().any(|place| (place[0] - x).abs() < 0.3 && (place[1] - y).abs() < 0.3)
+    };
+    (0..ROOMS * ROOMS).filter(|room| is_near(*room)).collect()
+}
+
+/// Rooms that a search over open sides and links gets to from the first one.
+fn by_rooms(house: &House, links: &[[usize; 2]], no_go: Option<usize>) -> HashSet<usize> {
+    let mut found = HashSet::from([0]);
+    loop {
+        let sides = house.sides.iter().filter(|side| side.is_open).map(|side| side.rooms);
+        let ways = sides.chain(links.iter().copied());
+        let more: Vec<usize> = ways
+            .flat_map(|[a, b]| [(a, b), (b, a)])
+            .filter(|(a, b)| found.contains(a) && !found.contains(b) && Some(*b) != no_go)
+            .map(|(_, b)| b)
+            .collect();
+        if more.is_empty() {
+            return found;
+        }
+        found.extend(more);
+    }
+}
+
+#[test]
+fn edited_houses_are_reached_as_far_as_a_search_over_rooms_gets() {
+    let mut counts = [0; 2];
+    for seed in 0..6 {
+        let mut house = House::new(ROOMS, seed);
+        let folder = archive_of(house.points());
+        let before = fs::read(folder.path().join("a.slices")).unwrap();
+        assert_eq!(reached(&folder, &house, &[]), by_rooms(&house, &[], None), "house {seed} as it was scanned");
+        let (mut doors, mut removed) = (Vec::new(), Vec::new());
+        for number in 0..house.sides.len() {
+            let change = house.random.below(3);
+            let Side { is_open, has_door, .. } = house.sides[number];
+            match (has_door, change) {
+                (true, 0 | 1) => {
+                    let shape = house.door(number);
+                    doors.push(json!({ "name": format!("door {number}"), "box": shape, "open": !is_open }));
+                    house.sides[number].is_open = !is_open;
+                }
+                (false, 0) => {
+                    removed.push(json!({ "box": house.wall(number) }));
+                    house.sides[number].is_open = true;
+                }
+                _ => {}
+            }
+        }
+        let no_go = 1 + house.random.below(ROOMS * ROOMS - 1);
+        let [x, y] = house.middle(no_go);
+        let half = ROOM_M / 2.0 - 0.1;
+        let outline = [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]];
+        let mut edits = json!({ "doors": doors, "remove": removed });
+        write(&folder, &edits);
+        assert_eq!(reached(&folder, &house, &["--edits", "e.json"]), by_rooms(&house, &[], None), "{seed}: {edits}");
+        edits["no_go"] = json!([{ "outline": outline, "z": [0.0, 2.0] }]);
+        write(&folder, &edits);
+        let expected = by_rooms(&house, &[], Some(no_go));
+        assert_eq!(reached(&folder, &house, &["--edits", "e.json"]), expected, "{seed}: {edits}");
+        let apart = (0..ROOMS * ROOMS).find(|room| !expected.contains(room) && *room != no_go);
+        counts[usize::from(apart.is_some())] += 1;
+        if let Some(apart) = apart {
+            let ([x, y], [far_x, far_y]) = (house.middle(0), house.middle(apart));
+            edits["links"] = json!([{ "name": "lift", "from": [x, y, 0.1], "to": [far_x, far_y, 0.1], "seconds": 20 }]);
+            write(&folder, &edits);
+            let expected = by_rooms(&house, &[[0, apart]], Some(no_go));
+            assert_eq!(reached(&folder, &house, &["--edits", "e.json"]), expected, "{seed}: {edits}");
+            let ends = [format!("{},{y},0.1", x + 0.5), format!("{},{far_y},0.1", far_x - 0.5)];
+            let ends = ["--from", ends[0].as_str(), "--to", ends[1].as_str(), "--edits", "e.json"];
+            let found = summary(&folder, "route", &ends);
+            assert_eq!(found["links"], json!(["lift"]), "{found}");
+            let (way_s, length_m) = (found["way_s"].as_f64().unwrap(), found["length_m"].as_f64().unwrap());
+            assert!((way_s - 20.0 - length_m / 1.4).abs() < 1e-3 && (0.9..1.3).contains(&length_m), "{found}");
+            let way = summary(&folder, "reach", &ends);
+            assert_eq!((&way["links"], &way["way_s"]), (&found["links"], &found["way_s"]));
+        }
+        assert!(fs::read(folder.path().join("a.slices")).unwrap() == before, "the archive has changed");
+    }
+    assert!(counts[0] + counts[1] == 6 && counts[1] > 0, "{counts:?}");
+}
+
+/// Points of a floor of 8 × 4 m with a wall across at x = 4 and a door of 1 m in it.
+fn hall() -> Vec<[f64; 3]> {
+    let floor = (0..160 * 80).map(|n| [f64::from(n % 160) * 0.05 + 0.025, f64::from(n / 160) * 0.05 + 0.025, 0.0]);
+    let wall = (0..80 * 44).map(|n| [4.025, f64::from(n % 80) * 0.05 + 0.025, f64::from(n / 80) * 0.05 + 0.025]);
+    floor.chain(wall.filter(|[_, y, _]| !(1.5..2.5).contains(y))).collect()
+}
+
+const ENDS: [&str; 4] = ["--from", "1,2,0.1", "--to", "7,2,0.1"];
+
+#[test]
+fn a_link_is_taken_only_if_it_saves_time_and_in_its_direction() {
+    let folder = archive_of(hall());
+    let link = |seconds: f64, one_way: bool| {
+        let link = json!({ "name": "moving walk", "from": [7, 1, 0], "to": [1, 1, 0], "seconds": seconds, "one_way": one_way });
+        write(&folder, &json!({ "links": [link] }));
+        summary(&folder, "route", &[&ENDS[..], &["--edits", "e.json"]].concat())
+    };
+    assert_eq!(link(0.5, false)["links"], json!(["moving walk"]));
+    let ends = [&["a.slices"], &ENDS[..], &["--edits", "e.json", "-o", "r.geojson"]].concat();
+    assert!(slicetool(&folder, "route", &ends).status.success());
+    let features: Value = serde_json::from_slice(&fs::read(folder.path().join("r.geojson")).unwrap()).unwrap();
+    let feature = &features["features"][0];
+    assert_eq!(
+        (&feature["geometry"]["type"], &feature["properties"]["links"]),
+        (&json!("LineString"), &json!(["moving walk"]))
+    );
+    assert_eq!(link(60.0, false)["links"], json!([]));
+    assert_eq!(link(0.5, true)["links"], json!([]), "it leads the other way");
+    write(&folder, &json!({ "links": [{ "name": "far", "from": [1, 1, 0], "to": [90, 1, 0], "seconds": 1 }] }));
+    let out = slicetool(&folder, "route", &[&["a.slices"], &ENDS[..], &["--edits", "e.json"]].concat());
+    assert!(out.status.success() && String::from_utf8_lossy(&out.stderr).contains("link \"far\" is left out"));
+}
+
+#[test]
+fn queries_and_walks_meet_the_edits() {
+    let folder = archive_of(hall());
+    let at = folder.path();
+    let door = json!([{ "name": "hall", "box": [3.9, 1.5, 0.0, 4.1, 2.5, 2.0], "open": false }]);
+    write(
+        &folder,
+        &json!({ "doors": door, "add": [{ "box": [20, 20, 0, 21, 21, 1] }], "no_go": [{ "box": [6, 1, 0, 7, 2, 2] }] }),
+    );
+    // The door; solid far from the scan; a no-go area, which is not solid; the wall; the floor.
+    let boxes = "3.95,1.9,0.9,4.05,2.1,1\n20.4,20.4,0.5,20.6,20.6,0.6\n6.4,1.4,0.5,6.6,1.6,0.6\n4,0.5,1,4.05,0.6,1.1\n1,1,-0.1,1.1,1.1,0.1\n";
+    fs::write(at.join("q.csv"), boxes).unwrap();
+    let column = |arguments: &[&str]| -> String {
+        let out = slicetool(&folder, "query", &[&["a.slices", "--boxes", "q.csv"], arguments].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        let table = String::from_utf8(out.stdout).unwrap();
+        let place = |name: &str| table.lines().next().unwrap().split(',').position(|field| field == name).unwrap();
+        let name = if arguments.contains(&"--show-edits") { "edited" } else { "hit" };
+        table.lines().skip(1).map(|line| line.split(',').nth(place(name)).unwrap()).collect()
+    };
+    assert_eq!(column(&[]), "00011");
+    assert_eq!(column(&["--edits", "e.json"]), "11011");
+    assert_eq!(column(&["--edits", "e.json", "--show-edits"]), "11000");
+    fs::write(at.join("w.csv"), "x,y\n7,2.5\n").unwrap();
+    let walk = ["a.slices", "--start", "1,2,0.1", "--waypoints", "w.csv", "-o", "p.csv", "--json"];
+    assert!(slicetool(&folder, "walk", &walk).status.success());
+    let out = slicetool(&folder, "walk", &[&walk[..], &["--edits", "e.json"]].concat());
+    let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!((out.status.code(), &found["state"]), (Some(1), &json!("blocked")), "{found}");
+    assert!((3.4..4.0).contains(&found["end"][0].as_f64().unwrap()), "{found}");
+    let found = summary(&folder, "route", &[&ENDS[..], &["--edits", "e.json"]].concat());
+    assert_eq!(found["reason"], json!("not_connected"), "{found}");
+    assert!(!found["blocked"].is_null(), "{found}");
+    let ends = [&["a.slices"], &ENDS[..], &["--edits", "e.json", "-o", "r.geojson"]].concat();
+    assert!(slicetool(&folder, "route", &ends).status.success());
+    let features: Value = serde_json::from_slice(&fs::read(at.join("r.geojson")).unwrap()).unwrap();
+    let feature = &features["features"][0];
+    assert_eq!((&feature["geometry"]["type"], &feature["properties"]["what"]), (&json!("Point"), &json!("blocked")));
+    let out = slicetool(&folder, "export", &["a.slices", "-o", "a.ply", "--edits", "e.json"]);
+    assert!(out.status.code() == Some(2) && String::from_utf8_lossy(&out.stderr).contains("--edits: only .yaml"));
+}
+
+#[test]
+fn bad_edits_are_refused_in_one_line() {
+    let folder = archive_of(hall());
+    let at = folder.path();
+    let refused = |arguments: &[&str], code: i32| -> String {
+        let out = slicetool(&folder, "route", &[&["a.slices"], &ENDS[..], arguments].concat());
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert_eq!(out.status.code(), Some(code), "{said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        said
+    };
+    assert!(refused(&["--edits", "none.json"], 1).contains("none.json: cannot read"));
+    for (text, says) in [
+        ("{", "e.json: edits: EOF"),
+        (r#"{"wall": []}"#, "unknown field `wall`, expected one of `remove`, `add`, `doors`, `links`, `no_go`"),
+        (r#"{"doors": [{"name": "a", "box": [0, 0, 0, 1, 1, 1]}]}"#, "e.json: doors[0]: open: expected true or false"),
+        (r#"{"add": [{"box": [0, 0, 0, 1e8, 1e8, 1]}]}"#, "pages that edits change"),
+        (r#"{"add": [{"box": [0, 0, 0, 1, 1, 1e8]}]}"#, "pages that edits change"),
+    ] {
+        fs::write(at.join("e.json"), text).unwrap();
+        let said = refused(&["--edits", "e.json"], 1);
+        assert!(said.contains(says), "{text}: {said}");
+    }
+    // What is read is not replaced.
+    fs::write(at.join("e.json"), "{}").unwrap();
+    refused(&["--edits", "e.json", "-o", "e.json"], 1);
+    assert_eq!(fs::read_to_string(at.join("e.json")).unwrap(), "{}");
+}
