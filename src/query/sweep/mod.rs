@@ -8,11 +8,13 @@ mod descent;
 mod near;
 mod solid;
 mod step;
+mod surface;
 
 pub(crate) use descent::{GridCell, Matter, SweepArea, Visit, descend};
 pub use near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub use solid::Solid;
 pub use step::{mean_floor_under, top_under};
+pub use surface::{SurfacePoint, nearest_surface, nearest_surface_batch};
 
 use super::answer::Answer;
 use super::batch;
