@@ -2,9 +2,10 @@
 //!
 //! - `points.rs`: one point per occupied voxel (PLY, LAS, LAZ, E57)
 //! - `surface.rs`: the boundary of all occupied space as triangles (glTF)
-//! - `heights.rs`: heights of floors as a raster (GeoTIFF)
+//! - `heights.rs`, `layers.rs`: figures of floors as a raster (GeoTIFF)
 //! - `drawing.rs`: the floor plan of a slice (SVG, DXF)
 //! - `nav2.rs`: occupancy grids of storeys (Nav2)
+//! - `esdf.rs`: signed distances to solid (numpy)
 //! - `octomap.rs`, `voxel.rs`: occupied cubes as octrees (OctoMap; SuperSplat, PlayCanvas, Babylon)
 //!
 //! All coordinates are those of the archive: metres, in the scan's reference system.
@@ -12,20 +13,28 @@
 mod crs;
 mod cubes;
 mod drawing;
+mod esdf;
 mod heights;
+mod layers;
 mod nav2;
 mod octomap;
 mod points;
 mod surface;
 mod voxel;
 
+use crate::ground::Loader;
 use crate::ground::Pawns;
 use crate::{Failure, Outcome};
 use crs::Crs;
+use layers::{Figures, Layer};
 use nav2::Which;
+use slicewalk::archive::Bounds;
 use slicewalk_base::output::is_standard;
 use slicewalk_base::text::{counted, finite_number, grouped, number, one_line, whole_number};
 use std::path::{Path, PathBuf};
+
+/// Greatest distance of an ESDF by default (m).
+const WITHIN_M: f64 = 2.0;
 
 /// Options of `slicetool export`.
 #[derive(clap::Args)]
@@ -33,8 +42,9 @@ pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
     /// File to write; its extension selects points, one per voxel (.ply, .las, .laz, .e57), a surface (.glb), floor
-    /// heights (.tif), the plan of a slice (.svg, .dxf), maps of storeys for Nav2 (.yaml with .pgm), or cubes for OctoMap
-    /// (.bt) or for SuperSplat and PlayCanvas (.voxel.json with .voxel.bin). `-` writes PLY to standard output
+    /// heights and other layers (.tif), the plan of a slice (.svg, .dxf), maps of storeys for Nav2 (.yaml with .pgm),
+    /// distances to solid (.npy), or cubes for OctoMap (.bt) or for SuperSplat and PlayCanvas (.voxel.json with .voxel.bin).
+    /// `-` writes PLY to standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Plan of this slice, counted from 0 at the lowest; by default, the slice 1.2 m above the floor of the lowest
@@ -49,8 +59,29 @@ pub struct Arguments {
     /// (NAME_storey0.yaml ...) and the links between them (NAME_links.geojson)
     #[arg(long, value_name = "N", group = "which", value_parser = whole_number(0u64, u64::MAX))]
     storey: Option<u64>,
+    /// With .tif, the layers to write, a band each
+    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', default_values_t = [Layer::Height])]
+    layer: Vec<Layer>,
+    /// With .npy: signed distances to the surface of solid as float32 in metres, positive in free space, with the axes z,
+    /// y, x; sample k along an axis, counted from the origin, lies at (k + 1/2) times the step
+    #[arg(long)]
+    esdf: bool,
+    /// With --esdf, lowest and highest corner of the region in metres [default: all of the archive]
+    #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = crate::extract::bounds)]
+    bounds: Option<Bounds>,
+    /// With --esdf, metres between samples [default: a pixel]
+    #[arg(long, value_name = "METRES", value_parser = length)]
+    step: Option<f64>,
+    /// With --esdf, greatest distance in metres; what is farther has this distance
+    #[arg(long, value_name = "METRES", default_value_t = WITHIN_M, value_parser = length)]
+    within: f64,
     #[command(flatten)]
     pawns: Pawns,
+}
+
+fn length(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite());
+    value.ok_or_else(|| "expected a length above 0".into())
 }
 
 /// Format, selected by the file's extension.
@@ -65,6 +96,7 @@ enum Format {
     Svg,
     Dxf,
     Nav2,
+    Npy,
     Octomap,
     Voxel,
 }
@@ -82,6 +114,7 @@ impl Format {
             "svg" => Self::Svg,
             "dxf" => Self::Dxf,
             "yaml" | "yml" => Self::Nav2,
+            "npy" => Self::Npy,
             "bt" => Self::Octomap,
             "json" if voxel::binary_of(output).is_some() => Self::Voxel,
             _ if is_standard(output) => Self::Ply,
@@ -94,7 +127,7 @@ impl Format {
 pub fn run(arguments: &Arguments) -> Outcome {
     let (path, output) = (arguments.archive.as_path(), arguments.output.as_path());
     let Some(format) = Format::of(output) else {
-        let endings = ".ply, .las, .laz, .e57, .glb, .tif, .svg, .dxf, .yaml, .bt or .voxel.json";
+        let endings = ".ply, .las, .laz, .e57, .glb, .tif, .svg, .dxf, .yaml, .npy, .bt or .voxel.json";
         return Err(Failure::Text(format!("{}: unknown format; name the file {endings}", output.display())));
     };
     let is_plan = matches!(format, Format::Svg | Format::Dxf);
@@ -107,6 +140,24 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if arguments.storey.is_some() && format != Format::Nav2 {
         return Err(Failure::Usage("--storey: only .yaml shows one storey".into()));
     }
+    if arguments.layer != [Layer::Height] && format != Format::Tif {
+        return Err(Failure::Usage("--layer: only .tif has layers".into()));
+    }
+    if let Some(twice) = (1..arguments.layer.len()).find(|&n| arguments.layer[..n].contains(&arguments.layer[n])) {
+        return Err(Failure::Usage(format!("--layer: {} is named twice", arguments.layer[twice].name())));
+    }
+    if arguments.esdf != (format == Format::Npy) {
+        return Err(Failure::Usage("--esdf: name a file .npy for it, and no other; .npy holds nothing else".into()));
+    }
+    if !arguments.esdf && (arguments.bounds.is_some() || arguments.step.is_some() || arguments.within != WITHIN_M) {
+        return Err(Failure::Usage("--bounds, --step and --within: only --esdf depends on them".into()));
+    }
+    if arguments.esdf {
+        let loader = Loader::new(arguments.pawns.open(path)?, path, arguments.pawns.cache())?;
+        let samples = esdf::Samples { bounds: arguments.bounds, step_m: arguments.step, within_m: arguments.within };
+        let about = esdf::npy(&loader, &samples, crate::output(output, loader.archive(), &[])?)?;
+        return crate::standard::written(output, &format!("{}: {about}\n", one_line(&output.to_string_lossy())));
+    }
     if format == Format::Nav2 {
         let number = arguments.storey.map(|storey| Which::Number(usize::try_from(storey).unwrap_or(usize::MAX)));
         let which = number.or(arguments.z.map(Which::Near)).unwrap_or(Which::All);
@@ -115,7 +166,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(path)?;
     points::check_count(&archive, path)?;
     let crs = match format {
-        Format::Ply | Format::Glb | Format::Nav2 | Format::Octomap | Format::Voxel => None,
+        Format::Ply | Format::Glb | Format::Nav2 | Format::Npy | Format::Octomap | Format::Voxel => None,
         _ => Crs::of(&archive, path)?,
     };
     let crs = crs.as_ref();
@@ -127,7 +178,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
         Format::E57 => counted(points::e57(&archive, path, to, crs)?, "point"),
         Format::Glb => counted(surface::glb(&archive, path, to)?, "triangle"),
         Format::Tif => {
-            let [width, height] = heights::tif(&archive, path, arguments.z, to, crs)?;
+            let figures = Figures::new(&arguments.layer, &arguments.pawns, path, *archive.frame())?;
+            let layers = heights::Layers { layers: &arguments.layer, figures, highest: arguments.z };
+            let [width, height] = heights::tif(&archive, path, &layers, to, crs)?;
             let pixel = number(archive.frame().pixel_m());
             format!("{} × {} pixels of {pixel} m", grouped(width.into()), grouped(height.into()))
         }
@@ -136,7 +189,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             voxel::write(&archive, path, [to, crate::output(&binary, &archive, &[output])?])?
         }
         Format::Octomap => octomap::bt(&archive, path, to)?,
-        Format::Nav2 => unreachable!("written above"),
+        Format::Nav2 | Format::Npy => unreachable!("written above"),
         Format::Svg | Format::Dxf => {
             let slice = drawing::slice(&archive, path, arguments.slice, arguments.z)?;
             let plan = drawing::Plan::of(&archive, path, slice)?;

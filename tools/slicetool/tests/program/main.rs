@@ -16,6 +16,7 @@ mod cli;
 mod colour;
 mod cubes;
 mod exports;
+mod fields;
 mod outputs;
 mod reach;
 mod serve;
