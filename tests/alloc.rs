@@ -58,6 +58,7 @@ fn ask_everything(store: &Snapshot, scene: &Scene, random: &mut scene::Random) -
             black_box(sweep(store, shape, way));
             black_box(sweep(store, &cylinder, -way));
             black_box(clearance(store, &cylinder, 0.5));
+            black_box(nearest_surface(store, corner, 0.5));
             black_box(depenetrate(store, shape, 0.5));
             black_box(depenetrate(store, &cylinder, 0.5));
             black_box(top_under(store, &cylinder, shape.max().z, size.z));

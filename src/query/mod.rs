@@ -55,8 +55,8 @@ pub use ray::{Ray, RayBound, RayHit, cast, cast_batch, cast_far};
 pub use sphere::Sphere;
 pub(crate) use sweep::{GridCell, Matter, SweepArea, Visit, descend};
 pub use sweep::{
-    Solid, SweepHit, clearance, clearance_batch, depenetrate, depenetrate_batch, mean_floor_under, sweep, sweep_batch,
-    top_under,
+    Solid, SurfacePoint, SweepHit, clearance, clearance_batch, depenetrate, depenetrate_batch, mean_floor_under,
+    nearest_surface, nearest_surface_batch, sweep, sweep_batch, top_under,
 };
 
 use crate::store::Snapshot;

@@ -59,6 +59,12 @@ impl Half<'_> {
         self.ask(&what, |store| top_under(store, shape, from, depth));
         self.ask(&what, |store| clearance(store, shape, max));
         self.ask(&what, |store| depenetrate(store, shape, max));
+        let at = scene.random_point(random);
+        self.ask(&what, |store| match nearest_surface(store, at, max) {
+            // Of several places equally near, any one is an answer.
+            Answer::Known(found) => Answer::Known(found.map(|found| found.distance)),
+            Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
+        });
         self.ask(&what, |store| mean_floor_under(store, shape, from, depth));
         self.ask(&what, |store| match sweep(store, shape, motion) {
             // A shape that begins inside solid may report any span that contains it.

@@ -26,5 +26,6 @@ mod objects;
 mod oracle;
 mod raster;
 mod real_scans;
+mod surface;
 mod sweep;
 mod symmetry;

@@ -295,6 +295,16 @@ sw_status sw_ceilings(const struct sw_pages *pages,
                       double *heights,
                       size_t count);
 
+// Finds the nearest place on the surface of solid space: 4 numbers each, x, y, z of a place, greatest distance (m).
+// `answers` gets 7 · `count` numbers: the signed distance (m; above 0 in free space, below 0 inside solid), x, y, z of the
+// place on the surface (m), and the unit vector along which the distance grows (zero on the surface). If there is nothing
+// that near, the distance is ∞ and the rest NaN; all are NaN if that depends on missing pages.
+sw_status sw_nearest_surfaces(const struct sw_pages *pages,
+                              const double *places,
+                              size_t places_len,
+                              double *answers,
+                              size_t count);
+
 // Opens a stream on an archive; no page is loaded yet.
 sw_status sw_stream_open(const struct sw_archive *archive,
                          const struct sw_stream_options *options,

@@ -97,6 +97,12 @@ public:
     }
     std::vector<double> floors(const std::vector<double> &boxes) const { return ask<double, 6>(sw_floors, boxes); }
     std::vector<double> ceilings(const std::vector<double> &boxes) const { return ask<double, 6>(sw_ceilings, boxes); }
+    // Seven numbers for each place.
+    std::vector<double> nearest_surfaces(const std::vector<double> &places) const {
+        std::vector<double> answers(places.size() / 4 * 7);
+        check(sw_nearest_surfaces(get(), places.data(), places.size(), answers.data(), places.size() / 4));
+        return answers;
+    }
 
 private:
     friend class Stream;

@@ -4,7 +4,9 @@ use crate::archive::sw_archive;
 use crate::border::{Failure, Handle, Outcome, check_apart, close, give, guard, held, input, output, sw_status};
 use engine::frame::PAGE_QUANTA;
 use engine::nalgebra::{Point3, Vector3};
-use engine::query::{Aabb, Answer, Cylinder, Overlap, Ray, Sphere, cast, ceiling_above, floor_under, overlaps, sweep};
+use engine::query::{
+    Aabb, Answer, Cylinder, Overlap, Ray, Sphere, cast, ceiling_above, floor_under, nearest_surface, overlaps, sweep,
+};
 use engine::store::Snapshot;
 use engine::{NoMonitor, Result};
 
@@ -23,7 +25,7 @@ pub unsafe extern "C" fn sw_pages_load(archive: *const sw_archive, pages: *mut *
         // SAFETY: as the header demands of handles.
         let opened = unsafe { held(archive) }?;
         // SAFETY: as the header demands of `pages`.
-        unsafe { give(pages, || Snapshot::resident(&opened.archive, &NoMonitor)) }
+        unsafe { give(pages, || Ok(Snapshot::resident(&opened.archive, &NoMonitor)?)) }
     })
 }
 
@@ -230,6 +232,40 @@ pub unsafe extern "C" fn sw_ceilings(
                 ceiling_above(pages, &shape, from, row[5] - from)
             };
             Ok(known(answer, |z| z.unwrap_or(f64::INFINITY)))
+        })
+    })
+}
+
+/// Finds the nearest place on the surface of solid space: 4 numbers each, x, y, z of a place, greatest distance (m).
+/// `answers` gets 7 · `count` numbers: the signed distance (m; above 0 in free space, below 0 inside solid), x, y, z of the
+/// place on the surface (m), and the unit vector along which the distance grows (zero on the surface). If there is nothing
+/// that near, the distance is ∞ and the rest NaN; all are NaN if that depends on missing pages.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sw_nearest_surfaces(
+    pages: *const sw_pages,
+    places: *const f64,
+    places_len: usize,
+    answers: *mut f64,
+    count: usize,
+) -> sw_status {
+    // SAFETY: as the header demands of handles and arrays.
+    guard(|| unsafe {
+        let given = (places, places_len, "places");
+        batch(pages, given, (answers.cast(), count), |pages, &[x, y, z, max]: &[f64; 4]| {
+            if ![x, y, z].iter().all(|v| v.is_finite()) || max.is_nan() || max < 0.0 {
+                let reason = "expected a finite place and a distance of at least 0";
+                return Err(engine::Error::parameter("place", reason));
+            }
+            let nothing = |distance: f64| [distance, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN];
+            Ok(match ask!(pages, set => nearest_surface(set, Point3::new(x, y, z), max)) {
+                Answer::NotLoaded(_) => nothing(f64::NAN),
+                Answer::Known(None) => nothing(f64::INFINITY),
+                Answer::Known(Some(found)) => {
+                    let ([px, py, pz], [gx, gy, gz]): ([f64; 3], [f64; 3]) =
+                        (found.point.into(), found.gradient.into());
+                    [found.distance, px, py, pz, gx, gy, gz]
+                }
+            })
         })
     })
 }

@@ -3,7 +3,7 @@
 use engine::NoMonitor;
 use engine::archive::Archive;
 use engine::nalgebra::{Point3, Vector3};
-use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_under, overlaps, sweep};
+use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_under, nearest_surface, overlaps, sweep};
 use engine::store::Snapshot;
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
@@ -144,6 +144,7 @@ fn ctypes_gets_the_answers_of_the_library() {
             cast(&store, &ray).known().unwrap().map_or(f64::INFINITY, |hit| hit.distance),
             sweep(&store, &shape, way.into()).known().unwrap().map_or(1.0, |hit| hit.fraction),
             floor_under(&store, &shape, from, from - at[2]).known().unwrap().unwrap_or(f64::NEG_INFINITY),
+            nearest_surface(&store, at.into(), 1.0).known().unwrap().map_or(f64::INFINITY, |found| found.distance),
         ];
         hits += usize::from(expected[0] == 1.0);
         clear += usize::from(expected[0] == 0.0);

@@ -3,7 +3,7 @@
 use crate::window::{Options, Unloaded};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use slicewalk::{Error, Result};
 use std::collections::HashMap;
 

@@ -22,7 +22,14 @@ pub fn clearance<H: Solid>(set: &Snapshot, shape: &H, max: f64) -> Answer<Option
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);
     }
-    let rest = shape.resting(set.frame());
+    match nearest_cell(set, shape.resting(set.frame()), max) {
+        Answer::Known(found) => Answer::Known(found.map(|(distance, _)| distance)),
+        Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
+    }
+}
+
+/// Returns the distance to the nearest solid within `max` (m, >= 0), and that solid.
+pub(super) fn nearest_cell(set: &Snapshot, rest: Resting, max: f64) -> Answer<Option<(f64, GridCell)>> {
     // Small reaches first, because they find near solids sooner.
     for reach in NEAR.map(|pixels| pixels * set.frame().pixel_m()) {
         if 2.0 * reach > max {
@@ -40,18 +47,18 @@ pub fn clearance<H: Solid>(set: &Snapshot, shape: &H, max: f64) -> Answer<Option
 /// Reaches tried before `max` (pixels).
 const NEAR: [f64; 3] = [1.5, 6.0, 24.0];
 
-/// Returns the distance to the nearest solid within `max`.
-fn nearest(set: &Snapshot, rest: Resting, max: f64) -> Answer<Option<f64>> {
+/// Like [`nearest_cell`], by one descent.
+fn nearest(set: &Snapshot, rest: Resting, max: f64) -> Answer<Option<(f64, GridCell)>> {
     let frame = set.frame();
     let area = around(frame, &rest, max);
     let heights = (area.low, area.high);
-    let mut search = Nearest { rest, metres: metres(frame), best: max, heights, found: false, missing: None };
+    let mut search = Nearest { rest, metres: metres(frame), best: max, heights, found: None, missing: None };
     descend(set, &area, &mut search);
-    if search.missing.is_some() && search.found {
+    if search.missing.is_some() && search.found.is_some() {
         search.missing = None;
         descend(set, &area, &mut search);
     }
-    Answer::new(search.found.then_some(search.best), search.missing)
+    Answer::new(search.found.map(|cell| (search.best, cell)), search.missing)
 }
 
 /// Runs [`clearance`] for each of `shapes`, in order, into `answers`.
@@ -130,7 +137,8 @@ struct Nearest {
     best: f64,
     /// Heights of spans at most as far as `best`.
     heights: (i64, i64),
-    found: bool,
+    /// The nearest span found.
+    found: Option<GridCell>,
     missing: Option<Missing>,
 }
 
@@ -161,7 +169,7 @@ impl Visit for Nearest {
 
     fn enter(&mut self, cell: &GridCell) -> bool {
         let distance = self.distance(cell);
-        distance < self.best || !self.found && distance <= self.best
+        distance < self.best || self.found.is_none() && distance <= self.best
     }
 
     fn matter(&mut self, matter: &Matter) {
@@ -169,7 +177,7 @@ impl Visit for Nearest {
         if self.enter(&cell) {
             self.best = self.distance(&cell);
             self.heights = within(&self.rest, 2, self.best / self.metres[2]);
-            self.found = true;
+            self.found = Some(cell);
         }
     }
 
@@ -187,7 +195,7 @@ pub(super) fn nearest_of_all(
     max: f64,
 ) -> Option<f64> {
     let heights = (i64::MIN, i64::MAX);
-    let search = Nearest { rest, metres: metres(frame), best: max, heights, found: false, missing: None };
+    let search = Nearest { rest, metres: metres(frame), best: max, heights, found: None, missing: None };
     cells.map(|cell| search.distance(&cell)).filter(|&distance| distance <= max).min_by(f64::total_cmp)
 }
 

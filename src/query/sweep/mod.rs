@@ -7,11 +7,13 @@
 mod clearance;
 mod descent;
 mod solid;
+mod surface;
 mod tops;
 
 pub use clearance::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub(crate) use descent::{GridCell, Matter, SweepArea, Visit, descend};
 pub use solid::Solid;
+pub use surface::{SurfacePoint, nearest_surface, nearest_surface_batch};
 pub use tops::{mean_floor_under, top_under};
 
 use super::answer::Answer;

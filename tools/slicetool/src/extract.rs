@@ -25,7 +25,8 @@ pub struct Arguments {
     json: bool,
 }
 
-fn bounds(text: &str) -> Result<Bounds, String> {
+/// Parses the corners of a region.
+pub fn bounds(text: &str) -> Result<Bounds, String> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
         Ok(&[x0, y0, z0, x1, y1, z1]) if x0 <= x1 && y0 <= y1 && z0 <= z1 => Ok(([x0, y0, z0], [x1, y1, z1])),

@@ -95,6 +95,13 @@ int main(int argc, char **argv) {
     under[2] = info.max[2] + 1, under[5] = INFINITY;
     OK(sw_ceilings(pages, under, 6, height, 1));
     CHECK(isinf(height[0]) && height[0] > 0);
+    double place[4] = {from[0], from[1], from[2] + 0.5, 1}, surface[7];
+    OK(sw_nearest_surfaces(pages, place, 4, surface, 1));
+    CHECK(surface[0] > 0.1 && surface[0] < 0.6);
+    for (int i = 0; i < 3; i++) CHECK(fabs(place[i] - surface[0] * surface[4 + i] - surface[1 + i]) < 1e-9);
+    place[2] = info.max[2] + 9;
+    OK(sw_nearest_surfaces(pages, place, 4, surface, 1));
+    CHECK(isinf(surface[0]) && isnan(surface[1]) && isnan(surface[6]));
     OK(sw_overlaps_boxes(pages, NULL, 0, NULL, 0));
 
     // A route, and a walker along it, on all pages and on a stream.
@@ -193,6 +200,9 @@ int main(int argc, char **argv) {
     boxes[6] = NAN;
     REFUSED(sw_overlaps_boxes(pages, boxes, 12, hits, 2), "row 1");
     REFUSED(sw_floors(pages, boxes + 6, 6, height, 1), "row 0");
+    place[3] = -1;
+    REFUSED(sw_nearest_surfaces(pages, place, 4, surface, 1), "at least 0");
+    REFUSED(sw_nearest_surfaces(pages, place, 4, place, 1), "overlap");
     down[5] = 0;
     REFUSED(sw_cast_rays(pages, down, 7, distance, 1), "row 0");
     sweep[8] = NAN;

@@ -34,6 +34,7 @@ found = zip(
     ask("sw_cast_rays", [[*row[:6], 20.0] for row in table], c_double),
     ask("sw_sweep_boxes", [[*box, *row[3:6]] for box, row in zip(boxes, table)], c_double),
     ask("sw_floors", boxes, c_double),
+    [numbers[0] for numbers in ask("sw_nearest_surfaces", [[*row[:3], 1.0] for row in table], c_double * 7)],
 )
 for number, (row, answers) in enumerate(zip(table, found)):
     if row[7:] != list(answers):

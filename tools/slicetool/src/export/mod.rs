@@ -3,10 +3,11 @@
 //! - `points.rs`: one point per occupied voxel (PLY, LAS, LAZ, E57)
 //! - `surface.rs`: the boundary of all occupied space as triangles (glTF)
 //! - `collider/`: a simplified surface that contains all occupied space (glTF, OBJ)
-//! - `heights.rs`: heights of floors as a raster (GeoTIFF)
+//! - `heights.rs`, `layers.rs`: figures of floors as a raster (GeoTIFF)
 //! - `heightfield.rs`: heights of floors as tiles for the terrain of engines
 //! - `drawing.rs`: the floor plan of a slice (SVG, DXF)
 //! - `nav2.rs`: occupancy grids of storeys (Nav2)
+//! - `esdf.rs`: signed distances to solid (numpy)
 //! - `octomap.rs`, `voxel.rs`: occupied cubes as octrees (OctoMap; SuperSplat, PlayCanvas, Babylon)
 //!
 //! All coordinates are those of the archive: metres, in the scan's reference system.
@@ -15,25 +16,33 @@ mod collider;
 mod crs;
 mod cubes;
 mod drawing;
+mod esdf;
 mod gltf;
 mod heightfield;
 mod heights;
+mod layers;
 mod nav2;
 mod octomap;
 mod points;
 mod surface;
 mod voxel;
 
+use crate::ground::Loader;
 use crate::ground::Pawns;
 use crate::{Failure, Outcome};
 use clap::ArgMatches;
 use clap::parser::ValueSource;
 use collider::{Bound, Collider};
 use crs::Crs;
+use layers::{Figures, Layer};
 use nav2::Which;
+use slicewalk::archive::Bounds;
 use slicewalk_base::output::is_standard;
 use slicewalk_base::text::{counted, finite_number, grouped, number, one_line, whole_number};
 use std::path::{Path, PathBuf};
+
+/// Greatest distance of an ESDF by default (m).
+const WITHIN_M: f64 = 2.0;
 
 /// Options of `slicetool export`.
 #[derive(clap::Args)]
@@ -41,9 +50,10 @@ pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
     /// File to write; its extension selects points, one per voxel (.ply, .las, .laz, .e57), a surface (.glb, and .obj with
-    /// --error or --triangles), floor heights (.tif), the plan of a slice (.svg, .dxf), maps of storeys for Nav2 (.yaml with
-    /// .pgm), floors of storeys for the terrain of engines (.heightfield.json with .png), or cubes for OctoMap (.bt) or for SuperSplat and PlayCanvas (.voxel.json with .voxel.bin). `-` writes PLY to
-    /// standard output
+    /// --error or --triangles), floor heights and other layers (.tif), the plan of a slice (.svg, .dxf), maps of storeys
+    /// for Nav2 (.yaml with .pgm), floors of storeys for the terrain of engines (.heightfield.json with .png), distances
+    /// to solid (.npy), or cubes for OctoMap (.bt) or for SuperSplat and PlayCanvas (.voxel.json with .voxel.bin). `-`
+    /// writes PLY to standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Plan of this slice, counted from 0 at the lowest; by default, the slice 1.2 m above the floor of the lowest
@@ -64,6 +74,22 @@ pub struct Arguments {
     /// With .glb or .obj, the collider of the least error that has at most this many triangles
     #[arg(long, value_name = "N", group = "bound", value_parser = whole_number(1u64, u64::MAX))]
     triangles: Option<u64>,
+    /// With .tif, the layers to write, a band each
+    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', default_values_t = [Layer::Height])]
+    layer: Vec<Layer>,
+    /// With .npy: signed distances to the surface of solid as float32 in metres, positive in free space, with the axes z,
+    /// y, x; sample k along an axis, counted from the origin, lies at (k + 1/2) times the step
+    #[arg(long)]
+    esdf: bool,
+    /// With --esdf, lowest and highest corner of the region in metres [default: all of the archive]
+    #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = crate::extract::bounds)]
+    bounds: Option<Bounds>,
+    /// With --esdf, metres between samples [default: a pixel]
+    #[arg(long, value_name = "METRES", value_parser = length)]
+    step: Option<f64>,
+    /// With --esdf, greatest distance in metres; what is farther has this distance
+    #[arg(long, value_name = "METRES", default_value_t = WITHIN_M, value_parser = length)]
+    within: f64,
     #[command(flatten)]
     pawns: Pawns,
 }
@@ -71,6 +97,11 @@ pub struct Arguments {
 fn error_m(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|v: &f64| (1e-6..=1e6).contains(v));
     value.ok_or_else(|| "expected 0.000001 to 1000000 m".into())
+}
+
+fn length(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite());
+    value.ok_or_else(|| "expected a length above 0".into())
 }
 
 /// Format, selected by the file's extension.
@@ -87,6 +118,7 @@ enum Format {
     Dxf,
     Nav2,
     Heightfield,
+    Npy,
     Octomap,
     Voxel,
 }
@@ -105,6 +137,7 @@ impl Format {
             "svg" => Self::Svg,
             "dxf" => Self::Dxf,
             "yaml" | "yml" => Self::Nav2,
+            "npy" => Self::Npy,
             "bt" => Self::Octomap,
             "json" if heightfield::is_name(output) => Self::Heightfield,
             "json" if voxel::binary_of(output).is_some() => Self::Voxel,
@@ -114,8 +147,8 @@ impl Format {
     }
 }
 
-/// Returns the formats that an option is for, and their endings.
-fn formats_of(option: &str) -> (&'static [Format], &'static str) {
+/// Returns the formats that an option is for, and their endings. `has_layers` if the raster has other layers than heights.
+fn formats_of(option: &str, has_layers: bool) -> (&'static [Format], &'static str) {
     match option {
         "slice" => (&[Format::Svg, Format::Dxf], ".svg and .dxf"),
         "z" => (
@@ -123,17 +156,27 @@ fn formats_of(option: &str) -> (&'static [Format], &'static str) {
             ".tif, .svg, .dxf, .yaml and .heightfield.json",
         ),
         "error" | "triangles" => (&[Format::Glb, Format::Obj], ".glb and .obj"),
-        // The storey, and all options of the pawn.
-        _ => (&[Format::Nav2, Format::Heightfield], ".yaml and .heightfield.json"),
+        "layer" => (&[Format::Tif], ".tif"),
+        "esdf" | "bounds" | "step" | "within" => (&[Format::Npy], ".npy"),
+        "cache" | "edits" | "ignore-inferred" if has_layers => {
+            (&[Format::Nav2, Format::Heightfield, Format::Npy, Format::Tif], "maps, heightfields, layers and distances")
+        }
+        "cache" | "edits" | "ignore-inferred" => {
+            (&[Format::Nav2, Format::Heightfield, Format::Npy], ".yaml, .heightfield.json, .npy and layers of .tif")
+        }
+        "storey" => (&[Format::Nav2, Format::Heightfield], ".yaml and .heightfield.json"),
+        // All options of the pawn.
+        _ if has_layers => (&[Format::Nav2, Format::Heightfield, Format::Tif], "maps, heightfields and layers"),
+        _ => (&[Format::Nav2, Format::Heightfield], ".yaml, .heightfield.json and layers of .tif"),
     }
 }
 
 /// Refuses options that are not for `format`.
-fn refuse_others(format: Format, given: &ArgMatches) -> Result<(), Failure> {
+fn refuse_others(format: Format, has_layers: bool, given: &ArgMatches) -> Result<(), Failure> {
     let command = <Arguments as clap::Args>::augment_args(clap::Command::new("export"));
     for option in command.get_arguments().filter(|option| option.get_id() != "output") {
         let Some(name) = option.get_long() else { continue };
-        let (formats, endings) = formats_of(name);
+        let (formats, endings) = formats_of(name, has_layers);
         let is_given = given.value_source(option.get_id().as_str()) == Some(ValueSource::CommandLine);
         if is_given && !formats.contains(&format) {
             return Err(Failure::Usage(format!("--{name}: this option is only for {endings}")));
@@ -146,14 +189,26 @@ fn refuse_others(format: Format, given: &ArgMatches) -> Result<(), Failure> {
 pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
     let (path, output) = (arguments.archive.as_path(), arguments.output.as_path());
     let Some(format) = Format::of(output) else {
-        let endings =
-            ".ply, .las, .laz, .e57, .glb, .obj, .tif, .svg, .dxf, .yaml, .heightfield.json, .bt or .voxel.json";
+        let endings = ".ply, .las, .laz, .e57, .glb, .obj, .tif, .svg, .dxf, .yaml, .heightfield.json, .npy, .bt or \
+                       .voxel.json";
         return Err(Failure::Text(format!("{}: unknown format; name the file {endings}", output.display())));
     };
-    refuse_others(format, given)?;
+    refuse_others(format, arguments.layer != [Layer::Height], given)?;
     let bound = arguments.error.map(Bound::Error).or(arguments.triangles.map(Bound::Triangles));
     if format == Format::Obj && bound.is_none() {
         return Err(Failure::Usage("--error or --triangles: .obj needs one of them".into()));
+    }
+    if let Some(twice) = (1..arguments.layer.len()).find(|&n| arguments.layer[..n].contains(&arguments.layer[n])) {
+        return Err(Failure::Usage(format!("--layer: {} is named twice", arguments.layer[twice].name())));
+    }
+    if arguments.esdf != (format == Format::Npy) {
+        return Err(Failure::Usage("--esdf: name a file .npy for it, and no other; .npy holds nothing else".into()));
+    }
+    if arguments.esdf {
+        let loader = Loader::new(arguments.pawns.open(path)?, path, arguments.pawns.cache())?;
+        let samples = esdf::Samples { bounds: arguments.bounds, step_m: arguments.step, within_m: arguments.within };
+        let about = esdf::npy(&loader, &samples, crate::output(output, loader.archive(), &[])?)?;
+        return crate::standard::written(output, &format!("{}: {about}\n", one_line(&output.to_string_lossy())));
     }
     if matches!(format, Format::Nav2 | Format::Heightfield) {
         let number = arguments.storey.map(|storey| Which::Number(usize::try_from(storey).unwrap_or(usize::MAX)));
@@ -171,6 +226,7 @@ pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
         | Format::Obj
         | Format::Nav2
         | Format::Heightfield
+        | Format::Npy
         | Format::Octomap
         | Format::Voxel => None,
         _ => Crs::of(&archive, path)?,
@@ -193,7 +249,9 @@ pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
         Format::E57 => counted(points::e57(&archive, path, to, crs)?, "point"),
         Format::Glb => counted(surface::glb(&archive, path, to)?, "triangle"),
         Format::Tif => {
-            let [width, height] = heights::tif(&archive, path, arguments.z, to, crs)?;
+            let figures = Figures::new(&arguments.layer, &arguments.pawns, path, *archive.frame())?;
+            let layers = heights::Layers { layers: &arguments.layer, figures, highest: arguments.z };
+            let [width, height] = heights::tif(&archive, path, &layers, to, crs)?;
             let pixel = number(archive.frame().pixel_m());
             format!("{} × {} pixels of {pixel} m", grouped(width.into()), grouped(height.into()))
         }
@@ -202,7 +260,7 @@ pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
             voxel::write(&archive, path, [to, crate::output(&binary, &archive, &[output])?])?
         }
         Format::Octomap => octomap::bt(&archive, path, to)?,
-        Format::Nav2 | Format::Heightfield | Format::Obj => unreachable!("written above"),
+        Format::Nav2 | Format::Heightfield | Format::Npy | Format::Obj => unreachable!("written above"),
         Format::Svg | Format::Dxf => {
             let slice = drawing::slice(&archive, path, arguments.slice, arguments.z)?;
             let plan = drawing::Plan::of(&archive, path, slice)?;

@@ -215,6 +215,53 @@ fn octrees_hold_the_cubes_that_spans_reach() {
     }
 }
 
+/// Converts the exported file at `path` with default options in place of the archive, and exports it again.
+fn again(folder: &Path, input: &str) -> BTreeSet<Cube> {
+    let mut options = ConvertOptions::new(vec![folder.join(input)], folder.join("a.slices"));
+    options.overwrite = true;
+    let report = convert(&options, &NoMonitor).unwrap();
+    assert!(report.cubes > 0 && report.header.voxels.obstacle == 0);
+    export(folder, &["-o", "again.bt"]);
+    let (cubes, moved, _) = octomap(&fs::read(folder.join("again.bt")).unwrap());
+    let by = moved.map(|metres| (metres / PIXEL_M).round() as i64);
+    cubes.into_iter().map(|cube| [0, 1, 2].map(|axis| cube[axis] - by[axis])).collect()
+}
+
+#[test]
+fn exported_cubes_come_back_as_the_same_cubes() {
+    for corner in [[0.0; 3], [-2.03, -1.97, -1.0], [200_000.0, 500_000.0, 0.0]] {
+        for name in ["c.bt", "c.voxel.json"] {
+            let folder = folder(corner);
+            let at = folder.path();
+            let expected = expected(at);
+            export(at, &["-o", name]);
+            let tree = fs::read(at.join(name)).unwrap();
+            assert!(again(at, name) == expected, "{corner:?} {name}");
+            export(at, &["-o", name]);
+            assert!(fs::read(at.join(name)).unwrap() == tree, "the same bytes: {corner:?} {name}");
+        }
+    }
+}
+
+#[test]
+fn cubes_of_a_real_scan_come_back_as_the_same_cubes() {
+    let Some(scan) = std::env::var_os("SLICEWALK_DATA").map(|data| Path::new(&data).join("pump_room.laz")) else {
+        return eprintln!("skipped: SLICEWALK_DATA is not set");
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
+    options.pixel = PixelSize::Metres(PIXEL_M);
+    convert(&options, &NoMonitor).unwrap();
+    let expected = expected(at);
+    assert!(expected.len() > 2000, "{}", expected.len());
+    export(at, &["-o", "c.bt"]);
+    export(at, &["-o", "c.voxel.json"]);
+    let tree = fs::read(at.join("c.bt")).unwrap();
+    assert!(again(at, "c.voxel.json") == expected);
+    assert!(again(at, "c.bt") == expected && fs::read(at.join("again.bt")).unwrap() == tree);
+}
+
 #[test]
 fn a_slice_height_that_is_no_multiple_of_pixels_loses_no_span() {
     let points = (0..4000).map(|n| {

@@ -17,6 +17,7 @@ mod colour;
 mod cubes;
 mod edits;
 mod exports;
+mod fields;
 mod house;
 mod outputs;
 mod reach;

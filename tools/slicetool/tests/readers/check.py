@@ -63,6 +63,23 @@ def main(folder: Path) -> None:
     assert agree > 0.99, agree
     print(f"GDAL: {held.sum():,} heights, {agree:.2%} as the points")
 
+    with rasterio.open(folder / "house_layers.tif") as raster:
+        names = ("height", "slope", "roughness", "headroom", "clearance")
+        assert raster.descriptions == names, raster.descriptions
+        layers = dict(zip(names, raster.read(), strict=True))
+    assert np.array_equal(layers["height"], heights, equal_nan=True)
+    level = layers["slope"][held] < 5
+    assert 0.5 < level.mean() <= 1, level.mean()
+    assert ((layers["clearance"][held] >= 0) & (layers["clearance"][held] <= 2)).all()
+
+    distances = np.load(folder / "house.npy")
+    assert distances.dtype == np.float32
+    assert distances.shape == (50, 60, 80), distances.shape
+    steps = max(np.abs(np.diff(distances, axis=axis)).max() for axis in range(3))
+    assert steps <= PIXEL_M * 1.001, steps
+    assert distances.min() < 0 < distances.max()
+    print(f"numpy: {distances.size:,} distances from {distances.min():.3f} to {distances.max():.3f} m")
+
     drawing = ezdxf.readfile(folder / "house.dxf")
     assert not drawing.audit().errors
     lines = list(drawing.modelspace().query("POLYLINE"))

@@ -33,6 +33,8 @@ cd "$made"
 for ending in ply las laz e57 tif svg dxf glb bt voxel.json; do
     "$programs/slicetool" export house.slices -o "house.$ending"
 done
+"$programs/slicetool" export house.slices -o house_layers.tif --layer height,slope,roughness,headroom,clearance
+"$programs/slicetool" export house.slices -o house.npy --esdf --bounds 1,1,0,5,4,2.5
 node "$root/tools/slicetool/tests/readers/voxel.cjs" "$readers/node_modules" house
 trees=(house.bt house.voxel.json)
 if command -v bt2vrml >/dev/null; then

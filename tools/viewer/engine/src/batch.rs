@@ -92,7 +92,12 @@ pub(crate) fn cast(set: &Snapshot, rays: &[f64], lacks: &mut Lacks) -> Result<Ve
 
 /// N×7 (origin, direction, max) → two numbers per ray: distance (∞: no hit, NaN: not loaded), and 1 if it is only a
 /// lower bound, from the level.
-pub(crate) fn far(set: &Snapshot, level: Option<&S>, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+pub(crate) fn far(
+    set: &Snapshot,
+    level: Option<&Snapshot>,
+    rays: &[f64],
+    lacks: &mut Lacks,
+) -> Result<Vec<f64>, String> {
     let answers = each::<7, _>(rays, |row| {
         let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;
         let answer = match level {

@@ -65,7 +65,7 @@ impl Colours {
 
     /// Starts loading if colours are requested and the directory is loaded.
     pub fn begin(&mut self, loader: &Loader) {
-        if matches!(self, Self::Wanted) && loader.views().is_some() {
+        if matches!(self, Self::Wanted) && loader.snapshots().is_some() {
             *self = loader.colours().map_or(Self::Never, |near| {
                 Self::On(Box::new(Bringing { near, far: None, fetch: None, is_stale: true, came: None }))
             });

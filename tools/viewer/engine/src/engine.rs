@@ -15,7 +15,7 @@ use crate::scene::{HORIZON_S, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, PageSlot, RequestId, Snapshot, Time};
+use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, RequestId, Snapshot, Time};
 use std::collections::VecDeque;
 use std::time::Duration;
 use wasm_bindgen::prelude::wasm_bindgen;
@@ -249,7 +249,7 @@ impl Engine {
 
     /// Returns whether the archive is open, with head and directory loaded.
     pub fn is_open(&self) -> bool {
-        self.loader.catalog().is_some() && self.loader.views().is_some()
+        self.loader.catalog().is_some() && self.loader.snapshots().is_some()
     }
 
     /// The fields of the package's `ArchiveInfo` except the name, as JSON.
@@ -354,7 +354,7 @@ impl Engine {
 
     /// Rays N×7 → distance, and 1 if it is only a lower bound, from an overview level; two numbers per ray.
     pub fn far(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
-        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::view));
+        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::snapshot));
         batch::far(&view, level.as_ref(), rays, &mut self.lacks)
     }
 
@@ -503,7 +503,7 @@ impl Engine {
     /// [`take_positions`](Self::take_positions) and similar functions return its geometry. Empty if there is no page to
     /// build.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
-        let (view, outline) = (self.snapshot()?, self.outline().and_then(Outline::view));
+        let (view, outline) = (self.snapshot()?, self.outline().and_then(Outline::snapshot));
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
         let (level, drawn) = scene.thing.build(&view, outline.as_ref());
         self.drawn = drawn;
@@ -538,7 +538,7 @@ impl Engine {
         if !self.colours.are_on() {
             return Ok(Vec::new());
         }
-        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::view));
+        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::snapshot));
         let report = |error| self.reports.push_back(fault::text(&error));
         let Some((scene, page, paint)) = self.colours.paint(&mut self.scenes, &view, level.as_ref(), report) else {
             return Ok(Vec::new());

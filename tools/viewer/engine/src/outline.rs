@@ -5,7 +5,7 @@
 
 use slicewalk::archive::{Catalog, Level};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::store::{ColourLoader, Loader, LoaderOptions, Next, PageSlot, RequestId, Snapshot, Time};
+use slicewalk::store::{ColourLoader, Loader, LoaderOptions, Next, RequestId, Snapshot, Time};
 use slicewalk::{Error, Result};
 use std::ops::Range;
 

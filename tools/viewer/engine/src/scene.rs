@@ -8,7 +8,7 @@ use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::page::Page;
-use slicewalk::store::{MotionHint, PageSlot, Snapshot};
+use slicewalk::store::{MotionHint, Snapshot};
 use std::collections::HashMap;
 
 /// Time that a loader looks ahead (s).
@@ -144,7 +144,7 @@ impl Scenes {
     }
 
     /// Builds the next page like `Scene::build` and returns its level; pages of the overview level come last.
-    pub fn build(&mut self, pages: &Snapshot, overview: Option<&S>) -> (u32, Option<BuiltPage>) {
+    pub fn build(&mut self, pages: &Snapshot, overview: Option<&Snapshot>) -> (u32, Option<BuiltPage>) {
         self.near.plan(pages);
         let built = self.near.build(pages);
         match (self.level, overview) {
