@@ -226,7 +226,7 @@ impl<'a> Mesh<'a> {
         corners
     }
 
-    /// Replaces an edge by its first end at the best place that keeps all conditions; false if there is none.
+    /// Replaces an edge by its first end at the best place that keeps all conditions; false if no place does.
     fn collapse(&mut self, [kept, lost]: [u32; 2]) -> bool {
         let others = self.neighbours(lost);
         let common: Vec<u32> =

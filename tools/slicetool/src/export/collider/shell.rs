@@ -262,7 +262,7 @@ impl Tally {
         self.touched.push(at);
     }
 
-    /// Returns whether all sums are 0, and begins anew. If a changed surface crosses each free interval as often as
+    /// Returns whether all sums are 0, and resets them. If a changed surface crosses each free interval as often as
     /// before, what lies between the intervals is still inside or outside, as it was.
     pub fn is_balanced(&mut self) -> bool {
         let mut is_balanced = true;
