@@ -42,7 +42,8 @@ impl Quadric {
         let [aa, ab, ac, ad, bb, bc, bd, cc, cd, _] = self.0;
         let determinant = aa * (bb * cc - bc * bc) - ab * (ab * cc - bc * ac) + ac * (ab * bc - bb * ac);
         let size = aa + bb + cc;
-        if !(determinant.abs() > 1e-4 * size * size * size) {
+        let is_defined = determinant.abs() > 1e-4 * size * size * size;
+        if !is_defined {
             return None;
         }
         let [x, y, z] = [-ad, -bd, -cd];

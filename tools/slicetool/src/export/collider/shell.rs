@@ -289,9 +289,9 @@ fn contains(intervals: &[Interval], bottom: f64, top: f64) -> bool {
 fn bounds(corners: &[Point]) -> (Point, Point) {
     let mut ends = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for corner in corners {
-        for axis in 0..3 {
-            ends.0[axis] = ends.0[axis].min(corner[axis]);
-            ends.1[axis] = ends.1[axis].max(corner[axis]);
+        for (axis, v) in corner.iter().enumerate() {
+            ends.0[axis] = ends.0[axis].min(*v);
+            ends.1[axis] = ends.1[axis].max(*v);
         }
     }
     ends
