@@ -12,7 +12,7 @@ use slicewalk::archive::PageReader;
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
 use slicewalk_base::text::{counted, one_line};
 use std::io::{BufWriter, IntoInnerError, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Pixels from one tile to the next.
 const STRIDE: i64 = 512;
@@ -123,7 +123,7 @@ fn storey_tiles(ground: &Ground, loader: &Loader, output: &Path, storey: usize) 
 }
 
 /// Writes an image of 16-bit samples.
-fn png(image: &PathBuf, loader: &Loader, samples: &[u16], output: &Path) -> Result<(), Failure> {
+fn png(image: &Path, loader: &Loader, samples: &[u16], output: &Path) -> Result<(), Failure> {
     let mut file = BufWriter::new(crate::output(image, loader.archive(), &[output])?);
     let edge = (STRIDE + 1) as u32;
     let mut encoder = png::Encoder::new(&mut file, edge, edge);

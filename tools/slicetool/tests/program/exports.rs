@@ -309,14 +309,52 @@ fn the_surface_is_closed_and_encloses_the_matter() {
 fn options_that_mean_nothing_for_a_format_are_refused() {
     let folder = folder();
     let at = folder.path();
-    for arguments in [
-        &["-o", "a.ply", "--z", "1"][..],
-        &["-o", "a.glb", "--slice", "1"],
-        &["-o", "a.tif", "--slice", "1"],
-        &["-o", "a.svg", "--slice", "1", "--z", "1"],
-    ] {
-        assert_eq!(export(at, arguments).status.code(), Some(2), "{arguments:?}");
+    let formats = [
+        "a.ply",
+        "a.las",
+        "a.laz",
+        "a.e57",
+        "a.glb",
+        "a.obj",
+        "a.tif",
+        "a.svg",
+        "a.dxf",
+        "a.yaml",
+        "a.heightfield.json",
+        "a.bt",
+        "a.voxel.json",
+    ];
+    // Each option, a value, the formats that it is for, and how the message names them.
+    let options: [(&[&str], &[&str], &str); 12] = [
+        (&["--slice", "1"], &["a.svg", "a.dxf"], ".svg and .dxf"),
+        (
+            &["--z", "1"],
+            &["a.tif", "a.svg", "a.dxf", "a.yaml", "a.heightfield.json"],
+            ".tif, .svg, .dxf, .yaml and .heightfield.json",
+        ),
+        (&["--storey", "0"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--error", "0.5"], &["a.glb", "a.obj"], ".glb and .obj"),
+        (&["--triangles", "500"], &["a.glb", "a.obj"], ".glb and .obj"),
+        (&["--pawn", "box:0.5x0.5x1.8"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--profile", "foot"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--climb", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--max-drop", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--max-grade", "90"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--ignore-inferred"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--cache", "64MiB"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+    ];
+    for (option, accepting, named) in options {
+        for format in formats {
+            if accepting.contains(&format) {
+                continue;
+            }
+            let out = export(at, &[&["-o", format], option].concat());
+            let said = String::from_utf8(out.stderr).unwrap();
+            assert_eq!(out.status.code(), Some(2), "{option:?} with {format}: {said}");
+            assert_eq!(said, format!("slicetool: {}: this option is only for {named}\n", option[0]), "{format}");
+        }
     }
+    assert_eq!(export(at, &["-o", "a.svg", "--slice", "1", "--z", "1"]).status.code(), Some(2));
     let out = export(at, &["-o", "a.dxf", "--z", "99"]);
     assert!(out.status.code() == Some(1) && String::from_utf8_lossy(&out.stderr).contains("no such slice"));
     assert_eq!(fs::read_dir(at).unwrap().count(), 1);

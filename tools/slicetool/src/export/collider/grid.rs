@@ -6,7 +6,7 @@ use slicewalk::frame::Frame;
 pub const STEPS: i64 = 8;
 /// Cells in the error.
 const CELLS: f64 = 3.0;
-/// Pixels are grouped from so many in the error.
+/// Pixels in the error for each pixel along the edge of a group.
 const PIXELS_OF_GROUP: f64 = 6.0;
 /// Most parts of a pixel along an axis, and of a quantum.
 const MOST_PARTS: f64 = 24.0;

@@ -42,7 +42,8 @@ impl Quadric {
         let [aa, ab, ac, ad, bb, bc, bd, cc, cd, _] = self.0;
         let determinant = aa * (bb * cc - bc * bc) - ab * (ab * cc - bc * ac) + ac * (ab * bc - bb * ac);
         let size = aa + bb + cc;
-        if !(determinant.abs() > 1e-4 * size * size * size) {
+        let is_defined = determinant.abs() > 1e-4 * size * size * size;
+        if !is_defined {
             return None;
         }
         let [x, y, z] = [-ad, -bd, -cd];
@@ -226,7 +227,7 @@ impl<'a> Mesh<'a> {
         corners
     }
 
-    /// Replaces an edge by its first end at the best place that keeps all conditions; false if there is none.
+    /// Replaces an edge by its first end at the best place that keeps all conditions; false if no place does.
     fn collapse(&mut self, [kept, lost]: [u32; 2]) -> bool {
         let others = self.neighbours(lost);
         let common: Vec<u32> =

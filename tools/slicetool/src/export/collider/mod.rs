@@ -2,7 +2,7 @@
 //!
 //! Each tile, some page columns, gets a closed surface of its own. It begins as the boundary of the tile's solid, grown
 //! by about half of the error (`cover.rs`), and edges collapse (`mesh.rs`) as long as every triangle stays outside of the
-//! solid and within the error of it (`shell.rs`) and every vertical line crosses each gap as often as before: then what
+//! solid and within the error of it (`shell.rs`) and every vertical line crosses each gap an unchanged number of times: then what
 //! was inside stays inside. Small case: a floor with noise below the error becomes a plate with two large faces.
 //!
 //! At the end `tile.rs` checks the corners as the file has them: no triangle meets solid, none lies beyond the error,
@@ -41,7 +41,7 @@ const HALVINGS: u32 = 4;
 /// Most doublings of the error.
 const MOST_DOUBLINGS: u32 = 24;
 
-/// What a collider has to keep.
+/// Limit of a collider.
 #[derive(Clone, Copy)]
 pub enum Bound {
     /// Farthest that the surface may lie from solid (m).

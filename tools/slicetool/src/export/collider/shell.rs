@@ -262,7 +262,7 @@ impl Tally {
         self.touched.push(at);
     }
 
-    /// Returns whether all sums are 0, and begins anew. If a changed surface crosses each free interval as often as
+    /// Returns whether all sums are 0, and resets them. If a changed surface crosses each free interval as often as
     /// before, what lies between the intervals is still inside or outside, as it was.
     pub fn is_balanced(&mut self) -> bool {
         let mut is_balanced = true;
@@ -289,9 +289,9 @@ fn contains(intervals: &[Interval], bottom: f64, top: f64) -> bool {
 fn bounds(corners: &[Point]) -> (Point, Point) {
     let mut ends = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for corner in corners {
-        for axis in 0..3 {
-            ends.0[axis] = ends.0[axis].min(corner[axis]);
-            ends.1[axis] = ends.1[axis].max(corner[axis]);
+        for (axis, v) in corner.iter().enumerate() {
+            ends.0[axis] = ends.0[axis].min(*v);
+            ends.1[axis] = ends.1[axis].max(*v);
         }
     }
     ends
