@@ -31,8 +31,7 @@ fn text(twin: &Value) -> String {
     let Some(pages) = twin["pages"].as_array() else { return format!("{twin}\n") };
     let pages: Vec<_> = pages.iter().map(Value::to_string).collect();
     let levels = twin.get("levels").map_or(String::new(), |levels| format!(",\n\"levels\": {levels}"));
-    let seen = twin.get("seen").map_or(String::new(), |seen| format!(",\n\"seen\": {seen}"));
-    format!("{{\"info\": {},\n\"pages\": [\n{}\n]{levels}{seen}}}\n", twin["info"], pages.join(",\n"))
+    format!("{{\"info\": {},\n\"pages\": [\n{}\n]{levels}}}\n", twin["info"], pages.join(",\n"))
 }
 
 /// Only some pages, by index, of a content with very many.

@@ -33,14 +33,6 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         parts.pages[at] ^= 2;
         parts.build(|_| ())
     };
-    let seen = Parts::of(&super::good::seen_space());
-    let in_seen = |from_end: usize| {
-        let mut parts = seen.clone();
-        // Levels follow.
-        let at = trailer(&parts) + 40 - from_end;
-        parts.pages[at] ^= 4;
-        parts.build(|_| ())
-    };
     let metadata = |metadata: &[u8]| Parts { metadata: metadata.to_vec(), ..parts.clone() }.build(|_| ());
     vec![
         ("cut-in-head", "H2", good[..300].to_vec()),
@@ -106,10 +98,6 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("colours-miscounted", "K10", coloured.build(|head| put(head, 360, 1, 8))),
         ("flipped-in-colours-of-levels", "K11", colours_of_levels(|own, _| own[3] ^= 2)),
         ("colours-of-levels-of-others", "K12", colours_of_levels(|own, other| own.copy_from_slice(other))),
-        ("flipped-in-trailer-of-seen-space", "V1", in_seen(20)),
-        ("flipped-in-table-of-seen-space", "V2", in_seen(41)),
-        ("flipped-in-seen-space", "V3", in_seen(120)),
-        ("seen-space-miscounted", "V4", miscounted(&seen)),
         ("unordered-metadata", "M2", metadata(b"zzzz\0\0\0\0aaaa\0\0\0\0")),
         ("crs-not-utf-8", "M3", metadata(b"CRS \x01\0\0\0\xFF")),
         ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
@@ -117,21 +105,6 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("input-cut-short", "M6", metadata(&[b"READ\x15\0\0\0", &[1; 21][..]].concat())),
         ("wrong-part", "M4", metadata(&[b"SHRD\x28\0\0\0", &[0; 40][..]].concat())),
     ]
-}
-
-/// Where the trailer of seen space begins in the pages.
-fn trailer(parts: &Parts) -> usize {
-    let magic = [0x89, 0x53, 0x45, 0x45, 0x0D, 0x0A, 0x1A, 0x0A];
-    parts.pages.windows(8).position(|bytes| bytes == magic).unwrap()
-}
-
-/// A cell more than there are, with the checksum of the trailer put right.
-fn miscounted(parts: &Parts) -> Vec<u8> {
-    let (mut parts, at) = (parts.clone(), trailer(parts));
-    parts.pages[at + 16] += 1;
-    let crc = crc32c::crc32c(&parts.pages[at..at + 36]);
-    parts.pages[at + 36..at + 40].copy_from_slice(&crc.to_le_bytes());
-    parts.build(|_| ())
 }
 
 fn with_leaf(parts: &Parts, at: usize, value: u8) -> Vec<u8> {

@@ -10,7 +10,6 @@ use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
 use slicewalk::page::{Inferred, Span};
 use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
-use slicewalk::seen::{SeenBlock, SeenPage};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
 
@@ -41,7 +40,6 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
         ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
         ("colours-exact", archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false)),
-        ("seen-space", seen_space()),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
     ]
 }
@@ -264,34 +262,6 @@ fn part_with_inputs() -> Vec<u8> {
     let read = |input, name: &str| InputRead { input, hash: u128::from(input) << 100 | 0xABC, name: name.into() };
     writer.set_read(vec![read(0, "west.laz"), read(7, "Größe.las")]);
     writer.finish(Totals::default()).unwrap();
-    std::fs::read(target).unwrap()
-}
-
-/// Pages with levels and colours, and seen space in and around them: pages seen entirely and in part, in two groups of
-/// layers, one without any page.
-pub fn seen_space() -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let target = folder.path().join("seen.slices");
-    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
-    writer.set_levels();
-    writer.set_seen();
-    let (pages, totals) = two_pixels();
-    let mut encoder = PageEncoder::of_plan(&plan()).for_levels(true);
-    for (&key, page) in &pages {
-        writer.put(key, encoder.encode(key, page)).unwrap();
-    }
-    let mut part = SeenPage::NOTHING;
-    part.mark([[3, 9], [0, 15], [5, 40]]);
-    part.mark([[0, 15], [7, 8], [9, 9]]);
-    let mut other = SeenPage::ALL;
-    other.intersect(&part);
-    other.mark([[15, 15], [15, 15], [63, 63]]);
-    for (block, pages) in [(key(-2, 0, -1), vec![(62, SeenPage::ALL), (63, part)]), (key(0, 0, 0), vec![(0, other)])] {
-        let mut seen = SeenBlock::new(block);
-        pages.iter().for_each(|(at, page)| seen.push(*at, page));
-        writer.put_seen(&seen).unwrap();
-    }
-    writer.finish(totals).unwrap();
     std::fs::read(target).unwrap()
 }
 

@@ -119,10 +119,12 @@ pub fn bt(archive: &Archive, path: &Path, to: Output) -> Result<String, Failure>
     Ok(format!("{}{seen} of {} m{moved}", counted(occupied, "occupied cube"), number(size)))
 }
 
+/// Seen cells one above the other: their first pixel in the tile column, and the cubes that lie in them along z.
+type Run = ([i64; 2], (i64, i64));
+
 /// Free cubes by tile column: those that lie in runs of seen cells.
 struct Free {
-    /// Runs of a cell: its first pixel in the column, and its cubes along z.
-    columns: BTreeMap<[i64; 2], Vec<([i64; 2], (i64, i64))>>,
+    columns: BTreeMap<[i64; 2], Vec<Run>>,
     cubes: u64,
 }
 

@@ -65,22 +65,12 @@ type Directions = (usize, [[usize; 2]; 2]);
 
 impl Image {
     fn new(edge: usize, values: Vec<u16>) -> Self {
-        let up = |values: &[u16], edge: usize, pick: fn(u16, u16) -> u16| -> Vec<u16> {
-            let half = edge / 2;
-            let node = |at: usize| {
-                let (face, row, column) = (at / (half * half), at / half % half, at % half);
-                let first = (face * edge + 2 * row) * edge + 2 * column;
-                let [a, b, c, d] = [first, first + 1, first + edge, first + edge + 1].map(|at| values[at]);
-                pick(pick(a, b), pick(c, d))
-            };
-            (0..6 * half * half).map(node).collect()
-        };
         let levels = edge.trailing_zeros() as usize;
         let (mut nearest, mut least) = (vec![values], Vec::new());
         let mut below: Option<Vec<u16>> = None;
         for level in 1..=levels {
-            nearest.push(up(&nearest[level - 1], edge >> (level - 1), u16::max));
-            let values = up(below.as_deref().unwrap_or(&nearest[0]), edge >> (level - 1), u16::min);
+            nearest.push(joined(&nearest[level - 1], edge >> (level - 1), u16::max));
+            let values = joined(below.as_deref().unwrap_or(&nearest[0]), edge >> (level - 1), u16::min);
             if level >= COARSE.min(levels) {
                 least.push(values.clone());
             }
@@ -176,7 +166,7 @@ impl FreeView {
             .map(|level| view.values(level).iter().map(|value| value.load(Ordering::Relaxed)).collect())
             .collect();
         for level in LEVELS..IMAGES {
-            let coarser = halved(&plain[level - 1 - lowest], EDGE >> (level - 1));
+            let coarser = joined(&plain[level - 1 - lowest], EDGE >> (level - 1), u16::max);
             plain.push(coarser);
         }
         let is_dense = |level: usize| is_dense(&plain[level - lowest], EDGE >> level);
@@ -249,27 +239,29 @@ impl FreeView {
     }
 }
 
-/// Returns least distances of an image half as fine.
-fn halved(values: &[u16], edge: usize) -> Vec<u16> {
-    let half = edge / 2;
-    let node = |at: usize| {
-        let (face, row, column) = (at / (half * half), at / half % half, at % half);
-        let first = (face * edge + 2 * row) * edge + 2 * column;
-        [first, first + 1, first + edge, first + edge + 1].into_iter().map(|at| values[at]).max().unwrap_or(0)
-    };
-    (0..6 * half * half).map(node).collect()
+/// Returns an image half as fine, of what `pick` takes of four values.
+fn joined(values: &[u16], edge: usize, pick: fn(u16, u16) -> u16) -> Vec<u16> {
+    let mut half = Vec::with_capacity(values.len() / 4);
+    for rows in values.chunks_exact(2 * edge) {
+        let (upper, lower) = rows.split_at(edge);
+        let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+        half.extend(pairs.map(|(a, b)| pick(pick(a[0], a[1]), pick(b[0], b[1]))));
+    }
+    half
 }
 
 /// Returns whether three of four neighbours of directions with returns have returns.
 fn is_dense(values: &[u16], edge: usize) -> bool {
     let (mut either, mut both) = (0u64, 0u64);
-    for (at, &value) in values.iter().enumerate() {
-        let (row, column) = (at / edge % edge, at % edge);
-        let neighbours = [(column + 1 < edge).then_some(at + 1), (row + 1 < edge).then_some(at + edge)];
-        for other in neighbours.into_iter().flatten() {
-            either += u64::from(value != 0 || values[other] != 0);
-            both += u64::from(value != 0 && values[other] != 0);
+    let mut compare = |a: &[u16], b: &[u16]| {
+        for (a, b) in a.iter().zip(b) {
+            either += u64::from(a | b != 0);
+            both += u64::from(*a != 0 && *b != 0);
         }
+    };
+    for face in values.chunks_exact(edge * edge) {
+        face.chunks_exact(edge).for_each(|row| compare(row, &row[1..]));
+        compare(face, &face[edge..]);
     }
     either > 0 && 4 * both >= 3 * either
 }
@@ -278,21 +270,25 @@ fn is_dense(values: &[u16], edge: usize) -> bool {
 /// [`LEAST_SEEN`] of these have one.
 fn nearest_around(values: &[u16], edge: usize) -> Vec<u16> {
     let mut around = Vec::with_capacity(values.len());
-    for at in 0..values.len() {
-        let (face, row, column) = (at / (edge * edge), at / edge % edge, at % edge);
-        let inner = 1..edge - 1;
-        let (mut nearest, mut known) = (0, 0);
-        if inner.contains(&row) && inner.contains(&column) {
-            for first in [at - edge - 1, at - 1, at + edge - 1] {
-                for &value in &values[first..first + 3] {
-                    nearest = nearest.max(value);
-                    known += usize::from(value != 0);
-                }
-            }
-        } else {
-            (nearest, known) = around_at_the_edge(values, edge, face, [column as i64, row as i64]);
+    let decided = |(nearest, known): (u16, usize)| if known >= LEAST_SEEN { nearest } else { UNKNOWN };
+    for (face, row) in (0..6).flat_map(|face| (0..edge).map(move |row| (face, row))) {
+        let at_the_edge = |column: usize| decided(around_at_the_edge(values, edge, face, [column as i64, row as i64]));
+        if row == 0 || row == edge - 1 {
+            around.extend((0..edge).map(at_the_edge));
+            continue;
         }
-        around.push(if known >= LEAST_SEEN { nearest } else { UNKNOWN });
+        let first = (face * edge + row) * edge;
+        let [above, own, below] = [first - edge, first, first + edge].map(|first| &values[first..first + edge]);
+        around.push(at_the_edge(0));
+        around.extend(above.windows(3).zip(own.windows(3)).zip(below.windows(3)).map(|((above, own), below)| {
+            let (mut nearest, mut known) = (0, 0);
+            for &value in above.iter().chain(own).chain(below) {
+                nearest = nearest.max(value);
+                known += usize::from(value != 0);
+            }
+            decided((nearest, known))
+        }));
+        around.push(at_the_edge(edge - 1));
     }
     around
 }
