@@ -48,7 +48,6 @@ mod outputs;
 mod placing;
 mod resume;
 mod shards;
-mod splat_rooms;
 mod splats;
 #[cfg(feature = "remote")]
 mod stores;
