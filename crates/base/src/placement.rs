@@ -130,14 +130,17 @@ impl Similarity {
     }
 }
 
+/// Returns a row times a matrix.
+fn row_of_product(row: [f64; 3], with: &[[f64; 3]; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|k| row[0] * with[0][k] + row[1] * with[1][k] + row[2] * with[2][k])
+}
+
 /// Composition: the right one moves first.
 impl Mul for Similarity {
     type Output = Self;
 
     fn mul(self, first: Self) -> Self {
-        let rows = self.rows.map(|row| {
-            [0, 1, 2].map(|k| row[0] * first.rows[0][k] + row[1] * first.rows[1][k] + row[2] * first.rows[2][k])
-        });
+        let rows = self.rows.map(|row| row_of_product(row, &first.rows));
         Self { rows, factor: self.factor * first.factor, shift: self.apply(first.shift) }
     }
 }

@@ -5,6 +5,7 @@ use super::meshes::{Colouring, MeshReading};
 use super::points::{Own, Read, out_of_reach};
 use super::shard_filter::ShardScope;
 use super::work::on_threads;
+use crate::archive::Bounds;
 use crate::bytes::{HAS_THREADS, is_file_at, len_at, open_named, spawn_in};
 use crate::input::scenes::Scene;
 use crate::input::{InputOptions, InputSet, PointCounts, Units, expand_inputs};
@@ -240,11 +241,7 @@ impl SplatSet {
 
     /// Reads all files and returns the counts of all splats, and the bounds of all solid parts (m), or `None` without
     /// any.
-    pub fn survey(
-        &self,
-        options: &ConvertOptions,
-        monitor: &dyn Monitor,
-    ) -> Result<(SplatCounts, Option<([f64; 3], [f64; 3])>)> {
+    pub fn survey(&self, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(SplatCounts, Option<Bounds>)> {
         let mut read = Read::NOTHING;
         let counts = self.for_each_solid(options, monitor, &mut |ellipsoid| {
             let (min, max) = ellipsoid.bounds();

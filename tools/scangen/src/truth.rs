@@ -80,6 +80,13 @@ impl Truth for Scene {
 }
 
 impl Scene {
+    /// Whether a surface is nearer to a point than this (m).
+    pub(crate) fn has_near(&self, p: Vec3, distance: f64) -> bool {
+        let query = Aabb::new(p, p);
+        let near = |b: &Aabb, best: f64| Some(b.distance_squared(&query).sqrt()).filter(|d| *d < best);
+        self.tree().least(distance, near, |i, _| Some(self.surfaces()[i].shape.distance_to_box(&query))).is_some()
+    }
+
     fn nearest_to(&self, query: &Aabb) -> Option<(usize, f64)> {
         self.tree().least(
             f64::INFINITY,

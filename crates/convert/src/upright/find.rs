@@ -27,8 +27,15 @@ impl Patch {
         [x, y, z, a, b, c]
     }
 
-    fn is_across(&self, axis: Vec3) -> bool {
-        self.normal.is_some_and(|normal| dot(normal.map(f64::from), axis).abs() > COS_ALONG)
+    /// Returns whether a surface lies across `axis`; `None` if unknown.
+    fn is_across(&self, axis: Vec3) -> Option<bool> {
+        Some(dot(self.normal?.map(f64::from), axis).abs() > COS_ALONG)
+    }
+
+    /// Returns whether a surface may lie across `axis`: two sheets in one cell have no plane, and a wall that is cut
+    /// across covers few cells.
+    fn may_be_across(&self, axis: Vec3) -> bool {
+        self.is_across(axis).unwrap_or(true)
     }
 }
 
@@ -81,6 +88,9 @@ const COS_APART: f64 = 0.939_692_621;
 const MOST_CANDIDATES: usize = 8;
 /// Most normals that are tried as centres of candidates.
 const MOST_SEEDS: usize = 256;
+/// Certainty of the sign below which it says nothing against z, and from which on it outweighs z.
+const WEAK: f64 = 0.5;
+const STRONG: f64 = 0.8;
 /// Directions nearer than this to an axis of the input take the axis (sine of 1.5°): floors are not that exact.
 const SNAP: f64 = 0.026_176_948;
 
@@ -102,10 +112,12 @@ pub fn find(mut patches: Vec<Patch>, z_is_likely: bool) -> Result<UpFound, Strin
     let next_m2 = next.map_or(0.0, Layers::area);
     let of_axis = 1.0 - next.map_or(0.0, Layers::score) / best.score();
     let (sign, of_sign) = best.side(&patches);
-    // Scanners stand upright, so only much evidence turns a scan upside down.
-    let (sign, of_sign) = match z_is_likely && of_sign < 2.5 * UpFound::LEAST_SURE && best.axis[2].abs() > COS_ALONG {
-        true => (best.axis[2].signum(), of_axis),
-        false => (sign, of_sign),
+    // Scanners stand upright, so only strong evidence turns a scan upside down.
+    let z_sign = best.axis[2].signum();
+    let (sign, of_sign) = match z_is_likely && best.axis[2].abs() > COS_ALONG {
+        true if sign == z_sign || of_sign < WEAK => (z_sign, of_axis),
+        true if of_sign < STRONG => (sign, 0.0),
+        _ => (sign, of_sign),
     };
     let up = snapped(best.axis.map(|v| v * sign));
     let result = UpFound { up, sure: of_axis.min(of_sign), floor_m2: best.area(), next_m2 };
@@ -151,15 +163,15 @@ fn snapped(up: Vec3) -> Vec3 {
 }
 
 /// The box that holds most places.
-struct Bulk {
+pub struct Bulk {
     min: Vec3,
     max: Vec3,
     /// Longest side (m).
-    extent: f64,
+    pub extent: f64,
 }
 
 impl Bulk {
-    fn of(patches: &[Patch]) -> Option<Self> {
+    pub fn of(patches: &[Patch]) -> Option<Self> {
         if patches.len() < LEAST_PATCHES {
             return None;
         }
@@ -264,8 +276,8 @@ fn eigen(mut m: [[f64; 3]; 3]) -> (Vec3, [[f64; 3]; 3]) {
                 (row[p], row[q]) = turn(row[p], row[q]);
             }
             let (upper, lower) = (m[p], m[q]);
-            for k in 0..3 {
-                (m[p][k], m[q][k]) = turn(upper[k], lower[k]);
+            for (k, (a, b)) in upper.into_iter().zip(lower).enumerate() {
+                (m[p][k], m[q][k]) = turn(a, b);
             }
             for row in &mut vectors {
                 (row[p], row[q]) = turn(row[p], row[q]);
@@ -327,8 +339,9 @@ impl Layers {
         for share in [1.0, 0.5, 0.25] {
             let level = layers.level(patches);
             let half = share * layers.step;
-            let within =
-                |patch: &&Patch| patch.is_across(layers.axis) && (dot(patch.at, layers.axis) - level).abs() <= half;
+            let within = |patch: &&Patch| {
+                patch.is_across(layers.axis) == Some(true) && (dot(patch.at, layers.axis) - level).abs() <= half
+            };
             let floor = patches.iter().filter(within).map(|patch| patch.at);
             let Some((_, [low, middle, _], normal)) = spread(floor) else { break };
             let turned = normal.map(|v| v * dot(normal, layers.axis).signum());
@@ -346,7 +359,7 @@ impl Layers {
         let along = cross(axis, across);
         let mut cells = BTreeSet::new();
         for patch in patches {
-            if patch.is_across(axis) {
+            if patch.may_be_across(axis) {
                 let cell = |direction: Vec3, edge: f64| (dot(patch.at, direction) / edge).floor() as i64;
                 let (k, u, v) = (cell(axis, step), cell(across, edge), cell(along, edge));
                 cells.extend([(k - 1, u, v), (k, u, v)]);
@@ -374,7 +387,7 @@ impl Layers {
     /// Median height of the largest layer (m).
     fn level(&self, patches: &[Patch]) -> f64 {
         let (low, high) = (self.largest as f64 * self.step, (self.largest + 2) as f64 * self.step);
-        let heights = patches.iter().filter(|patch| patch.is_across(self.axis));
+        let heights = patches.iter().filter(|patch| patch.may_be_across(self.axis));
         let mut heights: Vec<f64> =
             heights.map(|patch| dot(patch.at, self.axis)).filter(|h| (low..high).contains(h)).collect();
         heights.sort_by(f64::total_cmp);

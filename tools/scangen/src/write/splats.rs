@@ -3,7 +3,7 @@
 use super::Written;
 use crate::geometry::{Aabb, add, scale};
 use crate::sample::Stream;
-use crate::{Error, Result, Sample, Scene, Truth};
+use crate::{Error, Result, Sample, Scene};
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -62,15 +62,15 @@ pub fn write_splats(
         let mut sizes = [size(look.spread_m), size(look.spread_m), size(look.thickness_m)];
         let opacity = 0.3 + 0.69 * rng.unit();
         let rotation = turned_to(normal, rng.unit());
-        for axis in 0..2 {
+        for (axis, own) in sizes[..2].iter_mut().enumerate() {
             let along = axis_of(rotation, axis);
             let in_air = |size: f64| {
                 [-SEEN, SEEN]
                     .iter()
-                    .any(|side| scene.distance_to_point(add(sample.position, scale(along, side * size))) > SEEN_M)
+                    .any(|side| !scene.has_near(add(sample.position, scale(along, side * size)), SEEN_M))
             };
-            while sizes[axis] > look.thickness_m && in_air(sizes[axis]) {
-                sizes[axis] *= 0.7;
+            while *own > look.thickness_m && in_air(*own) {
+                *own *= 0.7;
             }
         }
         put(&mut file, sample.position, sizes, rotation, opacity).map_err(io("write"))?;

@@ -220,7 +220,7 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (&["scan.las", "-o", "a.slices", "--pixel", "1", "--slice", "1e300"], "--slice: 1e300 m"),
         (&["-", "-o", "a.slices"], "standard input"),
         (&["scan.las", "-o", "a.slices", "--min-points", "0"], "--min-points"),
-        (&["scan.las", "-o", "a.slices", "--up", "x"], "--up"),
+        (&["scan.las", "-o", "a.slices", "--up", "w"], "--up"),
         (&["scan.las", "-o", "a.slices", "--no-such"], "--no-such"),
     ] {
         let said = refuses(at, arguments, 2);

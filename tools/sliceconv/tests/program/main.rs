@@ -50,7 +50,6 @@ mod placing;
 mod resume;
 mod seen;
 mod shards;
-mod splat_rooms;
 mod splats;
 #[cfg(feature = "remote")]
 mod stores;

@@ -88,9 +88,10 @@ fn the_floor_shows_which_way_is_up() {
             assert!(along > 0.999_85, "{number} {input}: {up}, expected {expected:?}");
             let sure = up["sure"].as_f64().unwrap();
             assert!((0.2..=1.0).contains(&sure), "{number} {input}: {up}");
-            // As high as the house, with little beyond it.
-            let height = seen["extent"][2].as_f64().unwrap();
-            assert!((2.9..3.5).contains(&height), "{number} {input}: {height}");
+            // As high as the house, with little beyond it; text states no bounds.
+            let height = seen["extent"][2].as_f64();
+            assert_eq!(height.is_some(), input == "room.ply");
+            assert!(height.is_none_or(|height| (2.9..3.6).contains(&height)), "{number} {input}: {height:?}");
             // An upright input stays where it is.
             assert_eq!(seen["placement"].is_null(), number == 0, "{number} {input}");
             if number == 4 {
