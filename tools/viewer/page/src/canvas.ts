@@ -27,6 +27,8 @@ import type { Look } from "./geometry";
 import type { WalkerState } from "slicewalk";
 
 const MOST_PIXELS = 2;
+/** Interval of pictures while the view rests and graphics are slow. */
+const RESTING_MS = 700;
 
 /** How much a picture may cost: as little as possible, a finish from its depth, and smooth outlines as well. */
 export type Quality = "lowest" | "finished" | "smooth";
@@ -39,6 +41,9 @@ export class Canvas {
   /** Whether graphics are computed by the processor. */
   readonly isSoftware: boolean;
   quality: Quality = "finished";
+  /** Whether the view rests: where graphics are slow, it is then drawn less often, which leaves time for inputs. */
+  resting = false;
+  #drawnAt = Number.NEGATIVE_INFINITY;
   readonly #finish = new Finish();
   readonly #covered: Covered;
   readonly headset: Headset;
@@ -153,6 +158,8 @@ export class Canvas {
   render(now = performance.now(), bare = false): void {
     if (this.lost) return;
     const { renderer, camera } = this;
+    if (this.resting && this.isSoftware && now - this.#drawnAt < RESTING_MS) return;
+    this.#drawnAt = now;
     renderer.info.reset();
     if (this.headset.worn || bare || this.quality === "lowest") renderer.render(this.scene, camera);
     else this.#finish.render(renderer, this.scene, camera, this.quality === "smooth");
@@ -173,6 +180,7 @@ export class Canvas {
 
   /** The current picture. */
   picture(): Promise<Blob | null> {
+    this.#drawnAt = Number.NEGATIVE_INFINITY;
     this.render();
     return new Promise((resolve) => this.element.toBlob(resolve, "image/png"));
   }

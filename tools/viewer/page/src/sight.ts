@@ -179,6 +179,7 @@ export class Sight {
     const seen = [...from, look.heading, look.pitch, orbit.look.heading, orbit.look.pitch].map((n) => n.toFixed(3)).join();
     this.#restsS = seen === this.#seen ? this.#restsS + seconds : 0;
     this.#seen = seen;
+    this.canvas.resting = this.#restsS > REST_S;
     const best = this.canvas.isSoftware ? "finished" : "smooth";
     const free = this.#wanted === "best" || !this.#slow || this.#restsS > REST_S;
     const quality = this.#wanted === "lowest" || !free ? "lowest" : best;
