@@ -107,7 +107,7 @@ describe("scans on the page", () => {
     const reason = await page.evaluate(async () => {
       const bytes = await (await fetch("scan.laz")).arrayBuffer();
       const opening = window.slicewalk.open(new File([bytes], "scan.laz"), { units: "m", pixel: 0.02 });
-      await new Promise((resolve) => setTimeout(resolve, 50));
+      while (window.slicewalk.state().converting === null) await new Promise((resolve) => setTimeout(resolve, 0));
       document.querySelector(".converting button").click();
       return opening.then(
         () => "converted",
