@@ -81,7 +81,7 @@
 //! |---|---|
 //! | read, check, merge, recover and cut archives | [`archive`], [`stats`] |
 //! | read bytes from other sources | [`bytes`] |
-//! | keep pages in memory | [`store`], [`page`](mod@slice) |
+//! | keep pages in memory | [`store`], [`page`] |
 //! | query | [`query`], [`object`] |
 //! | tell free space from space that no scanner saw | [`seen`] |
 //! | walk | [`walk`] |

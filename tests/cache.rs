@@ -11,7 +11,7 @@ use counting::allocations;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::MemorySource;
 use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
-use slicewalk::store::{PageSlot, Prefetch, Snapshot, Step, Stream, StreamOptions};
+use slicewalk::store::{Prefetch, Step, Stream, StreamOptions};
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -155,7 +155,7 @@ fn forged_counts_endless_lines_and_bombs_take_little_memory() {
         ("binary.ply", binary, "the file holds"),
         ("lists.ply", lists, "the file ends within"),
         ("line.xyz", vec![b'1'; 64 << 20], "a line of more than 65536 bytes"),
-        ("line.pcd", vec![b'V'; 64 << 20], "there is none"),
+        ("line.pcd", vec![b'V'; 64 << 20], "no DATA line"),
         ("blank.xyz", vec![b'\n'; 32 << 20], ""),
         (
             "width.pcd",

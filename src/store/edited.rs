@@ -63,6 +63,7 @@ pub(super) fn edited_pages(archive: &Archive) -> Result<Option<BTreeMap<PageKey,
     Ok(Some(all))
 }
 
+#[cfg_attr(target_family = "wasm", allow(dead_code, reason = "of streams, which need threads"))]
 /// Reads and edits the columns that the archive's edits touch; `None` without edits. Their pages count against the budget.
 pub(super) fn edited_columns(archive: &Archive, index: &Index, budget: &Arc<Budget>) -> Result<Option<Edited>> {
     let Some(pages) = edited_pages(archive)? else { return Ok(None) };

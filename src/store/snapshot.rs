@@ -109,6 +109,7 @@ pub(super) struct Edited {
 }
 
 impl Edited {
+    #[cfg_attr(target_family = "wasm", allow(dead_code, reason = "of streams, which need threads"))]
     /// Creates the columns of an archive with pages in `table`. `slots` ascend.
     pub fn new(slots: Vec<(PageKey, PageSlot)>, table: &PageTable) -> Self {
         let pages = Snapshot::of_slots(*table.frame(), slots);

@@ -68,7 +68,7 @@ pub struct Store {
 pub struct Server {
     pub address: String,
     program: &'static str,
-    store: Arc<Mutex<Snapshot>>,
+    store: Arc<Mutex<Store>>,
     stop: Arc<AtomicBool>,
 }
 
@@ -107,7 +107,7 @@ impl Server {
         Self { address, program, store, stop }
     }
 
-    pub fn store(&self) -> MutexGuard<'_, Snapshot> {
+    pub fn store(&self) -> MutexGuard<'_, Store> {
         self.store.lock().unwrap()
     }
 
@@ -307,7 +307,7 @@ impl Store {
 }
 
 /// Answers the requests of a connection in turn.
-fn answer_all(mut client: TcpStream, store: &Mutex<Snapshot>) -> std::io::Result<()> {
+fn answer_all(mut client: TcpStream, store: &Mutex<Store>) -> std::io::Result<()> {
     client.set_nodelay(true)?;
     let mut reader = BufReader::new(client.try_clone()?);
     while answer(&mut client, &mut reader, store)? {}
@@ -315,7 +315,7 @@ fn answer_all(mut client: TcpStream, store: &Mutex<Snapshot>) -> std::io::Result
 }
 
 /// Answers one request; returns whether the connection stays open.
-fn answer(client: &mut TcpStream, reader: &mut impl BufRead, store: &Mutex<Snapshot>) -> std::io::Result<bool> {
+fn answer(client: &mut TcpStream, reader: &mut impl BufRead, store: &Mutex<Store>) -> std::io::Result<bool> {
     let mut head: Vec<String> = Vec::new();
     loop {
         let mut line = String::new();
@@ -386,7 +386,7 @@ fn answer(client: &mut TcpStream, reader: &mut impl BufRead, store: &Mutex<Snaps
 }
 
 /// Counts a part of an upload, and waits for others.
-fn gather(store: &Mutex<Snapshot>) {
+fn gather(store: &Mutex<Store>) {
     let mut held = store.lock().unwrap();
     held.parts[0] += 1;
     held.parts[1] += 1;

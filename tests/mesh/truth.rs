@@ -4,7 +4,7 @@
 use super::files::Triangle;
 use super::sat::{Box3, gap};
 use super::scans::Random;
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use std::collections::{BTreeMap, BTreeSet};
 
 pub struct Truth {

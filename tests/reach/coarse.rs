@@ -11,7 +11,7 @@ use slicewalk::frame::Frame;
 use slicewalk::page::Span;
 use slicewalk::plan::Plan;
 use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Refusal, Route, Search};
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
 /// Pixel size, height of the lowest floor and of the ceiling (m).

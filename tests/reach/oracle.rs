@@ -1,13 +1,12 @@
 //! Standing places of random worlds compared with brute force.
 
 use super::{everywhere, flat, grown, known};
-use crate::common::key;
 use crate::common::part::Part;
 use crate::common::random::Random;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::page::Span;
 use slicewalk::reach::{Flood, Pawn, StandingPlaces};
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use std::collections::BTreeMap;
 

@@ -149,7 +149,7 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
         let mut probe = loader.request(&[], PageKey { tx: 0, ty: 0, layer: 0 });
         link.poll(&mut loader).unwrap();
         assert_eq!(loader.outcome(probe).unwrap().unwrap().left_out, 0);
-        let keys = loader.views().unwrap().keys_around(&body.motion());
+        let keys = loader.snapshots().unwrap().keys_around(&body.motion());
         probe = loader.request(&keys, keys[0]);
         link.poll(&mut loader).unwrap();
         let report = loader.outcome(probe).unwrap().unwrap();
@@ -172,7 +172,7 @@ fn needed_bytes(keys: &[PageKey]) -> usize {
 fn keys_around(body: &Body) -> Vec<PageKey> {
     let (mut loader, _) = opened(&TOWER, LoaderOptions::new(BUDGET));
     Link::new(&TOWER, Manners::GOOD, 1).run(&mut loader, seconds(0.1)).unwrap();
-    loader.views().unwrap().keys_around(&body.motion())
+    loader.snapshots().unwrap().keys_around(&body.motion())
 }
 
 #[test]

@@ -70,13 +70,18 @@ function npmPackage(name) {
 }
 
 /** Removes what the compiler leaves: duplicate functions, unused parameters and stores. Passes that shrink a module by renaming
- * and reordering locals (-Os, -Oz) make its compressed form larger. */
-function shrink(path) {
-  const passes = [
+ * and reordering locals (-Os, -Oz) make the compressed form of the engine larger, and that of the conversion smaller. */
+const PASSES = {
+  "convert.wasm": ["-Oz", "--vacuum"],
+  "engine_bg.wasm": [
     ["-O1", "--rse", "--vacuum", "--dae-optimizing", "--simplify-locals-nonesting", "--code-folding"],
     ["--duplicate-function-elimination", "--generate-global-effects", "--vacuum", "--simplify-globals"],
     ["--remove-unused-module-elements"],
-  ].flat();
+  ].flat(),
+};
+
+function shrink(name) {
+  const path = join(wasm, name);
   const program = join(viewer, "bindgen/node_modules/binaryen/bin/wasm-opt");
   const features = [
     "--enable-bulk-memory",
@@ -84,7 +89,7 @@ function shrink(path) {
     "--enable-sign-ext",
     "--enable-mutable-globals",
   ];
-  run(root, process.execPath, [program, ...features, ...passes, path, "-o", path]);
+  run(root, process.execPath, [program, ...features, ...PASSES[name], path, "-o", path]);
 }
 
 const [major, minor] = process.versions.node.split(".").map(Number);
@@ -110,7 +115,7 @@ run(root, join(target, `viewer-bindgen/debug/viewer-bindgen${isWindows ? ".exe" 
 copyFileSync(join(target, "wasm-convert", TARGET, "release/viewer_convert.wasm"), join(wasm, "convert.wasm"));
 npmPackage("bindgen");
 for (const name of ["engine_bg.wasm", "convert.wasm"]) {
-  shrink(join(wasm, name));
+  shrink(name);
   console.log(`${name}: ${gzipSync(readFileSync(join(wasm, name)), { level: 9 }).length} bytes compressed`);
 }
 npmPackage("package");

@@ -257,7 +257,7 @@ pub unsafe extern "C" fn sw_nearest_surfaces(
                 return Err(engine::Error::parameter("place", reason));
             }
             let nothing = |distance: f64| [distance, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN];
-            Ok(match ask!(pages, set => nearest_surface(set, Point3::new(x, y, z), max)) {
+            Ok(match nearest_surface(pages, Point3::new(x, y, z), max) {
                 Answer::NotLoaded(_) => nothing(f64::NAN),
                 Answer::Known(None) => nothing(f64::INFINITY),
                 Answer::Known(Some(found)) => {

@@ -244,7 +244,7 @@ impl Georeference {
             Some(unit) => {
                 let length = epsg::unit(unit);
                 if length.is_none() {
-                    found.notes.push(format!("its GeoTIFF keys give {unit} as unit of length, which it is not"));
+                    found.notes.push(format!("its GeoTIFF keys name {unit} as unit of length, which it is not"));
                 }
                 length
             }

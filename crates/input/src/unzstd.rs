@@ -32,13 +32,14 @@ mod rust {
         packed: R,
         decoder: FrameDecoder,
         is_within: bool,
+        has_begun: bool,
     }
 
     impl<R: BufRead> Frames<R> {
         pub fn new(packed: R, most_window_log: u32) -> Self {
             let mut decoder = FrameDecoder::new();
             decoder.set_max_window_size(1 << most_window_log);
-            Self { packed, decoder, is_within: false }
+            Self { packed, decoder, is_within: false, has_begun: false }
         }
     }
 
@@ -60,8 +61,10 @@ mod rust {
                 }
                 self.is_within = false;
                 if self.packed.fill_buf()?.is_empty() {
-                    return Ok(0);
+                    // No frame at all is an error, as in the C library.
+                    return if self.has_begun { Ok(0) } else { Err(ErrorKind::UnexpectedEof.into()) };
                 }
+                self.has_begun = true;
                 match self.decoder.reset(&mut self.packed) {
                     Ok(()) => self.is_within = true,
                     Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame {
@@ -90,7 +93,7 @@ mod tests {
             let mut bytes = Vec::new();
             reader.read_to_end(&mut bytes).map(|_| bytes)
         };
-        [unzstd(packed, window).and_then(|reader| all(reader)), all(Box::new(rust::Frames::new(packed, window)))]
+        [unzstd(packed, window).and_then(&all), all(Box::new(rust::Frames::new(packed, window)))]
     }
 
     proptest! {

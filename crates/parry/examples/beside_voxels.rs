@@ -63,8 +63,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn stairs() -> Result<Snapshot, Box<dyn std::error::Error>> {
     let folder = tempfile::tempdir()?;
     let (scan, made) = (folder.path().join("scan.las"), folder.path().join("stairs.slices"));
-    let samples =
-        Scene::named("stairs", &Params::new())?.samples(1, &SampleSpec::direct_density(3600.0).with_noise(0.001))?;
+    let scene = Scene::named("stairs", &Params::new())?;
+    let samples = scene.samples(1, &SampleSpec::direct_density(3600.0).with_noise(0.001))?;
     write_samples(&scan, samples, &WriteSpec::for_path(&scan))?;
     let mut options = ConvertOptions::new(vec![scan], made.clone());
     options.pixel = PixelSize::Metres(EDGE);

@@ -3,10 +3,10 @@
 use super::line::Line;
 use super::*;
 use crate::frame::{Frame, PageKey};
-use crate::page::{Page, PageBuilder, Span};
+use crate::page::{PageBuilder, Span};
 use crate::query::Answer;
 use crate::random::Random;
-use crate::store::{KeyBounds, PageSlot, Snapshot};
+use crate::store::Snapshot;
 
 /// A number from -1 to 1; with `coarse` a multiple of an eighth.
 fn unit(random: &mut Random, coarse: bool) -> f64 {

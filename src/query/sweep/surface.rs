@@ -9,7 +9,7 @@ use crate::query::batch;
 use crate::query::blocks::{local, slices_between};
 use crate::query::footprint::{floor_of, layers};
 use crate::query::grid::Heights;
-use crate::store::{Missing, PageSlot, Snapshot, note};
+use crate::store::{Missing, Snapshot, note};
 use nalgebra::{Point3, Vector3};
 
 /// Where the surface of solid space is nearest, as planners need it.

@@ -10,7 +10,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use slicewalk::Error;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, TILE_PIXELS};
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use std::time::{Duration, Instant};
 
 /// Most voxels of a region.
@@ -198,7 +198,7 @@ impl Page {
 }
 
 /// Returns the voxels that the box `bounds` meets, as `slicewalk.Region`.
-pub fn region<'py, S: Snapshot + Sync>(
+pub fn region<'py>(
     py: Python<'py>,
     set: &Snapshot,
     name: Option<&str>,

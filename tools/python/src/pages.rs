@@ -13,7 +13,7 @@ use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, overlaps, sweep,
 };
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 

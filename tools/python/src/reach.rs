@@ -4,7 +4,7 @@ use crate::arrays::numbers;
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
 use crate::options::refuse;
-use crate::pages::{Pages, ask, needs};
+use crate::pages::{Pages, needs};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyString;

@@ -4,7 +4,7 @@ use crate::arrays::{BLOCK, Rows, numbers, reserve, short};
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
 use crate::options::refuse;
-use crate::pages::{Pages, ask};
+use crate::pages::Pages;
 use crate::reach::body;
 use crate::stream::{Hints, Stream};
 use numpy::{IntoPyArray, PyArrayMethods};

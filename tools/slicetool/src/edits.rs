@@ -91,6 +91,10 @@ impl EditFile {
         if bytes.len() as u64 > MOST_BYTES {
             return Err(failed(format!("edits: expected at most {MOST_BYTES} bytes, found more; draw fewer shapes")));
         }
+        // A list would be taken for the fields in turn.
+        if bytes.trim_ascii_start().first() == Some(&b'[') {
+            return Err(failed("edits: invalid: expected an object, found a list".into()));
+        }
         let written: Written = serde_json::from_slice(&bytes).map_err(|error| failed(format!("edits: {error}")))?;
         Self::of(written).map_err(failed)
     }

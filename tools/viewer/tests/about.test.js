@@ -130,8 +130,9 @@ describe("odd devices", () => {
         await button.tap();
         await phone.locator(".right .panel:not([hidden])").waitFor();
         const covered = await phone.evaluate(() => {
-          const buttons = [...document.querySelectorAll(".head button")].filter((button) => button.offsetParent !== null);
-          const fields = [...document.querySelectorAll(".right .panel:not([hidden]) :is(input, select, button)")];
+          const shown = (selector) => [...document.querySelectorAll(selector)].filter((element) => element.offsetParent !== null);
+          const buttons = shown(".head button");
+          const fields = shown(".right .panel:not([hidden]) :is(input, select, button)");
           const hits = (element) => {
             element.scrollIntoView({ block: "nearest" });
             const { left, top, width, height } = element.getBoundingClientRect();
@@ -171,7 +172,7 @@ describe("wrong files and addresses", () => {
     await dialog.getByRole("button", { name: "Stay here" }).click();
     const { ready, error } = await state(page);
     assert.deepEqual([ready, error], [true, null]);
-    await page.getByRole("heading", { name: "house.slices" }).waitFor();
+    await page.getByRole("heading", { name: "house.slices", level: 1 }).waitFor();
     await hold(page, ["w"], "walking on", ({ speed }) => speed > 0.5);
   });
 

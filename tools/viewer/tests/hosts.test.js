@@ -56,7 +56,7 @@ describe("hosts", () => {
       await hold(page, ["w"], "walking", ({ speed }) => speed > 0.5);
       await page.getByRole("button", { name: "Open another archive" }).click();
       await page.getByRole("button", { name: "other.slices" }).click();
-      await page.getByRole("heading", { name: "other.slices" }).waitFor();
+      await page.getByRole("heading", { name: "other.slices", level: 1 }).waitFor();
       await until(page, "ready", ({ ready }) => ready);
     } finally {
       assert.equal(await server.stop(), 130);

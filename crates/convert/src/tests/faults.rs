@@ -8,7 +8,7 @@
 //! In each case another run, resuming or not, makes the new archive and leaves nothing else.
 
 use super::*;
-use crate::disk::testing::{Call, Hooked, VoxelClass};
+use crate::disk::testing::{Call, Hooked, Verdict};
 use std::io::{self, ErrorKind};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,18 +24,18 @@ impl Fault {
     const ALL: [Self; 5] = [Self::Full, Self::Broken, Self::Interrupted, Self::Short, Self::Refused];
 
     /// Returns the effect on a call; `None` if the fault cannot occur in it.
-    fn meets(self, call: Call) -> Option<VoxelClass> {
+    fn meets(self, call: Call) -> Option<Verdict> {
         use Call::*;
         Some(match self {
-            Self::Full if matches!(call, Write) => VoxelClass::Torn(ErrorKind::StorageFull.into()),
+            Self::Full if matches!(call, Write) => Verdict::Torn(ErrorKind::StorageFull.into()),
             Self::Full if matches!(call, Create | Sync | Rename | RenameNew | Link) => {
-                VoxelClass::Fails(ErrorKind::StorageFull.into())
+                Verdict::Fails(ErrorKind::StorageFull.into())
             }
-            Self::Broken => VoxelClass::Torn(io::Error::other("the disk is broken")),
-            Self::Interrupted => VoxelClass::Fails(ErrorKind::Interrupted.into()),
-            Self::Short if matches!(call, Read | Write) => VoxelClass::Short,
+            Self::Broken => Verdict::Torn(io::Error::other("the disk is broken")),
+            Self::Interrupted => Verdict::Fails(ErrorKind::Interrupted.into()),
+            Self::Short if matches!(call, Read | Write) => Verdict::Short,
             Self::Refused if !matches!(call, Read | Write | Length | Sync | SyncFolder | FreeBytes) => {
-                VoxelClass::Fails(ErrorKind::PermissionDenied.into())
+                Verdict::Fails(ErrorKind::PermissionDenied.into())
             }
             Self::Full | Self::Short | Self::Refused => return None,
         })
@@ -48,11 +48,11 @@ fn faulty(disk: Arc<ModelDisk>, fault: Fault, strikes: u64, lasts: bool) -> (Arc
     let calls = Arc::new(AtomicU64::new(0));
     let counted = calls.clone();
     let hook = move |call| {
-        let Some(voxel_class) = fault.meets(call) else { return VoxelClass::Done };
+        let Some(verdict) = fault.meets(call) else { return Verdict::Done };
         let number = counted.fetch_add(1, Ordering::Relaxed);
         // Signals come between the steps of the work and do not end it.
         let again = lasts && (fault != Fault::Interrupted || (number - strikes.min(number)).is_multiple_of(2));
-        if number == strikes || number > strikes && again { voxel_class } else { VoxelClass::Done }
+        if number == strikes || number > strikes && again { verdict } else { Verdict::Done }
     };
     (Hooked::new(disk, hook), calls)
 }

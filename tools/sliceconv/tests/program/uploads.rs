@@ -218,6 +218,6 @@ fn a_file_is_uploaded_if_it_is_an_archive() {
     assert_eq!(upload(&archive, Existing::Replace), Ok(true));
     // Not the address of a store: refused before anything is read.
     let here = upload_archive(&file, &folder.path().join("b.slices"), Existing::Replace, &NoMonitor);
-    assert!(here.unwrap_err().to_string().contains("no address in an object store"));
+    assert!(here.unwrap_err().to_string().contains("not an address in an object store"));
     assert!(!folder.path().join("b.slices").exists());
 }

@@ -183,7 +183,10 @@ fn queries_and_walks_meet_the_edits() {
     let feature = &features["features"][0];
     assert_eq!((&feature["geometry"]["type"], &feature["properties"]["what"]), (&json!("Point"), &json!("blocked")));
     let out = slicetool(&folder, "export", &["a.slices", "-o", "a.ply", "--edits", "e.json"]);
-    assert!(out.status.code() == Some(2) && String::from_utf8_lossy(&out.stderr).contains("--edits: this option is only for"));
+    assert!(
+        out.status.code() == Some(2)
+            && String::from_utf8_lossy(&out.stderr).contains("--edits: this option is only for")
+    );
 }
 
 #[test]

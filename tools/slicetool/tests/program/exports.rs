@@ -335,13 +335,21 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
         (&["--storey", "0"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
         (&["--error", "0.5"], &["a.glb", "a.obj"], ".glb and .obj"),
         (&["--triangles", "500"], &["a.glb", "a.obj"], ".glb and .obj"),
-        (&["--pawn", "box:0.5x0.5x1.8"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
-        (&["--profile", "foot"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
-        (&["--climb", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
-        (&["--max-drop", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
-        (&["--max-grade", "90"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
-        (&["--ignore-inferred"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
-        (&["--cache", "64MiB"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (
+            &["--pawn", "box:0.5x0.5x1.8"],
+            &["a.yaml", "a.heightfield.json"],
+            ".yaml, .heightfield.json and layers of .tif",
+        ),
+        (&["--profile", "foot"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
+        (&["--climb", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
+        (&["--max-drop", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
+        (&["--max-grade", "90"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
+        (
+            &["--ignore-inferred"],
+            &["a.yaml", "a.heightfield.json"],
+            ".yaml, .heightfield.json, .npy and layers of .tif",
+        ),
+        (&["--cache", "64MiB"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json, .npy and layers of .tif"),
     ];
     for (option, accepting, named) in options {
         for format in formats {

@@ -130,7 +130,7 @@ fn distances_are_those_to_the_nearest_span() {
     };
     refused(&["-o", "b.npy"], 2, "--esdf");
     refused(&["-o", "b.tif", "--esdf"], 2, "--esdf");
-    refused(&["-o", "b.tif", "--step", "1"], 2, "only --esdf");
+    refused(&["-o", "b.tif", "--step", "1"], 2, "only for .npy");
     refused(&["-o", "b.npy", "--esdf", "--step", "0"], 2, "above 0");
     refused(&["-o", "b.npy", "--esdf", "--bounds", "0,0,0,inf,1,1"], 1, "without inf");
     refused(&["-o", "b.npy", "--esdf", "--step", "1e-5"], 1, "larger --step");
@@ -182,7 +182,7 @@ fn layers_are_the_slopes_and_clearances_of_the_scene() {
     assert!((f64::from(samples[j * width + i]) - 2.4).abs() < 4e-3, "{}", samples[j * width + i]);
     for (arguments, said) in [
         (&["-o", "b.tif", "--layer", "slope,slope"][..], "named twice"),
-        (&["-o", "b.ply", "--layer", "slope"], "only .tif"),
+        (&["-o", "b.ply", "--layer", "slope"], "only for .tif"),
         (&["-o", "b.tif", "--layer", "colour"], "possible values"),
     ] {
         let out = run(at, arguments);

@@ -232,7 +232,7 @@ fn pipes_and_devices_take_the_whole_output_and_stay() {
             assert!(lines(&read) == lines(&whole) && (command[0] == "walk" || read == whole), "{command:?}");
             assert!(fs::metadata(at.join(name)).unwrap().file_type().is_fifo());
         }
-        assert!(refuses(at, &["recover", "a.slices", "-o", name, "--force"]).contains("no regular file"));
+        assert!(refuses(at, &["recover", "a.slices", "-o", name, "--force"]).contains("not a regular file"));
     }
     for (device, works) in [("/dev/null", true), ("/dev/full", false)] {
         symlink(device, at.join("device.ply")).unwrap();

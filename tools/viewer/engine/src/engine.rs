@@ -271,7 +271,7 @@ impl Engine {
         Ok(facts::reference(&crs, &units))
     }
 
-    /// Numbers of a [`StatsMessage`].
+    /// Numbers of a `StatsMessage`.
     pub fn stats(&self) -> Vec<f64> {
         let counters = self.loader.counters();
         let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
@@ -410,7 +410,7 @@ impl Engine {
     }
 
     /// Advances a pawn by a time step; returns the numbers of its state (see [`Pawn::state`]). `input`: numbers of an
-    /// [`InputMessage`](crate::messages::InputMessage).
+    /// `InputMessage`.
     pub fn step(&mut self, pawn: u32, seconds: f64, input: &[f64]) -> Result<Vec<f64>, String> {
         let (view, input) = (self.snapshot()?, Input::from_numbers(input)?);
         self.moving(pawn)?.thing.step(&view, seconds, &input);
@@ -499,7 +499,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Builds the next page of a scene and returns the numbers of a [`PageMessage`];
+    /// Builds the next page of a scene and returns the numbers of a `PageMessage`;
     /// [`take_positions`](Self::take_positions) and similar functions return its geometry. Empty if there is no page to
     /// build.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
@@ -532,7 +532,7 @@ impl Engine {
         self.colours.unpainted(&self.scenes)
     }
 
-    /// Paints the next page and returns the numbers of a [`PaintMessage`]; [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) return the rest. Empty if there is no
+    /// Paints the next page and returns the numbers of a `PaintMessage`; [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) return the rest. Empty if there is no
     /// page to paint.
     pub fn paint(&mut self) -> Result<Vec<f64>, String> {
         if !self.colours.are_on() {

@@ -285,7 +285,7 @@ mod tests {
         for (name, what, fields) in MESSAGES {
             write!(out, "\n{}export interface {name} {{\n", comment(what, "")).unwrap();
             for (field, what) in *fields {
-                write!(out, "{}  readonly {}: number;\n", comment(what, "  "), camel(field)).unwrap();
+                writeln!(out, "{}  readonly {}: number;", comment(what, "  "), camel(field)).unwrap();
             }
             let short = name.trim_end_matches("Message");
             write!(
@@ -295,12 +295,12 @@ mod tests {
             .unwrap();
             for (n, (field, _)) in fields.iter().enumerate() {
                 let place = if n == 0 { "at".into() } else { format!("at + {n}") };
-                write!(out, "    {}: numbers[{place}] ?? 0,\n", camel(field)).unwrap();
+                writeln!(out, "    {}: numbers[{place}] ?? 0,", camel(field)).unwrap();
             }
             write!(out, "  }};\n}}\n\nexport function write{short}(message: {name}): number[] {{\n  return [\n")
                 .unwrap();
             for (field, _) in *fields {
-                write!(out, "    message.{},\n", camel(field)).unwrap();
+                writeln!(out, "    message.{},", camel(field)).unwrap();
             }
             write!(
                 out,

@@ -207,8 +207,7 @@ pub(crate) mod tests {
                     *scene.insert(name)
                 }
             };
-            loop {
-                let Some(page) = PageMessage::from_numbers(&engine.build(name).unwrap()) else { break };
+            while let Some(page) = PageMessage::from_numbers(&engine.build(name).unwrap()) {
                 seen.built.push((page.page as u32, [page.x, page.level]));
                 busy = true;
             }

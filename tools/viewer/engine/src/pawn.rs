@@ -43,7 +43,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Reads the numbers of a [`SettingsMessage`].
+    /// Reads the numbers of a `SettingsMessage`.
     pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
         let message = SettingsMessage::from_numbers(numbers).ok_or_else(|| invalid("settings are ten numbers"))?;
         let SettingsMessage { shape, x, y, height, climb, speed, gravity, jump, crouch, max_drop } = message;
@@ -102,7 +102,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// Reads the numbers of an [`InputMessage`].
+    /// Reads the numbers of an `InputMessage`.
     pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
         let message = InputMessage::from_numbers(numbers).ok_or_else(|| invalid("an input is five numbers"))?;
         let InputMessage { x, y, pace, lift, flags } = message;

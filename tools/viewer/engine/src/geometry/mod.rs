@@ -36,7 +36,7 @@ pub struct Geometry {
 
 impl Geometry {
     /// Builds the geometry of `page` with cells of `2^coarseness` pixels: what collides, or if there are pages `around`
-    /// it (see [`Cells::of`]), with smooth surfaces.
+    /// it (see `Cells::of`), with smooth surfaces.
     pub fn of(frame: &Frame, key: PageKey, page: &Page, around: Option<&[Option<&Page>; 9]>, coarseness: u32) -> Self {
         let coarseness = coarseness.min(COARSEST);
         let pixels = f64::from(1 << coarseness);

@@ -76,6 +76,9 @@ pub(super) struct Corner {
     pub normal: [i8; 3],
 }
 
+/// Receives the heights and cells of a surface; returns true to end the search.
+type Each<'a> = dyn FnMut(&[(u16, u8)]) -> bool + 'a;
+
 /// Heights around a place with the number of their cell, ascending.
 struct Around([(u16, u8); MOST], usize);
 
@@ -100,7 +103,7 @@ impl Around {
     /// Splits the heights into surfaces: each at most once per cell, without gaps above `reach`. The split depends
     /// only on the heights, so that all cells around a corner agree.
     #[inline(never)] // one copy keeps the engine small
-    fn surfaces(&self, reach: u16, each: &mut dyn FnMut(&[(u16, u8)]) -> bool) {
+    fn surfaces(&self, reach: u16, each: &mut Each<'_>) {
         let all = &self.0[..self.1];
         let mut from = 0;
         for to in 1..=all.len() {
