@@ -8,7 +8,7 @@
 //! Edits apply in the order in which they were made, so a later one wins.
 //!
 //! - **Removed**: solid strictly between the bottom and the top of a prism, in pixels whose middle lies in its outline.
-//!   What remains below is cut level, so it is floor.
+//!   Solid that remains below is cut level, so it is floor.
 //! - **Added**: solid from the bottom to the top, both included, in every pixel that the outline touches. The top is
 //!   floor or an obstacle, as requested; everything below the top slice is an obstacle.
 

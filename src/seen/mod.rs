@@ -47,7 +47,7 @@ struct Held {
     first: usize,
 }
 
-/// What is seen of a page.
+/// Seen space of a page.
 #[derive(Clone, Copy)]
 enum OfPage<'a> {
     Nothing,

@@ -384,7 +384,7 @@ impl PawnHandle {
         self.put(true, |inbox| (inbox.missing, inbox.changed) = (Some(*missing), true));
     }
 
-    /// Returns the pages in memory now, like [`Stream::snapshot`], for a body on its own thread.
+    /// Returns the pages in memory now, like [`Stream::snapshot`]; for a body on a thread of its own.
     #[inline]
     pub fn snapshot(&self) -> Snapshot {
         self.shared.snapshots.newest()

@@ -99,7 +99,7 @@ pub(crate) struct SplatSet {
     placement: Option<Similarity>,
 }
 
-/// Returns the file that describes the folder of splats at `path`; `None` if there is none.
+/// Returns the file that describes the folder of splats at `path`; `None` for other folders.
 fn described(path: &Path) -> Option<PathBuf> {
     let names = if path.is_dir() { ["lod-meta.json", "meta.json"].as_slice() } else { &[] };
     names.iter().map(|name| path.join(name)).find(|file| is_file_at(file))

@@ -27,7 +27,7 @@ mod rust {
     /// Bytes decoded at once.
     const STEP: usize = 128 << 10;
 
-    /// Reader of frames one after the other.
+    /// Reader of consecutive frames.
     pub struct Frames<R> {
         packed: R,
         decoder: FrameDecoder,

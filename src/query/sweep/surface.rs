@@ -82,7 +82,7 @@ fn suggestion(set: &Snapshot, place: Point3<f64>, at: [f64; 3], max: f64) -> Ans
     let mut search = WayOut { frame: *set.frame(), at, best: max, found: None, missing: None };
     search.run(set);
     if search.missing.is_some() && search.found.is_some() {
-        // Pages beyond the place found do not matter.
+        // Pages beyond the place found are irrelevant.
         search.missing = None;
         search.run(set);
     }

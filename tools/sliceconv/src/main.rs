@@ -105,7 +105,7 @@ struct Arguments {
     /// Remove points that moved: other stations saw through their positions
     #[arg(long)]
     remove_moving: bool,
-    /// Also store which space the stations saw: queries can then tell free from never seen
+    /// Also store which space the stations saw: queries can then distinguish free from never seen
     #[arg(long)]
     free_space: bool,
     /// Table of scanner positions, for --remove-moving and --free-space, with the columns file,x,y,z, in the scan's coordinates. With a column source_id, a

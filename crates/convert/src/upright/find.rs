@@ -182,7 +182,7 @@ impl Bulk {
             (values[cut], values[values.len() - 1 - cut])
         });
         let extent = ends.iter().map(|end| end.1 - end.0).fold(0.0, f64::max);
-        // What lies a little outside may be a floor that few places show.
+        // Space a little outside may be a floor that few places show.
         let margin = 0.1 * extent;
         let (min, max) = (ends.map(|end| end.0 - margin), ends.map(|end| end.1 + margin));
         (extent > 1e-9 && extent.is_finite()).then_some(Self { min, max, extent })
