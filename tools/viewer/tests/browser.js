@@ -168,18 +168,21 @@ export function pixels(page) {
   return page.evaluate(
     () =>
       new Promise((resolve) => {
-        // The page draws in its own callback of the same frame, before this one.
-        requestAnimationFrame(() => {
-          const view = document.querySelector("canvas.view");
+        const view = document.querySelector("canvas.view");
+        // The page draws in its own callback of a frame, before this one; a resting view is not drawn in every frame, and its
+        // canvas is empty in the others.
+        const frame = () => {
           const canvas = new OffscreenCanvas(view.width, view.height);
           const context = canvas.getContext("2d");
           context.drawImage(view, 0, 0);
           const [w, h] = [canvas.width, canvas.height];
           const { data } = context.getImageData(w / 4, h / 3, w / 4, h / 3);
+          if (data[3] === 0) return requestAnimationFrame(frame);
           const seen = [];
           for (let n = 0; n < data.length; n += 4 * 7) seen.push([...data.subarray(n, n + 3)]);
           resolve(seen);
-        });
+        };
+        requestAnimationFrame(frame);
       }),
   );
 }

@@ -55,7 +55,9 @@ async function drawn() {
  * formula, which the page itself never uses.
  */
 async function vivid(page) {
-  const seen = (await pixels(page)).filter((rgb) => Math.max(...rgb) > 40);
+  // The sky is bright and nearly grey.
+  const sky = (rgb) => Math.min(...rgb) > 150 && Math.max(...rgb) - Math.min(...rgb) < 24;
+  const seen = (await pixels(page)).filter((rgb) => Math.max(...rgb) > 40 && !sky(rgb));
   return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
 }
 
@@ -76,9 +78,10 @@ describe("colours", () => {
 
   it("shows the colours of the scan, which come after its shapes", async () => {
     await walkIn(page, address(server, { archive: "coloured.slices", at: WAY.start, look: [0, -30] }));
+    // The first step needs none (`walk.test.js`); here the first may be in flight already.
     const early = await state(page);
-    assert.ok(early.colours.requests === 0 && early.drawn.coloured === 0, JSON.stringify(early.colours));
     const { colours, drawn, bytesLoaded, requests } = await until(page, "coloured", coloured);
+    assert.ok(early.drawn.coloured < drawn.coloured, JSON.stringify(early));
     assert.ok(colours.requests > 2 && colours.requests < requests, JSON.stringify({ colours, requests }));
     assert.ok(colours.bytes > 0 && colours.bytes < bytesLoaded);
     assert.ok(drawn.coloured <= drawn.pages);
@@ -88,16 +91,15 @@ describe("colours", () => {
     assert.ok((await vivid(page)) > own / 2, "and back");
   });
 
-  const smaller = { todo: "the new framing draws the avenue too small for the sample of pixels" };
-  it("draws what is far away in the scan's colours too", smaller, async () => {
+  it("draws what is far away in the scan's colours too", async () => {
     const there = { archive: "coloured-avenue.slices", at: [150, 0, 0.1], look: [0, -60] };
     await walkIn(page, address(server, { ...there, view: "orbit" }));
     await page.mouse.move(middle.x, middle.y);
     // So far out that only the overview level is drawn.
-    const far = ({ drawn, colours }) => drawn.pages === 0 && drawn.overview > 0 && colours.missing === 0;
+    const far = ({ drawn }) => drawn.pages === 0 && drawn.overview > 0 && drawn.distant === drawn.overview;
     for (let n = 0; n < 6; n++) await page.mouse.wheel(0, 200);
     const { drawn } = await until(page, "the level alone, coloured", far, { timeout: 120_000 });
-    assert.deepEqual([drawn.distant, drawn.coloured], [drawn.overview, 0], JSON.stringify(drawn));
+    assert.equal(drawn.coloured, 0, JSON.stringify(drawn));
     await ownColours(page);
   });
 
