@@ -32,7 +32,7 @@ use std::time::Duration;
 /// >>> with slicewalk.Stream(archive, "16MiB") as stream:
 /// ...     box = [[3, 2, 0.5, 3.5, 2.5, 1.8]]
 /// ...     report = stream.load(box)
-/// ...     print(report["left_out"], stream.snapshot().overlaps(box))
+/// ...     print(report["left_out"], stream.view().overlaps(box))
 /// 0 [0]
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Stream {
