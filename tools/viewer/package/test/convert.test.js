@@ -154,9 +154,3 @@ test("real scans and meshes of every format", { skip: data === undefined && "SLI
   t.diagnostic(`${same} files give the same bytes`);
   assert.ok(same > 40, `${same}`);
 });
-
-test("the module is small enough", () => {
-  const wasm = new URL("../dist/wasm/convert.wasm", import.meta.url).pathname;
-  const packed = execFileSync("gzip", ["-9", "-c", wasm]).length;
-  assert.ok(packed <= 700_000, `${packed} bytes compressed`);
-});
