@@ -130,7 +130,8 @@ describe("odd devices", () => {
         await button.tap();
         await phone.locator(".right .panel:not([hidden])").waitFor();
         const covered = await phone.evaluate(() => {
-          const shown = (selector) => [...document.querySelectorAll(selector)].filter((element) => element.offsetParent !== null);
+          const shown = (selector) =>
+            [...document.querySelectorAll(selector)].filter((element) => element.offsetParent !== null);
           const buttons = shown(".head button");
           const fields = shown(".right .panel:not([hidden]) :is(input, select, button)");
           const hits = (element) => {
