@@ -6,6 +6,7 @@ use super::work::on_threads;
 use crate::bytes::open_named;
 use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds, threads_to_look};
 use crate::{Error, Monitor, NoMonitor, Result};
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -17,7 +18,7 @@ const BLOCKS: u64 = 8;
 const BLOCK_BYTES: u64 = 4096;
 
 /// Facts about an input file in a plan.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InputFacts {
     /// File name without folders; only for people who read the plan.
     pub name: String,
@@ -26,8 +27,10 @@ pub struct InputFacts {
     /// Number of points stated by the header.
     pub points: u64,
     /// XXH3-128 of the length and of eight blocks of 4096 bytes; shows whether another machine has the same file.
+    #[serde(with = "super::plan_file::hex")]
     pub fingerprint: u128,
     /// Bounds stated by the header (m); parts that do not meet them leave the file out. `None`: all parts read it.
+    #[serde(with = "super::plan_file::bounds")]
     pub bounds: Option<StatedBounds>,
 }
 

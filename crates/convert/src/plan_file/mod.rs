@@ -16,6 +16,8 @@
 
 mod json;
 
+pub(super) use json::{bounds, hex};
+
 use super::Surveyed;
 use super::facts::InputFacts;
 use super::options::{ColourMode, ConvertOptions, PixelSize};
@@ -153,7 +155,6 @@ impl PlanFile {
             bytes.extend(source.name().as_bytes());
             bytes.extend([low, high, error_milli].map(u16::to_le_bytes).concat());
         }
-        // Plans without them keep the hash that they had in earlier builds.
         bytes.extend(self.placement.iter().flat_map(|placement| placement.matrix()).flat_map(f64::to_le_bytes));
         if self.splats != SplatRules::default() {
             let SplatRules { opacity, min_opacity, max_size_m } = self.splats;
