@@ -106,7 +106,7 @@ impl SeenSpace {
     /// Returns whether all of the closed box between these corners (m) was seen.
     pub fn is_box_seen(&self, min: Point3<f64>, max: Point3<f64>) -> bool {
         let [first, last] = [min, max].map(|corner| self.cell_of(corner));
-        // Ends at the first cell that was not seen, so the size of the box does not matter.
+        // Ends at the first cell that was not seen, so its cost does not depend on the size of the box.
         let pages = |axis: usize, cells: i64| first[axis].div_euclid(cells)..=last[axis].div_euclid(cells);
         for ty in pages(1, CELLS_PER_ROW) {
             for tx in pages(0, CELLS_PER_ROW) {

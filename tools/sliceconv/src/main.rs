@@ -40,7 +40,7 @@ use values::{UpChoice, classes, epsg, length, part, scale_from, transform};
     version,
     max_term_width = 110,
     override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]",
-    // What the positions of scanners are for.
+    // Options that use the positions of scanners.
     group = clap::ArgGroup::new("visibility").args(["remove_moving", "free_space"]).multiple(true)
 )]
 struct Arguments {

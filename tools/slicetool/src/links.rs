@@ -10,7 +10,7 @@ use slicewalk::reach::{Flood, PlaceId, Region, Search, Snapped, StandingPlaces};
 /// Speed at which the time of a way counts (m/s).
 const SPEED_M_S: f64 = 1.4;
 
-/// What a pawn reaches on foot and by links.
+/// Places that a pawn reaches on foot and by links.
 pub struct Joined {
     pub flood: Flood,
     pub region: Region,

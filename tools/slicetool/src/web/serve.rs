@@ -84,7 +84,7 @@ impl Converting {
         Ok((all, std::thread::Builder::new().name("conversion".into()).spawn(work)?))
     }
 
-    /// What the page is told.
+    /// State for the page, as JSON.
     fn state(&self) -> String {
         let (mut converting, mut error) = (serde_json::Value::Null, None);
         match self.result.get() {

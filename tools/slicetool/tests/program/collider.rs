@@ -2,31 +2,17 @@
 //! and each tile is closed.
 
 use crate::data;
-use scangen::{WriteSpec, write_las};
+use crate::scene::{converted, each_span, export, run};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 use tempfile::TempDir;
 
 type Point = [f64; 3];
-
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let program = env!("CARGO_BIN_EXE_slicetool");
-    Command::new(program).current_dir(folder).args(["export", "a.slices"]).args(arguments).output().unwrap()
-}
-
-fn export(folder: &Path, arguments: &[&str]) -> String {
-    let out = run(folder, arguments);
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert!(out.status.success() && said.is_empty(), "{arguments:?}: {said}");
-    String::from_utf8(out.stdout).unwrap()
-}
 
 /// Numbers from 0 to 1.
 fn random(mut state: u64) -> impl FnMut() -> f64 {
@@ -34,12 +20,6 @@ fn random(mut state: u64) -> impl FnMut() -> f64 {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 11) as f64 / (1u64 << 53) as f64
     }
-}
-
-fn converted(scan: &Path, folder: &Path, pixel: f64) {
-    let mut options = ConvertOptions::new(vec![scan.to_owned()], folder.join("a.slices"));
-    options.pixel = PixelSize::Metres(pixel);
-    convert(&options, &NoMonitor).unwrap();
 }
 
 /// A rough floor, a wall askew, a ramp, a pipe, leaves in the air, and a point far above, over two tiles.
@@ -56,13 +36,8 @@ fn scene() -> TempDir {
     }
     points.extend((0..60).map(|_| [13.0 * next(), 2.5 * next(), 1.0 + 2.0 * next()]));
     points.push([3.0, 3.0, 90.0]);
-    let moved = points.into_iter().map(|[x, y, z]| [x + 200_001.3, y + 500_000.7, z - 0.4]).collect::<Vec<_>>();
-    let folder = tempfile::tempdir().unwrap();
-    let scan = folder.path().join("scan.las");
-    write_las(&scan, moved, &WriteSpec::for_path(&scan)).unwrap();
-    converted(&scan, folder.path(), 0.1);
-    fs::remove_file(scan).unwrap();
-    folder
+    let moved = points.into_iter().map(|[x, y, z]| [x + 200_001.3, y + 500_000.7, z - 0.4]);
+    converted(moved.collect(), 0.1, None)
 }
 
 /// Boxes of spans by pixel: least and greatest corner (m).
@@ -76,18 +51,9 @@ impl Solid {
         let archive = Archive::open(folder.join("a.slices")).unwrap();
         let mut boxes: BTreeMap<_, Vec<_>> = BTreeMap::new();
         let quantum = archive.frame().slice_m() / 255.0;
-        for entry in archive.entries() {
-            let entry = entry.unwrap();
-            let base = i64::from(entry.key.layer) * PAGE_QUANTA;
-            for (px, py, spans) in archive.page(&entry).unwrap().columns() {
-                let at = [(entry.key.tx, px), (entry.key.ty, py)]
-                    .map(|(tile, p)| i64::from(tile) * TILE_PIXELS + i64::from(p));
-                let heights = spans
-                    .iter()
-                    .map(|span| [span.bottom(), span.top()].map(|z| (base + i64::from(z)) as f64 * quantum));
-                boxes.entry(at).or_default().extend(heights);
-            }
-        }
+        each_span(&archive, |at, bottom, top| {
+            boxes.entry(at).or_default().push([bottom, top].map(|z| z as f64 * quantum));
+        });
         Self { pixel: archive.frame().pixel_m(), boxes }
     }
 
@@ -350,7 +316,9 @@ fn a_number_of_triangles_is_kept_and_used() {
 fn colliders_of_a_real_scan_keep_their_bound() {
     let Some(scan) = data::file("pump_room.laz") else { return };
     let folder = tempfile::tempdir().unwrap();
-    converted(&scan, folder.path(), 0.05);
+    let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
+    options.pixel = PixelSize::Metres(0.05);
+    convert(&options, &NoMonitor).unwrap();
     let solid = Solid::of(folder.path());
     export(folder.path(), &["-o", "a.glb", "--error", "0.15"]);
     check(&solid, &glb(&folder.path().join("a.glb")), 0.15, 3000);

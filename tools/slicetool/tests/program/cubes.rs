@@ -1,15 +1,13 @@
 //! Exports of cubes and maps, read by readers written from the formats' descriptions: OctoMap, voxel octrees, Nav2.
 
-use scangen::{WriteSpec, write_las};
+use crate::scene::{converted, each_span, export, floor_wall_roof, run};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 use tempfile::TempDir;
 
 const PIXEL_M: f64 = 0.1;
@@ -18,58 +16,16 @@ const CUBE_QUANTA: i64 = 85;
 
 type Cube = [i64; 3];
 
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let program = env!("CARGO_BIN_EXE_slicetool");
-    Command::new(program).current_dir(folder).args(["export", "a.slices"]).args(arguments).output().unwrap()
-}
-
-fn export(folder: &Path, arguments: &[&str]) -> String {
-    let out = run(folder, arguments);
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert!(out.status.success() && said.is_empty(), "{arguments:?}: {said}");
-    String::from_utf8(out.stdout).unwrap()
-}
-
-/// A floor of 4 × 4 m at z = 0.35, a wall 2 m high along x = 3 and a roof over the quarter of least x and y, at `corner`.
+/// A floor, a wall and a roof at `corner`.
 fn folder(corner: [f64; 3]) -> TempDir {
-    let step = |n: i32| f64::from(n) * 0.05 + 0.025;
-    let floor = (0..80).flat_map(|i| (0..80).map(move |j| [step(i), step(j), 0.35]));
-    let wall = (0..80).flat_map(|j| (0..40).map(move |k| [3.025, step(j), 0.35 + step(k)]));
-    let roof = (0..40).flat_map(|i| (0..40).map(move |j| [step(i), step(j), 2.75]));
-    let points: Vec<[f64; 3]> =
-        floor.chain(wall).chain(roof).map(|at| [0, 1, 2].map(|axis| at[axis] + corner[axis])).collect();
-    converted(points, PIXEL_M, None)
-}
-
-fn converted(points: Vec<[f64; 3]>, pixel: f64, slice_m: Option<f64>) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let scan = folder.path().join("scan.las");
-    write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
-    let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join("a.slices"));
-    (options.pixel, options.slice_m) = (PixelSize::Metres(pixel), slice_m);
-    convert(&options, &NoMonitor).unwrap();
-    fs::remove_file(scan).unwrap();
-    folder
-}
-
-/// Calls `give` with pixel, bottom and top (quanta) of each span.
-fn each_span(folder: &Path, mut give: impl FnMut([i64; 2], i64, i64)) {
-    let archive = Archive::open(folder.join("a.slices")).unwrap();
-    for entry in archive.entries() {
-        let entry = entry.unwrap();
-        let base = i64::from(entry.key.layer) * PAGE_QUANTA;
-        for (px, py, spans) in archive.page(&entry).unwrap().columns() {
-            let pixel =
-                [(entry.key.tx, px), (entry.key.ty, py)].map(|(tile, p)| i64::from(tile) * TILE_PIXELS + i64::from(p));
-            spans.iter().for_each(|span| give(pixel, base + i64::from(span.bottom()), base + i64::from(span.top())));
-        }
-    }
+    let points = floor_wall_roof().into_iter().map(|at| [0, 1, 2].map(|axis| at[axis] + corner[axis]));
+    converted(points.collect(), PIXEL_M, None)
 }
 
 /// Cubes that spans reach.
 fn expected(folder: &Path) -> BTreeSet<Cube> {
     let mut cubes = BTreeSet::new();
-    each_span(folder, |[i, j], bottom, top| {
+    each_span(&Archive::open(folder.join("a.slices")).unwrap(), |[i, j], bottom, top| {
         let first = bottom.div_euclid(CUBE_QUANTA);
         let last = (top - 1).div_euclid(CUBE_QUANTA).max(first);
         cubes.extend((first..=last).map(|k| [i, j, k]));
@@ -274,7 +230,7 @@ fn a_slice_height_that_is_no_multiple_of_pixels_loses_no_span() {
     export(at, &["-o", "a.bt"]);
     let (cubes, ..) = octomap(&fs::read(at.join("a.bt")).unwrap());
     let mut reached = BTreeSet::new();
-    each_span(at, |[i, j], bottom, top| {
+    each_span(&Archive::open(at.join("a.slices")).unwrap(), |[i, j], bottom, top| {
         let [low, high] = [frame.bottom_height(bottom), frame.top_height(top)];
         for k in (low / PIXEL_M).floor() as i64..=(high / PIXEL_M).ceil() as i64 {
             let edge = [k, k + 1].map(|k| k as f64 * PIXEL_M);

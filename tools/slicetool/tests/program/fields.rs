@@ -1,47 +1,20 @@
 //! Exports for planners: signed distances as `.npy`, and layers of a GeoTIFF, on scenes of known form.
 
-use scangen::{WriteSpec, write_las};
-use slicewalk::NoMonitor;
+use crate::scene::{converted, each_span, export, floor_wall_roof, run};
 use slicewalk::archive::Archive;
-use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
-use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 use tempfile::TempDir;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
 const PIXEL_M: f64 = 0.1;
 
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let program = env!("CARGO_BIN_EXE_slicetool");
-    Command::new(program).current_dir(folder).args(["export", "a.slices"]).args(arguments).output().unwrap()
-}
-
-fn export(folder: &Path, arguments: &[&str]) -> String {
-    let out = run(folder, arguments);
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert!(out.status.success() && said.is_empty(), "{arguments:?}: {said}");
-    String::from_utf8(out.stdout).unwrap()
-}
-
-/// A floor of 4 × 4 m at z = 0.35, a wall 2 m high along x = 3, a roof over the quarter of least x and y, and a ramp of
-/// 26.6° behind y = 5.
+/// A floor, a wall and a roof, and a ramp of 26.6° behind y = 5.
 fn folder() -> TempDir {
     let step = |n: i32| f64::from(n) * 0.05 + 0.025;
-    let floor = (0..80).flat_map(|i| (0..80).map(move |j| [step(i), step(j), 0.35]));
-    let wall = (0..80).flat_map(|j| (0..40).map(move |k| [3.025, step(j), 0.35 + step(k)]));
-    let roof = (0..40).flat_map(|i| (0..40).map(move |j| [step(i), step(j), 2.75]));
     let ramp = (0..160).flat_map(|i| (0..80).map(move |j| [step(i) / 2.0, 5.0 + step(j) / 2.0, step(i) / 4.0]));
-    let points = floor.chain(wall).chain(roof).chain(ramp);
-    let folder = tempfile::tempdir().unwrap();
-    let scan = folder.path().join("scan.las");
-    write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
-    let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
-    options.pixel = PixelSize::Metres(PIXEL_M);
-    convert(&options, &NoMonitor).unwrap();
-    folder
+    converted(floor_wall_roof().into_iter().chain(ramp).collect(), PIXEL_M, None)
 }
 
 /// Boxes of all spans (m).
@@ -49,18 +22,10 @@ fn spans(folder: &Path) -> Vec<[[f64; 2]; 3]> {
     let archive = Archive::open(folder.join("a.slices")).unwrap();
     let quantum = archive.frame().quantum_m();
     let mut boxes = Vec::new();
-    for entry in archive.entries() {
-        let entry = entry.unwrap();
-        let base = i64::from(entry.key.layer) * PAGE_QUANTA;
-        for (px, py, spans) in archive.page(&entry).unwrap().columns() {
-            let [x, y] = [(entry.key.tx, px), (entry.key.ty, py)].map(|(tile, p)| {
-                let pixel = i64::from(tile) * TILE_PIXELS + i64::from(p);
-                [pixel as f64 * PIXEL_M, (pixel + 1) as f64 * PIXEL_M]
-            });
-            let heights = |height: u32| (base + i64::from(height)) as f64 * quantum;
-            boxes.extend(spans.iter().map(|span| [x, y, [heights(span.bottom()), heights(span.top())]]));
-        }
-    }
+    each_span(&archive, |pixel, bottom, top| {
+        let [x, y] = pixel.map(|pixel| [pixel as f64 * PIXEL_M, (pixel + 1) as f64 * PIXEL_M]);
+        boxes.push([x, y, [bottom, top].map(|height| height as f64 * quantum)]);
+    });
     boxes
 }
 

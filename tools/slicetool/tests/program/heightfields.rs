@@ -1,16 +1,13 @@
 //! Heightfield tiles, read back: each sample is the highest floor of its pixel that is nearest to its storey.
 
-use scangen::{WriteSpec, write_las};
+use crate::scene::{converted, export};
 use serde_json::Value;
-use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
-use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::BufReader;
 use std::path::Path;
-use std::process::Command;
 
 /// Width, height and samples of a grey image of 16 bits, row by row from the greatest y.
 fn image(path: &Path) -> ([usize; 2], Vec<u16>) {
@@ -24,24 +21,13 @@ fn image(path: &Path) -> ([usize; 2], Vec<u16>) {
 
 #[test]
 fn samples_are_the_highest_floors_of_their_storey() {
-    let folder = tempfile::tempdir().unwrap();
-    let at = folder.path();
     // A hall of 60 m with a slope, longer than a tile, and an upper floor over a part of it.
     let step = |n: i32| f64::from(n) * 0.05 + 0.025;
     let lower = (0..1200).flat_map(|i| (0..60).map(move |j| [step(i), step(j), 0.01 * step(i) + 0.02]));
     let upper = (0..200).flat_map(|i| (0..60).map(move |j| [step(i), step(j), 3.1]));
-    write_las(&at.join("scan.las"), lower.chain(upper).collect::<Vec<_>>(), &WriteSpec::for_path(&at.join("scan.las")))
-        .unwrap();
-    let mut options = ConvertOptions::new(vec![at.join("scan.las")], at.join("a.slices"));
-    options.pixel = PixelSize::Metres(0.1);
-    convert(&options, &NoMonitor).unwrap();
-    let out = Command::new(env!("CARGO_BIN_EXE_slicetool"))
-        .current_dir(at)
-        .args(["export", "a.slices", "-o", "hall.heightfield.json"])
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&out.stdout).into_owned();
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let folder = converted(lower.chain(upper).collect(), 0.1, None);
+    let at = folder.path();
+    let said = export(at, &["-o", "hall.heightfield.json"]);
     assert_eq!(said, "hall.heightfield.json: 3 tiles of 2 storeys\n");
     let about: Value = serde_json::from_slice(&fs::read(at.join("hall.heightfield.json")).unwrap()).unwrap();
     let storeys = about["storeys"].as_array().unwrap();

@@ -1,4 +1,4 @@
-//! What the module asks of the program that runs it: bytes of inputs and of temporary files, and an ear for progress.
+//! Requests of the module to the program that runs it: bytes of inputs and of temporary files, and an ear for progress.
 
 use slicewalk_base::bytes::{ByteSource, FileId};
 use slicewalk_base::disk::{About, Access, Disk, DiskFile, DiskFolder, FileKind};

@@ -1,4 +1,4 @@
-// What a person takes along: a link to the place, or a picture.
+// Sharing: a link to the place, or a picture.
 
 import { formatAddress, type Place } from "./address";
 import type { Stage } from "./modes/mode";

@@ -124,7 +124,7 @@ impl Cells {
         if inside(x) && inside(y) { self.cell(self.number(x, y)) } else { &[] }
     }
 
-    /// The same without the cells of neighbours.
+    /// Bars of cell (`x`, `y`); empty for the cells of neighbours and outside.
     pub fn within(&self, x: isize, y: isize) -> &[Bar] {
         let inside = |v: isize| (0..self.edge as isize).contains(&v);
         if inside(x) && inside(y) { self.at(x, y) } else { &[] }
