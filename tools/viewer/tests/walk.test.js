@@ -58,12 +58,13 @@ function replay(archive, recording) {
 
 describe("walking", () => {
   for (const archive of ["house.slices", "coloured.slices"]) {
-    it(`takes the first step in ${archive} after at most 5 range requests and 300 kB, none of colours`, async (t) => {
+    it(`takes the first step in ${archive} after at most 5 range requests and 300 kB, colours last`, async (t) => {
       server.delayMs = 200;
-      const { bytes, ranges, colours } = await firstStep(page, server, archive);
+      const { bytes, ranges, early } = await firstStep(page, server, archive);
       t.diagnostic(`${ranges.length} requests, ${bytes} bytes`);
       assert.ok(ranges.length <= 5 && bytes <= 300_000, `${ranges.length} requests, ${bytes} bytes: ${ranges.join(" ")}`);
-      assert.equal(colours.requests, 0);
+      // A slow machine may ask for colours before it draws the first step, but never before it has the pages.
+      assert.ok(!early, "colours were asked for while pages were missing");
     });
   }
 
