@@ -25,6 +25,7 @@ mod outputs;
 mod reach;
 mod seen;
 mod serve;
+mod sparse;
 #[cfg(feature = "remote")]
 mod stores;
 mod walk;
