@@ -1,7 +1,7 @@
 //! Seen space: which places of a scan are known to be free, because a scanner saw through them.
 //!
 //! Space is divided into *cells* of 4 × 4 pixels and one slice. A conversion stores a cell as seen only if one of the
-//! scanner's stations looked through all of it (`sliceconv --free-space`, chapter 11 of the specification); of every
+//! scanner's stations looked through all of it (`sliceconv --free-space`, chapter 15 of the specification); of every
 //! other cell nothing is known, whether solid lies in it or not. So a clear answer of [`query`](crate::query) can mean
 //! "free" or "never seen", and this module tells the two apart.
 //!

@@ -70,7 +70,7 @@ use crate::colour::{ColourPlan, ColourSource};
 use crate::disk::Files;
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
-use crate::input::spacing::{Spacing, Survey};
+use crate::input::spacing::{Spacing, Survey, estimate_spacing};
 use crate::input::{InputOptions, InputSet, PointCounts, ScanFile, TextLayout, Units};
 use crate::mesh::{MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind, Protected};
@@ -252,6 +252,20 @@ fn place(
     scans.set_placement(placement);
     splats.set_placement(placement);
     Ok((up, placement))
+}
+
+/// Gaps of up to this many spacings lie between points that are spread at random: a disc this wide around a random
+/// place holds no point in one of a thousand cases.
+const GAP_SPACINGS: f64 = 3.0;
+
+/// Returns the width of gaps between the points of the scans: three times their spacing (m). `None` without scans. For
+/// [`ConvertOptions::fill_holes_m`] where points lie farther apart than pixels. Reads the points once.
+pub fn gap_width_m(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<f64>> {
+    let opened = open_inputs(options, monitor)?;
+    if opened.scans.files().is_empty() {
+        return Ok(None);
+    }
+    Ok(Some(GAP_SPACINGS * estimate_spacing(&opened.scans, options.threads, monitor)?.spacing_m))
 }
 
 /// Measurements from which automatic options follow; `None` where the options were given.

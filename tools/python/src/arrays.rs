@@ -87,13 +87,38 @@ impl<'py, const N: usize> Rows<'py, N> {
     }
 }
 
-/// Computes `answer` for each row on several threads, with the interpreter released.
+/// Returns an array of the `answer` for each row.
 pub fn batch<'py, const N: usize, A: Element + Copy + Default + Send>(
     given: &Bound<'py, PyAny>,
     what: &'static str,
     threads: Option<NonZeroUsize>,
     answer: impl Fn(&[f64; N]) -> Result<A> + Sync,
 ) -> PyResult<Bound<'py, PyArray1<A>>> {
+    Ok(answers(given, what, threads, answer)?.into_pyarray(given.py()))
+}
+
+/// Returns an array of the `answer` of `M` numbers for each row.
+pub fn batch_of_rows<'py, const N: usize, const M: usize>(
+    given: &Bound<'py, PyAny>,
+    what: &'static str,
+    threads: Option<NonZeroUsize>,
+    answer: impl Fn(&[f64; N]) -> Result<[f64; M]> + Sync,
+) -> PyResult<Bound<'py, PyArray2<f64>>>
+where
+    [f64; M]: Default,
+{
+    let answers = answers(given, what, threads, answer)?;
+    let count = answers.len();
+    answers.into_flattened().into_pyarray(given.py()).reshape([count, M])
+}
+
+/// Computes `answer` for each row, on several threads, with the interpreter released.
+fn answers<const N: usize, A: Copy + Default + Send>(
+    given: &Bound<'_, PyAny>,
+    what: &'static str,
+    threads: Option<NonZeroUsize>,
+    answer: impl Fn(&[f64; N]) -> Result<A> + Sync,
+) -> PyResult<Vec<A>> {
     let py = given.py();
     let rows = Rows::<N>::of(given, what)?;
     let (mut answers, mut block) = (Vec::new(), Vec::new());
@@ -105,7 +130,7 @@ pub fn batch<'py, const N: usize, A: Element + Copy + Default + Send>(
         let answered = py.detach(|| on_threads(&block, &mut answers[first..], threads, &answer));
         answered.map_err(|(row, error)| of_row(py, what, first + row, error))?;
     }
-    Ok(answers.into_pyarray(py))
+    Ok(answers)
 }
 
 /// Number of threads of a batch. Queried once, because the system reads files to answer.

@@ -1,17 +1,19 @@
 //! `Pages`: queries on a set of pages, either all pages of an archive or those of a view.
 
 use crate::archive::Opened;
-use crate::arrays::{self, batch, refused};
+use crate::arrays::{self, batch, batch_of_rows, refused};
 use crate::errors::Failure;
 use crate::page::{Column, Page, region};
 use crate::reach;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use slicewalk::Result;
 use slicewalk::frame::{Frame, PAGE_QUANTA};
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{
-    Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, overlaps, sweep,
+    Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, nearest_surface, overlaps,
+    sweep,
 };
 use slicewalk::store::Snapshot;
 use std::num::NonZeroUsize;
@@ -35,6 +37,11 @@ impl Set {
         }
     }
 }
+
+/// Number of threads of a batch; all cores by default.
+type Threads = Option<NonZeroUsize>;
+/// One answer for each row of a batch.
+type Answers<'py, A> = PyResult<Bound<'py, PyArray1<A>>>;
 
 /// A set of pages that answers queries: an :class:`Archive` or the :class:`View` of a :class:`Stream`.
 ///
@@ -138,15 +145,9 @@ impl Pages {
     /// >>> archive.overlaps([[3, 2, 0.5, 3.5, 2.5, 1.8], [-0.1, 2, 0.5, 0.2, 2.5, 1.8]])
     /// array([0, 1], dtype=uint8)
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn overlaps<'py>(
-        &self,
-        boxes: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
-        {
-            let pages = self.set.pages(boxes.py())?;
-            batch(boxes, "boxes", threads, |row| Ok(code(overlaps(pages, &aabb(row)?))))
-        }
+    fn overlaps<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, u8> {
+        let pages = self.set.pages(boxes.py())?;
+        batch(boxes, "boxes", threads, |row| Ok(code(overlaps(pages, &aabb(row)?))))
     }
 
     /// Tests whether upright cylinders touch solid; see :meth:`overlaps`.
@@ -158,17 +159,11 @@ impl Pages {
     /// >>> slicewalk.open("room.slices").overlaps_cylinders([[4, 3, 0.1, 0.25, 1.8], [4, 0.2, 0.1, 0.25, 1.8]])
     /// array([0, 1], dtype=uint8)
     #[pyo3(signature = (cylinders, *, threads=None))]
-    fn overlaps_cylinders<'py>(
-        &self,
-        cylinders: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
-        {
-            let pages = self.set.pages(cylinders.py())?;
-            batch(cylinders, "cylinders", threads, |&[x, y, z, radius, height]: &[f64; 5]| {
-                Ok(code(overlaps(pages, &Cylinder::new([x, y, z].into(), radius, height)?)))
-            })
-        }
+    fn overlaps_cylinders<'py>(&self, cylinders: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, u8> {
+        let pages = self.set.pages(cylinders.py())?;
+        batch(cylinders, "cylinders", threads, |&[x, y, z, radius, height]: &[f64; 5]| {
+            Ok(code(overlaps(pages, &Cylinder::new([x, y, z].into(), radius, height)?)))
+        })
     }
 
     /// Tests whether spheres touch solid; see :meth:`overlaps`.
@@ -180,17 +175,11 @@ impl Pages {
     /// >>> slicewalk.open("room.slices").overlaps_spheres([[4, 3, 1.2, 0.5], [4, 3, 0.2, 0.5]])
     /// array([0, 1], dtype=uint8)
     #[pyo3(signature = (spheres, *, threads=None))]
-    fn overlaps_spheres<'py>(
-        &self,
-        spheres: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
-        {
-            let pages = self.set.pages(spheres.py())?;
-            batch(spheres, "spheres", threads, |&[x, y, z, radius]: &[f64; 4]| {
-                Ok(code(overlaps(pages, &Sphere::new([x, y, z].into(), radius)?)))
-            })
-        }
+    fn overlaps_spheres<'py>(&self, spheres: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, u8> {
+        let pages = self.set.pages(spheres.py())?;
+        batch(spheres, "spheres", threads, |&[x, y, z, radius]: &[f64; 4]| {
+            Ok(code(overlaps(pages, &Sphere::new([x, y, z].into(), radius)?)))
+        })
     }
 
     /// Finds the highest floor in each box: the greatest top of a floor span that lies within the pixels under the box
@@ -208,16 +197,10 @@ impl Pages {
     /// >>> archive.floor([[3, 2, -1, 3.5, 2.5, 2], [30, 2, -1, 31, 3, 2]]).round(2)
     /// array([  0., -inf])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn floor<'py>(
-        &self,
-        boxes: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        {
-            let pages = self.set.pages(boxes.py())?;
-            let ends = heights(pages);
-            batch(boxes, "boxes", threads, |row| Ok(floor_in(pages, &aabb(row)?, row[2], row[5], ends)))
-        }
+    fn floor<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+        let pages = self.set.pages(boxes.py())?;
+        let ends = heights(pages);
+        batch(boxes, "boxes", threads, |row| Ok(floor_in(pages, &aabb(row)?, row[2], row[5], ends)))
     }
 
     /// Finds the lowest ceiling in each box: the least underside of a span that lies within the pixels under the box
@@ -234,16 +217,10 @@ impl Pages {
     /// >>> slicewalk.open("room.slices").ceiling([[3, 2, 1, 3.5, 2.5, 9], [3, 2, 3, 3.5, 2.5, 9]]).round(2)
     /// array([2.5, inf])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn ceiling<'py>(
-        &self,
-        boxes: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        {
-            let pages = self.set.pages(boxes.py())?;
-            let ends = heights(pages);
-            batch(boxes, "boxes", threads, |row| Ok(ceiling_in(pages, &aabb(row)?, row[2], row[5], ends)))
-        }
+    fn ceiling<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+        let pages = self.set.pages(boxes.py())?;
+        let ends = heights(pages);
+        batch(boxes, "boxes", threads, |row| Ok(ceiling_in(pages, &aabb(row)?, row[2], row[5], ends)))
     }
 
     /// Computes how far each box can move before its inside meets solid. Exact at any speed: the motion is not sampled.
@@ -260,22 +237,16 @@ impl Pages {
     /// >>> archive.sweep([[3, 2, 0.5, 3.5, 2.5, 1.8, 0, 1, 0], [3, 2, 0.5, 3.5, 2.5, 1.8, 9, 0, 0]]).round(2)
     /// array([1.  , 0.49])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn sweep<'py>(
-        &self,
-        boxes: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        {
-            let pages = self.set.pages(boxes.py())?;
-            batch(boxes, "boxes", threads, |&[x0, y0, z0, x1, y1, z1, dx, dy, dz]: &[f64; 9]| {
-                let motion = Vector3::new(dx, dy, dz);
-                if !motion.iter().all(|v| v.is_finite()) {
-                    return refused("motion", "its numbers must be finite");
-                }
-                let answer = sweep(pages, &aabb(&[x0, y0, z0, x1, y1, z1])?, motion);
-                Ok(known(answer, |hit| hit.map_or(1.0, |hit| hit.fraction)))
-            })
-        }
+    fn sweep<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+        let pages = self.set.pages(boxes.py())?;
+        batch(boxes, "boxes", threads, |&[x0, y0, z0, x1, y1, z1, dx, dy, dz]: &[f64; 9]| {
+            let motion = Vector3::new(dx, dy, dz);
+            if !motion.iter().all(|v| v.is_finite()) {
+                return refused("motion", "its numbers must be finite");
+            }
+            let answer = sweep(pages, &aabb(&[x0, y0, z0, x1, y1, z1])?, motion);
+            Ok(known(answer, |hit| hit.map_or(1.0, |hit| hit.fraction)))
+        })
     }
 
     /// Computes the distance along each ray to the first solid.
@@ -293,18 +264,60 @@ impl Pages {
     /// >>> archive.cast([[4, 3, 1.2, 0, 0, -1, 10], [4, 3, 1.2, 1, 0, 0, 2]]).round(2)
     /// array([1.2, inf])
     #[pyo3(signature = (rays, *, threads=None))]
-    fn cast<'py>(
+    fn cast<'py>(&self, rays: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+        let pages = self.set.pages(rays.py())?;
+        batch(rays, "rays", threads, |&[x, y, z, dx, dy, dz, max]: &[f64; 7]| {
+            let ray = Ray::new(Point3::new(x, y, z), Vector3::new(dx, dy, dz), max)?;
+            Ok(known(cast(pages, &ray), |hit| hit.map_or(f64::INFINITY, |hit| hit.distance)))
+        })
+    }
+
+    /// Finds the nearest place on the surface of solid space for each place, from outside or from inside.
+    ///
+    /// Args:
+    ///     places: N × 3, each ``x, y, z`` (m)
+    ///     within: greatest distance (m); a small one is faster
+    ///     threads: number of threads; all cores by default
+    ///
+    /// Returns:
+    ///     :class:`SurfacePoints` of three arrays: ``distance`` (N,), above 0 in free space, below 0 inside solid, inf if
+    ///     nothing is within reach, nan if a page is not loaded; ``point`` (N, 3), the place on the surface;
+    ///     ``gradient`` (N, 3), the unit vector along which the distance grows, zero on the surface. Point and gradient
+    ///     are nan where the distance is inf or nan
+    ///
+    /// Exact for the spans, whose union is solid space.
+    ///
+    /// >>> found = slicewalk.open("room.slices").nearest_surfaces([[4, 3, 0.5], [4, 3, 1.2]], 1.0)
+    /// >>> found.distance.round(2), found.gradient[0].round(2)
+    /// (array([0.5, inf]), array([0., 0., 1.]))
+    #[pyo3(signature = (places, within, *, threads=None))]
+    fn nearest_surfaces<'py>(
         &self,
-        rays: &Bound<'py, PyAny>,
-        threads: Option<NonZeroUsize>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        {
-            let pages = self.set.pages(rays.py())?;
-            batch(rays, "rays", threads, |&[x, y, z, dx, dy, dz, max]: &[f64; 7]| {
-                let ray = Ray::new(Point3::new(x, y, z), Vector3::new(dx, dy, dz), max)?;
-                Ok(known(cast(pages, &ray), |hit| hit.map_or(f64::INFINITY, |hit| hit.distance)))
-            })
+        places: &Bound<'py, PyAny>,
+        within: f64,
+        threads: Threads,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        if within.is_nan() || within < 0.0 {
+            let text = format!("within: expected a distance of at least 0, found {within}");
+            return Err(PyValueError::new_err(text));
         }
+        let py = places.py();
+        let pages = self.set.pages(py)?;
+        let rows = batch_of_rows(places, "places", threads, |&place: &[f64; 3]| {
+            if !place.iter().all(|v| v.is_finite()) {
+                return refused("place", "its numbers must be finite");
+            }
+            let none = |distance| [distance, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN];
+            Ok(match nearest_surface(pages, place.into(), within) {
+                Answer::NotLoaded(_) => none(f64::NAN),
+                Answer::Known(None) => none(f64::INFINITY),
+                Answer::Known(Some(found)) => {
+                    let ([x, y, z], [dx, dy, dz]): ([f64; 3], [f64; 3]) = (found.point.into(), found.gradient.into());
+                    [found.distance, x, y, z, dx, dy, dz]
+                }
+            })
+        })?;
+        py.import("slicewalk._results")?.call_method1("surface_points", (rows,))
     }
 
     /// Returns the spans of solid at one place, lowest first.
@@ -316,10 +329,8 @@ impl Pages {
     /// >>> column.tops.round(2), column.obstacle
     /// (array([0. , 2.5]), array([False, False]))
     fn column(&self, py: Python<'_>, x: f64, y: f64) -> PyResult<Column> {
-        {
-            let pages = self.set.pages(py)?;
-            Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name()))
-        }
+        let pages = self.set.pages(py)?;
+        Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name()))
     }
 
     /// Returns the keys of all pages, in memory or not: int32 of shape (M, 3), each ``tx, ty, layer``.
@@ -331,13 +342,11 @@ impl Pages {
     ///        [1, 0, 0]], dtype=int32)
     fn keys<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         let mut keys = Vec::new();
-        {
-            let pages = self.set.pages(py)?;
-            for number in 0..pages.column_count() {
-                let (tx, ty, slots) = pages.column_at(number);
-                slots.iter().for_each(|slot| keys.extend([tx, ty, slot.layer()]));
-            }
-        };
+        let pages = self.set.pages(py)?;
+        for number in 0..pages.column_count() {
+            let (tx, ty, slots) = pages.column_at(number);
+            slots.iter().for_each(|slot| keys.extend([tx, ty, slot.layer()]));
+        }
         let count = keys.len() / 3;
         keys.into_pyarray(py).reshape([count, 3])
     }
@@ -352,10 +361,8 @@ impl Pages {
     /// ((64, 64), dtype('uint16'), False)
     fn page(&self, py: Python<'_>, key: &Bound<'_, PyAny>) -> PyResult<Option<Page>> {
         let key = arrays::key(key)?;
-        {
-            let pages = self.set.pages(py)?;
-            Page::of(pages, key).map_err(|failure| failure.raise(py, self.name()))
-        }
+        let pages = self.set.pages(py)?;
+        Page::of(pages, key).map_err(|failure| failure.raise(py, self.name()))
     }
 
     /// Returns all voxels of a region as arrays.
@@ -380,10 +387,8 @@ impl Pages {
     /// >>> archive.region(archive.bounds).occupied.sum() == archive.voxels
     /// np.True_
     fn region<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        {
-            let pages = self.set.pages(py)?;
-            region(py, pages, self.name(), bounds)
-        }
+        let pages = self.set.pages(py)?;
+        region(py, pages, self.name(), bounds)
     }
 
     /// Finds everything that a pawn can reach on foot.

@@ -12,7 +12,7 @@ use slicewalk::{Error, Monitor, Parameter};
 use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk_base::text::{counted, finite_number, whole_number};
 use slicewalk_convert::size::parse_size;
-use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, Preview, Report, convert, preview};
+use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, Preview, Report, convert, gap_width_m, preview};
 use slicewalk_convert::{PlanFile, ShardOptions, Tolerance, Turn};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
@@ -23,7 +23,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
-use values::{UpChoice, classes, epsg, length, part, scale_from, transform};
+use values::{Holes, UpChoice, classes, epsg, holes, length, part, scale_from, transform};
 
 /// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (PLY,
 /// SPZ, SOG, .splat, .ksplat, glTF) of any size into one slice archive, in bounded memory.
@@ -117,9 +117,10 @@ struct Arguments {
     #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
     removed: Option<PathBuf>,
     /// Close holes in floors of up to this width in metres (1 to 45 whole pixels) with floor inferred from around them;
-    /// the archive marks inferred floor. Takes one more pass, and temporary data of about the archive's size
-    #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
-    fill_holes: Option<f64>,
+    /// the archive marks inferred floor. `auto`: gaps between points, up to three times the scan's point spacing. Takes
+    /// one more pass (`auto` two), and temporary data of about the archive's size
+    #[arg(long, allow_negative_numbers = true, value_name = "auto|METRES", value_parser = holes)]
+    fill_holes: Option<Holes>,
     /// Axis of the input that points up (glTF files state it), or `auto` for scans and splats: the floor shows it, or it
     /// is refused as not sure, which takes one more pass over the input
     #[arg(long, default_value = "z", allow_hyphen_values = true, value_name = "auto|z|y|x|-z|-y|-x")]
@@ -407,7 +408,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
     options.plan.remove_moving = arguments.remove_moving;
     options.free_space = arguments.free_space;
-    options.fill_holes_m = arguments.fill_holes;
+    options.fill_holes_m = match arguments.fill_holes {
+        Some(Holes::Metres(metres)) => Some(metres),
+        _ => None,
+    };
     options.stations = arguments.stations.clone();
     options.removed = arguments.removed.clone();
     (options.plan.up, options.turn) = (arguments.up.axis, arguments.up.turn);
@@ -433,6 +437,13 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     options.resume = arguments.resume;
+    if arguments.fill_holes == Some(Holes::Auto) {
+        if arguments.plan.is_some() {
+            let line = "--fill-holes auto: a plan holds the width already; leave it out, or write another plan";
+            return Err(Failure::Usage(line.into()));
+        }
+        options.fill_holes_m = gaps(&options, monitor)?;
+    }
     if let Some(path) = &arguments.write_plan {
         let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
         let output = Output::create(path, kind, arguments.inputs.iter().collect())?;
@@ -454,6 +465,13 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         return Ok(Done::Preview(Box::new(preview(&options, monitor)?)));
     }
     Ok(Done::Archive(Box::new(convert(&options, monitor)?)))
+}
+
+/// Returns the width of the gaps between points, as far as pixels show them (m); `None` if these are wider.
+fn gaps(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<f64>, Failure> {
+    let PixelSize::Metres(pixel_m) = options.pixel else { return Ok(None) };
+    let widest_m = f64::from(slicewalk::plan::PlanOptions::MOST_FILL_PIXELS) * pixel_m;
+    Ok(gap_width_m(options, monitor)?.map(|width_m| width_m.min(widest_m)).filter(|width_m| *width_m >= pixel_m))
 }
 
 /// Refuses options on the command line that contradict the plan, whose options are `planned`.

@@ -16,6 +16,23 @@ pub fn length(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Width of the holes in floors to close.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Holes {
+    /// Gaps between points.
+    Auto,
+    /// Given in metres.
+    Metres(f64),
+}
+
+/// Parses `auto`, or a length.
+pub fn holes(text: &str) -> Result<Holes, String> {
+    match text {
+        "auto" => Ok(Holes::Auto),
+        _ => length(text).map(Holes::Metres).map_err(|_| "expected auto, or a length in metres above 0".into()),
+    }
+}
+
 /// Parses a class or a range of classes: `7`, `64-255`.
 pub fn classes(text: &str) -> Result<RangeInclusive<u8>, String> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));

@@ -288,11 +288,19 @@ impl Ways<'_> {
         let (mut search, start) = (Search::new(), reached.start.spot);
         let route = self.loader.known(|view| search.route(view, &region, &start, &end.spot, &NoMonitor))?;
         Ok(route.map(|Route { points, .. }| {
-            let pixel_m = self.loader.archive().frame().pixel_m();
+            // A stretch is straight in plan only: between its ends it has the heights of the ground that it crosses.
+            let ground = Ground::of(self.loader, &region);
             let mut places = vec![points[0]];
             for pair in points.windows(2) {
-                let steps = ((pair[1] - pair[0]).xy().norm() / pixel_m).ceil().max(1.0);
-                places.extend((1..=steps as usize).map(|n| pair[0] + (pair[1] - pair[0]) * (n as f64 / steps)));
+                let steps = ((pair[1] - pair[0]).xy().norm() / self.pixel_m()).ceil().max(1.0);
+                let mut level = pair[0].z;
+                for n in 1..steps as usize {
+                    let mut place = pair[0] + (pair[1] - pair[0]) * (n as f64 / steps);
+                    level = ground.level([place.x, place.y], level);
+                    place.z = level;
+                    places.push(place);
+                }
+                places.push(pair[1]);
             }
             places
         }))
@@ -337,20 +345,26 @@ impl Ground {
         let pixel_m = loader.archive().frame().pixel_m();
         let mut ground = Self { pixel_m, climb: region.pawn().climb, pixels: HashMap::new(), cells: HashMap::new() };
         for place in region.places() {
-            let at = ground.pixel(&place.feet);
+            let at = ground.pixel(place.feet.x, place.feet.y);
             ground.pixels.entry(at).or_default().push(place.feet.z);
             ground.cells.entry(cell(&place.feet)).or_default().push(place.feet);
         }
         ground
     }
 
-    fn pixel(&self, at: &Point3<f64>) -> [i64; 2] {
-        [at.x, at.y].map(|v| (v / self.pixel_m).floor() as i64)
+    fn pixel(&self, x: f64, y: f64) -> [i64; 2] {
+        [x, y].map(|v| (v / self.pixel_m).floor() as i64)
+    }
+
+    /// The height of the ground at a place that is nearest to the height `near`, or `near` if there is none.
+    fn level(&self, [x, y]: [f64; 2], near: f64) -> f64 {
+        let all = self.pixels.get(&self.pixel(x, y)).into_iter().flatten().copied();
+        all.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())).unwrap_or(near)
     }
 
     /// Whether the place is reached.
     fn holds(&self, at: &Point3<f64>) -> bool {
-        let all = self.pixels.get(&self.pixel(at));
+        let all = self.pixels.get(&self.pixel(at.x, at.y));
         all.is_some_and(|all| all.iter().any(|z| (z - at.z).abs() <= self.climb.max(self.pixel_m)))
     }
 

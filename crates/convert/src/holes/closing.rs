@@ -11,12 +11,14 @@
 //! - the pixel has nothing solid up to a climb above, and nothing below but a ceiling close under the floor: anything
 //!   scanned through a hole shows that the hole is real.
 //!
-//! The height is the mean of the heights interpolated along the axes. Everything follows from the spans within
-//! [`reach`](Closer::reach) pixels, in integer arithmetic.
+//! The height is the mean of the heights interpolated along the axes. All widths from one pixel up to the widest are
+//! closed in turn, and no width undoes what a narrower one has closed: a larger `k` never closes less. Everything
+//! follows from the spans within [`reach`](Closer::reach) pixels, in integer arithmetic.
 
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
 use crate::page::Page;
 use crate::plan::PlanOptions;
+use std::collections::BTreeSet;
 
 /// Greatest height difference of floors around a hole (m), unless a pixel is larger.
 const CLIMB_M: f64 = 0.35;
@@ -175,19 +177,18 @@ fn has(bits: &[Row; EDGE], x: usize, y: usize) -> bool {
 
 /// Finder of holes, with its scratch memory.
 pub(crate) struct Closer {
-    /// Widest hole (pixels).
+    /// Widest hole, and the width that is being closed now (pixels).
+    most: usize,
     widest: usize,
     /// Quarter of a climb, thickest ceiling, lowest room (quanta).
     step: i64,
     ceiling: i64,
     room: i64,
-    /// Rows of the disc: first pixel and number of pixels.
-    disc: Vec<(usize, usize)>,
+    /// Rows of the disc of each width: first pixel and number of pixels.
+    discs: Vec<Vec<(usize, usize)>>,
     floor: Bits,
     /// Floors in window order: number of the quarter climb that holds the top, pixel.
     floors: Vec<(i64, u16)>,
-    /// Top of each pixel's highest fill.
-    highest: Vec<Option<i64>>,
     scratch: [Bits; 3],
 }
 
@@ -195,16 +196,16 @@ impl Closer {
     /// Creates a finder of holes up to `widest` pixels wide, 1 to [`PlanOptions::MOST_FILL_PIXELS`].
     pub(super) fn new(frame: &Frame, widest: u8) -> Self {
         let quanta = |metres: f64| (metres / frame.quantum_m()).round().clamp(1.0, 1e12) as i64;
-        let widest = usize::from(widest.clamp(1, PlanOptions::MOST_FILL_PIXELS));
+        let most = usize::from(widest.clamp(1, PlanOptions::MOST_FILL_PIXELS));
         Self {
-            widest,
+            most,
+            widest: most,
             step: (quanta(CLIMB_M.max(frame.pixel_m())) / WINDOWS).max(1),
             ceiling: quanta(CEILING_M),
             room: quanta(ROOM_M),
-            disc: disc(widest + 1),
+            discs: (0..=most).map(|width| disc(width + 1)).collect(),
             floor: bits(NONE),
             floors: Vec::new(),
-            highest: Vec::new(),
             scratch: [bits(NONE), bits(NONE), bits(NONE)],
         }
     }
@@ -226,9 +227,17 @@ impl Closer {
             }
         }
         floors.sort_unstable();
-        self.highest.clear();
-        self.highest.resize((TILE_PIXELS * TILE_PIXELS) as usize, None);
-        let mut fills: Vec<Fill> = Vec::new();
+        let mut fills: BTreeSet<Fill> = BTreeSet::new();
+        for width in 1..=self.most {
+            self.widest = width;
+            self.close_width(around, &floors, &mut fills);
+        }
+        self.floors = floors;
+        fills.into_iter().collect()
+    }
+
+    /// Adds the fills of holes of the current width.
+    fn close_width(&mut self, around: &Around<'_>, floors: &[(i64, u16)], fills: &mut BTreeSet<Fill>) {
         let mut first = 0;
         let (mut last_window, mut last_range) = (None, 0..0);
         while first < floors.len() {
@@ -243,18 +252,15 @@ impl Closer {
                 let to = floors.partition_point(|floor| floor.0 < window + WINDOWS);
                 // The next window often holds the same floors, with the same result.
                 if std::mem::replace(&mut last_range, from..to) != (from..to) {
-                    self.window(around, window, &floors[from..to], &mut fills);
+                    self.window(around, window, &floors[from..to], fills);
                 }
             }
             first = floors.partition_point(|floor| floor.0 <= quarter);
         }
-        self.floors = floors;
-        fills.sort_unstable();
-        fills
     }
 
     /// Adds the fills found among the `floors` of a window.
-    fn window(&mut self, around: &Around<'_>, window: i64, floors: &[(i64, u16)], fills: &mut Vec<Fill>) {
+    fn window(&mut self, around: &Around<'_>, window: i64, floors: &[(i64, u16)], fills: &mut BTreeSet<Fill>) {
         self.floor.fill(NONE);
         for &(_, pixel) in floors {
             let (x, y) = (usize::from(pixel) % EDGE, usize::from(pixel) / EDGE);
@@ -276,11 +282,12 @@ impl Closer {
                 left &= left - 1;
                 let pixel = ((y - CORE.0) << 6 | (x - CORE.0)) as u16;
                 let Some((bottom, top)) = self.height(around, (x, y), &heights) else { continue };
-                // Windows overlap, so most holes are closed in several of them: fill each once.
-                let again = self.highest[usize::from(pixel)].is_some_and(|below| bottom <= below + climb);
+                // Windows and widths overlap, so most holes are closed in several of them: fill each once.
+                let near = |height: i64| Fill { pixel, bottom: height, top: i64::MIN };
+                let mut fills_near = fills.range(near(bottom - climb - 1)..near(top + climb + 1));
+                let again = fills_near.any(|fill| bottom <= fill.top + climb);
                 if !again && self.is_free(spans_at(around, x, y), bottom, top) {
-                    fills.push(Fill { pixel, bottom, top });
-                    self.highest[usize::from(pixel)] = Some(top);
+                    fills.insert(Fill { pixel, bottom, top });
                 }
             }
         }
@@ -288,7 +295,8 @@ impl Closer {
 
     /// Sets the first scratch to the void that is narrow and not next to open void.
     fn narrow(&mut self) {
-        let Self { floor, disc, scratch: [narrow, open, fits], widest, .. } = self;
+        let Self { floor, discs, scratch: [narrow, open, fits], widest, .. } = self;
+        let disc = &discs[*widest];
         // Positions of the disc (first pixel and row) that lie in void; all is void beyond the edge.
         fits.fill(ONES);
         let mut run = bits(NONE);

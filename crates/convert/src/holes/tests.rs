@@ -59,8 +59,15 @@ fn closed(world: &World, widest: u8) -> BTreeSet<(Pixel, i64, i64)> {
         .collect()
 }
 
-/// Computes the fills of tile (0, 0) by the definition.
+/// Computes the fills of tile (0, 0) by the definition: those of each width in turn.
 fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
+    let mut found = BTreeMap::new();
+    (1..=widest).for_each(|width| add_by_definition(world, width, &mut found));
+    found.into_iter().flat_map(|(at, fills)| fills.into_iter().map(move |(b, t)| (at, b, t))).collect()
+}
+
+/// Adds the fills of holes of one width to those found so far.
+fn add_by_definition(world: &World, widest: i64, found: &mut BTreeMap<Pixel, Vec<(i64, i64)>>) {
     let step = quanta(0.35) / 4;
     let across = widest + 1;
     let in_disc = |x: i64, y: i64| {
@@ -70,8 +77,7 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
     let disc: Vec<Pixel> =
         (0..across).flat_map(|y| (0..across).map(move |x| (x, y))).filter(|&(x, y)| in_disc(x, y)).collect();
     let tops = || world.values().flatten().filter(|span| span.2).map(|span| span.1);
-    let (Some(low), Some(high)) = (tops().min(), tops().max()) else { return BTreeSet::new() };
-    let mut found: BTreeMap<Pixel, Vec<(i64, i64)>> = BTreeMap::new();
+    let (Some(low), Some(high)) = (tops().min(), tops().max()) else { return };
     for window in low.div_euclid(step) - 3..=high.div_euclid(step) {
         let heights = window * step..(window + 4) * step;
         let floor: BTreeMap<Pixel, i64> = world
@@ -125,7 +131,7 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
             let spans = world.get(&(x, y)).map_or(&[][..], |spans| spans);
             let climb = 4 * step;
             let others = found.entry((x, y)).or_default();
-            if others.last().is_some_and(|fill| bottom <= fill.1 + climb)
+            if others.iter().any(|fill| bottom <= fill.1 + climb && fill.0 <= top + climb)
                 || spans.iter().any(|span| span.1 >= bottom && span.0 <= top + climb)
             {
                 continue;
@@ -141,7 +147,6 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
             }
         }
     }
-    found.into_iter().flat_map(|(at, fills)| fills.into_iter().map(move |(b, t)| (at, b, t))).collect()
 }
 
 /// Flat floor at `height` in the tile and 60 pixels around it, where `holds` returns true.
@@ -202,6 +207,17 @@ proptest! {
     fn holes_are_those_of_the_definition(world in world(), widest in prop::sample::select(vec![1u8, 2, 3, 5, 8])) {
         let (found, expected) = (closed(&world, widest), by_definition(&world, widest.into()));
         prop_assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn a_larger_width_never_closes_less(world in world()) {
+        let mut before = BTreeSet::new();
+        for widest in [1u8, 2, 3, 4, 6, 9, 13, 20, 45] {
+            let found = closed(&world, widest);
+            let lost: Vec<_> = before.difference(&found).collect();
+            prop_assert!(lost.is_empty(), "{} pixels close less: {:?}", widest, lost);
+            before = found;
+        }
     }
 }
 

@@ -35,8 +35,9 @@ except ImportError as _error:
     _message = "slicewalk cannot be imported in a subinterpreter; use threads of the main interpreter, or processes"
     raise ImportError(_message) from None
 
+from slicewalk._bridges import OccupancyGrid, from_numpy, to_occupancy_grid, to_octomap, to_open3d
 from slicewalk._options import ConvertOptions, PlanOptions, WriterOptions
-from slicewalk._results import Extreme, Leak, Passage, Path, Reach, Region, Route, StepReport, Storey
+from slicewalk._results import Extreme, Leak, Passage, Path, Reach, Region, Route, StepReport, Storey, SurfacePoints
 from slicewalk.errors import (
     CancelledError,
     Error,
@@ -79,6 +80,7 @@ __all__ = [
     "MissingFileError",
     "NotDurableError",
     "NotLoadedError",
+    "OccupancyGrid",
     "OutputError",
     "Page",
     "Pages",
@@ -93,6 +95,7 @@ __all__ = [
     "StepReport",
     "Storey",
     "Stream",
+    "SurfacePoints",
     "UnsupportedError",
     "View",
     "Walker",
@@ -100,8 +103,12 @@ __all__ = [
     "WriterOptions",
     "__version__",
     "convert",
+    "from_numpy",
     "merge",
     "open",
+    "to_occupancy_grid",
+    "to_octomap",
+    "to_open3d",
     "write_plan",
 ]
 

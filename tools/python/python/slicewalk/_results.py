@@ -56,6 +56,12 @@ class Region:
         """Lower end of each slice (m)."""
         return (self.first[2] + np.arange(self.kind.shape[0], dtype=np.float64)) * self.slice_height
 
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Middle of each occupied voxel (m), of shape (N, 3), in the order of ``kind[occupied]``."""
+        slices, rows, columns = np.nonzero(self.kind)
+        return np.column_stack([self.x[columns], self.y[rows], self.z[slices] + 0.5 * self.slice_height])
+
     def __repr__(self) -> str:
         """Return size and counts of voxels."""
         count = " × ".join(map(str, self.kind.shape))
@@ -82,6 +88,22 @@ class Region:
         places = {"z": middles, "y": self.y, "x": self.x}
         facts = {"pixel_size": self.pixel_size, "slice_height": self.slice_height}
         return xarray.Dataset(fields, places, facts)
+
+
+class SurfacePoints(NamedTuple):
+    """The nearest places on the surface of solid space; see :meth:`Pages.nearest_surfaces`.
+
+    `distance` has the shape (N,), `point` and `gradient` have (N, 3).
+    """
+
+    distance: NDArray[np.float64]
+    point: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+
+def surface_points(rows: NDArray[np.float64]) -> SurfacePoints:
+    """Split rows of seven numbers: distance, point, gradient."""
+    return SurfacePoints(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
 
 
 class Storey(NamedTuple):

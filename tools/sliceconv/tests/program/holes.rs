@@ -276,6 +276,36 @@ fn order_threads_memory_and_parts_change_no_byte_and_marks_outlive_what_makes_ar
 }
 
 #[test]
+fn gaps_between_sparse_points_are_closed_by_the_measured_width() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // A floor of 20 × 20 m with a point in each square of 0.25 m, anywhere in it.
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 40) as f64 / (1u64 << 24) as f64
+    };
+    let points: Vec<[f64; 3]> = (0..80 * 80)
+        .map(|n| [(f64::from(n % 80) + random()) * 0.25, (f64::from(n / 80) + random()) * 0.25, 0.002])
+        .collect();
+    scans::write(&at.join("a.las"), &points);
+    let inferred = |options: &[&'static str]| {
+        let archive = convert(at, &["a.las"], options, "a.slices");
+        (archive.plan().options.fill_holes, archive.header().voxels.inferred)
+    };
+    assert_eq!(inferred(&[]), (0, 0));
+    let (pixels, voxels) = inferred(&["--fill-holes", "auto"]);
+    // The nearest point lies about 0.15 m off; 34,000 of the 40,000 pixels hold none.
+    assert!((3..=6).contains(&pixels) && voxels > 12_000, "{pixels} pixels wide: {voxels} voxels");
+    // Pixels wider than the gaps have none.
+    converts(at, &["a.las", "--pixel", "1", "--fill-holes", "auto", "--quiet", "-o", "wide.slices"]);
+    assert_eq!(Archive::open(at.join("wide.slices")).unwrap().plan().options.fill_holes, 0);
+    converts(at, &["a.las", "--pixel", "0.1", "--fill-holes", "auto", "--quiet", "--write-plan", "p.json"]);
+    let said = refuses(at, &["a.las", "--plan", "p.json", "--fill-holes", "auto", "-o", "b.slices"], 2);
+    assert!(said.contains("--fill-holes auto: a plan holds the width"), "{said}");
+}
+
+#[test]
 fn widths_that_make_no_sense_are_refused_by_the_option_and_a_plan_keeps_the_width() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

@@ -26,6 +26,7 @@ mod reach;
 mod scene;
 mod seen;
 mod serve;
+mod sparse;
 #[cfg(feature = "remote")]
 mod stores;
 mod walk;

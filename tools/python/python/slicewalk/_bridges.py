@@ -1,0 +1,228 @@
+"""Bridges to other programs, without ROS: occupancy grids, OctoMap, Open3D, and arrays of points."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slicewalk._slicewalk import Writer
+from slicewalk._slicewalk import open as open_archive
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+    from typing_extensions import Unpack
+
+    from slicewalk._options import WriterOptions
+    from slicewalk._results import Region
+    from slicewalk._slicewalk import Archive, Pages
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+_EDGE = 1 << 16
+_SOLID, _INNER = 2, 3
+_LEVELS = 16
+_QUANTA = 255
+_HIT, _NOT_LOADED = 1, 2
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file all or nothing: beside its target, then renamed."""
+    handle, made = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        Path(made).chmod(0o644)
+        Path(made).replace(path)
+    except BaseException:
+        Path(made).unlink(missing_ok=True)
+        raise
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid:
+    """Free and occupied pixels of a storey, as ``nav_msgs/OccupancyGrid`` has them; see :func:`to_occupancy_grid`.
+
+    Attributes:
+        data: int8 of shape (rows along y, columns along x): 0 free, 100 occupied, -1 unknown
+        resolution: edge of a pixel (m)
+        origin: x and y of the lower corner of the first pixel (m)
+
+    """
+
+    data: NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``NAME.yaml`` and ``NAME.pgm`` for the map server of Nav2.
+
+        >>> grid = slicewalk.to_occupancy_grid(slicewalk.open("room.slices"), 0.0)
+        >>> grid.save("room.yaml")
+        """
+        path = Path(path)
+        image = path.with_suffix(".pgm")
+        grey: NDArray[np.uint8] = np.full(self.data.shape, 205, np.uint8)
+        grey[self.data == FREE], grey[self.data == OCCUPIED] = 254, 0
+        rows, columns = grey.shape
+        _write(image, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
+        x, y = self.origin
+        text = f"image: {image.name}\nmode: trinary\nresolution: {self.resolution!r}\norigin: [{x!r}, {y!r}, 0.0]\n"
+        _write(path, (text + "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n").encode())
+
+
+def _box(pages: Pages, bounds: ArrayLike | None) -> NDArray[np.float64]:
+    """Return the bounds, or those of the archive, as two corners."""
+    given = getattr(pages, "bounds", None) if bounds is None else bounds
+    if given is None:
+        message = "bounds: expected xmin, ymin, zmin, xmax, ymax, zmax; a view and an empty archive have none"
+        raise ValueError(message)
+    return np.asarray(given, np.float64).reshape(2, 3)
+
+
+def to_occupancy_grid(
+    pages: Pages,
+    z: float,
+    *,
+    pawn: tuple[float, float] = (0.1, 1.8),
+    climb: float = 0.35,
+    bounds: ArrayLike | None = None,
+) -> OccupancyGrid:
+    """Return where a round pawn fits on the floor at about a height.
+
+    Each pixel is decided by the pawn's body above the climb height, over the highest floor within the climb height of
+    `z`, or over `z` if there is none: occupied if the body meets solid; free if it meets none and has a floor; else, or
+    if a page of a view is not loaded, unknown.
+
+    Args:
+        pages: an archive or a view
+        z: height of the floor (m)
+        pawn: radius and height (m)
+        climb: highest step (m)
+        bounds: region; all of an archive by default
+
+    >>> grid = slicewalk.to_occupancy_grid(slicewalk.open("room.slices"), 0.0)
+    >>> grid.data.shape, int((grid.data == 0).sum()), int((grid.data == 100).sum())
+    ((60, 80), 4256, 544)
+
+    """
+    low, high = _box(pages, bounds)
+    pixel, (radius, height) = pages.pixel_size, pawn
+    first = np.floor(low[:2] / pixel).astype(np.int64)
+    columns, rows = (np.floor(high[:2] / pixel).astype(np.int64) - first + 1).tolist()
+    x, y = np.meshgrid(*((np.arange(n) + k + 0.5) * pixel for n, k in zip((columns, rows), first, strict=True)))
+    middle = np.column_stack([x.ravel(), y.ravel()])
+    ends = np.full((len(middle), 1), z)
+    floor = pages.floor(np.hstack([middle, ends - climb, middle, ends + climb]))
+    unloaded, has_floor = np.isnan(floor), floor > -np.inf
+    feet = np.where(has_floor, floor, z) + climb
+    rest = [np.full(len(middle), radius), np.full(len(middle), max(height - climb, 0.05))]
+    met = pages.overlaps_cylinders(np.column_stack([middle, feet, *rest]))
+    choices = {UNKNOWN: unloaded | (met == _NOT_LOADED), OCCUPIED: met == _HIT, FREE: has_floor}
+    data = np.select(list(choices.values()), list(choices), UNKNOWN).astype(np.int8)
+    origin = (float(first[0] * pixel), float(first[1] * pixel))
+    return OccupancyGrid(data.reshape(rows, columns), pixel, origin)
+
+
+def _cubes(region: Region) -> NDArray[np.int64]:
+    """Return the cubes with the edge of a pixel that the solid of a region reaches, each once: x, y, z."""
+    slices, rows, columns = np.nonzero(region.kind)
+    base = (slices + region.first[2]) * _QUANTA
+    low, high = (base + part[slices, rows, columns].astype(np.int64) for part in (region.bottom, region.top))
+    ratio = region.slice_height / region.pixel_size
+    if abs(ratio - round(ratio)) <= 1e-12 * ratio and round(ratio) >= 1:
+        low, high = low * round(ratio) // _QUANTA, -(-high * round(ratio) // _QUANTA)
+    else:
+        scale = ratio / _QUANTA
+        low, high = np.floor(low * scale).astype(np.int64), np.ceil(high * scale).astype(np.int64)
+    count = np.maximum(high - low, 1)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    flat = [np.repeat(part + k, count) for part, k in zip((columns, rows), region.first, strict=False)]
+    cubes: NDArray[np.int64] = np.unique(np.column_stack([*flat, np.repeat(low, count) + within]), axis=0)
+    return cubes
+
+
+def _codes(cubes: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Return the path of each cube from the root, three bits a level."""
+    shifted = (cubes + _EDGE // 2).astype(np.uint64)
+    codes = np.zeros(len(cubes), np.uint64)
+    for level in range(_LEVELS):
+        for axis in range(3):
+            codes |= (shifted[:, axis] >> np.uint64(level) & np.uint64(1)) << np.uint64(3 * level + axis)
+    return np.sort(codes)
+
+
+def _tree(codes: NDArray[np.uint64]) -> tuple[int, bytes]:
+    """Return the number of nodes of a tree of OctoMap, and its nodes depth first."""
+    states = np.full(len(codes), _SOLID, np.uint64)
+    keys, levels, masks, nodes = [], [], [], 1
+    for level in range(_LEVELS):
+        parents, begins = np.unique(codes >> np.uint64(3), return_index=True)
+        bits = states << (np.uint64(2) * (codes & np.uint64(7)))
+        mask = np.add.reduceat(bits, begins)
+        # Eight solid children are one solid leaf; the root always is a node.
+        full = (mask == 0xAAAA) & (level < _LEVELS - 1)
+        keys.append(parents[~full] << np.uint64(3 * (level + 1)))
+        levels.append(np.full(len(keys[-1]), -level))
+        masks.append(mask[~full].astype("<u2"))
+        nodes += int(np.diff(begins, append=len(codes))[~full].sum())
+        codes, states = parents, np.where(full, _SOLID, _INNER).astype(np.uint64)
+    order = np.lexsort([np.concatenate(levels), np.concatenate(keys)])
+    return nodes, np.concatenate(masks)[order].tobytes()
+
+
+def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike | None = None) -> int:
+    """Write the solid of a region as an octree of OctoMap (``.bt``), and return the number of its cubes.
+
+    Cubes have the edge of a pixel and are occupied if a span reaches into them, as in ``slicetool export``. Memory: the
+    region; for more, use ``slicetool export``.
+
+    Raises:
+        ValueError: the region is farther than 2¹⁵ pixels from the origin, or holds nothing
+
+    >>> slicewalk.to_octomap(slicewalk.open("room.slices"), "room.bt") > 10_000
+    True
+    >>> slicewalk.convert("room.bt", "cubes.slices")["cubes_read"] > 0
+    True
+
+    """
+    region = pages.region(_box(pages, bounds))
+    cubes = _cubes(region)
+    if len(cubes) == 0 or np.abs(cubes).max() >= _EDGE // 2:
+        message = "bounds: expected solid within 32,768 pixels of the origin, the size of a tree; give other bounds"
+        raise ValueError(message)
+    nodes, data = _tree(_codes(cubes))
+    head = f"# Octomap OcTree binary file\nid OcTree\nsize {nodes}\nres {region.pixel_size!r}\ndata\n"
+    _write(Path(path), head.encode() + data)
+    return len(cubes)
+
+
+def to_open3d(pages: Pages, *, bounds: ArrayLike | None = None) -> Any:
+    """Return an ``open3d.geometry.PointCloud``: the middle of each occupied voxel, floors green and obstacles red.
+
+    Needs the package open3d.
+    """
+    open3d = importlib.import_module("open3d")
+    region = pages.region(_box(pages, bounds))
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(region.points))
+    colours = np.where((region.kind[region.occupied] == 2)[:, None], (0.8, 0.2, 0.2), (0.2, 0.7, 0.3))
+    cloud.colors = open3d.utility.Vector3dVector(colours)
+    return cloud
+
+
+def from_numpy(
+    points: ArrayLike, output: str | os.PathLike[str], *, pixel: float, **options: Unpack[WriterOptions]
+) -> Archive:
+    """Convert an array of points, N × 3 in metres, to an archive, and open it; `options` are those of :class:`Writer`.
+
+    >>> points = np.random.default_rng(0).uniform(0, 4, (10_000, 3)) * (1, 1, 0)
+    >>> slicewalk.from_numpy(points, "plane.slices", pixel=0.1, force=True).points_kept
+    10000
+    """
+    with Writer(output, pixel=pixel, **options) as writer:
+        writer.write(points)
+    return open_archive(output)

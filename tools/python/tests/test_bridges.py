@@ -1,0 +1,173 @@
+"""Bridges to other programs: grids, octrees, clouds, arrays; and distances, compared with plain numpy."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import scan
+import slicewalk
+
+
+def leaves(path):
+    """Occupied leaves of a ``.bt`` by the format's description: corners and edges in cubes, and the resolution."""
+    head, data = path.read_bytes().split(b"\ndata\n", 1)
+    assert head.startswith(b"# Octomap OcTree binary file\n")
+    fields = dict(line.split(" ", 1) for line in head.decode().splitlines() if not line.startswith("#"))
+    found, at, nodes = [], 0, 1
+
+    def visit(corner, edge):
+        nonlocal at, nodes
+        children = int.from_bytes(data[at : at + 2], "little")
+        at += 2
+        for child in range(8):
+            bits, half = children >> 2 * child & 3, edge // 2
+            below = tuple(corner[axis] + half * (child >> axis & 1) for axis in range(3))
+            nodes += bits != 0
+            if bits == 2:
+                found.append((below, half))
+            elif bits == 3:
+                visit(below, half)
+
+    visit((-(1 << 15),) * 3, 1 << 16)
+    assert at == len(data)
+    assert nodes == int(fields["size"])
+    return found, float(fields["res"])
+
+
+def cells(found):
+    return {
+        (x + a, y + b, z + c)
+        for (x, y, z), edge in found
+        for a in range(edge)
+        for b in range(edge)
+        for c in range(edge)
+    }
+
+
+def test_octomap_holds_the_cubes_of_the_points(rubble, tmp_path):
+    points, archive = rubble
+    path = tmp_path / "a.bt"
+    count = slicewalk.to_octomap(archive, path)
+    found, resolution = leaves(path)
+    cubes = cells(found)
+    assert (resolution, len(cubes)) == (archive.pixel_size, count)
+    # A point on the border of two cubes may lie within a rounding error of either.
+    nudges = [np.array(nudge) for nudge in itertools.product((-1e-6, 1e-6), repeat=3)]
+    around = np.stack([np.floor((points + nudge) / resolution).astype(int) for nudge in nudges], axis=1).tolist()
+    assert all(any(tuple(cube) in cubes for cube in near) for near in around)
+    # Converted again, a cube is a voxel.
+    slicewalk.convert(path, tmp_path / "a.slices")
+    again = slicewalk.open(tmp_path / "a.slices")
+    assert (again.voxels, again.pixel_size, again.slice_height) == (count, resolution, resolution)
+    assert slicewalk.to_octomap(again, tmp_path / "b.bt") == count
+    assert (tmp_path / "b.bt").read_bytes() == path.read_bytes()
+
+
+def test_full_blocks_of_cubes_are_joined(tmp_path):
+    steps = np.arange(-0.375, 0.4, 0.05)
+    points = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    archive = slicewalk.from_numpy(points, tmp_path / "a.slices", pixel=0.1, slice=0.1)
+    count = slicewalk.to_octomap(archive, tmp_path / "a.bt")
+    found, _ = leaves(tmp_path / "a.bt")
+    assert len(cells(found)) == count == 512
+    assert sorted(edge for _, edge in found) == [4] * 8
+    with pytest.raises(ValueError, match="32,768"):
+        slicewalk.to_octomap(archive, tmp_path / "b.bt", bounds=(5, 5, 5, 6, 6, 6))
+
+
+def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
+    archive = slicewalk.open(folder / "room.slices")
+    grid = slicewalk.to_occupancy_grid(archive, 0.0, bounds=(-1, -1, 0, 9, 7, 2))
+    rows, columns = grid.data.shape
+    x, y = np.meshgrid(
+        grid.origin[0] + (np.arange(columns) + 0.5) * 0.1, grid.origin[1] + (np.arange(rows) + 0.5) * 0.1
+    )
+    inside = (x > 0.25) & (x < 7.75) & (y > 0.25) & (y < 5.75)
+    outside = (x < -0.15) | (x > 8.15) | (y < -0.15) | (y > 6.15)
+    wall = (x > 0) & (x < 0.1) & (y > 0) & (y < 6)
+    assert (grid.data[inside] == 0).all()
+    assert (grid.data[outside] == -1).all()
+    assert (grid.data[wall] == 100).all()
+    grid.save(tmp_path / "room.yaml")
+    text = (tmp_path / "room.yaml").read_text()
+    assert "image: room.pgm" in text
+    assert "resolution: 0.1" in text
+    image = (tmp_path / "room.pgm").read_bytes()
+    assert image.startswith(f"P5\n{columns} {rows}\n255\n".encode())
+    grey = np.frombuffer(image[-rows * columns :], np.uint8).reshape(rows, columns)[::-1]
+    assert (grey[inside] == 254).all()
+    assert (grey[wall] == 0).all()
+    assert (grey[outside] == 205).all()
+    # Two metres up there is no floor: the room is unknown, its walls are in the way.
+    high = slicewalk.to_occupancy_grid(archive, 1.0, pawn=(0.1, 1.0))
+    assert set(np.unique(high.data)) == {-1, 100}
+    # Nothing is known where no page is loaded, and a view needs bounds.
+    with slicewalk.Stream(archive, "64MiB", prefetch=False) as stream:
+        bare = slicewalk.to_occupancy_grid(stream.view(), 0.0, bounds=archive.bounds)
+        assert (bare.data == -1).all()
+        with pytest.raises(ValueError, match="bounds"):
+            slicewalk.to_occupancy_grid(stream.view(), 0.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["room.pgm", "room.yaml"]
+
+
+def test_arrays_become_archives_and_points_again(tmp_path):
+    points = scan.rubble(3000, 2)
+    archive = slicewalk.from_numpy(points, tmp_path / "a.slices", pixel=scan.PIXEL)
+    assert archive.points_kept == len(points)
+    region = archive.region(archive.bounds)
+    assert region.points.shape == (archive.voxels, 3)
+    apart = np.abs(region.points[None] - points[::50, None])
+    half = np.array([scan.PIXEL, scan.PIXEL, scan.SLICE]) / 2 + 1e-9
+    assert (apart <= half).all(axis=2).any(axis=1).all(), "every point lies in an occupied voxel"
+    with pytest.raises(slicewalk.Error, match="force"):
+        slicewalk.from_numpy(points, tmp_path / "a.slices", pixel=scan.PIXEL)
+
+
+def test_open3d_gets_voxels(folder):
+    open3d = pytest.importorskip("open3d")
+    archive = slicewalk.open(folder / "room.slices")
+    cloud = slicewalk.to_open3d(archive)
+    assert isinstance(cloud, open3d.geometry.PointCloud)
+    assert len(cloud.points) == len(cloud.colors) == archive.voxels
+
+
+def test_the_nearest_surface_is_that_of_the_spans(rubble):
+    _, archive = rubble
+    low, high = archive.bounds
+    random = np.random.default_rng(3)
+    places = random.uniform(low - 0.5, high + 0.5, (4000, 3))
+    within = 0.6
+    region = archive.region(archive.bounds)
+    slices, rows, columns = np.nonzero(region.kind)
+    corner = np.column_stack([columns + region.first[0], rows + region.first[1]]) * archive.pixel_size
+    heights = [
+        ((slices + region.first[2]) * 255 + part[region.occupied].astype(int)) * archive.height_quantum
+        for part in (region.bottom, region.top)
+    ]
+    low_end, high_end = (np.column_stack([corner + k * archive.pixel_size, z]) for k, z in enumerate(heights))
+    expected = np.array(
+        [
+            np.sqrt((np.maximum(np.maximum(low_end - place, place - high_end), 0) ** 2).sum(axis=1)).min()
+            for place in places
+        ]
+    )
+    found = archive.nearest_surfaces(places, within)
+    outside = expected > 1e-9
+    near = outside & (expected <= within)
+    assert np.allclose(found.distance[near], expected[near], atol=1e-9)
+    assert np.isinf(found.distance[outside & (expected > within)]).all()
+    assert (found.distance[~outside] <= 1e-9).all()
+    assert np.isnan(found.point[np.isinf(found.distance)]).all()
+    reached = np.isfinite(found.distance) & (np.abs(found.distance) > 1e-6)
+    back = places - found.gradient * found.distance[:, None]
+    assert np.allclose(back[reached], found.point[reached], atol=1e-9)
+    assert near.sum() > 500
+    with pytest.raises(ValueError, match="finite"):
+        archive.nearest_surfaces([[0, 0, np.nan]], 1)
+    with pytest.raises(ValueError, match="within"):
+        archive.nearest_surfaces([[0, 0, 0]], -1)
+    with slicewalk.Stream(archive, "64MiB", prefetch=False) as stream:
+        assert np.isnan(stream.view().nearest_surfaces(places[near][:1], within).distance).all()
