@@ -142,7 +142,7 @@ impl ColourQueue {
     /// Returns when to ask again if only time must pass.
     pub fn again(&self, now: Time) -> Option<Time> {
         let room = self.lacks_room.then(|| now + ROOM_AGAIN);
-        self.retry.at().or(room).filter(|_| !self.wanted.is_empty())
+        self.retry.at().or(room).filter(|again| *again > now && !self.wanted.is_empty())
     }
 
     pub fn is_ready(&self) -> bool {

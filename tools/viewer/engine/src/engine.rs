@@ -205,7 +205,9 @@ impl Engine {
     pub fn failed(&mut self, fetch: u32, message: &str, now_ms: f64) {
         let Some((part, id)) = self.fetches.remove(fetch) else { return };
         let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
-        self.loader_of(part).into_iter().for_each(|loader| loader.failed(id, error, time(now_ms)));
+        if let Some(loader) = self.loader_of(part) {
+            loader.failed(id, error, time(now_ms));
+        }
     }
 
     /// Decodes the bytes of one fetch; returns whether there were any.
