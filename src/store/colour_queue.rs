@@ -529,13 +529,14 @@ mod tests {
         assert!(matches!(loader.poll(Time::ZERO).unwrap(), Next::Wait(Some(_))), "it looks for room again");
         drop(taken);
         assert!(asked(&mut loader, Time::ZERO).is_some());
+        let mut loader = whole(&bytes, 64 << 20);
         // Every bit of the table, of the leaf and of a block.
         let catalog = archive_of(&bytes);
         let section = catalog.catalog().colours_section().unwrap();
         for byte in section.clone().step_by(((section.end - section.start) / 60) as usize).chain([section.end - 1]) {
             let mut damaged = bytes.clone();
             damaged[byte as usize] ^= 0x10;
-            let mut loader = whole(&bytes, 64 << 20);
+            loader.colours = None;
             loader.want_colours(&all);
             let mut errors = Vec::new();
             for _ in 0..200 {
