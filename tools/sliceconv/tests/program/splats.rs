@@ -93,7 +93,7 @@ fn options_leave_out_what_they_say() {
 /// Balls of the same solid part, of these opacities, each far from the others.
 fn balls(opacities: &[f64]) -> Vec<Splat> {
     let ball = |(number, &opacity): (usize, &f64)| {
-        let scale = 0.35 / (2.0 * (opacity / 0.1).ln()).sqrt();
+        let scale = 0.33 / (2.0 * (opacity / 0.1).ln()).sqrt();
         ([4.0 * number as f64 + 0.05, 0.05, 0.15], [scale; 3], [1.0, 0.0, 0.0, 0.0], opacity)
     };
     opacities.iter().enumerate().map(ball).collect()
