@@ -721,7 +721,14 @@ impl Conversion<'_> {
         seeing.inspect(|seeing| seeing.views.finish());
         let views = seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views);
         let temp_dir = &options.temp_dir;
-        let writing = Writing { memory_bytes: options.memory_bytes, threads, columns, views, temp_dir };
+        let writing = Writing {
+            memory_bytes: options.memory_bytes,
+            threads,
+            columns,
+            views,
+            temp_dir,
+            weighted: !splats.is_empty(),
+        };
         let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
         let seen = match seeing.filter(|_| options.free_space) {
             Some(seeing) => Some(write_seen(&seeing.views, columns, threads, &mut writer, monitor)?),

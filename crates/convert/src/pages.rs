@@ -43,6 +43,8 @@ pub(super) struct Writing<'a> {
     pub views: Option<&'a Views>,
     /// Folder for temporary data.
     pub temp_dir: &'a Path,
+    /// True if some voxels may count for less than one in components.
+    pub weighted: bool,
 }
 
 /// Counts of what the second pass left out.
@@ -93,7 +95,8 @@ pub(super) fn write_columns(
 ) -> Result<LeftOut> {
     let Writing { memory_bytes, threads, columns, views, .. } = writing;
     let mut merge = Merge::new(store);
-    if plan.options.drop_floaters > 1 {
+    // Several voxels may count for one.
+    if plan.options.drop_floaters > 1 || plan.options.drop_floaters == 1 && writing.weighted {
         mark_floaters(plan, store, &merge, writing, monitor)?;
         merge.take_more();
     }

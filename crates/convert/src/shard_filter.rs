@@ -12,7 +12,7 @@ use crate::colour::ColourPlan;
 use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;
-use crate::voxel::record::{ColumnIndex, HALO_PIXELS};
+use crate::voxel::record::{ColumnIndex, HALO_PIXELS, WHOLE};
 use crate::voxel::visibility::Station;
 use crate::{Error, Monitor, Result};
 use std::collections::{BTreeMap, HashMap};
@@ -47,8 +47,7 @@ struct Role {
 
 impl Role {
     /// Returns the role of `input` in the part `shard` of `file`.
-    fn of(file: &PlanFile, shard: Shard, input: &InputFacts) -> Self {
-        let reach = reach(&file.plan);
+    fn of(file: &PlanFile, shard: Shard, input: &InputFacts, reach: i64) -> Self {
         let meets = |first, last| meets(&file.plan.frame, reach, input, first, last);
         let reads = meets(shard.first, shard.last);
         let before = shard.first > 0 && meets(0, shard.first - 1);
@@ -60,16 +59,18 @@ impl Role {
 
 /// Returns how far from a pixel anything solid may affect it (pixels). A component that reaches farther than the number
 /// of voxels up to which components are dropped is kept, whatever lies beyond; holes are closed by the floors around
-/// them.
-pub(super) fn reach(plan: &Plan) -> i64 {
+/// them. With splats, up to four voxels may count for one.
+pub(super) fn reach(plan: &Plan, has_splats: bool) -> i64 {
     let holes = match plan.options.fill_holes {
         0 => 0,
         widest => Closer::reach(widest),
     };
-    match plan.options.drop_floaters {
-        0 | 1 => HALO_PIXELS + holes,
-        most => HALO_PIXELS + holes + i64::from(most),
-    }
+    let floaters = match i64::from(plan.options.drop_floaters) {
+        most if has_splats => most * i64::from(WHOLE),
+        0 | 1 => 0,
+        most => most,
+    };
+    HALO_PIXELS + holes + floaters
 }
 
 /// Returns whether points of `input` may lie within `reach` pixels of the columns `first..=last`.
@@ -96,10 +97,11 @@ impl ShardScope {
             Some(_) => InputFacts::of(inputs, options.threads, monitor)?,
             None => InputFacts::measured(inputs, options.threads, monitor)?,
         };
+        let reach = reach(plan, !inputs.1.is_empty());
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
         if let (Some(file), Some(chosen)) = (&options.plan_file, chosen) {
             file.check_same_options(plan, options)?;
-            return Self::of_chosen(file, chosen, &facts);
+            return Self::of_chosen(file, chosen, &facts, reach);
         }
         let here = PlanFile { colour, ..PlanFile::of(facts, plan.clone(), options) };
         let file = match &options.plan_file {
@@ -113,14 +115,15 @@ impl ShardScope {
         // Files of equal fingerprint may have different bounds if the plan was edited by hand.
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
         file.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
-        let role = |fingerprint: &u128| Some(Role::of(file, shard, inputs.get_mut(fingerprint).and_then(Vec::pop)?));
+        let role =
+            |fingerprint: &u128| Some(Role::of(file, shard, inputs.get_mut(fingerprint).and_then(Vec::pop)?, reach));
         // Finds a role for every input, because the inputs are those of the plan file.
         let roles: Vec<Role> = fingerprints.iter().filter_map(role).collect();
-        Self::with(file, shard, roles, true)
+        Self::with(file, shard, roles, reach, true)
     }
 
     /// Creates the part if all inputs but the `chosen` ones stay closed.
-    fn of_chosen(file: &PlanFile, chosen: &Chosen, facts: &[InputFacts]) -> Result<Self> {
+    fn of_chosen(file: &PlanFile, chosen: &Chosen, facts: &[InputFacts], reach: i64) -> Result<Self> {
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
         for (input, _) in file.inputs.iter().zip(&chosen.is_closed).filter(|(_, is_closed)| !**is_closed) {
             inputs.entry(input.fingerprint).or_default().push(input);
@@ -128,22 +131,22 @@ impl ShardScope {
         let mut roles = Vec::with_capacity(facts.len());
         for here in facts {
             let known = inputs.get_mut(&here.fingerprint).and_then(Vec::pop);
-            roles.push(Role::of(file, chosen.shard, known.ok_or_else(|| PlanFile::stranger(&here.name))?));
+            roles.push(Role::of(file, chosen.shard, known.ok_or_else(|| PlanFile::stranger(&here.name))?, reach));
         }
         if let Some(missing) = inputs.values().flatten().map(|input| &input.name).min() {
             return Err(PlanFile::left_out(missing));
         }
-        Self::with(file, chosen.shard, roles, chosen.closed.is_empty())
+        Self::with(file, chosen.shard, roles, reach, chosen.closed.is_empty())
     }
 
-    fn with(file: &PlanFile, shard: Shard, roles: Vec<Role>, all: bool) -> Result<Self> {
+    fn with(file: &PlanFile, shard: Shard, roles: Vec<Role>, reach: i64, all: bool) -> Result<Self> {
         let shared = roles.iter().filter(|role| role.reads && role.shared).count();
         if shared > InputRead::MOST {
             let what = "inputs that several parts read (join files, or convert fewer at once)";
             return Err(Error::limit(what, shared, InputRead::MOST));
         }
         let reads_all = all && roles.iter().all(|role| role.reads);
-        Ok(Self { shard, roles, reads_all, frame: file.plan.frame, reach: reach(&file.plan) })
+        Ok(Self { shard, roles, reads_all, frame: file.plan.frame, reach })
     }
 
     /// Ties the part to these stations, so that it cannot be merged with parts that used others.

@@ -67,7 +67,7 @@ impl Chosen {
         for &number in numbers.iter().flatten() {
             claims[number as usize] = claims[number as usize].saturating_add(1);
         }
-        let reach = reach(&file.plan);
+        let reach = reach(&file.plan, !splats.is_empty());
         let is_closed: Vec<bool> = file
             .inputs
             .iter()

@@ -153,7 +153,8 @@ impl PointWriter {
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
         let ConvertOptions { memory_bytes, threads, .. } = *options;
-        let writing = Writing { memory_bytes, threads, columns: None, views: None, temp_dir: &options.temp_dir };
+        let writing =
+            Writing { memory_bytes, threads, columns: None, views: None, temp_dir: &options.temp_dir, weighted: false };
         let left_out = write_archive(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {

@@ -1,6 +1,7 @@
 //! Components: finds connected components of few voxels, out of core.
 //!
-//! Voxels are connected if they share a face, an edge or a corner. [`Pieces`] holds the components of one area of a
+//! Voxels are connected if they share a face, an edge or a corner. A voxel counts by its weight, in quarters; all but those
+//! of faint splats count in full. [`Pieces`] holds the components of one area of a
 //! tile column, whose voxels are in memory. Components that end inside the area are settled at once. A [`Frontier`]
 //! joins the others across the areas' edges. Of each area it keeps only the voxels with neighbours in areas still to
 //! come, and only small components voxel by voxel; all components above the size limit count as one.
@@ -8,7 +9,7 @@
 //! The result is a set of voxels that does not depend on the order and the cut of the areas.
 
 use super::accumulate::{Area, Patch, neighbourhood};
-use super::record::{ColumnKey, HALO_PIXELS, PATCH_PIXELS};
+use super::record::{ColumnKey, HALO_PIXELS, PATCH_PIXELS, WHOLE};
 use crate::frame::{PageKey, TILE_PIXELS, morton};
 use crate::{Error, Parameter, Result};
 use std::collections::HashMap;
@@ -69,8 +70,8 @@ pub struct Pieces {
     column: ColumnKey,
     /// Voxels of small components that touch nothing outside the area.
     floaters: Vec<Place>,
-    /// Voxels of each small component that touches something outside.
-    open: Vec<Vec<Place>>,
+    /// Voxels and weight of each small component that touches something outside.
+    open: Vec<(Vec<Place>, u32)>,
     edges: Vec<Edge>,
     /// Patch pixel and slice of the neighbours outside the area.
     links: Vec<(u16, u32)>,
@@ -79,28 +80,29 @@ pub struct Pieces {
 /// Finds the components of areas; reuses its buffers.
 #[derive(Debug)]
 pub struct PieceFinder {
+    /// Greatest weight of a small component (quarters of voxels).
     most: u32,
     parents: Vec<u32>,
-    sizes: Vec<u32>,
+    weights: Vec<u32>,
     links: Vec<(u32, u16, u32)>,
 }
 
 impl PieceFinder {
     /// Creates a finder whose small components have at most `most` voxels.
     pub fn new(most: u16) -> Self {
-        Self { most: most.into(), parents: Vec::new(), sizes: Vec::new(), links: Vec::new() }
+        Self { most: quarters(most), parents: Vec::new(), weights: Vec::new(), links: Vec::new() }
     }
 
     /// Finds the components of an area of the column's patch. Cost: linear in its voxels.
     pub fn find(&mut self, column: ColumnKey, patch: &Patch, area: Area) -> Pieces {
         self.join(patch, area);
-        let Self { most, parents, sizes, links } = self;
+        let Self { most, parents, weights, links } = self;
         // Numbers the small components with links to outside, by root.
         let mut numbers: HashMap<u32, u32> = HashMap::new();
         links.sort_unstable();
         for &(voxel, ..) in &*links {
             let root = find(parents, voxel);
-            if sizes[root as usize] <= *most {
+            if weights[root as usize] <= *most {
                 let next = numbers.len() as u32;
                 numbers.entry(root).or_insert(next);
             }
@@ -108,17 +110,22 @@ impl PieceFinder {
         let mut pieces = Pieces {
             column,
             floaters: Vec::new(),
-            open: vec![Vec::new(); numbers.len()],
+            open: vec![(Vec::new(), 0); numbers.len()],
             edges: Vec::new(),
             links: Vec::with_capacity(links.len()),
         };
         for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
             for voxel in patch.range(pixel) {
                 let root = find(parents, voxel as u32);
-                if sizes[root as usize] <= *most {
+                let weight = weights[root as usize];
+                if weight <= *most {
                     let place = Place { pixel: pixel as u16, slice: patch.voxels()[voxel].slice };
                     match numbers.get(&root) {
-                        Some(&number) => pieces.open[number as usize].push(place),
+                        Some(&number) => {
+                            let (places, of_all) = &mut pieces.open[number as usize];
+                            places.push(place);
+                            *of_all = weight;
+                        }
                         None => pieces.floaters.push(place),
                     }
                 }
@@ -143,7 +150,7 @@ impl PieceFinder {
 
     /// Joins connected voxels inside the area, and lists the neighbours outside.
     fn join(&mut self, patch: &Patch, area: Area) {
-        let Self { parents, sizes, links, .. } = self;
+        let Self { parents, weights, links, .. } = self;
         let voxels = patch.voxels();
         parents.clear();
         parents.extend(0..voxels.len() as u32);
@@ -169,11 +176,12 @@ impl PieceFinder {
                 });
             }
         }
-        sizes.clear();
-        sizes.resize(voxels.len(), 0);
+        weights.clear();
+        weights.resize(voxels.len(), 0);
         for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
             for voxel in patch.range(pixel) {
-                sizes[find(parents, voxel as u32) as usize] += 1;
+                let sum = &mut weights[find(parents, voxel as u32) as usize];
+                *sum = sum.saturating_add(voxels[voxel].weight());
             }
         }
     }
@@ -228,7 +236,14 @@ struct Node {
     parent: u32,
     /// Waiting voxels of the whole component, if this is its root.
     waiting: u32,
+    /// Weight of the whole component, if this is its root (quarters).
+    weight: u32,
     voxels: Vec<(ColumnKey, Place)>,
+}
+
+/// Returns the weight of this many voxels that count in full.
+fn quarters(voxels: u16) -> u32 {
+    u32::from(voxels) * u32::from(WHOLE)
 }
 
 /// Stands for all components above the size limit.
@@ -243,7 +258,8 @@ const VOXEL_BYTES: u64 = 2 * size_of::<(ColumnKey, Place)>() as u64;
 /// Memory: proportional to the voxels along the border of the areas seen, and to the small components among them.
 #[derive(Debug)]
 pub struct Frontier {
-    most: usize,
+    /// Greatest weight of a small component (quarters of voxels).
+    most: u32,
     max_bytes: u64,
     columns: HashMap<ColumnKey, OpenColumn>,
     nodes: Vec<Node>,
@@ -256,9 +272,9 @@ pub struct Frontier {
 impl Frontier {
     /// Creates a frontier whose small components have at most `most` voxels, using at most `max_bytes` of memory.
     pub fn new(most: u16, max_bytes: u64) -> Self {
-        let large = Node { parent: LARGE, waiting: 0, voxels: Vec::new() };
+        let large = Node { parent: LARGE, waiting: 0, weight: 0, voxels: Vec::new() };
         let (columns, nodes) = (HashMap::new(), vec![large]);
-        Self { most: most.into(), max_bytes, columns, nodes, tidy: 1, waiting: 0, voxels: 0 }
+        Self { most: quarters(most), max_bytes, columns, nodes, tidy: 1, waiting: 0, voxels: 0 }
     }
 
     /// Adds the components of an area, and appends to `dropped` the voxels of all components that are now complete and
@@ -270,10 +286,10 @@ impl Frontier {
         dropped.extend(floaters.iter().map(|place| place.on_grid(column)));
         let first = self.nodes.len() as u32;
         let mut touched: Vec<u32> = (first..first + open.len() as u32).collect();
-        for (places, &parent) in open.into_iter().zip(&touched) {
+        for ((places, weight), &parent) in open.into_iter().zip(&touched) {
             self.voxels += places.len() as u64;
             let voxels = places.into_iter().map(|place| (column, place)).collect();
-            self.nodes.push(Node { parent, waiting: 0, voxels });
+            self.nodes.push(Node { parent, waiting: 0, weight, voxels });
         }
         let mut own = OpenColumn::default();
         for (number, edge) in edges.iter().enumerate() {
@@ -358,7 +374,8 @@ impl Frontier {
             return;
         }
         let [in_a, in_b] = [a, b].map(|node| self.nodes[node as usize].voxels.len());
-        let large = a == LARGE || b == LARGE || in_a + in_b > self.most;
+        let weight = self.nodes[a as usize].weight + self.nodes[b as usize].weight;
+        let large = a == LARGE || b == LARGE || weight > self.most;
         let into = match large {
             true => LARGE,
             false if in_a >= in_b => a,
@@ -373,6 +390,7 @@ impl Frontier {
             } else {
                 self.nodes[into as usize].voxels.extend(voxels);
                 self.nodes[into as usize].waiting += waiting;
+                self.nodes[into as usize].weight = weight;
             }
         }
     }
@@ -396,7 +414,7 @@ impl Frontier {
         for waiting in columns.values_mut().flat_map(|column| &mut column.voxels).filter(|waiting| waiting.left == 0) {
             waiting.node = LARGE;
         }
-        let large = std::iter::once((LARGE, Node { parent: LARGE, waiting: 0, voxels: Vec::new() }));
+        let large = std::iter::once((LARGE, Node { parent: LARGE, waiting: 0, weight: 0, voxels: Vec::new() }));
         let old = std::mem::take(&mut self.nodes).into_iter().zip(numbers).filter(|(_, number)| *number != LARGE);
         let mut nodes: Vec<_> =
             large.chain(old.map(|(node, number)| (number, Node { parent: number, ..node }))).collect();
@@ -412,14 +430,20 @@ mod tests {
     use super::*;
     use crate::frame::Frame;
     use crate::voxel::accumulate::Sums;
-    use crate::voxel::record::{ColumnIndex, Record, Recorder};
+    use crate::voxel::record::{ColumnIndex, Record, Recorder, SurfacePart, SurfaceVoxel};
     use proptest::prelude::*;
     use std::collections::{BTreeMap, BTreeSet, HashSet};
 
     type Voxels = BTreeSet<(i64, i64, i64)>;
 
+    /// Weight of a voxel: full without a seed, else any.
+    fn weight((x, y, z): (i64, i64, i64), seed: Option<u64>) -> u8 {
+        let hash = |seed| xxhash_rust::xxh3::xxh3_64_with_seed(format!("{x} {y} {z}").as_bytes(), seed);
+        seed.map_or(WHOLE, |seed| 1 + (hash(seed) % u64::from(WHOLE)) as u8)
+    }
+
     /// Reference implementation: flood fill, voxel by voxel.
-    fn small(all: &Voxels, most: usize) -> Voxels {
+    fn small(all: &Voxels, most: u16, weights: Option<u64>) -> Voxels {
         let (mut seen, mut dropped) = (HashSet::new(), Voxels::new());
         for &start in all {
             if !seen.insert(start) {
@@ -435,7 +459,8 @@ mod tests {
                     }
                 }
             }
-            if piece.len() <= most {
+            let sum: u64 = piece.iter().map(|&place| u64::from(weight(place, weights))).sum();
+            if sum <= 4 * u64::from(most) {
                 dropped.extend(piece);
             }
         }
@@ -443,11 +468,19 @@ mod tests {
     }
 
     /// Computes the same set by areas: each column in areas of `depth` halvings, in an order that depends on `seed`.
-    fn found(all: &Voxels, most: u16, depth: u32, seed: u64) -> Voxels {
+    fn found(all: &Voxels, most: u16, depth: u32, seed: u64, weights: Option<u64>) -> Voxels {
         let recorder = Recorder::new(Frame::new(1.0, 1.0).unwrap());
         let mut columns: BTreeMap<ColumnKey, Vec<Record>> = BTreeMap::new();
-        for &(x, y, z) in all {
-            let [x, y, z] = [x, y, z].map(|v| [v as f64 + 0.5]);
+        for &(i, j, k) in all {
+            let weight = weight((i, j, k), weights);
+            if weight < WHOLE {
+                let part = SurfacePart { bottom: 9, top: 99, steep: k % 2 == 0, weight };
+                recorder.record_surface(&SurfaceVoxel { pixel: (i, j), slice: k, part }, |index, record| {
+                    columns.entry(index.key()).or_default().push(record);
+                });
+                continue;
+            }
+            let [x, y, z] = [i, j, k].map(|v| [v as f64 + 0.5]);
             recorder.record(&x, &y, &z, |index: ColumnIndex, record| {
                 columns.entry(index.key()).or_default().push(record);
             });
@@ -485,10 +518,11 @@ mod tests {
             // Around the corner of four tiles, where most components cross an edge.
             places in proptest::collection::vec((-9i64..9, -9i64..9, -4i64..5), 1..700),
             far in proptest::collection::vec((-70i64..140, 60i64..68, 0i64..2), 0..300),
-            most in prop::sample::select(vec![1u16, 2, 3, 5, 9, 40, 400, 65_535]), depth in 0u32..5, seed: u64
+            most in prop::sample::select(vec![1u16, 2, 3, 5, 9, 40, 400, 65_535]), depth in 0u32..5, seed: u64,
+            weights in proptest::option::of(0u64..100)
         ) {
             let all: Voxels = places.into_iter().chain(far).collect();
-            prop_assert_eq!(found(&all, most, depth, seed), small(&all, most.into()));
+            prop_assert_eq!(found(&all, most, depth, seed, weights), small(&all, most, weights));
         }
     }
 
@@ -496,8 +530,8 @@ mod tests {
     fn a_long_thin_piece_is_one_however_many_tiles_it_crosses() {
         let line: Voxels = (-200..300i64).map(|x| (x, x / 3, x.rem_euclid(2))).collect();
         for seed in 0..6 {
-            assert_eq!(found(&line, 500, 1, seed).len(), 500, "all of it");
-            assert_eq!(found(&line, 499, 1, seed).len(), 0, "it has one voxel more");
+            assert_eq!(found(&line, 500, 1, seed, None).len(), 500, "all of it");
+            assert_eq!(found(&line, 499, 1, seed, None).len(), 0, "it has one voxel more");
         }
     }
 
@@ -505,12 +539,12 @@ mod tests {
     fn many_pieces_are_forgotten_once_they_are_settled_and_a_limit_is_kept() {
         // Pairs across the edge of two columns of tiles, in many rows.
         let pairs: Voxels = (0..6400).flat_map(|row| [(63, 2 * row, 0), (64, 2 * row, 0)]).collect();
-        assert_eq!(found(&pairs, 2, 0, 1).len(), pairs.len());
+        assert_eq!(found(&pairs, 2, 0, 1, None).len(), pairs.len());
         let mut frontier = Frontier::new(2, 100);
         let pieces = Pieces {
             column: ColumnKey { column: 0, block: 0 },
             floaters: Vec::new(),
-            open: vec![vec![Place { pixel: 67, slice: 1 }]],
+            open: vec![(vec![Place { pixel: 67, slice: 1 }], 4)],
             edges: vec![Edge { place: Place { pixel: 67, slice: 1 }, piece: Some(0), first_link: 0 }],
             links: vec![(0, 1)],
         };

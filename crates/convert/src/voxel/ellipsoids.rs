@@ -1,7 +1,7 @@
 //! Conversion of the solid parts of splats to records: the parts of voxels that they fill, and their colours.
 
 use super::colours::values_of_piece;
-use super::record::{BATCH, Recorder, SurfaceVoxel, surface_voxels};
+use super::record::{BATCH, Recorder, SurfaceVoxel, WHOLE, surface_voxels};
 use super::runs::{RunBuilder, RunStore};
 use crate::colour::ColourScale;
 use crate::mesh::paint::PaintedPiece;
@@ -47,12 +47,12 @@ impl EllipsoidBuilder {
         self
     }
 
-    /// Adds an ellipsoid with its colour; returns false if the grid does not reach it. Stops with an error once
-    /// `cancelled` is true.
+    /// Adds an ellipsoid with the opacity and colour of its splat; returns false if the grid does not reach it. Stops
+    /// with an error once `cancelled` is true.
     pub fn push(
         &mut self,
         ellipsoid: &Ellipsoid,
-        colour: [u8; 3],
+        (opacity, colour): (f32, [u8; 3]),
         runs: &mut RunBuilder,
         store: &RunStore,
         cancelled: &dyn Fn() -> bool,
@@ -65,11 +65,13 @@ impl EllipsoidBuilder {
             return Err(error.with_suggestion(Parameter::PixelSize));
         }
         let (voxels, colours) = (&mut self.voxels, &mut self.colours);
+        let weight = weight_of(opacity);
         let (first, last) = placed.rows();
         for j in first..=last {
             let mut done = Ok(());
             placed.for_each_pixel(j, |piece| {
-                for voxel in surface_voxels((piece.i, j), (piece.bottom, piece.top), piece.steep) {
+                for mut voxel in surface_voxels((piece.i, j), (piece.bottom, piece.top), piece.steep) {
+                    voxel.part.weight = weight;
                     if done.is_err() {
                         return;
                     }
@@ -101,6 +103,11 @@ impl EllipsoidBuilder {
             None => Ok(()),
         }
     }
+}
+
+/// Returns the weight of a splat's voxels in components: its opacity in quarters, rounded up.
+fn weight_of(opacity: f32) -> u8 {
+    (opacity * f32::from(WHOLE)).ceil().clamp(1.0, f32::from(WHOLE)) as u8
 }
 
 impl Colours {

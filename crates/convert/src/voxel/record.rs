@@ -35,11 +35,12 @@ const _: () = assert!(13 + SLICE_BITS + HEIGHT_BITS + 2 * SUBPIXEL_BITS == 64);
 const PLACE_BITS: u32 = HEIGHT_BITS + 2 * SUBPIXEL_BITS;
 /// Bits of the value in a value record.
 pub const VALUE_BITS: u32 = PLACE_BITS;
-/// Least content of these bits in the record of a surface; bottom (8 bits), top (8) and steepness (1) are added.
+/// Least content of these bits in the record of a surface; what its weight lacks (2 bits), bottom (8), top (8) and
+/// steepness (1) are added.
 const SURFACE: u64 = (SLICE_STEPS as u64) << (2 * SUBPIXEL_BITS);
-/// Content of these bits in a record that marks its voxel as dropped.
-const DROPPED: u64 = SURFACE + (1 << 17);
-const _: () = assert!(DROPPED < 1 << PLACE_BITS);
+/// Content of these bits in a record that marks its voxel as dropped: no surface has its bottom on the slice's top.
+const DROPPED: u64 = (1 << PLACE_BITS) - 1;
+const _: () = assert!(SURFACE + (1 << 19) == 1 << PLACE_BITS);
 
 /// Content of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,11 +84,13 @@ impl Record {
     pub fn content(self) -> Content {
         match (self.0 & ((1 << PLACE_BITS) - 1)).checked_sub(SURFACE) {
             None => Content::Point,
-            Some(part) if part >= DROPPED - SURFACE => Content::Dropped,
-            Some(part) => {
-                let part = SurfacePart { bottom: (part >> 9) as u8, top: (part >> 1) as u8, steep: part & 1 == 1 };
-                Content::Surface(part)
-            }
+            Some(part) if part == DROPPED - SURFACE => Content::Dropped,
+            Some(part) => Content::Surface(SurfacePart {
+                bottom: (part >> 9) as u8,
+                top: (part >> 1) as u8,
+                steep: part & 1 == 1,
+                weight: WHOLE - (part >> 17) as u8,
+            }),
         }
     }
 
@@ -145,7 +148,12 @@ pub struct SurfacePart {
     pub top: u8,
     /// True if a surface steeper than the limit is among them.
     pub steep: bool,
+    /// Quarters of a voxel for which it counts in components (1..=[`WHOLE`]).
+    pub weight: u8,
 }
+
+/// Weight of a voxel that counts in full.
+pub const WHOLE: u8 = 4;
 
 /// Part of one voxel that a surface fills, with the voxel's position on the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -158,14 +166,15 @@ pub struct SurfaceVoxel {
     pub part: SurfacePart,
 }
 
-/// Cuts the heights `bottom..=top` (quanta) of a surface over a pixel at slice boundaries. Like for spans, a top on a
+/// Cuts the heights `bottom..=top` (quanta) of a surface over a pixel at slice boundaries; each part has full weight. Like for spans, a top on a
 /// boundary belongs to the slice below, unless the whole surface lies on that boundary.
 pub fn surface_voxels(pixel: (i64, i64), (bottom, top): (i64, i64), steep: bool) -> impl Iterator<Item = SurfaceVoxel> {
     let first = bottom.div_euclid(SLICE_QUANTA);
     let last = first.max((top - 1).div_euclid(SLICE_QUANTA));
     (first..=last).map(move |slice| {
         let above = |quantum: i64| (quantum - slice * SLICE_QUANTA).clamp(0, SLICE_QUANTA) as u8;
-        SurfaceVoxel { pixel, slice, part: SurfacePart { bottom: above(bottom), top: above(top), steep } }
+        let part = SurfacePart { bottom: above(bottom), top: above(top), steep, weight: WHOLE };
+        SurfaceVoxel { pixel, slice, part }
     })
 }
 
@@ -454,8 +463,9 @@ fn beyond(patch_pixel: usize) -> (i64, i64) {
 
 /// Lower bits of the record of a surface's part of a voxel.
 #[inline]
-fn place_of_surface(SurfacePart { bottom, top, steep }: SurfacePart) -> u64 {
-    SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep))
+fn place_of_surface(SurfacePart { bottom, top, steep, weight }: SurfacePart) -> u64 {
+    let lacks = u64::from(WHOLE - weight);
+    SURFACE + (lacks << 17 | u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep))
 }
 
 /// Position of a point in its voxel.
@@ -570,12 +580,14 @@ mod tests {
 
         #[test]
         fn surfaces_come_back_slice_by_slice(
-            i in -100_000i64..100_000, j in -200i64..200, bottom in -3000i64..3000, extent in 0i64..2000, steep: bool
+            i in -100_000i64..100_000, j in -200i64..200, bottom in -3000i64..3000, extent in 0i64..2000, steep: bool,
+            weight in 1u8..=WHOLE
         ) {
             let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
             let top = bottom + extent;
             let mut joined: Option<(i64, i64)> = None;
-            for voxel in surface_voxels((i, j), (bottom, top), steep) {
+            for mut voxel in surface_voxels((i, j), (bottom, top), steep) {
+                voxel.part.weight = weight;
                 recorder.record_surface(&voxel, |index, record| {
                     let pixel = record.pixel() as i64;
                     assert_eq!(i64::from(index.tx) * 64 + pixel % PATCH_PIXELS as i64 - HALO_PIXELS, i);

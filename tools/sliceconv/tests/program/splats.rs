@@ -90,6 +90,53 @@ fn options_leave_out_what_they_say() {
     assert!(large > 100);
 }
 
+/// Balls of the same solid part, of these opacities, each far from the others.
+fn balls(opacities: &[f64]) -> Vec<Splat> {
+    let ball = |(number, &opacity): (usize, &f64)| {
+        let scale = 0.33 / (2.0 * (opacity / 0.1).ln()).sqrt();
+        ([4.0 * number as f64 + 0.05, 0.05, 0.15], [scale; 3], [1.0, 0.0, 0.0, 0.0], opacity)
+    };
+    opacities.iter().enumerate().map(ball).collect()
+}
+
+#[test]
+fn faint_floaters_go_sooner() {
+    let folder = tempfile::tempdir().unwrap();
+    let facts = |arguments: &[&str]| -> serde_json::Value {
+        let fixed = ["a.ply", "-o", "out.slices", "--force", "--pixel", "0.1", "--units", "m", "--json"];
+        let mut sliceconv = Command::new(env!("CARGO_BIN_EXE_sliceconv"));
+        let out = sliceconv.current_dir(folder.path()).args([&fixed, arguments].concat()).output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        serde_json::from_slice(&out.stdout).unwrap()
+    };
+    let opacities = [0.2, 0.25, 0.26, 0.5, 0.75, 0.76, 0.95];
+    let quarters = [1, 1, 2, 2, 3, 4, 4];
+    let each: Vec<u64> = opacities
+        .iter()
+        .map(|&opacity| {
+            write(&folder.path().join("a.ply"), &balls(&[opacity]));
+            facts(&[])["voxels"]["occupied"].as_u64().unwrap()
+        })
+        .collect();
+    assert!(each.iter().all(|&count| count == each[0] && count > 40), "{each:?}");
+    write(&folder.path().join("a.ply"), &balls(&opacities));
+    for weight in 1..=4 {
+        let most = (each[0] * weight).div_ceil(4);
+        for (most, reaches) in [(most, weight), ((each[0] * weight - 1) / 4, weight - 1)] {
+            let few = facts(&["--drop-floaters", &most.to_string()]);
+            let dropped = quarters.iter().filter(|&&quarters| quarters <= reaches).count() as u64 * each[0];
+            assert_eq!(few["voxels_dropped"], dropped, "{most}");
+            assert_eq!(few["voxels"]["occupied"], opacities.len() as u64 * each[0] - dropped, "{most}");
+        }
+    }
+    // Four faint voxels count for one; the greatest opacity in a voxel counts.
+    let pair = |opacity: f64| ([0.1, 0.05, 0.15], [0.01; 3], [1.0, 0.0, 0.0, 0.0], opacity);
+    for (opacities, dropped) in [(&[0.2][..], 2), (&[0.5], 2), (&[0.2, 0.6], 0), (&[0.9], 0)] {
+        write(&folder.path().join("a.ply"), &opacities.iter().copied().map(pair).collect::<Vec<_>>());
+        assert_eq!(facts(&["--drop-isolated"])["voxels_dropped"], dropped, "{opacities:?}");
+    }
+}
+
 #[test]
 fn a_matrix_and_a_distance_place_splats() {
     let folder = tempfile::tempdir().unwrap();

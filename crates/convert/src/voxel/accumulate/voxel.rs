@@ -1,7 +1,7 @@
 //! Solid of one voxel.
 
 use crate::frame::SLICE_QUANTA;
-use crate::voxel::record::{Content, Record, SLICE_STEPS, SurfacePart, bottom_quantum, top_quantum};
+use crate::voxel::record::{Content, Record, SLICE_STEPS, SurfacePart, WHOLE, bottom_quantum, top_quantum};
 
 /// Parts of a slice in [`Voxel::bins`].
 pub const BINS: i64 = 16;
@@ -19,7 +19,8 @@ pub struct Voxel {
     pub bottom: u8,
     /// Least quantum at or above the highest solid, above the slice's floor (0..=255).
     pub top: u8,
-    /// Kinds of solid: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP).
+    /// Kinds of solid: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP); and the greatest weight of
+    /// its surfaces.
     pub kinds: u8,
 }
 
@@ -32,6 +33,9 @@ impl Voxel {
     pub const POINTS: u8 = 4;
     /// The voxel is to be dropped with all its contents.
     const DROPPED: u8 = 8;
+    /// One of these bits for each quarter by which the greatest weight exceeds the first, from the lowest up: `or`
+    /// gives the greatest of several.
+    const QUARTERS: u32 = 4;
 
     /// Creates a voxel without solid.
     #[inline]
@@ -72,6 +76,7 @@ impl Voxel {
         let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
         self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
         self.kinds |= if part.steep { Self::STEEP } else { Self::FLAT };
+        self.kinds |= ((1 << (part.weight - 1)) - 1) << Self::QUARTERS;
     }
 
     /// Returns the lowest and highest solid (quanta above the floor of slice `floor`).
@@ -89,6 +94,12 @@ impl Voxel {
     /// Returns whether it holds points, as opposed to surfaces alone.
     pub fn has_points(&self) -> bool {
         self.kinds & Self::POINTS != 0
+    }
+
+    /// Returns how many quarters of a voxel it counts for in components.
+    #[inline]
+    pub fn weight(&self) -> u32 {
+        if self.has_points() { u32::from(WHOLE) } else { 1 + (self.kinds >> Self::QUARTERS).count_ones() }
     }
 
     /// Returns whether a voxel of `points` points is kept at this minimum.
