@@ -87,11 +87,14 @@ impl Ellipsoid {
         2.0 * self.radii.iter().fold(0.0, |longest: f64, &radius| longest.max(radius))
     }
 
-    /// Returns its least and greatest coordinates (m), up to rounding.
+    /// Returns bounds of its coordinates (m): at least as wide as those of its pixels and slices, which the raster grows
+    /// by `2⁻³⁰` of the reach and `2⁻⁴⁶` of the coordinates.
     pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         let reach =
             [0, 1, 2].map(|row| (0..3).map(|k| (self.axes[k][row] * self.radii[k]).powi(2)).sum::<f64>().sqrt());
-        let ends = |sign: f64| [0, 1, 2].map(|axis| self.centre[axis] + sign * reach[axis]);
+        let longest = reach.iter().fold(0.0, |longest: f64, &reach| longest.max(reach));
+        let slack = |axis: usize| longest / (1u64 << 29) as f64 + self.centre[axis].abs() / (1u64 << 45) as f64;
+        let ends = |sign: f64| [0, 1, 2].map(|axis| self.centre[axis] + sign * (reach[axis] + slack(axis)));
         (ends(-1.0), ends(1.0))
     }
 }

@@ -98,6 +98,21 @@ impl File {
         }
     }
 
+    /// Refuses a binary file that is shorter than its elements, also those that hold no splats. A list has no stated
+    /// length: what follows it is not checked.
+    fn check_end(&self, path: &Path) -> Result<()> {
+        let fixed = self.elements.iter().take_while(|element| element.properties.iter().all(|p| p.list.is_none()));
+        let width = |element: &Element| element.properties.iter().map(|p| p.number.bytes() as u64).sum::<u64>();
+        let rows = fixed.fold(0u64, |sum, element| sum.saturating_add(element.count.saturating_mul(width(element))));
+        let (expected, found) = (self.body.saturating_add(rows), self.source.len());
+        if self.encoding == Encoding::Text || found >= expected {
+            return Ok(());
+        }
+        let [expected, found] = [expected, found].map(grouped);
+        let reason = format!("expected {expected} bytes for all elements, found {found}: the file is cut; fetch it again");
+        Err(refuse(path, "length", reason))
+    }
+
     fn reader(&self, table: &Table, path: &Path) -> Result<RowReader> {
         let is_text = self.encoding == Encoding::Text;
         let mut column = Column::rest(&self.source, if is_text { self.body } else { table.start });
@@ -292,7 +307,7 @@ impl Body for Rows {
             let (mean, rotation) = (self.mean.map(get), self.rotation.map(get));
             gate.push(Raw { mean, scale, rotation, opacity: sigmoid(get(self.opacity)), colour })?;
         }
-        Ok(())
+        self.file.check_end(work.path).or_else(|error| broken(gate, error))
     }
 }
 
@@ -388,7 +403,7 @@ impl Body for Packed {
                 colour: between(colour, tint),
             })?;
         }
-        Ok(())
+        self.file.check_end(work.path).or_else(|error| broken(gate, error))
     }
 }
 

@@ -228,3 +228,29 @@ fn a_splat_at_the_threshold_is_solid_at_its_centre() {
         assert!(bottom <= frame.quantum_floor(mean[2]) && frame.quantum_ceil(mean[2]) <= top && top - bottom <= 2);
     }
 }
+
+/// The raster grows by its rounding errors, and may so enter a pixel that the ellipsoid itself only touches.
+#[test]
+fn bounds_meet_every_pixel_where_an_edge_lies_on_a_grid_line() {
+    const PIXEL_M: f64 = 0.1;
+    let raster = EllipsoidRaster::new(Frame::new(PIXEL_M, 0.3).unwrap(), 45.0);
+    for radius in [0.3, 1.0, 10.0] {
+        for offset in [-1e-8, -1e-9, -1e-10, -1e-12, 0.0, 1e-12, 1e-10, 1e-9, 1e-8] {
+            for line in [0.0, 7.0, 500_000.0] {
+                let centre = [0.0, 1.0, 2.0].map(|axis| (line + axis) * PIXEL_M - radius + offset);
+                let ellipsoid = Ellipsoid::new(centre, [1.0, 0.0, 0.0, 0.0], [radius; 3]).unwrap();
+                let (min, max) = ellipsoid.bounds();
+                let placed = raster.place(&ellipsoid).unwrap();
+                for j in placed.rows().0..=placed.rows().1 {
+                    placed.for_each_pixel(j, |piece| {
+                        for (axis, pixel) in [piece.i, j].into_iter().enumerate() {
+                            let (low, high) = (pixel as f64 * PIXEL_M, (pixel + 1) as f64 * PIXEL_M);
+                            let meets = low <= max[axis] && high >= min[axis];
+                            assert!(meets, "radius {radius}, offset {offset}, line {line}: {low} to {high}");
+                        }
+                    });
+                }
+            }
+        }
+    }
+}

@@ -263,6 +263,8 @@ fn files_cut_anywhere_are_refused_or_read_as_far_as_they_go() {
                 Ok((_, found, _)) if case.format == SplatFormat::Splat => assert_eq!(found, whole[..len / 32]),
                 // A number may be shorter, or the last line end absent.
                 Ok((_, found, _)) if case.name == "text.ply" => assert_eq!(found[..5], whole[..5]),
+                // Its last rows are harmonics, which are not read.
+                Ok(_) if case.format == SplatFormat::CompressedPly => panic!("{} cut to {len} bytes", case.name),
                 Ok((_, found, _)) => assert!(found == whole, "{} cut to {len} bytes", case.name),
                 Err(error) => assert!(is_one_line(&error), "{error}"),
             }
