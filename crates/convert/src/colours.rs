@@ -11,7 +11,7 @@
 //! If some files have 8 bits and others 16, the 8-bit values are widened. LAS does not state which it has: next to
 //! files that do, its values are read once more, up to the first that needs more than 8 bits.
 
-use super::Inputs;
+use super::inputs::Inputs;
 use super::options::{ColourMode, ConvertOptions};
 use super::work::on_threads;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};

@@ -3,12 +3,12 @@
 use super::ConvertOptions;
 use super::points::{Own, Read, out_of_reach};
 use super::work::on_threads;
-use crate::ShardScope;
 use crate::colour::ColourScale;
 use crate::input::PointCounts;
 use crate::input::scenes::Scene;
 use crate::mesh::{MeshBatch, MeshCounts, MeshFeed, MeshSet};
 use crate::plan::Plan;
+use crate::shard_filter::ShardScope;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::voxel::surfaces::SurfaceBuilder;

@@ -8,6 +8,8 @@ use crate::input::{Columns, Units};
 use crate::mesh::MeshMode;
 use crate::placement::Similarity;
 use crate::plan::PlanOptions;
+use crate::text::number;
+use crate::{Error, MIN_MEMORY_BYTES, Parameter, Result};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -26,7 +28,7 @@ pub enum PixelSize {
 impl FromStr for PixelSize {
     type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
         match text.parse::<f64>() {
             _ if text == "auto" => Ok(Self::Auto),
             Ok(value) if value > 0.0 && value.is_finite() => Ok(Self::Metres(value)),
@@ -49,7 +51,7 @@ pub enum Tolerance {
 impl FromStr for Tolerance {
     type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
         match text.parse::<f64>() {
             _ if text == "auto" => Ok(Self::Auto),
             Ok(value) if value.is_finite() => Ok(Self::Metres(value)),
@@ -86,7 +88,7 @@ impl ColourMode {
 impl FromStr for ColourMode {
     type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
         let all = ColourSource::ALL.map(Self::Of).into_iter().chain([Self::Auto, Self::Off]);
         let found = all.into_iter().find(|mode| mode.name() == text);
         found.ok_or_else(|| "expected rgb, intensity, class, auto or off".into())
@@ -184,6 +186,36 @@ impl ConvertOptions {
             (Some(placement), Some(turn)) => Some(placement * turn),
             (placement, turn) => placement.or(turn),
         }
+    }
+
+    /// Returns whether the positions of scanners change the archive.
+    pub(crate) fn needs_stations(&self) -> bool {
+        self.plan.remove_moving || self.free_space
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        if self.memory_bytes < MIN_MEMORY_BYTES {
+            let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", self.memory_bytes);
+            return Err(Error::parameter(Parameter::Memory, reason));
+        }
+        if self.threads == 0 {
+            return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
+        }
+        if let Some(widest_m) = self.fill_holes_m.filter(|widest_m| !(*widest_m > 0.0 && widest_m.is_finite())) {
+            let reason = format!("{} is not a width of holes in metres; give a length above 0", number(widest_m));
+            return Err(Error::parameter(Parameter::FillHoles, reason));
+        }
+        if self.stations.is_some() && !self.needs_stations() {
+            let reason = "a table of stations changes nothing unless moving points are removed or seen space is stored";
+            return Err(Error::parameter(Parameter::Stations, reason));
+        }
+        if self.resume && crate::bytes::address(&self.output).is_some() {
+            let reason = "an archive at an address cannot be resumed; leave it out, or write a file";
+            return Err(Error::parameter(Parameter::Resume, reason));
+        }
+        self.check_colour()?;
+        self.splats.check()?;
+        self.plan.check()
     }
 
     /// Creates the defaults of the command line for these inputs and this output.

@@ -1,10 +1,11 @@
 //! Preview of a conversion: what it would read and write.
 
+use super::conversion::{Limits, check_free_space, scope, temp_bytes};
+use super::inputs::open_inputs;
 use super::options::ConvertOptions;
+use super::planning::{Surveyed, plan};
 use super::stations::Stations;
-use super::{
-    Limits, Similarity, SplatCounts, Surveyed, UpFound, check_free_space, open_inputs, plan, scope, temp_bytes,
-};
+use super::{Similarity, SplatCounts, UpFound};
 use crate::archive::Bounds;
 use crate::bytes::len_at;
 use crate::disk::Files;

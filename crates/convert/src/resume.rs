@@ -13,8 +13,9 @@
 //! Meshes are read again. The second pass, from runs to pages, starts from the beginning.
 
 use super::colours::Values;
+use super::planning::Surveyed;
 use super::points::{OfFile, Read};
-use super::{ConvertOptions, PixelSize, Surveyed};
+use super::{ConvertOptions, PixelSize};
 use crate::archive::Shard;
 use crate::codec::ByteReader;
 use crate::colour::ColourSource;

@@ -1,10 +1,11 @@
 //! Writer for points that a program holds in memory: makes an archive batch by batch.
 
+use super::conversion::Limits;
 use super::pages::{Writing, write_archive};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
 use super::upright::Turn;
-use super::{ConvertOptions, Limits, PixelSize};
+use super::{ConvertOptions, PixelSize};
 use crate::archive::ArchiveWriter;
 use crate::input::{FARTHEST_M, PointBatch, PointCounts};
 use crate::mesh::MeshCounts;

@@ -18,9 +18,10 @@ mod json;
 
 pub(super) use json::{bounds, hex};
 
-use super::Surveyed;
 use super::facts::InputFacts;
+use super::inputs::open_inputs;
 use super::options::{ColourMode, ConvertOptions, PixelSize};
+use super::planning::{self, Surveyed};
 use super::splats::SplatRules;
 use super::split::split;
 use super::upright::{Turn, UpFound};
@@ -84,12 +85,12 @@ impl PlanFile {
     /// from them, files whose headers state no bounds once more for these, and all files once more for the range of
     /// colours.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
-        let mut inputs = super::open_inputs(options, monitor)?;
+        let mut inputs = open_inputs(options, monitor)?;
         if let Some(path) = inputs.cubes.inputs().next() {
             let reason = format!("{}: cubes are converted in one run, without a plan", path.display());
             return Err(Error::parameter(crate::Parameter::Plan, reason));
         }
-        let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
+        let (plan, Surveyed { spacing, noise }) = planning::plan(options, &inputs, None, monitor)?;
         let found = super::colours::source_of(options, &mut inputs, monitor)?;
         let set = &mut inputs.scans;
         let scale = found.map(|found| super::colours::measure(set, found, options.threads, monitor)).transpose()?;

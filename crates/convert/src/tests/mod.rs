@@ -6,12 +6,15 @@ mod pipeline;
 mod power;
 mod resume;
 
+use super::conversion::{Limits, convert_within};
 use super::*;
+use crate::colour::ColourSource;
 use crate::disk::Disk;
 use crate::disk::testing::model::{Content, ModelDisk};
 use crate::input::Units;
 use scangen::{Chunks, WriteSpec, write_las};
 use std::fs;
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use tempfile::TempDir;

@@ -1,0 +1,487 @@
+//! The two passes of a conversion in one run.
+
+use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Totals};
+use crate::colour::{ColourPlan, ColourSource};
+use crate::colours;
+use crate::cubes::{CubeSet, read_cubes};
+use crate::disk::Files;
+use crate::facts::InputFacts;
+use crate::free::write_seen;
+use crate::input::scenes::{Scene, far_apart};
+use crate::input::{InputSet, PointCounts, ScanFile, TextLayout};
+use crate::inputs::{Inputs, open_chosen};
+use crate::mesh::MeshSet;
+use crate::meshes::{Colouring, MeshReading, read_meshes};
+use crate::output::{Existing, Output, OutputKind, Protected};
+use crate::pages::{Writing, write_archive};
+use crate::plan::{Noise, Plan};
+use crate::plan_file::PlanFile;
+use crate::planning::plan;
+use crate::points::{self, Reading, Seeing, read_points};
+use crate::removed::RemovedPoints;
+use crate::resume::{Earlier, Identity, Progress, TakenOver};
+use crate::shard_filter::ShardScope;
+use crate::shard_inputs::Chosen;
+use crate::splats::{SplatSet, read_splats};
+use crate::stations::Stations;
+use crate::text::{counted, grouped};
+use crate::unit::LengthUnit;
+use crate::voxel::runs::RunStore;
+use crate::voxel::spill::SpillPlace;
+use crate::voxel::visibility::Views;
+use crate::{ColourMode, ConvertOptions, Error, Monitor, Parameter, Report, Result};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// Temporary disk space per point (bytes): its record, its copies in the halos of other tile columns, and the index.
+/// Points that lie closer together than tiles may have up to three copies each, which no header shows.
+const TEMP_BYTES_PER_POINT: u64 = 9;
+/// Temporary disk space per value of a point (bytes); 16-bit RGB takes twice as much.
+const VALUE_BYTES_PER_POINT: u64 = 8;
+
+/// Memory limits that decide when runs are spilled.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// Bytes of runs kept in memory.
+    pub retain_bytes: u64,
+    /// Memory for one worker's run under construction (bytes).
+    pub build_bytes: u64,
+    /// Memory for the views of the stations (bytes).
+    pub views_bytes: u64,
+}
+
+impl Limits {
+    /// Most memory for all runs under construction (bytes): with more, a kill would lose more work than larger runs
+    /// save.
+    const MOST_BUILD_BYTES: u64 = 240 << 20;
+
+    pub fn of(options: &ConvertOptions) -> Self {
+        // Runs of values take half of it, if there are any.
+        let builders = options.threads as u64 * if options.colour == ColourMode::Off { 1 } else { 2 };
+        let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / builders;
+        // The views of stations take half of what runs have otherwise.
+        let views_bytes = if options.needs_stations() { options.memory_bytes / 4 } else { 0 };
+        Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
+    }
+
+    /// Returns the limits for meshes with textures: half as much for runs kept in memory.
+    pub fn with_textures(self) -> Self {
+        Self { retain_bytes: self.retain_bytes / 2, ..self }
+    }
+}
+
+/// Converts `options.inputs` into the archive `options.output`, which appears either complete or not at all.
+///
+/// Cost: time linear in the number of points; memory of at most the budget plus a constant. If the points do not fit
+/// into the budget, disk: about 9 bytes per point, up to 36 for points that all lie in the corners of tiles, and 8 or
+/// 16 more with colours. Errors: unusable input or options, full disk, interruption by `monitor`. With
+/// [`ConvertOptions::resume`] an error may leave temporary data from which a later call continues; [`Error::Resumable`]
+/// says where.
+pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
+    options.check()?;
+    convert_within(options, Limits::of(options), monitor)
+}
+
+/// Returns `path` as it is from the root; in a browser all paths are.
+pub(super) fn absolute(path: &Path) -> std::io::Result<PathBuf> {
+    if cfg!(target_arch = "wasm32") { Ok(path.to_path_buf()) } else { std::path::absolute(path) }
+}
+
+/// Like [`convert`], but with other limits.
+pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: &dyn Monitor) -> Result<Report> {
+    let mut inputs = open_chosen(options, Chosen::of(options, monitor)?, monitor)?;
+    // Create the output first, so that a file that must not be replaced is reported before the work.
+    let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
+    let output = Output::create_by(&options.output, kind, inputs.paths().collect(), &options.temp_dir)?;
+    let mut removed = match &options.removed {
+        Some(path) => {
+            let mut protected: Protected = inputs.paths().collect();
+            protected.add(&options.output);
+            options.stations.iter().for_each(|stations| protected.add(stations));
+            Some(RemovedPoints::create(path, protected)?)
+        }
+        None => None,
+    };
+    let files = output.files().clone();
+    let target = absolute(output.beside()).map_err(|error| Error::io(&options.output, "find", error))?;
+    let earlier = Earlier::find(options, &output, &target)?;
+    let known = earlier.as_ref().and_then(|earlier| earlier.surveyed(options));
+    let (plan, surveyed) = plan(options, &inputs, known, monitor)?;
+    let noise = surveyed.noise.or(options.plan_file.as_ref().and_then(|file| file.noise));
+    let (source, colours) = colours_of(options, &mut inputs, monitor)?;
+    let units = match &inputs.chosen {
+        Some(chosen) => chosen.stated.units.clone(),
+        None => inputs.length_units(),
+    };
+    let Inputs { scans: mut set, meshes, splats, cubes, up, placement, chosen, .. } = inputs;
+    let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
+    if units.len() > MAX_UNITS {
+        let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
+        return Err(error.with_suggestion(Parameter::Units));
+    }
+    let mut scope = scope(options, (&set, &splats), &plan, colours, chosen.as_ref(), monitor)?;
+    drop(chosen);
+    let seeing = match options.needs_stations() {
+        true => {
+            let Stations { stations, of_cloud, tag } = Stations::find(options.stations.as_deref(), &set)?;
+            set.set_tag(tag);
+            scope.iter_mut().for_each(|scope| scope.sees_from(&stations));
+            Some(Seeing {
+                views: Views::new(&stations, plan.frame, limits.views_bytes)?,
+                of_cloud,
+                removes: plan.options.remove_moving,
+            })
+        }
+        false => None,
+    };
+    let seeing = seeing.as_ref();
+    let shard = scope.as_ref().map(|scope| scope.shard);
+    let mut writer = ArchiveWriter::on(output, &plan)?;
+    if options.levels {
+        writer.set_levels();
+    }
+    if options.free_space {
+        writer.set_seen();
+    }
+    if let Some(shard) = shard {
+        writer.set_shard(shard);
+    }
+
+    let spilled = earlier.as_ref().map_or(0, Earlier::bytes);
+    let (_, expected) = temp_bytes(options, &set, limits.retain_bytes);
+    check_free_space(options, &files, expected.saturating_sub(spilled))?;
+    // Hashes take time and only serve to recognise spilled data later.
+    let notes = options.resume || expected > 0;
+    if notes || shard.is_some() {
+        set.start_hashing();
+    }
+    let identity = Identity::of(options, &plan, surveyed, shard, &set);
+    let name = target.file_name().unwrap_or_default().to_owned();
+    let place = SpillPlace { files, folder: options.temp_dir.clone(), name, head: identity.head(&target) };
+    let nothing = || Progress::nothing(set.files().len());
+    let (mut store, progress, resumed) = match earlier {
+        None => (RunStore::new(limits.retain_bytes, place), nothing(), None),
+        Some(earlier) => {
+            let TakenOver { spill, runs, progress, resumed } = earlier.take_over(&identity, place, &set, monitor)?;
+            (RunStore::resumed(limits.retain_bytes, spill, runs, resumed.points), progress, Some(resumed))
+        }
+    };
+    let conversion = Conversion {
+        options,
+        limits,
+        plan: &plan,
+        set: &set,
+        meshes: &meshes,
+        splats: &splats,
+        cubes: &cubes,
+        scope,
+        progress,
+        notes,
+        units,
+        noise,
+        seeing,
+        source,
+        colours,
+        monitor,
+    };
+    let done = conversion.run(&store, writer, removed.as_mut());
+    if let (Ok(_), Some(removed)) = (&done, removed) {
+        removed.finish()?;
+    }
+    match done {
+        Ok(report) => {
+            let up = up.or(options.plan_file.as_ref().and_then(|file| file.up));
+            Ok(Report { spacing: surveyed.spacing, up, placement, resumed, temp_bytes: store.temp_bytes(), ..report })
+        }
+        Err(error) => Err(keep(options, &mut store, error)),
+    }
+}
+
+/// Returns the source of the colours, and their plan if it must be known before points are read, as in a part, which
+/// does not see all points.
+fn colours_of(
+    options: &ConvertOptions,
+    inputs: &mut Inputs,
+    monitor: &dyn Monitor,
+) -> Result<(Option<ColourSource>, Option<ColourPlan>)> {
+    if let Some(file) = &options.plan_file {
+        let source = file.colour.map(|plan| plan.scale.source);
+        let found = colours::source_of_plan(source, options, inputs, monitor)?;
+        return Ok((found.map(|found| found.source), file.colour));
+    }
+    let found = colours::source_of(options, inputs, monitor)?;
+    let part = found.filter(|_| options.shard.is_some());
+    let set = &mut inputs.scans;
+    let scale = part.map(|found| colours::measure(set, found, options.threads, monitor)).transpose()?;
+    Ok((found.map(|found| found.source), scale.map(|scale| options.colour_plan(scale))))
+}
+
+/// Returns the part that the options ask for, or `None` for the whole; refuses inputs that are not those of the plan
+/// file.
+pub(super) fn scope(
+    options: &ConvertOptions,
+    inputs: (&InputSet, &SplatSet),
+    plan: &Plan,
+    colour: Option<ColourPlan>,
+    chosen: Option<&Chosen>,
+    monitor: &dyn Monitor,
+) -> Result<Option<ShardScope>> {
+    if let Some(shard) = options.shard {
+        return ShardScope::new(shard, inputs, plan, options, colour, chosen, monitor).map(Some);
+    }
+    if let Some(file) = &options.plan_file {
+        let facts = InputFacts::of(inputs, options.threads, monitor)?;
+        file.check_same_inputs(&PlanFile::of(facts, plan.clone(), options))?;
+    }
+    Ok(None)
+}
+
+/// Explains why the archive of a scan with points is empty.
+fn nothing_kept(header: &Header, voxels_dropped: u64, points_moving: u64) -> String {
+    let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
+    let why = match points_kept {
+        0 => format!(
+            "all {} are left out ({} by class, {} withheld, {} moving, {} without a finite position)",
+            counted(points_read, "point"),
+            grouped(points_excluded),
+            grouped(points_withheld),
+            grouped(points_moving),
+            grouped(points_read - points_excluded - points_withheld - points_moving)
+        ),
+        _ => format!("all {} have too few points or no neighbours", counted(voxels_dropped, "voxel")),
+    };
+    format!("nothing is kept: {why}; the archive is empty")
+}
+
+/// Keeps the spilled data after an error, if `resume` is set and the data is of use.
+fn keep(options: &ConvertOptions, store: &mut RunStore, error: Error) -> Error {
+    // After these errors the archive is complete, under its own name or another.
+    let is_complete = matches!(error, Error::NotDurable { .. } | Error::Output { .. });
+    let points = store.points_on_disk();
+    if !options.resume || is_complete || points == 0 {
+        return error;
+    }
+    let bytes = store.temp_bytes();
+    match store.keep() {
+        Some(path) => Error::Resumable { source: Box::new(error), path, bytes, points },
+        None => error,
+    }
+}
+
+/// Conversion whose plan and inputs are known.
+struct Conversion<'a> {
+    options: &'a ConvertOptions,
+    limits: Limits,
+    plan: &'a Plan,
+    set: &'a InputSet,
+    meshes: &'a MeshSet,
+    splats: &'a SplatSet,
+    cubes: &'a CubeSet,
+    scope: Option<ShardScope>,
+    progress: Progress,
+    notes: bool,
+    units: Vec<LengthUnit>,
+    noise: Option<Noise>,
+    seeing: Option<&'a Seeing>,
+    source: Option<ColourSource>,
+    /// Colour plan, if it does not follow from the points that are read.
+    colours: Option<ColourPlan>,
+    monitor: &'a dyn Monitor,
+}
+
+impl Conversion<'_> {
+    fn run(
+        self,
+        store: &RunStore,
+        mut writer: ArchiveWriter,
+        mut removed: Option<&mut RemovedPoints>,
+    ) -> Result<Report> {
+        let Self {
+            options,
+            limits,
+            plan,
+            set,
+            meshes,
+            splats,
+            cubes,
+            scope,
+            progress,
+            notes,
+            units,
+            noise,
+            seeing,
+            source,
+            colours,
+            monitor,
+        } = self;
+        let threads = options.threads;
+        let scope = scope.as_ref();
+        let build_bytes = limits.build_bytes;
+        let reading = Reading { build_bytes, threads, scope, progress: &progress, notes, seeing, source };
+        let (mut read, of_files, values) = read_points(set, plan, store, reading, monitor)?;
+        let colours = colours.or(values.map(|values| options.colour_plan(values.scale())));
+        if let Some(colours) = colours {
+            writer.set_colours(colours);
+        }
+        // A part that leaves files out cannot conclude that nothing in the whole is usable.
+        let whole = scope.is_none_or(ShardScope::reads_all);
+        if whole {
+            refuse_unusable(set, &read.counts)?;
+        }
+        set.check_complete(monitor)?;
+        let PointCounts { not_finite: points_not_finite, missing, .. } = read.own.left_out;
+        let points_missing = set.points_missing().saturating_add(missing);
+        let colouring = colours.map(|ColourPlan { scale, .. }| Colouring {
+            scale,
+            with_points: seeing.is_some_and(|seeing| seeing.removes),
+        });
+        let of_splats = colouring.filter(|_| splats.has_paint());
+        let reading = MeshReading { build_bytes, scope, colouring: colouring.filter(|_| meshes.has_paint()) };
+        let mesh_read = read_meshes(meshes, options, plan, store, reading, monitor)?;
+        read.merge(&mesh_read.read);
+        let reading = MeshReading { build_bytes, scope, colouring: of_splats };
+        let splat_read = read_splats(splats, options, plan, store, reading, monitor)?;
+        read.merge(&splat_read.read);
+        let of_runs = [build_bytes, limits.retain_bytes];
+        let cube_read = read_cubes(cubes, options, plan, store, of_runs, monitor)?;
+        read.merge(&cube_read.read);
+        if let Some(scope) = scope {
+            let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
+            let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
+            let splats = splats.paths().zip(splat_read.hashes);
+            writer.set_read(scope.inputs_read(scans.chain(meshes).chain(splats)));
+        }
+        let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete && splat_read.complete;
+        if whole {
+            let of_splats = splat_read.scenes.into_iter().chain(cube_read.scenes);
+            let scenes: Vec<Scene> = points::scenes(set, &of_files).chain(mesh_read.scenes).chain(of_splats).collect();
+            far_apart(&scenes).inspect(|warning| monitor.warn(warning));
+        }
+        if whole && read.counts.read == 0 {
+            if !complete {
+                return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
+            }
+            monitor.warn(&"the input holds no points: the archive is empty".into());
+        }
+        let columns = scope.map(|scope| (scope.shard.first, scope.shard.last));
+        if let Some(removed) = &mut removed {
+            removed.set_bounds(read.min, read.max);
+        }
+        seeing.inspect(|seeing| seeing.views.finish());
+        let views = seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views);
+        let temp_dir = &options.temp_dir;
+        let writing = Writing {
+            memory_bytes: options.memory_bytes,
+            threads,
+            columns,
+            views,
+            temp_dir,
+            weighted: !splats.is_empty(),
+        };
+        let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
+        let seen = match seeing.filter(|_| options.free_space) {
+            Some(seeing) => Some(write_seen(&seeing.views, columns, threads, &mut writer, monitor)?),
+            None => None,
+        };
+        let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
+        read.own.kept -= points_moving;
+        read.own.left_out.read += points_moving;
+        let crs = set.crs().unwrap_or_default().to_owned();
+        let header = writer.finish(Totals { noise, ..read.own.totals(&crs, &units) })?;
+        if whole && header.points_read > 0 && header.voxels.occupied == 0 {
+            monitor.warn(&nothing_kept(&header, voxels_dropped, points_moving).into());
+        }
+        Ok(Report {
+            header,
+            shard: scope.map(|scope| scope.shard),
+            crs,
+            units,
+            noise,
+            spacing: None,
+            up: None,
+            placement: None,
+            texts: texts(set),
+            input_bytes: [set.bytes(), meshes.bytes(), splats.bytes(), cubes.bytes()]
+                .into_iter()
+                .fold(0, u64::saturating_add),
+            temp_bytes: 0,
+            resumed: None,
+            points_not_finite,
+            points_missing,
+            points_moving,
+            seen,
+            complete,
+            triangles: mesh_read.triangles,
+            splats: splat_read.counts,
+            cubes: cube_read.count,
+            points_made: mesh_read.points_made,
+            voxels_dropped,
+        })
+    }
+}
+
+/// Returns the scans in text, and how their columns were understood.
+fn texts(set: &InputSet) -> Vec<(PathBuf, TextLayout)> {
+    let of_file = |file: &ScanFile| Some((file.path().to_path_buf(), file.text_layout()?.clone()));
+    set.files().iter().filter_map(of_file).collect()
+}
+
+/// Estimates from the headers how many points one run reads and how much temporary data it writes beyond `retain_bytes`
+/// (bytes). Headers may lie, so more than one point per byte is not believed.
+pub(super) fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u64, u64) {
+    let parts = options.shard.map_or(1, |shard| u64::from(shard.count.max(1)));
+    // A part need not have opened all inputs.
+    let points = match &options.plan_file {
+        Some(file) if options.shard.is_some() => {
+            file.inputs.iter().map(|input| input.points.min(input.bytes)).fold(0, u64::saturating_add)
+        }
+        _ => set.points_stated().min(set.bytes()),
+    } / parts;
+    let values = match options.colour {
+        ColourMode::Off => 0,
+        ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,
+        _ => 2 * VALUE_BYTES_PER_POINT,
+    };
+    // If moving points are removed, each value follows the record of its point.
+    let values = values + if options.plan.remove_moving && values > 0 { VALUE_BYTES_PER_POINT } else { 0 };
+    (points, points.saturating_mul(TEMP_BYTES_PER_POINT + values).saturating_sub(retain_bytes))
+}
+
+/// Fails if the free disk space is too small for the temporary data.
+pub(super) fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Result<()> {
+    let dir = &options.temp_dir;
+    let free = files.free_bytes(dir).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => Error::output(dir, "no such folder; temporary data needs one that exists"),
+        _ => Error::io(dir, "ask for its free space", error),
+    })?;
+    if needed > free {
+        let points = needed / TEMP_BYTES_PER_POINT;
+        let what = format!("temporary data for {points} points in {} (bytes; more memory needs less)", dir.display());
+        return Err(Error::limit(what, needed, free).with_suggestion(Parameter::TempDir));
+    }
+    Ok(())
+}
+
+/// Refuses scans that state points of which none is usable: an empty archive in place of a good one helps no user.
+/// Scans that state no points, or whose points are all excluded on purpose, make an empty archive.
+fn refuse_unusable(set: &InputSet, counts: &PointCounts) -> Result<()> {
+    let Some(first) = set.files().iter().find(|file| file.points_stated() > 0) else { return Ok(()) };
+    if counts.read == 0 {
+        let reason = format!(
+            "the header states {} points, but none can be read: the file is cut or damaged; fetch or write it again",
+            first.points_stated()
+        );
+        return Err(Error::input(first.path(), "points", reason));
+    }
+    if counts.not_finite == counts.read {
+        let reason = match first.has_header() {
+            true => {
+                "no point has a finite position within 1e12 m: scale or offset in the header (bytes 131 to 178) are damaged; \
+                 fetch or write the file again"
+            }
+            false => "no point has a finite position within 1e12 m; fetch or write the file again",
+        };
+        return Err(Error::input(first.path(), "points", reason));
+    }
+    Ok(())
+}

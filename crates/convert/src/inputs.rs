@@ -1,0 +1,152 @@
+//! Opening and placing the inputs of a conversion.
+
+use crate::cubes::CubeSet;
+use crate::input::{InputOptions, InputSet, ScanFile, Units};
+use crate::mesh::{MeshOptions, MeshSet};
+use crate::placement::Similarity;
+use crate::shard_inputs::Chosen;
+use crate::splats::{Divided, SplatSet};
+use crate::unit::LengthUnit;
+use crate::upright::{self, Turn, UpFound};
+use crate::{ConvertOptions, Error, Monitor, Parameter, Result};
+use std::path::{Path, PathBuf};
+
+/// Input files of a conversion.
+pub(crate) struct Inputs {
+    pub scans: InputSet,
+    pub meshes: MeshSet,
+    pub splats: SplatSet,
+    pub cubes: CubeSet,
+    /// Unit of splats and cubes.
+    pub units: Units,
+    /// Direction that points up, if the input shows it.
+    pub up: Option<UpFound>,
+    /// Placement of all inputs, its rotation upwards included.
+    pub placement: Option<Similarity>,
+    /// Choice of inputs of a part that need not open all of them.
+    pub chosen: Option<Chosen>,
+}
+
+impl Inputs {
+    /// Returns the paths of all inputs that the command reads, opened or not.
+    pub(super) fn paths(&self) -> impl Iterator<Item = &Path> {
+        let opened = self.scans.files().iter().map(ScanFile::path);
+        let closed = self.chosen.iter().flat_map(|chosen| &chosen.closed);
+        opened
+            .chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path))
+            .chain(self.splats.paths())
+            .chain(self.cubes.paths())
+    }
+
+    /// Returns the distinct units of the inputs.
+    pub(super) fn length_units(&self) -> Vec<LengthUnit> {
+        let of_scans = self.scans.length_units().chain(self.meshes.length_unit());
+        LengthUnit::distinct(
+            of_scans.chain(self.splats.length_unit(self.units)).chain(self.cubes.length_unit(self.units)),
+        )
+    }
+}
+
+/// Memory for the textures of meshes (bytes), taken from the share of runs and from the later share of encoded pages.
+fn texture_bytes(options: &ConvertOptions) -> u64 {
+    options.memory_bytes / 8 * 3
+}
+
+/// Opens the inputs of a conversion.
+pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
+    open_chosen(options, None, monitor)
+}
+
+/// Opens the `chosen` inputs of a conversion, or all of them.
+pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn Monitor) -> Result<Inputs> {
+    options.check()?;
+    let input_options = InputOptions {
+        units: options.units,
+        epsg: options.epsg,
+        columns: options.columns,
+        up: options.plan.up,
+        placement: options.placement,
+        exclude_classes: options.plan.exclude_classes,
+        memory_bytes: options.memory_bytes / 8 / options.threads as u64,
+        // Set later, and not needed for an automatic pixel size.
+        colour: None,
+        allow_incomplete: options.allow_incomplete,
+        // Hash only the pass that reads the points of the archive, not the pass for an automatic pixel size.
+        hash: false,
+        threads: options.threads,
+    };
+    let mut cubes = CubeSet::default();
+    let (mut scans, splats) = match &chosen {
+        None => {
+            let (of_cubes, others) = CubeSet::among(options, monitor)?;
+            cubes = of_cubes;
+            match others.is_empty() && !options.inputs.is_empty() {
+                true => (InputSet::of_paths(others, input_options, monitor)?, Vec::new()),
+                false => Divided::open(&others, input_options, monitor)?,
+            }
+        }
+        Some(chosen) => {
+            let mut scans = InputSet::of_paths(chosen.opened.clone(), input_options, monitor)?;
+            chosen.check_stated(&scans)?;
+            scans.set_crs(chosen.stated.crs.clone());
+            (scans, chosen.splats.clone())
+        }
+    };
+    let mut splats = SplatSet::open(splats, options, monitor)?;
+    let mesh_options = MeshOptions {
+        units: options.units,
+        up: options.plan.up,
+        placement: options.placement,
+        memory_bytes: options.memory_bytes / 8,
+        temp_dir: options.temp_dir.clone(),
+        allow_incomplete: options.allow_incomplete,
+        hash: options.shard.is_some(),
+        // Set later.
+        colours: false,
+        texture_bytes: texture_bytes(options),
+    };
+    let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
+    scans.set_meshes(meshes.paths());
+    let (up, placement) = place(options, &mut scans, &meshes, &mut splats, &cubes, monitor)?;
+    Ok(Inputs { scans, meshes, splats, cubes, units: options.units, up, placement, chosen })
+}
+
+/// Places all inputs. Returns the direction that points up if it was found, and the placement.
+fn place(
+    options: &ConvertOptions,
+    scans: &mut InputSet,
+    meshes: &MeshSet,
+    splats: &mut SplatSet,
+    cubes: &CubeSet,
+    monitor: &dyn Monitor,
+) -> Result<(Option<UpFound>, Option<Similarity>)> {
+    let refused = |path: &Path, reason: &str| {
+        Err(Error::parameter(Parameter::Other("up".into()), format!("{}: {reason}", path.display())))
+    };
+    if options.turn != Turn::None {
+        if let Some(mesh) = meshes.paths().next() {
+            return refused(mesh, "meshes are turned by --up y or z, or by --transform");
+        }
+        if let (Some(_), Some(scan)) = (scans.crs().filter(|_| options.epsg.is_none()), scans.files().first()) {
+            return refused(scan.path(), "it states a reference system, in which z is up; leave --up out");
+        }
+    }
+    if let Some(file) = cubes.inputs().next().filter(|_| options.turn != Turn::None || options.placement.is_some()) {
+        return refused(file, "its cubes lie on the grid of pixels and are not moved; leave --up and --transform out");
+    }
+    let up = match options.turn {
+        Turn::Auto => {
+            scans.set_placement(None);
+            Some(upright::find_up(scans, splats, options, monitor)?)
+        }
+        _ => None,
+    };
+    let placement = options.placement_with(up.as_ref());
+    if options.placement.is_some() && options.plan_file.is_none() && options.epsg.is_none() && scans.crs().is_some() {
+        let text = "a scan states a reference system; the matrix moves its points, and the archive keeps the system";
+        monitor.warn(&text.into());
+    }
+    scans.set_placement(placement);
+    splats.set_placement(placement);
+    Ok((up, placement))
+}

@@ -1,0 +1,152 @@
+//! The plan of a conversion, and the measurements from which automatic options follow.
+
+use crate::frame::{Frame, MAX_CELL_M};
+use crate::input::InputSet;
+use crate::input::spacing::{Spacing, Survey, estimate_spacing};
+use crate::inputs::{Inputs, open_inputs};
+use crate::mesh::MeshSet;
+use crate::plan::{Noise, Plan, PlanOptions};
+use crate::splats::SplatSet;
+use crate::text::number;
+use crate::{ConvertOptions, Error, Monitor, NoMonitor, Parameter, PixelSize, Result};
+
+/// Automatic pixel size, in units of the scan's point spacing.
+pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
+/// Pixels along the longer side of meshes if the pixel size is chosen automatically (thesis, equation 3.3 with the
+/// sides of the images in place of the printed ones, at the larger of its two resolutions).
+pub const AUTO_PIXELS: f64 = 700.0;
+
+/// Gaps of up to this many spacings lie between points that are spread at random: a disc this wide around a random
+/// place holds no point in one of a thousand cases.
+const GAP_SPACINGS: f64 = 3.0;
+
+/// Returns the width of gaps between the points of the scans: three times their spacing (m). `None` without scans. For
+/// [`ConvertOptions::fill_holes_m`] where points lie farther apart than pixels. Reads the points once.
+pub fn gap_width_m(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<f64>> {
+    let opened = open_inputs(options, monitor)?;
+    if opened.scans.files().is_empty() {
+        return Ok(None);
+    }
+    Ok(Some(GAP_SPACINGS * estimate_spacing(&opened.scans, options.threads, monitor)?.spacing_m))
+}
+
+/// Measurements from which automatic options follow; `None` where the options were given.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Surveyed {
+    /// Source of the pixel size.
+    pub spacing: Option<Spacing>,
+    /// Source of the tolerance.
+    pub noise: Option<Noise>,
+}
+
+impl Surveyed {
+    /// Reads the scans once, if an option follows from them and the result is not `known` from an earlier run.
+    pub fn of(options: &ConvertOptions, set: &InputSet, known: Option<Self>, monitor: &dyn Monitor) -> Result<Self> {
+        if let Some(known) = known {
+            return Ok(known);
+        }
+        let auto_pixel = options.pixel == PixelSize::Auto && !set.files().is_empty();
+        let no_noise = options.tolerance_auto.then(Noise::default);
+        if set.files().is_empty() || !(auto_pixel || options.tolerance_auto) {
+            return Ok(Self { spacing: None, noise: no_noise });
+        }
+        let survey = Survey::read(set, options.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
+        let spacing = auto_pixel.then(|| survey.spacing()).transpose()?;
+        // With `--allow-incomplete`, the main pass reports diagnostics.
+        set.check_complete(&NoMonitor)?;
+        Ok(Self { spacing, noise: no_noise.map(|none| survey.noise().unwrap_or(none)) })
+    }
+}
+
+/// Returns the plan of a conversion of `inputs` and the measurements it follows from, which may be `known` from an
+/// earlier run.
+pub(crate) fn plan(
+    options: &ConvertOptions,
+    Inputs { scans: set, meshes, splats, cubes, .. }: &Inputs,
+    known: Option<Surveyed>,
+    monitor: &dyn Monitor,
+) -> Result<(Plan, Surveyed)> {
+    let surveyed = Surveyed::of(options, set, known, monitor)?;
+    let is_auto = options.pixel == PixelSize::Auto && surveyed.spacing.is_none();
+    let of_cubes = cubes.finest_m().filter(|_| is_auto);
+    let pixel_m = match (options.pixel, surveyed.spacing) {
+        (PixelSize::Metres(pixel_m), _) => pixel_m,
+        (PixelSize::Auto, Some(spacing)) => round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2),
+        (PixelSize::Auto, None) => match of_cubes {
+            Some(finest_m) => finest_m,
+            None => pixel_of_extent(options, meshes, splats, monitor)?,
+        },
+    };
+    if surveyed.noise.is_some_and(|noise| noise.regions == 0) {
+        let text = "--tolerance auto: too little of the input is flat to measure its noise; heights stay as they are";
+        monitor.warn(&text.into());
+    }
+    if options.pixel == PixelSize::Auto && !(1e-6..=MAX_CELL_M).contains(&pixel_m) {
+        let reason = format!("the input asks for pixels of {pixel_m} m; give the pixel size in metres");
+        return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
+    }
+    let mut plan = options.plan_of(pixel_m)?;
+    if let Some(finest_m) = of_cubes.filter(|_| options.slice_m.is_none()) {
+        // A cube is a voxel, so exporting the archive again gives the same cubes.
+        plan.frame = Frame::new(finest_m, finest_m)?;
+    }
+    if let Some(noise) = surveyed.noise {
+        plan.options.tolerance_m = noise.tolerance_m().min(MAX_CELL_M);
+    }
+    Ok((plan, surveyed))
+}
+
+impl ConvertOptions {
+    /// Returns the plan for this pixel size (m).
+    pub(super) fn plan_of(&self, pixel_m: f64) -> Result<Plan> {
+        let slice_m = self.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M));
+        let fill_holes = self.fill_holes_pixels(pixel_m)?;
+        Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: PlanOptions { fill_holes, ..self.plan.clone() } })
+    }
+
+    /// Returns the width of the widest holes to close (pixels of this size, m).
+    pub fn fill_holes_pixels(&self, pixel_m: f64) -> Result<u8> {
+        let Some(widest_m) = self.fill_holes_m else { return Ok(self.plan.fill_holes) };
+        // Slightly more, so that three pixels of 0.1 m make 0.3 m.
+        let pixels = (widest_m / pixel_m * (1.0 + 1e-9)).floor();
+        let (pixel, most) = (number(pixel_m), PlanOptions::MOST_FILL_PIXELS);
+        let reason = match pixels {
+            pixels if pixels < 1.0 => format!("{} m is narrower than a pixel of {pixel} m", number(widest_m)),
+            pixels if pixels > f64::from(most) => {
+                let widest = number(f64::from(most) * pixel_m);
+                format!("{} m is too wide: holes of up to {most} pixels, {widest} m, can be closed", number(widest_m))
+            }
+            _ => return Ok(pixels as u8),
+        };
+        Err(Error::parameter(Parameter::FillHoles, reason))
+    }
+}
+
+/// Rounds `value` to `digits` significant decimal digits.
+fn round_to_digits(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
+}
+
+/// Returns the pixel size for meshes and splats alone: their longer side has [`AUTO_PIXELS`] pixels.
+fn pixel_of_extent(
+    options: &ConvertOptions,
+    meshes: &MeshSet,
+    splats: &SplatSet,
+    monitor: &dyn Monitor,
+) -> Result<f64> {
+    monitor.stage("extent", 0, "triangles and splats");
+    let both = meshes.bounds(monitor)?.into_iter().chain(splats.survey(options, monitor)?.1);
+    let along = |axis: usize| {
+        let ends = both.clone().map(|(min, max)| (min[axis], max[axis]));
+        ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or(0.0, |(min, max)| max - min)
+    };
+    let longer = along(0).max(along(1));
+    if longer > 0.0 {
+        Ok(round_to_digits(longer / AUTO_PIXELS, 2))
+    } else {
+        Err(Error::parameter(
+            Parameter::AutomaticPixelSize,
+            "meshes and splats have no extent in x and y; give the pixel size in metres",
+        ))
+    }
+}
