@@ -109,7 +109,8 @@ impl File {
             return Ok(());
         }
         let [expected, found] = [expected, found].map(grouped);
-        let reason = format!("expected {expected} bytes for all elements, found {found}: the file is cut; fetch it again");
+        let reason =
+            format!("expected {expected} bytes for all elements, found {found}: the file is cut; fetch it again");
         Err(refuse(path, "length", reason))
     }
 
