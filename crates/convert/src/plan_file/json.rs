@@ -396,10 +396,10 @@ impl PlanFile {
             let (at, error) = (error.path().to_string(), error.into_inner());
             match error.classify() {
                 serde_json::error::Category::Io => Error::io(path, "read", error.into()),
-                // A path that begins with an index is in a list, and a plan is an object.
-                serde_json::error::Category::Data if !at.starts_with(['.', '[']) => {
-                    Error::input(path, at, format!("{error}; {again}"))
+                _ if at.starts_with('[') => {
+                    Error::input(path, "line 1", format!("no plan in JSON: a list, expected an object; {again}"))
                 }
+                serde_json::error::Category::Data if at != "." => Error::input(path, at, format!("{error}; {again}")),
                 _ => Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; {again}")),
             }
         })?;
