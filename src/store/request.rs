@@ -1,8 +1,8 @@
 //! Requests: pages for which a caller waits, and their outcomes.
 
-use super::cache::Order;
-use super::fetch::{Time, Turn};
-use super::loader::{Loader, page_runs};
+use super::cache::{Claim, Order};
+use super::fetch::Time;
+use super::loader::{Loader, Turn};
 use crate::Result;
 use crate::frame::PageKey;
 use std::time::Duration;
@@ -75,11 +75,11 @@ impl Loader {
         self.requests.iter().any(|(other, request)| request.lacks_room && id.is_none_or(|id| *other < id))
     }
 
-    /// Returns the next step of a request, which is idle once it has an outcome.
+    /// Returns the next step of a request.
     pub(super) fn request_turn(&mut self, id: RequestId, now: Time) -> Turn {
         let now = self.at(now);
-        if self.ended.get(&id).is_some() {
-            return Turn::Idle;
+        if let Some(outcome) = self.ended.remove(&id) {
+            return Turn::Ended(outcome);
         }
         if self.gives_way(Some(id)) {
             return Turn::NoRoom(false);
@@ -87,34 +87,33 @@ impl Loader {
         let (Some(cache), Some(mut request)) = (&mut self.cache, self.requests.remove(&id)) else { return Turn::Busy };
         let stays = |page| self.requests.iter().any(|(other, earlier)| *other < id && earlier.order.wants(page));
         let mut claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
-        if matches!(claim, Turn::Idle) && cache.absent(&request.order) > 0 {
+        if matches!(claim, Claim::Done) && cache.absent(&request.order) > 0 {
             // An earlier request evicted pages that were in memory.
             request.order.restart();
             claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
         }
-        request.lacks_room = matches!(claim, Turn::NoRoom(_));
+        request.lacks_room = matches!(claim, Claim::NoRoom(_));
         // Runs in flight release memory, and so do earlier requests when they finish.
-        let comes = page_runs(&self.flights).next().is_some() || self.requests.iter().any(|(other, _)| *other < id);
+        let comes = !self.flights.is_empty() || self.requests.iter().any(|(other, _)| *other < id);
         let turn = match claim {
-            Turn::NoRoom(_) if comes => Turn::NoRoom(false),
-            Turn::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
+            Claim::Run(run) => Turn::Fetch(self.launch(run)),
+            Claim::Busy => Turn::Busy,
+            Claim::NoRoom(_) if comes => Turn::NoRoom(false),
+            Claim::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
                 self.requests.insert(id, request);
                 return Turn::NoRoom(true);
             }
-            Turn::Idle | Turn::NoRoom(_) => {
+            Claim::Done | Claim::NoRoom(_) => {
                 let left_out = cache.absent(&request.order);
                 self.stale = true;
-                let report = LoadReport {
+                return Turn::Ended(Ok(LoadReport {
                     loaded: request.absent.saturating_sub(left_out),
                     already: request.order.pages.len() - request.absent,
                     evicted: (self.counters.evicted - request.evicted) as usize,
                     left_out,
                     needed_bytes: cache.needed_bytes(&request.order),
-                };
-                self.ended.insert(id, Ok(report));
-                return Turn::Idle;
+                }));
             }
-            claim => self.launched(claim),
         };
         request.waits_since = None;
         self.requests.insert(id, request);
