@@ -356,7 +356,7 @@ impl Ground {
         [x, y].map(|v| (v / self.pixel_m).floor() as i64)
     }
 
-    /// The height of the ground at a place that is nearest to the height `near`, or `near` if there is none.
+    /// Height of the ground at a place (m): the one nearest to `near`, or `near` where nothing is reached.
     fn level(&self, [x, y]: [f64; 2], near: f64) -> f64 {
         let all = self.pixels.get(&self.pixel(x, y)).into_iter().flatten().copied();
         all.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())).unwrap_or(near)

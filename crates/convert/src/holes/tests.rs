@@ -66,7 +66,7 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
     found.into_iter().flat_map(|(at, fills)| fills.into_iter().map(move |(b, t)| (at, b, t))).collect()
 }
 
-/// Adds the fills of holes of one width to those found so far.
+/// Adds the fills of holes of one width.
 fn add_by_definition(world: &World, widest: i64, found: &mut BTreeMap<Pixel, Vec<(i64, i64)>>) {
     let step = quanta(0.35) / 4;
     let across = widest + 1;

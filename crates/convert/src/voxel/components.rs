@@ -1,10 +1,12 @@
 //! Components: finds connected components of few voxels, out of core.
 //!
-//! Voxels are connected if they share a face, an edge or a corner. A voxel counts by its weight, in quarters; all but those
-//! of faint splats count in full. [`Pieces`] holds the components of one area of a
-//! tile column, whose voxels are in memory. Components that end inside the area are settled at once. A [`Frontier`]
-//! joins the others across the areas' edges. Of each area it keeps only the voxels with neighbours in areas still to
-//! come, and only small components voxel by voxel; all components above the size limit count as one.
+//! Voxels are connected if they share a face, an edge or a corner. A voxel counts by its weight, in quarters; all but
+//! those of faint splats count in full.
+//!
+//! [`Pieces`] holds the components of one area of a tile column, whose voxels are in memory. Components that end inside
+//! the area are settled at once. A [`Frontier`] joins the others across the areas' edges. Of each area it keeps only the
+//! voxels with neighbours in areas still to come, and only small components voxel by voxel; all components above the size
+//! limit count as one.
 //!
 //! The result is a set of voxels that does not depend on the order and the cut of the areas.
 
