@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut paths: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
     let output = paths.pop().filter(|_| !paths.is_empty()).ok_or("usage: convert INPUT... OUT.slices")?;
     let mut options = ConvertOptions::new(paths, output);
-    options.memory_bytes = 256 << 20;
+    options.resources.memory_bytes = 256 << 20;
     let report = convert(&options, &Progress)?;
     let header = &report.header;
     println!(

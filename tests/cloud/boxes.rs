@@ -80,7 +80,8 @@ fn check(folder: &Path, path: &Path, points: &[Point], loose: bool) -> [usize; 2
     let magnitude = ends.as_flattened().iter().fold(0.0f64, |most, v| most.max(v.abs()));
     let pixel: f64 = format!("{:.1e}", (extent / 80.0).max(magnitude / 1e7).max(0.001)).parse().unwrap();
     let mut options = ConvertOptions::new(vec![path.to_path_buf()], folder.join("out.slices"));
-    (options.pixel, options.overwrite, options.temp_dir) = (PixelSize::Metres(pixel), true, folder.to_path_buf());
+    (options.grid.pixel, options.overwrite, options.resources.temp_dir) =
+        (PixelSize::Metres(pixel), true, folder.to_path_buf());
     let report = convert(&options, &NoMonitor).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(report.header.points_kept, points.len() as u64, "{}", path.display());
     let archive = Archive::open(folder.join("out.slices")).unwrap();

@@ -36,14 +36,12 @@ pub fn converted(points: &[[f64; 3]], setting: Setting) -> (Vec<[f64; 3]>, Vec<u
     let sample = |&position: &[f64; 3]| Sample { position, kind: Kind::Surface, surface: 0, station: 0 };
     let (input, output) = (folder.path().join("scan.las"), folder.path().join("scan.slices"));
     write_samples(&input, points.iter().map(sample), &spec).unwrap();
-    let options = ConvertOptions {
-        pixel: PixelSize::Metres(setting.pixel_m),
-        slice_m: Some(setting.slice_m),
-        plan: PlanOptions { classifier: setting.classifier, ..PlanOptions::default() },
-        threads: 2,
-        temp_dir: folder.path().into(),
-        ..ConvertOptions::new(vec![input], output.clone())
-    };
+    let mut options = ConvertOptions::new(vec![input], output.clone());
+    options.grid.pixel = PixelSize::Metres(setting.pixel_m);
+    options.grid.slice_m = Some(setting.slice_m);
+    options.plan = PlanOptions { classifier: setting.classifier, ..PlanOptions::default() };
+    options.resources.threads = 2;
+    options.resources.temp_dir = folder.path().into();
     convert(&options, &NoMonitor).unwrap();
     (points, std::fs::read(output).unwrap())
 }

@@ -81,11 +81,11 @@ fn check(name: &str, pixel: f64, metres_per_unit: f64) {
     let dir = tempfile::tempdir().unwrap();
     let output = dir.path().join("scan.slices");
     let mut options = ConvertOptions::new(vec![path.clone()], output.clone());
-    options.pixel = PixelSize::Metres(pixel);
-    options.memory_bytes = 64 << 20;
-    options.temp_dir = dir.path().to_owned();
+    options.grid.pixel = PixelSize::Metres(pixel);
+    options.resources.memory_bytes = 64 << 20;
+    options.resources.temp_dir = dir.path().to_owned();
     // None of the scans states its unit, though one is in feet.
-    options.units = Units::Factor(metres_per_unit);
+    options.reading.units = Units::Factor(metres_per_unit);
     let report = convert(&options, &Quiet).unwrap();
 
     let truth = Truth::read(&path, metres_per_unit, 16.0 * pixel);

@@ -313,8 +313,8 @@ fn the_walker_arrives_on_every_route_of_real_scans() {
         let dir = tempfile::tempdir().unwrap();
         let mut options =
             slicewalk_convert::ConvertOptions::new(vec![folder.join(name)], dir.path().join("scan.slices"));
-        options.pixel = slicewalk_convert::PixelSize::Metres(pixel);
-        options.units = slicewalk_input::Units::Factor(unit);
+        options.grid.pixel = slicewalk_convert::PixelSize::Metres(pixel);
+        options.reading.units = slicewalk_input::Units::Factor(unit);
         slicewalk_convert::convert(&options, &slicewalk::NoMonitor).unwrap();
         let archive = slicewalk::archive::Archive::open(dir.path().join("scan.slices")).unwrap();
         let store = Snapshot::resident(&archive, &slicewalk::NoMonitor).unwrap();

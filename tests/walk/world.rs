@@ -36,10 +36,10 @@ pub fn convert_at(scene: &Scene, noise: f64, density: f64) -> (tempfile::TempDir
     let offset = scene.bounds().min.map(|v| v.div_euclid(1000.0) * 1000.0);
     write_samples(&scan, samples, &WriteSpec { offset, ..WriteSpec::for_path(&scan) }).unwrap();
     let mut options = ConvertOptions::new(vec![scan], dir.path().join("scene.slices"));
-    options.pixel = PixelSize::Metres(T);
-    options.units = Units::Factor(1.0);
-    options.threads = 1;
-    options.temp_dir = dir.path().to_path_buf();
+    options.grid.pixel = PixelSize::Metres(T);
+    options.reading.units = Units::Factor(1.0);
+    options.resources.threads = 1;
+    options.resources.temp_dir = dir.path().to_path_buf();
     convert(&options, &NoMonitor).unwrap();
     let archive = Archive::open(dir.path().join("scene.slices")).unwrap();
     (dir, archive)

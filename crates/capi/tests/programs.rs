@@ -31,9 +31,9 @@ fn set() -> &'static Set {
         let samples = scene.samples(1, &SampleSpec::direct_density(3600.0)).unwrap();
         write_samples(&scan, samples, &WriteSpec::for_path(&scan)).unwrap();
         let mut options = ConvertOptions::new(vec![scan], archive.clone());
-        options.pixel = PixelSize::Metres(0.05);
-        options.units = Units::Factor(1.0);
-        options.threads = 1;
+        options.grid.pixel = PixelSize::Metres(0.05);
+        options.reading.units = Units::Factor(1.0);
+        options.resources.threads = 1;
         convert(&options, &NoMonitor).unwrap();
         let walk = scene.walk().expect("the stairs have a walk");
         Set { archive, built: build(), ends: [walk.start, walk.end], folder }

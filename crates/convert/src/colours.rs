@@ -90,8 +90,9 @@ impl ConvertOptions {
     /// Refuses a colour error out of range.
     pub(super) fn check_colour(&self) -> Result<()> {
         let most = f64::from(u16::MAX) / 1000.0;
-        if !(0.0..=most).contains(&self.colour_error) {
-            let reason = format!("expected 0 to {} (CIELAB), found {}", number(most), number(self.colour_error));
+        if !(0.0..=most).contains(&self.sections.colour_error) {
+            let reason =
+                format!("expected 0 to {} (CIELAB), found {}", number(most), number(self.sections.colour_error));
             return Err(Error::parameter(Parameter::ColourError, reason));
         }
         Ok(())
@@ -99,7 +100,7 @@ impl ConvertOptions {
 
     /// Returns the colour plan with this scale.
     pub(super) fn colour_plan(&self, scale: ColourScale) -> ColourPlan {
-        ColourPlan { scale, error_milli: (self.colour_error * 1000.0).round() as u16 }
+        ColourPlan { scale, error_milli: (self.sections.colour_error * 1000.0).round() as u16 }
     }
 }
 
@@ -139,14 +140,14 @@ fn look(
 /// Returns the source of the colours, if there are to be any. Cost: usually one piece of the input; where values are
 /// zero throughout, a pass over it.
 pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: &dyn Monitor) -> Result<Option<Found>> {
-    let wanted: &[ColourSource] = match options.colour {
+    let wanted: &[ColourSource] = match options.sections.colour {
         ColourMode::Off => &[],
         ColourMode::Auto => &[ColourSource::Rgb, ColourSource::Intensity],
         ColourMode::Of(ref source) => std::slice::from_ref(source),
     };
     let mut found = None;
     for &source in wanted {
-        found = look(inputs, source, options.threads, monitor)?;
+        found = look(inputs, source, options.resources.threads, monitor)?;
         if found.is_some() {
             break;
         }
@@ -157,7 +158,7 @@ pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: 
     }
     // If colours are wanted, reading the meshes then reports why they have none.
     inputs.meshes.set_colours(wanted.contains(&ColourSource::Rgb));
-    match options.colour {
+    match options.sections.colour {
         ColourMode::Off => Ok(None),
         ColourMode::Of(source) if !inputs.scans.files().is_empty() => {
             let reason = format!(
@@ -195,10 +196,10 @@ pub(super) fn source_of_plan(
     let found = match source {
         None => None,
         Some(source) if inputs.meshes.is_empty() && inputs.splats.is_empty() => {
-            prepare(&mut inputs.scans, source, options.threads, monitor)?;
+            prepare(&mut inputs.scans, source, options.resources.threads, monitor)?;
             Some(Found { source, points: true })
         }
-        Some(source) => look(inputs, source, options.threads, monitor)?,
+        Some(source) => look(inputs, source, options.resources.threads, monitor)?,
     };
     Found::set(found, inputs);
     Ok(found)

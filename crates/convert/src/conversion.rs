@@ -56,12 +56,18 @@ impl Limits {
     const MOST_BUILD_BYTES: u64 = 240 << 20;
 
     pub fn of(options: &ConvertOptions) -> Self {
+        Self::for_threads(options.resources.threads, options)
+    }
+
+    /// Like [`of`](Self::of), but for another number of threads.
+    pub fn for_threads(threads: usize, options: &ConvertOptions) -> Self {
+        let memory_bytes = options.resources.memory_bytes;
         // Runs of values take half of it, if there are any.
-        let builders = options.threads as u64 * if options.colour == ColourMode::Off { 1 } else { 2 };
-        let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / builders;
+        let builders = threads as u64 * if options.sections.colour == ColourMode::Off { 1 } else { 2 };
+        let build_bytes = (memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / builders;
         // The views of stations take half of what runs have otherwise.
-        let views_bytes = if options.needs_stations() { options.memory_bytes / 4 } else { 0 };
-        Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
+        let views_bytes = if options.needs_stations() { memory_bytes / 4 } else { 0 };
+        Self { retain_bytes: memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
     }
 
     /// Returns the limits for meshes with textures: half as much for runs kept in memory.
@@ -92,7 +98,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let mut inputs = open_chosen(options, Chosen::of(options, monitor)?, monitor)?;
     // Create the output first, so that a file that must not be replaced is reported before the work.
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
-    let output = Output::create_by(&options.output, kind, inputs.paths().collect(), &options.temp_dir)?;
+    let output = Output::create_by(&options.output, kind, inputs.paths().collect(), &options.resources.temp_dir)?;
     let mut removed = match &options.removed {
         Some(path) => {
             let mut protected: Protected = inputs.paths().collect();
@@ -137,10 +143,10 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let seeing = seeing.as_ref();
     let shard = scope.as_ref().map(|scope| scope.shard);
     let mut writer = ArchiveWriter::on(output, &plan)?;
-    if options.levels {
+    if options.sections.levels {
         writer.set_levels();
     }
-    if options.free_space {
+    if options.sections.free_space {
         writer.set_seen();
     }
     if let Some(shard) = shard {
@@ -157,7 +163,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
     let identity = Identity::of(options, &plan, surveyed, shard, &set);
     let name = target.file_name().unwrap_or_default().to_owned();
-    let place = SpillPlace { files, folder: options.temp_dir.clone(), name, head: identity.head(&target) };
+    let place = SpillPlace { files, folder: options.resources.temp_dir.clone(), name, head: identity.head(&target) };
     let nothing = || Progress::nothing(set.files().len());
     let (mut store, progress, resumed) = match earlier {
         None => (RunStore::new(limits.retain_bytes, place), nothing(), None),
@@ -212,7 +218,7 @@ fn colours_of(
     let found = colours::source_of(options, inputs, monitor)?;
     let part = found.filter(|_| options.shard.is_some());
     let set = &mut inputs.scans;
-    let scale = part.map(|found| colours::measure(set, found, options.threads, monitor)).transpose()?;
+    let scale = part.map(|found| colours::measure(set, found, options.resources.threads, monitor)).transpose()?;
     Ok((found.map(|found| found.source), scale.map(|scale| options.colour_plan(scale))))
 }
 
@@ -230,7 +236,7 @@ pub(super) fn scope(
         return ShardScope::new(shard, inputs, plan, options, colour, chosen, monitor).map(Some);
     }
     if let Some(file) = &options.plan_file {
-        let facts = InputFacts::of(inputs, options.threads, monitor)?;
+        let facts = InputFacts::of(inputs, options.resources.threads, monitor)?;
         file.check_same_inputs(&PlanFile::of(facts, plan.clone(), options))?;
     }
     Ok(None)
@@ -314,7 +320,7 @@ impl Conversion<'_> {
             colours,
             monitor,
         } = self;
-        let threads = options.threads;
+        let threads = options.resources.threads;
         let scope = scope.as_ref();
         let build_bytes = limits.build_bytes;
         let reading = Reading { build_bytes, threads, scope, progress: &progress, notes, seeing, source };
@@ -369,9 +375,9 @@ impl Conversion<'_> {
         }
         seeing.inspect(|seeing| seeing.views.finish());
         let views = seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views);
-        let temp_dir = &options.temp_dir;
+        let temp_dir = &options.resources.temp_dir;
         let writing = Writing {
-            memory_bytes: options.memory_bytes,
+            memory_bytes: options.resources.memory_bytes,
             threads,
             columns,
             views,
@@ -379,7 +385,7 @@ impl Conversion<'_> {
             weighted: !splats.is_empty(),
         };
         let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
-        let seen = match seeing.filter(|_| options.free_space) {
+        let seen = match seeing.filter(|_| options.sections.free_space) {
             Some(seeing) => Some(write_seen(&seeing.views, columns, threads, &mut writer, monitor)?),
             None => None,
         };
@@ -437,7 +443,7 @@ pub(super) fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes:
         }
         _ => set.points_stated().min(set.bytes()),
     } / parts;
-    let values = match options.colour {
+    let values = match options.sections.colour {
         ColourMode::Off => 0,
         ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,
         _ => 2 * VALUE_BYTES_PER_POINT,
@@ -449,7 +455,7 @@ pub(super) fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes:
 
 /// Fails if the free disk space is too small for the temporary data.
 pub(super) fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Result<()> {
-    let dir = &options.temp_dir;
+    let dir = &options.resources.temp_dir;
     let free = files.free_bytes(dir).map_err(|error| match error.kind() {
         ErrorKind::NotFound => Error::output(dir, "no such folder; temporary data needs one that exists"),
         _ => Error::io(dir, "ask for its free space", error),

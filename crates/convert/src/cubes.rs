@@ -59,7 +59,7 @@ impl Placed {
         let reader = CubeReader::open(path)?;
         // A voxel octree is y-up by its format, so its reader has turned it already.
         let turned = options.plan.up == Up::Y && binary_of(path).is_none();
-        let factor = match options.units {
+        let factor = match options.reading.units {
             Units::Auto => 1.0,
             Units::Factor(factor) => factor,
         };
@@ -181,7 +181,7 @@ impl CubeSet {
         self.for_each(options, monitor, |grid, cube| {
             voxels += PlacedCube::new(&plan.frame, grid, cube).map_or(0.0, |placed| placed.voxels());
         })?;
-        let (needed, dir) = (voxels * VOXEL_BYTES - retain_bytes as f64, &options.temp_dir);
+        let (needed, dir) = (voxels * VOXEL_BYTES - retain_bytes as f64, &options.resources.temp_dir);
         let free = Files::current().free_bytes(dir).map_err(|error| Error::io(dir, "ask for its free space", error))?;
         if needed > free as f64 {
             let what = format!(
@@ -252,7 +252,8 @@ pub(super) fn read_cubes<'a>(
             runs.flush(store)?;
             Ok(read)
         };
-        let done = on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+        let done =
+            on_threads(options.resources.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
         let mut of_file = Read::NOTHING;
         done.iter().for_each(|read| of_file.merge(read));
         if of_file.counts.read > 0 {

@@ -49,7 +49,7 @@ impl Inputs {
 
 /// Memory for the textures of meshes (bytes), taken from the share of runs and from the later share of encoded pages.
 fn texture_bytes(options: &ConvertOptions) -> u64 {
-    options.memory_bytes / 8 * 3
+    options.resources.memory_bytes / 8 * 3
 }
 
 /// Opens the inputs of a conversion.
@@ -61,19 +61,19 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
 pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn Monitor) -> Result<Inputs> {
     options.check()?;
     let input_options = InputOptions {
-        units: options.units,
-        epsg: options.epsg,
-        columns: options.columns,
+        units: options.reading.units,
+        epsg: options.reading.epsg,
+        columns: options.reading.columns,
         up: options.plan.up,
-        placement: options.placement,
+        placement: options.reading.placement,
         exclude_classes: options.plan.exclude_classes,
-        memory_bytes: options.memory_bytes / 8 / options.threads as u64,
+        memory_bytes: options.resources.memory_bytes / 8 / options.resources.threads as u64,
         // Set later, and not needed for an automatic pixel size.
         colour: None,
         allow_incomplete: options.allow_incomplete,
         // Hash only the pass that reads the points of the archive, not the pass for an automatic pixel size.
         hash: false,
-        threads: options.threads,
+        threads: options.resources.threads,
     };
     let mut cubes = CubeSet::default();
     let (mut scans, splats) = match &chosen {
@@ -94,11 +94,11 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
     };
     let mut splats = SplatSet::open(splats, options, monitor)?;
     let mesh_options = MeshOptions {
-        units: options.units,
+        units: options.reading.units,
         up: options.plan.up,
-        placement: options.placement,
-        memory_bytes: options.memory_bytes / 8,
-        temp_dir: options.temp_dir.clone(),
+        placement: options.reading.placement,
+        memory_bytes: options.resources.memory_bytes / 8,
+        temp_dir: options.resources.temp_dir.clone(),
         allow_incomplete: options.allow_incomplete,
         hash: options.shard.is_some(),
         // Set later.
@@ -108,7 +108,7 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     scans.set_meshes(meshes.paths());
     let (up, placement) = place(options, &mut scans, &meshes, &mut splats, &cubes, monitor)?;
-    Ok(Inputs { scans, meshes, splats, cubes, units: options.units, up, placement, chosen })
+    Ok(Inputs { scans, meshes, splats, cubes, units: options.reading.units, up, placement, chosen })
 }
 
 /// Places all inputs. Returns the direction that points up if it was found, and the placement.
@@ -123,18 +123,20 @@ fn place(
     let refused = |path: &Path, reason: &str| {
         Err(Error::parameter(Parameter::Other("up".into()), format!("{}: {reason}", path.display())))
     };
-    if options.turn != Turn::None {
+    if options.reading.turn != Turn::None {
         if let Some(mesh) = meshes.paths().next() {
             return refused(mesh, "meshes are turned by --up y or z, or by --transform");
         }
-        if let (Some(_), Some(scan)) = (scans.crs().filter(|_| options.epsg.is_none()), scans.files().first()) {
+        if let (Some(_), Some(scan)) = (scans.crs().filter(|_| options.reading.epsg.is_none()), scans.files().first()) {
             return refused(scan.path(), "it states a reference system, in which z is up; leave --up out");
         }
     }
-    if let Some(file) = cubes.inputs().next().filter(|_| options.turn != Turn::None || options.placement.is_some()) {
+    if let Some(file) =
+        cubes.inputs().next().filter(|_| options.reading.turn != Turn::None || options.reading.placement.is_some())
+    {
         return refused(file, "its cubes lie on the grid of pixels and are not moved; leave --up and --transform out");
     }
-    let up = match options.turn {
+    let up = match options.reading.turn {
         Turn::Auto => {
             scans.set_placement(None);
             Some(upright::find_up(scans, splats, options, monitor)?)
@@ -142,7 +144,11 @@ fn place(
         _ => None,
     };
     let placement = options.placement_with(up.as_ref());
-    if options.placement.is_some() && options.plan_file.is_none() && options.epsg.is_none() && scans.crs().is_some() {
+    if options.reading.placement.is_some()
+        && options.plan_file.is_none()
+        && options.reading.epsg.is_none()
+        && scans.crs().is_some()
+    {
         let text = "a scan states a reference system; the matrix moves its points, and the archive keeps the system";
         monitor.warn(&text.into());
     }

@@ -4,7 +4,7 @@
 //! use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 //!
 //! let mut options = ConvertOptions::new(vec!["scan.laz".into()], "scan.slices".into());
-//! options.pixel = PixelSize::Metres(0.05); // or PixelSize::Auto: four times the point spacing
+//! options.grid.pixel = PixelSize::Metres(0.05); // or PixelSize::Auto: four times the point spacing
 //! options.plan.max_slope_deg = 40.0;
 //! let report = convert(&options, &slicewalk::NoMonitor)?;
 //! println!("{} voxels", report.header.voxels.occupied);
@@ -59,7 +59,10 @@ mod writer;
 pub use conversion::convert;
 pub use facts::InputFacts;
 pub use free::SeenCounts;
-pub use options::{ColourMode, ConvertOptions, PixelSize, ShardOptions, Tolerance};
+pub use options::{
+    ColourMode, ConvertOptions, GridOptions, PixelSize, ReadingOptions, Resources, SectionOptions, ShardOptions,
+    Tolerance,
+};
 pub use plan_file::{PlanFile, Stated};
 pub use planning::{AUTO_PIXEL_SPACINGS, AUTO_PIXELS, gap_width_m};
 pub use preview::{Preview, PreviewInput, preview};

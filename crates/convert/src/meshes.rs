@@ -82,7 +82,7 @@ pub(super) fn read_meshes<'a>(
         if let Some(scope) = scope {
             runs = runs.only(scope.keeps());
         }
-        let mut surfaces = SurfaceBuilder::new(plan, options.mesh);
+        let mut surfaces = SurfaceBuilder::new(plan, options.reading.mesh);
         if let Some(Colouring { scale, with_points }) = colouring {
             let mut values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
             if let Some(scope) = scope {
@@ -117,7 +117,7 @@ pub(super) fn read_meshes<'a>(
         runs.flush(store)?;
         Ok((read, surfaces.points_made()))
     };
-    let done = on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    let done = on_threads(options.resources.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
     let feed = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     let mut all = MeshRead::of(&feed);
     let triangles = all.triangles;

@@ -95,31 +95,9 @@ impl FromStr for ColourMode {
     }
 }
 
-/// Options of a conversion. The README shows the command line that sets them.
-#[derive(Debug, Clone)]
-pub struct ConvertOptions {
-    /// Files, folders and glob patterns.
-    pub inputs: Vec<PathBuf>,
-    /// The archive to write.
-    pub output: PathBuf,
-    /// Pixel size `t`.
-    pub pixel: PixelSize,
-    /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
-    pub slice_m: Option<f64>,
-    /// Other options that decide the content of the archive.
-    pub plan: PlanOptions,
-    /// True if the tolerance follows from the scan's own noise, overriding that of the plan (costs one more pass over
-    /// the input, shared with that for an automatic pixel size).
-    pub tolerance_auto: bool,
-    /// Width up to which holes in floors are closed by inferred floor (m; rounded down to whole pixels, 1 to 45).
-    /// `None` uses the value of the plan, which by default closes no holes.
-    pub fill_holes_m: Option<f64>,
-    /// Memory budget (bytes, at least 64 MiB).
-    pub memory_bytes: u64,
-    /// Worker threads (at least 1).
-    pub threads: usize,
-    /// Folder for temporary data.
-    pub temp_dir: PathBuf,
+/// How inputs are read and placed.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ReadingOptions {
     /// Unit of the input.
     pub units: Units,
     /// Rotation of scans and splats upwards.
@@ -134,42 +112,109 @@ pub struct ConvertOptions {
     pub mesh: MeshMode,
     /// How Gaussian splats become solid.
     pub splats: SplatRules,
+}
+
+/// Lengths that are given in metres or follow from the input.
+#[derive(Debug, Clone)]
+pub struct GridOptions {
+    /// Pixel size `t`.
+    pub pixel: PixelSize,
+    /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
+    pub slice_m: Option<f64>,
+    /// True if the tolerance follows from the scan's own noise, overriding that of the plan (costs one more pass over
+    /// the input, shared with that for an automatic pixel size).
+    pub tolerance_auto: bool,
+    /// Width up to which holes in floors are closed by inferred floor (m; rounded down to whole pixels, 1 to 45).
+    /// `None` uses the value of the plan, which by default closes no holes.
+    pub fill_holes_m: Option<f64>,
+}
+
+impl Default for GridOptions {
+    fn default() -> Self {
+        Self { pixel: PixelSize::Auto, slice_m: None, tolerance_auto: false, fill_holes_m: None }
+    }
+}
+
+/// Optional sections of the archive.
+#[derive(Debug, Clone)]
+pub struct SectionOptions {
     /// True if the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
     pub levels: bool,
     /// Source of the colours of voxels; off by default.
     pub colour: ColourMode,
     /// Greatest mean difference of a page's colours from the means of the points (ΔE*ab of CIELAB, 0 to 65.535); 0 is
-    /// exact to 8 bits.
+    /// exact to 8 bits. The default is visible side by side, if at all.
     pub colour_error: f64,
-    /// True if input that is only partly readable is converted with warnings instead of being refused.
-    pub allow_incomplete: bool,
     /// True if the archive also stores which space the stations saw (see [`seen`](slicewalk::seen)); off by default.
     pub free_space: bool,
+}
+
+impl Default for SectionOptions {
+    fn default() -> Self {
+        Self { levels: false, colour: ColourMode::Off, colour_error: 2.0, free_space: false }
+    }
+}
+
+/// What a conversion may use of the machine.
+#[derive(Debug, Clone)]
+pub struct Resources {
+    /// Memory budget (bytes, at least 64 MiB).
+    pub memory_bytes: u64,
+    /// Worker threads (at least 1).
+    pub threads: usize,
+    /// Folder for temporary data.
+    pub temp_dir: PathBuf,
+}
+
+impl Default for Resources {
+    fn default() -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+        Self { memory_bytes: 512 << 20, threads, temp_dir: crate::disk::temp_dir() }
+    }
+}
+
+/// Options of a conversion. The README shows the command line that sets them.
+#[derive(Debug, Clone)]
+pub struct ConvertOptions {
+    /// Files, folders and glob patterns.
+    pub inputs: Vec<PathBuf>,
+    /// How inputs are read and placed.
+    pub reading: ReadingOptions,
+    /// True if input that is only partly readable is converted with warnings instead of being refused.
+    pub allow_incomplete: bool,
     /// Table of scanner positions with the columns `file,x,y,z` (also `source_id`, or `t` for paths by GPS time).
-    /// Needed for `free_space`, or if the plan removes moving points, and a scan does not state its station, as E57 and
-    /// PTX do.
+    /// Needed for [`free_space`](SectionOptions::free_space), or if the plan removes moving points, and a scan does not
+    /// state its station, as E57 and PTX do.
     pub stations: Option<PathBuf>,
-    /// File for the points that were removed as moving, as LAS.
-    pub removed: Option<PathBuf>,
+    /// Lengths that are given or follow from the input.
+    pub grid: GridOptions,
+    /// Other options that decide the content of the archive.
+    pub plan: PlanOptions,
+    /// Optional sections of the archive.
+    pub sections: SectionOptions,
+    /// The archive to write.
+    pub output: PathBuf,
     /// True if an existing slice archive may be replaced; any other file never is.
     pub overwrite: bool,
+    /// File for the points that were removed as moving, as LAS.
+    pub removed: Option<PathBuf>,
+    /// What the conversion may use of the machine.
+    pub resources: Resources,
     /// Plan file of this conversion, already applied to these options ([`PlanFile::apply_to`]); inputs other than its
     /// own are refused.
     pub plan_file: Option<PlanFile>,
-    /// True to continue from the temporary data that an earlier run of the same conversion left in
-    /// [`temp_dir`](Self::temp_dir), and to keep such data if this run fails. Without such data the conversion starts
-    /// from the beginning.
-    pub resume: bool,
     /// Part to convert; `None` for the whole.
     pub shard: Option<ShardOptions>,
+    /// True to continue from the temporary data that an earlier run of the same conversion left in
+    /// [`temp_dir`](Resources::temp_dir), and to keep such data if this run fails. Without such data the conversion
+    /// starts from the beginning.
+    pub resume: bool,
 }
 
 impl ConvertOptions {
-    /// Default of [`colour_error`](Self::colour_error): a difference that is visible side by side, if at all.
-    pub const DEFAULT_COLOUR_ERROR: f64 = 2.0;
     /// Sets the tolerance to which heights are coarsened.
     pub fn set_tolerance(&mut self, tolerance: Tolerance) {
-        (self.tolerance_auto, self.plan.tolerance_m) = match tolerance {
+        (self.grid.tolerance_auto, self.plan.tolerance_m) = match tolerance {
             Tolerance::Auto => (true, 0.0),
             Tolerance::Metres(tolerance_m) => (false, tolerance_m),
         };
@@ -177,12 +222,12 @@ impl ConvertOptions {
 
     /// Returns the placement of all inputs, the rotation upwards included, if `up` is the direction that the input shows.
     pub fn placement_with(&self, up: Option<&UpFound>) -> Option<Similarity> {
-        let turn = match self.turn {
+        let turn = match self.reading.turn {
             Turn::None => None,
             Turn::From(up) => Some(Similarity::raising(up)),
             Turn::Auto => up.map(UpFound::turn),
         };
-        match (self.placement, turn.filter(|turn| *turn != Similarity::IDENTITY)) {
+        match (self.reading.placement, turn.filter(|turn| *turn != Similarity::IDENTITY)) {
             (Some(placement), Some(turn)) => Some(placement * turn),
             (placement, turn) => placement.or(turn),
         }
@@ -190,18 +235,19 @@ impl ConvertOptions {
 
     /// Returns whether the positions of scanners change the archive.
     pub(crate) fn needs_stations(&self) -> bool {
-        self.plan.remove_moving || self.free_space
+        self.plan.remove_moving || self.sections.free_space
     }
 
     pub(super) fn check(&self) -> Result<()> {
-        if self.memory_bytes < MIN_MEMORY_BYTES {
-            let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", self.memory_bytes);
+        if self.resources.memory_bytes < MIN_MEMORY_BYTES {
+            let reason =
+                format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", self.resources.memory_bytes);
             return Err(Error::parameter(Parameter::Memory, reason));
         }
-        if self.threads == 0 {
+        if self.resources.threads == 0 {
             return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
         }
-        if let Some(widest_m) = self.fill_holes_m.filter(|widest_m| !(*widest_m > 0.0 && widest_m.is_finite())) {
+        if let Some(widest_m) = self.grid.fill_holes_m.filter(|widest_m| !(*widest_m > 0.0 && widest_m.is_finite())) {
             let reason = format!("{} is not a width of holes in metres; give a length above 0", number(widest_m));
             return Err(Error::parameter(Parameter::FillHoles, reason));
         }
@@ -214,7 +260,7 @@ impl ConvertOptions {
             return Err(Error::parameter(Parameter::Resume, reason));
         }
         self.check_colour()?;
-        self.splats.check()?;
+        self.reading.splats.check()?;
         self.plan.check()
     }
 
@@ -222,33 +268,19 @@ impl ConvertOptions {
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
         Self {
             inputs,
-            output,
-            pixel: PixelSize::Auto,
-            slice_m: None,
-            plan: PlanOptions::default(),
-            tolerance_auto: false,
-            fill_holes_m: None,
-            memory_bytes: 512 << 20,
-            threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
-            temp_dir: crate::disk::temp_dir(),
-            units: Units::Auto,
-            turn: Turn::None,
-            placement: None,
-            epsg: None,
-            columns: None,
-            mesh: MeshMode::Exact,
-            splats: SplatRules::default(),
-            levels: false,
-            colour: ColourMode::Off,
-            colour_error: Self::DEFAULT_COLOUR_ERROR,
+            reading: ReadingOptions::default(),
             allow_incomplete: false,
-            free_space: false,
             stations: None,
-            removed: None,
+            grid: GridOptions::default(),
+            plan: PlanOptions::default(),
+            sections: SectionOptions::default(),
+            output,
             overwrite: false,
+            removed: None,
+            resources: Resources::default(),
             plan_file: None,
-            resume: false,
             shard: None,
+            resume: false,
         }
     }
 }
@@ -278,8 +310,8 @@ mod tests {
                 other => panic!("{other:?}"),
             }
         };
-        assert_eq!(refused(|options| options.threads = 0), Parameter::Threads);
-        assert_eq!(refused(|options| options.memory_bytes = 0), Parameter::Memory);
+        assert_eq!(refused(|options| options.resources.threads = 0), Parameter::Threads);
+        assert_eq!(refused(|options| options.resources.memory_bytes = 0), Parameter::Memory);
         assert_eq!(refused(|options| options.plan.min_points = 0), Parameter::MinPoints);
     }
 }

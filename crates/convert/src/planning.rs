@@ -27,7 +27,7 @@ pub fn gap_width_m(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Op
     if opened.scans.files().is_empty() {
         return Ok(None);
     }
-    Ok(Some(GAP_SPACINGS * estimate_spacing(&opened.scans, options.threads, monitor)?.spacing_m))
+    Ok(Some(GAP_SPACINGS * estimate_spacing(&opened.scans, options.resources.threads, monitor)?.spacing_m))
 }
 
 /// Measurements from which automatic options follow; `None` where the options were given.
@@ -45,12 +45,13 @@ impl Surveyed {
         if let Some(known) = known {
             return Ok(known);
         }
-        let auto_pixel = options.pixel == PixelSize::Auto && !set.files().is_empty();
-        let no_noise = options.tolerance_auto.then(Noise::default);
-        if set.files().is_empty() || !(auto_pixel || options.tolerance_auto) {
+        let auto_pixel = options.grid.pixel == PixelSize::Auto && !set.files().is_empty();
+        let no_noise = options.grid.tolerance_auto.then(Noise::default);
+        if set.files().is_empty() || !(auto_pixel || options.grid.tolerance_auto) {
             return Ok(Self { spacing: None, noise: no_noise });
         }
-        let survey = Survey::read(set, options.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
+        let survey =
+            Survey::read(set, options.resources.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
         let spacing = auto_pixel.then(|| survey.spacing()).transpose()?;
         // With `--allow-incomplete`, the main pass reports diagnostics.
         set.check_complete(&NoMonitor)?;
@@ -67,9 +68,9 @@ pub(crate) fn plan(
     monitor: &dyn Monitor,
 ) -> Result<(Plan, Surveyed)> {
     let surveyed = Surveyed::of(options, set, known, monitor)?;
-    let is_auto = options.pixel == PixelSize::Auto && surveyed.spacing.is_none();
+    let is_auto = options.grid.pixel == PixelSize::Auto && surveyed.spacing.is_none();
     let of_cubes = cubes.finest_m().filter(|_| is_auto);
-    let pixel_m = match (options.pixel, surveyed.spacing) {
+    let pixel_m = match (options.grid.pixel, surveyed.spacing) {
         (PixelSize::Metres(pixel_m), _) => pixel_m,
         (PixelSize::Auto, Some(spacing)) => round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2),
         (PixelSize::Auto, None) => match of_cubes {
@@ -81,12 +82,12 @@ pub(crate) fn plan(
         let text = "--tolerance auto: too little of the input is flat to measure its noise; heights stay as they are";
         monitor.warn(&text.into());
     }
-    if options.pixel == PixelSize::Auto && !(1e-6..=MAX_CELL_M).contains(&pixel_m) {
+    if options.grid.pixel == PixelSize::Auto && !(1e-6..=MAX_CELL_M).contains(&pixel_m) {
         let reason = format!("the input asks for pixels of {pixel_m} m; give the pixel size in metres");
         return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
     }
     let mut plan = options.plan_of(pixel_m)?;
-    if let Some(finest_m) = of_cubes.filter(|_| options.slice_m.is_none()) {
+    if let Some(finest_m) = of_cubes.filter(|_| options.grid.slice_m.is_none()) {
         // A cube is a voxel, so exporting the archive again gives the same cubes.
         plan.frame = Frame::new(finest_m, finest_m)?;
     }
@@ -99,14 +100,14 @@ pub(crate) fn plan(
 impl ConvertOptions {
     /// Returns the plan for this pixel size (m).
     pub(super) fn plan_of(&self, pixel_m: f64) -> Result<Plan> {
-        let slice_m = self.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M));
+        let slice_m = self.grid.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M));
         let fill_holes = self.fill_holes_pixels(pixel_m)?;
         Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: PlanOptions { fill_holes, ..self.plan.clone() } })
     }
 
     /// Returns the width of the widest holes to close (pixels of this size, m).
     pub fn fill_holes_pixels(&self, pixel_m: f64) -> Result<u8> {
-        let Some(widest_m) = self.fill_holes_m else { return Ok(self.plan.fill_holes) };
+        let Some(widest_m) = self.grid.fill_holes_m else { return Ok(self.plan.fill_holes) };
         // Slightly more, so that three pixels of 0.1 m make 0.3 m.
         let pixels = (widest_m / pixel_m * (1.0 + 1e-9)).floor();
         let (pixel, most) = (number(pixel_m), PlanOptions::MOST_FILL_PIXELS);

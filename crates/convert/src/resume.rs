@@ -76,11 +76,11 @@ impl InputState {
 impl Identity {
     /// Creates the identity of a conversion of `set`, which already reads the values that become colours, if any.
     pub fn of(options: &ConvertOptions, plan: &Plan, surveyed: Surveyed, shard: Option<Shard>, set: &InputSet) -> Self {
-        let unit = match options.units {
+        let unit = match options.reading.units {
             Units::Auto => 0.0,
             Units::Factor(factor) => factor,
         };
-        let mesh = match options.mesh {
+        let mesh = match options.reading.mesh {
             MeshMode::Exact => -1.0,
             MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
         };
@@ -226,7 +226,7 @@ impl Earlier {
     pub fn find(options: &ConvertOptions, output: &Output, target: &Path) -> Result<Option<Self>> {
         let files = output.files();
         let name = target.file_name().unwrap_or_default();
-        let found = match Leftover::find(files, &options.temp_dir, name, output.owner()) {
+        let found = match Leftover::find(files, &options.resources.temp_dir, name, output.owner()) {
             Ok(found) => found,
             Err(error) if options.resume => return Err(error),
             // A folder that cannot be read cannot be written to either, and writing reports that.
@@ -267,7 +267,7 @@ impl Earlier {
     /// Returns the measurements from which the automatic options of `options` follow; `None` unless all are known.
     pub fn surveyed(&self, options: &ConvertOptions) -> Option<Surveyed> {
         let Surveyed { spacing, noise } = self.identity.surveyed;
-        let (auto_pixel, auto_tolerance) = (options.pixel == PixelSize::Auto, options.tolerance_auto);
+        let (auto_pixel, auto_tolerance) = (options.grid.pixel == PixelSize::Auto, options.grid.tolerance_auto);
         if auto_pixel && spacing.is_none() || auto_tolerance && noise.is_none() {
             return None;
         }

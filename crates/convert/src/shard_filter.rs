@@ -94,8 +94,8 @@ impl ShardScope {
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let facts = match &options.plan_file {
-            Some(_) => InputFacts::of(inputs, options.threads, monitor)?,
-            None => InputFacts::measured(inputs, options.threads, monitor)?,
+            Some(_) => InputFacts::of(inputs, options.resources.threads, monitor)?,
+            None => InputFacts::measured(inputs, options.resources.threads, monitor)?,
         };
         let reach = reach(plan, !inputs.1.is_empty());
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();

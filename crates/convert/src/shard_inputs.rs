@@ -32,15 +32,17 @@ pub(crate) struct Chosen {
 }
 
 impl Chosen {
-    /// Chooses the inputs of a part whose plan states enough. Returns `None` if all inputs are to be opened: without a
-    /// plan, with the plan of an earlier build, with colours (the meaning of values may depend on all files), where
+    /// Chooses the inputs of a part. Returns `None` if all inputs are to be opened: without a plan, with colours (the meaning of values may depend on all files), where
     /// stations see through all files, and where incomplete input is allowed.
     ///
     /// Cost: the names and lengths of all inputs. Memory: the list of paths and 10 bytes per file of the plan.
     pub fn of(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<Self>> {
         let (Some(wanted), Some(file)) = (options.shard, &options.plan_file) else { return Ok(None) };
-        let Some(stated) = &file.stated else { return Ok(None) };
-        if file.colour.is_some() || file.plan.options.remove_moving || options.free_space || options.allow_incomplete {
+        if file.colour.is_some()
+            || file.plan.options.remove_moving
+            || options.sections.free_space
+            || options.allow_incomplete
+        {
             return Ok(None);
         }
         let shard = file.shard(wanted.index, wanted.count)?;
@@ -81,7 +83,7 @@ impl Chosen {
                 _ => opened.push(path),
             }
         }
-        Ok(Some(Self { shard, opened, splats, closed, is_closed, stated: stated.clone() }))
+        Ok(Some(Self { shard, opened, splats, closed, is_closed, stated: file.stated.clone() }))
     }
 
     /// Refuses the plan if the opened inputs contradict what it states of all inputs, as after an edit by hand.

@@ -165,7 +165,7 @@ impl SplatSet {
     pub fn open(mut paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         paths.sort();
         paths.dedup();
-        if let (Some(first), Units::Auto) = (paths.first(), options.units) {
+        if let (Some(first), Units::Auto) = (paths.first(), options.reading.units) {
             let text = format!("{}: splats state no unit; metres are assumed", first.display());
             monitor.warn(&crate::Warning::from(text).with_suggestion(Parameter::Units));
         }
@@ -226,13 +226,14 @@ impl SplatSet {
         for path in &self.paths {
             let mut reader = SplatReader::open(path, &reading(options))?;
             let placing = Placing::of(options, self.placement, reader.format());
-            let summary = reader.for_each_batch(&Silent(monitor), options.memory_bytes / 8, &mut |batch| {
-                if monitor.cancelled() {
-                    return Err(Error::Interrupted);
-                }
-                batch.iter().filter_map(|splat| placing.solid(splat, &mut counts)).for_each(|solid| give(&solid));
-                Ok(())
-            })?;
+            let summary =
+                reader.for_each_batch(&Silent(monitor), options.resources.memory_bytes / 8, &mut |batch| {
+                    if monitor.cancelled() {
+                        return Err(Error::Interrupted);
+                    }
+                    batch.iter().filter_map(|splat| placing.solid(splat, &mut counts)).for_each(|solid| give(&solid));
+                    Ok(())
+                })?;
             counts.read += summary.lost();
             counts.unusable += summary.lost();
         }
@@ -252,7 +253,7 @@ impl SplatSet {
 }
 
 fn reading(options: &ConvertOptions) -> SplatOptions {
-    SplatOptions { allow_incomplete: options.allow_incomplete, temp_dir: options.temp_dir.clone() }
+    SplatOptions { allow_incomplete: options.allow_incomplete, temp_dir: options.resources.temp_dir.clone() }
 }
 
 /// Monitor that forwards cancellation and drops all messages.
@@ -273,7 +274,7 @@ struct Placing<'a> {
 
 impl<'a> Placing<'a> {
     fn of(options: &'a ConvertOptions, placement: Option<Similarity>, format: SplatFormat) -> Self {
-        let factor = match options.units {
+        let factor = match options.reading.units {
             Units::Auto => 1.0,
             Units::Factor(factor) => factor,
         };
@@ -281,7 +282,7 @@ impl<'a> Placing<'a> {
         let is_turned = options.plan.up == Up::Y || format == SplatFormat::Gltf;
         let axes = if is_turned { Similarity::raising([0.0, 1.0, 0.0]) } else { Similarity::IDENTITY };
         let place = placement.unwrap_or(Similarity::IDENTITY) * axes * Similarity::scaling(factor);
-        Self { rules: &options.splats, place: (place != Similarity::IDENTITY).then_some(place) }
+        Self { rules: &options.reading.splats, place: (place != Similarity::IDENTITY).then_some(place) }
     }
 
     /// Returns the solid part of a splat, or counts why it has none.
@@ -412,7 +413,7 @@ pub(super) fn read_splats<'a>(
         let placing = Placing::of(options, set.placement, reader.format());
         let failed = AtomicBool::new(false);
         let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
-        let (send, receive) = crossbeam_channel::bounded::<Vec<Splat>>(options.threads);
+        let (send, receive) = crossbeam_channel::bounded::<Vec<Splat>>(options.resources.threads);
         let start = || Rasteriser::new(&placing, plan, MeshReading { build_bytes, scope, colouring }, store);
         let work = || -> Result<(Read, SplatCounts, u128)> {
             let mut rasteriser = start();
@@ -422,7 +423,7 @@ pub(super) fn read_splats<'a>(
         let alone = |reader: &mut SplatReader| -> Result<_> {
             let mut rasteriser = start();
             let sink = &mut |batch: &[Splat]| rasteriser.take(batch, &cancelled);
-            let summary = reader.for_each_batch(monitor, options.memory_bytes / 8, sink)?;
+            let summary = reader.for_each_batch(monitor, options.resources.memory_bytes / 8, sink)?;
             Ok((Ok(summary), rasteriser.finish().map(|done| vec![done])))
         };
         let together = |mut reader: SplatReader| {
@@ -433,12 +434,13 @@ pub(super) fn read_splats<'a>(
                         true => Err(Error::Interrupted),
                         false => send.send(batch.to_vec()).map_err(|_| Error::Interrupted),
                     };
-                    reader.for_each_batch(monitor, options.memory_bytes / 8, sink)
+                    reader.for_each_batch(monitor, options.resources.memory_bytes / 8, sink)
                 };
                 let producer =
                     spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
-                let done =
-                    on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)));
+                let done = on_threads(options.resources.threads, || {
+                    work().inspect_err(|_| failed.store(true, Ordering::Relaxed))
+                });
                 // After an error of the workers, the reader may wait for room.
                 receive.iter().for_each(drop);
                 let summary = producer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));

@@ -5,7 +5,7 @@ use super::pages::{Writing, write_archive};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
 use super::upright::Turn;
-use super::{ConvertOptions, PixelSize};
+use super::{ConvertOptions, PixelSize, Resources};
 use crate::archive::ArchiveWriter;
 use crate::input::{FARTHEST_M, PointBatch, PointCounts};
 use crate::mesh::MeshCounts;
@@ -31,7 +31,7 @@ const PIECE: usize = 1 << 12;
 ///
 /// let folder = tempfile::tempdir()?;
 /// let mut options = ConvertOptions::new(Vec::new(), folder.path().join("floor.slices"));
-/// options.pixel = PixelSize::Metres(0.1);
+/// options.grid.pixel = PixelSize::Metres(0.1);
 /// let mut writer = PointWriter::create(&options, "")?;
 /// writer.push(&[0.05, 0.15, 0.25], &[0.05, 0.05, 0.05], &[0.0, 0.0, 0.0])?;
 /// let report = writer.finish(&slicewalk::NoMonitor)?;
@@ -61,40 +61,44 @@ impl PointWriter {
             let reason = "points from memory have no stations; convert files to remove what moved";
             return Err(Error::parameter(Parameter::Stations, reason));
         }
-        if options.free_space {
+        if options.sections.free_space {
             let reason = "points from memory have no stations; convert files to store which space they saw";
             return Err(Error::parameter(Parameter::Stations, reason));
         }
-        if options.colour != super::ColourMode::Off {
+        if options.sections.colour != super::ColourMode::Off {
             let reason = "points from memory come without values for colours; convert files";
             return Err(Error::parameter(Parameter::Colour, reason));
         }
-        let PixelSize::Metres(pixel_m) = options.pixel else {
+        let PixelSize::Metres(pixel_m) = options.grid.pixel else {
             let reason = "the pixel size cannot follow from points that are still to come; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));
         };
-        if options.turn != Turn::None {
+        if options.reading.turn != Turn::None {
             let reason = "points that are not there yet have no floor; turn them by the placement";
             return Err(Error::parameter(Parameter::Other("up".into()), reason));
         }
-        if options.tolerance_auto {
+        if options.grid.tolerance_auto {
             let reason = "the noise of points that are still to come is unknown; give the tolerance in metres";
             return Err(Error::parameter(Parameter::Tolerance, reason));
         }
         let plan = options.plan_of(pixel_m)?;
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
-        let output = Output::create_by(&options.output, kind, Protected::default(), &options.temp_dir)?;
+        let output = Output::create_by(&options.output, kind, Protected::default(), &options.resources.temp_dir)?;
         // Pushed points cannot be resumed: without a head, the next run removes what a kill leaves.
         let name = output.beside().file_name().unwrap_or_default().to_owned();
-        let place =
-            SpillPlace { files: output.files().clone(), folder: options.temp_dir.clone(), name, head: Vec::new() };
+        let place = SpillPlace {
+            files: output.files().clone(),
+            folder: options.resources.temp_dir.clone(),
+            name,
+            head: Vec::new(),
+        };
         let mut output = ArchiveWriter::on(output, &plan)?;
-        if options.levels {
+        if options.sections.levels {
             output.set_levels();
         }
         let recorder = Recorder::new(plan.frame);
         // Only one run is under construction at a time.
-        let limits = Limits::of(&ConvertOptions { threads: 1, ..options.clone() });
+        let limits = Limits::for_threads(1, options);
         Ok(Self {
             runs: RunBuilder::new(recorder, limits.build_bytes),
             store: RunStore::new(limits.retain_bytes, place),
@@ -117,7 +121,7 @@ impl PointWriter {
             let reason = format!("{} x, {} y and {} z are no points", x.len(), y.len(), z.len());
             return Err(Error::parameter("points", reason));
         }
-        let (up, placement) = (self.plan.options.up, self.options.placement);
+        let (up, placement) = (self.plan.options.up, self.options.reading.placement);
         for start in (0..x.len()).step_by(PIECE) {
             let range = start..(start + PIECE).min(x.len());
             self.piece.clear();
@@ -153,9 +157,8 @@ impl PointWriter {
         self.runs.flush(&self.store)?;
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
-        let ConvertOptions { memory_bytes, threads, .. } = *options;
-        let writing =
-            Writing { memory_bytes, threads, columns: None, views: None, temp_dir: &options.temp_dir, weighted: false };
+        let Resources { memory_bytes, threads, ref temp_dir } = options.resources;
+        let writing = Writing { memory_bytes, threads, columns: None, views: None, temp_dir, weighted: false };
         let left_out = write_archive(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {
@@ -164,7 +167,7 @@ impl PointWriter {
             spacing: None,
             noise: None,
             up: None,
-            placement: options.placement,
+            placement: options.reading.placement,
             crs: self.crs,
             units,
             texts: Vec::new(),
@@ -193,8 +196,8 @@ mod tests {
 
     fn options(folder: &std::path::Path, name: &str) -> ConvertOptions {
         let mut options = ConvertOptions::new(Vec::new(), folder.join(name));
-        options.pixel = PixelSize::Metres(0.1);
-        options.memory_bytes = super::super::MIN_MEMORY_BYTES;
+        options.grid.pixel = PixelSize::Metres(0.1);
+        options.resources.memory_bytes = super::super::MIN_MEMORY_BYTES;
         options
     }
 
@@ -269,7 +272,7 @@ mod tests {
         assert!(writer.push(&[0.0], &[1e11], &[0.0]).is_err(), "beyond the grid");
         drop(writer);
         let mut without_size = options(folder.path(), "b.slices");
-        without_size.pixel = PixelSize::Auto;
+        without_size.grid.pixel = PixelSize::Auto;
         assert!(PointWriter::create(&without_size, "").is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

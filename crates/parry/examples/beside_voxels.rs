@@ -67,8 +67,8 @@ fn stairs() -> Result<Snapshot, Box<dyn std::error::Error>> {
     let samples = scene.samples(1, &SampleSpec::direct_density(3600.0).with_noise(0.001))?;
     write_samples(&scan, samples, &WriteSpec::for_path(&scan))?;
     let mut options = ConvertOptions::new(vec![scan], made.clone());
-    options.pixel = PixelSize::Metres(EDGE);
-    options.units = Units::Factor(1.0);
+    options.grid.pixel = PixelSize::Metres(EDGE);
+    options.reading.units = Units::Factor(1.0);
     convert(&options, &NoMonitor)?;
     Ok(Snapshot::resident(&Archive::open(made)?, &NoMonitor)?)
 }

@@ -30,9 +30,9 @@ fn archive() -> &'static Archive {
         let samples = scene.samples(1, &SampleSpec::direct_density(3600.0).with_noise(0.001)).unwrap();
         write_samples(&scan, samples, &WriteSpec { offset: FAR, ..WriteSpec::for_path(&scan) }).unwrap();
         let mut options = ConvertOptions::new(vec![scan], made.clone());
-        options.pixel = PixelSize::Metres(0.05);
-        options.units = Units::Factor(1.0);
-        options.threads = 1;
+        options.grid.pixel = PixelSize::Metres(0.05);
+        options.reading.units = Units::Factor(1.0);
+        options.resources.threads = 1;
         convert(&options, &NoMonitor).unwrap();
         Archive::from_bytes(std::fs::read(made).unwrap()).unwrap()
     })

@@ -148,9 +148,9 @@ fn read_ours(path: &Path, threads: usize) -> u64 {
 fn convert_file(path: &Path, pixel_m: f64, threads: usize) -> u64 {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let mut options = ConvertOptions::new(vec![path.to_owned()], dir.path().join("scan.slices"));
-    options.pixel = PixelSize::Metres(pixel_m);
-    options.units = Units::Factor(1.0);
-    options.threads = threads;
-    options.temp_dir = dir.path().to_owned();
+    options.grid.pixel = PixelSize::Metres(pixel_m);
+    options.reading.units = Units::Factor(1.0);
+    options.resources.threads = threads;
+    options.resources.temp_dir = dir.path().to_owned();
     convert(&options, &NoMonitor).expect("a conversion").header.points_read
 }

@@ -61,12 +61,12 @@ impl Conversion {
     /// Converts, and prints what a parent process reads.
     pub fn run(&self) -> Result<()> {
         let mut options = ConvertOptions::new(vec![self.input.clone()], self.output.clone());
-        options.pixel = PixelSize::Metres(self.pixel);
+        options.grid.pixel = PixelSize::Metres(self.pixel);
         options.plan.up = if self.y_up { Up::Y } else { Up::Z };
         options.overwrite = true;
-        options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
+        options.resources.memory_bytes = self.memory.unwrap_or(options.resources.memory_bytes);
         if let Some(step) = self.step {
-            options.mesh = MeshMode::Sampled { step_m: Some(step) };
+            options.reading.mesh = MeshMode::Sampled { step_m: Some(step) };
         }
         if self.thesis_rule {
             options.plan.classifier = Classifier::Thesis;

@@ -142,9 +142,9 @@ impl Asked {
             let own = name.as_str();
             match own {
                 "pixel" => {
-                    options.pixel = number_or(own, "metres, or \"auto\"", &value, PixelSize::Metres)?;
+                    options.grid.pixel = number_or(own, "metres, or \"auto\"", &value, PixelSize::Metres)?;
                 }
-                "slice" => options.slice_m = Some(take(own, "metres", &value)?),
+                "slice" => options.grid.slice_m = Some(take(own, "metres", &value)?),
                 "max_slope" => options.plan.max_slope_deg = take(own, "degrees", &value)?,
                 "tolerance" => {
                     options.set_tolerance(number_or(own, "metres, or \"auto\"", &value, Tolerance::Metres)?);
@@ -153,12 +153,12 @@ impl Asked {
                     let all = Classifier::ALL.map(|classifier| (classifier.name(), classifier));
                     options.plan.classifier = one_of(own, &value, &all)?;
                 }
-                "memory" => options.memory_bytes = size(own, &value)?,
+                "memory" => options.resources.memory_bytes = size(own, &value)?,
                 "threads" => {
                     let threads: std::num::NonZeroU16 = take(own, "a number of threads from 1 to 65535", &value)?;
-                    options.threads = threads.get().into();
+                    options.resources.threads = threads.get().into();
                 }
-                "temp_dir" => options.temp_dir = take(own, "a folder", &value)?,
+                "temp_dir" => options.resources.temp_dir = take(own, "a folder", &value)?,
                 "exclude_class" => options.plan.exclude_classes = classes(&value)?,
                 "min_points" => {
                     let points: std::num::NonZeroU32 = take(own, "a number of points from 1 up", &value)?;
@@ -170,23 +170,25 @@ impl Asked {
                     options.plan.drop_floaters = floaters.get();
                 }
                 "remove_moving" => options.plan.remove_moving = take(own, YES_OR_NO, &value)?,
-                "free_space" => options.free_space = take(own, YES_OR_NO, &value)?,
-                "fill_holes" => options.fill_holes_m = Some(take(own, "metres", &value)?),
+                "free_space" => options.sections.free_space = take(own, YES_OR_NO, &value)?,
+                "fill_holes" => options.grid.fill_holes_m = Some(take(own, "metres", &value)?),
                 "stations" => options.stations = Some(take(own, "a file", &value)?),
                 "removed" => options.removed = Some(take(own, "a file", &value)?),
                 "up" => options.plan.up = one_of(own, &value, &[("z", Up::Z), ("y", Up::Y)])?,
                 "units" => {
-                    options.units = number_or(own, "a unit such as \"m\", or metres per unit", &value, Units::Factor)?;
+                    options.reading.units =
+                        number_or(own, "a unit such as \"m\", or metres per unit", &value, Units::Factor)?;
                 }
                 "columns" => {
-                    options.columns = Some(text_as::<Columns>(own, "a text such as \"x,y,z,i,r,g,b\"", &value)?);
+                    options.reading.columns =
+                        Some(text_as::<Columns>(own, "a text such as \"x,y,z,i,r,g,b\"", &value)?);
                 }
                 "mesh" => {
                     let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
-                    options.mesh = one_of(own, &value, &all)?;
+                    options.reading.mesh = one_of(own, &value, &all)?;
                 }
                 "levels" => {
-                    options.levels = match value.extract::<bool>() {
+                    options.sections.levels = match value.extract::<bool>() {
                         Ok(levels) => levels,
                         Err(_) if value.cast::<PyString>().is_ok() => {
                             one_of(own, &value, &[("on", true), ("off", false)])?
@@ -194,8 +196,8 @@ impl Asked {
                         Err(_) => take(own, YES_OR_NO, &value)?,
                     };
                 }
-                "colour" => options.colour = text_as::<ColourMode>(own, "a text such as \"rgb\"", &value)?,
-                "colour_error" => options.colour_error = take(own, "a number", &value)?,
+                "colour" => options.sections.colour = text_as::<ColourMode>(own, "a text such as \"rgb\"", &value)?,
+                "colour_error" => options.sections.colour_error = take(own, "a number", &value)?,
                 "allow_incomplete" => options.allow_incomplete = take(own, YES_OR_NO, &value)?,
                 "resume" => options.resume = take(own, YES_OR_NO, &value)?,
                 "force" => options.overwrite = take(own, YES_OR_NO, &value)?,
@@ -206,7 +208,7 @@ impl Asked {
                     crs = take::<String>(own, "a text such as \"EPSG:25832\"", &value)?;
                     let is_code = crs.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("EPSG:"));
                     let code = if is_code { crs[5..].parse().ok() } else { None };
-                    options.epsg = code.filter(|code| (1..1_000_000).contains(code));
+                    options.reading.epsg = code.filter(|code| (1..1_000_000).contains(code));
                 }
                 other => {
                     let text =
@@ -221,7 +223,7 @@ impl Asked {
             return Err(refuse("drop_isolated", "is drop_floaters=1, which is given too; leave one of them out"));
         }
         options.plan.drop_floaters = options.plan.drop_floaters.max(isolated.into());
-        if is_named("stations") && !(options.plan.remove_moving || options.free_space) {
+        if is_named("stations") && !(options.plan.remove_moving || options.sections.free_space) {
             return Err(refuse("stations", "is for remove_moving=True and free_space=True; give one of these, too"));
         }
         if is_named("removed") && !options.plan.remove_moving {
@@ -246,7 +248,7 @@ impl Asked {
     /// Refuses a reference system that is not an EPSG code: scans state their own, and the code is for those that do
     /// not.
     pub fn check_code(&self) -> PyResult<()> {
-        if self.crs.is_empty() || self.options.epsg.is_some() {
+        if self.crs.is_empty() || self.options.reading.epsg.is_some() {
             return Ok(());
         }
         Err(refuse("crs", format!("expected a code such as \"EPSG:25832\", found {:?}", self.crs)))
@@ -271,22 +273,22 @@ fn refuse_contradictions(
     planned: &ConvertOptions,
     file: &PlanFile,
 ) -> PyResult<()> {
-    let same_holes = || match planned.pixel {
+    let same_holes = || match planned.grid.pixel {
         PixelSize::Metres(pixel_m) => {
             wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes)
         }
         _ => false,
     };
     let differs = |name: &str| match name {
-        "pixel" => wanted.pixel != planned.pixel,
-        "slice" => wanted.slice_m != planned.slice_m,
-        "units" => wanted.units != planned.units,
-        "crs" => wanted.epsg != planned.epsg,
-        "columns" => wanted.columns != planned.columns,
-        "mesh" => wanted.mesh != planned.mesh,
-        "levels" => wanted.levels != planned.levels,
-        "colour" => wanted.colour != ColourMode::Auto && wanted.colour != planned.colour,
-        "colour_error" => wanted.colour_error != planned.colour_error,
+        "pixel" => wanted.grid.pixel != planned.grid.pixel,
+        "slice" => wanted.grid.slice_m != planned.grid.slice_m,
+        "units" => wanted.reading.units != planned.reading.units,
+        "crs" => wanted.reading.epsg != planned.reading.epsg,
+        "columns" => wanted.reading.columns != planned.reading.columns,
+        "mesh" => wanted.reading.mesh != planned.reading.mesh,
+        "levels" => wanted.sections.levels != planned.sections.levels,
+        "colour" => wanted.sections.colour != ColourMode::Auto && wanted.sections.colour != planned.sections.colour,
+        "colour_error" => wanted.sections.colour_error != planned.sections.colour_error,
         "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,
         "tolerance" => !file.has_tolerance_of(wanted),
         "classifier" => wanted.plan.classifier != planned.plan.classifier,

@@ -13,7 +13,7 @@ use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk_base::text::{counted, finite_number, whole_number};
 use slicewalk_convert::size::parse_size;
 use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, Preview, Report, convert, gap_width_m, preview};
-use slicewalk_convert::{PlanFile, ShardOptions, Tolerance, Turn};
+use slicewalk_convert::{PlanFile, SectionOptions, ShardOptions, Tolerance, Turn};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
 use slicewalk_terminal::{Terminal, say};
@@ -165,7 +165,7 @@ struct Arguments {
     colour: ColourMode,
     /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps the means exactly,
     /// to 8 bits
-    #[arg(long, default_value_t = ConvertOptions::DEFAULT_COLOUR_ERROR, allow_negative_numbers = true, value_name = "E", value_parser = finite_number)]
+    #[arg(long, default_value_t = SectionOptions::default().colour_error, allow_negative_numbers = true, value_name = "E", value_parser = finite_number)]
     colour_error: f64,
     /// Convert the readable part of incomplete input (cut, damaged or unreadable files) with warnings, instead of
     /// refusing it
@@ -391,8 +391,8 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         ));
     }
     let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone().unwrap_or_default());
-    options.pixel = arguments.pixel;
-    options.slice_m = arguments.slice;
+    options.grid.pixel = arguments.pixel;
+    options.grid.slice_m = arguments.slice;
     options.plan.max_slope_deg = arguments.max_slope;
     options.set_tolerance(arguments.tolerance);
     options.plan.classifier = match arguments.classifier {
@@ -400,40 +400,41 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Rule::Thesis => Classifier::Thesis,
         Rule::Plane => Classifier::Plane,
     };
-    options.memory_bytes = arguments.memory;
-    options.threads = arguments.threads.map_or(options.threads, usize::from);
-    options.temp_dir = arguments.temp_dir.clone().unwrap_or(options.temp_dir);
+    options.resources.memory_bytes = arguments.memory;
+    options.resources.threads = arguments.threads.map_or(options.resources.threads, usize::from);
+    options.resources.temp_dir = arguments.temp_dir.clone().unwrap_or(options.resources.temp_dir);
     options.plan.exclude_classes = arguments.exclude_class.iter().cloned().flatten().collect();
     options.plan.min_points = arguments.min_points;
     options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
     options.plan.remove_moving = arguments.remove_moving;
-    options.free_space = arguments.free_space;
-    options.fill_holes_m = match arguments.fill_holes {
+    options.sections.free_space = arguments.free_space;
+    options.grid.fill_holes_m = match arguments.fill_holes {
         Some(Holes::Metres(metres)) => Some(metres),
         _ => None,
     };
     options.stations = arguments.stations.clone();
     options.removed = arguments.removed.clone();
-    (options.plan.up, options.turn) = (arguments.up.axis, arguments.up.turn);
-    options.units = arguments.units;
+    (options.plan.up, options.reading.turn) = (arguments.up.axis, arguments.up.turn);
+    options.reading.units = arguments.units;
     if let [from, to, metres] = &arguments.scale_from[..] {
-        options.units = scale_from(from, to, metres).map_err(|why| Failure::Usage(format!("--scale-from: {why}")))?;
+        options.reading.units =
+            scale_from(from, to, metres).map_err(|why| Failure::Usage(format!("--scale-from: {why}")))?;
     }
-    options.splats.opacity = arguments.opacity;
-    options.splats.min_opacity = arguments.min_opacity;
-    options.splats.max_size_m = arguments.max_size;
+    options.reading.splats.opacity = arguments.opacity;
+    options.reading.splats.min_opacity = arguments.min_opacity;
+    options.reading.splats.max_size_m = arguments.max_size;
     if let Some(path) = &arguments.transform {
-        options.placement = Some(transform(path)?);
+        options.reading.placement = Some(transform(path)?);
     }
-    options.epsg = arguments.crs;
-    options.columns = arguments.columns;
-    options.mesh = match arguments.mesh {
+    options.reading.epsg = arguments.crs;
+    options.reading.columns = arguments.columns;
+    options.reading.mesh = match arguments.mesh {
         Surfaces::Exact => MeshMode::Exact,
         Surfaces::Sampled => MeshMode::Sampled { step_m: None },
     };
-    options.levels = arguments.levels == Switch::On;
-    options.colour = arguments.colour;
-    options.colour_error = arguments.colour_error;
+    options.sections.levels = arguments.levels == Switch::On;
+    options.sections.colour = arguments.colour;
+    options.sections.colour_error = arguments.colour_error;
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     options.resume = arguments.resume;
@@ -442,7 +443,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
             let line = "--fill-holes auto: a plan holds the width already; leave it out, or write another plan";
             return Err(Failure::Usage(line.into()));
         }
-        options.fill_holes_m = gaps(&options, monitor)?;
+        options.grid.fill_holes_m = gaps(&options, monitor)?;
     }
     if let Some(path) = &arguments.write_plan {
         let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
@@ -469,14 +470,14 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
 
 /// Returns the width of the gaps between points, as far as pixels show them (m); `None` if these are wider.
 fn gaps(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<f64>, Failure> {
-    let PixelSize::Metres(pixel_m) = options.pixel else { return Ok(None) };
+    let PixelSize::Metres(pixel_m) = options.grid.pixel else { return Ok(None) };
     let widest_m = f64::from(slicewalk::plan::PlanOptions::MOST_FILL_PIXELS) * pixel_m;
     Ok(gap_width_m(options, monitor)?.map(|width_m| width_m.min(widest_m)).filter(|width_m| *width_m >= pixel_m))
 }
 
 /// Refuses options on the command line that contradict the plan, whose options are `planned`.
 fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Failure> {
-    let pixel_m = match planned.pixel {
+    let pixel_m = match planned.grid.pixel {
         PixelSize::Metres(pixel_m) => pixel_m,
         _ => f64::NAN,
     };
@@ -485,14 +486,15 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
     // The plan holds one placement, which follows from both options.
     let found = planned.plan_file.as_ref().and_then(|file| file.up);
     let placement = wanted.placement_with(found.as_ref());
-    let same_placement = placement == planned.placement;
-    let same_up = wanted.plan.up == planned.plan.up && (wanted.turn == Turn::Auto) == found.is_some();
-    let same_up = same_up && (same_placement || wanted.placement.is_none() && wanted.turn == Turn::Auto);
+    let same_placement = placement == planned.reading.placement;
+    let same_up = wanted.plan.up == planned.plan.up && (wanted.reading.turn == Turn::Auto) == found.is_some();
+    let same_up =
+        same_up && (same_placement || wanted.reading.placement.is_none() && wanted.reading.turn == Turn::Auto);
     // The plan holds what `auto` found.
-    let same_colour = wanted.colour == ColourMode::Auto || wanted.colour == planned.colour;
+    let same_colour = wanted.sections.colour == ColourMode::Auto || wanted.sections.colour == planned.sections.colour;
     let options = [
-        ("pixel", "--pixel", wanted.pixel == planned.pixel),
-        ("slice", "--slice", wanted.slice_m == planned.slice_m),
+        ("pixel", "--pixel", wanted.grid.pixel == planned.grid.pixel),
+        ("slice", "--slice", wanted.grid.slice_m == planned.grid.slice_m),
         ("max_slope", "--max-slope", wanted.plan.max_slope_deg == planned.plan.max_slope_deg),
         ("tolerance", "--tolerance", same_tolerance),
         ("classifier", "--classifier", wanted.plan.classifier == planned.plan.classifier),
@@ -504,17 +506,17 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("fill_holes", "--fill-holes", same_holes),
         ("up", "--up", same_up),
         ("transform", "--transform", same_placement),
-        ("opacity", "--opacity", wanted.splats.opacity == planned.splats.opacity),
-        ("min_opacity", "--min-opacity", wanted.splats.min_opacity == planned.splats.min_opacity),
-        ("max_size", "--max-size", wanted.splats.max_size_m == planned.splats.max_size_m),
-        ("units", "--units", wanted.units == planned.units),
-        ("scale_from", "--scale-from", wanted.units == planned.units),
-        ("crs", "--crs", wanted.epsg == planned.epsg),
-        ("columns", "--columns", wanted.columns == planned.columns),
-        ("mesh", "--mesh", wanted.mesh == planned.mesh),
-        ("levels", "--levels", wanted.levels == planned.levels),
+        ("opacity", "--opacity", wanted.reading.splats.opacity == planned.reading.splats.opacity),
+        ("min_opacity", "--min-opacity", wanted.reading.splats.min_opacity == planned.reading.splats.min_opacity),
+        ("max_size", "--max-size", wanted.reading.splats.max_size_m == planned.reading.splats.max_size_m),
+        ("units", "--units", wanted.reading.units == planned.reading.units),
+        ("scale_from", "--scale-from", wanted.reading.units == planned.reading.units),
+        ("crs", "--crs", wanted.reading.epsg == planned.reading.epsg),
+        ("columns", "--columns", wanted.reading.columns == planned.reading.columns),
+        ("mesh", "--mesh", wanted.reading.mesh == planned.reading.mesh),
+        ("levels", "--levels", wanted.sections.levels == planned.sections.levels),
         ("colour", "--colour", same_colour),
-        ("colour_error", "--colour-error", wanted.colour_error == planned.colour_error),
+        ("colour_error", "--colour-error", wanted.sections.colour_error == planned.sections.colour_error),
     ];
     for (id, name, same) in options {
         if !same && given.value_source(id) == Some(ValueSource::CommandLine) {

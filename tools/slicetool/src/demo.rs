@@ -68,8 +68,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
 
     crate::say("converting it");
     let mut options = ConvertOptions::new(vec![scan.clone()], output.clone());
-    options.pixel = PixelSize::Metres(PIXEL_M);
-    options.units = slicewalk_input::Units::Factor(1.0);
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
+    options.reading.units = slicewalk_input::Units::Factor(1.0);
     options.overwrite = true;
     options.plan.exclude_classes.insert(NOISE_CLASS);
     let started = Instant::now();

@@ -1,7 +1,8 @@
 //! Plan files as JSON.
 
+use super::super::options::ReadingOptions;
 use super::super::splats::SplatRules;
-use super::super::upright::UpFound;
+use super::super::upright::{Turn, UpFound};
 use super::{InputFacts, PlanFile, Stated};
 use crate::bytes::{ByteSource, open_named};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
@@ -61,7 +62,7 @@ struct PlanText<'a> {
     up_auto: Option<UpText>,
     splats: SplatText,
     tolerance_auto: Option<NoiseText>,
-    stated: Option<StatedText>,
+    stated: StatedText,
     inputs: Cow<'a, [InputFacts]>,
 }
 
@@ -181,7 +182,7 @@ struct Wrong(&'static str, String);
 
 impl<'a> PlanText<'a> {
     fn of(file: &'a PlanFile, inputs: &'a [InputFacts]) -> Self {
-        let PlanFile { plan: Plan { frame, options }, units, mesh, .. } = file;
+        let PlanFile { plan: Plan { frame, options }, reading, .. } = file;
         Self {
             slicewalk_plan: VERSION,
             pixel_size: frame.pixel_m(),
@@ -196,42 +197,42 @@ impl<'a> PlanText<'a> {
             up: options.up,
             excluded_classes: options.exclude_classes.iter().collect(),
             plan_hash: file.plan.hash(),
-            units: match units {
+            units: match reading.units {
                 Units::Auto => "auto".into(),
-                Units::Factor(factor) => (*factor).into(),
+                Units::Factor(factor) => factor.into(),
             },
-            crs: file.epsg.map(|code| format!("EPSG:{code}")),
-            columns: file.columns.map(|columns| columns.to_string()),
-            mesh: match mesh {
+            crs: reading.epsg.map(|code| format!("EPSG:{code}")),
+            columns: reading.columns.map(|columns| columns.to_string()),
+            mesh: match reading.mesh {
                 MeshMode::Exact => "exact".into(),
                 MeshMode::Sampled { step_m: None } => "sampled".into(),
-                MeshMode::Sampled { step_m: Some(step_m) } => (*step_m).into(),
+                MeshMode::Sampled { step_m: Some(step_m) } => step_m.into(),
             },
             levels: file.levels,
             colour: file.colour.map(|ColourPlan { scale: ColourScale { source, low, high }, error_milli }| {
                 ColourText { source, range: [low, high], error: f64::from(error_milli) / 1000.0 }
             }),
             point_spacing: file.spacing_m,
-            placement: file.placement.map(|placement| placement.matrix()),
+            placement: reading.placement.map(|placement| placement.matrix()),
             up_auto: file.up.as_ref().map(|found| {
                 let UpFound { up: direction, sure, floor_m2, next_m2 } = *found;
                 let (axis, tilt_deg) = found.axis();
                 UpText { direction, axis: axis.into(), tilt_deg, sure, floor_m2, next_m2 }
             }),
             splats: SplatText {
-                opacity: file.splats.opacity,
-                min_opacity: file.splats.min_opacity,
-                max_size: file.splats.max_size_m,
+                opacity: reading.splats.opacity,
+                min_opacity: reading.splats.min_opacity,
+                max_size: reading.splats.max_size_m,
             },
             tolerance_auto: file.noise.map(|Noise { noise_m: noise, regions, region_m: region_size }| NoiseText {
                 noise,
                 regions,
                 region_size,
             }),
-            stated: file.stated.as_ref().map(|Stated { crs, units }| StatedText {
-                reference_system: crs.clone(),
-                length_units: units.iter().map(|unit| [unit.horizontal_m, unit.vertical_m]).collect(),
-            }),
+            stated: StatedText {
+                reference_system: file.stated.crs.clone(),
+                length_units: file.stated.units.iter().map(|unit| [unit.horizontal_m, unit.vertical_m]).collect(),
+            },
             inputs: inputs.into(),
         }
     }
@@ -266,8 +267,7 @@ impl<'a> PlanText<'a> {
             max_size_m: self.splats.max_size,
         };
         splats.check().map_err(|error| Wrong("splats", error.to_string()))?;
-        let mut file = PlanFile {
-            plan,
+        let reading = ReadingOptions {
             units: match (self.units.as_str(), self.units.as_f64()) {
                 (Some("auto"), _) => Units::Auto,
                 (_, Some(factor)) if factor > 0.0 => Units::Factor(factor),
@@ -291,6 +291,16 @@ impl<'a> PlanText<'a> {
                 (_, Some(step_m)) if step_m > 0.0 => MeshMode::Sampled { step_m: Some(step_m) },
                 _ => return Err(wrong("mesh", "exact, sampled, or a distance of points in metres")()),
             },
+            turn: Turn::None,
+            placement: self
+                .placement
+                .map(|matrix| Similarity::of_matrix(matrix).map_err(|error| Wrong("placement", error)))
+                .transpose()?,
+            splats,
+        };
+        let mut file = PlanFile {
+            plan,
+            reading,
             levels: self.levels,
             colour: self.colour.map(ColourText::into_plan).transpose()?,
             spacing_m: self.point_spacing,
@@ -300,13 +310,8 @@ impl<'a> PlanText<'a> {
                 floor_m2,
                 next_m2,
             }),
-            placement: self
-                .placement
-                .map(|matrix| Similarity::of_matrix(matrix).map_err(|error| Wrong("placement", error)))
-                .transpose()?,
-            splats,
             noise: self.tolerance_auto.map(NoiseText::into_noise).transpose()?,
-            stated: self.stated.map(StatedText::into_stated).transpose()?,
+            stated: self.stated.into_stated()?,
             inputs: self.inputs.into_owned(),
         };
         file.sort_inputs();
@@ -431,6 +436,7 @@ impl io::Read for Text<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ConvertOptions;
     use proptest::prelude::*;
 
     fn input() -> impl Strategy<Value = InputFacts> {
@@ -474,25 +480,21 @@ mod tests {
                 scale: ColourScale { source: ColourSource::ALL[rule], low: drop_floaters / 2, high: drop_floaters / 2 + 9 },
                 error_milli: drop_floaters,
             });
-            let stated = flags.1.then(|| Stated {
+            let stated = Stated {
                 crs: flags.0.then(|| "EPSG:25832".to_owned()),
                 units: vec![LengthUnit { horizontal_m: 0.3048, vertical_m: 1.0 }],
-            });
+            };
             let placement = flags.1.then(|| Similarity::parse("0 -2 0 1.5\n2 0 0 -3\n0 0 2 1e6\n0 0 0 1").unwrap());
             let up = flags.0.then_some(UpFound { up: [0.0, pixel, -1.0], sure: 0.3, floor_m2: slice, next_m2: 0.1 });
             let splats = SplatRules { opacity: 0.2, min_opacity: 0.25, max_size_m: flags.0.then_some(slice) };
+            let reading = ReadingOptions { units, turn: Turn::None, placement, epsg, columns, mesh, splats };
             let mut file = PlanFile {
                 plan,
-                units,
-                epsg,
-                columns,
-                mesh,
+                reading,
                 levels: rule % 2 == 0,
                 colour,
                 spacing_m,
                 up,
-                placement,
-                splats,
                 noise,
                 stated,
                 inputs,
@@ -517,7 +519,8 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, up: None, placement: None, splats: SplatRules::default(), noise: None, stated: None, inputs: Vec::new() }.facts().to_string();
+            let options = ConvertOptions::new(Vec::new(), "a.slices".into());
+            let good = PlanFile::of(Vec::new(), plan, &options).facts().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

@@ -20,7 +20,7 @@ pub(super) use json::{bounds, hex};
 
 use super::facts::InputFacts;
 use super::inputs::open_inputs;
-use super::options::{ColourMode, ConvertOptions, PixelSize};
+use super::options::{ColourMode, ConvertOptions, GridOptions, PixelSize, ReadingOptions};
 use super::planning::{self, Surveyed};
 use super::splats::SplatRules;
 use super::split::split;
@@ -28,9 +28,8 @@ use super::upright::{Turn, UpFound};
 use crate::archive::{MAX_SHARDS, Shard};
 use crate::colour::{ColourPlan, ColourScale};
 use crate::input::scenes::{Scene, far_apart};
-use crate::input::{Columns, ScanFile, Units};
+use crate::input::{ScanFile, Units};
 use crate::mesh::MeshMode;
-use crate::placement::Similarity;
 use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
@@ -42,14 +41,8 @@ use xxhash_rust::xxh3::xxh3_128;
 pub struct PlanFile {
     /// Grid and options.
     pub plan: Plan,
-    /// Unit of the input.
-    pub units: Units,
-    /// EPSG code for scans that state no reference system.
-    pub epsg: Option<u32>,
-    /// Columns of text without a header of its own.
-    pub columns: Option<Columns>,
-    /// How meshes become voxels.
-    pub mesh: MeshMode,
+    /// How inputs are read and placed; the placement includes the rotation upwards.
+    pub reading: ReadingOptions,
     /// True if the parts and the whole get overview levels.
     pub levels: bool,
     /// Colour plan for all points of the inputs; `None` without colours.
@@ -58,15 +51,10 @@ pub struct PlanFile {
     pub spacing_m: Option<f64>,
     /// Direction that points up, if the inputs showed it.
     pub up: Option<UpFound>,
-    /// Placement of all inputs, the rotation upwards included.
-    pub placement: Option<Similarity>,
-    /// How Gaussian splats become solid.
-    pub splats: SplatRules,
     /// Noise of the scan, if the tolerance follows from it.
     pub noise: Option<Noise>,
-    /// Statements of the headers of all inputs together; `None` in plans of earlier builds, whose parts open every
-    /// input.
-    pub stated: Option<Stated>,
+    /// Statements of the headers of all inputs together.
+    pub stated: Stated,
     /// Inputs in order of their fingerprints, which is the same on every machine.
     pub inputs: Vec<InputFacts>,
 }
@@ -93,35 +81,29 @@ impl PlanFile {
         let (plan, Surveyed { spacing, noise }) = planning::plan(options, &inputs, None, monitor)?;
         let found = super::colours::source_of(options, &mut inputs, monitor)?;
         let set = &mut inputs.scans;
-        let scale = found.map(|found| super::colours::measure(set, found, options.threads, monitor)).transpose()?;
+        let scale =
+            found.map(|found| super::colours::measure(set, found, options.resources.threads, monitor)).transpose()?;
         let colour = scale.map(|scale| options.colour_plan(scale));
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|warning| monitor.warn(warning));
-        let stated = Some(Stated { crs: inputs.scans.crs().map(str::to_owned), units: inputs.length_units() });
-        let file =
-            Self::of(InputFacts::measured((&inputs.scans, &inputs.splats), options.threads, monitor)?, plan, options);
-        let (up, placement) = (inputs.up, inputs.placement);
-        Ok(Self { up, placement, stated, spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, colour, ..file })
+        let stated = Stated { crs: inputs.scans.crs().map(str::to_owned), units: inputs.length_units() };
+        let facts = InputFacts::measured((&inputs.scans, &inputs.splats), options.resources.threads, monitor)?;
+        let file = Self::of(facts, plan, options);
+        let reading = ReadingOptions { placement: inputs.placement, ..file.reading };
+        let spacing_m = spacing.map(|spacing| spacing.spacing_m);
+        Ok(Self { reading, colour, spacing_m, up: inputs.up, noise, stated, ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
-        let ConvertOptions { units, epsg, columns, mesh, levels, .. } = *options;
-        let (colour, spacing_m, noise, stated) = (None, None, None, None);
-        let (up, placement, splats) = (None, options.placement, options.splats.clone());
         let mut file = Self {
             plan,
-            units,
-            epsg,
-            columns,
-            mesh,
-            levels,
-            colour,
-            spacing_m,
-            up,
-            placement,
-            splats,
-            noise,
-            stated,
+            reading: ReadingOptions { turn: Turn::None, ..options.reading.clone() },
+            levels: options.sections.levels,
+            colour: None,
+            spacing_m: None,
+            up: None,
+            noise: None,
+            stated: Stated::default(),
             inputs,
         };
         file.sort_inputs();
@@ -141,24 +123,24 @@ impl PlanFile {
     /// Returns the identity of the plan file: a hash of everything that decides the content of its parts.
     pub fn hash(&self) -> u128 {
         let mut bytes = self.plan.hash().to_le_bytes().to_vec();
-        let unit = match self.units {
+        let unit = match self.reading.units {
             Units::Auto => 0.0,
             Units::Factor(factor) => factor,
         };
-        let mesh = match self.mesh {
+        let mesh = match self.reading.mesh {
             MeshMode::Exact => -1.0,
             MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
         };
         bytes.extend([unit, mesh].map(f64::to_le_bytes).concat());
-        bytes.extend(self.epsg.into_iter().flat_map(u32::to_le_bytes));
-        bytes.extend(self.columns.into_iter().flat_map(|columns| columns.to_string().into_bytes()));
+        bytes.extend(self.reading.epsg.into_iter().flat_map(u32::to_le_bytes));
+        bytes.extend(self.reading.columns.into_iter().flat_map(|columns| columns.to_string().into_bytes()));
         if let Some(ColourPlan { scale: ColourScale { source, low, high }, error_milli }) = self.colour {
             bytes.extend(source.name().as_bytes());
             bytes.extend([low, high, error_milli].map(u16::to_le_bytes).concat());
         }
-        bytes.extend(self.placement.iter().flat_map(|placement| placement.matrix()).flat_map(f64::to_le_bytes));
-        if self.splats != SplatRules::default() {
-            let SplatRules { opacity, min_opacity, max_size_m } = self.splats;
+        bytes.extend(self.reading.placement.iter().flat_map(|placement| placement.matrix()).flat_map(f64::to_le_bytes));
+        if self.reading.splats != SplatRules::default() {
+            let SplatRules { opacity, min_opacity, max_size_m } = self.reading.splats;
             bytes.extend([opacity, min_opacity, max_size_m.unwrap_or(f64::INFINITY)].map(f64::to_le_bytes).concat());
         }
         for input in &self.inputs {
@@ -173,29 +155,24 @@ impl PlanFile {
 
     /// Sets the options that the plan file fixes.
     pub fn apply_to(&self, options: &mut ConvertOptions) {
-        options.pixel = PixelSize::Metres(self.plan.frame.pixel_m());
-        options.slice_m = Some(self.plan.frame.slice_m());
+        options.grid = GridOptions {
+            pixel: PixelSize::Metres(self.plan.frame.pixel_m()),
+            slice_m: Some(self.plan.frame.slice_m()),
+            ..GridOptions::default()
+        };
         options.plan = self.plan.options.clone();
-        options.fill_holes_m = None;
-        options.tolerance_auto = false;
-        options.units = self.units;
-        options.turn = Turn::None;
-        options.placement = self.placement;
-        options.splats = self.splats.clone();
-        options.epsg = self.epsg;
-        options.columns = self.columns;
-        options.mesh = self.mesh;
-        options.levels = self.levels;
-        options.colour = self.colour.map_or(ColourMode::Off, |plan| ColourMode::Of(plan.scale.source));
+        options.reading = self.reading.clone();
+        options.sections.levels = self.levels;
+        options.sections.colour = self.colour.map_or(ColourMode::Off, |plan| ColourMode::Of(plan.scale.source));
         if let Some(plan) = self.colour {
-            options.colour_error = f64::from(plan.error_milli) / 1000.0;
+            options.sections.colour_error = f64::from(plan.error_milli) / 1000.0;
         }
     }
 
     /// Returns whether the plan has the tolerance that `wanted` asks for: the same length, or likewise chosen by the
     /// noise.
     pub fn has_tolerance_of(&self, wanted: &ConvertOptions) -> bool {
-        match wanted.tolerance_auto {
+        match wanted.grid.tolerance_auto {
             true => self.noise.is_some(),
             false => wanted.plan.tolerance_m == self.plan.options.tolerance_m,
         }
@@ -234,18 +211,12 @@ impl PlanFile {
         if let Some(name) = missing(here, self) {
             return Err(Self::left_out(&name));
         }
-        let options =
-            |file: &Self| (file.units, file.epsg, file.columns, file.mesh, file.placement, file.splats.clone());
-        Self::refuse_other_options(here.plan != self.plan || options(here) != options(self))
+        Self::refuse_other_options(here.plan != self.plan || here.reading != self.reading)
     }
 
     /// Refuses options that are not those of the plan file.
     pub(super) fn check_same_options(&self, plan: &Plan, options: &ConvertOptions) -> Result<()> {
-        let ConvertOptions { units, epsg, columns, mesh, placement, .. } = *options;
-        let same = (units, epsg, columns, mesh) == (self.units, self.epsg, self.columns, self.mesh)
-            && placement == self.placement
-            && options.splats == self.splats;
-        Self::refuse_other_options(*plan != self.plan || !same)
+        Self::refuse_other_options(*plan != self.plan || options.reading != self.reading)
     }
 
     /// Makes the error for an input that is not in the plan.
@@ -289,22 +260,8 @@ mod tests {
             fingerprint: number as u128,
             bounds: Some(StatedBounds { min: [min[0], min[1], 0.0], max: [min[0] + size[0], min[1] + size[1], 1.0] }),
         };
-        PlanFile {
-            plan,
-            units: Units::Auto,
-            epsg: None,
-            columns: None,
-            mesh: MeshMode::Exact,
-            levels: true,
-            colour: None,
-            spacing_m: None,
-            up: None,
-            placement: None,
-            splats: SplatRules::default(),
-            noise: None,
-            stated: None,
-            inputs: areas.iter().enumerate().map(facts).collect(),
-        }
+        let options = ConvertOptions::new(Vec::new(), "a.slices".into());
+        PlanFile::of(areas.iter().enumerate().map(facts).collect(), plan, &options)
     }
 
     proptest! {
@@ -357,13 +314,13 @@ mod tests {
         assert_eq!(renamed.hash(), one.hash());
         let mut changes = vec![one.clone(); 9];
         changes[0].plan.options.max_slope_deg = 44.0;
-        changes[1].units = Units::Factor(1.0);
+        changes[1].reading.units = Units::Factor(1.0);
         changes[2].inputs[0].fingerprint = 9;
         changes[3].inputs[1].bounds = None;
         changes[4].inputs.pop();
-        changes[5].mesh = MeshMode::Sampled { step_m: None };
-        changes[6].epsg = Some(25832);
-        changes[7].columns = Some("y,x,z".parse().unwrap());
+        changes[5].reading.mesh = MeshMode::Sampled { step_m: None };
+        changes[6].reading.epsg = Some(25832);
+        changes[7].reading.columns = Some("y,x,z".parse().unwrap());
         changes[8].colour = Some(ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 2000 });
         for (number, changed) in changes.iter().enumerate() {
             assert_ne!(changed.hash(), one.hash(), "{number}");

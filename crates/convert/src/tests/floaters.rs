@@ -17,14 +17,14 @@ fn options(folder: &Path, most: u16) -> ConvertOptions {
     let path = folder.join("points.las");
     write_las(&path, points.iter().copied(), &WriteSpec::for_path(&path)).unwrap();
     let mut options = ConvertOptions::new(vec![path], folder.join("a.slices"));
-    options.pixel = PixelSize::Metres(0.25);
-    options.slice_m = Some(0.25);
+    options.grid.pixel = PixelSize::Metres(0.25);
+    options.grid.slice_m = Some(0.25);
     options.plan.drop_floaters = most;
     options.plan.min_points = 2;
-    options.temp_dir = folder.to_path_buf();
-    options.memory_bytes = MIN_MEMORY_BYTES;
+    options.resources.temp_dir = folder.to_path_buf();
+    options.resources.memory_bytes = MIN_MEMORY_BYTES;
     options.overwrite = true;
-    options.units = Units::Factor(1.0);
+    options.reading.units = Units::Factor(1.0);
     options
 }
 
@@ -33,13 +33,13 @@ fn runs_on_disk_and_columns_in_areas_make_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     for most in [1, 2, 5] {
         let mut options = options(folder.path(), most);
-        options.threads = 1;
+        options.resources.threads = 1;
         let report = convert(&options, &NoMonitor).unwrap();
         assert!(report.voxels_dropped > 300 && report.header.voxels.occupied > 100, "{most}");
         let expected = fs::read(&options.output).unwrap();
         // With 300 threads, the records of a column do not fit the share of one.
         for threads in [1, 2, 300] {
-            options.threads = threads;
+            options.resources.threads = threads;
             for limits in [Limits::of(&options), Limits { retain_bytes: 0, build_bytes: 0, views_bytes: 0 }] {
                 let again = convert_within(&options, limits, &NoMonitor).unwrap();
                 assert_eq!(again.voxels_dropped, report.voxels_dropped);

@@ -65,15 +65,15 @@ impl Job {
         }
         let inputs = ["plain.las", "packed.laz"].map(|name| folder.path().join(name)).to_vec();
         let mut options = ConvertOptions::new(inputs, folder.path().join("a.slices"));
-        options.temp_dir = folder.path().join("temp");
-        options.threads = 1;
-        options.memory_bytes = MIN_MEMORY_BYTES;
+        options.resources.temp_dir = folder.path().join("temp");
+        options.resources.threads = 1;
+        options.resources.memory_bytes = MIN_MEMORY_BYTES;
         options.overwrite = true;
-        options.units = Units::Factor(1.0);
-        options.colour = colour;
-        fs::create_dir(&options.temp_dir).unwrap();
+        options.reading.units = Units::Factor(1.0);
+        options.sections.colour = colour;
+        fs::create_dir(&options.resources.temp_dir).unwrap();
         let mut made = [1.0, 0.1].map(|pixel_m| {
-            options.pixel = PixelSize::Metres(pixel_m);
+            options.grid.pixel = PixelSize::Metres(pixel_m);
             convert(&options, &NoMonitor).unwrap();
             fs::read(&options.output).unwrap()
         });

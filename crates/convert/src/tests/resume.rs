@@ -8,7 +8,7 @@ mod write;
 
 /// Names in the folder for temporary data.
 fn temporary(job: &Job) -> Vec<String> {
-    let entries = fs::read_dir(&job.options.temp_dir).unwrap();
+    let entries = fs::read_dir(&job.options.resources.temp_dir).unwrap();
     entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
 }
 
@@ -17,7 +17,9 @@ fn interrupt(job: &Job, points: u64) -> (u64, u64) {
     let stops = Stops::after(points);
     match job.convert(true, &stops) {
         Err(Error::Resumable { source, path, points, bytes }) => {
-            assert!(matches!(*source, Error::Interrupted) && path.starts_with(&job.options.temp_dir) && bytes > 0);
+            assert!(
+                matches!(*source, Error::Interrupted) && path.starts_with(&job.options.resources.temp_dir) && bytes > 0
+            );
             assert_eq!(temporary(job).len(), 2);
             (stops.points(), points)
         }
@@ -125,7 +127,7 @@ fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
         set(&bytes, time);
     }
     let mut options = job.options.clone();
-    options.pixel = PixelSize::Metres(0.2);
+    options.grid.pixel = PixelSize::Metres(0.2);
     refused(&options, &["resuming", "other options"]);
     let mut options = job.options.clone();
     options.inputs.pop();
@@ -143,7 +145,7 @@ fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
 #[test]
 fn a_pixel_size_that_was_chosen_automatically_is_not_chosen_again() {
     let mut job = Job::new();
-    job.options.pixel = PixelSize::Auto;
+    job.options.grid.pixel = PixelSize::Auto;
     let whole = job.convert(false, &NoMonitor).unwrap();
     let new = fs::read(&job.options.output).unwrap();
     assert!(interrupt(&job, POINTS as u64 * 3 / 2).1 > 0);
@@ -219,8 +221,9 @@ fn moving_points_are_removed_alike_by_runs_that_go_on_and_by_parts() {
 fn a_kill_costs_no_more_than_256_mib_of_runs_whatever_the_budget() {
     for memory_bytes in [64 << 20, 128 << 20, 512 << 20, 1 << 30, 4 << 30, 64u64 << 30] {
         for threads in [1, 2, 7, 64] {
-            let options = ConvertOptions { memory_bytes, threads, ..ConvertOptions::new(Vec::new(), "a".into()) };
-            let limits = Limits::of(&options);
+            let mut options = ConvertOptions::new(Vec::new(), "a".into());
+            options.resources.memory_bytes = memory_bytes;
+            let limits = Limits::for_threads(threads, &options);
             let in_memory = limits.retain_bytes.min(crate::voxel::runs::MOST_IN_MEMORY_WHILE_SPILLING);
             let built = limits.build_bytes / crate::voxel::runs::BUILD_BYTES * 8 * threads as u64;
             assert!(in_memory + built <= 240 << 20, "{memory_bytes} bytes, {threads} threads");
@@ -320,7 +323,8 @@ fn colours_go_on_where_others_were_interrupted_and_make_the_same_bytes() {
             ColourMode::Off,
             ColourMode::Of(if source == ColourSource::Class { ColourSource::Intensity } else { ColourSource::Class }),
         ] {
-            let options = ConvertOptions { resume: true, colour, ..job.options.clone() };
+            let mut options = ConvertOptions { resume: true, ..job.options.clone() };
+            options.sections.colour = colour;
             let said = convert_within(&options, Job::limits(), &NoMonitor).unwrap_err().to_string();
             assert!(said.contains("other options"), "{said}");
         }
@@ -340,7 +344,7 @@ fn a_tolerance_that_was_chosen_automatically_is_not_chosen_again() {
         .collect();
     write_las(&path, floor.iter().copied(), &WriteSpec::for_path(&path)).unwrap();
     job.options.inputs = vec![path];
-    job.options.tolerance_auto = true;
+    job.options.grid.tolerance_auto = true;
     let whole = job.convert(false, &NoMonitor).unwrap();
     let noise = whole.noise.unwrap();
     assert!(noise.regions > 0 && (0.002..0.008).contains(&noise.noise_m), "{noise:?}");

@@ -66,7 +66,7 @@ pub(super) fn find_up(
             })?;
         }
     };
-    on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    on_threads(options.resources.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
     // With `--allow-incomplete`, the main pass reports diagnostics.
     scans.check_complete(&NoMonitor)?;
     let mut sample = sample.into_inner().unwrap_or_else(PoisonError::into_inner);

@@ -58,18 +58,16 @@ impl Method for Ours {
     fn build(&self, subject: &Subject, pixel_m: f64) -> Result<Box<dyn Built>> {
         let folder = tempfile::tempdir()?;
         let file = folder.path().join("scene.slices");
-        let options = ConvertOptions {
-            pixel: PixelSize::Metres(pixel_m),
-            plan: PlanOptions {
+        let mut options = ConvertOptions::new(vec![subject.file.clone()], file.clone());
+        options.grid.pixel = PixelSize::Metres(pixel_m);
+        options.plan = PlanOptions {
                 classifier: self.classifier,
                 tolerance_m: self.tolerance * pixel_m,
                 up: subject.up,
                 ..PlanOptions::default()
-            },
-            units: subject.units,
-            temp_dir: folder.path().into(),
-            ..ConvertOptions::new(vec![subject.file.clone()], file.clone())
-        };
+            };
+        options.reading.units = subject.units;
+        options.resources.temp_dir = folder.path().into();
         convert(&options, &NoMonitor)?;
         let archive = Archive::open(&file)?;
         let (frame, store) = (*archive.frame(), Snapshot::resident(&archive, &NoMonitor)?);

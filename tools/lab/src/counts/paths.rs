@@ -106,10 +106,10 @@ impl Calls {
 
     fn convert(&self) -> Result<()> {
         let mut options = ConvertOptions::new(vec![self.folder.join(SCAN)], self.folder.join("counted.slices"));
-        options.pixel = PixelSize::Metres(PIXEL_M);
-        options.threads = 1;
+        options.grid.pixel = PixelSize::Metres(PIXEL_M);
+        options.resources.threads = 1;
         options.overwrite = true;
-        options.temp_dir.clone_from(&self.folder);
+        options.resources.temp_dir.clone_from(&self.folder);
         called("convert_point", convert(&options, &NoMonitor)?.header.points_read);
         Ok(())
     }

@@ -34,12 +34,12 @@ const TOLERANCES: [Tolerance; 4] =
 /// Bytes, seconds, tolerance (m) and noise of one conversion.
 fn run_once(scan: &Path, pixel_m: f64, tolerance: Tolerance, folder: &Path) -> Result<(u64, f64, f64, Option<Noise>)> {
     let mut options = ConvertOptions::new(vec![scan.to_owned()], folder.join("made.slices"));
-    options.pixel = PixelSize::Metres(pixel_m);
+    options.grid.pixel = PixelSize::Metres(pixel_m);
     options.overwrite = true;
-    options.temp_dir = folder.to_owned();
+    options.resources.temp_dir = folder.to_owned();
     match tolerance {
         Tolerance::Pixels(pixels) => options.plan.tolerance_m = pixels * pixel_m,
-        Tolerance::Auto => options.tolerance_auto = true,
+        Tolerance::Auto => options.grid.tolerance_auto = true,
     }
     let start = Instant::now();
     let report = convert(&options, &NoMonitor)?;

@@ -34,7 +34,7 @@ pub fn points(scan: &Path) -> Result<Vec<Point3<f64>>> {
 pub fn store(scan: &Path, pixel_m: f64) -> Result<Snapshot> {
     let folder = tempfile::tempdir()?;
     let mut options = ConvertOptions::new(vec![scan.to_path_buf()], folder.path().join("scan.slices"));
-    options.pixel = PixelSize::Metres(pixel_m);
+    options.grid.pixel = PixelSize::Metres(pixel_m);
     convert(&options, &NoMonitor)?;
     Ok(Snapshot::resident(&Archive::open(folder.path().join("scan.slices"))?, &NoMonitor)?)
 }

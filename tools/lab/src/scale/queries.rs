@@ -75,9 +75,9 @@ fn one(found: &mut Found, work: &Path, town: Town, batches: &mut Table) -> Resul
     let (scan, path) = (work.join("town.las"), work.join("town.slices"));
     town.write(&scan, DENSITY)?;
     let mut options = ConvertOptions::new(vec![scan.clone()], path.clone());
-    options.pixel = PixelSize::Metres(PIXEL_M);
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
     options.overwrite = true;
-    options.temp_dir = work.to_owned();
+    options.resources.temp_dir = work.to_owned();
     let header = convert(&options, &NoMonitor)?.header;
     let voxels = header.voxels.occupied;
     let store = Snapshot::resident(&Archive::open(&path)?, &NoMonitor)?;

@@ -198,11 +198,11 @@ fn cases(folder: &Path, quick: bool) -> Result<Vec<Case>> {
 fn make(case: &Case, tolerance_m: f64, folder: &Path) -> Result<Made> {
     let output = folder.join("made.slices");
     let mut options = ConvertOptions::new(vec![case.file.clone()], output.clone());
-    options.pixel = PixelSize::Metres(case.pixel_m);
-    options.units = case.units;
+    options.grid.pixel = PixelSize::Metres(case.pixel_m);
+    options.reading.units = case.units;
     options.plan.tolerance_m = tolerance_m;
     options.overwrite = true;
-    options.temp_dir = folder.to_owned();
+    options.resources.temp_dir = folder.to_owned();
     let header = convert(&options, &NoMonitor)?.header;
     let archive = Archive::from_bytes(std::fs::read(output)?)?;
     Ok(Made { stats: Stats::of(&archive)?, archive, bytes: header.file_len })

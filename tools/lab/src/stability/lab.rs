@@ -108,20 +108,18 @@ impl Scan {
     /// Converts with one of the classifiers.
     pub fn convert(&self, setting: Setting, classifier: Classifier) -> Result<Converted> {
         let output = self.path("scan.slices");
-        let options = ConvertOptions {
-            pixel: PixelSize::Metres(setting.pixel_m),
-            plan: PlanOptions {
+        let mut options = ConvertOptions::new(vec![self.path("scan.las")], output.clone());
+        options.grid.pixel = PixelSize::Metres(setting.pixel_m);
+        options.plan = PlanOptions {
                 max_slope_deg: setting.limit_deg,
                 classifier,
                 min_points: setting.min_points,
                 drop_floaters: setting.drop_floaters,
                 ..PlanOptions::default()
-            },
-            threads: 1,
-            overwrite: true,
-            temp_dir: self.folder.path().into(),
-            ..ConvertOptions::new(vec![self.path("scan.las")], output.clone())
-        };
+            };
+        options.resources.threads = 1;
+        options.overwrite = true;
+        options.resources.temp_dir = self.folder.path().into();
         convert(&options, &NoMonitor)?;
         let archive = Archive::open(&output)?;
         let store = Snapshot::resident(&archive, &NoMonitor)?;

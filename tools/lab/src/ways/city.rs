@@ -38,13 +38,11 @@ fn city(folder: &Path, quick: bool) -> Result<(PathBuf, Scene)> {
     let even = SampleSpec::direct_density(PIXEL_M.powi(-2)).with_noise(0.002);
     let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..even };
     write_samples(&scan, scene.samples(1, &spec)?, &WriteSpec::default())?;
-    let options = ConvertOptions {
-        pixel: PixelSize::Metres(PIXEL_M),
-        units: Units::Factor(1.0),
-        temp_dir: folder.into(),
-        levels: true,
-        ..ConvertOptions::new(vec![scan.clone()], path.clone())
-    };
+    let mut options = ConvertOptions::new(vec![scan.clone()], path.clone());
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
+    options.reading.units = Units::Factor(1.0);
+    options.resources.temp_dir = folder.into();
+    options.sections.levels = true;
     convert(&options, &NoMonitor)?;
     std::fs::remove_file(scan)?;
     Ok((path, scene))

@@ -189,15 +189,11 @@ pub fn page(effort: &Effort) -> Result<String> {
     for (name, file, unit_m, pixel_m, height) in SCANS.iter().filter(|scan| effort.takes(scan.0)) {
         let Some(path) = data::file(file) else { continue };
         let folder = tempfile::tempdir()?;
-        let archive = archive(
-            ConvertOptions {
-                pixel: PixelSize::Metres(*pixel_m),
-                units: Units::Factor(*unit_m),
-                levels: true,
-                ..ConvertOptions::new(vec![path], folder.path().join("scene.slices"))
-            },
-            folder.path(),
-        )?;
+        let mut options = ConvertOptions::new(vec![path], folder.path().join("scene.slices"));
+        options.grid.pixel = PixelSize::Metres(*pixel_m);
+        options.reading.units = Units::Factor(*unit_m);
+        options.sections.levels = true;
+        let archive = archive(options, folder.path())?;
         let store = Snapshot::resident(&archive, &NoMonitor)?;
         let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: *height });
         let (standing, region) = everywhere(&store, pawn)?;

@@ -54,14 +54,12 @@ impl Moving {
             .collect::<std::io::Result<_>>()?;
         scans.retain(|path| path.extension().is_some_and(|ending| ending == "las") && !path.ends_with("removed.las"));
         scans.sort();
-        let mut options = ConvertOptions {
-            pixel: PixelSize::Metres(PIXEL_M),
-            units: Units::Factor(1.0),
-            memory_bytes: self.memory,
-            temp_dir: self.folder.clone(),
-            overwrite: true,
-            ..ConvertOptions::new(scans, self.folder.join("out.slices"))
-        };
+        let mut options = ConvertOptions::new(scans, self.folder.join("out.slices"));
+        options.grid.pixel = PixelSize::Metres(PIXEL_M);
+        options.reading.units = Units::Factor(1.0);
+        options.resources.memory_bytes = self.memory;
+        options.resources.temp_dir = self.folder.clone();
+        options.overwrite = true;
         if self.remove {
             options.plan.remove_moving = true;
             options.stations = Some(self.folder.join("stations.csv"));

@@ -38,18 +38,16 @@ struct Building {
 /// The archive of a scan or mesh in metres, in memory.
 pub fn converted(input: &Path, up: Up) -> Result<Snapshot> {
     let folder = tempfile::tempdir()?;
-    let mut options = ConvertOptions {
-        pixel: PixelSize::Metres(PIXEL_M),
-        units: Units::Factor(1.0),
-        ..ConvertOptions::new(vec![input.to_path_buf()], folder.path().join("scene.slices"))
-    };
+    let mut options = ConvertOptions::new(vec![input.to_path_buf()], folder.path().join("scene.slices"));
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
+    options.reading.units = Units::Factor(1.0);
     options.plan.up = up;
     Ok(Snapshot::resident(&archive(options, folder.path())?, &NoMonitor)?)
 }
 
 /// The archive that a conversion makes in a folder.
-pub fn archive(options: ConvertOptions, folder: &Path) -> Result<Archive> {
-    let options = ConvertOptions { temp_dir: folder.into(), ..options };
+pub fn archive(mut options: ConvertOptions, folder: &Path) -> Result<Archive> {
+    options.resources.temp_dir = folder.into();
     convert(&options, &NoMonitor)?;
     Ok(Archive::open(&options.output)?)
 }

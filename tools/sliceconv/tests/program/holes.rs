@@ -229,7 +229,8 @@ fn order_threads_memory_and_parts_change_no_byte_and_marks_outlive_what_makes_ar
         assert!(fs::read(at.join("again.slices")).unwrap() == expected, "{how:?}");
     }
     let mut of_memory = ConvertOptions::new(Vec::new(), at.join("pushed.slices"));
-    (of_memory.pixel, of_memory.fill_holes_m, of_memory.levels) = (PixelSize::Metres(PIXEL_M), Some(WIDEST_M), true);
+    (of_memory.grid.pixel, of_memory.grid.fill_holes_m, of_memory.sections.levels) =
+        (PixelSize::Metres(PIXEL_M), Some(WIDEST_M), true);
     of_memory.plan.tolerance_m = 0.004;
     let mut writer = PointWriter::create(&of_memory, "").unwrap();
     let column = |axis: usize| points.iter().map(|p| p[axis]).collect::<Vec<_>>();

@@ -93,7 +93,7 @@ fn damaged_laz_in_parts_gives_what_one_run_gives() {
         write_las(&scan, all, &spec).unwrap();
         let input = [scan.clone()];
         let mut options = ConvertOptions::new(input.to_vec(), at.join("whole.slices"));
-        options.pixel = PixelSize::Metres(0.1);
+        options.grid.pixel = PixelSize::Metres(0.1);
         options.overwrite = true;
         let good = fs::read(&scan).unwrap();
         // Among the coordinates of a chunk, because other layers of formats 6 to 10 are not read.
@@ -318,7 +318,7 @@ fn files_that_change_while_they_are_read() {
             for allow_incomplete in [false, true] {
                 let monitor = Meddler { stage, act, heard: Mutex::default() };
                 let mut options = ConvertOptions::new(vec![at.join(name)], at.join("a.slices"));
-                options.pixel = pixel;
+                options.grid.pixel = pixel;
                 options.overwrite = true;
                 options.allow_incomplete = allow_incomplete;
                 // A file that disappears before its points are read is refused even so.
@@ -410,7 +410,7 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
             .unwrap();
         inputs.push(at.join("floor.obj"));
         let mut options = ConvertOptions::new(inputs.clone(), at.join("unused"));
-        options.pixel = PixelSize::Metres(0.1);
+        options.grid.pixel = PixelSize::Metres(0.1);
         let file = PlanFile::new(&options, &NoMonitor).unwrap();
         file.write(&at.join("plan.json"), false).unwrap();
         let good = [1, 2, 3].map(|index| part(at, &inputs, index, &file).unwrap());

@@ -18,9 +18,9 @@ fn the_same_records_plain_and_packed_give_the_same_archive() {
     let archive = |bytes: &[u8], name: &str, exclude: bool, colour: ColourMode| {
         let path = folder.file(name, bytes);
         let mut options = ConvertOptions::new(vec![path], folder.0.path().join("a.slices"));
-        options.pixel = PixelSize::Metres(5.0);
+        options.grid.pixel = PixelSize::Metres(5.0);
         options.overwrite = true;
-        options.colour = colour;
+        options.sections.colour = colour;
         if exclude {
             options.plan.exclude_classes = [3].into_iter().collect();
         }

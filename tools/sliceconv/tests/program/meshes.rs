@@ -219,7 +219,7 @@ fn real_meshes() -> Vec<(PathBuf, Up, f64)> {
 fn store_of(path: &Path, up: Up, t: f64, mesh: MeshMode) -> Snapshot {
     let folder = tempfile::tempdir().unwrap();
     let mut options = ConvertOptions::new(vec![path.to_path_buf()], folder.path().join("a.slices"));
-    (options.plan.up, options.pixel, options.mesh) = (up, PixelSize::Metres(t), mesh);
+    (options.plan.up, options.grid.pixel, options.reading.mesh) = (up, PixelSize::Metres(t), mesh);
     convert(&options, &NoMonitor).unwrap();
     verifies(&options.output);
     Snapshot::resident(&Archive::open(&options.output).unwrap(), &NoMonitor).unwrap()

@@ -197,7 +197,7 @@ fn where_nothing_is_flat_heights_stay_and_what_makes_no_sense_is_refused() {
     let said = refuses(at, &[&["cloud.las", "-o", "b.slices", "--tolerance", "some"], &OPTIONS[..]].concat(), 2);
     assert!(said.contains("expected auto, or a length in metres"), "{said}");
     let mut options = ConvertOptions::new(Vec::new(), at.join("c.slices"));
-    options.pixel = PixelSize::Metres(0.1);
+    options.grid.pixel = PixelSize::Metres(0.1);
     options.set_tolerance(Tolerance::Auto);
     let refused = PointWriter::create(&options, "").map(drop);
     assert!(matches!(refused, Err(Error::Parameter { what: Parameter::Tolerance, .. })));
@@ -216,7 +216,7 @@ fn real_scans_take_no_more_than_was_promised() {
         let Some(scan) = data::file(name) else { continue };
         let bytes = |tolerance_m: f64| {
             let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join("a.slices"));
-            options.pixel = PixelSize::Metres(pixel_m);
+            options.grid.pixel = PixelSize::Metres(pixel_m);
             options.plan.tolerance_m = tolerance_m;
             options.overwrite = true;
             slicewalk_convert::convert(&options, &NoMonitor).unwrap().header.file_len

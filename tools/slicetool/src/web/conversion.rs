@@ -65,15 +65,15 @@ impl Conversion {
         let folder = tempfile::Builder::new().prefix("slicetool-").tempdir().map_err(failed)?;
         let path = folder.path().join("scan.slices");
         let mut options = ConvertOptions::new(scans, path.clone());
-        options.temp_dir = folder.path().to_path_buf();
-        options.pixel = arguments.pixel;
-        options.units = arguments.units;
+        options.resources.temp_dir = folder.path().to_path_buf();
+        options.grid.pixel = arguments.pixel;
+        options.reading.units = arguments.units;
         options.plan.up = match arguments.up {
             Axis::Z => slicewalk::plan::Up::Z,
             Axis::Y => slicewalk::plan::Up::Y,
         };
-        options.colour = ColourMode::Auto;
-        options.levels = true;
+        options.sections.colour = ColourMode::Auto;
+        options.sections.levels = true;
         Ok(Self { options, name, path, folder })
     }
 

@@ -29,7 +29,7 @@ fn archive_of(points: Vec<[f64; 3]>) -> TempDir {
     let scan = folder.path().join("scan.las");
     write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
-    options.pixel = PixelSize::Metres(0.1);
+    options.grid.pixel = PixelSize::Metres(0.1);
     convert(&options, &NoMonitor).unwrap();
     folder
 }

@@ -26,7 +26,7 @@ fn archive(folder: &Path, name: &str, points: &[[f64; 3]], pixel_m: f64) {
     let scan = folder.join("scan.las");
     write_las(&scan, points.iter().copied(), &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan.clone()], folder.join(name));
-    options.pixel = PixelSize::Metres(pixel_m);
+    options.grid.pixel = PixelSize::Metres(pixel_m);
     convert(&options, &NoMonitor).unwrap();
     fs::remove_file(scan).unwrap();
 }
@@ -295,7 +295,7 @@ fn show_draws_an_overview_level() {
     let scan = at.join("scan.las");
     write_las(&scan, points(), &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
-    (options.pixel, options.levels) = (PixelSize::Metres(0.02), true);
+    (options.grid.pixel, options.sections.levels) = (PixelSize::Metres(0.02), true);
     convert(&options, &NoMonitor).unwrap();
     let level = |number| ["show", "a.slices", "--z", "0.35", "--level", number, "-o", "level.png"];
     let said = done(at, &level("1"));
@@ -396,7 +396,7 @@ fn parts(folder: &Path) -> Vec<String> {
     let centred = points().into_iter().map(|[x, y, z]| [x - 2.0, y - 2.0, z]);
     write_las(&scan, centred, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], folder.join("whole.slices"));
-    options.pixel = PixelSize::Metres(0.02);
+    options.grid.pixel = PixelSize::Metres(0.02);
     convert(&options, &NoMonitor).unwrap();
     let part = |index: u32| {
         let name = format!("{index}.slices");
@@ -485,7 +485,7 @@ fn recover_writes_what_is_left_and_says_what_is_not() {
     fs::write(at.join("tail.slices"), &whole[40..]).unwrap();
     assert!(refuses(at, &["recover", "tail.slices", "-o", "t.slices"]).contains("--plan"));
     let mut options = ConvertOptions::new(vec![at.join("scan.las")], at.join("unused"));
-    options.pixel = PixelSize::Metres(0.02);
+    options.grid.pixel = PixelSize::Metres(0.02);
     let file = slicewalk_convert::PlanFile::new(&options, &NoMonitor).unwrap();
     file.write(&at.join("plan.json"), false).unwrap();
     let recover = ["recover", "tail.slices", "-o", "t.slices", "--plan", "plan.json"];

@@ -317,7 +317,7 @@ fn colliders_of_a_real_scan_keep_their_bound() {
     let Some(scan) = data::file("pump_room.laz") else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
-    options.pixel = PixelSize::Metres(0.05);
+    options.grid.pixel = PixelSize::Metres(0.05);
     convert(&options, &NoMonitor).unwrap();
     let solid = Solid::of(folder.path());
     export(folder.path(), &["-o", "a.glb", "--error", "0.15"]);
@@ -351,7 +351,7 @@ fn an_empty_archive_has_an_empty_collider() {
     let at = folder.path();
     fs::write(at.join("none.xyz"), "# nothing\n").unwrap();
     let mut options = ConvertOptions::new(vec![at.join("none.xyz")], at.join("a.slices"));
-    options.pixel = PixelSize::Metres(0.1);
+    options.grid.pixel = PixelSize::Metres(0.1);
     if convert(&options, &NoMonitor).is_ok() {
         assert_eq!(
             export(at, &["-o", "a.glb", "--error", "0.2"]),

@@ -27,8 +27,8 @@ fn folder() -> TempDir {
         ("plain.slices", ColourMode::Off, 2.0),
     ] {
         let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join(name));
-        options.pixel = PixelSize::Metres(0.1);
-        (options.colour, options.colour_error) = (colour, error);
+        options.grid.pixel = PixelSize::Metres(0.1);
+        (options.sections.colour, options.sections.colour_error) = (colour, error);
         convert(&options, &NoMonitor).unwrap();
     }
     folder

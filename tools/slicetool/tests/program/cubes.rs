@@ -207,7 +207,7 @@ fn cubes_of_a_real_scan_come_back_as_the_same_cubes() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
-    options.pixel = PixelSize::Metres(PIXEL_M);
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
     convert(&options, &NoMonitor).unwrap();
     let expected = expected(at);
     assert!(expected.len() > 2000, "{}", expected.len());

@@ -31,8 +31,8 @@ fn folder() -> TempDir {
     let scan = folder.path().join("scan.las");
     write_las(&scan, points(), &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join("a.slices"));
-    options.pixel = PixelSize::Metres(PIXEL_M);
-    options.epsg = Some(28992);
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
+    options.reading.epsg = Some(28992);
     convert(&options, &NoMonitor).unwrap();
     fs::remove_file(scan).unwrap();
     folder
@@ -120,7 +120,8 @@ fn an_export_of_points_converted_again_gives_the_same_voxels() {
         fs::write(at.join("scan.xyz"), text).unwrap();
         let converted = |name: &str| {
             let mut options = ConvertOptions::new(vec![at.join(name)], at.join("a.slices"));
-            (options.pixel, options.slice_m, options.overwrite) = (PixelSize::Metres(pixel), Some(slice), true);
+            (options.grid.pixel, options.grid.slice_m, options.overwrite) =
+                (PixelSize::Metres(pixel), Some(slice), true);
             convert(&options, &NoMonitor).unwrap();
             tops(at)
         };
@@ -378,7 +379,7 @@ fn stated(folder: &Path, wkt: &str) {
     }
     writer.close().unwrap();
     let mut options = ConvertOptions::new(vec![folder.join("w.las")], folder.join("a.slices"));
-    options.pixel = PixelSize::Metres(PIXEL_M);
+    options.grid.pixel = PixelSize::Metres(PIXEL_M);
     options.overwrite = true;
     convert(&options, &NoMonitor).unwrap();
 }

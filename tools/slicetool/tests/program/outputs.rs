@@ -31,7 +31,7 @@ fn folder() -> TempDir {
     });
     write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join("a.slices"));
-    options.pixel = PixelSize::Metres(0.05);
+    options.grid.pixel = PixelSize::Metres(0.05);
     convert(&options, &NoMonitor).unwrap();
     fs::remove_file(scan).unwrap();
     fs::write(folder.path().join("w.csv"), "x,y\n3,3\n").unwrap();

@@ -24,8 +24,8 @@ fn json(text: &str) -> serde_json::Value {
 
 fn to_archive(scan: PathBuf, folder: &Path) {
     let mut options = ConvertOptions::new(vec![scan], folder.join("a.slices"));
-    options.pixel = PixelSize::Metres(0.05);
-    options.threads = 1;
+    options.grid.pixel = PixelSize::Metres(0.05);
+    options.resources.threads = 1;
     convert(&options, &NoMonitor).unwrap();
 }
 
@@ -180,7 +180,7 @@ fn long_floor(levels: bool) -> tempfile::TempDir {
     let floor = (0..950).flat_map(|i| (-50..50).map(move |j| [middle(i), middle(j), 0.0]));
     write_las(&scan, floor, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
-    (options.pixel, options.threads, options.levels) = (PixelSize::Metres(0.2), 1, levels);
+    (options.grid.pixel, options.resources.threads, options.sections.levels) = (PixelSize::Metres(0.2), 1, levels);
     convert(&options, &NoMonitor).unwrap();
     folder
 }
@@ -244,7 +244,8 @@ fn a_route_planned_on_levels_leads_around_a_house_and_is_as_short_as_one_without
     write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
     let routes = [true, false].map(|levels| {
         let mut options = ConvertOptions::new(vec![scan.clone()], at.join(format!("{levels}.slices")));
-        (options.pixel, options.threads, options.levels) = (PixelSize::Metres(PIXEL), 1, levels);
+        (options.grid.pixel, options.resources.threads, options.sections.levels) =
+            (PixelSize::Metres(PIXEL), 1, levels);
         convert(&options, &NoMonitor).unwrap();
         let archive = format!("{levels}.slices");
         json(&done(at, &["route", &archive, "--from", "2,21,0.1", "--to", "44,25,0.1", "--json"]))
@@ -266,7 +267,7 @@ fn answers_that_rest_on_inferred_floor_say_so() {
     let scan = at.join("scan.las");
     write_las(&scan, floor, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
-    (options.pixel, options.threads, options.fill_holes_m) = (PixelSize::Metres(0.1), 1, Some(0.6));
+    (options.grid.pixel, options.resources.threads, options.grid.fill_holes_m) = (PixelSize::Metres(0.1), 1, Some(0.6));
     convert(&options, &NoMonitor).unwrap();
     let answers = |table: &str, rows: &str, more: &[&str]| -> Vec<Vec<String>> {
         fs::write(at.join("q.csv"), rows).unwrap();

@@ -30,7 +30,7 @@ pub fn converted(points: Vec<[f64; 3]>, pixel_m: f64, slice_m: Option<f64>) -> T
     let scan = folder.path().join("scan.las");
     write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join("a.slices"));
-    (options.pixel, options.slice_m) = (PixelSize::Metres(pixel_m), slice_m);
+    (options.grid.pixel, options.grid.slice_m) = (PixelSize::Metres(pixel_m), slice_m);
     convert(&options, &NoMonitor).unwrap();
     fs::remove_file(scan).unwrap();
     folder

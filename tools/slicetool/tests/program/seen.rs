@@ -33,8 +33,8 @@ fn folder() -> TempDir {
     fs::write(&stations, format!("file,x,y,z\nscan.las,{},{},{}\n", at[0], at[1], at[2])).unwrap();
     for (name, free_space) in [("a.slices", true), ("plain.slices", false)] {
         let mut options = ConvertOptions::new(vec![scan.clone()], folder.path().join(name));
-        options.pixel = PixelSize::Metres(PIXEL_M);
-        options.free_space = free_space;
+        options.grid.pixel = PixelSize::Metres(PIXEL_M);
+        options.sections.free_space = free_space;
         options.stations = free_space.then(|| stations.clone());
         convert(&options, &NoMonitor).unwrap();
     }

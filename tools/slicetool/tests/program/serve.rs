@@ -23,7 +23,7 @@ fn archive(path: &Path, height: f64) {
     let points: Vec<_> = (0..60).flat_map(|i| (0..60).map(move |j| [step(i), step(j), height])).collect();
     write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], path.to_owned());
-    options.pixel = PixelSize::Metres(0.1);
+    options.grid.pixel = PixelSize::Metres(0.1);
     options.overwrite = true;
     convert(&options, &NoMonitor).unwrap();
 }
@@ -360,10 +360,10 @@ fn scans(at: &Path) {
 fn converted(at: &Path, inputs: &[&str]) -> Vec<u8> {
     let output = at.join("expected.slices");
     let mut options = ConvertOptions::new(inputs.iter().map(|name| at.join(name)).collect(), output.clone());
-    options.colour = slicewalk_convert::ColourMode::Auto;
-    options.units = slicewalk_input::Units::Factor(1.0);
-    options.pixel = PixelSize::Metres(0.1);
-    options.levels = true;
+    options.sections.colour = slicewalk_convert::ColourMode::Auto;
+    options.reading.units = slicewalk_input::Units::Factor(1.0);
+    options.grid.pixel = PixelSize::Metres(0.1);
+    options.sections.levels = true;
     options.overwrite = true;
     convert(&options, &NoMonitor).unwrap();
     fs::read(output).unwrap()

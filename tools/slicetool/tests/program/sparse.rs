@@ -43,12 +43,12 @@ fn a_larger_width_of_holes_never_reaches_less() {
         let scan = folder.path().join("scan.las");
         write_las(&scan, floor(&mut Random(seed), count), &WriteSpec::for_path(&scan)).unwrap();
         let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
-        (options.pixel, options.overwrite) = (PixelSize::Metres(0.1), true);
+        (options.grid.pixel, options.overwrite) = (PixelSize::Metres(0.1), true);
         let gaps = gap_width_m(&options, &NoMonitor).unwrap().unwrap();
         let mut areas = Vec::new();
         let mut before = HashSet::new();
         for width in [None, Some(0.1), Some(0.2), Some(0.3), Some(0.5), Some(0.8), Some(1.3), Some(2.0)] {
-            options.fill_holes_m = width;
+            options.grid.fill_holes_m = width;
             convert(&options, &NoMonitor).unwrap();
             let found = reached(&folder);
             let lost = before.difference(&found).count();

@@ -25,7 +25,7 @@ fn scan(path: &Path, seed: u64) {
 /// Writes the archive of the scan in `folder`, or a part of it.
 fn archive(folder: &Path, name: &str, shard: Option<ShardOptions>) -> Vec<u8> {
     let mut options = ConvertOptions::new(vec![folder.join("scan.las")], folder.join(name));
-    options.pixel = PixelSize::Metres(0.05);
+    options.grid.pixel = PixelSize::Metres(0.05);
     options.shard = shard;
     options.overwrite = true;
     convert(&options, &NoMonitor).unwrap();

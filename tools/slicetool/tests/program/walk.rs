@@ -17,10 +17,10 @@ fn slicetool(arguments: &[&str]) -> Output {
 fn to_archive(scan: PathBuf, dir: &Path) -> PathBuf {
     let archive = dir.join("scene.slices");
     let mut options = ConvertOptions::new(vec![scan], archive.clone());
-    options.pixel = PixelSize::Metres(0.05);
-    options.units = Units::Factor(1.0);
-    options.threads = 1;
-    options.temp_dir = dir.to_path_buf();
+    options.grid.pixel = PixelSize::Metres(0.05);
+    options.reading.units = Units::Factor(1.0);
+    options.resources.threads = 1;
+    options.resources.temp_dir = dir.to_path_buf();
     convert(&options, &NoMonitor).unwrap();
     archive
 }

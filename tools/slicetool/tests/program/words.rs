@@ -18,7 +18,7 @@ fn points() -> impl Iterator<Item = [f64; 3]> {
 
 fn options(folder: &Path, name: &str) -> ConvertOptions {
     let mut options = ConvertOptions::new(vec![folder.join("scan.laz")], folder.join(name));
-    options.pixel = PixelSize::Metres(0.1);
+    options.grid.pixel = PixelSize::Metres(0.1);
     options
 }
 

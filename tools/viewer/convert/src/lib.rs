@@ -84,16 +84,16 @@ fn answer_to(request: &Value) -> Result<Value> {
         }
     }
     let mut options = ConvertOptions::new(inputs, OUTPUT.into());
-    options.memory_bytes = MEMORY_BYTES;
-    options.threads = 1;
+    options.resources.memory_bytes = MEMORY_BYTES;
+    options.resources.threads = 1;
     options::apply(&mut options, &request["options"])?;
     let (files, monitor) = (Arc::new(HostDisk::default()), HostMonitor::default());
     if request["task"] == "preview" {
-        if options.pixel == PixelSize::Auto {
+        if options.grid.pixel == PixelSize::Auto {
             // The form must not wait for a pass over the points.
-            options.pixel = PixelSize::Metres(1.0);
+            options.grid.pixel = PixelSize::Metres(1.0);
         }
-        options.tolerance_auto = false;
+        options.grid.tolerance_auto = false;
         let preview = disk::with(files, || preview(&options, &monitor))?;
         return Ok(json!({ "preview": preview.info() }));
     }

@@ -66,8 +66,8 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
     for (name, value) in given.iter().filter(|(_, value)| !value.is_null()) {
         let own = name.as_str();
         match own {
-            "pixel" => options.pixel = number_or(own, "metres, or \"auto\"", value, PixelSize::Metres)?,
-            "slice" => options.slice_m = Some(number(own, "metres", value)?),
+            "pixel" => options.grid.pixel = number_or(own, "metres, or \"auto\"", value, PixelSize::Metres)?,
+            "slice" => options.grid.slice_m = Some(number(own, "metres", value)?),
             "max_slope" => options.plan.max_slope_deg = number(own, "degrees", value)?,
             "tolerance" => {
                 options.set_tolerance(number_or(own, "metres, or \"auto\"", value, Tolerance::Metres)?);
@@ -77,7 +77,7 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
                 options.plan.classifier = one_of(own, &all, value)?;
             }
             "memory" => {
-                options.memory_bytes = match value.as_str() {
+                options.resources.memory_bytes = match value.as_str() {
                     Some(size) => parse_size(size).map_err(|_| refuse(own, "a size such as \"512MiB\"", value))?,
                     None => value.as_u64().ok_or_else(|| refuse(own, "bytes, or a size such as \"512MiB\"", value))?,
                 };
@@ -91,31 +91,31 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
             }
             "drop_floaters" => options.plan.drop_floaters = whole(own, u16::MAX.into(), value)? as u16,
             "remove_moving" => options.plan.remove_moving = flag(own, value)?,
-            "fill_holes" => options.fill_holes_m = Some(number(own, "metres", value)?),
+            "fill_holes" => options.grid.fill_holes_m = Some(number(own, "metres", value)?),
             "up" => options.plan.up = one_of(own, &[("z", Up::Z), ("y", Up::Y)], value)?,
-            "units" => options.units = number_or(own, "a unit such as \"m\"", value, Units::Factor)?,
+            "units" => options.reading.units = number_or(own, "a unit such as \"m\"", value, Units::Factor)?,
             "crs" => {
                 let code = value.as_str().and_then(|text| text.get(..5).map(|start| (start, &text[5..])));
                 let code = code.filter(|(start, _)| start.eq_ignore_ascii_case("EPSG:"));
                 let code = code.and_then(|(_, code)| code.parse().ok()).filter(|code| (1..1_000_000).contains(code));
-                options.epsg = Some(code.ok_or_else(|| refuse(own, "a code such as \"EPSG:25832\"", value))?);
+                options.reading.epsg = Some(code.ok_or_else(|| refuse(own, "a code such as \"EPSG:25832\"", value))?);
             }
-            "columns" => options.columns = Some(text::<Columns>(own, "a text such as \"x,y,z\"", value)?),
+            "columns" => options.reading.columns = Some(text::<Columns>(own, "a text such as \"x,y,z\"", value)?),
             "mesh" => {
                 let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
-                options.mesh = one_of(own, &all, value)?;
+                options.reading.mesh = one_of(own, &all, value)?;
             }
-            "opacity" => options.splats.opacity = number(own, "a number", value)?,
-            "min_opacity" => options.splats.min_opacity = number(own, "a number", value)?,
-            "max_size" => options.splats.max_size_m = Some(number(own, "metres", value)?),
+            "opacity" => options.reading.splats.opacity = number(own, "a number", value)?,
+            "min_opacity" => options.reading.splats.min_opacity = number(own, "a number", value)?,
+            "max_size" => options.reading.splats.max_size_m = Some(number(own, "metres", value)?),
             "levels" => {
-                options.levels = match value.as_bool() {
+                options.sections.levels = match value.as_bool() {
                     Some(levels) => levels,
                     None => one_of(own, &[("on", true), ("off", false)], value)?,
                 };
             }
-            "colour" => options.colour = text(own, "a text such as \"rgb\"", value)?,
-            "colour_error" => options.colour_error = number(own, "a number", value)?,
+            "colour" => options.sections.colour = text(own, "a text such as \"rgb\"", value)?,
+            "colour_error" => options.sections.colour_error = number(own, "a number", value)?,
             "allow_incomplete" => options.allow_incomplete = flag(own, value)?,
             other => {
                 let reason = "is no option of a conversion in the browser";

@@ -335,7 +335,7 @@ pub(super) mod tests {
         let spec = scangen::WriteSpec { scale: [1e-4; 3], offset: about.into(), ..scangen::WriteSpec::default() };
         scangen::write_las(&scan, points.iter().map(|p| (p + about).into()), &spec)?;
         let mut options = ConvertOptions::new(vec![scan], archive.clone());
-        options.pixel = PixelSize::Metres(EDGE);
+        options.grid.pixel = PixelSize::Metres(EDGE);
         convert(&options, &NoMonitor)?;
         Matter::new(&archive, about)
     }

@@ -93,13 +93,11 @@ fn load() -> String {
 fn matter(subject: &Subject, pixel_m: f64) -> Result<Matter> {
     let folder = tempfile::tempdir()?;
     let file = folder.path().join("scene.slices");
-    let options = ConvertOptions {
-        pixel: PixelSize::Metres(pixel_m),
-        plan: PlanOptions { up: subject.up, ..PlanOptions::default() },
-        units: subject.units,
-        temp_dir: folder.path().into(),
-        ..ConvertOptions::new(vec![subject.file.clone()], file.clone())
-    };
+    let mut options = ConvertOptions::new(vec![subject.file.clone()], file.clone());
+    options.grid.pixel = PixelSize::Metres(pixel_m);
+    options.plan = PlanOptions { up: subject.up, ..PlanOptions::default() };
+    options.reading.units = subject.units;
+    options.resources.temp_dir = folder.path().into();
     convert(&options, &NoMonitor)?;
     Matter::new(&file, nalgebra::center(&subject.bounds[0], &subject.bounds[1]).coords)
 }
