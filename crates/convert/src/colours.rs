@@ -13,13 +13,13 @@
 
 use super::inputs::Inputs;
 use super::options::{ColourMode, ConvertOptions};
-use super::work::on_threads;
+use super::work::for_each_batch;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
-use crate::input::{Depth, InputSet, PointBatch, PointDecoder};
+use crate::input::{Depth, InputSet, PointBatch};
 use crate::text::number;
 use crate::voxel::colours::ValueFact;
 use crate::voxel::record::Record;
-use crate::{Error, Monitor, NoMonitor, Parameter, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -291,32 +291,5 @@ fn read_values(
     take: &(dyn Fn(usize, &PointBatch) -> bool + Sync),
 ) -> Result<()> {
     set.set_colour(Some(source));
-    let set = &*set;
-    let chunks = Mutex::new(set.chunks().filter(|chunk| wanted(chunk.file())));
-    let (enough, failed) = (AtomicBool::new(false), AtomicBool::new(false));
-    let work = || -> Result<()> {
-        let mut decoder = PointDecoder::new();
-        while !enough.load(Ordering::Relaxed) {
-            let next = chunks.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some(chunk) = next else { return Ok(()) };
-            let done = decoder.decode(set, &chunk, &mut |batch| {
-                if monitor.cancelled() || failed.load(Ordering::Relaxed) || enough.load(Ordering::Relaxed) {
-                    return Err(Error::Interrupted);
-                }
-                if !take(chunk.file(), batch) {
-                    enough.store(true, Ordering::Relaxed);
-                }
-                Ok(())
-            });
-            match done {
-                // Stopped because `take` has enough.
-                Err(Error::Interrupted) if enough.load(Ordering::Relaxed) && !monitor.cancelled() => return Ok(()),
-                done => drop(done?),
-            }
-        }
-        Ok(())
-    };
-    on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-    // With `--allow-incomplete`, the main pass reports diagnostics.
-    set.check_complete(&NoMonitor)
+    for_each_batch(set, threads, monitor, wanted, take)
 }

@@ -3,32 +3,33 @@
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Totals};
 use crate::colour::{ColourPlan, ColourSource};
 use crate::colours;
-use crate::cubes::{CubeSet, read_cubes};
+use crate::cubes::read_cubes;
 use crate::disk::Files;
 use crate::facts::InputFacts;
 use crate::free::write_seen;
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::{InputSet, PointCounts, ScanFile, TextLayout};
 use crate::inputs::{Inputs, open_chosen};
-use crate::mesh::MeshSet;
-use crate::meshes::{Colouring, MeshReading, read_meshes};
+use crate::mesh::MeshCounts;
+use crate::meshes::read_meshes;
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::pages::{Writing, write_archive};
 use crate::plan::{Noise, Plan};
 use crate::plan_file::PlanFile;
 use crate::planning::plan;
-use crate::points::{self, Reading, Seeing, read_points};
+use crate::points::{self, Read, Reading, Seeing, read_points};
 use crate::removed::RemovedPoints;
 use crate::resume::{Earlier, Identity, Progress, TakenOver};
 use crate::shard_filter::ShardScope;
 use crate::shard_inputs::Chosen;
-use crate::splats::{SplatSet, read_splats};
+use crate::splats::{SplatCounts, SplatSet, read_splats};
 use crate::stations::Stations;
 use crate::text::{counted, grouped};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
 use crate::voxel::visibility::Views;
+use crate::work::{Colouring, FirstPass};
 use crate::{ColourMode, ConvertOptions, Error, Monitor, Parameter, Report, Result};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -119,17 +120,19 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         Some(chosen) => chosen.stated.units.clone(),
         None => inputs.length_units(),
     };
-    let Inputs { scans: mut set, meshes, splats, cubes, up, placement, chosen, .. } = inputs;
-    let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
+    let limits = if inputs.meshes.has_paint() { limits.with_textures() } else { limits };
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
         return Err(error.with_suggestion(Parameter::Units));
     }
-    let mut scope = scope(options, (&set, &splats), &plan, colours, chosen.as_ref(), monitor)?;
+    let chosen = inputs.chosen.take();
+    let read_of = (&inputs.scans, &inputs.splats);
+    let mut scope = scope(options, read_of, &plan, colours, chosen.as_ref(), monitor)?;
     drop(chosen);
+    let set = &mut inputs.scans;
     let seeing = match options.needs_stations() {
         true => {
-            let Stations { stations, of_cloud, tag } = Stations::find(options.stations.as_deref(), &set)?;
+            let Stations { stations, of_cloud, tag } = Stations::find(options.stations.as_deref(), set)?;
             set.set_tag(tag);
             scope.iter_mut().for_each(|scope| scope.sees_from(&stations));
             Some(Seeing {
@@ -154,50 +157,35 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
 
     let spilled = earlier.as_ref().map_or(0, Earlier::bytes);
-    let (_, expected) = temp_bytes(options, &set, limits.retain_bytes);
+    let (_, expected) = temp_bytes(options, set, limits.retain_bytes);
     check_free_space(options, &files, expected.saturating_sub(spilled))?;
     // Hashes take time and only serve to recognise spilled data later.
     let notes = options.resume || expected > 0;
     if notes || shard.is_some() {
         set.start_hashing();
     }
-    let identity = Identity::of(options, &plan, surveyed, shard, &set);
+    let identity = Identity::of(options, &plan, surveyed, shard, set);
     let name = target.file_name().unwrap_or_default().to_owned();
     let place = SpillPlace { files, folder: options.resources.temp_dir.clone(), name, head: identity.head(&target) };
     let nothing = || Progress::nothing(set.files().len());
     let (mut store, progress, resumed) = match earlier {
         None => (RunStore::new(limits.retain_bytes, place), nothing(), None),
         Some(earlier) => {
-            let TakenOver { spill, runs, progress, resumed } = earlier.take_over(&identity, place, &set, monitor)?;
+            let TakenOver { spill, runs, progress, resumed } = earlier.take_over(&identity, place, set, monitor)?;
             (RunStore::resumed(limits.retain_bytes, spill, runs, resumed.points), progress, Some(resumed))
         }
     };
-    let conversion = Conversion {
-        options,
-        limits,
-        plan: &plan,
-        set: &set,
-        meshes: &meshes,
-        splats: &splats,
-        cubes: &cubes,
-        scope,
-        progress,
-        notes,
-        units,
-        noise,
-        seeing,
-        source,
-        colours,
-        monitor,
-    };
-    let done = conversion.run(&store, writer, removed.as_mut());
+    let pass = FirstPass { options, plan: &plan, limits, scope: scope.as_ref(), store: &store, monitor };
+    let conversion = Conversion { pass, inputs: &inputs, units: &units, noise, seeing, source, colours };
+    let done = conversion.run(&progress, notes, writer, removed.as_mut());
     if let (Ok(_), Some(removed)) = (&done, removed) {
         removed.finish()?;
     }
     match done {
         Ok(report) => {
-            let up = up.or(options.plan_file.as_ref().and_then(|file| file.up));
-            Ok(Report { spacing: surveyed.spacing, up, placement, resumed, temp_bytes: store.temp_bytes(), ..report })
+            let up = inputs.up.or(options.plan_file.as_ref().and_then(|file| file.up));
+            let (spacing, placement, temp_bytes) = (surveyed.spacing, inputs.placement, store.temp_bytes());
+            Ok(Report { spacing, up, placement, resumed, temp_bytes, ..report })
         }
         Err(error) => Err(keep(options, &mut store, error)),
     }
@@ -276,91 +264,131 @@ fn keep(options: &ConvertOptions, store: &mut RunStore, error: Error) -> Error {
 
 /// Conversion whose plan and inputs are known.
 struct Conversion<'a> {
-    options: &'a ConvertOptions,
-    limits: Limits,
-    plan: &'a Plan,
-    set: &'a InputSet,
-    meshes: &'a MeshSet,
-    splats: &'a SplatSet,
-    cubes: &'a CubeSet,
-    scope: Option<ShardScope>,
-    progress: Progress,
-    notes: bool,
-    units: Vec<LengthUnit>,
+    pass: FirstPass<'a>,
+    inputs: &'a Inputs,
+    units: &'a [LengthUnit],
     noise: Option<Noise>,
     seeing: Option<&'a Seeing>,
     source: Option<ColourSource>,
     /// Colour plan, if it does not follow from the points that are read.
     colours: Option<ColourPlan>,
-    monitor: &'a dyn Monitor,
+}
+
+/// Result of the first pass over all inputs.
+struct AllRead {
+    read: Read,
+    mesh_counts: MeshCounts,
+    points_made: u64,
+    splat_counts: SplatCounts,
+    cubes: u64,
+    points_not_finite: u64,
+    points_missing: u64,
+    complete: bool,
 }
 
 impl Conversion<'_> {
+    /// Runs both passes. `notes` makes runs record which input they cover, besides what `progress` has of an earlier run.
     fn run(
-        self,
-        store: &RunStore,
+        &self,
+        progress: &Progress,
+        notes: bool,
         mut writer: ArchiveWriter,
         mut removed: Option<&mut RemovedPoints>,
     ) -> Result<Report> {
-        let Self {
-            options,
-            limits,
-            plan,
-            set,
-            meshes,
-            splats,
-            cubes,
-            scope,
-            progress,
-            notes,
-            units,
-            noise,
-            seeing,
-            source,
-            colours,
-            monitor,
-        } = self;
-        let threads = options.resources.threads;
-        let scope = scope.as_ref();
-        let build_bytes = limits.build_bytes;
-        let reading = Reading { build_bytes, threads, scope, progress: &progress, notes, seeing, source };
-        let (mut read, of_files, values) = read_points(set, plan, store, reading, monitor)?;
-        let colours = colours.or(values.map(|values| options.colour_plan(values.scale())));
+        let Inputs { scans, meshes, splats, cubes, .. } = self.inputs;
+        let FirstPass { options, plan, scope, store, monitor, .. } = self.pass;
+        let mut all = self.read(progress, notes, &mut writer)?;
+        let (threads, columns) = (options.resources.threads, scope.map(|scope| (scope.shard.first, scope.shard.last)));
+        if let Some(removed) = &mut removed {
+            removed.set_bounds(all.read.min, all.read.max);
+        }
+        self.seeing.inspect(|seeing| seeing.views.finish());
+        let writing = Writing {
+            memory_bytes: options.resources.memory_bytes,
+            threads,
+            columns,
+            views: self.seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views),
+            temp_dir: &options.resources.temp_dir,
+            weighted: !splats.is_empty(),
+        };
+        let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
+        let seen = self.seeing.filter(|_| options.sections.free_space);
+        let seen = seen.map(|seeing| write_seen(&seeing.views, columns, threads, &mut writer, monitor)).transpose()?;
+        let own = &mut all.read.own;
+        own.kept -= left_out.moving;
+        own.left_out.read += left_out.moving;
+        let crs = scans.crs().unwrap_or_default().to_owned();
+        let header = writer.finish(Totals { noise: self.noise, ..own.totals(&crs, self.units) })?;
+        if reads_all(scope) && header.points_read > 0 && header.voxels.occupied == 0 {
+            monitor.warn(&nothing_kept(&header, left_out.voxels, left_out.moving).into());
+        }
+        let bytes = [scans.bytes(), meshes.bytes(), splats.bytes(), cubes.bytes()];
+        Ok(Report {
+            header,
+            shard: scope.map(|scope| scope.shard),
+            crs,
+            units: self.units.to_vec(),
+            noise: self.noise,
+            spacing: None,
+            up: None,
+            placement: None,
+            texts: texts(scans),
+            input_bytes: bytes.into_iter().fold(0, u64::saturating_add),
+            temp_bytes: 0,
+            resumed: None,
+            points_not_finite: all.points_not_finite,
+            points_missing: all.points_missing,
+            points_moving: left_out.moving,
+            seen,
+            complete: all.complete,
+            triangles: all.mesh_counts,
+            splats: all.splat_counts,
+            cubes: all.cubes,
+            points_made: all.points_made,
+            voxels_dropped: left_out.voxels,
+        })
+    }
+
+    /// First pass: writes points, triangles, splats and cubes into runs, and tells `writer` what it must know before pages.
+    fn read(&self, progress: &Progress, notes: bool, writer: &mut ArchiveWriter) -> Result<AllRead> {
+        let Inputs { scans, meshes, splats, cubes, .. } = self.inputs;
+        let (pass, seeing) = (self.pass, self.seeing);
+        let FirstPass { options, scope, monitor, .. } = pass;
+        let reading = Reading { progress, notes, seeing, source: self.source };
+        let (mut read, of_files, values) = read_points(pass, scans, reading)?;
+        let colours = self.colours.or(values.map(|values| options.colour_plan(values.scale())));
         if let Some(colours) = colours {
             writer.set_colours(colours);
         }
         // A part that leaves files out cannot conclude that nothing in the whole is usable.
-        let whole = scope.is_none_or(ShardScope::reads_all);
+        let whole = reads_all(scope);
         if whole {
-            refuse_unusable(set, &read.counts)?;
+            refuse_unusable(scans, &read.counts)?;
         }
-        set.check_complete(monitor)?;
+        scans.check_complete(monitor)?;
         let PointCounts { not_finite: points_not_finite, missing, .. } = read.own.left_out;
-        let points_missing = set.points_missing().saturating_add(missing);
         let colouring = colours.map(|ColourPlan { scale, .. }| Colouring {
             scale,
             with_points: seeing.is_some_and(|seeing| seeing.removes),
         });
-        let of_splats = colouring.filter(|_| splats.has_paint());
-        let reading = MeshReading { build_bytes, scope, colouring: colouring.filter(|_| meshes.has_paint()) };
-        let mesh_read = read_meshes(meshes, options, plan, store, reading, monitor)?;
-        read.merge(&mesh_read.read);
-        let reading = MeshReading { build_bytes, scope, colouring: of_splats };
-        let splat_read = read_splats(splats, options, plan, store, reading, monitor)?;
-        read.merge(&splat_read.read);
-        let of_runs = [build_bytes, limits.retain_bytes];
-        let cube_read = read_cubes(cubes, options, plan, store, of_runs, monitor)?;
-        read.merge(&cube_read.read);
+        let of_meshes = read_meshes(pass, meshes, colouring.filter(|_| meshes.has_paint()))?;
+        let of_splats = read_splats(pass, splats, colouring.filter(|_| splats.has_paint()))?;
+        let of_cubes = read_cubes(pass, cubes)?;
+        let cubes = of_cubes.read.counts.read;
         if let Some(scope) = scope {
-            let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
-            let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
-            let splats = splats.paths().zip(splat_read.hashes);
-            writer.set_read(scope.inputs_read(scans.chain(meshes).chain(splats)));
+            let of_scans = scans.files().iter().enumerate().map(|(number, file)| (file.path(), scans.hash(number)));
+            let meshes = scans.meshes().iter().map(PathBuf::as_path).zip(of_meshes.source.hashes.iter().copied());
+            let splats = splats.paths().zip(of_splats.source.hashes.iter().copied());
+            writer.set_read(scope.inputs_read(of_scans.chain(meshes).chain(splats)));
         }
-        let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete && splat_read.complete;
+        let mut complete = scans.is_complete() && meshes.is_complete();
+        let mut scenes: Vec<Scene> = points::scenes(scans, &of_files).collect();
+        for source in [of_meshes.source, of_splats.source, of_cubes] {
+            read.merge(&source.read);
+            complete &= source.complete;
+            scenes.extend(source.scenes);
+        }
         if whole {
-            let of_splats = splat_read.scenes.into_iter().chain(cube_read.scenes);
-            let scenes: Vec<Scene> = points::scenes(set, &of_files).chain(mesh_read.scenes).chain(of_splats).collect();
             far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         }
         if whole && read.counts.read == 0 {
@@ -369,61 +397,22 @@ impl Conversion<'_> {
             }
             monitor.warn(&"the input holds no points: the archive is empty".into());
         }
-        let columns = scope.map(|scope| (scope.shard.first, scope.shard.last));
-        if let Some(removed) = &mut removed {
-            removed.set_bounds(read.min, read.max);
-        }
-        seeing.inspect(|seeing| seeing.views.finish());
-        let views = seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views);
-        let temp_dir = &options.resources.temp_dir;
-        let writing = Writing {
-            memory_bytes: options.resources.memory_bytes,
-            threads,
-            columns,
-            views,
-            temp_dir,
-            weighted: !splats.is_empty(),
-        };
-        let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
-        let seen = match seeing.filter(|_| options.sections.free_space) {
-            Some(seeing) => Some(write_seen(&seeing.views, columns, threads, &mut writer, monitor)?),
-            None => None,
-        };
-        let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
-        read.own.kept -= points_moving;
-        read.own.left_out.read += points_moving;
-        let crs = set.crs().unwrap_or_default().to_owned();
-        let header = writer.finish(Totals { noise, ..read.own.totals(&crs, &units) })?;
-        if whole && header.points_read > 0 && header.voxels.occupied == 0 {
-            monitor.warn(&nothing_kept(&header, voxels_dropped, points_moving).into());
-        }
-        Ok(Report {
-            header,
-            shard: scope.map(|scope| scope.shard),
-            crs,
-            units,
-            noise,
-            spacing: None,
-            up: None,
-            placement: None,
-            texts: texts(set),
-            input_bytes: [set.bytes(), meshes.bytes(), splats.bytes(), cubes.bytes()]
-                .into_iter()
-                .fold(0, u64::saturating_add),
-            temp_bytes: 0,
-            resumed: None,
+        Ok(AllRead {
+            read,
+            mesh_counts: of_meshes.triangles,
+            points_made: of_meshes.points_made,
+            splat_counts: of_splats.counts,
+            cubes,
             points_not_finite,
-            points_missing,
-            points_moving,
-            seen,
+            points_missing: scans.points_missing().saturating_add(missing),
             complete,
-            triangles: mesh_read.triangles,
-            splats: splat_read.counts,
-            cubes: cube_read.count,
-            points_made: mesh_read.points_made,
-            voxels_dropped,
         })
     }
+}
+
+/// Returns whether a conversion reads all inputs, as the whole and some parts do.
+fn reads_all(scope: Option<&ShardScope>) -> bool {
+    scope.is_none_or(ShardScope::reads_all)
 }
 
 /// Returns the scans in text, and how their columns were understood.

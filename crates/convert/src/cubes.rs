@@ -2,7 +2,7 @@
 
 use super::ConvertOptions;
 use super::points::{Own, Read, out_of_reach};
-use super::work::on_threads;
+use super::work::{FirstPass, SourceRead, StopFlag};
 use crate::bytes::open_named;
 use crate::disk::Files;
 use crate::input::Units;
@@ -11,13 +11,10 @@ use crate::plan::{Plan, Up};
 use crate::text::grouped;
 use crate::unit::LengthUnit;
 use crate::voxel::cubes::{CubeBuilder, CubeGrid, PlacedCube};
-use crate::voxel::record::Recorder;
-use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Parameter, Result};
 use slicewalk_cube::{Cube, CubeFormat, CubeReader, HEAD_BYTES, binary_of, recognise};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Temporary data of one voxel (bytes).
 const VOXEL_BYTES: f64 = 9.0;
@@ -201,48 +198,33 @@ fn is_words(path: &Path) -> bool {
     name.to_ascii_lowercase().ends_with(".voxel.bin")
 }
 
-/// Result of the first pass over cubes.
-pub(super) struct CubeRead<'a> {
-    /// Cubes counted as if they were points, with their bounds.
-    pub read: Read,
-    pub count: u64,
-    pub scenes: Vec<Scene<'a>>,
-}
-
 /// First pass: writes all cubes into runs. One worker at a time reads; all of them fill voxels.
-pub(super) fn read_cubes<'a>(
-    set: &'a CubeSet,
-    options: &ConvertOptions,
-    plan: &Plan,
-    store: &RunStore,
-    [build_bytes, retain_bytes]: [u64; 2],
-    monitor: &dyn Monitor,
-) -> Result<CubeRead<'a>> {
-    let mut all = CubeRead { read: Read::NOTHING, count: 0, scenes: Vec::new() };
+pub(super) fn read_cubes<'a>(pass: FirstPass<'_>, set: &'a CubeSet) -> Result<SourceRead<'a>> {
+    let FirstPass { options, plan, limits, store, monitor, .. } = pass;
+    let mut all = SourceRead::NOTHING;
     if set.paths.is_empty() {
         return Ok(all);
     }
     monitor.stage("reading cubes", 0, "cubes");
-    set.check_space(options, plan, retain_bytes, monitor)?;
+    set.check_space(options, plan, limits.retain_bytes, monitor)?;
     for path in &set.paths {
         let file = Placed::open(path, options)?;
         let (grid, frame) = (file.grid, &plan.frame);
         let file = Mutex::new(file);
-        let failed = AtomicBool::new(false);
-        let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
+        let flag = StopFlag::new(monitor);
         let next =
             |batch: &mut Vec<Cube>| file.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next_batch(batch);
         let work = || -> Result<Read> {
-            let mut runs = RunBuilder::new(Recorder::new(*frame), build_bytes);
-            let (mut builder, mut read, mut batch) = (CubeBuilder::default(), Read::NOTHING, Vec::new());
+            let (mut runs, mut builder) = (pass.runs(), CubeBuilder::default());
+            let (mut read, mut batch) = (Read::NOTHING, Vec::new());
             while next(&mut batch)? {
                 for cube in &batch {
                     let (min, max) = grid.bounds(cube);
                     let placed = PlacedCube::new(frame, &grid, cube).ok_or_else(|| out_of_reach(frame, min, max))?;
-                    builder.push(&placed, &mut runs, store, &cancelled)?;
+                    builder.push(&placed, &mut runs, store, &|| flag.is_raised())?;
                     read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
                     read.counts.read += 1;
-                    if cancelled() {
+                    if flag.is_raised() {
                         return Err(Error::Interrupted);
                     }
                 }
@@ -252,16 +234,13 @@ pub(super) fn read_cubes<'a>(
             runs.flush(store)?;
             Ok(read)
         };
-        let done =
-            on_threads(options.resources.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
         let mut of_file = Read::NOTHING;
-        done.iter().for_each(|read| of_file.merge(read));
+        pass.on_threads(&flag, work)?.iter().for_each(|read| of_file.merge(read));
         if of_file.counts.read > 0 {
             all.scenes.push(Scene { path, min: of_file.min, max: of_file.max });
         }
         all.read.merge(&of_file);
     }
-    all.count = all.read.counts.read;
-    all.read.own.kept = all.count;
+    all.read.own.kept = all.read.counts.read;
     Ok(all)
 }

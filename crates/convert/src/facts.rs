@@ -2,13 +2,13 @@
 
 use super::points::bounds;
 use super::splats::SplatSet;
-use super::work::on_threads;
+use super::work::{StopFlag, for_each_batch, on_threads};
 use crate::bytes::open_named;
-use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds, threads_to_look};
-use crate::{Error, Monitor, NoMonitor, Result};
+use crate::input::{InputSet, ScanFile, StatedBounds, threads_to_look};
+use crate::{Error, Monitor, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -55,18 +55,20 @@ impl InputFacts {
             let (points, bounds) = scan.map_or((0, None), |scan| (scan.points_stated(), scan.bounds_with_slack()));
             Ok(Self { name, bytes, points, fingerprint, bounds })
         };
-        let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let (next, flag) = (AtomicUsize::new(0), StopFlag::new(monitor));
         let work = || {
             let mut found = Vec::new();
-            while !failed.load(Ordering::Relaxed) {
+            loop {
                 let number = next.fetch_add(1, Ordering::Relaxed);
-                let Some(&input) = all.get(number) else { break };
-                found.push((number, one(input).inspect_err(|_| failed.store(true, Ordering::Relaxed))?));
+                let Some(&input) = all.get(number) else { return Ok(found) };
+                if flag.is_raised() {
+                    return Err(Error::Interrupted);
+                }
+                found.push((number, one(input)?));
             }
-            Ok(found)
         };
         let threads = threads_to_look(threads, all.iter().map(|&(path, _)| path)).min(all.len());
-        let mut found = on_threads(threads, work)?.into_iter().flatten().collect::<Vec<_>>();
+        let mut found = on_threads(threads, &flag, work)?.into_iter().flatten().collect::<Vec<_>>();
         found.sort_unstable_by_key(|&(number, _)| number);
         Ok(found.into_iter().map(|(_, facts)| facts).collect())
     }
@@ -85,35 +87,17 @@ impl InputFacts {
         }
         let points = set.files().iter().filter(|file| !file.has_header()).map(ScanFile::points_expected);
         monitor.stage("bounds", points.fold(0, u64::saturating_add), "points");
-        let chunks = Mutex::new(set.chunks().filter(|chunk| is_open(chunk.file())));
         let found = Mutex::new(vec![(0u64, None::<StatedBounds>); set.files().len()]);
-        let failed = AtomicBool::new(false);
-        let work = || -> Result<()> {
-            let mut decoder = PointDecoder::new();
-            loop {
-                let next = chunks.lock().unwrap_or_else(PoisonError::into_inner).next();
-                let Some(chunk) = next else { return Ok(()) };
-                let (mut kept, mut of_chunk) = (0, None::<StatedBounds>);
-                decoder.decode(set, &chunk, &mut |batch| {
-                    if monitor.cancelled() || failed.load(Ordering::Relaxed) {
-                        return Err(Error::Interrupted);
-                    }
-                    if !batch.is_empty() {
-                        kept += batch.len() as u64;
-                        monitor.advance(batch.len() as u64);
-                        let (min, max) = bounds(batch);
-                        of_chunk = around(of_chunk, StatedBounds { min, max });
-                    }
-                    Ok(())
-                })?;
-                let (count, whole) = &mut found.lock().unwrap_or_else(PoisonError::into_inner)[chunk.file()];
-                *count += kept;
-                *whole = of_chunk.map_or(*whole, |of_chunk| around(*whole, of_chunk));
+        for_each_batch(set, threads, monitor, &is_open, &|file, batch| {
+            if !batch.is_empty() {
+                monitor.advance(batch.len() as u64);
+                let (min, max) = bounds(batch);
+                let (count, whole) = &mut found.lock().unwrap_or_else(PoisonError::into_inner)[file];
+                *count += batch.len() as u64;
+                *whole = around(*whole, StatedBounds { min, max });
             }
-        };
-        on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-        // With `--allow-incomplete`, the main pass reports diagnostics.
-        set.check_complete(&NoMonitor)?;
+            true
+        })?;
         let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         for (number, (points, bounds)) in found.into_iter().enumerate().filter(|&(number, _)| is_open(number)) {
             (facts[number].points, facts[number].bounds) = (points, bounds);

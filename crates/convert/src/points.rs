@@ -3,23 +3,19 @@
 use super::colours::Values;
 use super::resume::{Progress, put_reads, result_bytes};
 use super::stations::Measured;
-use super::work::on_threads;
+use super::work::{FirstPass, StopFlag};
 use crate::archive::Totals;
 use crate::colour::ColourSource;
 use crate::frame::Frame;
 use crate::input::scenes::Scene;
 use crate::input::{InputSet, PointBatch, PointChunk, PointCounts, PointDecoder, ScanFile};
-use crate::plan::Plan;
-use crate::shard_filter::ShardScope;
 use crate::unit::LengthUnit;
 use crate::voxel::colours::values_of;
 use crate::voxel::record::Recorder;
-use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::voxel::visibility::Views;
 use crate::{Error, Monitor, Parameter, Result};
 use std::ops::Range;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Result of the first pass, independent of the order of points.
 #[derive(Debug, Clone, Copy)]
@@ -101,13 +97,9 @@ fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
     }
 }
 
-/// Settings of the first pass.
+/// Settings of the first pass over scans.
 #[derive(Clone, Copy)]
 pub(super) struct Reading<'a> {
-    /// Memory for one worker's run under construction (bytes).
-    pub build_bytes: u64,
-    pub threads: usize,
-    pub scope: Option<&'a ShardScope>,
     /// Points that existing runs cover.
     pub progress: &'a Progress,
     /// True if runs record which input they cover.
@@ -157,13 +149,12 @@ impl Seeing {
 /// First pass: writes all points, or those that a part needs, into runs. Also returns what each file holds, and the
 /// statistics of the values.
 pub(super) fn read_points(
+    pass: FirstPass<'_>,
     set: &InputSet,
-    plan: &Plan,
-    store: &RunStore,
     reading: Reading<'_>,
-    monitor: &dyn Monitor,
 ) -> Result<(Read, Vec<OfFile>, Option<Values>)> {
-    let Reading { build_bytes, threads, scope, progress, notes, seeing, source } = reading;
+    let FirstPass { plan, scope, store, monitor, .. } = pass;
+    let Reading { progress, notes, seeing, source } = reading;
     monitor.stage("reading points", set.points_stated(), "points");
     monitor.advance(progress.read.counts.read);
     let recorder = Recorder::new(plan.frame);
@@ -174,20 +165,14 @@ pub(super) fn read_points(
     let needed = set.chunks().zip(0u64..).filter(|(chunk, number)| seeing.is_some() || is_needed(chunk, *number));
     let chunks = Mutex::new(needed);
     let next_chunk = || chunks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
-    // An error of one worker stops all of them.
-    let failed = AtomicBool::new(false);
+    let flag = StopFlag::new(monitor);
     let of_files = Mutex::new(progress.of_files.clone());
     let work = || -> Result<(Read, Option<Values>)> {
         let mut decoder = PointDecoder::new();
-        let mut builder = RunBuilder::new(recorder, build_bytes);
+        let mut builder = pass.runs();
         // If points are removed, each value follows its point's record, so that it is removed with the point.
         let removes = seeing.is_some_and(|seeing| seeing.removes);
-        let of_values = || RunBuilder::of_values(recorder, build_bytes, removes);
-        let mut values = source.map(|source| (source, Values::new(source), of_values()));
-        if let Some(scope) = scope {
-            builder = builder.only(scope.keeps());
-            values = values.map(|(source, found, builder)| (source, found, builder.only(scope.keeps())));
-        }
+        let mut values = source.map(|source| (source, Values::new(source), pass.values(removes)));
         if notes {
             let log = decoder.log();
             builder = builder.covering(move |out| put_reads(&log, out));
@@ -197,10 +182,9 @@ pub(super) fn read_points(
         }
         let mut read = Read::NOTHING;
         let mut looking = PointDecoder::new();
-        let is_stopped = || monitor.cancelled() || failed.load(Ordering::Relaxed);
         while let Some((chunk, number)) = next_chunk() {
             if let Some(seeing) = seeing.filter(|_| !is_needed(&chunk, number)) {
-                looking.decode(set, &chunk, &mut |batch| match is_stopped() {
+                looking.decode(set, &chunk, &mut |batch| match flag.is_raised() {
                     true => Err(Error::Interrupted),
                     false => seeing.add(batch, &set.files()[chunk.file()], &seeing.of_cloud[chunk.file()]),
                 })?;
@@ -212,7 +196,7 @@ pub(super) fn read_points(
             values.iter_mut().for_each(|(_, _, builder)| builder.begin_chunk(number));
             of_chunk.counts = decoder.decode(set, &chunk, &mut |batch| {
                 // A chunk may be a whole file, so checking once per chunk would be too rare.
-                if is_stopped() {
+                if flag.is_raised() {
                     return Err(Error::Interrupted);
                 }
                 if batch.is_empty() {
@@ -285,7 +269,7 @@ pub(super) fn read_points(
         Ok((read, values))
     };
     let (mut all, mut values) = (progress.read, progress.values.clone());
-    for (read, of_worker) in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
+    for (read, of_worker) in pass.on_threads(&flag, work)? {
         all.merge(&read);
         match (&mut values, of_worker) {
             (Some(values), Some(more)) => values.merge(&more),

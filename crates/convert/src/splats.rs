@@ -1,10 +1,9 @@
 //! First pass over Gaussian splats: writes the voxels that their ellipsoids fill into runs.
 
 use super::ConvertOptions;
-use super::meshes::{Colouring, MeshReading};
 use super::points::{Own, Read, out_of_reach};
 use super::shard_filter::ShardScope;
-use super::work::on_threads;
+use super::work::{Colouring, FirstPass, SourceRead, StopFlag};
 use crate::archive::Bounds;
 use crate::bytes::{HAS_THREADS, is_file_at, len_at, open_named, spawn_in};
 use crate::input::scenes::Scene;
@@ -13,13 +12,11 @@ use crate::placement::Similarity;
 use crate::plan::{Plan, Up};
 use crate::unit::LengthUnit;
 use crate::voxel::ellipsoids::EllipsoidBuilder;
-use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Parameter, Result};
 use slicewalk_splat::ellipsoid::{DEFAULT_OPACITY, Ellipsoid};
 use slicewalk_splat::{HEAD_BYTES, Splat, SplatFormat, SplatOptions, SplatReader, recognise};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use xxhash_rust::xxh3::xxh3_128;
 
 /// Rules by which splats become solid.
@@ -320,13 +317,9 @@ fn hash_of(splat: &Splat) -> u128 {
 
 /// Result of the first pass over splats.
 pub(super) struct SplatRead<'a> {
-    /// Splats counted as if they were points, with the bounds of their solid parts.
-    pub read: Read,
+    /// Hashes are of the splats of each file, in any order; 0 unless a part is converted.
+    pub source: SourceRead<'a>,
     pub counts: SplatCounts,
-    pub scenes: Vec<Scene<'a>>,
-    /// Hashes of the splats of each file, in any order; 0 unless a part is converted.
-    pub hashes: Vec<u128>,
-    pub complete: bool,
 }
 
 /// Work of one thread of the first pass: writes the solid parts of splats into its runs.
@@ -343,21 +336,11 @@ struct Rasteriser<'a> {
 }
 
 impl<'a> Rasteriser<'a> {
-    fn new(
-        placing: &'a Placing<'a>,
-        plan: &'a Plan,
-        MeshReading { build_bytes, scope, colouring }: MeshReading<'_>,
-        store: &'a RunStore,
-    ) -> Self {
-        let of_part = |runs: RunBuilder| match scope {
-            Some(scope) => runs.only(scope.keeps()),
-            None => runs,
-        };
-        let runs = of_part(RunBuilder::new(Recorder::new(plan.frame), build_bytes));
-        let mut builder = EllipsoidBuilder::new(plan);
+    fn new(pass: &FirstPass<'a>, placing: &'a Placing<'a>, colouring: Option<Colouring>) -> Self {
+        let FirstPass { plan, scope, store, .. } = *pass;
+        let (runs, mut builder) = (pass.runs(), EllipsoidBuilder::new(plan));
         if let Some(Colouring { scale, with_points }) = colouring {
-            let values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
-            builder = builder.colouring(scale, of_part(values));
+            builder = builder.colouring(scale, pass.values(with_points));
         }
         let (read, counts, hash) = (Read::NOTHING, SplatCounts::default(), scope.map(|_| 0));
         Self { placing, plan, store, runs, builder, read, counts, hash }
@@ -390,31 +373,23 @@ impl<'a> Rasteriser<'a> {
 
 /// First pass: writes the solid parts of all splats into runs. One thread reads; all workers rasterise.
 pub(super) fn read_splats<'a>(
+    pass: FirstPass<'_>,
     set: &'a SplatSet,
-    options: &ConvertOptions,
-    plan: &Plan,
-    store: &RunStore,
-    MeshReading { build_bytes, scope, colouring }: MeshReading<'_>,
-    monitor: &dyn Monitor,
+    colouring: Option<Colouring>,
 ) -> Result<SplatRead<'a>> {
-    let mut all = SplatRead {
-        read: Read::NOTHING,
-        counts: SplatCounts::default(),
-        scenes: Vec::new(),
-        hashes: Vec::new(),
-        complete: true,
-    };
+    let (mut all, mut counted) = (SourceRead::NOTHING, SplatCounts::default());
     if set.is_empty() {
-        return Ok(all);
+        return Ok(SplatRead { source: all, counts: counted });
     }
+    let FirstPass { options, scope, monitor, .. } = pass;
     monitor.stage("reading splats", set.count, "splats");
     for path in &set.paths {
         let mut reader = SplatReader::open(path, &reading(options))?;
         let placing = Placing::of(options, set.placement, reader.format());
-        let failed = AtomicBool::new(false);
-        let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
+        let flag = StopFlag::new(monitor);
+        let cancelled = || flag.is_raised();
         let (send, receive) = crossbeam_channel::bounded::<Vec<Splat>>(options.resources.threads);
-        let start = || Rasteriser::new(&placing, plan, MeshReading { build_bytes, scope, colouring }, store);
+        let start = || Rasteriser::new(&pass, &placing, colouring);
         let work = || -> Result<(Read, SplatCounts, u128)> {
             let mut rasteriser = start();
             receive.iter().try_for_each(|batch| rasteriser.take(&batch, &cancelled))?;
@@ -438,9 +413,7 @@ pub(super) fn read_splats<'a>(
                 };
                 let producer =
                     spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
-                let done = on_threads(options.resources.threads, || {
-                    work().inspect_err(|_| failed.store(true, Ordering::Relaxed))
-                });
+                let done = pass.on_threads(&flag, work);
                 // After an error of the workers, the reader may wait for room.
                 receive.iter().for_each(drop);
                 let summary = producer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -458,10 +431,10 @@ pub(super) fn read_splats<'a>(
         for (read, counts, hash) in done {
             of_hash = of_hash.wrapping_add(hash);
             of_file.merge(&read);
-            all.counts.add(&counts);
+            counted.add(&counts);
         }
-        all.counts.read += summary.lost();
-        all.counts.unusable += summary.lost();
+        counted.read += summary.lost();
+        counted.unusable += summary.lost();
         all.complete &= summary.lost() == 0;
         if of_file.min[0] <= of_file.max[0] {
             all.scenes.push(Scene { path, min: of_file.min, max: of_file.max });
@@ -469,11 +442,11 @@ pub(super) fn read_splats<'a>(
         all.hashes.push(of_hash);
         all.read.merge(&of_file);
     }
-    let (read, left_out) = (all.counts.read, all.counts.left_out());
+    let (read, left_out) = (counted.read, counted.left_out());
     all.read.counts.read = read;
     if scope.is_none_or(ShardScope::owns_meshes) {
         all.read.own.kept = read - left_out;
         all.read.own.left_out = PointCounts { read: left_out, ..Read::NOTHING.counts };
     }
-    Ok(all)
+    Ok(SplatRead { source: all, counts: counted })
 }

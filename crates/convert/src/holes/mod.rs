@@ -10,7 +10,7 @@ mod closing;
 mod tests;
 
 use super::pages::Writing;
-use super::work::on_threads;
+use super::work::{StopFlag, on_threads};
 use crate::archive::{
     Archive, ArchiveWriter, ColourReader, EncodedColours, EncodedPage, PageDecoder, PageEncoder, PageEntry,
 };
@@ -76,13 +76,14 @@ pub(super) fn fill_holes(
         }
         let done: Vec<Mutex<KeyedPages>> = round.iter().map(|_| Mutex::default()).collect();
         let (next_job, next_worker) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        on_threads(threads, || {
+        let flag = StopFlag::new(monitor);
+        on_threads(threads, &flag, || {
             let worker = &workers[next_worker.fetch_add(1, Ordering::Relaxed) % threads];
             let mut worker = worker.lock().unwrap_or_else(PoisonError::into_inner);
             while let Some(number) =
                 Some(next_job.fetch_add(1, Ordering::Relaxed)).filter(|&number| number < round.len())
             {
-                if monitor.cancelled() {
+                if flag.is_raised() {
                     return Err(Error::Interrupted);
                 }
                 let pages = worker.work(&round[number], columns, share, &large)?;

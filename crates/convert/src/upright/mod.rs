@@ -6,13 +6,12 @@ mod sample;
 pub use find::UpFound;
 
 use super::splats::SplatSet;
-use super::work::on_threads;
-use crate::input::{InputSet, PointDecoder};
+use super::work::for_each_batch;
+use crate::input::InputSet;
 use crate::placement::Similarity;
-use crate::{ConvertOptions, Error, Monitor, NoMonitor, Parameter, Result};
+use crate::{ConvertOptions, Error, Monitor, Parameter, Result};
 use find::{Patch, find};
 use sample::Sample;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Rotation that turns scans and splats upwards, after the axes that a format or [`PlanOptions::up`] states.
@@ -45,30 +44,15 @@ pub(super) fn find_up(
 ) -> Result<UpFound> {
     monitor.stage("floor", scans.points_stated().saturating_add(splats.count()), "points and splats");
     let sample = Mutex::new(Sample::default());
-    let chunks = Mutex::new(scans.chunks());
-    let failed = AtomicBool::new(false);
-    let work = || -> Result<()> {
-        let mut decoder = PointDecoder::new();
-        loop {
-            let next = chunks.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some(chunk) = next else { return Ok(()) };
-            decoder.decode(scans, &chunk, &mut |batch| {
-                if monitor.cancelled() || failed.load(Ordering::Relaxed) {
-                    return Err(Error::Interrupted);
-                }
-                let mut sample = sample.lock().unwrap_or_else(PoisonError::into_inner);
-                for ((&x, &y), &z) in batch.x.iter().zip(&batch.y).zip(&batch.z) {
-                    sample.add(Patch { at: [x, y, z], normal: None });
-                }
-                drop(sample);
-                monitor.advance(batch.len() as u64);
-                Ok(())
-            })?;
+    for_each_batch(scans, options.resources.threads, monitor, &|_| true, &|_, batch| {
+        let mut sample = sample.lock().unwrap_or_else(PoisonError::into_inner);
+        for ((&x, &y), &z) in batch.x.iter().zip(&batch.y).zip(&batch.z) {
+            sample.add(Patch { at: [x, y, z], normal: None });
         }
-    };
-    on_threads(options.resources.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-    // With `--allow-incomplete`, the main pass reports diagnostics.
-    scans.check_complete(&NoMonitor)?;
+        drop(sample);
+        monitor.advance(batch.len() as u64);
+        true
+    })?;
     let mut sample = sample.into_inner().unwrap_or_else(PoisonError::into_inner);
     splats.for_each_solid(options, monitor, &mut |ellipsoid| {
         let Some(normal) = ellipsoid.normal else {
