@@ -52,6 +52,8 @@ mod sync;
 #[cfg(test)]
 mod tests;
 mod upright;
+#[doc(hidden)]
+pub mod values;
 mod voxel;
 mod work;
 mod writer;
@@ -60,11 +62,11 @@ pub use conversion::convert;
 pub use facts::InputFacts;
 pub use free::SeenCounts;
 pub use options::{
-    ColourMode, ConvertOptions, GridOptions, PixelSize, ReadingOptions, Resources, SectionOptions, ShardOptions,
-    Tolerance,
+    ColourMode, ConvertOptions, GridOptions, HoleWidth, PixelSize, ReadingOptions, Resources, SectionOptions,
+    ShardOptions, Tolerance,
 };
 pub use plan_file::{PlanFile, Stated};
-pub use planning::{AUTO_PIXEL_SPACINGS, AUTO_PIXELS, gap_width_m};
+pub use planning::{AUTO_PIXEL_SPACINGS, AUTO_PIXELS};
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
 pub use resume::Resumed;

@@ -9,6 +9,7 @@ use crate::mesh::MeshMode;
 use crate::placement::Similarity;
 use crate::plan::PlanOptions;
 use crate::text::number;
+use crate::values::length;
 use crate::{Error, MIN_MEMORY_BYTES, Parameter, Result};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -56,6 +57,28 @@ impl FromStr for Tolerance {
             _ if text == "auto" => Ok(Self::Auto),
             Ok(value) if value.is_finite() => Ok(Self::Metres(value)),
             _ => Err("expected auto, or a length in metres".into()),
+        }
+    }
+}
+
+/// Choice of the width of the holes to close.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum HoleWidth {
+    /// Gaps between points: three times the scans' point spacing (costs one more pass over the input).
+    Auto,
+    /// Given in metres; rounded down to whole pixels, 1 to 45.
+    Metres(f64),
+}
+
+/// Parses the form of the command line: `auto`, or metres.
+impl FromStr for HoleWidth {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            _ => length(text).map(Self::Metres).map_err(|_| "expected auto, or a length in metres above 0".into()),
         }
     }
 }
@@ -124,14 +147,14 @@ pub struct GridOptions {
     /// True if the tolerance follows from the scan's own noise, overriding that of the plan (costs one more pass over
     /// the input, shared with that for an automatic pixel size).
     pub tolerance_auto: bool,
-    /// Width up to which holes in floors are closed by inferred floor (m; rounded down to whole pixels, 1 to 45).
-    /// `None` uses the value of the plan, which by default closes no holes.
-    pub fill_holes_m: Option<f64>,
+    /// Width up to which holes in floors are closed by inferred floor. `None` uses the value of the plan, which by
+    /// default closes no holes.
+    pub fill_holes: Option<HoleWidth>,
 }
 
 impl Default for GridOptions {
     fn default() -> Self {
-        Self { pixel: PixelSize::Auto, slice_m: None, tolerance_auto: false, fill_holes_m: None }
+        Self { pixel: PixelSize::Auto, slice_m: None, tolerance_auto: false, fill_holes: None }
     }
 }
 
@@ -247,7 +270,9 @@ impl ConvertOptions {
         if self.resources.threads == 0 {
             return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
         }
-        if let Some(widest_m) = self.grid.fill_holes_m.filter(|widest_m| !(*widest_m > 0.0 && widest_m.is_finite())) {
+        if let Some(HoleWidth::Metres(widest_m)) = self.grid.fill_holes
+            && !(widest_m > 0.0 && widest_m.is_finite())
+        {
             let reason = format!("{} is not a width of holes in metres; give a length above 0", number(widest_m));
             return Err(Error::parameter(Parameter::FillHoles, reason));
         }

@@ -3,12 +3,12 @@
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::InputSet;
 use crate::input::spacing::{Spacing, Survey, estimate_spacing};
-use crate::inputs::{Inputs, open_inputs};
+use crate::inputs::Inputs;
 use crate::mesh::MeshSet;
 use crate::plan::{Noise, Plan, PlanOptions};
 use crate::splats::SplatSet;
 use crate::text::number;
-use crate::{ConvertOptions, Error, Monitor, NoMonitor, Parameter, PixelSize, Result};
+use crate::{ConvertOptions, Error, HoleWidth, Monitor, NoMonitor, Parameter, PixelSize, Result};
 
 /// Automatic pixel size, in units of the scan's point spacing.
 pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
@@ -20,15 +20,8 @@ pub const AUTO_PIXELS: f64 = 700.0;
 /// place holds no point in one of a thousand cases.
 const GAP_SPACINGS: f64 = 3.0;
 
-/// Returns the width of gaps between the points of the scans: three times their spacing (m). `None` without scans. For
-/// [`ConvertOptions::fill_holes_m`] where points lie farther apart than pixels. Reads the points once.
-pub fn gap_width_m(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<f64>> {
-    let opened = open_inputs(options, monitor)?;
-    if opened.scans.files().is_empty() {
-        return Ok(None);
-    }
-    Ok(Some(GAP_SPACINGS * estimate_spacing(&opened.scans, options.resources.threads, monitor)?.spacing_m))
-}
+/// Factor of widths in pixels, so that three pixels of 0.1 m make 0.3 m.
+const ROUNDING: f64 = 1.0 + 1e-9;
 
 /// Measurements from which automatic options follow; `None` where the options were given.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -87,6 +80,14 @@ pub(crate) fn plan(
         return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
     }
     let mut plan = options.plan_of(pixel_m)?;
+    if options.grid.fill_holes == Some(HoleWidth::Auto) && !set.files().is_empty() {
+        let spacing_m = match surveyed.spacing {
+            Some(spacing) => spacing.spacing_m,
+            None => estimate_spacing(set, options.resources.threads, monitor)?.spacing_m,
+        };
+        let pixels = (GAP_SPACINGS * spacing_m / pixel_m * ROUNDING).floor();
+        plan.options.fill_holes = pixels.min(f64::from(PlanOptions::MOST_FILL_PIXELS)) as u8;
+    }
     if let Some(finest_m) = of_cubes.filter(|_| options.grid.slice_m.is_none()) {
         // A cube is a voxel, so exporting the archive again gives the same cubes.
         plan.frame = Frame::new(finest_m, finest_m)?;
@@ -105,11 +106,10 @@ impl ConvertOptions {
         Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: PlanOptions { fill_holes, ..self.plan.clone() } })
     }
 
-    /// Returns the width of the widest holes to close (pixels of this size, m).
+    /// Returns the width of the widest holes to close, unless it follows from the scans (pixels of this size, m).
     pub fn fill_holes_pixels(&self, pixel_m: f64) -> Result<u8> {
-        let Some(widest_m) = self.grid.fill_holes_m else { return Ok(self.plan.fill_holes) };
-        // Slightly more, so that three pixels of 0.1 m make 0.3 m.
-        let pixels = (widest_m / pixel_m * (1.0 + 1e-9)).floor();
+        let Some(HoleWidth::Metres(widest_m)) = self.grid.fill_holes else { return Ok(self.plan.fill_holes) };
+        let pixels = (widest_m / pixel_m * ROUNDING).floor();
         let (pixel, most) = (number(pixel_m), PlanOptions::MOST_FILL_PIXELS);
         let reason = match pixels {
             pixels if pixels < 1.0 => format!("{} m is narrower than a pixel of {pixel} m", number(widest_m)),

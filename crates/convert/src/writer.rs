@@ -5,7 +5,7 @@ use super::pages::{Writing, write_archive};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
 use super::upright::Turn;
-use super::{ConvertOptions, PixelSize, Resources};
+use super::{ConvertOptions, HoleWidth, PixelSize, Resources};
 use crate::archive::ArchiveWriter;
 use crate::input::{FARTHEST_M, PointBatch, PointCounts};
 use crate::mesh::MeshCounts;
@@ -80,6 +80,10 @@ impl PointWriter {
         if options.grid.tolerance_auto {
             let reason = "the noise of points that are still to come is unknown; give the tolerance in metres";
             return Err(Error::parameter(Parameter::Tolerance, reason));
+        }
+        if options.grid.fill_holes == Some(HoleWidth::Auto) {
+            let reason = "the spacing of points that are still to come is unknown; give the width in metres";
+            return Err(Error::parameter(Parameter::FillHoles, reason));
         }
         let plan = options.plan_of(pixel_m)?;
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));

@@ -44,14 +44,22 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     drop_isolated: drop voxels without any occupied voxel among their 26 neighbours
 ///     drop_floaters: drop connected components of up to this many voxels (1 to 65535); 1 means the same as
 ///         `drop_isolated`, and only one of the two may be given
-///     fill_holes: close holes in floors up to this wide (m) with floor that the archive marks as inferred
+///     fill_holes: close holes in floors up to this wide (m) with floor that the archive marks as inferred; ``"auto"``
+///         takes three times the scan's point spacing
 ///     remove_moving: remove points that other stations of the scan saw through
 ///     free_space: also store which space the stations saw
 ///     stations: table ``file,x,y,z`` of the stations for `remove_moving` and `free_space`; E57 and PTX state
 ///         them themselves
 ///     removed: LAS file to write the removed points to
-///     up: axis of the input that points up, ``"z"`` or ``"y"``
+///     up: axis of the input that points up: ``"z"``, ``"y"``, and for scans and splats also ``"x"``, ``"-z"``, ``"-y"``,
+///         ``"-x"``, or ``"auto"`` (as the floor shows)
+///     transform: text file with a 4 × 4 matrix that moves the input
+///     opacity: a place is solid if a Gaussian splat has this opacity there (0.1)
+///     min_opacity: leave out splats whose opacity is lower (0)
+///     max_size: leave out splats whose solid part is longer (m)
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
+///     scale_from: two places of the input and their distance (m), from which the unit follows, such as
+///         ``((0, 0, 0), (1.7, 0, 0), 0.9)``
 ///     crs: EPSG code for scans that state no reference system, such as ``"EPSG:25832"``; a scan that states another
 ///         one is refused
 ///     columns: columns of text files from left to right, such as ``"x,y,z,i,r,g,b"``; by default read from the header,

@@ -6,10 +6,11 @@ use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use slicewalk::plan::{ClassSet, Classifier, Up};
+use slicewalk::plan::{ClassSet, Classifier};
 use slicewalk::{Error, Parameter};
 use slicewalk_convert::size::parse_size;
-use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
+use slicewalk_convert::values::{UpChoice, class_range, epsg, transform, unit_from};
+use slicewalk_convert::{ColourMode, ConvertOptions, HoleWidth, PixelSize, PlanFile, ShardOptions, Tolerance};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
 use std::path::PathBuf;
@@ -97,12 +98,7 @@ fn classes(given: &Bound<'_, PyAny>) -> PyResult<ClassSet> {
     let (name, expected) = ("exclude_class", "classes from 0 to 255, such as [7, 18] or \"7,18,64-255\"");
     if let Ok(text) = given.cast::<PyString>() {
         let text = text.to_string();
-        let range = |range: &str| {
-            let (first, last) = range.split_once('-').unwrap_or((range, range));
-            let (first, last) = (first.trim().parse::<u8>().ok()?, last.trim().parse::<u8>().ok()?);
-            (first <= last).then_some(first..=last)
-        };
-        let ranges: Option<Vec<_>> = text.split(',').map(range).collect();
+        let ranges: Option<Vec<_>> = text.split(',').map(|range| class_range(range).ok()).collect();
         let ranges = ranges.ok_or_else(|| refuse(name, format!("expected {expected}, found {text:?}")))?;
         return Ok(ranges.into_iter().flatten().collect());
     }
@@ -132,7 +128,7 @@ impl Asked {
     /// Reads options by their names on the command line, with underscores.
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf, given: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let mut options = ConvertOptions::new(inputs, output);
-        let (mut crs, mut quiet, mut plan, mut shard) = (String::new(), false, None, None);
+        let (mut crs, mut quiet, mut plan, mut shard, mut placement) = (String::new(), false, None, None, None);
         let (mut isolated, mut named) = (false, Vec::new());
         for (name, value) in given.into_iter().flatten() {
             let name: String = name.extract()?;
@@ -171,10 +167,24 @@ impl Asked {
                 }
                 "remove_moving" => options.plan.remove_moving = take(own, YES_OR_NO, &value)?,
                 "free_space" => options.sections.free_space = take(own, YES_OR_NO, &value)?,
-                "fill_holes" => options.grid.fill_holes_m = Some(take(own, "metres", &value)?),
+                "fill_holes" => {
+                    options.grid.fill_holes = Some(number_or(own, "metres, or \"auto\"", &value, HoleWidth::Metres)?);
+                }
                 "stations" => options.stations = Some(take(own, "a file", &value)?),
                 "removed" => options.removed = Some(take(own, "a file", &value)?),
-                "up" => options.plan.up = one_of(own, &value, &[("z", Up::Z), ("y", Up::Y)])?,
+                "up" => {
+                    let up: UpChoice = text_as(own, "one of auto, z, y, x, -z, -y, -x", &value)?;
+                    (options.plan.up, options.reading.turn) = (up.axis, up.turn);
+                }
+                "scale_from" => {
+                    let expected = "two places and their distance in metres, such as ((0, 0, 0), (1.7, 0, 0), 0.9)";
+                    let (from, to, metres) = take(own, expected, &value)?;
+                    options.reading.units = unit_from(from, to, metres).map_err(|reason| refuse(own, reason))?;
+                }
+                "transform" => placement = Some(take::<PathBuf>(own, "a file", &value)?),
+                "opacity" => options.reading.splats.opacity = take(own, "a number", &value)?,
+                "min_opacity" => options.reading.splats.min_opacity = take(own, "a number", &value)?,
+                "max_size" => options.reading.splats.max_size_m = Some(take(own, "metres", &value)?),
                 "units" => {
                     options.reading.units =
                         number_or(own, "a unit such as \"m\", or metres per unit", &value, Units::Factor)?;
@@ -206,9 +216,7 @@ impl Asked {
                 "quiet" => quiet = take(own, YES_OR_NO, &value)?,
                 "crs" => {
                     crs = take::<String>(own, "a text such as \"EPSG:25832\"", &value)?;
-                    let is_code = crs.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("EPSG:"));
-                    let code = if is_code { crs[5..].parse().ok() } else { None };
-                    options.reading.epsg = code.filter(|code| (1..1_000_000).contains(code));
+                    options.reading.epsg = epsg(&crs).ok();
                 }
                 other => {
                     let text =
@@ -235,10 +243,12 @@ impl Asked {
             None => PlanFile::read(&path),
         };
         let plan_file = plan.map(read).transpose().map_err(Failure::from)?;
+        options.reading.placement = placement.map(|path| transform(&path)).transpose().map_err(Failure::from)?;
         if let Some(file) = &plan_file {
-            let wanted = options.clone();
+            if let Some(name) = named.iter().find(|name| file.contradicts(name, &options)) {
+                return Err(refuse(name, "contradicts the plan; leave it out, or write another plan"));
+            }
             file.apply_to(&mut options);
-            refuse_contradictions(&named, &wanted, &options, file)?;
         }
         options.plan_file = plan_file;
         options.shard = shard.map(|(index, count)| ShardOptions { index, count });
@@ -263,45 +273,5 @@ impl Asked {
             }
         }
         Ok(())
-    }
-}
-
-/// Refuses options that the caller gave and that contradict the plan.
-fn refuse_contradictions(
-    named: &[String],
-    wanted: &ConvertOptions,
-    planned: &ConvertOptions,
-    file: &PlanFile,
-) -> PyResult<()> {
-    let same_holes = || match planned.grid.pixel {
-        PixelSize::Metres(pixel_m) => {
-            wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes)
-        }
-        _ => false,
-    };
-    let differs = |name: &str| match name {
-        "pixel" => wanted.grid.pixel != planned.grid.pixel,
-        "slice" => wanted.grid.slice_m != planned.grid.slice_m,
-        "units" => wanted.reading.units != planned.reading.units,
-        "crs" => wanted.reading.epsg != planned.reading.epsg,
-        "columns" => wanted.reading.columns != planned.reading.columns,
-        "mesh" => wanted.reading.mesh != planned.reading.mesh,
-        "levels" => wanted.sections.levels != planned.sections.levels,
-        "colour" => wanted.sections.colour != ColourMode::Auto && wanted.sections.colour != planned.sections.colour,
-        "colour_error" => wanted.sections.colour_error != planned.sections.colour_error,
-        "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,
-        "tolerance" => !file.has_tolerance_of(wanted),
-        "classifier" => wanted.plan.classifier != planned.plan.classifier,
-        "exclude_class" => wanted.plan.exclude_classes != planned.plan.exclude_classes,
-        "min_points" => wanted.plan.min_points != planned.plan.min_points,
-        "drop_isolated" | "drop_floaters" => wanted.plan.drop_floaters != planned.plan.drop_floaters,
-        "remove_moving" => wanted.plan.remove_moving != planned.plan.remove_moving,
-        "fill_holes" => !same_holes(),
-        "up" => wanted.plan.up != planned.plan.up,
-        _ => false,
-    };
-    match named.iter().find(|name| differs(name)) {
-        Some(name) => Err(refuse(name, "contradicts the plan; leave it out, or write another plan")),
-        None => Ok(()),
     }
 }

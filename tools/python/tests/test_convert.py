@@ -161,6 +161,28 @@ def test_keyboard_interrupt(tmp_path):
         assert os.listdir(tmp_path) == ["large.las"]
 
 
+def test_inputs_are_placed_as_on_the_command_line(las, tmp_path):
+    matrix = tmp_path / "matrix.txt"
+    matrix.write_text("1 0 0 5\n0 1 0 -3\n0 0 1 2\n0 0 0 1\n")
+
+    def bounds(**options):
+        slicewalk.convert(las, tmp_path / "placed.slices", pixel=0.1, force=True, **options)
+        return np.array(slicewalk.open(tmp_path / "placed.slices").bounds)
+
+    as_it_is = bounds(units="m")
+    assert np.allclose(bounds(units="m", transform=matrix), as_it_is + [5, -3, 2], atol=0.01)
+    assert np.allclose(bounds(scale_from=((0, 0, 0), (2, 0, 0), 1.0)), as_it_is / 2, atol=0.01)
+    down = bounds(units="m", up="-z")
+    assert np.allclose(np.diff(down, axis=0), np.diff(as_it_is, axis=0), atol=0.01)
+    assert np.allclose(sorted(-down[:, 2]), as_it_is[:, 2], atol=0.01)
+    with pytest.raises(slicewalk.ParameterError, match="up"):
+        bounds(units="m", up="down")
+    with pytest.raises(slicewalk.ParameterError, match="the two places are the same"):
+        bounds(scale_from=((0, 0, 0), (0, 0, 0), 1.0))
+    with pytest.raises(slicewalk.ParameterError, match="opacity"):
+        bounds(units="m", opacity=2.0)
+
+
 def test_parts_join_to_one(las, tmp_path):
     plan = slicewalk.write_plan(las, tmp_path / "plan.json", pixel=0.1, units="m")
     assert (plan["pixel_size"], plan["inputs"]) == (0.1, 1)
@@ -355,7 +377,7 @@ def test_levels_have_the_means_of_their_voxels(tmp_path):
         ({"removed": "a.las"}, ValueError, "removed: .*remove_moving"),
         ({"temp_dir": 5}, TypeError, "temp_dir: expected a folder, found 5"),
         ({"units": []}, TypeError, "units: "),
-        ({"up": 3}, TypeError, "up: expected one of z, y, found 3"),
+        ({"up": 3}, TypeError, "up: expected one of auto, z, y, x, -z, -y, -x, found 3"),
         ({"colour": True}, TypeError, "colour: "),
         ({"columns": 3}, TypeError, "columns: "),
         ({"shard": 3}, TypeError, "shard: "),

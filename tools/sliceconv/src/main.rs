@@ -2,7 +2,6 @@
 //! exit code.
 
 mod report;
-mod values;
 
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
@@ -12,8 +11,9 @@ use slicewalk::{Error, Monitor, Parameter};
 use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk_base::text::{counted, finite_number, whole_number};
 use slicewalk_convert::size::parse_size;
-use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, Preview, Report, convert, gap_width_m, preview};
-use slicewalk_convert::{PlanFile, SectionOptions, ShardOptions, Tolerance, Turn};
+use slicewalk_convert::values::{UpChoice, class_range, epsg, length, part, scale_from, transform};
+use slicewalk_convert::{ColourMode, ConvertOptions, HoleWidth, PixelSize, Preview, Report, convert, preview};
+use slicewalk_convert::{PlanFile, SectionOptions, ShardOptions, Tolerance};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
 use slicewalk_terminal::{Terminal, say};
@@ -23,7 +23,6 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
-use values::{Holes, UpChoice, classes, epsg, holes, length, part, scale_from, transform};
 
 /// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (PLY,
 /// SPZ, SOG, .splat, .ksplat, glTF) of any size into one slice archive, in bounded memory.
@@ -90,7 +89,7 @@ struct Arguments {
     #[arg(long, value_name = "DIR")]
     temp_dir: Option<PathBuf>,
     /// LAS classes to leave out: numbers and ranges, for example 7,18,64-255 (7 and 18 are noise)
-    #[arg(long, value_name = "CLASSES", value_delimiter = ',', value_parser = classes)]
+    #[arg(long, value_name = "CLASSES", value_delimiter = ',', value_parser = class_range)]
     exclude_class: Vec<RangeInclusive<u8>>,
     /// Drop voxels with fewer points; queries may then miss these points
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = whole_number(1u32, u32::MAX))]
@@ -119,8 +118,8 @@ struct Arguments {
     /// Close holes in floors of up to this width in metres (1 to 45 whole pixels) with floor inferred from around them;
     /// the archive marks inferred floor. `auto`: gaps between points, up to three times the scan's point spacing. Takes
     /// one more pass (`auto` two), and temporary data of about the archive's size
-    #[arg(long, allow_negative_numbers = true, value_name = "auto|METRES", value_parser = holes)]
-    fill_holes: Option<Holes>,
+    #[arg(long, allow_negative_numbers = true, value_name = "auto|METRES")]
+    fill_holes: Option<HoleWidth>,
     /// Axis of the input that points up (glTF files state it), or `auto` for scans and splats: the floor shows it, or it
     /// is refused as not sure, which takes one more pass over the input
     #[arg(long, default_value = "z", allow_hyphen_values = true, value_name = "auto|z|y|x|-z|-y|-x")]
@@ -408,10 +407,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
     options.plan.remove_moving = arguments.remove_moving;
     options.sections.free_space = arguments.free_space;
-    options.grid.fill_holes_m = match arguments.fill_holes {
-        Some(Holes::Metres(metres)) => Some(metres),
-        _ => None,
-    };
+    options.grid.fill_holes = arguments.fill_holes;
     options.stations = arguments.stations.clone();
     options.removed = arguments.removed.clone();
     (options.plan.up, options.reading.turn) = (arguments.up.axis, arguments.up.turn);
@@ -438,13 +434,6 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     options.resume = arguments.resume;
-    if arguments.fill_holes == Some(Holes::Auto) {
-        if arguments.plan.is_some() {
-            let line = "--fill-holes auto: a plan holds the width already; leave it out, or write another plan";
-            return Err(Failure::Usage(line.into()));
-        }
-        options.grid.fill_holes_m = gaps(&options, monitor)?;
-    }
     if let Some(path) = &arguments.write_plan {
         let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
         let output = Output::create(path, kind, arguments.inputs.iter().collect())?;
@@ -453,14 +442,11 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         return Ok(Done::Plan(Box::new(file)));
     }
     let plan_file = arguments.plan.as_deref().map(PlanFile::read).transpose()?;
-    let wanted = options.clone();
     if let Some(file) = &plan_file {
+        refuse_contradictions(given, &options, file)?;
         file.apply_to(&mut options);
     }
     options.plan_file = plan_file;
-    if options.plan_file.is_some() {
-        refuse_contradictions(given, &wanted, &options)?;
-    }
     options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count });
     if arguments.dry_run {
         return Ok(Done::Preview(Box::new(preview(&options, monitor)?)));
@@ -468,61 +454,13 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     Ok(Done::Archive(Box::new(convert(&options, monitor)?)))
 }
 
-/// Returns the width of the gaps between points, as far as pixels show them (m); `None` if these are wider.
-fn gaps(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<f64>, Failure> {
-    let PixelSize::Metres(pixel_m) = options.grid.pixel else { return Ok(None) };
-    let widest_m = f64::from(slicewalk::plan::PlanOptions::MOST_FILL_PIXELS) * pixel_m;
-    Ok(gap_width_m(options, monitor)?.map(|width_m| width_m.min(widest_m)).filter(|width_m| *width_m >= pixel_m))
-}
-
-/// Refuses options on the command line that contradict the plan, whose options are `planned`.
-fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Failure> {
-    let pixel_m = match planned.grid.pixel {
-        PixelSize::Metres(pixel_m) => pixel_m,
-        _ => f64::NAN,
-    };
-    let same_holes = wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes);
-    let same_tolerance = planned.plan_file.as_ref().is_some_and(|file| file.has_tolerance_of(wanted));
-    // The plan holds one placement, which follows from both options.
-    let found = planned.plan_file.as_ref().and_then(|file| file.up);
-    let placement = wanted.placement_with(found.as_ref());
-    let same_placement = placement == planned.reading.placement;
-    let same_up = wanted.plan.up == planned.plan.up && (wanted.reading.turn == Turn::Auto) == found.is_some();
-    let same_up =
-        same_up && (same_placement || wanted.reading.placement.is_none() && wanted.reading.turn == Turn::Auto);
-    // The plan holds what `auto` found.
-    let same_colour = wanted.sections.colour == ColourMode::Auto || wanted.sections.colour == planned.sections.colour;
-    let options = [
-        ("pixel", "--pixel", wanted.grid.pixel == planned.grid.pixel),
-        ("slice", "--slice", wanted.grid.slice_m == planned.grid.slice_m),
-        ("max_slope", "--max-slope", wanted.plan.max_slope_deg == planned.plan.max_slope_deg),
-        ("tolerance", "--tolerance", same_tolerance),
-        ("classifier", "--classifier", wanted.plan.classifier == planned.plan.classifier),
-        ("exclude_class", "--exclude-class", wanted.plan.exclude_classes == planned.plan.exclude_classes),
-        ("min_points", "--min-points", wanted.plan.min_points == planned.plan.min_points),
-        ("drop_isolated", "--drop-isolated", wanted.plan.drop_floaters == planned.plan.drop_floaters),
-        ("drop_floaters", "--drop-floaters", wanted.plan.drop_floaters == planned.plan.drop_floaters),
-        ("remove_moving", "--remove-moving", wanted.plan.remove_moving == planned.plan.remove_moving),
-        ("fill_holes", "--fill-holes", same_holes),
-        ("up", "--up", same_up),
-        ("transform", "--transform", same_placement),
-        ("opacity", "--opacity", wanted.reading.splats.opacity == planned.reading.splats.opacity),
-        ("min_opacity", "--min-opacity", wanted.reading.splats.min_opacity == planned.reading.splats.min_opacity),
-        ("max_size", "--max-size", wanted.reading.splats.max_size_m == planned.reading.splats.max_size_m),
-        ("units", "--units", wanted.reading.units == planned.reading.units),
-        ("scale_from", "--scale-from", wanted.reading.units == planned.reading.units),
-        ("crs", "--crs", wanted.reading.epsg == planned.reading.epsg),
-        ("columns", "--columns", wanted.reading.columns == planned.reading.columns),
-        ("mesh", "--mesh", wanted.reading.mesh == planned.reading.mesh),
-        ("levels", "--levels", wanted.sections.levels == planned.sections.levels),
-        ("colour", "--colour", same_colour),
-        ("colour_error", "--colour-error", wanted.sections.colour_error == planned.sections.colour_error),
-    ];
-    for (id, name, same) in options {
-        if !same && given.value_source(id) == Some(ValueSource::CommandLine) {
-            let line = format!("{name}: contradicts the plan; leave it out, or write another plan");
-            return Err(Failure::Usage(line));
-        }
+/// Refuses options on the command line that contradict the plan.
+fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, plan: &PlanFile) -> Result<(), Failure> {
+    let mut named = given.ids().map(clap::Id::as_str);
+    let typed = |id: &str| given.value_source(id) == Some(ValueSource::CommandLine);
+    if let Some(id) = named.find(|id| typed(id) && plan.contradicts(id, wanted)) {
+        let name = id.replace('_', "-");
+        return Err(Failure::Usage(format!("--{name}: contradicts the plan; leave it out, or write another plan")));
     }
     Ok(())
 }

@@ -20,7 +20,7 @@ pub(super) use json::{bounds, hex};
 
 use super::facts::InputFacts;
 use super::inputs::open_inputs;
-use super::options::{ColourMode, ConvertOptions, GridOptions, PixelSize, ReadingOptions};
+use super::options::{ColourMode, ConvertOptions, GridOptions, HoleWidth, PixelSize, ReadingOptions};
 use super::planning::{self, Surveyed};
 use super::splats::SplatRules;
 use super::split::split;
@@ -163,18 +163,59 @@ impl PlanFile {
         options.plan = self.plan.options.clone();
         options.reading = self.reading.clone();
         options.sections.levels = self.levels;
-        options.sections.colour = self.colour.map_or(ColourMode::Off, |plan| ColourMode::Of(plan.scale.source));
+        options.sections.colour = self.colour_mode();
         if let Some(plan) = self.colour {
             options.sections.colour_error = f64::from(plan.error_milli) / 1000.0;
         }
     }
 
-    /// Returns whether the plan has the tolerance that `wanted` asks for: the same length, or likewise chosen by the
-    /// noise.
-    pub fn has_tolerance_of(&self, wanted: &ConvertOptions) -> bool {
-        match wanted.grid.tolerance_auto {
-            true => self.noise.is_some(),
-            false => wanted.plan.tolerance_m == self.plan.options.tolerance_m,
+    fn colour_mode(&self) -> ColourMode {
+        self.colour.map_or(ColourMode::Off, |plan| ColourMode::Of(plan.scale.source))
+    }
+
+    /// Returns whether an option contradicts the plan: `name` is that of the command line, with underscores, `wanted`
+    /// the options that were given.
+    pub fn contradicts(&self, name: &str, wanted: &ConvertOptions) -> bool {
+        let Self { plan: Plan { frame, options }, reading, .. } = self;
+        let (given, of_plan) = (&wanted.reading, &wanted.plan);
+        // The plan holds one placement, which follows from `--up` and `--transform`.
+        let same_placement = wanted.placement_with(self.up.as_ref()) == reading.placement;
+        let turns = given.turn == Turn::Auto;
+        match name {
+            "pixel" => wanted.grid.pixel != PixelSize::Metres(frame.pixel_m()),
+            "slice" => wanted.grid.slice_m != Some(frame.slice_m()),
+            "max_slope" => of_plan.max_slope_deg != options.max_slope_deg,
+            "tolerance" if wanted.grid.tolerance_auto => self.noise.is_none(),
+            "tolerance" => of_plan.tolerance_m != options.tolerance_m,
+            "classifier" => of_plan.classifier != options.classifier,
+            "exclude_class" => of_plan.exclude_classes != options.exclude_classes,
+            "min_points" => of_plan.min_points != options.min_points,
+            "drop_isolated" | "drop_floaters" => of_plan.drop_floaters != options.drop_floaters,
+            "remove_moving" => of_plan.remove_moving != options.remove_moving,
+            "fill_holes" => {
+                let pixels = wanted.fill_holes_pixels(frame.pixel_m());
+                wanted.grid.fill_holes == Some(HoleWidth::Auto) || pixels.ok() != Some(options.fill_holes)
+            }
+            "up" => {
+                let same_placement = same_placement || given.placement.is_none() && turns;
+                of_plan.up != options.up || turns != self.up.is_some() || !same_placement
+            }
+            "transform" => !same_placement,
+            "opacity" => given.splats.opacity != reading.splats.opacity,
+            "min_opacity" => given.splats.min_opacity != reading.splats.min_opacity,
+            "max_size" => given.splats.max_size_m != reading.splats.max_size_m,
+            "units" | "scale_from" => given.units != reading.units,
+            "crs" => given.epsg != reading.epsg,
+            "columns" => given.columns != reading.columns,
+            "mesh" => given.mesh != reading.mesh,
+            "levels" => wanted.sections.levels != self.levels,
+            // The plan holds the source that `auto` found.
+            "colour" if wanted.sections.colour == ColourMode::Auto => false,
+            "colour" => wanted.sections.colour != self.colour_mode(),
+            "colour_error" => {
+                self.colour.is_some_and(|plan| wanted.sections.colour_error != f64::from(plan.error_milli) / 1000.0)
+            }
+            _ => false,
         }
     }
 

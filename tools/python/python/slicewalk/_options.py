@@ -7,6 +7,7 @@ from os import PathLike
 from typing import Literal, TypedDict
 
 StrPath = str | PathLike[str]
+Place = tuple[float, float, float]
 
 
 class _ArchiveOptions(TypedDict, total=False):
@@ -17,8 +18,8 @@ class _ArchiveOptions(TypedDict, total=False):
     min_points: int
     drop_isolated: bool
     drop_floaters: int
-    fill_holes: float | None
-    up: Literal["z", "y"]
+    fill_holes: float | Literal["auto"] | None
+    up: Literal["auto", "z", "y", "x", "-z", "-y", "-x"]
     levels: bool | Literal["on", "off"]
 
 
@@ -41,6 +42,11 @@ class ClusterOptions(_ArchiveOptions, total=False):
     pixel: float | Literal["auto"]
     exclude_class: str | int | Iterable[int]
     units: float | Literal["auto", "m", "ft", "us-ft"]
+    scale_from: tuple[Place, Place, float]
+    transform: StrPath | None
+    opacity: float
+    min_opacity: float
+    max_size: float | None
     crs: str | None
     columns: str | None
     mesh: Literal["exact", "sampled"]

@@ -14,7 +14,7 @@ use slicewalk::query::{Aabb, Answer, Overlap, overlaps};
 use slicewalk::reach::{Flood, Pawn, StandingPlaces};
 use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
-use slicewalk_convert::{ConvertOptions, PixelSize, PointWriter};
+use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, PointWriter};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -229,8 +229,8 @@ fn order_threads_memory_and_parts_change_no_byte_and_marks_outlive_what_makes_ar
         assert!(fs::read(at.join("again.slices")).unwrap() == expected, "{how:?}");
     }
     let mut of_memory = ConvertOptions::new(Vec::new(), at.join("pushed.slices"));
-    (of_memory.grid.pixel, of_memory.grid.fill_holes_m, of_memory.sections.levels) =
-        (PixelSize::Metres(PIXEL_M), Some(WIDEST_M), true);
+    (of_memory.grid.pixel, of_memory.grid.fill_holes, of_memory.sections.levels) =
+        (PixelSize::Metres(PIXEL_M), Some(HoleWidth::Metres(WIDEST_M)), true);
     of_memory.plan.tolerance_m = 0.004;
     let mut writer = PointWriter::create(&of_memory, "").unwrap();
     let column = |axis: usize| points.iter().map(|p| p[axis]).collect::<Vec<_>>();
@@ -303,7 +303,7 @@ fn gaps_between_sparse_points_are_closed_by_the_measured_width() {
     assert_eq!(Archive::open(at.join("wide.slices")).unwrap().plan().options.fill_holes, 0);
     converts(at, &["a.las", "--pixel", "0.1", "--fill-holes", "auto", "--quiet", "--write-plan", "p.json"]);
     let said = refuses(at, &["a.las", "--plan", "p.json", "--fill-holes", "auto", "-o", "b.slices"], 2);
-    assert!(said.contains("--fill-holes auto: a plan holds the width"), "{said}");
+    assert!(said.contains("--fill-holes: contradicts the plan"), "{said}");
 }
 
 #[test]

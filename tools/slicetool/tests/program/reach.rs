@@ -3,7 +3,7 @@
 use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_las, write_samples};
 use slicewalk::NoMonitor;
-use slicewalk_convert::{ConvertOptions, PixelSize, convert};
+use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, convert};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -267,7 +267,8 @@ fn answers_that_rest_on_inferred_floor_say_so() {
     let scan = at.join("scan.las");
     write_las(&scan, floor, &WriteSpec::for_path(&scan)).unwrap();
     let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
-    (options.grid.pixel, options.resources.threads, options.grid.fill_holes_m) = (PixelSize::Metres(0.1), 1, Some(0.6));
+    (options.grid.pixel, options.resources.threads, options.grid.fill_holes) =
+        (PixelSize::Metres(0.1), 1, Some(HoleWidth::Metres(0.6)));
     convert(&options, &NoMonitor).unwrap();
     let answers = |table: &str, rows: &str, more: &[&str]| -> Vec<Vec<String>> {
         fs::write(at.join("q.csv"), rows).unwrap();

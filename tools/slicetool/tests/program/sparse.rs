@@ -3,7 +3,7 @@
 use crate::house::{Random, slicetool};
 use scangen::{WriteSpec, write_las};
 use slicewalk::NoMonitor;
-use slicewalk_convert::{ConvertOptions, PixelSize, convert, gap_width_m};
+use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, convert};
 use std::collections::HashSet;
 use std::fs;
 use tempfile::TempDir;
@@ -44,19 +44,22 @@ fn a_larger_width_of_holes_never_reaches_less() {
         write_las(&scan, floor(&mut Random(seed), count), &WriteSpec::for_path(&scan)).unwrap();
         let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
         (options.grid.pixel, options.overwrite) = (PixelSize::Metres(0.1), true);
-        let gaps = gap_width_m(&options, &NoMonitor).unwrap().unwrap();
         let mut areas = Vec::new();
         let mut before = HashSet::new();
-        for width in [None, Some(0.1), Some(0.2), Some(0.3), Some(0.5), Some(0.8), Some(1.3), Some(2.0)] {
-            options.grid.fill_holes_m = width;
+        for width in [0.0, 0.1, 0.2, 0.3, 0.5, 0.8, 1.3, 2.0] {
+            options.grid.fill_holes = (width > 0.0).then_some(HoleWidth::Metres(width));
             convert(&options, &NoMonitor).unwrap();
             let found = reached(&folder);
             let lost = before.difference(&found).count();
-            assert_eq!(lost, 0, "{count} points, {width:?} m: {} of {} places are lost", lost, before.len());
+            assert_eq!(lost, 0, "{count} points, {width} m: {} of {} places are lost", lost, before.len());
             areas.push(found.len());
             before = found;
         }
-        println!("{count} points, gaps of {gaps:.2} m: {areas:?} places");
         assert!(areas[7] > areas[0], "{areas:?}");
+        options.grid.fill_holes = Some(HoleWidth::Auto);
+        convert(&options, &NoMonitor).unwrap();
+        let of_gaps = reached(&folder).len();
+        println!("{count} points: {areas:?} places, {of_gaps} with gaps between points closed");
+        assert!((areas[0] + 1..=areas[7]).contains(&of_gaps), "{of_gaps} {areas:?}");
     }
 }

@@ -1,10 +1,11 @@
 //! Options of a conversion as JSON, named and meant as in Python.
 
 use serde_json::Value;
-use slicewalk::plan::{ClassSet, Classifier, Up};
+use slicewalk::plan::{ClassSet, Classifier};
 use slicewalk_base::{Error, Parameter, Result};
 use slicewalk_convert::size::parse_size;
-use slicewalk_convert::{ConvertOptions, PixelSize, Tolerance};
+use slicewalk_convert::values::{UpChoice, class_range, epsg};
+use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, Tolerance};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
 use std::str::FromStr;
@@ -44,11 +45,7 @@ fn one_of<T: Copy>(name: &str, all: &[(&str, T)], value: &Value) -> Result<T> {
 
 fn classes(name: &str, value: &Value) -> Result<ClassSet> {
     let expected = "classes from 0 to 255, such as [7, 18] or \"7,18,64-255\"";
-    let class = |text: &str| text.trim().parse::<u8>().ok();
-    let range = |text: &str| {
-        let (first, last) = text.split_once('-').unwrap_or((text, text));
-        Some(class(first)?..=class(last)?).filter(|range| !range.is_empty())
-    };
+    let range = |text: &str| class_range(text).ok();
     let of_number = |value: &Value| value.as_u64().and_then(|class| u8::try_from(class).ok());
     let found: Option<ClassSet> = match value {
         Value::String(text) => {
@@ -91,13 +88,16 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
             }
             "drop_floaters" => options.plan.drop_floaters = whole(own, u16::MAX.into(), value)? as u16,
             "remove_moving" => options.plan.remove_moving = flag(own, value)?,
-            "fill_holes" => options.grid.fill_holes_m = Some(number(own, "metres", value)?),
-            "up" => options.plan.up = one_of(own, &[("z", Up::Z), ("y", Up::Y)], value)?,
+            "fill_holes" => {
+                options.grid.fill_holes = Some(number_or(own, "metres, or \"auto\"", value, HoleWidth::Metres)?);
+            }
+            "up" => {
+                let up: UpChoice = text(own, "one of auto, z, y, x, -z, -y, -x", value)?;
+                (options.plan.up, options.reading.turn) = (up.axis, up.turn);
+            }
             "units" => options.reading.units = number_or(own, "a unit such as \"m\"", value, Units::Factor)?,
             "crs" => {
-                let code = value.as_str().and_then(|text| text.get(..5).map(|start| (start, &text[5..])));
-                let code = code.filter(|(start, _)| start.eq_ignore_ascii_case("EPSG:"));
-                let code = code.and_then(|(_, code)| code.parse().ok()).filter(|code| (1..1_000_000).contains(code));
+                let code = value.as_str().and_then(|text| epsg(text).ok());
                 options.reading.epsg = Some(code.ok_or_else(|| refuse(own, "a code such as \"EPSG:25832\"", value))?);
             }
             "columns" => options.reading.columns = Some(text::<Columns>(own, "a text such as \"x,y,z\"", value)?),

@@ -1,14 +1,17 @@
-//! Values of options, with messages for wrong ones.
+//! Values of options as text: on the command line, in Python and in the browser. Messages say what is expected.
 
-use slicewalk::Error;
-use slicewalk::plan::Up;
-use slicewalk_convert::{Similarity, Turn};
-use slicewalk_input::Units;
+use crate::archive::MAX_SHARDS;
+use crate::input::Units;
+use crate::placement::Similarity;
+use crate::plan::Up;
+use crate::upright::Turn;
+use crate::{Error, Result as Fallible};
 use std::io::Read;
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::str::FromStr;
 
+/// Parses a length (m).
 pub fn length(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
@@ -16,25 +19,8 @@ pub fn length(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Width of the holes in floors to close.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Holes {
-    /// Gaps between points.
-    Auto,
-    /// Given in metres.
-    Metres(f64),
-}
-
-/// Parses `auto`, or a length.
-pub fn holes(text: &str) -> Result<Holes, String> {
-    match text {
-        "auto" => Ok(Holes::Auto),
-        _ => length(text).map(Holes::Metres).map_err(|_| "expected auto, or a length in metres above 0".into()),
-    }
-}
-
 /// Parses a class or a range of classes: `7`, `64-255`.
-pub fn classes(text: &str) -> Result<RangeInclusive<u8>, String> {
+pub fn class_range(text: &str) -> Result<RangeInclusive<u8>, String> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     match (first.trim().parse(), last.trim().parse()) {
         (Ok(first), Ok(last)) if first <= last => Ok(first..=last),
@@ -45,6 +31,7 @@ pub fn classes(text: &str) -> Result<RangeInclusive<u8>, String> {
 /// Choice of the direction that points up.
 #[derive(Debug, Clone, Copy)]
 pub struct UpChoice {
+    /// Axis of the plan.
     pub axis: Up,
     /// Turn of scans and splats, if meshes cannot be turned likewise.
     pub turn: Turn,
@@ -74,11 +61,12 @@ pub fn epsg(text: &str) -> Result<u32, String> {
     code.filter(|code| (1..1_000_000).contains(code)).ok_or_else(|| "expected a code such as EPSG:25832".into())
 }
 
+/// Parses a part and their number: `2/8`.
 pub fn part(text: &str) -> Result<(u32, u32), String> {
     let numbers = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
     numbers
-        .filter(|&(index, count)| (1..=count).contains(&index) && count <= slicewalk::archive::MAX_SHARDS)
-        .ok_or_else(|| format!("expected a part and their number, from 1/1 to {0}/{0}", slicewalk::archive::MAX_SHARDS))
+        .filter(|&(index, count)| (1..=count).contains(&index) && count <= MAX_SHARDS)
+        .ok_or_else(|| format!("expected a part and their number, from 1/1 to {0}/{0}", MAX_SHARDS))
 }
 
 /// Returns the unit by which two places (`X,Y,Z`, in the file's coordinates) are the stated metres apart.
@@ -89,9 +77,15 @@ pub fn scale_from(from: &str, to: &str, metres: &str) -> Result<Units, String> {
         let finite = numbers.filter(|numbers| numbers.iter().all(|v| v.is_finite()));
         finite.ok_or_else(|| format!("{text:?} is not a place; expected X,Y,Z"))
     };
-    let (from, to, metres) = (place(from)?, place(to)?, length(metres)?);
+    unit_from(place(from)?, place(to)?, length(metres)?)
+}
+
+/// Returns the unit by which two places in the file's coordinates are so many metres apart.
+pub fn unit_from(from: [f64; 3], to: [f64; 3], metres: f64) -> Result<Units, String> {
     let apart = (0..3).map(|axis| (to[axis] - from[axis]).powi(2)).sum::<f64>().sqrt();
-    if apart > 0.0 && apart.is_finite() {
+    if !(metres > 0.0 && metres.is_finite()) {
+        Err("expected a distance in metres above 0".into())
+    } else if apart > 0.0 && apart.is_finite() {
         Ok(Units::Factor(metres / apart))
     } else {
         Err("the two places are the same; name places as far apart as possible".into())
@@ -99,7 +93,7 @@ pub fn scale_from(from: &str, to: &str, metres: &str) -> Result<Units, String> {
 }
 
 /// Reads a 4 × 4 matrix from a text file.
-pub fn transform(path: &Path) -> slicewalk::Result<Similarity> {
+pub fn transform(path: &Path) -> Fallible<Similarity> {
     /// Longest text of a matrix (bytes).
     const MOST_BYTES: u64 = 1 << 16;
     let file = std::fs::File::open(path).map_err(|error| Error::io(path, "open", error))?;
