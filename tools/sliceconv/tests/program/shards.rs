@@ -251,7 +251,7 @@ fn a_part_opens_the_files_that_it_meets_and_those_whose_names_say_too_little() {
     fs::write(at.join("east.laz"), &east[..east.len() - 1]).unwrap();
     assert_eq!(run("1/8", "after.slices").status.code(), Some(1));
     fs::write(at.join("east.laz"), &east).unwrap();
-    // The plan's data on all inputs must match those that are opened; without them all inputs are opened.
+    // The plan's data on all inputs must match those that are opened.
     let good = fs::read_to_string(at.join("plan.json")).unwrap();
     let change = |from: &str, to: &str| {
         assert!(good.contains(from), "{from}");
@@ -266,10 +266,8 @@ fn a_part_opens_the_files_that_it_meets_and_those_whose_names_say_too_little() {
     change("\"length_units\": [", "\"length_units\": [[0]], \"none\": [");
     assert!(String::from_utf8_lossy(&run("1/8", "after.slices").stderr).contains("stated.length_units"));
     change("\"stated\": {", "\"earlier\": {");
-    assert!(run("1/8", "after.slices").status.success());
-    assert!(fs::read(at.join("before.slices")).unwrap() == fs::read(at.join("after.slices")).unwrap());
-    fs::write(at.join("east.laz"), vec![0; east.len()]).unwrap();
-    assert_eq!(run("1/8", "after.slices").status.code(), Some(1));
+    let out = run("1/8", "after.slices");
+    assert!(String::from_utf8_lossy(&out.stderr).contains("missing field `stated`"), "{out:?}");
 }
 
 #[test]
