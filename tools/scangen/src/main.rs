@@ -266,7 +266,7 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
         Box::new(scene.samples(args.seed, &sampling)?)
     };
     let is_ply = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
-    let look = SplatLook { seed: args.seed, floater_rate: args.floaters, ..SplatLook::for_scene(scene, args.points) };
+    let look = SplatLook { seed: args.seed, floater_rate: args.floaters, ..SplatLook::for_scene(scene, amount) };
     let write = |samples: &mut dyn Iterator<Item = scangen::Sample>| match CloudFormat::of(path) {
         None if is_ply => write_splats(path, scene, samples, &look),
         Some(format) => write_clouds(path, format, samples, &writing, args.cloud),

@@ -45,6 +45,18 @@ fn the_same_command_gives_the_same_files_and_another_seed_others() {
 }
 
 #[test]
+fn splats_are_as_large_by_density_as_by_count() {
+    let folder = TempDir::new().unwrap();
+    // The plane has 400 m².
+    let run = |name: &str, amount: [&str; 2]| {
+        let out = scangen(folder.path(), &[&["plane", "-o", name], &amount[..]].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        std::fs::read(folder.path().join(name)).unwrap()
+    };
+    assert!(run("a.ply", ["--density", "50"]) == run("b.ply", ["--points", "20000"]));
+}
+
+#[test]
 fn usage_errors_end_with_2_and_failures_with_1_and_say_why_in_one_line() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();

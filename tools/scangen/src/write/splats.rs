@@ -2,7 +2,7 @@
 
 use super::Written;
 use crate::geometry::{Aabb, add, scale};
-use crate::sample::Stream;
+use crate::sample::{Amount, Stream};
 use crate::{Error, Result, Sample, Scene};
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -22,10 +22,13 @@ pub struct SplatLook {
 }
 
 impl SplatLook {
-    /// Splats that cover the scene if it has `count` of them (10,000 by default): the spread is the distance between
-    /// neighbours.
-    pub fn for_scene(scene: &Scene, count: Option<u64>) -> Self {
-        let spread_m = (scene.area() / count.unwrap_or(10_000).max(1) as f64).sqrt();
+    /// Splats that cover the scene if it has as many samples: the spread is the distance between neighbours.
+    pub fn for_scene(scene: &Scene, amount: Amount) -> Self {
+        let area_of_one_m2 = match amount {
+            Amount::Count(count) => scene.area() / count.max(1) as f64,
+            Amount::Density(density) => 1.0 / density,
+        };
+        let spread_m = area_of_one_m2.sqrt();
         Self { seed: 1, spread_m, thickness_m: 0.1 * spread_m, floater_rate: 0.0 }
     }
 }
