@@ -372,7 +372,8 @@ impl<'a> Rasteriser<'a> {
             }
             let Some(ellipsoid) = self.placing.solid(splat, &mut self.counts) else { continue };
             let (min, max) = ellipsoid.bounds();
-            if !self.builder.push(&ellipsoid, (splat.opacity, splat.colour), &mut self.runs, self.store, cancelled)? {
+            let paint = (splat.opacity, splat.colour);
+            if !self.builder.push(&ellipsoid, (min, max), paint, &mut self.runs, self.store, cancelled)? {
                 return Err(out_of_reach(&self.plan.frame, min, max));
             }
             self.read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });

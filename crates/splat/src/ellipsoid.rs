@@ -21,6 +21,8 @@ const LEAST_SHARE: f64 = 1.0 / (1u64 << 16) as f64;
 const LEAST_RADIUS_M: f64 = 1e-9;
 /// A splat is a flat disc if its smallest axis has at most this share of the middle one.
 const FLAT_SHARE: f64 = 0.5;
+/// A splat that is no disc is a needle if its middle axis has at most this share of the longest one.
+const NEEDLE_SHARE: f64 = 0.8;
 
 /// An ellipsoid: the places where a splat's opacity reaches a threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +35,8 @@ pub struct Ellipsoid {
     pub radii: [f64; 3],
     /// Normal of a flat disc: the smallest axis is at most half as long as the middle one.
     pub normal: Option<[f64; 3]>,
+    /// Direction of a needle: no flat disc, and the longest axis is at least 1.25 times as long as the middle one.
+    pub along: Option<[f64; 3]>,
 }
 
 impl Ellipsoid {
@@ -65,9 +69,11 @@ impl Ellipsoid {
         ];
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| radii[a].total_cmp(&radii[b]));
-        let normal = (radii[order[0]] <= FLAT_SHARE * radii[order[1]]).then_some(axes[order[0]]);
+        let is_flat = radii[order[0]] <= FLAT_SHARE * radii[order[1]];
+        let is_needle = !is_flat && radii[order[1]] <= NEEDLE_SHARE * radii[order[2]];
+        let (normal, along) = (is_flat.then_some(axes[order[0]]), is_needle.then_some(axes[order[2]]));
         let radii = radii.map(|radius| radius.max(LEAST_SHARE * longest));
-        Some(Self { centre, axes, radii, normal })
+        Some(Self { centre, axes, radii, normal, along })
     }
 
     /// Returns the ellipsoid scaled by `factor` (above 0), turned by the rotation with these rows, then shifted.
@@ -79,12 +85,18 @@ impl Ellipsoid {
             axes: self.axes.map(turned),
             radii: self.radii.map(|radius| radius * factor),
             normal: self.normal.map(turned),
+            along: self.along.map(turned),
         }
     }
 
     /// Longest diameter (m).
     pub fn size(&self) -> f64 {
         2.0 * self.radii.iter().fold(0.0, |longest: f64, &radius| longest.max(radius))
+    }
+
+    /// Volume (m³).
+    pub fn volume(&self) -> f64 {
+        4.0 / 3.0 * std::f64::consts::PI * self.radii[0] * self.radii[1] * self.radii[2]
     }
 
     /// Returns bounds of its coordinates (m): at least as wide as those of its pixels and slices, which the raster grows

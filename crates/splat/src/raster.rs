@@ -33,7 +33,7 @@ pub struct EllipsoidRaster {
     frame: Frame,
     /// Square of the tangent above which a disc is steep.
     steep_squared: f64,
-    /// Height over a pixel above which an ellipsoid is steep, unless it is a disc (quanta).
+    /// Height over a pixel above which an ellipsoid is steep, unless it is a flat disc (quanta).
     steep_run: f64,
 }
 
@@ -46,8 +46,8 @@ pub struct Piece {
     pub bottom: i64,
     /// Highest quantum.
     pub top: i64,
-    /// True for an obstacle.
-    pub steep: bool,
+    /// True for an obstacle, false for a floor; `None` if its shape does not say.
+    pub steep: Option<bool>,
 }
 
 /// An ellipsoid on the grid: pixels, pixels and quanta.
@@ -65,10 +65,10 @@ pub struct GridEllipsoid {
     /// through the centre.
     of_x: Section,
     of_y: Section,
-    /// Rise of the middle plane along x and y, and half the thickness at the centre.
+    /// Rise of the middle plane along x and y, and half the thickness at the centre per reach of `of_x` across.
     rise: [f64; 2],
     thickness: f64,
-    /// True or false for a disc; `None` if heights decide.
+    /// True or false for a flat disc, true for a steep needle; `None` for others.
     steep: Option<bool>,
     steep_run: f64,
 }
@@ -77,8 +77,9 @@ pub struct GridEllipsoid {
 /// `sqrt(1 − (offset/reach)²)`.
 #[derive(Debug, Clone, Copy)]
 struct Section {
-    /// Reach of the ellipsoid along the constant axis.
+    /// Reach of the ellipsoid along the constant axis, and its reciprocal.
     along: f64,
+    per_along: f64,
     /// Offset of the section's centre, per offset of the line: across and up.
     drift: [f64; 2],
     /// Reach of the section through the centre: across and up.
@@ -91,7 +92,7 @@ impl Section {
     /// Returns the length of a section at this offset relative to the one through the centre; `None` outside of the
     /// ellipsoid.
     fn shrink(&self, offset: f64) -> Option<f64> {
-        let share = offset / self.along;
+        let share = offset * self.per_along;
         (share.abs() <= 1.0).then(|| ((1.0 - share) * (1.0 + share)).sqrt())
     }
 }
@@ -110,7 +111,7 @@ impl EllipsoidRaster {
     /// Puts the ellipsoid on the grid; `None` if it is not finite there.
     pub fn place(&self, ellipsoid: &Ellipsoid) -> Option<GridEllipsoid> {
         let frame = &self.frame;
-        let Ellipsoid { centre, axes, radii, normal } = ellipsoid;
+        let Ellipsoid { centre, axes, radii, normal, along } = ellipsoid;
         let unit = [frame.pixels(1.0), frame.pixels(1.0), frame.quanta(1.0)];
         let centre = [frame.pixels(centre[0]), frame.pixels(centre[1]), frame.quanta(centre[2])];
         let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -123,12 +124,14 @@ impl EllipsoidRaster {
         let (xx, yy, zz) = (a(0, 0).sqrt(), a(1, 1).sqrt(), a(2, 2).sqrt());
         let of_x = Section {
             along: reach[0],
+            per_along: 1.0 / reach[0],
             drift: [c(0, 1) / c(0, 0), c(0, 2) / c(0, 0)],
             reach: [root * zz / reach[0], root * yy / reach[0]],
             summit: -a(1, 2) * root / (reach[0] * yy),
         };
         let of_y = Section {
             along: reach[1],
+            per_along: 1.0 / reach[1],
             drift: [c(0, 1) / c(1, 1), c(1, 2) / c(1, 1)],
             reach: [root * zz / reach[1], root * xx / reach[1]],
             summit: -a(0, 2) * root / (reach[1] * xx),
@@ -136,7 +139,11 @@ impl EllipsoidRaster {
         let longest = reach.iter().zip(unit).fold(0.0, |longest: f64, (reach, unit)| longest.max(reach / unit));
         let slack =
             [0, 1, 2].map(|axis| SLACK * (centre[axis].abs() + reach[axis]) + SLACK_OF_REACH * longest * unit[axis]);
-        let steep = normal.map(|n| n[0] * n[0] + n[1] * n[1] > self.steep_squared * n[2] * n[2]);
+        let flat = |v: &[f64; 3]| v[0] * v[0] + v[1] * v[1];
+        // A surface is at least as steep as any line in it.
+        let rises = |v: &[f64; 3]| v[2] * v[2] > self.steep_squared * flat(v);
+        let of_needle = || along.as_ref().filter(|along| rises(along)).map(|_| true);
+        let steep = normal.as_ref().map(|n| flat(n) > self.steep_squared * n[2] * n[2]).or_else(of_needle);
         let placed = GridEllipsoid {
             centre,
             reach,
@@ -146,13 +153,13 @@ impl EllipsoidRaster {
             of_x,
             of_y,
             rise: [-a(0, 2) / a(2, 2), -a(1, 2) / a(2, 2)],
-            thickness: 1.0 / zz,
+            thickness: 1.0 / (zz * of_x.reach[0]),
             steep,
             steep_run: self.steep_run,
         };
-        let sections = [of_x, of_y]
-            .iter()
-            .all(|s| [s.along, s.drift[0], s.drift[1], s.reach[0], s.reach[1], s.summit].iter().all(|v| v.is_finite()));
+        let sections = [of_x, of_y].iter().all(|s| {
+            [s.per_along, s.drift[0], s.drift[1], s.reach[0], s.reach[1], s.summit].iter().all(|v| v.is_finite())
+        });
         let ends = centre.iter().chain(&reach).chain(&placed.summit).chain(&placed.rise).chain([&placed.thickness]);
         (sections && ends.into_iter().all(|v| v.is_finite())).then_some(placed)
     }
@@ -199,7 +206,7 @@ impl GridEllipsoid {
             let bottom = if begin <= pit && pit <= end { bottom } else { -row.top(-pit.max(begin).min(end), -1.0) };
             let (low, high) = (bottom.min(top) - self.slack[2], top.max(bottom) + self.slack[2]);
             let (bottom, top) = (floor_index(cz + low), -floor_index(-(cz + high)));
-            let steep = self.steep.unwrap_or((top - bottom) as f64 > self.steep_run);
+            let steep = self.steep.or_else(|| ((top - bottom) as f64 > self.steep_run).then_some(true));
             give(Piece { i, bottom, top, steep });
         }
     }
@@ -261,7 +268,6 @@ impl Row<'_> {
         let y = summit.max(low).min(high);
         let (reach, offset) = (shrink * section.reach[0], y - middle);
         let half = (reach - offset) * (reach + offset);
-        let share = half.max(0.0).sqrt() / section.reach[0];
-        self.of.rise[0] * x + self.of.rise[1] * y + self.of.thickness * share
+        self.of.rise[0] * x + self.of.rise[1] * y + self.of.thickness * half.max(0.0).sqrt()
     }
 }

@@ -476,7 +476,7 @@ mod tests {
         for &(i, j, k) in all {
             let weight = weight((i, j, k), weights);
             if weight < WHOLE {
-                let part = SurfacePart { bottom: 9, top: 99, steep: k % 2 == 0, weight };
+                let part = SurfacePart { bottom: 9, top: 99, steep: k % 2 == 0, undecided: false, weight };
                 recorder.record_surface(&SurfaceVoxel { pixel: (i, j), slice: k, part }, |index, record| {
                     columns.entry(index.key()).or_default().push(record);
                 });

@@ -47,17 +47,17 @@ impl EllipsoidBuilder {
         self
     }
 
-    /// Adds an ellipsoid with the opacity and colour of its splat; returns false if the grid does not reach it. Stops
+    /// Adds an ellipsoid with its bounds, and the opacity and colour of its splat; returns false if the grid does not reach it. Stops
     /// with an error once `cancelled` is true.
     pub fn push(
         &mut self,
         ellipsoid: &Ellipsoid,
+        (min, max): ([f64; 3], [f64; 3]),
         (opacity, colour): (f32, [u8; 3]),
         runs: &mut RunBuilder,
         store: &RunStore,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<bool> {
-        let (min, max) = ellipsoid.bounds();
         let placed = self.raster.place(ellipsoid).filter(|placed| placed.is_on_grid());
         let Some(placed) = placed.filter(|_| self.recorder.reaches(min, max)) else { return Ok(false) };
         if placed.voxels() > MOST_VOXELS {
@@ -70,8 +70,9 @@ impl EllipsoidBuilder {
         for j in first..=last {
             let mut done = Ok(());
             placed.for_each_pixel(j, |piece| {
-                for mut voxel in surface_voxels((piece.i, j), (piece.bottom, piece.top), piece.steep) {
+                for mut voxel in surface_voxels((piece.i, j), (piece.bottom, piece.top), piece.steep == Some(true)) {
                     voxel.part.weight = weight;
+                    voxel.part.undecided = piece.steep.is_none();
                     if done.is_err() {
                         return;
                     }

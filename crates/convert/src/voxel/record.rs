@@ -36,7 +36,7 @@ const PLACE_BITS: u32 = HEIGHT_BITS + 2 * SUBPIXEL_BITS;
 /// Bits of the value in a value record.
 pub const VALUE_BITS: u32 = PLACE_BITS;
 /// Least content of these bits in the record of a surface; what its weight lacks (2 bits), bottom (8), top (8) and
-/// steepness (1) are added.
+/// steepness (1) are added. The top comes before the bottom if the slope is undecided.
 const SURFACE: u64 = (SLICE_STEPS as u64) << (2 * SUBPIXEL_BITS);
 /// Content of these bits in a record that marks its voxel as dropped: no surface has its bottom on the slice's top.
 const DROPPED: u64 = (1 << PLACE_BITS) - 1;
@@ -85,12 +85,16 @@ impl Record {
         match (self.0 & ((1 << PLACE_BITS) - 1)).checked_sub(SURFACE) {
             None => Content::Point,
             Some(part) if part == DROPPED - SURFACE => Content::Dropped,
-            Some(part) => Content::Surface(SurfacePart {
-                bottom: (part >> 9) as u8,
-                top: (part >> 1) as u8,
-                steep: part & 1 == 1,
-                weight: WHOLE - (part >> 17) as u8,
-            }),
+            Some(part) => {
+                let (first, second) = ((part >> 9) as u8, (part >> 1) as u8);
+                Content::Surface(SurfacePart {
+                    bottom: first.min(second),
+                    top: first.max(second),
+                    steep: part & 1 == 1,
+                    undecided: first > second,
+                    weight: WHOLE - (part >> 17) as u8,
+                })
+            }
         }
     }
 
@@ -148,6 +152,8 @@ pub struct SurfacePart {
     pub top: u8,
     /// True if a surface steeper than the limit is among them.
     pub steep: bool,
+    /// True if its slope is not known, so that the neighbourhood decides; then its top lies above its bottom.
+    pub undecided: bool,
     /// Quarters of a voxel for which it counts in components (1..=[`WHOLE`]).
     pub weight: u8,
 }
@@ -173,7 +179,7 @@ pub fn surface_voxels(pixel: (i64, i64), (bottom, top): (i64, i64), steep: bool)
     let last = first.max((top - 1).div_euclid(SLICE_QUANTA));
     (first..=last).map(move |slice| {
         let above = |quantum: i64| (quantum - slice * SLICE_QUANTA).clamp(0, SLICE_QUANTA) as u8;
-        let part = SurfacePart { bottom: above(bottom), top: above(top), steep, weight: WHOLE };
+        let part = SurfacePart { bottom: above(bottom), top: above(top), steep, undecided: false, weight: WHOLE };
         SurfaceVoxel { pixel, slice, part }
     })
 }
@@ -353,8 +359,26 @@ impl Recorder {
         Places { count, fx, fy, steps }
     }
 
+    /// Passes the records of the parts of voxels that surfaces fill to `sink`, then their copies. Takes at most [`BATCH`]
+    /// voxels, which must be on the grid.
+    pub fn record_surfaces(&self, voxels: &[SurfaceVoxel], mut sink: impl RecordSink) {
+        let nowhere = (ColumnIndex { tx: 0, ty: 0, block: 0 }, Record(0), (0, 0));
+        let mut own = [nowhere; BATCH];
+        let mut records = [Record(0); BATCH];
+        for (number, voxel) in voxels.iter().take(BATCH).enumerate() {
+            own[number] = own_record(voxel.pixel, voxel.slice, place_of_surface(voxel.part));
+            records[number] = own[number].1;
+        }
+        let count = voxels.len().min(BATCH);
+        sink.add_all(&records[..count], |number| own[number].0);
+        for &(index, record, sides) in own[..count].iter().filter(|own| own.2 != (0, 0)) {
+            copy(index, record, sides, &mut |index, record| sink.add(index, record));
+        }
+    }
+
     /// Passes the record of the part of a voxel that a surface fills to `sink`, and its copies. The voxel must be on
     /// the grid.
+    #[cfg(test)]
     pub fn record_surface(&self, voxel: &SurfaceVoxel, mut sink: impl FnMut(ColumnIndex, Record)) {
         spread(voxel.pixel, voxel.slice, place_of_surface(voxel.part), &mut sink);
     }
@@ -463,9 +487,10 @@ fn beyond(patch_pixel: usize) -> (i64, i64) {
 
 /// Lower bits of the record of a surface's part of a voxel.
 #[inline]
-fn place_of_surface(SurfacePart { bottom, top, steep, weight }: SurfacePart) -> u64 {
+fn place_of_surface(SurfacePart { bottom, top, steep, undecided, weight }: SurfacePart) -> u64 {
     let lacks = u64::from(WHOLE - weight);
-    SURFACE + (lacks << 17 | u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep))
+    let (first, second) = if undecided { (top, bottom) } else { (bottom, top) };
+    SURFACE + (lacks << 17 | u64::from(first) << 9 | u64::from(second) << 1 | u64::from(steep))
 }
 
 /// Position of a point in its voxel.
@@ -490,19 +515,26 @@ pub fn record_dropped(pixel: (i64, i64), slice: i64, mut sink: impl FnMut(Column
 
 /// Passes a record with the low bits `place` for pixel `(i, j)` to `sink`, and its copies.
 #[inline]
-fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(ColumnIndex, Record)) {
+fn spread(pixel: (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(ColumnIndex, Record)) {
+    let (index, record, sides) = own_record(pixel, slice, place);
+    sink(index, record);
+    if sides != (0, 0) {
+        copy(index, record, sides, sink);
+    }
+}
+
+/// Returns the record with the low bits `place` for pixel `(i, j)`, its column, and on which sides it lies in the halo of
+/// others.
+#[inline]
+fn own_record((i, j): (i64, i64), slice: i64, place: u64) -> (ColumnIndex, Record, (i64, i64)) {
     let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
     let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
     let (tx, ty) = ((i >> 6) as i32, (j >> 6) as i32);
     let (px, py) = (i & 63, j & 63);
     let index = ColumnIndex { tx, ty, block: block as i16 };
     let pixel = (py + HALO_PIXELS) * PATCH_PIXELS as i64 + px + HALO_PIXELS;
-    let record = Record::new(pixel as u64, slice, place);
-    sink(index, record);
-    let sides = beyond(pixel as usize);
-    if sides != (0, 0) {
-        copy(index, record, sides, sink);
-    }
+    let side = |p: i64| i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS);
+    (index, Record::new(pixel as u64, slice, place), (side(px), side(py)))
 }
 
 /// Passes the copies of a record to `sink`, one each to the tile columns `dx` tiles away along x, `dy` along y, and
@@ -581,13 +613,14 @@ mod tests {
         #[test]
         fn surfaces_come_back_slice_by_slice(
             i in -100_000i64..100_000, j in -200i64..200, bottom in -3000i64..3000, extent in 0i64..2000, steep: bool,
-            weight in 1u8..=WHOLE
+            weight in 1u8..=WHOLE, undecided: bool
         ) {
             let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
             let top = bottom + extent;
             let mut joined: Option<(i64, i64)> = None;
             for mut voxel in surface_voxels((i, j), (bottom, top), steep) {
                 voxel.part.weight = weight;
+                voxel.part.undecided = undecided && extent > 0;
                 recorder.record_surface(&voxel, |index, record| {
                     let pixel = record.pixel() as i64;
                     assert_eq!(i64::from(index.tx) * 64 + pixel % PATCH_PIXELS as i64 - HALO_PIXELS, i);

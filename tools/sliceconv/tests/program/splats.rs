@@ -138,6 +138,45 @@ fn faint_floaters_go_sooner() {
 }
 
 #[test]
+fn what_is_no_disc_is_floor_where_discs_around_are_or_in_a_surface() {
+    let folder = tempfile::tempdir().unwrap();
+    let level = [1.0, 0.0, 0.0, 0.0];
+    let about_y = |deg: f64| [(deg / 2.0).to_radians().cos(), 0.0, (deg / 2.0).to_radians().sin(), 0.0];
+    // Slices of 0.3 m begin at multiples of it.
+    let ball = |x: f64, y: f64, z: f64| ([x, y, z], [0.02; 3], level, 0.9);
+    let needle = |deg: f64| ([0.05, 0.05, 0.15], [0.05, 0.01, 0.01], about_y(deg), 0.9);
+    let disc = |x: f64, y: f64, z: f64, deg: f64| ([x, y, z], [0.05, 0.05, 0.001], about_y(deg), 0.9);
+    let each = || (0..20).flat_map(|i| (0..20).map(move |j| (0.1 * f64::from(i) + 0.05, 0.1 * f64::from(j) + 0.05)));
+    let floor = || each().map(|(x, y)| disc(x, y, 0.05, 0.0));
+    let obstacles = |splats: &[Splat]| {
+        write(&folder.path().join("a.ply"), splats);
+        archive(folder.path(), "a.ply", &[]);
+        let archive = Archive::open(folder.path().join("out.slices")).unwrap();
+        let voxels = &archive.header().voxels;
+        (voxels.obstacle, voxels.occupied)
+    };
+    assert_eq!(obstacles(&floor().collect::<Vec<_>>()).0, 0);
+    assert_eq!(obstacles(&floor().chain([ball(1.05, 1.05, 0.1)]).collect::<Vec<_>>()).0, 0);
+    assert_eq!(obstacles(&[ball(0.05, 0.05, 0.15)]), (1, 1));
+    // On the side of something upright.
+    let upright = disc(0.05, 0.05, 0.15, 90.0);
+    let (alone, occupied) = obstacles(&[upright]);
+    assert_eq!(alone, occupied);
+    assert_eq!(obstacles(&[upright, ball(0.15, 0.05, 0.2)]), (occupied + 1, occupied + 1));
+    for deg in [0.0, 60.0] {
+        let (obstacle, occupied) = obstacles(&[needle(deg)]);
+        assert_eq!(obstacle, occupied, "{deg}");
+    }
+    // A steep needle is an obstacle on a floor, too, one along it is not.
+    let with_needle = |deg: f64| floor().chain([needle(deg)]).collect::<Vec<_>>();
+    assert_eq!(obstacles(&with_needle(0.0)).0, 0);
+    assert!(obstacles(&with_needle(60.0)).0 > 0);
+    // Balls alone, one in each pixel, are a floor, except for its corners.
+    let carpet: Vec<_> = each().map(|(x, y)| ball(x, y, 0.1)).collect();
+    assert_eq!(obstacles(&carpet), (4, 400));
+}
+
+#[test]
 fn a_matrix_and_a_distance_place_splats() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

@@ -66,7 +66,7 @@ proptest! {
             let (first, last) = (low.div_euclid(255), low.max(low + more - 1).div_euclid(255));
             for voxel in (first..=last).map(|slice| slice + crate::voxel::record::BLOCK_SLICES / 2) {
                 let found = at_once.voxels[at_once.range(pixel)].iter().find(|v| i64::from(v.slice) == voxel);
-                prop_assert!(found.is_some_and(|v| v.kinds & (Voxel::FLAT | Voxel::STEEP) != 0 && (v.is_steep() || !steep)));
+                prop_assert!(found.is_some_and(|v| v.kinds & Voxel::SURFACES != 0 && (v.is_steep() || !steep)));
             }
         }
     }

@@ -19,8 +19,8 @@ pub struct Voxel {
     pub bottom: u8,
     /// Least quantum at or above the highest solid, above the slice's floor (0..=255).
     pub top: u8,
-    /// Kinds of solid: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP); and the greatest weight of
-    /// its surfaces.
+    /// Kinds of solid: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP),
+    /// [`UNDECIDED`](Self::UNDECIDED); and the greatest weight of its surfaces.
     pub kinds: u8,
 }
 
@@ -36,6 +36,10 @@ impl Voxel {
     /// One of these bits for each quarter by which the greatest weight exceeds the first, from the lowest up: `or`
     /// gives the greatest of several.
     const QUARTERS: u32 = 4;
+    /// A surface of unknown slope.
+    pub const UNDECIDED: u8 = 128;
+    /// Surfaces of any kind.
+    pub const SURFACES: u8 = Self::FLAT | Self::STEEP | Self::UNDECIDED;
 
     /// Creates a voxel without solid.
     #[inline]
@@ -75,7 +79,11 @@ impl Voxel {
         // A surface that ends on the lower border of a bin does not reach into it.
         let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
         self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
-        self.kinds |= if part.steep { Self::STEEP } else { Self::FLAT };
+        self.kinds |= match part {
+            SurfacePart { steep: true, .. } => Self::STEEP,
+            SurfacePart { undecided: true, .. } => Self::UNDECIDED,
+            _ => Self::FLAT,
+        };
         self.kinds |= ((1 << (part.weight - 1)) - 1) << Self::QUARTERS;
     }
 
@@ -91,6 +99,16 @@ impl Voxel {
         self.kinds & Self::STEEP != 0
     }
 
+    /// Returns whether its surfaces are known to be at most as steep as the limit.
+    pub fn is_flat(&self) -> bool {
+        self.kinds & (Self::FLAT | Self::STEEP) == Self::FLAT
+    }
+
+    /// Returns whether it holds nothing but surfaces of unknown slope.
+    pub fn is_undecided(&self) -> bool {
+        self.kinds & (Self::SURFACES | Self::POINTS) == Self::UNDECIDED
+    }
+
     /// Returns whether it holds points, as opposed to surfaces alone.
     pub fn has_points(&self) -> bool {
         self.kinds & Self::POINTS != 0
@@ -99,13 +117,13 @@ impl Voxel {
     /// Returns how many quarters of a voxel it counts for in components.
     #[inline]
     pub fn weight(&self) -> u32 {
-        if self.has_points() { u32::from(WHOLE) } else { 1 + (self.kinds >> Self::QUARTERS).count_ones() }
+        if self.has_points() { u32::from(WHOLE) } else { 1 + (self.kinds >> Self::QUARTERS & 7).count_ones() }
     }
 
     /// Returns whether a voxel of `points` points is kept at this minimum.
     #[inline]
     pub(super) fn is_kept(&self, points: i64, min_points: u32) -> bool {
-        let has_surface = self.kinds & (Self::FLAT | Self::STEEP) != 0;
+        let has_surface = self.kinds & Self::SURFACES != 0;
         self.kinds & Self::DROPPED == 0 && (has_surface || points >= i64::from(min_points))
     }
 

@@ -29,8 +29,14 @@
 //!   (thesis, algorithm 3.3, with all points of the voxel in place of the last one, which removes the dependence on
 //!   their order). Kept for comparison, like in the thesis: it guarantees no angle, and depends on the slice height.
 //!
-//! Surfaces of meshes have a true slope, whatever the classifier: a voxel with a surface steeper than the limit is an
-//! obstacle, one with other surfaces and no points is floor. Next to points, surfaces count as solid in the runs.
+//! Surfaces of meshes and flat splats have a true slope, whatever the classifier: a voxel with a surface steeper than the
+//! limit is an obstacle, one with other surfaces and no points is floor. Next to points, surfaces count as solid in the
+//! runs.
+//!
+//! Other splats do not show their slope. A voxel of nothing else follows the surfaces of known slope in 3 × 3 pixels that
+//! are connected to it (a void of at most a pixel's width): it is floor if one of their voxels is, else an obstacle.
+//! Where there are none, it is floor if it is part of a surface: at least five of the eight pixels around it have solid
+//! connected to it. So a lone splat, or one on the leg of a table, is nothing to stand on.
 
 mod extents;
 mod pieces;
@@ -39,7 +45,7 @@ mod surface;
 mod tests;
 mod windows;
 
-use super::accumulate::{Area, Patch, Sums, Voxel};
+use super::accumulate::{Area, Patch, Sums, Voxel, neighbourhood};
 use super::bands::Bands;
 use crate::frame::SLICE_QUANTA;
 use crate::plan::{Classifier, Plan, rise_of};
@@ -56,6 +62,8 @@ const CLEARLY_STEEPER_DEG: f64 = 10.0;
 const CONNECTED_STEEPER_DEG: f64 = 15.0;
 /// Number of pixels to fit in a patch from which on the sums of all pixels are computed together.
 const LEAST_WINDOWS: usize = 512;
+/// Pixels around one with solid, from which on it is part of a surface. A straight edge has five.
+const LEAST_BESIDE: usize = 5;
 /// No angle beyond this is used as a bound, because its tangent would connect everything.
 const STEEPEST_BOUND_DEG: f64 = 80.0;
 
@@ -69,6 +77,8 @@ pub struct VoxelClassifier {
     /// Extents of runs (quanta).
     steep_run: f64,
     clearly_steep_run: f64,
+    /// Widest void between connected voxels without points (quanta).
+    connected: i64,
     least_windows: usize,
 }
 
@@ -111,6 +121,7 @@ impl VoxelClassifier {
             surfaces: Surfaces::new(frame, bands, rise_of(limit), reach),
             steep_run: run(limit),
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
+            connected: quanta_per_pixel as i64,
             least_windows: LEAST_WINDOWS,
         }
     }
@@ -126,6 +137,38 @@ impl VoxelClassifier {
         for (voxel_class, voxel) in voxel_classes.of_voxels.iter_mut().zip(patch.voxels()) {
             *voxel_class = voxel.is_steep() || voxel.has_points() && *voxel_class;
         }
+        if patch.voxels().iter().any(Voxel::is_undecided) {
+            for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+                for number in patch.range(pixel).filter(|&number| patch.voxels()[number].is_undecided()) {
+                    voxel_classes.of_voxels[number] = !self.is_floor_by_neighbours(patch, pixel, number);
+                }
+            }
+        }
+    }
+
+    /// Returns whether a voxel of unknown slope is floor.
+    fn is_floor_by_neighbours(&self, patch: &Patch, pixel: usize, number: usize) -> bool {
+        let (low, high) = patch.voxels()[number].quanta_above(0);
+        let (low, high) = (low - self.connected, high + self.connected);
+        let slice_of = |quantum: i64| quantum.div_euclid(SLICE_QUANTA).max(0) as u32;
+        let (mut has_steep, mut beside) = (false, 0);
+        for (other, ..) in neighbourhood(pixel) {
+            let near = patch.between(other, slice_of(low)..slice_of(high) + 1).map(|number| &patch.voxels()[number]);
+            let connected = near.filter(|voxel| {
+                let (bottom, top) = voxel.quanta_above(0);
+                bottom <= high && top >= low
+            });
+            let mut is_beside = false;
+            for voxel in connected {
+                if voxel.is_flat() {
+                    return true;
+                }
+                has_steep |= voxel.is_steep();
+                is_beside = true;
+            }
+            beside += usize::from(is_beside && other != pixel);
+        }
+        !has_steep && beside >= LEAST_BESIDE
     }
 
     /// Classifies voxels with points; the results for others are undefined.

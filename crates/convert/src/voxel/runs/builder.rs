@@ -285,8 +285,7 @@ impl RunBuilder {
         for chunk in voxels.chunks(BATCH) {
             self.make_room(chunk.len(), store)?;
             let recorder = self.recorder;
-            let mut adder = self.adder();
-            chunk.iter().for_each(|voxel| recorder.record_surface(voxel, |index, record| adder.add(index, record)));
+            recorder.record_surfaces(chunk, self.adder());
         }
         Ok(())
     }
