@@ -30,6 +30,9 @@ pub fn gap_width_m(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Op
     Ok(Some(GAP_SPACINGS * estimate_spacing(&opened.scans, options.threads, monitor)?.spacing_m))
 }
 
+/// Most voxels that splats fill if the pixel size is chosen automatically: so a few blobs of many metres take seconds.
+pub const AUTO_VOXELS: f64 = (1u64 << 23) as f64;
+
 /// Measurements from which automatic options follow; `None` where the options were given.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Surveyed {
@@ -127,7 +130,8 @@ fn round_to_digits(value: f64, digits: usize) -> f64 {
     format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
 }
 
-/// Returns the pixel size for meshes and splats alone: their longer side has [`AUTO_PIXELS`] pixels.
+/// Returns the pixel size for meshes and splats alone: their longer side has [`AUTO_PIXELS`] pixels, fewer if splats
+/// would fill more than [`AUTO_VOXELS`], and more than 16 for each of them.
 fn pixel_of_extent(
     options: &ConvertOptions,
     meshes: &MeshSet,
@@ -135,14 +139,20 @@ fn pixel_of_extent(
     monitor: &dyn Monitor,
 ) -> Result<f64> {
     monitor.stage("extent", 0, "triangles and splats");
-    let both = meshes.bounds(monitor)?.into_iter().chain(splats.survey(options, monitor)?.1);
+    let survey = splats.survey(options, monitor)?;
+    let both = meshes.bounds(monitor)?.into_iter().chain(survey.bounds);
     let along = |axis: usize| {
         let ends = both.clone().map(|(min, max)| (min[axis], max[axis]));
         ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or(0.0, |(min, max)| max - min)
     };
     let longer = along(0).max(along(1));
     if longer > 0.0 {
-        Ok(round_to_digits(longer / AUTO_PIXELS, 2))
+        let pixel_m = longer / AUTO_PIXELS;
+        let filled = |pixel_m: f64| survey.volume_m3 / (pixel_m * pixel_m * options.slice_m.unwrap_or(3.0 * pixel_m));
+        let excess = filled(pixel_m) / AUTO_VOXELS.max(16.0 * survey.counts.read as f64);
+        // Slices of a given height do not grow with the pixels.
+        let grows = |excess: f64| if options.slice_m.is_some() { excess.sqrt() } else { libm::cbrt(excess) };
+        Ok(round_to_digits(pixel_m * grows(excess.max(1.0)), 2))
     } else {
         Err(Error::parameter(
             Parameter::AutomaticPixelSize,

@@ -4,6 +4,7 @@ use super::conversion::{Limits, check_free_space, scope, temp_bytes};
 use super::inputs::open_inputs;
 use super::options::ConvertOptions;
 use super::planning::{Surveyed, plan};
+use super::splats::SplatSurvey;
 use super::stations::Stations;
 use super::{Similarity, SplatCounts, UpFound};
 use crate::archive::Bounds;
@@ -116,7 +117,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     far_apart(&scenes).inspect(|warning| monitor.warn(warning));
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);
     let scans = scans.map(|StatedBounds { min, max }| (min, max));
-    let (counts, splats) = opened.splats.survey(options, monitor)?;
+    let SplatSurvey { counts, bounds: splats, .. } = opened.splats.survey(options, monitor)?;
     let cubes = opened.cubes.bounds(options, monitor)?;
     let all = scans.chain(meshes.bounds(monitor)?).chain(splats).chain(cubes);
     let bounds = all.reduce(|(min, max), (other_min, other_max)| {

@@ -160,6 +160,19 @@ fn apart(inputs: &[PathBuf]) -> (Vec<PathBuf>, Vec<PathBuf>) {
     (folders, rest)
 }
 
+/// Measurements of all splats.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SplatSurvey {
+    pub counts: SplatCounts,
+    /// Bounds of all solid parts (m); `None` without any.
+    pub bounds: Option<Bounds>,
+    /// Sum of the volumes of all solid parts, however they overlap (m³).
+    pub volume_m3: f64,
+}
+
+/// Steps per cubic metre in which volumes are added up.
+const VOLUME_STEPS: f64 = (1u64 << 50) as f64;
+
 impl SplatSet {
     /// Opens files of splats.
     pub fn open(mut paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
@@ -239,15 +252,18 @@ impl SplatSet {
         Ok(counts)
     }
 
-    /// Reads all files and returns the counts of all splats, and the bounds of all solid parts (m), or `None` without
-    /// any.
-    pub fn survey(&self, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(SplatCounts, Option<Bounds>)> {
+    /// Reads all files and measures the solid parts of all splats.
+    pub fn survey(&self, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<SplatSurvey> {
         let mut read = Read::NOTHING;
+        // Integers, because the order of splats must not change the sum.
+        let mut volume = 0u128;
         let counts = self.for_each_solid(options, monitor, &mut |ellipsoid| {
             let (min, max) = ellipsoid.bounds();
             read.merge(&Read { min, max, ..Read::NOTHING });
+            volume = volume.saturating_add((ellipsoid.volume() * VOLUME_STEPS) as u128);
         })?;
-        Ok((counts, (read.min[0] <= read.max[0]).then_some((read.min, read.max))))
+        let bounds = (read.min[0] <= read.max[0]).then_some((read.min, read.max));
+        Ok(SplatSurvey { counts, bounds, volume_m3: volume as f64 / VOLUME_STEPS })
     }
 }
 
