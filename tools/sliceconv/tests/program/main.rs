@@ -50,6 +50,7 @@ mod placing;
 mod resume;
 mod seen;
 mod shards;
+mod splat_rooms;
 mod splats;
 #[cfg(feature = "remote")]
 mod stores;
