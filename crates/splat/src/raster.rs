@@ -143,7 +143,9 @@ impl EllipsoidRaster {
         // A surface is at least as steep as any line in it.
         let rises = |v: &[f64; 3]| v[2] * v[2] > self.steep_squared * flat(v);
         let of_needle = || along.as_ref().filter(|along| rises(along)).map(|_| true);
-        let steep = normal.as_ref().map(|n| flat(n) > self.steep_squared * n[2] * n[2]).or_else(of_needle);
+        let by_shape = || normal.as_ref().map(|n| flat(n) > self.steep_squared * n[2] * n[2]).or_else(of_needle);
+        // Up to a limit of 90° nothing is an obstacle.
+        let steep = if self.steep_squared.is_finite() { by_shape() } else { Some(false) };
         let placed = GridEllipsoid {
             centre,
             reach,

@@ -158,6 +158,8 @@ fn what_is_no_disc_is_floor_where_discs_around_are_or_in_a_surface() {
     assert_eq!(obstacles(&floor().collect::<Vec<_>>()).0, 0);
     assert_eq!(obstacles(&floor().chain([ball(1.05, 1.05, 0.1)]).collect::<Vec<_>>()).0, 0);
     assert_eq!(obstacles(&[ball(0.05, 0.05, 0.15)]), (1, 1));
+    archive(folder.path(), "a.ply", &["--max-slope", "90"]);
+    assert_eq!(Archive::open(folder.path().join("out.slices")).unwrap().header().voxels.obstacle, 0);
     // On the side of something upright.
     let upright = disc(0.05, 0.05, 0.15, 90.0);
     let (alone, occupied) = obstacles(&[upright]);
