@@ -152,10 +152,10 @@ fn pixel_of_extent(
     let longer = along(0).max(along(1));
     if longer > 0.0 {
         let pixel_m = longer / AUTO_PIXELS;
-        let filled = |pixel_m: f64| survey.volume_m3 / (pixel_m * pixel_m * options.slice_m.unwrap_or(3.0 * pixel_m));
+        let filled = |pixel_m: f64| survey.volume_m3 / (pixel_m * pixel_m * options.grid.slice_m.unwrap_or(3.0 * pixel_m));
         let excess = filled(pixel_m) / AUTO_VOXELS.max(16.0 * survey.counts.read as f64);
         // Slices of a given height do not grow with the pixels.
-        let grows = |excess: f64| if options.slice_m.is_some() { excess.sqrt() } else { libm::cbrt(excess) };
+        let grows = |excess: f64| if options.grid.slice_m.is_some() { excess.sqrt() } else { libm::cbrt(excess) };
         Ok(round_to_digits(pixel_m * grows(excess.max(1.0)), 2))
     } else {
         Err(Error::parameter(
