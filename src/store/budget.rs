@@ -9,12 +9,14 @@ use std::sync::atomic::Ordering::Relaxed;
 pub(super) struct Budget {
     budget: usize,
     used: AtomicUsize,
+    /// Part of `used` that loaded pages take.
+    pages: AtomicUsize,
     peak: AtomicUsize,
 }
 
 impl Budget {
     pub fn new(budget: usize) -> Arc<Self> {
-        Arc::new(Self { budget, used: AtomicUsize::new(0), peak: AtomicUsize::new(0) })
+        Arc::new(Self { budget, used: 0.into(), pages: 0.into(), peak: 0.into() })
     }
 
     /// Reserves `bytes` if the budget allows.
@@ -23,7 +25,7 @@ impl Budget {
         let add = |used: usize| used.checked_add(bytes).filter(|&sum| sum <= self.budget);
         let before = self.used.fetch_update(Relaxed, Relaxed, add).ok()?;
         self.peak.fetch_max(before + bytes, Relaxed);
-        Some(Reservation { budget: self.clone(), bytes })
+        Some(Reservation { budget: self.clone(), bytes, is_page: false })
     }
 
     /// Reserves all that is left of the budget.
@@ -40,6 +42,11 @@ impl Budget {
         self.used.load(Relaxed)
     }
 
+    /// Returns the bytes of all loaded pages, those that only snapshots hold included.
+    pub fn pages(&self) -> usize {
+        self.pages.load(Relaxed)
+    }
+
     pub fn peak(&self) -> usize {
         self.peak.load(Relaxed)
     }
@@ -50,6 +57,7 @@ impl Budget {
 pub(super) struct Reservation {
     budget: Arc<Budget>,
     bytes: usize,
+    is_page: bool,
 }
 
 impl Reservation {
@@ -57,7 +65,15 @@ impl Reservation {
     pub fn split(&mut self, bytes: usize) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
-        Self { budget: self.budget.clone(), bytes }
+        Self { budget: self.budget.clone(), bytes, is_page: false }
+    }
+
+    /// Splits off the memory of a loaded page.
+    pub fn split_page(&mut self, bytes: usize) -> Self {
+        let mut page = self.split(bytes);
+        page.is_page = true;
+        self.budget.pages.fetch_add(page.bytes, Relaxed);
+        page
     }
 
     pub fn bytes(&self) -> usize {
@@ -68,6 +84,9 @@ impl Reservation {
 impl Drop for Reservation {
     fn drop(&mut self) {
         self.budget.used.fetch_sub(self.bytes, Relaxed);
+        if self.is_page {
+            self.budget.pages.fetch_sub(self.bytes, Relaxed);
+        }
     }
 }
 

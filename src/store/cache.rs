@@ -6,8 +6,7 @@
 
 use super::budget::{Budget, Reservation};
 use super::counters::Counters;
-use super::directory_loader::pause_after;
-use super::fetch::{PageError, Time};
+use super::fetch::{PageError, Retry, Time, Turn};
 use super::index::Index;
 use super::motion_hint::{MotionHint, distance};
 use super::publish::{Current, Retired};
@@ -32,14 +31,6 @@ struct Resident {
     pages: Vec<u32>,
     /// True once a body touched it.
     touched: bool,
-}
-
-#[derive(Debug)]
-struct Failure {
-    tries: u32,
-    again: Time,
-    /// Damaged bytes stay damaged: never try again.
-    lasting: bool,
 }
 
 /// Requested pages, most urgent first, with the time until they are needed (s).
@@ -84,23 +75,10 @@ impl Order {
 /// A run of pages for one read.
 #[derive(Debug)]
 pub(super) struct PageRun {
-    pub bytes: Range<u64>,
     /// Contents to decode, each with the page that shows it.
     pub contents: Vec<(u32, u32)>,
     pub needed_in: f32,
     room: Reservation,
-}
-
-/// Next action for an order.
-#[derive(Debug)]
-pub(super) enum Claim {
-    Run(PageRun),
-    /// Everything possible is done; pages that failed may be tried again later.
-    Done,
-    /// The rest is in flight.
-    Busy,
-    /// The rest does not fit in the budget; `true` if it may fit once snapshots are dropped.
-    NoRoom(bool),
 }
 
 /// An order, and the test for pages that it must leave in memory for others.
@@ -147,11 +125,10 @@ pub(super) struct Cache {
     slots: Arc<Slots>,
     retired: Retired<Slots>,
     resident: HashMap<u32, Resident>,
-    /// Bytes of the resident pages, and reservations of everything else: the table and runs in flight.
+    /// Bytes of the resident pages.
     weight: usize,
-    reserved: usize,
     in_flight: HashSet<u32>,
-    failed: HashMap<u32, Failure>,
+    failed: HashMap<u32, Retry>,
     /// Contents of a run that could not be read. They are read one at a time, since a single one may be the cause.
     alone: HashSet<u32>,
     /// Pages that the hints want, and the positions of the bodies, as of the last plan.
@@ -170,7 +147,6 @@ impl Cache {
         Self {
             snapshots,
             budget,
-            reserved: table.bytes(),
             _table: table,
             slots,
             retired: Retired::default(),
@@ -211,9 +187,9 @@ impl Cache {
         stays: &dyn Fn(u32) -> bool,
         now: Time,
         counters: &mut Counters,
-    ) -> Claim {
+    ) -> Turn<(Range<u64>, PageRun)> {
         let (mut attached, mut busy, mut cursor) = (Vec::new(), false, order.done);
-        let mut claim = Claim::Done;
+        let mut claim = Turn::Idle;
         while let Some(&(time, page)) = order.pages.get(cursor) {
             cursor += 1;
             let content = self.snapshots.index.content(page);
@@ -227,12 +203,12 @@ impl Cache {
             } else if order.explicit || self.may_try(content, now) {
                 match self.claim_run((order, stays), time, page, now, counters) {
                     // A uniform page needs no bytes and is in memory already.
-                    Claim::Done => continue,
+                    Turn::Idle => continue,
                     other => claim = other,
                 }
                 break;
-            } else if let Some(failure) = self.failed.get(&content).filter(|failure| !failure.lasting) {
-                order.again = Some(order.again.map_or(failure.again, |least| least.min(failure.again)));
+            } else if let Some(again) = self.failed.get(&content).and_then(Retry::at) {
+                order.again = Some(order.again.map_or(again, |least| least.min(again)));
             }
             if !busy {
                 order.done = cursor;
@@ -242,13 +218,20 @@ impl Cache {
             self.publish(attached);
         }
         match claim {
-            Claim::Done if busy => Claim::Busy,
+            Turn::Idle if busy => Turn::Busy,
             claim => claim,
         }
     }
 
-    /// Claims `page` and wanted pages near it in the file; returns [`Claim::Done`] if it needed no bytes.
-    fn claim_run(&mut self, wants: Wants, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
+    /// Claims `page` and wanted pages near it in the file; returns [`Turn::Idle`] if it needed no bytes.
+    fn claim_run(
+        &mut self,
+        wants: Wants,
+        time: f32,
+        page: u32,
+        now: Time,
+        counters: &mut Counters,
+    ) -> Turn<(Range<u64>, PageRun)> {
         let order = wants.0;
         let content = self.snapshots.index.content(page);
         let (mut bytes, mut contents) = self.run_around(order, content, now);
@@ -261,22 +244,21 @@ impl Cache {
         }
         let Some(room) = room else {
             counters.no_room += 1;
-            return Claim::NoRoom(self.retired.len() > 0);
+            return Turn::NoRoom(self.retired.len() > 0);
         };
-        self.reserved += room.bytes();
         self.in_flight.extend(contents.iter().map(|(content, _)| *content));
         if !order.explicit {
             let late = contents.iter().filter(|(_, page)| order.times.get(page).is_some_and(|time| *time <= 0.0));
             counters.late += late.count() as u64;
         }
-        let run = PageRun { bytes, contents, needed_in: time, room };
-        if run.bytes.is_empty() {
+        let run = PageRun { contents, needed_in: time, room };
+        if bytes.is_empty() {
             let page = PageDecoder::new().decode(self.snapshots.index.entry(content), &[]);
             // A uniform page is fully described by the directory, so decoding cannot fail.
             self.settle(run, vec![page], counters);
-            return Claim::Done;
+            return Turn::Idle;
         }
-        Claim::Run(run)
+        Turn::Fetch((bytes, run))
     }
 
     /// Returns the byte range of a page; empty if the page is uniform.
@@ -341,8 +323,8 @@ impl Cache {
         }
         let (used, budget) = (self.budget.used(), self.budget.budget());
         // Pages held by snapshots alone are released without further eviction.
-        let held_by_snapshots = used.saturating_sub(self.weight + self.reserved);
-        let need = (used - held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
+        let held_by_snapshots = self.budget.pages().saturating_sub(self.weight);
+        let need = used.saturating_sub(held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
         let mut victims = match self.victims.take() {
             Some(victims) if !wants.0.explicit => victims,
             _ => self.victims(wants),
@@ -366,6 +348,22 @@ impl Cache {
             self.victims = Some(victims);
         }
         room.flatten()
+    }
+
+    /// Reserves `bytes` for other uses than pages, if necessary by evicting pages that no body needs now and for which
+    /// `stays` returns false; `None` while snapshots hold the memory.
+    pub fn set_aside(
+        &mut self,
+        bytes: usize,
+        stays: &dyn Fn(u32) -> bool,
+        counters: &mut Counters,
+    ) -> Option<Reservation> {
+        self.retired.reclaim();
+        if self.retired.len() > 0 {
+            return self.budget.take(bytes);
+        }
+        self.victims = None;
+        self.make_room((&Order::default(), stays), 0.0, bytes, counters)
     }
 
     /// Returns all pages in memory that are not needed now, the next one to evict last.
@@ -418,7 +416,6 @@ impl Cache {
         counters: &mut Counters,
     ) -> (usize, Vec<(u32, PageError)>) {
         let PageRun { contents, mut room, .. } = run;
-        self.reserved -= room.bytes();
         let (mut changes, mut failures) = (Vec::new(), Vec::new());
         for ((content, page), decoded) in contents.into_iter().zip(pages) {
             self.in_flight.remove(&content);
@@ -432,7 +429,7 @@ impl Cache {
             };
             self.failed.remove(&content);
             // Equals the directory's size of the page, which the decoder checked (rule P11).
-            let room = room.split(decoded.weight_bytes());
+            let room = room.split_page(decoded.weight_bytes());
             self.weight += room.bytes();
             let held = Arc::new(Held { page: decoded, room: Some(room) });
             let touched = self.times.get(&page).is_some_and(|time| *time <= 0.0);
@@ -450,7 +447,6 @@ impl Cache {
 
     /// Gives up a run that was not read, and its reservation.
     pub fn release(&mut self, run: PageRun) {
-        self.reserved -= run.room.bytes();
         for (content, _) in &run.contents {
             self.in_flight.remove(content);
         }
@@ -464,13 +460,11 @@ impl Cache {
 
     /// Records that a page could not be loaded.
     pub fn note_failure(&mut self, content: u32, error: &Error, now: Time) {
-        let tries = self.failed.get(&content).map_or(0, |failure| failure.tries);
-        let lasting = !matches!(error, Error::Io { .. });
-        self.failed.insert(content, Failure { tries: tries + 1, again: now + pause_after(tries), lasting });
+        self.failed.entry(content).or_default().failed(error, now);
     }
 
     fn may_try(&self, content: u32, now: Time) -> bool {
-        self.failed.get(&content).is_none_or(|failure| !failure.lasting && failure.again <= now)
+        self.failed.get(&content).is_none_or(|failure| failure.is_due(now))
     }
 
     /// Returns whether `order` wants a page that is neither in memory nor in flight and may be tried now.

@@ -1,8 +1,8 @@
 //! Requests: pages for which a caller waits, and their outcomes.
 
-use super::cache::{Claim, Order};
-use super::fetch::Time;
-use super::loader::{Loader, Turn};
+use super::cache::Order;
+use super::fetch::{Time, Turn};
+use super::loader::{Loader, page_runs};
 use crate::Result;
 use crate::frame::PageKey;
 use std::time::Duration;
@@ -75,11 +75,11 @@ impl Loader {
         self.requests.iter().any(|(other, request)| request.lacks_room && id.is_none_or(|id| *other < id))
     }
 
-    /// Returns the next step of a request.
+    /// Returns the next step of a request, which is idle once it has an outcome.
     pub(super) fn request_turn(&mut self, id: RequestId, now: Time) -> Turn {
         let now = self.at(now);
-        if let Some(outcome) = self.ended.remove(&id) {
-            return Turn::Ended(outcome);
+        if self.ended.get(&id).is_some() {
+            return Turn::Idle;
         }
         if self.gives_way(Some(id)) {
             return Turn::NoRoom(false);
@@ -87,33 +87,34 @@ impl Loader {
         let (Some(cache), Some(mut request)) = (&mut self.cache, self.requests.remove(&id)) else { return Turn::Busy };
         let stays = |page| self.requests.iter().any(|(other, earlier)| *other < id && earlier.order.wants(page));
         let mut claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
-        if matches!(claim, Claim::Done) && cache.absent(&request.order) > 0 {
+        if matches!(claim, Turn::Idle) && cache.absent(&request.order) > 0 {
             // An earlier request evicted pages that were in memory.
             request.order.restart();
             claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
         }
-        request.lacks_room = matches!(claim, Claim::NoRoom(_));
+        request.lacks_room = matches!(claim, Turn::NoRoom(_));
         // Runs in flight release memory, and so do earlier requests when they finish.
-        let comes = !self.flights.is_empty() || self.requests.iter().any(|(other, _)| *other < id);
+        let comes = page_runs(&self.flights).next().is_some() || self.requests.iter().any(|(other, _)| *other < id);
         let turn = match claim {
-            Claim::Run(run) => Turn::Fetch(self.launch(run)),
-            Claim::Busy => Turn::Busy,
-            Claim::NoRoom(_) if comes => Turn::NoRoom(false),
-            Claim::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
+            Turn::NoRoom(_) if comes => Turn::NoRoom(false),
+            Turn::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
                 self.requests.insert(id, request);
                 return Turn::NoRoom(true);
             }
-            Claim::Done | Claim::NoRoom(_) => {
+            Turn::Idle | Turn::NoRoom(_) => {
                 let left_out = cache.absent(&request.order);
                 self.stale = true;
-                return Turn::Ended(Ok(LoadReport {
+                let report = LoadReport {
                     loaded: request.absent.saturating_sub(left_out),
                     already: request.order.pages.len() - request.absent,
                     evicted: (self.counters.evicted - request.evicted) as usize,
                     left_out,
                     needed_bytes: cache.needed_bytes(&request.order),
-                }));
+                };
+                self.ended.insert(id, Ok(report));
+                return Turn::Idle;
             }
+            claim => self.launched(claim),
         };
         request.waits_since = None;
         self.requests.insert(id, request);
