@@ -9,14 +9,12 @@ use std::sync::atomic::Ordering::Relaxed;
 pub(super) struct Budget {
     budget: usize,
     used: AtomicUsize,
-    /// Part of `used` that loaded pages take.
-    pages: AtomicUsize,
     peak: AtomicUsize,
 }
 
 impl Budget {
     pub fn new(budget: usize) -> Arc<Self> {
-        Arc::new(Self { budget, used: 0.into(), pages: 0.into(), peak: 0.into() })
+        Arc::new(Self { budget, used: AtomicUsize::new(0), peak: AtomicUsize::new(0) })
     }
 
     /// Reserves `bytes` if the budget allows.
@@ -25,7 +23,7 @@ impl Budget {
         let add = |used: usize| used.checked_add(bytes).filter(|&sum| sum <= self.budget);
         let before = self.used.fetch_update(Relaxed, Relaxed, add).ok()?;
         self.peak.fetch_max(before + bytes, Relaxed);
-        Some(Reservation { budget: self.clone(), bytes, is_page: false })
+        Some(Reservation { budget: self.clone(), bytes })
     }
 
     /// Reserves all that is left of the budget.
@@ -42,22 +40,16 @@ impl Budget {
         self.used.load(Relaxed)
     }
 
-    /// Returns the bytes of all loaded pages, those that only snapshots hold included.
-    pub fn pages(&self) -> usize {
-        self.pages.load(Relaxed)
-    }
-
     pub fn peak(&self) -> usize {
         self.peak.load(Relaxed)
     }
 }
 
-/// Reservation of bytes in an [`Budget`], released when dropped.
+/// Reservation of bytes in a [`Budget`], released when dropped.
 #[derive(Debug)]
 pub(super) struct Reservation {
     budget: Arc<Budget>,
     bytes: usize,
-    is_page: bool,
 }
 
 impl Reservation {
@@ -65,15 +57,12 @@ impl Reservation {
     pub fn split(&mut self, bytes: usize) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
-        Self { budget: self.budget.clone(), bytes, is_page: false }
+        Self { budget: self.budget.clone(), bytes }
     }
 
-    /// Splits off the memory of a loaded page.
-    pub fn split_page(&mut self, bytes: usize) -> Self {
-        let mut page = self.split(bytes);
-        page.is_page = true;
-        self.budget.pages.fetch_add(page.bytes, Relaxed);
-        page
+    /// Adds another reservation of the same budget.
+    pub fn join(&mut self, mut other: Self) {
+        self.bytes += std::mem::take(&mut other.bytes);
     }
 
     pub fn bytes(&self) -> usize {
@@ -84,9 +73,6 @@ impl Reservation {
 impl Drop for Reservation {
     fn drop(&mut self) {
         self.budget.used.fetch_sub(self.bytes, Relaxed);
-        if self.is_page {
-            self.budget.pages.fetch_sub(self.bytes, Relaxed);
-        }
     }
 }
 
@@ -103,8 +89,9 @@ mod tests {
         let part = first.split(20);
         assert_eq!((first.bytes(), part.bytes(), budget.used()), (40, 20, 60));
         drop(first);
-        let second = budget.take(80).unwrap();
-        assert_eq!(budget.used(), 100);
+        let mut second = budget.take(70).unwrap();
+        second.join(budget.take(10).unwrap());
+        assert_eq!((second.bytes(), budget.used()), (80, 100));
         drop((part, second));
         assert_eq!((budget.used(), budget.peak(), budget.budget()), (0, 100, 100));
     }

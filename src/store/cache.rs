@@ -11,13 +11,13 @@ use super::index::Index;
 use super::motion_hint::{MotionHint, distance};
 use super::publish::{Current, Retired};
 use super::snapshot::{Edited, Held, Slots, Snapshot};
-use crate::archive::{PageDecoder, PageEntry, Storage};
+use crate::archive::{PageDecoder, PageEntry, Storage, joined};
 use crate::frame::PageKey;
 use crate::page::Page;
 use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 /// Most unwanted bytes that a run may read between two wanted pages.
 const GAP: u64 = 16 << 10;
@@ -127,10 +127,11 @@ pub(super) struct Cache {
     resident: HashMap<u32, Resident>,
     /// Bytes of the resident pages.
     weight: usize,
+    /// Evicted pages that snapshots may still hold, and their bytes.
+    evicted: Vec<(Weak<Held>, usize)>,
     in_flight: HashSet<u32>,
+    /// Contents that could not be loaded. They are read one at a time, since a single one of a run may be the cause.
     failed: HashMap<u32, Retry>,
-    /// Contents of a run that could not be read. They are read one at a time, since a single one may be the cause.
-    alone: HashSet<u32>,
     /// Pages that the hints want, and the positions of the bodies, as of the last plan.
     times: HashMap<u32, f32>,
     focus: Vec<PageKey>,
@@ -152,9 +153,9 @@ impl Cache {
             retired: Retired::default(),
             resident: HashMap::new(),
             weight: 0,
+            evicted: Vec::new(),
             in_flight: HashSet::new(),
             failed: HashMap::new(),
-            alone: HashSet::new(),
             times: HashMap::new(),
             focus: Vec::new(),
             victims: None,
@@ -201,7 +202,7 @@ impl Cache {
             } else if self.in_flight.contains(&content) {
                 busy = true;
             } else if order.explicit || self.may_try(content, now) {
-                match self.claim_run((order, stays), time, page, now, counters) {
+                match self.claim_run((order, stays), time, page, counters) {
                     // A uniform page needs no bytes and is in memory already.
                     Turn::Idle => continue,
                     other => claim = other,
@@ -229,17 +230,16 @@ impl Cache {
         wants: Wants,
         time: f32,
         page: u32,
-        now: Time,
         counters: &mut Counters,
     ) -> Turn<(Range<u64>, PageRun)> {
         let order = wants.0;
         let content = self.snapshots.index.content(page);
-        let (mut bytes, mut contents) = self.run_around(order, content, now);
+        let (mut bytes, mut contents) = self.run_around(order, content);
         contents[0].1 = page;
         let mut room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
         if room.is_none() && contents.len() > 1 {
             contents.truncate(1);
-            bytes = self.extent(content);
+            bytes = self.index().entry(content).bytes();
             room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
         }
         let Some(room) = room else {
@@ -261,12 +261,6 @@ impl Cache {
         Turn::Fetch((bytes, run))
     }
 
-    /// Returns the byte range of a page; empty if the page is uniform.
-    fn extent(&self, content: u32) -> Range<u64> {
-        let extent = self.snapshots.index.entry(content).extent();
-        extent.map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
-    }
-
     /// Returns the memory for a run: its bytes, its pages, and the scratch memory of decoding them in turn.
     fn need(&self, bytes: &Range<u64>, contents: &[(u32, u32)]) -> usize {
         let entries = || contents.iter().map(|&(content, _)| self.snapshots.index.entry(content));
@@ -282,27 +276,25 @@ impl Cache {
         let contents: HashSet<u32> = order.pages.iter().map(|&(_, page)| self.snapshots.index.content(page)).collect();
         let weight = |content: &u32| self.snapshots.index.entry(*content).weight_bytes();
         let pages: usize = contents.iter().map(weight).sum();
-        let read = |content: &u32| self.need(&self.extent(*content), &[(*content, *content)]) - weight(content);
+        let read =
+            |content: &u32| self.need(&self.index().entry(*content).bytes(), &[(*content, *content)]) - weight(content);
         self._table.bytes() + pages + contents.iter().map(read).max().unwrap_or(0)
     }
 
     /// Returns the byte range around `content` that covers wanted neighbours, and the contents to decode from it.
-    fn run_around(&self, order: &Order, content: u32, now: Time) -> (Range<u64>, Vec<(u32, u32)>) {
+    fn run_around(&self, order: &Order, content: u32) -> (Range<u64>, Vec<(u32, u32)>) {
         let index = &self.snapshots.index;
-        let (mut contents, mut bytes) = (vec![(content, content)], self.extent(content));
-        if bytes.is_empty() || self.alone.contains(&content) {
+        let (mut contents, mut bytes) = (vec![(content, content)], index.entry(content).bytes());
+        if bytes.is_empty() || self.failed.contains_key(&content) {
             return (bytes, contents);
         }
         let mut extend = |page: u32| {
-            let Storage::Stored(extent) = index.entry(page).storage else { return true };
-            let (start, end) = (extent.offset, extent.offset + u64::from(extent.len));
-            let gap = start.saturating_sub(bytes.end).max(bytes.start.saturating_sub(end));
-            let whole = bytes.start.min(start)..bytes.end.max(end);
-            if gap > GAP || whole.end - whole.start > self.longest_run {
-                return false;
+            if !matches!(index.entry(page).storage, Storage::Stored(_)) {
+                return true;
             }
+            let Some(whole) = joined(&bytes, &index.entry(page).bytes(), GAP, self.longest_run) else { return false };
             let absent = !self.resident.contains_key(&page) && !self.in_flight.contains(&page);
-            if absent && order.wants(page) && !self.alone.contains(&page) && self.may_try(page, now) {
+            if absent && order.wants(page) && !self.failed.contains_key(&page) {
                 bytes = whole;
                 contents.push((page, page));
             }
@@ -323,8 +315,12 @@ impl Cache {
         }
         let (used, budget) = (self.budget.used(), self.budget.budget());
         // Pages held by snapshots alone are released without further eviction.
-        let held_by_snapshots = self.budget.pages().saturating_sub(self.weight);
+        self.evicted.retain(|(held, _)| held.strong_count() > 0);
+        let held_by_snapshots: usize = self.evicted.iter().map(|(_, bytes)| bytes).sum();
         let need = used.saturating_sub(held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
+        if need == 0 {
+            return None;
+        }
         let mut victims = match self.victims.take() {
             Some(victims) if !wants.0.explicit => victims,
             _ => self.victims(wants),
@@ -351,18 +347,13 @@ impl Cache {
     }
 
     /// Reserves `bytes` for other uses than pages, if necessary by evicting pages that no body needs now and for which
-    /// `stays` returns false; `None` while snapshots hold the memory.
+    /// `stays` returns false.
     pub fn set_aside(
         &mut self,
         bytes: usize,
         stays: &dyn Fn(u32) -> bool,
         counters: &mut Counters,
     ) -> Option<Reservation> {
-        self.retired.reclaim();
-        if self.retired.len() > 0 {
-            return self.budget.take(bytes);
-        }
-        self.victims = None;
         self.make_room((&Order::default(), stays), 0.0, bytes, counters)
     }
 
@@ -391,7 +382,9 @@ impl Cache {
         let mut changes = Vec::new();
         for content in contents {
             let Some(resident) = self.resident.remove(&content) else { continue };
-            self.weight -= resident.held.reserved_bytes();
+            let bytes = resident.held.reserved_bytes();
+            self.weight -= bytes;
+            self.evicted.push((Arc::downgrade(&resident.held), bytes));
             counters.evicted += 1;
             counters.wasted += u64::from(!resident.touched);
             changes.extend(resident.pages.into_iter().map(|page| (page, None)));
@@ -419,7 +412,6 @@ impl Cache {
         let (mut changes, mut failures) = (Vec::new(), Vec::new());
         for ((content, page), decoded) in contents.into_iter().zip(pages) {
             self.in_flight.remove(&content);
-            self.alone.remove(&content);
             let decoded = match decoded {
                 Ok(decoded) => decoded,
                 Err(error) => {
@@ -429,7 +421,7 @@ impl Cache {
             };
             self.failed.remove(&content);
             // Equals the directory's size of the page, which the decoder checked (rule P11).
-            let room = room.split_page(decoded.weight_bytes());
+            let room = room.split(decoded.weight_bytes());
             self.weight += room.bytes();
             let held = Arc::new(Held { page: decoded, room: Some(room) });
             let touched = self.times.get(&page).is_some_and(|time| *time <= 0.0);
@@ -454,7 +446,9 @@ impl Cache {
 
     /// Gives up a run of several pages that could not be read; they will be read one at a time.
     pub fn divide(&mut self, run: PageRun) {
-        self.alone.extend(run.contents.iter().map(|(content, _)| *content));
+        for (content, _) in &run.contents {
+            self.failed.entry(*content).or_default();
+        }
         self.release(run);
     }
 

@@ -1,18 +1,23 @@
 //! Colours that a loader brings: the pages that want some, the bytes to fetch next, and colours to be taken.
 //!
-//! In: pages by urgency, fetched bytes. Out: runs of colours to fetch and decode. Memory: bytes in flight, the colour
-//! leaves in use, the scratch memory of decoding and colours not taken yet, in a share of the loader's budget that is
-//! set aside when colours are first wanted, or in what is left of the budget.
+//! A page stays wanted until its colours have come; a fetch that fails or is given up changes nothing. So that none is
+//! fetched twice, the loader has one fetch of colours out at a time, and begins the next one when all that came is
+//! taken.
+//!
+//! Memory: one reservation of the loader's budget covers the leaves in use and either a fetch with what it decodes to,
+//! or the colours to be taken. It begins with a share of the budget and grows if a single page needs more.
 
 use super::budget::{Budget, Reservation};
+use super::cache::Snapshots;
 use super::fetch::{Retry, Time};
 use super::id_map::IdMap;
 use super::index::Index;
 use super::snapshot::Snapshot;
-use crate::archive::{Catalog, ColourEntry, ColourTable};
+use crate::archive::{Catalog, ColourEntry, ColourTable, joined};
 use crate::frame::PageKey;
 use crate::page::{Colours, Page};
 use crate::{Error, Result};
+use std::collections::{HashSet, VecDeque};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,13 +27,15 @@ use std::time::Duration;
 const RUN_PAGES: usize = 16;
 const RUN_BYTES: u64 = 64 << 10;
 const GAP_BYTES: u64 = 2 << 10;
+/// Most pages considered for a fetch.
+const NEAR: usize = 1 << 10;
 /// Most bytes of an entry of a colour leaf before compression.
 const RAW_ENTRY: usize = 16;
-/// Memory of colours per page and per voxel, and of decoding them, with the result (bytes).
+/// Memory of colours per page and per voxel, and what decoding takes besides (bytes).
 const PAGE_BYTES: usize = 48 << 10;
 const VOXEL_BYTES: usize = 4;
-const PAGE_SCRATCH: usize = 64 << 10;
-const VOXEL_SCRATCH: usize = 16;
+const PAGE_SCRATCH: usize = 16 << 10;
+const VOXEL_SCRATCH: usize = 12;
 /// Share of the budget for colours; its least size (bytes), provided that is at most a quarter of the budget; and the
 /// size that suffices for a page in which every voxel is occupied.
 const SHARE: usize = 8;
@@ -41,235 +48,191 @@ const ROOM_AGAIN: Duration = Duration::from_millis(100);
 pub(super) struct ColourQueue {
     /// Catalog of the archive; for an overview level, with its colours located once their table is read.
     catalog: Arc<Catalog>,
-    index: Arc<Index>,
-    budget: Arc<Budget>,
-    /// Memory set aside for colours, in use or not.
-    share: Option<(Arc<Budget>, Reservation)>,
     table: Option<ColourTable>,
-    leaves: IdMap<usize, Leaf>,
-    /// Numbers of the wanted pages, the most urgent one last.
-    wanted: Vec<u32>,
-    /// Whether what is in flight is still wanted.
-    wants_flight: bool,
+    /// Entries of leaves in use; none if the leaf is damaged.
+    leaves: IdMap<usize, Vec<ColourEntry>>,
+    /// Wanted pages of the archive, the most urgent one last.
+    wanted: Vec<PageKey>,
+    /// Colours to be taken.
+    ready: VecDeque<(PageKey, Result<Colours>)>,
+    share: usize,
+    room: Reservation,
     lacks_room: bool,
     retry: Retry,
-    /// Colours to be taken, and their memory.
-    ready: Vec<(PageKey, Result<Colours>)>,
-    ready_room: Option<Reservation>,
-}
-
-#[derive(Debug)]
-struct Leaf {
-    /// Empty if the leaf is damaged.
-    entries: Vec<ColourEntry>,
-    _room: Reservation,
 }
 
 /// Bytes of colours for one fetch.
 #[derive(Debug)]
 pub(super) struct ColourRun {
-    part: Part,
     /// The most urgent page.
-    page: u32,
-    room: Reservation,
+    key: PageKey,
+    /// Blocks of pages; `None` for the table or leaf that comes next on the way to that of `key`.
+    pub blocks: Option<Blocks>,
 }
 
-#[derive(Debug)]
-enum Part {
-    /// Table that locates the colours of a level.
-    Levels,
-    Table,
-    Leaf(usize),
-    Blocks(Vec<(u32, ColourEntry)>),
-}
-
-/// Returns whether the archive has colours for the pages of a loader. Inferred voxels have no colours but are counted,
-/// so colours cannot be matched to pages without them.
-pub(super) fn has_colours(catalog: &Catalog) -> bool {
-    !catalog.ignores_inferred() && (catalog.colours_section().is_some() || catalog.level_colours_range().is_some())
-}
+type Blocks = Vec<(PageKey, ColourEntry)>;
 
 impl ColourQueue {
-    /// Creates the queue of an archive that [has colours](has_colours).
-    pub fn new(catalog: Arc<Catalog>, index: Arc<Index>, budget: Arc<Budget>) -> Self {
-        Self {
-            catalog,
-            index,
-            budget,
-            share: None,
+    /// Creates the queue of an archive; `None` if it has no colours for the pages of its loader. Inferred voxels have no
+    /// colours but are counted, so colours cannot be matched to pages without them.
+    pub fn new(catalog: &Arc<Catalog>, budget: &Arc<Budget>) -> Option<Self> {
+        if catalog.ignores_inferred() || catalog.colours_section().or(catalog.level_colours_range()).is_none() {
+            return None;
+        }
+        let whole = budget.budget();
+        Some(Self {
+            catalog: catalog.clone(),
             table: None,
             leaves: IdMap::new(),
             wanted: Vec::new(),
-            wants_flight: false,
+            ready: VecDeque::new(),
+            share: (whole / SHARE).max(LEAST_SHARE.min(whole / 4)).min(FULL_SHARE),
+            room: budget.take(0)?,
             lacks_room: false,
             retry: Retry::default(),
-            ready: Vec::new(),
-            ready_room: None,
-        }
+        })
     }
 
-    /// Replaces the wanted pages, most urgent first.
-    pub fn want(&mut self, keys: &[PageKey], flight: Option<&ColourRun>) {
-        self.wanted = keys.iter().rev().filter_map(|key| self.index.find(*key)).collect();
-        self.wants_flight = !self.wanted.is_empty();
-        if let Some(Part::Blocks(blocks)) = flight.map(|run| &run.part) {
-            let count = self.wanted.len();
-            self.wanted.retain(|page| !blocks.iter().any(|(other, _)| other == page));
-            self.wants_flight = self.wanted.len() < count;
-        }
+    /// Replaces the wanted pages, most urgent first. Pages whose colours are to be taken are no longer wanted.
+    pub fn want(&mut self, keys: &[PageKey], index: &Index) {
+        let has_come = |key: &PageKey| self.ready.iter().any(|(other, made)| other == key && made.is_ok());
+        let mut seen = HashSet::new();
+        let is_new = |key: &PageKey| index.find(*key).is_some_and(|page| seen.insert(page));
+        self.wanted = keys.iter().copied().filter(is_new).filter(|key| !has_come(key)).collect();
+        self.wanted.reverse();
     }
 
-    pub fn wants_flight(&self) -> bool {
-        self.wants_flight
-    }
-
-    /// Returns the size of the share while pages are wanted and it is not set aside yet (bytes).
-    pub fn share_to_set_aside(&self) -> Option<usize> {
-        let budget = self.budget.budget();
-        let share = (budget / SHARE).max(LEAST_SHARE.min(budget / 4)).min(FULL_SHARE);
-        (self.share.is_none() && !self.wanted.is_empty()).then_some(share)
-    }
-
-    pub fn set_aside(&mut self, room: Reservation) {
-        self.share = Some((Budget::new(room.bytes()), room));
-    }
-
-    #[cfg(test)]
-    pub fn share_rest(&self) -> Option<Reservation> {
-        self.share.as_ref().map(|(own, _)| own.take_rest())
+    /// Returns whether a run brings something that is wanted.
+    pub fn wants(&self, run: &ColourRun) -> bool {
+        run.blocks
+            .as_ref()
+            .map_or(!self.wanted.is_empty(), |blocks| blocks.iter().any(|(key, _)| self.wanted.contains(key)))
     }
 
     /// Returns when to ask again if only time must pass.
     pub fn again(&self, now: Time) -> Option<Time> {
         let room = self.lacks_room.then(|| now + ROOM_AGAIN);
-        self.retry.at().or(room).filter(|again| *again > now && !self.wanted.is_empty())
+        let times = [self.retry.at(), room].into_iter().flatten();
+        times.filter(|again| *again > now && !self.wanted.is_empty()).min()
     }
 
-    pub fn is_ready(&self) -> bool {
-        !self.ready.is_empty()
+    pub fn take(&mut self) -> Option<(PageKey, Result<Colours>)> {
+        self.ready.pop_front()
     }
 
-    pub fn take(&mut self) -> Vec<(PageKey, Result<Colours>)> {
-        self.ready_room = None;
-        std::mem::take(&mut self.ready)
-    }
-
-    /// Returns the bytes to fetch now for pages of `view`; `None` while there are colours to be taken or no room, and if
-    /// no page needs bytes. Pages that are not in memory get no colours.
-    pub fn claim(&mut self, view: &Snapshot, now: Time) -> Option<(Range<u64>, ColourRun)> {
+    /// Returns the bytes to fetch now; `None` while there are colours to be taken or no room, and if no page needs bytes.
+    /// Pages that are not in memory get no colours. The caller ensures that no run is out.
+    pub fn claim(
+        &mut self,
+        snapshots: &Snapshots,
+        now: Time,
+        make_room: &mut dyn FnMut(usize) -> Option<Reservation>,
+    ) -> Option<(Range<u64>, ColourRun)> {
         self.lacks_room = false;
-        if !self.ready.is_empty() || !self.retry.is_due(now) {
-            return None;
-        }
-        loop {
-            let page = *self.wanted.last()?;
-            if let Some(range) = self.catalog.level_colours_range() {
+        while self.ready.is_empty() && self.retry.is_due(now) {
+            let key = *self.wanted.last()?;
+            let leaf = self.catalog.leaf_of(key)?;
+            let of_level = self.catalog.level_colours_range();
+            let (blocks, range, bytes) = if of_level.is_some() || self.table.is_none() {
+                let range = of_level.or_else(|| self.catalog.colour_table_range())?;
                 let bytes = 2 * (range.end - range.start) as usize;
-                return self.reserve(range, Part::Levels, page, bytes);
-            }
-            if self.table.is_none() {
-                let range = self.catalog.colour_table_range()?;
-                let bytes = 2 * (range.end - range.start) as usize;
-                return self.reserve(range, Part::Table, page, bytes);
-            }
-            let number = self.catalog.leaf_of(self.index.key(page))?;
-            let Some(leaf) = self.leaves.get(&number) else {
-                let range = self.table.as_ref()?.leaf_range(number);
-                let entries = self.catalog.leaf_entries(number) as usize;
+                (None, range, bytes)
+            } else if let Some(entries) = self.leaves.get(&leaf) {
+                let Some((blocks, range, bytes)) = self.blocks(entries, leaf, snapshots) else {
+                    self.wanted.pop();
+                    continue;
+                };
+                (Some(blocks), range, bytes)
+            } else {
+                let range = self.table.as_ref()?.leaf_range(leaf);
+                let entries = self.catalog.leaf_entries(leaf) as usize;
                 let bytes = (range.end - range.start) as usize + entries * (RAW_ENTRY + size_of::<ColourEntry>());
-                return self.reserve(range, Part::Leaf(number), page, bytes);
+                (None, range, bytes)
             };
-            let first: u32 = (0..number).map(|before| self.catalog.leaf_entries(before)).sum();
-            let (blocks, bytes) = self.blocks(&leaf.entries, first, page, view);
-            let Some((_, entry)) = blocks.first() else {
-                self.wanted.pop();
-                continue;
-            };
-            let range = entry.offset..blocks.last().map_or(entry.offset, |(_, last)| last.range().end);
-            let (range, run) = self.reserve(range, Part::Blocks(blocks), page, bytes)?;
-            let blocks = self.blocks_of(&run).unwrap_or_default();
-            self.wanted.retain(|page| !blocks.iter().any(|(key, _)| *key == self.index.key(*page)));
+            if !self.reserve(bytes, make_room) {
+                self.lacks_room = true;
+                return None;
+            }
+            let run = ColourRun { key, blocks };
             if !range.is_empty() {
                 return Some((range, run));
             }
             // Pages without a colour need no bytes.
-            self.loaded(run, decode_blocks(view, blocks, range.start, &[]));
-            return None;
+            let blocks = run.blocks.as_deref().unwrap_or_default();
+            self.loaded(&run, decode_blocks(&snapshots.newest(), blocks, range.start, &[]));
         }
+        None
     }
 
-    /// Reserves the memory of a fetch in the share or else in the whole budget. Drops the leaves if necessary: they are
-    /// few and can be fetched again.
-    fn reserve(&mut self, range: Range<u64>, part: Part, page: u32, bytes: usize) -> Option<(Range<u64>, ColourRun)> {
-        let (own, whole) = (self.share.as_ref().map(|(own, _)| own.clone()), self.budget.clone());
-        let take = || own.as_ref().and_then(|own| own.take(bytes)).or_else(|| whole.take(bytes));
-        let room = take().or_else(|| {
+    /// Makes the reservation cover `bytes` for a run. Drops the leaves if necessary: they are few and can be fetched
+    /// again.
+    fn reserve(&mut self, bytes: usize, make_room: &mut dyn FnMut(usize) -> Option<Reservation>) -> bool {
+        if self.leaf_bytes() + bytes > self.room.bytes() {
             self.leaves = IdMap::new();
-            take()
-        });
-        (self.lacks_room, self.wants_flight) = (room.is_none(), true);
-        room.map(|room| (range, ColourRun { part, page, room }))
+        }
+        let lacks = |bytes: usize| bytes.saturating_sub(self.room.bytes());
+        if lacks(bytes) > 0 {
+            let Some(more) = make_room(lacks(bytes.max(self.share))).or_else(|| make_room(lacks(bytes))) else {
+                return false;
+            };
+            self.room.join(more);
+        }
+        true
     }
 
-    /// Returns `page` and wanted pages whose blocks lie close to its block, in order, and the memory to bring them.
-    /// `entries` begin with page `first`. Empty if the leaf is damaged or the page is not in memory.
+    fn leaf_bytes(&self) -> usize {
+        self.leaves.values().map(|entries| entries.capacity() * size_of::<ColourEntry>()).sum()
+    }
+
+    /// Returns the blocks of the most urgent page and of wanted pages close to it, their bytes, and the memory to bring
+    /// them. `entries` are those of its leaf. `None` if the page is not in memory or the leaf is damaged.
     fn blocks(
         &self,
         entries: &[ColourEntry],
-        first: u32,
-        page: u32,
-        view: &Snapshot,
-    ) -> (Vec<(u32, ColourEntry)>, usize) {
-        let entry = |page: u32| Some((page, *entries.get(page.checked_sub(first)? as usize)?));
-        let voxels = |page: u32| Some(loaded(view, self.index.key(page))?.voxel_counts().0 as usize);
-        let (Some(middle), Some(count)) = (entry(page), voxels(page)) else { return (Vec::new(), 0) };
-        let mut near: Vec<_> =
-            self.wanted.iter().filter_map(|&other| entry(other)).filter(|one| one.0 != page).collect();
-        near.sort_unstable_by_key(|other| other.0);
-        let (below, above) = near.split_at(near.partition_point(|other| other.0 < page));
-        let room = self.share.as_ref().map_or(0, |(own, _)| own.budget() - own.used());
-        let (mut run, mut range) = (vec![middle], middle.1.range());
-        // Colours of all pages, and the memory of decoding those of most voxels.
-        let need = |count: usize| PAGE_BYTES + VOXEL_BYTES * count;
-        let decoding = |count: usize| PAGE_SCRATCH + VOXEL_SCRATCH * count - need(count);
-        let (mut colours, mut most) = (need(count), count);
-        let mut extend = |other: &(u32, ColourEntry)| {
-            let (own, Some(count)) = (other.1.range(), voxels(other.0)) else { return true };
-            let gap = own.start.saturating_sub(range.end).max(range.start.saturating_sub(own.end));
-            let whole = range.start.min(own.start)..range.end.max(own.end);
-            let bytes = (whole.end - whole.start) as usize + colours + need(count) + decoding(most.max(count));
-            let fits =
-                gap <= GAP_BYTES && whole.end - whole.start <= RUN_BYTES && bytes <= room && run.len() < RUN_PAGES;
-            if fits {
-                (range, colours, most) = (whole, colours + need(count), most.max(count));
-                run.push(*other);
-            }
-            fits
+        leaf: usize,
+        snapshots: &Snapshots,
+    ) -> Option<(Blocks, Range<u64>, usize)> {
+        let first: u32 = (0..leaf).map(|before| self.catalog.leaf_entries(before)).sum();
+        let view = snapshots.newest();
+        let block = |key: &PageKey| {
+            let entry = entries.get(snapshots.index.find(*key)?.checked_sub(first)? as usize)?;
+            Some((*key, *entry, loaded(&view, *key)?.voxel_counts().0 as usize))
         };
-        let _ = above.iter().all(&mut extend);
-        let _ = below.iter().rev().all(&mut extend);
-        run.sort_unstable_by_key(|other| other.0);
-        (run, (range.end - range.start) as usize + colours + decoding(most))
-    }
-
-    /// Returns the blocks that a run brings; `None` if it brings a table or leaf.
-    pub fn blocks_of(&self, run: &ColourRun) -> Option<Vec<(PageKey, ColourEntry)>> {
-        let Part::Blocks(blocks) = &run.part else { return None };
-        Some(blocks.iter().map(|(page, entry)| (self.index.key(*page), *entry)).collect())
+        let middle = block(self.wanted.last()?)?;
+        let mut near: Vec<_> = self.wanted.iter().rev().skip(1).take(NEAR).filter_map(block).collect();
+        near.sort_by_key(|other| other.1.offset.abs_diff(middle.1.offset));
+        let free = self.room.bytes().saturating_sub(self.leaf_bytes());
+        let (mut run, mut range, mut colours, mut most, mut bytes) = (Vec::new(), middle.1.range(), 0, 0, 0);
+        for (key, entry, voxels) in std::iter::once(middle).chain(near) {
+            let Some(whole) =
+                joined(&range, &entry.range(), GAP_BYTES, RUN_BYTES).or(run.is_empty().then(|| range.clone()))
+            else {
+                continue;
+            };
+            // Colours of all pages, and the memory of decoding those of most voxels.
+            let (all, largest) = (colours + PAGE_BYTES + VOXEL_BYTES * voxels, most.max(voxels));
+            let need = (whole.end - whole.start) as usize + all + PAGE_SCRATCH + VOXEL_SCRATCH * largest;
+            if run.is_empty() || need <= free && run.len() < RUN_PAGES {
+                (range, colours, most, bytes) = (whole, all, largest, need);
+                run.push((key, entry));
+            }
+        }
+        Some((run, range, bytes))
     }
 
     /// Takes the bytes of a table or leaf. Colours that damaged bytes describe are never loaded.
-    pub fn arrived(&mut self, mut run: ColourRun, bytes: &[u8], now: Time) {
+    pub fn arrived(&mut self, run: &ColourRun, bytes: &[u8], now: Time) {
         self.retry = Retry::default();
-        let taken = match (&run.part, &self.table) {
-            (Part::Levels, _) => self.catalog.with_level_colours(bytes).map(|catalog| self.catalog = Arc::new(catalog)),
-            (Part::Leaf(number), Some(table)) => {
-                let entries = self.catalog.decode_colour_leaf(table, *number, bytes).unwrap_or_else(|error| {
-                    self.ready.push((self.index.key(run.page), Err(error)));
+        let taken = match (&self.table, self.catalog.leaf_of(run.key)) {
+            _ if self.catalog.level_colours_range().is_some() => {
+                self.catalog.with_level_colours(bytes).map(|catalog| self.catalog = Arc::new(catalog))
+            }
+            (Some(table), Some(leaf)) => {
+                let entries = self.catalog.decode_colour_leaf(table, leaf, bytes).unwrap_or_else(|error| {
+                    self.ready.push_back((run.key, Err(error)));
                     Vec::new()
                 });
-                let room = run.room.split(entries.capacity() * size_of::<ColourEntry>());
-                self.leaves.insert(*number, Leaf { entries, _room: room });
+                self.leaves.insert(leaf, entries);
                 Ok(())
             }
             _ => self.catalog.decode_colour_table(bytes).map(|table| self.table = Some(table)),
@@ -279,28 +242,17 @@ impl ColourQueue {
         }
     }
 
-    /// Takes decoded colours.
-    pub fn loaded(&mut self, mut run: ColourRun, made: Vec<(PageKey, Result<Colours>)>) {
+    /// Takes the decoded colours of a run. Its pages that left memory meanwhile get none.
+    pub fn loaded(&mut self, run: &ColourRun, made: Vec<(PageKey, Result<Colours>)>) {
         self.retry = Retry::default();
-        let weight = |colours: &Colours| PAGE_BYTES + VOXEL_BYTES * colours.values().len();
-        let bytes = made.iter().filter_map(|(_, colours)| colours.as_ref().ok()).map(weight).sum();
-        self.ready_room = Some(run.room.split(bytes));
+        self.wanted.retain(|key| !run.blocks.iter().flatten().any(|(other, _)| other == key));
         self.ready.extend(made);
     }
 
     /// Notes that a run failed, and reports it with the most urgent page.
-    pub fn failed(&mut self, run: ColourRun, error: Error, now: Time) {
+    pub fn failed(&mut self, run: &ColourRun, error: Error, now: Time) {
         self.retry.failed(&error, now);
-        self.ready.push((self.index.key(run.page), Err(error)));
-        self.cancel(run);
-    }
-
-    /// Gives up a run; its pages stay wanted.
-    pub fn cancel(&mut self, run: ColourRun) {
-        if let Part::Blocks(blocks) = run.part {
-            let others = blocks.into_iter().map(|(page, _)| page).filter(|page| *page != run.page);
-            self.wanted.extend(others.chain([run.page]));
-        }
+        self.ready.push_back((run.key, Err(error)));
     }
 }
 
@@ -308,16 +260,16 @@ impl ColourQueue {
 /// error of its page alone.
 pub(super) fn decode_blocks(
     view: &Snapshot,
-    blocks: Vec<(PageKey, ColourEntry)>,
+    blocks: &[(PageKey, ColourEntry)],
     start: u64,
     bytes: &[u8],
 ) -> Vec<(PageKey, Result<Colours>)> {
-    let decode = |(key, entry): (PageKey, ColourEntry)| {
+    let decode = |(key, entry): &(PageKey, ColourEntry)| {
         let from = (entry.offset - start) as usize;
         let own = bytes.get(from..from + entry.len as usize).unwrap_or(&[]);
-        Some((key, entry.decode(key, loaded(view, key)?, own)))
+        Some((*key, entry.decode(*key, loaded(view, *key)?, own)))
     };
-    blocks.into_iter().filter_map(decode).collect()
+    blocks.iter().filter_map(decode).collect()
 }
 
 fn loaded(view: &Snapshot, key: PageKey) -> Option<&Page> {
@@ -325,7 +277,7 @@ fn loaded(view: &Snapshot, key: PageKey) -> Option<&Page> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::{
         Fetch, Loader, LoaderOptions, MotionHint, Next, Payload, Prefetch, Step, Stream, StreamOptions,
     };
@@ -338,7 +290,7 @@ mod tests {
     use crate::plan::Plan;
 
     /// 12 × 3 pages of rough ground; every fourth has no colours.
-    fn archive(levels: bool) -> Vec<u8> {
+    pub fn archive(levels: bool) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("a.slices");
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
@@ -370,7 +322,7 @@ mod tests {
         std::fs::read(&target).unwrap()
     }
 
-    fn keys(archive: &Archive) -> Vec<PageKey> {
+    pub fn keys(archive: &Archive) -> Vec<PageKey> {
         archive.entries().map(|entry| entry.unwrap().key).collect()
     }
 
@@ -404,6 +356,14 @@ mod tests {
             Next::Wait(_) => None,
             other => panic!("{other:?}"),
         }
+    }
+
+    fn taken(loader: &mut Loader) -> Vec<(PageKey, Result<Colours>)> {
+        std::iter::from_fn(|| loader.take_colours()).collect()
+    }
+
+    fn taken_of(stream: &Stream) -> Vec<(PageKey, Result<Colours>)> {
+        std::iter::from_fn(|| stream.take_colours()).collect()
     }
 
     fn give(loader: &mut Loader, bytes: &[u8], fetch: &Fetch) {
@@ -441,7 +401,7 @@ mod tests {
                     let again = asked(&mut loader, now).unwrap();
                     assert_eq!(again.range, fetch.range);
                     loader.failed(again.id, Error::io("link", "read", std::io::ErrorKind::TimedOut.into()), now);
-                    let failed = loader.take_colours();
+                    let failed = taken(&mut loader);
                     assert!(matches!(failed[..], [(key, Err(Error::Io { .. }))] if key == wanted[0]), "{failed:?}");
                     let Next::Wait(Some(at)) = loader.poll(now).unwrap() else { panic!("no retry") };
                     now = at;
@@ -452,7 +412,7 @@ mod tests {
                 }
                 give(&mut loader, &bytes, &fetch);
             }
-            let taken = loader.take_colours();
+            let taken = taken(&mut loader);
             assert!(taken.len() <= RUN_PAGES);
             if fetch.is_none() && taken.is_empty() {
                 break;
@@ -487,7 +447,7 @@ mod tests {
                 assert_eq!(fetched == 0, fetch.range == table, "the table comes first");
                 fetched += 1;
                 give(&mut loader, &damaged, &fetch);
-                for (key, colours) in loader.take_colours() {
+                for (key, colours) in taken(&mut loader) {
                     let expected = reader.colours_of(key, loaded(&view, key).unwrap()).unwrap();
                     assert!(expected.count() > 0);
                     match colours {
@@ -523,11 +483,11 @@ mod tests {
         let body = loader.body();
         let (low, high) = ([0.1, 0.1, 0.1].into(), [38.0, 9.5, 1.0].into());
         loader.hint(body, &MotionHint::walking(low, high, nalgebra::Vector3::zeros()));
-        let taken = loader.fill_the_budget();
+        let rest = loader.budget().take_rest();
         loader.want_colours(&all);
         assert_eq!(asked(&mut loader, Time::ZERO), None);
         assert!(matches!(loader.poll(Time::ZERO).unwrap(), Next::Wait(Some(_))), "it looks for room again");
-        drop(taken);
+        drop(rest);
         assert!(asked(&mut loader, Time::ZERO).is_some());
         let mut loader = whole(&bytes, 64 << 20);
         // Every bit of the table, of the leaf and of a block.
@@ -536,14 +496,15 @@ mod tests {
         for byte in section.clone().step_by(((section.end - section.start) / 60) as usize).chain([section.end - 1]) {
             let mut damaged = bytes.clone();
             damaged[byte as usize] ^= 0x10;
-            loader.colours = None;
+            let (catalog, budget) = (catalog.catalog().clone().into(), loader.budget().clone());
+            loader.colours = ColourQueue::new(&catalog, &budget).map(Box::new);
             loader.want_colours(&all);
             let mut errors = Vec::new();
             for _ in 0..200 {
                 if let Some(fetch) = asked(&mut loader, Time::ZERO) {
                     give(&mut loader, &damaged, &fetch);
                 }
-                errors.extend(loader.take_colours().into_iter().filter_map(|(_, colours)| colours.err()));
+                errors.extend(taken(&mut loader).into_iter().filter_map(|(_, colours)| colours.err()));
             }
             assert_eq!(errors.len(), 1, "byte {byte}");
             assert!(matches!(&errors[0], Error::Format { rule, .. } if rule.starts_with('K')), "{}", errors[0]);
@@ -580,6 +541,20 @@ mod tests {
     }
 
     #[test]
+    fn a_retry_that_has_passed_does_not_hide_that_room_is_looked_for_again() {
+        let bytes = archive(false);
+        let mut loader = whole(&bytes, 64 << 20);
+        loader.want_colours(&keys(&Archive::from_bytes(bytes).unwrap()));
+        let colours = loader.colours.as_mut().unwrap();
+        let ms = Duration::from_millis;
+        assert_eq!(colours.again(ms(0)), None);
+        colours.retry.failed(&Error::io("link", "read", std::io::ErrorKind::TimedOut.into()), ms(0));
+        assert_eq!((colours.again(ms(50)), colours.again(ms(150))), (Some(ms(100)), None));
+        colours.lacks_room = true;
+        assert_eq!(colours.again(ms(150)), Some(ms(250)));
+    }
+
+    #[test]
     fn without_a_wish_no_byte_of_colours_is_read() {
         let bytes = archive(true);
         let archive = Archive::from_bytes(bytes.clone()).unwrap();
@@ -587,7 +562,7 @@ mod tests {
         let mut damaged = bytes.clone();
         damaged[section.start as usize..section.end as usize].fill(0x55);
         let loader = whole_of(&archive, &damaged, 64 << 20);
-        assert!(loader.colours.is_none());
+        assert_eq!(loader.colours.as_ref().unwrap().room.bytes(), 0);
         assert!(keys(&archive).iter().all(|key| loader.snapshot().unwrap().is_loaded(*key) == Some(true)));
     }
 
@@ -612,7 +587,7 @@ mod tests {
                 while found < resident.len() {
                     assert!(start.elapsed().as_secs() < 60, "{budget}: {found} of {} pages", resident.len());
                     stream.step();
-                    found += stream.take_colours().into_iter().filter(|(_, colours)| colours.is_ok()).count();
+                    found += taken_of(&stream).into_iter().filter(|(_, colours)| colours.is_ok()).count();
                 }
                 assert!(stream.counters().peak_bytes <= budget);
             }
@@ -620,19 +595,13 @@ mod tests {
         // Without memory for a share there is nothing to do until the budget has room.
         let options = StreamOptions { prefetch: Prefetch::Manual, ..StreamOptions::new(64 << 20) };
         let stream = Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap();
-        stream.load(&all, all[0]).unwrap();
-        stream.want_colours(&all);
-        while stream.take_colours().is_empty() {
-            assert_eq!(stream.step(), Step::Coloured);
-        }
+        let mut pawn = stream.pawn();
+        let (low, high) = ([0.1, 0.1, 0.1].into(), [38.0, 9.5, 1.0].into());
+        pawn.hint(&MotionHint::walking(low, high, nalgebra::Vector3::zeros()));
+        while stream.step() != Step::Idle {}
         let taken = stream.fill_the_budget();
-        for _ in 0..100 {
-            stream.take_colours();
-            if stream.step() == Step::Idle {
-                break;
-            }
-        }
-        assert_eq!((stream.step(), stream.take_colours().len()), (Step::Idle, 0));
+        stream.want_colours(&all);
+        assert_eq!((stream.step(), stream.step(), taken_of(&stream).len()), (Step::Idle, Step::Idle, 0));
         drop(taken);
         assert_eq!(stream.step(), Step::Coloured);
     }
@@ -658,7 +627,7 @@ mod tests {
                     Step::Coloured => colour_steps += 1,
                     _ => std::thread::yield_now(),
                 }
-                let taken = stream.take_colours();
+                let taken = taken_of(&stream);
                 assert!(taken.len() <= 16);
                 for (key, colours) in taken {
                     let view = stream.snapshot();

@@ -128,7 +128,8 @@ impl Start {
         if !flights.is_empty() {
             return Ok(StartTurn::Wait(None));
         }
-        let entries: Vec<PageEntry> = std::mem::take(&mut self.entries).into_values().flatten().collect();
+        let entries: Vec<PageEntry> =
+            std::mem::replace(&mut self.entries, IdMap::new()).into_values().flatten().collect();
         let index = Index::new(catalog.header().plan.frame, entries, catalog.ignores_inferred());
         let (pages, bytes) = (index.len() as u64, index.weight_bytes());
         self.table = None;

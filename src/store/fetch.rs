@@ -180,16 +180,13 @@ impl Decode {
                 let mut decoder = PageDecoder::for_size(largest);
                 decoder.set_ignore_inferred(index.ignores_inferred());
                 let decode = |page: &u32| {
-                    let entry = index.entry(*page);
-                    let extent = entry.extent().map_or(0..0, |extent| {
-                        let from = (extent.offset - start) as usize;
-                        from..from + extent.len as usize
-                    });
-                    decoder.decode(entry, &self.bytes[extent])
+                    let (entry, own) = (index.entry(*page), index.entry(*page).bytes());
+                    let from = own.start.saturating_sub(start) as usize;
+                    decoder.decode(entry, &self.bytes[from..from + (own.end - own.start) as usize])
                 };
                 Made::Pages(pages.iter().map(decode).collect())
             }
-            Work::Colours(pages, start, blocks) => Made::Colours(decode_blocks(&pages, blocks, start, &self.bytes)),
+            Work::Colours(pages, start, blocks) => Made::Colours(decode_blocks(&pages, &blocks, start, &self.bytes)),
         };
         Decoded { id: self.id, made }
     }

@@ -58,12 +58,6 @@ impl<K: Ord + Copy, V> IdMap<K, V> {
     }
 }
 
-impl<K: Ord + Copy, V> Default for IdMap<K, V> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,7 +2,7 @@
 
 use super::budget::Budget;
 use super::cache::{Cache, Order, PageRun, Snapshots};
-use super::colour_queue::{ColourQueue, ColourRun, has_colours};
+use super::colour_queue::ColourQueue;
 use super::counters::Counters;
 use super::directory_loader::{Start, StartTurn};
 use super::fetch::{
@@ -11,7 +11,7 @@ use super::fetch::{
 use super::id_map::IdMap;
 use super::missing::Missing;
 use super::motion_hint::MotionHint;
-use super::request::{LoadReport, Request, RequestId};
+use super::request::{HINTS, LoadReport, Request, RequestId};
 use super::snapshot::Snapshot;
 use crate::archive::Catalog;
 use crate::frame::PageKey;
@@ -105,30 +105,7 @@ struct Tracked {
 /// }
 /// ```
 ///
-/// In a game loop, with an engine that fetches and decodes in the background:
-///
-/// ```
-/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Next, MotionHint, Snapshot, Time};
-/// # trait Engine { fn fetch(&mut self, fetch: Fetch); fn cancel(&mut self, id: FetchId); fn decode(&mut self, job: Decode);
-/// #     fn arrived(&mut self) -> Option<(FetchId, Vec<u8>)>; fn decoded(&mut self) -> Option<Decoded>; }
-/// fn frame(loader: &mut Loader, pawn: BodyId, motion_hint: &MotionHint, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
-///     while let Some((id, bytes)) = engine.arrived() {
-///         loader.given(id, bytes, now).map(|job| engine.decode(job));
-///     }
-///     while let Some(decoded) = engine.decoded() {
-///         loader.loaded(decoded, now);
-///     }
-///     loader.hint(pawn, motion_hint);
-///     loop {
-///         match loader.poll(now)? {
-///             Next::Fetch(fetch) => engine.fetch(fetch),
-///             Next::Cancel(id) => engine.cancel(id),
-///             Next::Report(_) => {}
-///             Next::Wait(_) => return Ok(()), // loader.snapshot() is this frame's
-///         }
-///     }
-/// }
-/// ```
+/// Game loops hand fetches and decoding to their engine, as `examples/async` does, and take the news each frame.
 ///
 /// Pass the result of every [`Decode`] to [`loaded`](Self::loaded); until then its pages count as in flight.
 ///
@@ -143,10 +120,9 @@ pub struct Loader {
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
     bodies: IdMap<BodyId, Tracked>,
-    /// Pages that the bodies want; `stale` if they, or the pages that may be evicted, have changed since.
-    hinted: Order,
+    /// True if the pages that the bodies want, or those that may be evicted, have changed since the last plan.
     pub(super) stale: bool,
-    again: Option<Time>,
+    /// Requests in order, and [`HINTS`] last.
     pub(super) requests: IdMap<RequestId, Request>,
     /// Requests made before the directory was loaded.
     pub(super) early: Vec<(RequestId, Vec<PageKey>, PageKey)>,
@@ -184,9 +160,7 @@ impl Loader {
             start: Some(Box::new(start)),
             cache: None,
             bodies: IdMap::new(),
-            hinted: Order::default(),
             stale: false,
-            again: None,
             requests: IdMap::new(),
             early: Vec::new(),
             ended: IdMap::new(),
@@ -204,6 +178,7 @@ impl Loader {
         self.catalog.as_deref()
     }
 
+    #[cfg(not(target_family = "wasm"))]
     pub(super) fn budget(&self) -> &Arc<Budget> {
         &self.budget
     }
@@ -279,49 +254,28 @@ impl Loader {
         if let Some(report) = self.reports.pop_front() {
             return Ok(Next::Report(report));
         }
-        if self.stale || self.again.is_some_and(|again| again <= now) {
-            self.replan();
-        }
-        let mut until: Option<Time> = None;
-        let mut wait = |time: Time| until = Some(until.map_or(time, |least| least.min(time)));
-        let (mut no_room, is_full) = (false, page_runs(&self.flights).count() >= self.options.fetches);
-        let turns = self.requests.ids().into_iter().map(Some).chain([None]);
-        for request in turns {
+        self.replan(now);
+        let (mut until, mut no_room) = (None, false);
+        let is_full = page_runs(&self.flights).count() >= self.options.fetches;
+        for id in self.requests.ids() {
             if is_full {
-                no_room |= self.is_absent(request, now);
+                no_room |= self.is_absent(id, now);
                 continue;
             }
-            let turn = match request {
-                Some(id) => self.request_turn(id, now),
-                None => self.turn(now),
-            };
-            match turn {
+            match self.request_turn(id, now) {
                 Turn::Fetch(fetch) => return Ok(Next::Fetch(fetch)),
                 Turn::Idle | Turn::Busy => {}
                 Turn::NoRoom(snapshots) => {
                     no_room = true;
-                    if snapshots {
-                        wait(now + VIEWS_AGAIN);
-                    }
+                    until = until.or(snapshots.then_some(now + VIEWS_AGAIN));
                 }
             }
         }
-        // No order wants these pages any longer, and they take memory that wanted pages need.
-        let unwanted = if no_room { self.unwanted() } else { None };
-        if let Some(id) = unwanted.or_else(|| self.unwanted_colours()) {
-            match self.flights.remove(&id).map(|flight| flight.cargo) {
-                Some(Cargo::Pages(run)) => {
-                    if let Some(cache) = &mut self.cache {
-                        cache.release(run);
-                    }
-                    self.counters.cancelled += 1;
-                }
-                Some(Cargo::Colours(run)) => {
-                    if let Some(colours) = &mut self.colours {
-                        colours.cancel(run);
-                    }
-                }
-                _ => {}
+        if let Some(id) = self.unwanted(no_room) {
+            let run = self.flights.remove(&id).map(|flight| flight.cargo);
+            if let (Some(Cargo::Pages(run)), Some(cache)) = (run, &mut self.cache) {
+                cache.release(run);
+                self.counters.cancelled += 1;
             }
             return Ok(Next::Cancel(id));
         }
@@ -344,6 +298,8 @@ impl Loader {
             StartTurn::Ready(index, table) => {
                 let cache = Cache::new(index, table, self.budget.clone(), self.options.run_bytes);
                 (self.cache, self.start) = (Some(Box::new(cache)), None);
+                let colours = self.catalog.as_ref().and_then(|catalog| ColourQueue::new(catalog, &self.budget));
+                self.colours = colours.map(Box::new);
                 for (id, keys, around) in std::mem::take(&mut self.early) {
                     self.admit(id, &keys, around);
                 }
@@ -351,22 +307,6 @@ impl Loader {
                 Ok(None)
             }
         }
-    }
-
-    /// Returns the next step for the hints.
-    pub(super) fn turn(&mut self, now: Time) -> Turn {
-        let now = self.at(now);
-        if self.stale || self.again.is_some_and(|again| again <= now) {
-            self.replan();
-        }
-        if self.gives_way(None) {
-            return Turn::Busy;
-        }
-        let Some(cache) = &mut self.cache else { return Turn::Busy };
-        let stays = |page| self.requests.values().any(|request| request.order.wants(page));
-        let claim = cache.claim(&mut self.hinted, &stays, now, &mut self.counters);
-        self.again = self.hinted.again;
-        self.launched(claim)
     }
 
     /// Begins the fetch that an order has claimed.
@@ -385,38 +325,20 @@ impl Loader {
 
     /// Returns the next fetch for colours, one at a time. The caller ensures that no page could be fetched instead.
     pub(super) fn colour_turn(&mut self, now: Time) -> Option<Fetch> {
-        if self.colour_run().is_some() {
+        if self.flights.values().any(|flight| matches!(flight.cargo, Cargo::Colours(_))) {
             return None;
         }
         let (cache, colours) = (self.cache.as_mut()?, self.colours.as_mut()?);
-        if let Some(share) = colours.share_to_set_aside() {
-            let stays = |page| self.requests.values().any(|request| request.order.wants(page));
-            if let Some(room) = cache.set_aside(share, &stays, &mut self.counters) {
-                colours.set_aside(room);
-            }
-        }
-        let (range, run) = colours.claim(&cache.snapshots.newest(), now)?;
+        let stays = |page| self.requests.iter().any(|(id, request)| *id < HINTS && request.order.wants(page));
+        let snapshots = cache.snapshots.clone();
+        let mut make_room = |bytes| cache.set_aside(bytes, &stays, &mut self.counters);
+        let (range, run) = colours.claim(&snapshots, now, &mut make_room)?;
         Some(self.launch(range, Cargo::Colours(run)))
     }
 
-    /// Returns the run of colours in flight, with its fetch unless it is being decoded.
-    fn colour_run(&self) -> Option<(Option<FetchId>, &ColourRun)> {
-        self.flights.iter().find_map(|(id, flight)| match &flight.cargo {
-            Cargo::Colours(run) => Some((Some(*id).filter(|_| !flight.is_decoding), run)),
-            _ => None,
-        })
-    }
-
-    /// Returns the fetch of colours if it is no longer wanted, or a body waits for a page in flight.
-    fn unwanted_colours(&self) -> Option<FetchId> {
-        let is_wanted = self.colours.as_ref().is_some_and(|colours| colours.wants_flight());
-        let waits = || page_runs(&self.flights).any(|(_, _, run)| run.needed_in <= 0.0);
-        self.colour_run().filter(|_| !is_wanted || waits())?.0
-    }
-
-    /// Returns whether the archive has colours for its pages; false until its head is loaded.
+    /// Returns whether the archive has colours for its pages; false until its directory is loaded.
     pub fn has_colours(&self) -> bool {
-        self.catalog().is_some_and(has_colours)
+        self.colours.is_some()
     }
 
     /// Sets the pages that should get colours, most urgent first, and replaces the previous ones; pages that are not in
@@ -426,33 +348,22 @@ impl Loader {
     /// Colours are fetched when no page is in flight or could be fetched. A fetch of colours is given up if none of its
     /// pages is wanted any longer, or a body waits for a page.
     pub fn want_colours(&mut self, keys: &[PageKey]) {
-        if let (None, Some(catalog), Some(cache)) = (&self.colours, &self.catalog, &self.cache)
-            && has_colours(catalog)
-        {
-            let queue = ColourQueue::new(catalog.clone(), cache.index().clone(), self.budget.clone());
-            self.colours = Some(Box::new(queue));
-        }
-        if let Some(mut colours) = self.colours.take() {
-            colours.want(keys, self.colour_run().map(|(_, run)| run));
-            self.colours = Some(colours);
+        if let (Some(colours), Some(cache)) = (&mut self.colours, &self.cache) {
+            colours.want(keys, cache.index());
         }
     }
 
-    /// Returns whether there are colours to [take](Self::take_colours).
-    pub(super) fn has_ready_colours(&self) -> bool {
-        self.colours.as_ref().is_some_and(|colours| colours.is_ready())
+    /// Returns the colours of one page that have come; the next ones are fetched once all are taken, at most 16. Taken
+    /// colours no longer count against the budget. Damaged colours are an error of their page, and so is a failure to
+    /// read colours, which is tried again; geometry stays intact.
+    pub fn take_colours(&mut self) -> Option<(PageKey, Result<Colours>)> {
+        self.colours.as_mut()?.take()
     }
 
-    /// Returns the colours loaded since the last call, at most 16; loading continues after they are taken. They then no
-    /// longer count against the budget. Damaged colours are an error of their page, and so is a failure to read colours,
-    /// which is tried again; geometry stays intact.
-    pub fn take_colours(&mut self) -> Vec<(PageKey, Result<Colours>)> {
-        self.colours.as_mut().map_or(Vec::new(), |colours| colours.take())
-    }
-
-    /// Updates the pages that all hints want.
-    fn replan(&mut self) {
-        let Some(cache) = &mut self.cache else { return };
+    /// Updates the pages that all hints want, if they changed or some may be tried again.
+    pub(super) fn replan(&mut self, now: Time) {
+        let is_due = self.hints_again().is_some_and(|again| again <= now);
+        let Some(cache) = self.cache.as_mut().filter(|_| self.stale || is_due) else { return };
         let horizon =
             (self.latency * LATENCIES_AHEAD).max(self.options.horizon_min).min(self.options.horizon_max).as_secs_f64();
         let index = cache.index();
@@ -467,9 +378,15 @@ impl Loader {
         }
         focus.sort_unstable();
         focus.dedup();
-        self.hinted = Order::hinted(times, focus);
-        cache.replan(&self.hinted, &mut self.counters);
-        (self.stale, self.again) = (false, None);
+        let hinted = Request::hinted(Order::hinted(times, focus));
+        cache.replan(&hinted.order, &mut self.counters);
+        self.requests.insert(HINTS, hinted);
+        self.stale = false;
+    }
+
+    /// Returns when pages that hints want and that could not be read may be tried again.
+    fn hints_again(&self) -> Option<Time> {
+        self.requests.get(&HINTS)?.order.again
     }
 
     fn launch(&mut self, range: Range<u64>, cargo: Cargo) -> Fetch {
@@ -483,20 +400,23 @@ impl Loader {
         Fetch { id, what, range, needed_in }
     }
 
-    /// Returns whether a request, or a hint, wants a page that is neither in memory nor in flight.
-    fn is_absent(&self, request: Option<RequestId>, now: Time) -> bool {
-        let order = match request {
-            Some(id) => self.requests.get(&id).map(|request| &request.order),
-            None => Some(&self.hinted),
-        };
-        order.zip(self.cache.as_ref()).is_some_and(|(order, cache)| cache.is_absent(order, now))
+    /// Returns whether a request wants a page that is neither in memory nor in flight.
+    fn is_absent(&self, id: RequestId, now: Time) -> bool {
+        let request = self.requests.get(&id).zip(self.cache.as_ref());
+        request.is_some_and(|(request, cache)| cache.is_absent(&request.order, now))
     }
 
-    /// Returns the first fetch in flight with no page that is still wanted.
-    fn unwanted(&self) -> Option<FetchId> {
-        let wants = |page| self.hinted.wants(page) || self.requests.values().any(|r| r.order.wants(page));
-        let unwanted = |run: &PageRun| !run.contents.iter().any(|(_, page)| wants(*page));
-        page_runs(&self.flights).find(|(_, flight, run)| !flight.is_decoding && unwanted(run)).map(|(id, ..)| id)
+    /// Returns the first fetch to give up: one of pages that no order wants any longer, if others lack room, or one of
+    /// colours that are no longer wanted or for which a body would wait.
+    fn unwanted(&self, no_room: bool) -> Option<FetchId> {
+        let wants = |page| self.requests.values().any(|request| request.order.wants(page));
+        let waits = page_runs(&self.flights).any(|(_, _, run)| run.needed_in <= 0.0);
+        let is_unwanted = |flight: &Flight| match &flight.cargo {
+            Cargo::Pages(run) => no_room && !run.contents.iter().any(|(_, page)| wants(*page)),
+            Cargo::Colours(run) => waits || !self.colours.as_ref().is_some_and(|colours| colours.wants(run)),
+            _ => false,
+        };
+        self.flights.iter().find(|(_, flight)| !flight.is_decoding && is_unwanted(flight)).map(|(id, _)| *id)
     }
 
     /// Takes the bytes of a fetch and returns the work of decoding them, if there is any. Bytes of a cancelled or
@@ -521,7 +441,7 @@ impl Loader {
             }
             Cargo::Colours(run) => {
                 let pages = self.cache.as_ref()?.snapshots.newest();
-                self.colours.as_ref()?.blocks_of(run).map(|blocks| Work::Colours(pages, range.start, blocks))
+                run.blocks.clone().map(|blocks| Work::Colours(pages, range.start, blocks))
             }
         };
         if let Some(work) = work {
@@ -530,7 +450,7 @@ impl Loader {
         }
         // The rest is decoded at once: it is short, and decides what is fetched next.
         match self.flights.remove(&id)?.cargo {
-            Cargo::Colours(run) => self.colours.as_mut()?.arrived(run, &bytes, now),
+            Cargo::Colours(run) => self.colours.as_mut()?.arrived(&run, &bytes, now),
             _ => self.start.as_mut()?.given(&range, &bytes, now),
         }
         None
@@ -547,7 +467,7 @@ impl Loader {
             Cargo::Leaves { leaves, .. } => leaves,
             Cargo::Colours(run) => {
                 if let Some(colours) = &mut self.colours {
-                    colours.failed(run, error, now);
+                    colours.failed(&run, error, now);
                 }
                 return;
             }
@@ -597,7 +517,7 @@ impl Loader {
             }
             (Some(Cargo::Colours(run)), Made::Colours(made)) => {
                 if let Some(colours) = &mut self.colours {
-                    colours.loaded(run, made);
+                    colours.loaded(&run, made);
                 }
             }
             _ => {}
@@ -614,7 +534,7 @@ impl Loader {
         let page = cache.index().find(error.key);
         let waits = |request: &Request| page.is_some_and(|page| request.order.wants(page));
         let request = self.requests.iter().find(|(_, request)| waits(request)).map(|(id, _)| *id);
-        if let Some(id) = request {
+        if let Some(id) = request.filter(|id| *id < HINTS) {
             self.requests.remove(&id);
             self.ended.insert(id, Err(error.error));
             return;
@@ -628,7 +548,7 @@ impl Loader {
     /// Returns when pages or colours that could not be read are tried again, or colours find room.
     pub(super) fn retry_at(&self) -> Option<Time> {
         let colours = self.colours.as_ref().and_then(|colours| colours.again(self.now));
-        [self.again, colours].into_iter().flatten().min()
+        [self.hints_again(), colours].into_iter().flatten().min()
     }
 
     /// Returns failures that were not polled yet.
@@ -656,15 +576,6 @@ pub(super) fn page_runs(
         Cargo::Pages(run) => Some((*id, flight, run)),
         _ => None,
     })
-}
-
-#[cfg(test)]
-impl Loader {
-    /// Reserves all memory, that for colours included.
-    pub(super) fn fill_the_budget(&self) -> Vec<super::budget::Reservation> {
-        let own = self.colours.as_ref().and_then(|colours| colours.share_rest());
-        own.into_iter().chain([self.budget.take_rest()]).collect()
-    }
 }
 
 impl std::fmt::Debug for Loader {

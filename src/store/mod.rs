@@ -31,6 +31,8 @@ mod snapshot;
 mod stream;
 mod sync;
 mod table;
+#[cfg(test)]
+mod tests;
 
 pub use cache::Snapshots;
 pub use counters::Counters;

@@ -14,6 +14,9 @@ const PATIENCE: Duration = Duration::from_millis(100);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RequestId(u64);
 
+/// The request that stands for all hints, after all others; it never ends.
+pub(super) const HINTS: RequestId = RequestId(u64::MAX);
+
 /// Outcome of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
@@ -30,7 +33,7 @@ pub struct LoadReport {
     pub needed_bytes: usize,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Request {
     pub order: Order,
     absent: usize,
@@ -39,6 +42,12 @@ pub(super) struct Request {
     lacks_room: bool,
     /// Since when it waits only for snapshots.
     waits_since: Option<Time>,
+}
+
+impl Request {
+    pub fn hinted(order: Order) -> Self {
+        Self { order, ..Self::default() }
+    }
 }
 
 impl Loader {
@@ -66,13 +75,8 @@ impl Loader {
         let Some(cache) = &self.cache else { return };
         let order = Order::explicit(cache.index(), keys, around);
         let (absent, evicted) = (cache.absent(&order), self.counters.evicted);
-        self.requests.insert(id, Request { order, absent, evicted, lacks_room: false, waits_since: None });
+        self.requests.insert(id, Request { order, absent, evicted, ..Request::default() });
         self.stale = true;
-    }
-
-    /// Returns whether a request before this one, or before the hints, lacks memory.
-    pub(super) fn gives_way(&self, id: Option<RequestId>) -> bool {
-        self.requests.iter().any(|(other, request)| request.lacks_room && id.is_none_or(|id| *other < id))
     }
 
     /// Returns the next step of a request, which is idle once it has an outcome.
@@ -81,12 +85,16 @@ impl Loader {
         if self.ended.get(&id).is_some() {
             return Turn::Idle;
         }
-        if self.gives_way(Some(id)) {
-            return Turn::NoRoom(false);
+        if self.requests.iter().any(|(other, request)| *other < id && request.lacks_room) {
+            return Turn::Busy;
         }
         let (Some(cache), Some(mut request)) = (&mut self.cache, self.requests.remove(&id)) else { return Turn::Busy };
         let stays = |page| self.requests.iter().any(|(other, earlier)| *other < id && earlier.order.wants(page));
         let mut claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
+        if id == HINTS {
+            self.requests.insert(id, request);
+            return self.launched(claim);
+        }
         if matches!(claim, Turn::Idle) && cache.absent(&request.order) > 0 {
             // An earlier request evicted pages that were in memory.
             request.order.restart();

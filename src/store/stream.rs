@@ -4,11 +4,10 @@ use super::cache::Snapshots;
 use super::counters::Counters;
 use super::edited::edited_columns;
 use super::fetch::{Fetch, Next, PageError, Payload, Time, Turn};
-use super::index::Index;
 use super::loader::{BodyId, Loader, LoaderOptions};
 use super::missing::Missing;
 use super::motion_hint::MotionHint;
-use super::request::LoadReport;
+use super::request::{HINTS, LoadReport};
 use super::snapshot::Snapshot;
 use super::sync::{
     Arc, AtomicBool, AtomicU64, Builder, Condvar, JoinHandle, Mutex, MutexGuard, Thread, park, park_timeout,
@@ -205,7 +204,27 @@ impl Stream {
     /// are counted as [`left_out`](LoadReport::left_out): the budget is too small, or snapshots hold it (drop your own
     /// first).
     pub fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
-        self.shared.load(keys, around)
+        let shared = &self.shared;
+        let mut loader = lock(&shared.loader);
+        let request = loader.request(keys, around);
+        loop {
+            match loader.request_turn(request, shared.now()) {
+                Turn::Idle => {
+                    let outcome = loader.outcome(request);
+                    return outcome.unwrap_or_else(|| Err(Error::parameter("request", "its outcome was taken")));
+                }
+                Turn::Fetch(fetch) => {
+                    drop(loader);
+                    shared.carry(fetch);
+                    loader = lock(&shared.loader);
+                }
+                turn => {
+                    // Another thread reads one of these pages, or snapshots hold the memory.
+                    let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
+                    loader = wait_at_most(&shared.settled, &shared.loader, loader, pause);
+                }
+            }
+        }
     }
 
     /// Runs [`load`](Self::load) for all pages that a query missed.
@@ -221,7 +240,7 @@ impl Stream {
             return Err(Error::parameter("motion_hint", "its numbers must be finite and in order"));
         }
         let keys = self.shared.snapshots.keys_around(motion_hint);
-        self.load(&keys, motion_hint.focus(self.shared.index().frame()))
+        self.load(&keys, motion_hint.focus(self.snapshot().frame()))
     }
 
     /// Returns the number of pages in memory that a body touches before it moves; 0 if the motion_hint is invalid.
@@ -276,13 +295,11 @@ impl Stream {
         self.wake();
     }
 
-    /// Returns the colours loaded since the last call; see [`Loader::take_colours`].
-    pub fn take_colours(&self) -> Vec<(PageKey, Result<Colours>)> {
-        let taken = lock(&self.shared.loader).take_colours();
-        if !taken.is_empty() {
-            self.wake();
-        }
-        taken
+    /// Returns the colours of one page that have come; see [`Loader::take_colours`].
+    pub fn take_colours(&self) -> Option<(PageKey, Result<Colours>)> {
+        let taken = lock(&self.shared.loader).take_colours()?;
+        self.wake();
+        Some(taken)
     }
 
     fn wake(&self) {
@@ -442,16 +459,15 @@ impl Shared {
             *known = Some(newest);
         }
         let now = self.now();
-        let (step, fetch) = match loader.turn(now) {
+        loader.replan(now);
+        let (step, fetch) = match loader.request_turn(HINTS, now) {
             Turn::Busy => return Step::Busy,
             Turn::Fetch(fetch) => (Step::Idle, Some(fetch)),
             Turn::Idle => (Step::Idle, None),
             Turn::NoRoom(held) => (Step::NoRoom(held), None),
         };
-        let had_colours = loader.has_ready_colours();
         // Colours come if no page can.
         let fetch = fetch.or_else(|| loader.colour_turn(now));
-        let has_made_colours = loader.has_ready_colours() && !had_colours;
         drop(loader);
         match fetch {
             Some(fetch) if fetch.what == Payload::Pages => Step::Loaded(self.carry(fetch)),
@@ -459,7 +475,6 @@ impl Shared {
                 self.carry(fetch);
                 Step::Coloured
             }
-            None if has_made_colours => Step::Coloured,
             None => step,
         }
     }
@@ -497,41 +512,6 @@ impl Shared {
         self.settled.notify_all();
         loaded
     }
-
-    fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
-        let mut loader = lock(&self.loader);
-        let request = loader.request(keys, around);
-        loop {
-            match loader.request_turn(request, self.now()) {
-                Turn::Idle => {
-                    let outcome = loader.outcome(request);
-                    return outcome.unwrap_or_else(|| Err(Error::parameter("request", "its outcome was taken")));
-                }
-                Turn::Fetch(fetch) => {
-                    drop(loader);
-                    self.carry(fetch);
-                    loader = lock(&self.loader);
-                }
-                turn => {
-                    // Another thread reads one of these pages, or snapshots hold the memory.
-                    let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
-                    loader = wait_at_most(&self.settled, &self.loader, loader, pause);
-                }
-            }
-        }
-    }
-
-    fn index(&self) -> &Index {
-        &self.snapshots.index
-    }
-}
-
-#[cfg(test)]
-impl Stream {
-    /// Reserves all memory, that for colours included.
-    pub(super) fn fill_the_budget(&self) -> Vec<super::budget::Reservation> {
-        lock(&self.shared.loader).fill_the_budget()
-    }
 }
 
 #[cfg(test)]
@@ -544,6 +524,13 @@ mod tests {
     use crate::query::{Aabb, Overlap, overlaps};
     use crate::walk::{Config, MoveInput, Walker};
     use nalgebra::Vector2;
+
+    impl Stream {
+        /// Reserves all memory that is left.
+        pub(in crate::store) fn fill_the_budget(&self) -> crate::store::budget::Reservation {
+            lock(&self.shared.loader).budget().take_rest()
+        }
+    }
 
     fn archive() -> Archive {
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
