@@ -9,7 +9,6 @@ use crate::scene::{Part, Scenes};
 use slicewalk::Error;
 use slicewalk::frame::PageKey;
 use slicewalk::store::Loader;
-use std::collections::VecDeque;
 
 /// Most pages whose colours are requested at a time; afterwards the camera may see others.
 const PAINTED: usize = 64;
@@ -19,7 +18,6 @@ pub(crate) struct Colours {
     is_on: bool,
     /// Set when something was drawn or painted since the loaders last received the pages.
     is_stale: bool,
-    ready: VecDeque<(Part, PageKey, slicewalk::Result<slicewalk::page::Colours>)>,
     /// Decoded colours, and the scenes still to be painted with them.
     came: Option<(Part, PageKey, slicewalk::page::Colours, Vec<u32>)>,
 }
@@ -81,13 +79,9 @@ impl Colours {
                 }
                 self.came = None;
             }
-            if self.ready.is_empty() {
-                let far = outline.as_mut().and_then(|outline| outline.loader()).map(Loader::take_colours);
-                let near = loader.take_colours().into_iter().map(|(key, colours)| (Part::Pages, key, colours));
-                let far = far.into_iter().flatten().map(|(key, colours)| (Part::Level, key, colours));
-                self.ready.extend(near.chain(far));
-            }
-            let (of, key, colours) = self.ready.pop_front()?;
+            let near = loader.take_colours().map(|came| (Part::Pages, came));
+            let far = || outline.as_deref_mut()?.loader()?.take_colours().map(|came| (Part::Level, came));
+            let (of, (key, colours)) = near.or_else(far)?;
             match colours {
                 Ok(colours) => self.came = Some((of, key, colours, scenes.0.iter().map(|(name, _)| *name).collect())),
                 Err(error) => {

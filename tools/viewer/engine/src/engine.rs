@@ -120,16 +120,16 @@ impl Engine {
         if !is_fetched && self.is_quiet() {
             self.colours.want(&mut self.loader, outline_of(&mut self.outline), &self.scenes);
         }
-        let mut until = self.ask(Part::Pages, now, &mut todo)?;
+        let (mut until, is_urgent) = self.ask(Part::Pages, now, &mut todo)?;
         self.ask_outline(&mut todo);
-        let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
+        let waits = is_urgent || self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
         if let Some(far) = outline_of(&mut self.outline).and_then(Outline::loader)
             && waits
         {
             self.colours.give_up(far);
         }
         if waits || self.is_quiet() {
-            let again = self.ask(Part::Level, now, &mut todo)?;
+            let (again, _) = self.ask(Part::Level, now, &mut todo)?;
             until = [until, again].into_iter().flatten().min();
         }
         let until = until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0);
@@ -149,16 +149,19 @@ impl Engine {
         }
     }
 
-    /// Starts and cancels fetches as a loader demands; returns when to ask it again.
-    fn ask(&mut self, part: Part, now: Time, todo: &mut Vec<f64>) -> Result<Option<Time>, String> {
+    /// Starts and cancels fetches as a loader demands; returns when to ask it again, and whether it began to fetch what
+    /// is needed at once.
+    fn ask(&mut self, part: Part, now: Time, todo: &mut Vec<f64>) -> Result<(Option<Time>, bool), String> {
+        let mut is_urgent = false;
         loop {
-            let Some(loader) = self.loader_of(part) else { return Ok(None) };
+            let Some(loader) = self.loader_of(part) else { return Ok((None, false)) };
             match loader.poll(now).map_err(|error| fault::text(&error))? {
                 Next::Fetch(fetch) => {
                     let action = match fetch.what {
                         Payload::Colours => ActionCode::FetchColours,
                         _ => ActionCode::Fetch,
                     };
+                    is_urgent |= fetch.needed_in.is_zero();
                     if fetch.needed_in > OUTLINE_BEFORE {
                         self.ask_outline(todo);
                     }
@@ -177,7 +180,7 @@ impl Engine {
                     let text = fault::text(&page.error);
                     self.reports.push_back(text);
                 }
-                Next::Wait(until) => return Ok(until),
+                Next::Wait(until) => return Ok((until, is_urgent)),
             }
         }
     }

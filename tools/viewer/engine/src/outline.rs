@@ -262,6 +262,7 @@ pub(crate) mod tests {
         let far = fetches.iter().position(|range| range[0] == table.start).expect("the table of levels");
         let section = archive.catalog().colours_section().unwrap();
         assert!(far > 1 && fetches[0][1] == section.end, "{fetches:?}");
+        assert_eq!(BTreeSet::from_iter(&fetches).len(), fetches.len(), "none twice: {fetches:?}");
         let end = fetches[far + 1..].iter().map(|range| range[1]).max().unwrap();
         assert!(fetches[..far].iter().all(|range| range[0] >= end), "{fetches:?}");
     }
