@@ -52,9 +52,9 @@ pub(super) struct ColourQueue {
     /// Entries of leaves in use; none if the leaf is damaged.
     leaves: IdMap<usize, Vec<ColourEntry>>,
     /// Wanted pages of the archive, the most urgent one last.
-    wanted: Vec<PageKey>,
+    pub(super) wanted: Vec<PageKey>,
     /// Colours to be taken.
-    ready: VecDeque<(PageKey, Result<Colours>)>,
+    pub(super) ready: VecDeque<(PageKey, Result<Colours>)>,
     share: usize,
     room: Reservation,
     lacks_room: bool,
