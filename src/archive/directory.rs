@@ -71,6 +71,11 @@ impl PageEntry {
         }
     }
 
+    /// Returns the byte range of the content; empty for a uniform page.
+    pub fn bytes(&self) -> Range<u64> {
+        self.extent().map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
+    }
+
     /// Returns the exact memory that the page takes once decoded (bytes). Decoding checks it.
     pub fn weight_bytes(&self) -> usize {
         self.size.weight_bytes(self.slices)

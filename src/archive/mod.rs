@@ -65,6 +65,7 @@ pub use opening::{Opened, Opening};
 pub use page_coding::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::{Archive, PageReader};
 pub use recover::{Recovered, recover};
+pub(crate) use runs::joined;
 pub use seen::SeenTable;
 pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};

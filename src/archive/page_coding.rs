@@ -271,7 +271,7 @@ impl PageDecoder {
     /// Decodes the page of `entry` from `bytes`, those of its [`extent`](PageEntry::extent); a uniform page needs none.
     /// [`Format`](crate::Error::Format) errors name the broken rule.
     pub fn decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page> {
-        let offset = entry.extent().map_or(0, |extent| extent.offset);
+        let offset = entry.bytes().start;
         self.check_and_decode(entry, bytes).map_err(|violation| violation.at(format!("page {}", entry.key), offset))
     }
 

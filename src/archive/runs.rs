@@ -32,7 +32,7 @@ impl Archive {
     /// order, and with [`Error::Interrupted`] if `monitor` cancels.
     pub(crate) fn pages(&self, entries: &[PageEntry], monitor: &dyn Monitor) -> Result<Vec<Page>> {
         let mut order: Vec<usize> = (0..entries.len()).collect();
-        order.sort_by_key(|&number| bytes_of(&entries[number]).start);
+        order.sort_by_key(|&number| entries[number].bytes().start);
         let runs = runs(entries, &order);
         let next = AtomicUsize::new(0);
         let read = |number: usize, decoder: &mut PageDecoder, bytes: &mut Vec<u8>| -> Result<Vec<(usize, Page)>> {
@@ -46,7 +46,7 @@ impl Archive {
                 self.source().read_at(run.bytes.start, bytes)?;
             }
             let page = |&number: &usize| {
-                let own = bytes_of(&entries[number]);
+                let own = entries[number].bytes();
                 let at = (own.start - run.bytes.start) as usize;
                 let page = decoder.decode(&entries[number], &bytes[at..at + (own.end - own.start) as usize])?;
                 monitor.advance(1);
@@ -97,22 +97,21 @@ impl Archive {
     }
 }
 
-/// Returns the bytes of a page; empty for a uniform one.
-fn bytes_of(entry: &PageEntry) -> Range<u64> {
-    entry.extent().map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
+/// Returns the range that covers both; `None` if more than `gap` bytes lie between them or it exceeds `longest`.
+pub(crate) fn joined(a: &Range<u64>, b: &Range<u64>, gap: u64, longest: u64) -> Option<Range<u64>> {
+    let between = b.start.saturating_sub(a.end).max(a.start.saturating_sub(b.end));
+    let whole = a.start.min(b.start)..a.end.max(b.end);
+    (between <= gap && whole.end - whole.start <= longest).then_some(whole)
 }
 
 /// Plans the reads for the pages of `entries`, which `order` sorts by their bytes.
 fn runs(entries: &[PageEntry], order: &[usize]) -> Vec<Run> {
     let mut runs: Vec<Run> = Vec::new();
     for (at, &number) in order.iter().enumerate() {
-        let own = bytes_of(&entries[number]);
-        let joins = |run: &&mut Run| {
-            let end = own.end.max(run.bytes.end);
-            own.start <= run.bytes.end && end - run.bytes.start <= LONGEST && run.pages.len() < MOST
-        };
-        match runs.last_mut().filter(joins) {
-            Some(run) => (run.bytes.end, run.pages.end) = (own.end.max(run.bytes.end), at + 1),
+        let own = entries[number].bytes();
+        let last = runs.last_mut().filter(|run| run.pages.len() < MOST);
+        match last.and_then(|run| Some((joined(&run.bytes, &own, 0, LONGEST)?, run))) {
+            Some((whole, run)) => (run.bytes, run.pages.end) = (whole, at + 1),
             None => runs.push(Run { bytes: own, pages: at..at + 1 }),
         }
     }

@@ -338,7 +338,7 @@ impl Pass<'_> {
     /// Reports a finding about the page of `entry`.
     fn page(&mut self, entry: &PageEntry, rule: &'static str, found: impl FnOnce() -> (String, String)) {
         self.report(rule, || {
-            let offset = entry.extent().map_or(0, |extent| extent.offset);
+            let offset = entry.bytes().start;
             let (expected, found) = found();
             Finding { rule, part: format!("page {}", entry.key), offset, expected, found }
         });

@@ -45,7 +45,7 @@ impl Budget {
     }
 }
 
-/// Reservation of bytes in an [`Budget`], released when dropped.
+/// Reservation of bytes in a [`Budget`], released when dropped.
 #[derive(Debug)]
 pub(super) struct Reservation {
     budget: Arc<Budget>,
@@ -58,6 +58,11 @@ impl Reservation {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
         Self { budget: self.budget.clone(), bytes }
+    }
+
+    /// Adds another reservation of the same budget.
+    pub fn join(&mut self, mut other: Self) {
+        self.bytes += std::mem::take(&mut other.bytes);
     }
 
     pub fn bytes(&self) -> usize {
@@ -84,8 +89,9 @@ mod tests {
         let part = first.split(20);
         assert_eq!((first.bytes(), part.bytes(), budget.used()), (40, 20, 60));
         drop(first);
-        let second = budget.take(80).unwrap();
-        assert_eq!(budget.used(), 100);
+        let mut second = budget.take(70).unwrap();
+        second.join(budget.take(10).unwrap());
+        assert_eq!((second.bytes(), budget.used()), (80, 100));
         drop((part, second));
         assert_eq!((budget.used(), budget.peak(), budget.budget()), (0, 100, 100));
     }

@@ -6,19 +6,18 @@
 
 use super::budget::{Budget, Reservation};
 use super::counters::Counters;
-use super::directory_loader::pause_after;
-use super::fetch::{PageError, Time};
+use super::fetch::{PageError, Retry, Time, Turn};
 use super::index::Index;
 use super::motion_hint::{MotionHint, distance};
 use super::publish::{Current, Retired};
 use super::snapshot::{Edited, Held, Slots, Snapshot};
-use crate::archive::{PageDecoder, PageEntry, Storage};
+use crate::archive::{PageDecoder, PageEntry, Storage, joined};
 use crate::frame::PageKey;
 use crate::page::Page;
 use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 /// Most unwanted bytes that a run may read between two wanted pages.
 const GAP: u64 = 16 << 10;
@@ -32,14 +31,6 @@ struct Resident {
     pages: Vec<u32>,
     /// True once a body touched it.
     touched: bool,
-}
-
-#[derive(Debug)]
-struct Failure {
-    tries: u32,
-    again: Time,
-    /// Damaged bytes stay damaged: never try again.
-    lasting: bool,
 }
 
 /// Requested pages, most urgent first, with the time until they are needed (s).
@@ -84,23 +75,10 @@ impl Order {
 /// A run of pages for one read.
 #[derive(Debug)]
 pub(super) struct PageRun {
-    pub bytes: Range<u64>,
     /// Contents to decode, each with the page that shows it.
     pub contents: Vec<(u32, u32)>,
     pub needed_in: f32,
     room: Reservation,
-}
-
-/// Next action for an order.
-#[derive(Debug)]
-pub(super) enum Claim {
-    Run(PageRun),
-    /// Everything possible is done; pages that failed may be tried again later.
-    Done,
-    /// The rest is in flight.
-    Busy,
-    /// The rest does not fit in the budget; `true` if it may fit once snapshots are dropped.
-    NoRoom(bool),
 }
 
 /// An order, and the test for pages that it must leave in memory for others.
@@ -147,13 +125,13 @@ pub(super) struct Cache {
     slots: Arc<Slots>,
     retired: Retired<Slots>,
     resident: HashMap<u32, Resident>,
-    /// Bytes of the resident pages, and reservations of everything else: the table and runs in flight.
+    /// Bytes of the resident pages.
     weight: usize,
-    reserved: usize,
+    /// Evicted pages that snapshots may still hold, and their bytes.
+    evicted: Vec<(Weak<Held>, usize)>,
     in_flight: HashSet<u32>,
-    failed: HashMap<u32, Failure>,
-    /// Contents of a run that could not be read. They are read one at a time, since a single one may be the cause.
-    alone: HashSet<u32>,
+    /// Contents that could not be loaded. They are read one at a time, since a single one of a run may be the cause.
+    failed: HashMap<u32, Retry>,
     /// Pages that the hints want, and the positions of the bodies, as of the last plan.
     times: HashMap<u32, f32>,
     focus: Vec<PageKey>,
@@ -170,15 +148,14 @@ impl Cache {
         Self {
             snapshots,
             budget,
-            reserved: table.bytes(),
             _table: table,
             slots,
             retired: Retired::default(),
             resident: HashMap::new(),
             weight: 0,
+            evicted: Vec::new(),
             in_flight: HashSet::new(),
             failed: HashMap::new(),
-            alone: HashSet::new(),
             times: HashMap::new(),
             focus: Vec::new(),
             victims: None,
@@ -211,9 +188,9 @@ impl Cache {
         stays: &dyn Fn(u32) -> bool,
         now: Time,
         counters: &mut Counters,
-    ) -> Claim {
+    ) -> Turn<(Range<u64>, PageRun)> {
         let (mut attached, mut busy, mut cursor) = (Vec::new(), false, order.done);
-        let mut claim = Claim::Done;
+        let mut claim = Turn::Idle;
         while let Some(&(time, page)) = order.pages.get(cursor) {
             cursor += 1;
             let content = self.snapshots.index.content(page);
@@ -225,14 +202,14 @@ impl Cache {
             } else if self.in_flight.contains(&content) {
                 busy = true;
             } else if order.explicit || self.may_try(content, now) {
-                match self.claim_run((order, stays), time, page, now, counters) {
+                match self.claim_run((order, stays), time, page, counters) {
                     // A uniform page needs no bytes and is in memory already.
-                    Claim::Done => continue,
+                    Turn::Idle => continue,
                     other => claim = other,
                 }
                 break;
-            } else if let Some(failure) = self.failed.get(&content).filter(|failure| !failure.lasting) {
-                order.again = Some(order.again.map_or(failure.again, |least| least.min(failure.again)));
+            } else if let Some(again) = self.failed.get(&content).and_then(Retry::at) {
+                order.again = Some(order.again.map_or(again, |least| least.min(again)));
             }
             if !busy {
                 order.done = cursor;
@@ -242,47 +219,46 @@ impl Cache {
             self.publish(attached);
         }
         match claim {
-            Claim::Done if busy => Claim::Busy,
+            Turn::Idle if busy => Turn::Busy,
             claim => claim,
         }
     }
 
-    /// Claims `page` and wanted pages near it in the file; returns [`Claim::Done`] if it needed no bytes.
-    fn claim_run(&mut self, wants: Wants, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
+    /// Claims `page` and wanted pages near it in the file; returns [`Turn::Idle`] if it needed no bytes.
+    fn claim_run(
+        &mut self,
+        wants: Wants,
+        time: f32,
+        page: u32,
+        counters: &mut Counters,
+    ) -> Turn<(Range<u64>, PageRun)> {
         let order = wants.0;
         let content = self.snapshots.index.content(page);
-        let (mut bytes, mut contents) = self.run_around(order, content, now);
+        let (mut bytes, mut contents) = self.run_around(order, content);
         contents[0].1 = page;
         let mut room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
         if room.is_none() && contents.len() > 1 {
             contents.truncate(1);
-            bytes = self.extent(content);
+            bytes = self.index().entry(content).bytes();
             room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
         }
         let Some(room) = room else {
             counters.no_room += 1;
-            return Claim::NoRoom(self.retired.len() > 0);
+            return Turn::NoRoom(self.retired.len() > 0);
         };
-        self.reserved += room.bytes();
         self.in_flight.extend(contents.iter().map(|(content, _)| *content));
         if !order.explicit {
             let late = contents.iter().filter(|(_, page)| order.times.get(page).is_some_and(|time| *time <= 0.0));
             counters.late += late.count() as u64;
         }
-        let run = PageRun { bytes, contents, needed_in: time, room };
-        if run.bytes.is_empty() {
+        let run = PageRun { contents, needed_in: time, room };
+        if bytes.is_empty() {
             let page = PageDecoder::new().decode(self.snapshots.index.entry(content), &[]);
             // A uniform page is fully described by the directory, so decoding cannot fail.
             self.settle(run, vec![page], counters);
-            return Claim::Done;
+            return Turn::Idle;
         }
-        Claim::Run(run)
-    }
-
-    /// Returns the byte range of a page; empty if the page is uniform.
-    fn extent(&self, content: u32) -> Range<u64> {
-        let extent = self.snapshots.index.entry(content).extent();
-        extent.map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
+        Turn::Fetch((bytes, run))
     }
 
     /// Returns the memory for a run: its bytes, its pages, and the scratch memory of decoding them in turn.
@@ -300,27 +276,25 @@ impl Cache {
         let contents: HashSet<u32> = order.pages.iter().map(|&(_, page)| self.snapshots.index.content(page)).collect();
         let weight = |content: &u32| self.snapshots.index.entry(*content).weight_bytes();
         let pages: usize = contents.iter().map(weight).sum();
-        let read = |content: &u32| self.need(&self.extent(*content), &[(*content, *content)]) - weight(content);
+        let read =
+            |content: &u32| self.need(&self.index().entry(*content).bytes(), &[(*content, *content)]) - weight(content);
         self._table.bytes() + pages + contents.iter().map(read).max().unwrap_or(0)
     }
 
     /// Returns the byte range around `content` that covers wanted neighbours, and the contents to decode from it.
-    fn run_around(&self, order: &Order, content: u32, now: Time) -> (Range<u64>, Vec<(u32, u32)>) {
+    fn run_around(&self, order: &Order, content: u32) -> (Range<u64>, Vec<(u32, u32)>) {
         let index = &self.snapshots.index;
-        let (mut contents, mut bytes) = (vec![(content, content)], self.extent(content));
-        if bytes.is_empty() || self.alone.contains(&content) {
+        let (mut contents, mut bytes) = (vec![(content, content)], index.entry(content).bytes());
+        if bytes.is_empty() || self.failed.contains_key(&content) {
             return (bytes, contents);
         }
         let mut extend = |page: u32| {
-            let Storage::Stored(extent) = index.entry(page).storage else { return true };
-            let (start, end) = (extent.offset, extent.offset + u64::from(extent.len));
-            let gap = start.saturating_sub(bytes.end).max(bytes.start.saturating_sub(end));
-            let whole = bytes.start.min(start)..bytes.end.max(end);
-            if gap > GAP || whole.end - whole.start > self.longest_run {
-                return false;
+            if !matches!(index.entry(page).storage, Storage::Stored(_)) {
+                return true;
             }
+            let Some(whole) = joined(&bytes, &index.entry(page).bytes(), GAP, self.longest_run) else { return false };
             let absent = !self.resident.contains_key(&page) && !self.in_flight.contains(&page);
-            if absent && order.wants(page) && !self.alone.contains(&page) && self.may_try(page, now) {
+            if absent && order.wants(page) && !self.failed.contains_key(&page) {
                 bytes = whole;
                 contents.push((page, page));
             }
@@ -341,8 +315,12 @@ impl Cache {
         }
         let (used, budget) = (self.budget.used(), self.budget.budget());
         // Pages held by snapshots alone are released without further eviction.
-        let held_by_snapshots = used.saturating_sub(self.weight + self.reserved);
-        let need = (used - held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
+        self.evicted.retain(|(held, _)| held.strong_count() > 0);
+        let held_by_snapshots: usize = self.evicted.iter().map(|(_, bytes)| bytes).sum();
+        let need = used.saturating_sub(held_by_snapshots).saturating_add(bytes).saturating_sub(budget);
+        if need == 0 {
+            return None;
+        }
         let mut victims = match self.victims.take() {
             Some(victims) if !wants.0.explicit => victims,
             _ => self.victims(wants),
@@ -366,6 +344,17 @@ impl Cache {
             self.victims = Some(victims);
         }
         room.flatten()
+    }
+
+    /// Reserves `bytes` for other uses than pages, if necessary by evicting pages that no body needs now and for which
+    /// `stays` returns false.
+    pub fn set_aside(
+        &mut self,
+        bytes: usize,
+        stays: &dyn Fn(u32) -> bool,
+        counters: &mut Counters,
+    ) -> Option<Reservation> {
+        self.make_room((&Order::default(), stays), 0.0, bytes, counters)
     }
 
     /// Returns all pages in memory that are not needed now, the next one to evict last.
@@ -393,7 +382,9 @@ impl Cache {
         let mut changes = Vec::new();
         for content in contents {
             let Some(resident) = self.resident.remove(&content) else { continue };
-            self.weight -= resident.held.reserved_bytes();
+            let bytes = resident.held.reserved_bytes();
+            self.weight -= bytes;
+            self.evicted.push((Arc::downgrade(&resident.held), bytes));
             counters.evicted += 1;
             counters.wasted += u64::from(!resident.touched);
             changes.extend(resident.pages.into_iter().map(|page| (page, None)));
@@ -418,11 +409,9 @@ impl Cache {
         counters: &mut Counters,
     ) -> (usize, Vec<(u32, PageError)>) {
         let PageRun { contents, mut room, .. } = run;
-        self.reserved -= room.bytes();
         let (mut changes, mut failures) = (Vec::new(), Vec::new());
         for ((content, page), decoded) in contents.into_iter().zip(pages) {
             self.in_flight.remove(&content);
-            self.alone.remove(&content);
             let decoded = match decoded {
                 Ok(decoded) => decoded,
                 Err(error) => {
@@ -450,7 +439,6 @@ impl Cache {
 
     /// Gives up a run that was not read, and its reservation.
     pub fn release(&mut self, run: PageRun) {
-        self.reserved -= run.room.bytes();
         for (content, _) in &run.contents {
             self.in_flight.remove(content);
         }
@@ -458,19 +446,19 @@ impl Cache {
 
     /// Gives up a run of several pages that could not be read; they will be read one at a time.
     pub fn divide(&mut self, run: PageRun) {
-        self.alone.extend(run.contents.iter().map(|(content, _)| *content));
+        for (content, _) in &run.contents {
+            self.failed.entry(*content).or_default();
+        }
         self.release(run);
     }
 
     /// Records that a page could not be loaded.
     pub fn note_failure(&mut self, content: u32, error: &Error, now: Time) {
-        let tries = self.failed.get(&content).map_or(0, |failure| failure.tries);
-        let lasting = !matches!(error, Error::Io { .. });
-        self.failed.insert(content, Failure { tries: tries + 1, again: now + pause_after(tries), lasting });
+        self.failed.entry(content).or_default().failed(error, now);
     }
 
     fn may_try(&self, content: u32, now: Time) -> bool {
-        self.failed.get(&content).is_none_or(|failure| !failure.lasting && failure.again <= now)
+        self.failed.get(&content).is_none_or(|failure| failure.is_due(now))
     }
 
     /// Returns whether `order` wants a page that is neither in memory nor in flight and may be tried now.

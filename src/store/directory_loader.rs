@@ -3,34 +3,16 @@
 //! In: fetched bytes. Out: the table of all pages. Memory: reserved in the budget before a leaf is requested.
 
 use super::budget::{Budget, Reservation};
-use super::fetch::{FetchId, Time, Work};
+use super::fetch::{Cargo, FetchId, Flight, Retry, Time, wrong_length};
 use super::id_map::IdMap;
 use super::index::Index;
 use crate::archive::{Catalog, Opened, Opening, PageEntry};
 use crate::{Error, Parameter, Result};
 use std::ops::Range;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Most bytes of leaves in one fetch, unless a single leaf is longer.
 const LONGEST: u64 = 1 << 20;
-/// Pause before a failed fetch is repeated; doubled each time, at most six times.
-const PAUSE: Duration = Duration::from_millis(100);
-
-/// Returns the pause after `tries` failures.
-pub(super) fn pause_after(tries: u32) -> Duration {
-    PAUSE * (1 << tries.min(6))
-}
-
-/// Bytes in flight.
-#[derive(Debug)]
-struct Flight {
-    range: Range<u64>,
-    /// Empty while head and footer are fetched.
-    leaves: Range<usize>,
-    room: Option<Reservation>,
-}
-
 #[derive(Debug)]
 pub(super) struct Start {
     opening: Opening,
@@ -41,16 +23,14 @@ pub(super) struct Start {
     /// Leaves not requested yet, by run; those that failed return here.
     left: Vec<Range<usize>>,
     entries: IdMap<usize, Vec<PageEntry>>,
-    flights: IdMap<FetchId, Flight>,
-    tries: u32,
-    again: Option<Time>,
+    retry: Retry,
     /// Error that the next poll returns. Unless it is a failed read, every later poll returns it, too.
     error: Option<Error>,
 }
 
 /// Next action.
 pub(super) enum StartTurn {
-    Fetch(Range<u64>, Range<usize>, Option<Reservation>),
+    Fetch(Range<u64>, Cargo),
     Wait(Option<Time>),
     /// The table of pages with its reservation.
     Ready(Arc<Index>, Reservation),
@@ -65,9 +45,7 @@ impl Start {
             table: None,
             left: Vec::new(),
             entries: IdMap::new(),
-            flights: IdMap::new(),
-            tries: 0,
-            again: None,
+            retry: Retry::default(),
             error: None,
         }
     }
@@ -101,55 +79,57 @@ impl Start {
         Ok(())
     }
 
-    pub fn poll(&mut self, now: Time, budget: &Arc<Budget>) -> Result<StartTurn> {
+    /// Returns the next action; `flights` are those of the loader.
+    pub fn poll(&mut self, now: Time, budget: &Arc<Budget>, flights: &IdMap<FetchId, Flight>) -> Result<StartTurn> {
         if let Some(error) = self.error.take() {
             if !matches!(error, Error::Io { .. }) {
                 self.error = Some(same_again(&error));
             }
             return Err(error);
         }
-        if let Some(again) = self.again.filter(|again| *again > now) {
-            return Ok(StartTurn::Wait(Some(again)));
+        if !self.retry.is_due(now) {
+            return Ok(StartTurn::Wait(self.retry.at()));
         }
-        let turn = self.advance(budget);
+        let turn = self.advance(budget, flights);
         if let Err(error) = &turn {
             self.error = Some(same_again(error));
         }
         turn
     }
 
-    fn advance(&mut self, budget: &Arc<Budget>) -> Result<StartTurn> {
+    fn advance(&mut self, budget: &Arc<Budget>, flights: &IdMap<FetchId, Flight>) -> Result<StartTurn> {
         let Some(catalog) = self.catalog.clone() else {
             let wants = match self.opening.next()? {
                 Opened::Ready(catalog) => {
                     self.plan(*catalog, budget)?;
-                    return self.advance(budget);
+                    return self.advance(budget, flights);
                 }
                 Opened::Wants(wants) => wants,
             };
             let on_its_way = |range: &Range<u64>| {
-                self.flights.values().any(|flight| flight.range.start < range.end && range.start < flight.range.end)
+                flights.values().any(|flight| flight.range.start < range.end && range.start < flight.range.end)
             };
             let range = wants.into_iter().find(|range| !on_its_way(range));
-            return Ok(range.map_or(StartTurn::Wait(None), |range| StartTurn::Fetch(range, 0..0, None)));
+            return Ok(range.map_or(StartTurn::Wait(None), |range| StartTurn::Fetch(range, Cargo::Head)));
         };
         if let Some(leaves) = self.left.pop() {
             let range = catalog.leaf_range(leaves.start).start..catalog.leaf_range(leaves.end - 1).end;
             let scratch: usize = leaves.clone().map(|leaf| catalog.leaf_entries(leaf) as usize * LEAF_SCRATCH).sum();
             let bytes = ((range.end - range.start) as usize).saturating_add(scratch);
             if let Some(room) = budget.take(bytes) {
-                return Ok(StartTurn::Fetch(range, leaves, Some(room)));
+                return Ok(StartTurn::Fetch(range, Cargo::Leaves { leaves, _room: room }));
             }
-            if self.flights.is_empty() {
+            if flights.is_empty() {
                 return Err(too_small(budget, catalog.header().pages.total(), budget.used().saturating_add(bytes)));
             }
             self.left.push(leaves);
             return Ok(StartTurn::Wait(None));
         }
-        if !self.flights.is_empty() {
+        if !flights.is_empty() {
             return Ok(StartTurn::Wait(None));
         }
-        let entries: Vec<PageEntry> = std::mem::take(&mut self.entries).into_values().flatten().collect();
+        let entries: Vec<PageEntry> =
+            std::mem::replace(&mut self.entries, IdMap::new()).into_values().flatten().collect();
         let index = Index::new(catalog.header().plan.frame, entries, catalog.ignores_inferred());
         let (pages, bytes) = (index.len() as u64, index.weight_bytes());
         self.table = None;
@@ -157,59 +137,32 @@ impl Start {
         Ok(StartTurn::Ready(Arc::new(index), table))
     }
 
-    /// Records the identifier of a fetch that [`poll`](Self::poll) returned.
-    pub fn launched(&mut self, id: FetchId, range: Range<u64>, leaves: Range<usize>, room: Option<Reservation>) {
-        self.flights.insert(id, Flight { range, leaves, room });
-    }
-
-    /// Takes the bytes of a fetch and returns the work of decoding them. `None` if there is nothing to decode.
-    pub fn given(&mut self, id: FetchId, bytes: &[u8], now: Time) -> Option<Work> {
-        let flight = self.flights.get(&id)?;
-        let (range, leaves) = (flight.range.clone(), flight.leaves.clone());
-        let short = (bytes.len() as u64) < range.end - range.start;
-        let Some(catalog) = self.catalog.clone().filter(|_| !leaves.is_empty()) else {
-            self.flights.remove(&id);
+    /// Takes bytes of head or footer.
+    pub fn given(&mut self, range: &Range<u64>, bytes: &[u8], now: Time) {
+        if (bytes.len() as u64) < range.end - range.start {
             // Only the first answer may be short: it reveals the archive's length.
-            if short && (self.len_known || range.start > 0) {
-                self.fail(short_answer(&range, bytes.len()), now);
-            } else {
-                if short {
-                    self.opening.ends_at(bytes.len() as u64);
-                    self.len_known = true;
-                }
-                self.opening.give(range.start, bytes);
+            if self.len_known || range.start > 0 {
+                return self.failed(0..0, wrong_length(range, bytes.len()), now);
             }
-            return None;
-        };
-        if bytes.len() as u64 != range.end - range.start {
-            self.failed(id, short_answer(&range, bytes.len()), now);
-            return None;
+            self.opening.ends_at(bytes.len() as u64);
+            self.len_known = true;
         }
-        Some(Work::Leaves(catalog, leaves))
+        self.opening.give(range.start, bytes);
     }
 
-    pub fn failed(&mut self, id: FetchId, error: Error, now: Time) {
-        let Some(flight) = self.flights.remove(&id) else { return };
-        if !flight.leaves.is_empty() {
-            self.left.push(flight.leaves);
-        }
-        self.fail(error, now);
-    }
-
-    fn fail(&mut self, error: Error, now: Time) {
-        self.again = Some(now + pause_after(self.tries));
-        self.tries += 1;
+    /// Notes that a fetch failed; `leaves` is empty for head and footer.
+    pub fn failed(&mut self, leaves: Range<usize>, error: Error, now: Time) {
+        self.left.extend(Some(leaves).filter(|leaves| !leaves.is_empty()));
+        self.retry.failed(&error, now);
         self.error = Some(error);
     }
 
     /// Takes decoded leaves.
-    pub fn loaded(&mut self, id: FetchId, entries: Result<Vec<PageEntry>>) {
-        let Some(Flight { leaves, room, .. }) = self.flights.remove(&id) else { return };
-        drop(room);
+    pub fn loaded(&mut self, leaves: Range<usize>, entries: Result<Vec<PageEntry>>) {
         match entries {
             Ok(entries) => {
                 self.entries.insert(leaves.start, entries);
-                (self.tries, self.again) = (0, None);
+                self.retry = Retry::default();
             }
             Err(error) => self.error = Some(error),
         }
@@ -218,11 +171,6 @@ impl Start {
 
 /// Most bytes for decoding each entry of a leaf: before compression, and as columns of numbers.
 const LEAF_SCRATCH: usize = 47 + 8 + size_of::<crate::frame::PageKey>() + 4;
-
-pub(super) fn short_answer(range: &Range<u64>, found: usize) -> Error {
-    let action = format!("read {} bytes at {}, of which {found} came", range.end - range.start, range.start);
-    Error::io("archive", action, std::io::ErrorKind::UnexpectedEof.into())
-}
 
 /// Copies a lasting error for later polls: errors cannot be cloned, because `io::Error` cannot.
 fn same_again(error: &Error) -> Error {

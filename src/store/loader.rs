@@ -1,19 +1,24 @@
 //! Loads pages ahead of moving bodies: a state machine without threads, locks, a clock or a source of bytes.
 
 use super::budget::Budget;
-use super::cache::{Cache, Claim, Order, PageRun, Snapshots};
+use super::cache::{Cache, Order, PageRun, Snapshots};
+use super::colour_queue::ColourQueue;
 use super::counters::Counters;
-use super::directory_loader::{Start, StartTurn, short_answer};
-use super::fetch::{Decode, Decoded, Fetch, FetchId, Made, Next, PageError, Time, Work};
+use super::directory_loader::{Start, StartTurn};
+use super::fetch::{
+    Cargo, Decode, Decoded, Fetch, FetchId, Flight, Made, Next, PageError, Payload, Time, Turn, Work, wrong_length,
+};
 use super::id_map::IdMap;
 use super::missing::Missing;
 use super::motion_hint::MotionHint;
-use super::request::{LoadReport, Request, RequestId};
+use super::request::{HINTS, LoadReport, Request, RequestId};
 use super::snapshot::Snapshot;
 use crate::archive::Catalog;
 use crate::frame::PageKey;
+use crate::page::Colours;
 use crate::{Error, Result};
 use std::collections::{HashMap, VecDeque};
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -28,7 +33,8 @@ const REPORTS: usize = 16;
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoaderOptions {
     /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that snapshots
-    /// still hold, bytes in flight, and the scratch memory of decoding them.
+    /// still hold, bytes in flight, and the scratch memory of decoding them. Once colours are wanted, an eighth is for
+    /// these.
     pub budget_bytes: usize,
     /// Least time to look ahead. The time is 32 times the latency of a fetch, clamped to these two limits.
     pub horizon_min: Duration,
@@ -36,7 +42,7 @@ pub struct LoaderOptions {
     pub horizon_max: Duration,
     /// Most bytes of one fetch, unless a single page is longer; at most an eighth of the budget.
     pub run_bytes: usize,
-    /// Most fetches in flight at once.
+    /// Most fetches of pages in flight at once.
     pub fetches: usize,
 }
 
@@ -63,34 +69,13 @@ struct Tracked {
     missing: Option<Missing>,
 }
 
-/// A run that is in flight or being decoded.
-#[derive(Debug)]
-pub(super) struct Flight {
-    run: PageRun,
-    since: Time,
-    decoding: bool,
-}
-
-/// Next action found by [`Loader::turn`].
-#[derive(Debug)]
-pub(super) enum Turn {
-    Fetch(Fetch),
-    /// Nothing to do until there is news, or until [`Loader::retry_at`].
-    Idle,
-    /// Everything left is in flight.
-    Busy,
-    /// The rest does not fit in the budget; `true` if it may fit once snapshots are dropped.
-    NoRoom(bool),
-    /// A request has finished.
-    Ended(Result<LoadReport>),
-}
-
 /// Keeps the pages around moving bodies in memory, under a byte budget. The loader opens the archive, decides what to
 /// fetch, most urgent first, and publishes loaded pages as [`Snapshot`]s. Its owner, the driver, transfers the bytes and
 /// supplies the time.
 ///
 /// The loader has no files, threads, locks or clock. Its methods are of four kinds. **Commands** request pages
-/// ([`hint`](Self::hint), [`need`](Self::need), [`forget`](Self::forget), [`request`](Self::request)). **Polling**
+/// ([`hint`](Self::hint), [`need`](Self::need), [`forget`](Self::forget), [`request`](Self::request)) or colours
+/// ([`want_colours`](Self::want_colours)). **Polling**
 /// returns actions for the driver ([`poll`](Self::poll), until it returns [`Next::Wait`]). **News** reports their
 /// results ([`given`](Self::given), [`failed`](Self::failed), [`loaded`](Self::loaded)). The other methods only read.
 /// A sequence of calls always gives the same results.
@@ -120,32 +105,12 @@ pub(super) enum Turn {
 /// }
 /// ```
 ///
-/// In a game loop, with an engine that fetches and decodes in the background:
-///
-/// ```
-/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Next, MotionHint, Snapshot, Time};
-/// # trait Engine { fn fetch(&mut self, fetch: Fetch); fn cancel(&mut self, id: FetchId); fn decode(&mut self, job: Decode);
-/// #     fn arrived(&mut self) -> Option<(FetchId, Vec<u8>)>; fn decoded(&mut self) -> Option<Decoded>; }
-/// fn frame(loader: &mut Loader, pawn: BodyId, motion_hint: &MotionHint, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
-///     while let Some((id, bytes)) = engine.arrived() {
-///         loader.given(id, bytes, now).map(|job| engine.decode(job));
-///     }
-///     while let Some(decoded) = engine.decoded() {
-///         loader.loaded(decoded, now);
-///     }
-///     loader.hint(pawn, motion_hint);
-///     loop {
-///         match loader.poll(now)? {
-///             Next::Fetch(fetch) => engine.fetch(fetch),
-///             Next::Cancel(id) => engine.cancel(id),
-///             Next::Report(_) => {}
-///             Next::Wait(_) => return Ok(()), // loader.snapshot() is this frame's
-///         }
-///     }
-/// }
-/// ```
+/// Game loops hand fetches and decoding to their engine, as `examples/async` does, and take the news each frame.
 ///
 /// Pass the result of every [`Decode`] to [`loaded`](Self::loaded); until then its pages count as in flight.
+///
+/// A loader that is never asked for colours reads none of their bytes. Otherwise it brings them when no page is to be
+/// brought, so collision never waits for them.
 pub struct Loader {
     options: LoaderOptions,
     budget: Arc<Budget>,
@@ -155,15 +120,15 @@ pub struct Loader {
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
     bodies: IdMap<BodyId, Tracked>,
-    /// Pages that the bodies want; `stale` if they, or the pages that may be evicted, have changed since.
-    hinted: Order,
+    /// True if the pages that the bodies want, or those that may be evicted, have changed since the last plan.
     pub(super) stale: bool,
-    again: Option<Time>,
+    /// Requests in order, and [`HINTS`] last.
     pub(super) requests: IdMap<RequestId, Request>,
     /// Requests made before the directory was loaded.
     pub(super) early: Vec<(RequestId, Vec<PageKey>, PageKey)>,
     pub(super) ended: IdMap<RequestId, Result<LoadReport>>,
     pub(super) flights: IdMap<FetchId, Flight>,
+    pub(super) colours: Option<Box<ColourQueue>>,
     reports: VecDeque<PageError>,
     latency: Duration,
     pub(super) now: Time,
@@ -195,13 +160,12 @@ impl Loader {
             start: Some(Box::new(start)),
             cache: None,
             bodies: IdMap::new(),
-            hinted: Order::default(),
             stale: false,
-            again: None,
             requests: IdMap::new(),
             early: Vec::new(),
             ended: IdMap::new(),
             flights: IdMap::new(),
+            colours: None,
             reports: VecDeque::new(),
             latency: Duration::ZERO,
             now: Time::ZERO,
@@ -214,10 +178,7 @@ impl Loader {
         self.catalog.as_deref()
     }
 
-    pub(super) fn shared_catalog(&self) -> Option<Arc<Catalog>> {
-        self.catalog.clone()
-    }
-
+    #[cfg(not(target_family = "wasm"))]
     pub(super) fn budget(&self) -> &Arc<Budget> {
         &self.budget
     }
@@ -256,7 +217,7 @@ impl Loader {
     }
 
     /// Sets how a body moves now; call it once a frame. Replaces the body's last hint and the pages that it
-    /// [needed](Self::need). An motion_hint that is not finite or not in order is dropped and counted.
+    /// [needed](Self::need). A hint that is not finite or not in order is dropped and counted.
     pub fn hint(&mut self, body: BodyId, motion_hint: &MotionHint) {
         if !motion_hint.is_valid() {
             self.counters.hints_dropped += 1;
@@ -293,68 +254,52 @@ impl Loader {
         if let Some(report) = self.reports.pop_front() {
             return Ok(Next::Report(report));
         }
-        if self.stale || self.again.is_some_and(|again| again <= now) {
-            self.replan();
-        }
-        let mut until: Option<Time> = None;
-        let mut wait = |time: Time| until = Some(until.map_or(time, |least| least.min(time)));
-        let mut no_room = false;
-        let turns = self.requests.ids().into_iter().map(Some).chain([None]);
-        for request in turns {
-            if self.flights.len() >= self.options.fetches {
-                no_room |= self.is_absent(request, now);
+        self.replan(now);
+        let (mut until, mut no_room) = (None, false);
+        let is_full = page_runs(&self.flights).count() >= self.options.fetches;
+        for id in self.requests.ids() {
+            if is_full {
+                no_room |= self.is_absent(id, now);
                 continue;
             }
-            let turn = match request {
-                Some(id) => self.request_turn(id, now),
-                None => self.turn(now),
-            };
-            match turn {
+            match self.request_turn(id, now) {
                 Turn::Fetch(fetch) => return Ok(Next::Fetch(fetch)),
                 Turn::Idle | Turn::Busy => {}
                 Turn::NoRoom(snapshots) => {
                     no_room = true;
-                    if snapshots {
-                        wait(now + VIEWS_AGAIN);
-                    }
-                }
-                Turn::Ended(outcome) => {
-                    if let Some(id) = request {
-                        self.ended.insert(id, outcome);
-                    }
+                    until = until.or(snapshots.then_some(now + VIEWS_AGAIN));
                 }
             }
         }
-        // No order wants these pages any longer, and they take memory that wanted pages need.
-        if no_room && let Some(id) = self.unwanted() {
-            let flight = self.flights.remove(&id);
-            if let (Some(flight), Some(cache)) = (flight, &mut self.cache) {
-                cache.release(flight.run);
+        if let Some(id) = self.unwanted(no_room) {
+            let run = self.flights.remove(&id).map(|flight| flight.cargo);
+            if let (Some(Cargo::Pages(run)), Some(cache)) = (run, &mut self.cache) {
+                cache.release(run);
                 self.counters.cancelled += 1;
-                return Ok(Next::Cancel(id));
             }
+            return Ok(Next::Cancel(id));
         }
-        until = [until, self.again].into_iter().flatten().min();
-        Ok(Next::Wait(until))
+        if page_runs(&self.flights).next().is_none()
+            && let Some(fetch) = self.colour_turn(now)
+        {
+            return Ok(Next::Fetch(fetch));
+        }
+        Ok(Next::Wait([until, self.retry_at()].into_iter().flatten().min()))
     }
 
     /// Opens the archive; returns the next action for that.
     fn begin_turn(&mut self, now: Time) -> Result<Option<Next>> {
         let Some(start) = &mut self.start else { return Ok(None) };
-        let turn = start.poll(now, &self.budget)?;
+        let turn = start.poll(now, &self.budget, &self.flights)?;
         self.catalog = start.catalog().cloned();
         match turn {
             StartTurn::Wait(until) => Ok(Some(Next::Wait(until))),
-            StartTurn::Fetch(range, leaves, room) => {
-                let id = FetchId(self.name());
-                if let Some(start) = &mut self.start {
-                    start.launched(id, range.clone(), leaves, room);
-                }
-                Ok(Some(Next::Fetch(Fetch { id, range, needed_in: Duration::ZERO })))
-            }
+            StartTurn::Fetch(range, cargo) => Ok(Some(Next::Fetch(self.launch(range, cargo)))),
             StartTurn::Ready(index, table) => {
                 let cache = Cache::new(index, table, self.budget.clone(), self.options.run_bytes);
                 (self.cache, self.start) = (Some(Box::new(cache)), None);
+                let colours = self.catalog.as_ref().and_then(|catalog| ColourQueue::new(catalog, &self.budget));
+                self.colours = colours.map(Box::new);
                 for (id, keys, around) in std::mem::take(&mut self.early) {
                     self.admit(id, &keys, around);
                 }
@@ -364,30 +309,61 @@ impl Loader {
         }
     }
 
-    /// Returns the next step for the hints.
-    pub(super) fn turn(&mut self, now: Time) -> Turn {
-        let now = self.at(now);
-        if self.stale || self.again.is_some_and(|again| again <= now) {
-            self.replan();
-        }
-        if self.gives_way(None) {
-            return Turn::Busy;
-        }
-        let Some(cache) = &mut self.cache else { return Turn::Busy };
-        let stays = |page| self.requests.values().any(|request| request.order.wants(page));
-        let claim = cache.claim(&mut self.hinted, &stays, now, &mut self.counters);
-        self.again = self.hinted.again;
+    /// Begins the fetch that an order has claimed.
+    pub(super) fn launched(&mut self, claim: Turn<(Range<u64>, PageRun)>) -> Turn {
         match claim {
-            Claim::Run(run) => Turn::Fetch(self.launch(run)),
-            Claim::Done => Turn::Idle,
-            Claim::Busy => Turn::Busy,
-            Claim::NoRoom(snapshots) => Turn::NoRoom(snapshots),
+            Turn::Fetch((range, run)) => {
+                self.counters.reads += 1;
+                self.counters.read_bytes += range.end - range.start;
+                Turn::Fetch(self.launch(range, Cargo::Pages(run)))
+            }
+            Turn::Idle => Turn::Idle,
+            Turn::Busy => Turn::Busy,
+            Turn::NoRoom(snapshots) => Turn::NoRoom(snapshots),
         }
     }
 
-    /// Updates the pages that all hints want.
-    fn replan(&mut self) {
-        let Some(cache) = &mut self.cache else { return };
+    /// Returns the next fetch for colours, one at a time. The caller ensures that no page could be fetched instead.
+    pub(super) fn colour_turn(&mut self, now: Time) -> Option<Fetch> {
+        if self.flights.values().any(|flight| matches!(flight.cargo, Cargo::Colours(_))) {
+            return None;
+        }
+        let (cache, colours) = (self.cache.as_mut()?, self.colours.as_mut()?);
+        let stays = |page| self.requests.iter().any(|(id, request)| *id < HINTS && request.order.wants(page));
+        let snapshots = cache.snapshots.clone();
+        let mut make_room = |bytes| cache.set_aside(bytes, &stays, &mut self.counters);
+        let (range, run) = colours.claim(&snapshots, now, &mut make_room)?;
+        Some(self.launch(range, Cargo::Colours(run)))
+    }
+
+    /// Returns whether the archive has colours for its pages; false until its directory is loaded.
+    pub fn has_colours(&self) -> bool {
+        self.colours.is_some()
+    }
+
+    /// Sets the pages that should get colours, most urgent first, and replaces the previous ones; pages that are not in
+    /// memory when it is their turn get none. Does nothing until the directory is loaded, and for an archive or overview
+    /// level without colours.
+    ///
+    /// Colours are fetched when no page is in flight or could be fetched. A fetch of colours is given up if none of its
+    /// pages is wanted any longer, or a body waits for a page.
+    pub fn want_colours(&mut self, keys: &[PageKey]) {
+        if let (Some(colours), Some(cache)) = (&mut self.colours, &self.cache) {
+            colours.want(keys, cache.index());
+        }
+    }
+
+    /// Returns the colours of one page that have come; the next ones are fetched once all are taken, at most 16. Taken
+    /// colours no longer count against the budget. Damaged colours are an error of their page, and so is a failure to
+    /// read colours, which is tried again; geometry stays intact.
+    pub fn take_colours(&mut self) -> Option<(PageKey, Result<Colours>)> {
+        self.colours.as_mut()?.take()
+    }
+
+    /// Updates the pages that all hints want, if they changed or some may be tried again.
+    pub(super) fn replan(&mut self, now: Time) {
+        let is_due = self.hints_again().is_some_and(|again| again <= now);
+        let Some(cache) = self.cache.as_mut().filter(|_| self.stale || is_due) else { return };
         let horizon =
             (self.latency * LATENCIES_AHEAD).max(self.options.horizon_min).min(self.options.horizon_max).as_secs_f64();
         let index = cache.index();
@@ -402,38 +378,45 @@ impl Loader {
         }
         focus.sort_unstable();
         focus.dedup();
-        self.hinted = Order::hinted(times, focus);
-        cache.replan(&self.hinted, &mut self.counters);
-        (self.stale, self.again) = (false, None);
+        let hinted = Request::hinted(Order::hinted(times, focus));
+        cache.replan(&hinted.order, &mut self.counters);
+        self.requests.insert(HINTS, hinted);
+        self.stale = false;
     }
 
-    pub(super) fn launch(&mut self, run: PageRun) -> Fetch {
+    /// Returns when pages that hints want and that could not be read may be tried again.
+    fn hints_again(&self) -> Option<Time> {
+        self.requests.get(&HINTS)?.order.again
+    }
+
+    fn launch(&mut self, range: Range<u64>, cargo: Cargo) -> Fetch {
         let id = FetchId(self.name());
-        let range = run.bytes.clone();
-        self.counters.reads += 1;
-        self.counters.read_bytes += range.end - range.start;
-        let needed_in = Duration::from_secs_f32(run.needed_in.max(0.0));
-        self.flights.insert(id, Flight { run, since: self.now, decoding: false });
-        Fetch { id, range, needed_in }
+        let (what, needed_in) = match &cargo {
+            Cargo::Pages(run) => (Payload::Pages, Duration::from_secs_f32(run.needed_in.max(0.0))),
+            Cargo::Colours(_) => (Payload::Colours, Duration::MAX),
+            _ => (Payload::Pages, Duration::ZERO),
+        };
+        self.flights.insert(id, Flight { range: range.clone(), cargo, since: self.now, is_decoding: false });
+        Fetch { id, what, range, needed_in }
     }
 
-    /// Returns whether a request, or a hint, wants a page that is neither in memory nor in flight.
-    fn is_absent(&self, request: Option<RequestId>, now: Time) -> bool {
-        let order = match request {
-            Some(id) => self.requests.get(&id).map(|request| &request.order),
-            None => Some(&self.hinted),
-        };
-        order.zip(self.cache.as_ref()).is_some_and(|(order, cache)| cache.is_absent(order, now))
+    /// Returns whether a request wants a page that is neither in memory nor in flight.
+    fn is_absent(&self, id: RequestId, now: Time) -> bool {
+        let request = self.requests.get(&id).zip(self.cache.as_ref());
+        request.is_some_and(|(request, cache)| cache.is_absent(&request.order, now))
     }
 
-    /// Returns the first fetch in flight with no page that is still wanted.
-    fn unwanted(&self) -> Option<FetchId> {
-        let wanted = |flight: &Flight| {
-            let pages = || flight.run.contents.iter().map(|(_, page)| *page);
-            pages().any(|page| self.hinted.wants(page) || self.requests.values().any(|r| r.order.wants(page)))
+    /// Returns the first fetch to give up: one of pages that no order wants any longer, if others lack room, or one of
+    /// colours that are no longer wanted or for which a body would wait.
+    fn unwanted(&self, no_room: bool) -> Option<FetchId> {
+        let wants = |page| self.requests.values().any(|request| request.order.wants(page));
+        let waits = page_runs(&self.flights).any(|(_, _, run)| run.needed_in <= 0.0);
+        let is_unwanted = |flight: &Flight| match &flight.cargo {
+            Cargo::Pages(run) => no_room && !run.contents.iter().any(|(_, page)| wants(*page)),
+            Cargo::Colours(run) => waits || !self.colours.as_ref().is_some_and(|colours| colours.wants(run)),
+            _ => false,
         };
-        let flight = self.flights.iter().find(|(_, flight)| !flight.decoding && !wanted(flight));
-        flight.map(|(id, _)| *id)
+        self.flights.iter().find(|(_, flight)| !flight.is_decoding && is_unwanted(flight)).map(|(id, _)| *id)
     }
 
     /// Takes the bytes of a fetch and returns the work of decoding them, if there is any. Bytes of a cancelled or
@@ -442,21 +425,35 @@ impl Loader {
     /// For the first fetch of an archive of unknown length, fewer bytes are allowed: they reveal its length.
     pub fn given(&mut self, id: FetchId, bytes: Vec<u8>, now: Time) -> Option<Decode> {
         let now = self.at(now);
-        if let Some(start) = &mut self.start {
-            let work = start.given(id, &bytes, now)?;
-            return Some(Decode { id, bytes, work });
-        }
-        let flight = self.flights.get_mut(&id).filter(|flight| !flight.decoding)?;
-        if bytes.len() as u64 != flight.run.bytes.end - flight.run.bytes.start {
-            let error = short_answer(&flight.run.bytes, bytes.len());
-            self.failed(id, error, now);
+        let flight = self.flights.get(&id).filter(|flight| !flight.is_decoding)?;
+        let range = flight.range.clone();
+        if bytes.len() as u64 != range.end - range.start && !matches!(flight.cargo, Cargo::Head) {
+            self.failed(id, wrong_length(&range, bytes.len()), now);
             return None;
         }
-        flight.decoding = true;
-        self.latency = (now - flight.since).max(self.latency.mul_f64(0.95));
-        let contents = flight.run.contents.iter().map(|(content, _)| *content).collect();
-        let work = Work::Pages(self.cache.as_ref()?.index().clone(), flight.run.bytes.start, contents);
-        Some(Decode { id, bytes, work })
+        let work = match &flight.cargo {
+            Cargo::Head => None,
+            Cargo::Leaves { leaves, .. } => Some(Work::Leaves(self.catalog.clone()?, leaves.clone())),
+            Cargo::Pages(run) => {
+                self.latency = (now - flight.since).max(self.latency.mul_f64(0.95));
+                let contents = run.contents.iter().map(|(content, _)| *content).collect();
+                Some(Work::Pages(self.cache.as_ref()?.index().clone(), range.start, contents))
+            }
+            Cargo::Colours(run) => {
+                let pages = self.cache.as_ref()?.snapshots.newest();
+                run.blocks.clone().map(|blocks| Work::Colours(pages, range.start, blocks))
+            }
+        };
+        if let Some(work) = work {
+            self.flights.get_mut(&id)?.is_decoding = true;
+            return Some(Decode { id, bytes, work });
+        }
+        // The rest is decoded at once: it is short, and decides what is fetched next.
+        match self.flights.remove(&id)?.cargo {
+            Cargo::Colours(run) => self.colours.as_mut()?.arrived(&run, &bytes, now),
+            _ => self.start.as_mut()?.given(&range, &bytes, now),
+        }
+        None
     }
 
     /// Records that a fetch failed. Pages fetched together are then fetched one at a time. A page that failed alone is
@@ -464,19 +461,34 @@ impl Loader {
     /// [`Error::Io`].
     pub fn failed(&mut self, id: FetchId, error: Error, now: Time) {
         let now = self.at(now);
+        let Some(flight) = self.flights.remove(&id) else { return };
+        let leaves = match flight.cargo {
+            Cargo::Head => 0..0,
+            Cargo::Leaves { leaves, .. } => leaves,
+            Cargo::Colours(run) => {
+                if let Some(colours) = &mut self.colours {
+                    colours.failed(&run, error, now);
+                }
+                return;
+            }
+            Cargo::Pages(run) => return self.pages_failed(run, error),
+        };
         if let Some(start) = &mut self.start {
-            return start.failed(id, error, now);
+            start.failed(leaves, error, now);
         }
-        let (Some(flight), Some(cache)) = (self.flights.remove(&id), &mut self.cache) else { return };
+    }
+
+    fn pages_failed(&mut self, run: PageRun, error: Error) {
+        let Some(cache) = &mut self.cache else { return };
         self.stale = true;
-        match flight.run.contents[..] {
+        match run.contents[..] {
             [(content, page)] => {
-                cache.release(flight.run);
+                cache.release(run);
                 let key = cache.index().key(page);
                 self.fail(content, PageError { key, error });
             }
             _ => {
-                cache.divide(flight.run);
+                cache.divide(run);
                 for request in self.requests.values_mut() {
                     request.order.restart();
                 }
@@ -484,25 +496,33 @@ impl Loader {
         }
     }
 
-    /// Puts decoded pages into the next view and returns their number.
+    /// Takes what was decoded: puts pages into the next view and returns their number, and keeps colours to be
+    /// [taken](Self::take_colours).
     pub fn loaded(&mut self, decoded: Decoded, now: Time) -> usize {
         self.at(now);
-        match decoded.made {
-            Made::Leaves(entries) => {
+        let cargo = self.flights.remove(&decoded.id).map(|flight| flight.cargo);
+        match (cargo, decoded.made) {
+            (Some(Cargo::Leaves { leaves, .. }), Made::Leaves(entries)) => {
                 if let Some(start) = &mut self.start {
-                    start.loaded(decoded.id, entries);
+                    start.loaded(leaves, entries);
                 }
-                0
             }
-            Made::Pages(pages) => {
-                let (Some(flight), Some(cache)) = (self.flights.remove(&decoded.id), &mut self.cache) else { return 0 };
-                let (loaded, failures) = cache.settle(flight.run, pages, &mut self.counters);
+            (Some(Cargo::Pages(run)), Made::Pages(pages)) => {
+                let Some(cache) = &mut self.cache else { return 0 };
+                let (loaded, failures) = cache.settle(run, pages, &mut self.counters);
                 for (content, error) in failures {
                     self.fail(content, error);
                 }
-                loaded
+                return loaded;
             }
+            (Some(Cargo::Colours(run)), Made::Colours(made)) => {
+                if let Some(colours) = &mut self.colours {
+                    colours.loaded(&run, made);
+                }
+            }
+            _ => {}
         }
+        0
     }
 
     /// Records that a page could not be loaded: ends the request that waits for it, or queues a report.
@@ -514,7 +534,7 @@ impl Loader {
         let page = cache.index().find(error.key);
         let waits = |request: &Request| page.is_some_and(|page| request.order.wants(page));
         let request = self.requests.iter().find(|(_, request)| waits(request)).map(|(id, _)| *id);
-        if let Some(id) = request {
+        if let Some(id) = request.filter(|id| *id < HINTS) {
             self.requests.remove(&id);
             self.ended.insert(id, Err(error.error));
             return;
@@ -525,10 +545,10 @@ impl Loader {
         self.reports.push_back(error);
     }
 
-    /// Returns when pages that could not be read are tried again.
-    #[cfg(not(target_family = "wasm"))]
+    /// Returns when pages or colours that could not be read are tried again, or colours find room.
     pub(super) fn retry_at(&self) -> Option<Time> {
-        self.again
+        let colours = self.colours.as_ref().and_then(|colours| colours.again(self.now));
+        [self.hints_again(), colours].into_iter().flatten().min()
     }
 
     /// Returns failures that were not polled yet.
@@ -546,6 +566,16 @@ impl Loader {
         self.names += 1;
         self.names
     }
+}
+
+/// Returns the runs of pages in flight.
+pub(super) fn page_runs(
+    flights: &IdMap<FetchId, Flight>,
+) -> impl Iterator<Item = (FetchId, &Flight, &PageRun)> + use<'_> {
+    flights.iter().filter_map(|(id, flight)| match &flight.cargo {
+        Cargo::Pages(run) => Some((*id, flight, run)),
+        _ => None,
+    })
 }
 
 impl std::fmt::Debug for Loader {

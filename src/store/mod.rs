@@ -14,7 +14,7 @@
 
 mod budget;
 mod cache;
-mod colour_loader;
+mod colour_queue;
 mod counters;
 mod directory_loader;
 mod edited;
@@ -31,11 +31,12 @@ mod snapshot;
 mod stream;
 mod sync;
 mod table;
+#[cfg(test)]
+mod tests;
 
 pub use cache::Snapshots;
-pub use colour_loader::ColourLoader;
 pub use counters::Counters;
-pub use fetch::{Decode, Decoded, Fetch, FetchId, Next, PageError, Time};
+pub use fetch::{Decode, Decoded, Fetch, FetchId, Next, PageError, Payload, Time};
 pub use loader::{BodyId, Loader, LoaderOptions};
 pub use missing::{MISSING_KEYS, Missing};
 pub(crate) use missing::{join, note};

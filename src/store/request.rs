@@ -1,8 +1,8 @@
 //! Requests: pages for which a caller waits, and their outcomes.
 
-use super::cache::{Claim, Order};
-use super::fetch::Time;
-use super::loader::{Loader, Turn};
+use super::cache::Order;
+use super::fetch::{Time, Turn};
+use super::loader::{Loader, page_runs};
 use crate::Result;
 use crate::frame::PageKey;
 use std::time::Duration;
@@ -13,6 +13,9 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// Identifier of a [`request`](Loader::request).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RequestId(u64);
+
+/// The request that stands for all hints, after all others; it never ends.
+pub(super) const HINTS: RequestId = RequestId(u64::MAX);
 
 /// Outcome of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -30,7 +33,7 @@ pub struct LoadReport {
     pub needed_bytes: usize,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Request {
     pub order: Order,
     absent: usize,
@@ -39,6 +42,12 @@ pub(super) struct Request {
     lacks_room: bool,
     /// Since when it waits only for snapshots.
     waits_since: Option<Time>,
+}
+
+impl Request {
+    pub fn hinted(order: Order) -> Self {
+        Self { order, ..Self::default() }
+    }
 }
 
 impl Loader {
@@ -66,54 +75,54 @@ impl Loader {
         let Some(cache) = &self.cache else { return };
         let order = Order::explicit(cache.index(), keys, around);
         let (absent, evicted) = (cache.absent(&order), self.counters.evicted);
-        self.requests.insert(id, Request { order, absent, evicted, lacks_room: false, waits_since: None });
+        self.requests.insert(id, Request { order, absent, evicted, ..Request::default() });
         self.stale = true;
     }
 
-    /// Returns whether a request before this one, or before the hints, lacks memory.
-    pub(super) fn gives_way(&self, id: Option<RequestId>) -> bool {
-        self.requests.iter().any(|(other, request)| request.lacks_room && id.is_none_or(|id| *other < id))
-    }
-
-    /// Returns the next step of a request.
+    /// Returns the next step of a request, which is idle once it has an outcome.
     pub(super) fn request_turn(&mut self, id: RequestId, now: Time) -> Turn {
         let now = self.at(now);
-        if let Some(outcome) = self.ended.remove(&id) {
-            return Turn::Ended(outcome);
+        if self.ended.get(&id).is_some() {
+            return Turn::Idle;
         }
-        if self.gives_way(Some(id)) {
-            return Turn::NoRoom(false);
+        if self.requests.iter().any(|(other, request)| *other < id && request.lacks_room) {
+            return Turn::Busy;
         }
         let (Some(cache), Some(mut request)) = (&mut self.cache, self.requests.remove(&id)) else { return Turn::Busy };
         let stays = |page| self.requests.iter().any(|(other, earlier)| *other < id && earlier.order.wants(page));
         let mut claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
-        if matches!(claim, Claim::Done) && cache.absent(&request.order) > 0 {
+        if id == HINTS {
+            self.requests.insert(id, request);
+            return self.launched(claim);
+        }
+        if matches!(claim, Turn::Idle) && cache.absent(&request.order) > 0 {
             // An earlier request evicted pages that were in memory.
             request.order.restart();
             claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
         }
-        request.lacks_room = matches!(claim, Claim::NoRoom(_));
+        request.lacks_room = matches!(claim, Turn::NoRoom(_));
         // Runs in flight release memory, and so do earlier requests when they finish.
-        let comes = !self.flights.is_empty() || self.requests.iter().any(|(other, _)| *other < id);
+        let comes = page_runs(&self.flights).next().is_some() || self.requests.iter().any(|(other, _)| *other < id);
         let turn = match claim {
-            Claim::Run(run) => Turn::Fetch(self.launch(run)),
-            Claim::Busy => Turn::Busy,
-            Claim::NoRoom(_) if comes => Turn::NoRoom(false),
-            Claim::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
+            Turn::NoRoom(_) if comes => Turn::NoRoom(false),
+            Turn::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
                 self.requests.insert(id, request);
                 return Turn::NoRoom(true);
             }
-            Claim::Done | Claim::NoRoom(_) => {
+            Turn::Idle | Turn::NoRoom(_) => {
                 let left_out = cache.absent(&request.order);
                 self.stale = true;
-                return Turn::Ended(Ok(LoadReport {
+                let report = LoadReport {
                     loaded: request.absent.saturating_sub(left_out),
                     already: request.order.pages.len() - request.absent,
                     evicted: (self.counters.evicted - request.evicted) as usize,
                     left_out,
                     needed_bytes: cache.needed_bytes(&request.order),
-                }));
+                };
+                self.ended.insert(id, Ok(report));
+                return Turn::Idle;
             }
+            claim => self.launched(claim),
         };
         request.waits_since = None;
         self.requests.insert(id, request);

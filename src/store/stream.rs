@@ -1,15 +1,13 @@
 //! A stream: a [`Loader`] with a thread, a lock, a clock and an archive to read from.
 
 use super::cache::Snapshots;
-use super::colour_loader::ColourLoader;
 use super::counters::Counters;
 use super::edited::edited_columns;
-use super::fetch::{Fetch, Next, PageError, Time};
-use super::index::Index;
-use super::loader::{BodyId, Loader, LoaderOptions, Turn};
+use super::fetch::{Fetch, Next, PageError, Payload, Time, Turn};
+use super::loader::{BodyId, Loader, LoaderOptions};
 use super::missing::Missing;
 use super::motion_hint::MotionHint;
-use super::request::LoadReport;
+use super::request::{HINTS, LoadReport};
 use super::snapshot::Snapshot;
 use super::sync::{
     Arc, AtomicBool, AtomicU64, Builder, Condvar, JoinHandle, Mutex, MutexGuard, Thread, park, park_timeout,
@@ -36,39 +34,19 @@ pub enum Prefetch {
     Manual,
 }
 
-/// Most colours that wait to be taken.
-const COLOURED: usize = 16;
-/// Interval at which to check whether the budget has room to decode colours.
-const ROOM_AGAIN: Duration = Duration::from_millis(100);
-
 /// Options of a [`Stream`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamOptions {
-    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, including those that snapshots
-    /// still hold, bytes being read, and the scratch memory of decoding them. For an archive with colours, an eighth is
-    /// reserved for these.
-    pub budget_bytes: usize,
+    /// Options of its loader; `fetches` is ignored, because each thread that loads reads one run at a time.
+    pub loader: LoaderOptions,
     /// Where pages are loaded ahead.
     pub prefetch: Prefetch,
-    /// Least time to look ahead. The time is 32 times the latency of a read, clamped to these two limits.
-    pub horizon_min: Duration,
-    /// Greatest time to look ahead.
-    pub horizon_max: Duration,
-    /// Most bytes of one read, unless a single page is longer; at most an eighth of the budget.
-    pub run_bytes: usize,
 }
 
 impl StreamOptions {
-    /// Creates the default options: a background thread that looks one to eight seconds ahead and reads up to 256 KiB
-    /// at once.
+    /// Creates the default options: a background thread, and those of [`LoaderOptions::new`].
     pub fn new(budget_bytes: usize) -> Self {
-        Self {
-            budget_bytes,
-            prefetch: Prefetch::Thread,
-            horizon_min: Duration::from_secs(1),
-            horizon_max: Duration::from_secs(8),
-            run_bytes: 256 << 10,
-        }
+        Self { loader: LoaderOptions::new(budget_bytes), prefetch: Prefetch::Thread }
     }
 }
 
@@ -138,9 +116,6 @@ struct Shared {
     archive: Archive,
     snapshots: Snapshots,
     loader: Mutex<Loader>,
-    /// Loader of colours, if the archive has any, and colours that wait to be taken.
-    colours: Mutex<Option<ColourLoader>>,
-    coloured: Mutex<Vec<(PageKey, Result<Colours>)>>,
     /// Notified when a run was loaded or failed.
     settled: Condvar,
     options: StreamOptions,
@@ -161,15 +136,7 @@ impl Stream {
     /// Opens a stream on an archive; no page is loaded yet. Reads the whole directory, one read per MiB. Fails if that
     /// cannot be read, or if the table of pages alone exceeds the budget.
     pub fn open(archive: Archive, options: StreamOptions) -> Result<Self> {
-        let loader = LoaderOptions {
-            budget_bytes: options.budget_bytes,
-            horizon_min: options.horizon_min,
-            horizon_max: options.horizon_max,
-            run_bytes: options.run_bytes,
-            // The number of driving threads is the limit.
-            fetches: usize::MAX,
-        };
-        let mut loader = Loader::new(archive.catalog().clone(), loader)?;
+        let mut loader = Loader::new(archive.catalog().clone(), options.loader.clone())?;
         let origin = Instant::now();
         while loader.snapshots().is_none() {
             if let Next::Fetch(fetch) = loader.poll(origin.elapsed())? {
@@ -184,13 +151,10 @@ impl Stream {
         };
         snapshots.edited = edited_columns(&archive, &snapshots.index, loader.budget())?.map(Arc::new);
         let prefetch = options.prefetch;
-        let colours = Mutex::new(loader.colours());
         let shared = Arc::new(Shared {
             archive,
             snapshots,
             loader: Mutex::new(loader),
-            colours,
-            coloured: Mutex::default(),
             settled: Condvar::new(),
             options,
             origin,
@@ -240,7 +204,27 @@ impl Stream {
     /// are counted as [`left_out`](LoadReport::left_out): the budget is too small, or snapshots hold it (drop your own
     /// first).
     pub fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
-        self.shared.load(keys, around)
+        let shared = &self.shared;
+        let mut loader = lock(&shared.loader);
+        let request = loader.request(keys, around);
+        loop {
+            match loader.request_turn(request, shared.now()) {
+                Turn::Idle => {
+                    let outcome = loader.outcome(request);
+                    return outcome.unwrap_or_else(|| Err(Error::parameter("request", "its outcome was taken")));
+                }
+                Turn::Fetch(fetch) => {
+                    drop(loader);
+                    shared.carry(fetch);
+                    loader = lock(&shared.loader);
+                }
+                turn => {
+                    // Another thread reads one of these pages, or snapshots hold the memory.
+                    let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
+                    loader = wait_at_most(&shared.settled, &shared.loader, loader, pause);
+                }
+            }
+        }
     }
 
     /// Runs [`load`](Self::load) for all pages that a query missed.
@@ -256,7 +240,7 @@ impl Stream {
             return Err(Error::parameter("motion_hint", "its numbers must be finite and in order"));
         }
         let keys = self.shared.snapshots.keys_around(motion_hint);
-        self.load(&keys, motion_hint.focus(self.shared.index().frame()))
+        self.load(&keys, motion_hint.focus(self.snapshot().frame()))
     }
 
     /// Returns the number of pages in memory that a body touches before it moves; 0 if the motion_hint is invalid.
@@ -307,22 +291,19 @@ impl Stream {
     /// in memory get none. Colours are read only if no page is to be read, so a page waits for at most one read of
     /// colours (64 KiB). With [`Prefetch::Off`] no colours are read. Does nothing for an archive without colours.
     pub fn want_colours(&self, keys: &[PageKey]) {
-        if let Some(colours) = &mut *lock(&self.shared.colours) {
-            colours.want(keys.iter().copied());
-        }
-        if let Some(worker) = &self.worker {
-            worker.thread().unpark();
-        }
+        lock(&self.shared.loader).want_colours(keys);
+        self.wake();
     }
 
-    /// Returns the colours loaded since the last call, at most 16; loading continues after they are taken. They do not
-    /// count against the budget. Damaged colours are an error of their page, whose geometry is intact.
-    pub fn take_colours(&self) -> Vec<(PageKey, Result<Colours>)> {
-        let taken = std::mem::take(&mut *lock(&self.shared.coloured));
-        if let (false, Some(worker)) = (taken.is_empty(), &self.worker) {
-            worker.thread().unpark();
-        }
-        taken
+    /// Returns the colours of one page that have come; see [`Loader::take_colours`].
+    pub fn take_colours(&self) -> Option<(PageKey, Result<Colours>)> {
+        let taken = lock(&self.shared.loader).take_colours()?;
+        self.wake();
+        Some(taken)
+    }
+
+    fn wake(&self) {
+        self.worker.iter().for_each(|worker| worker.thread().unpark());
     }
 
     /// Returns counts of the stream's work and the memory it holds.
@@ -457,12 +438,7 @@ impl Shared {
                     *lock(&self.rested) = *lock(&self.desk);
                     self.rest.notify_all();
                     // An unpark since the step has left its token, so parking returns at once.
-                    let colours = lock(&self.colours).as_ref().and_then(|colours| {
-                        // There is no notification when the budget has room.
-                        let room = colours.has_decodable().then(|| self.now() + ROOM_AGAIN);
-                        [colours.retry_at(), room].into_iter().flatten().min()
-                    });
-                    let again = [lock(&self.loader).retry_at(), colours].into_iter().flatten().min();
+                    let again = lock(&self.loader).retry_at();
                     match again {
                         Some(at) => park_timeout(at.saturating_sub(self.now())),
                         None => park(),
@@ -482,51 +458,25 @@ impl Shared {
             self.collect(&mut loader);
             *known = Some(newest);
         }
-        let turn = loader.turn(self.now());
+        let now = self.now();
+        loader.replan(now);
+        let (step, fetch) = match loader.request_turn(HINTS, now) {
+            Turn::Busy => return Step::Busy,
+            Turn::Fetch(fetch) => (Step::Idle, Some(fetch)),
+            Turn::Idle => (Step::Idle, None),
+            Turn::NoRoom(held) => (Step::NoRoom(held), None),
+        };
+        // Colours come if no page can.
+        let fetch = fetch.or_else(|| loader.colour_turn(now));
         drop(loader);
-        match turn {
-            Turn::Fetch(fetch) => Step::Loaded(self.carry(fetch)),
-            Turn::Idle | Turn::Ended(_) => self.colour_step(Step::Idle),
-            Turn::Busy => Step::Busy,
-            Turn::NoRoom(held) => self.colour_step(Step::NoRoom(held)),
-        }
-    }
-
-    /// Reads or decodes colours of one page or several; returns `nothing` if there is nothing to do.
-    fn colour_step(&self, nothing: Step) -> Step {
-        if lock(&self.coloured).len() >= COLOURED {
-            return nothing;
-        }
-        let mut colours = lock(&self.colours);
-        let Some(loader) = &mut *colours else { return nothing };
-        if let Some(coloured) = loader.decode(&self.snapshots.newest()) {
-            drop(colours);
-            lock(&self.coloured).push(coloured);
-            return Step::Coloured;
-        }
-        let lacks_room = loader.has_decodable();
-        let Some(range) = loader.poll(self.now()) else {
-            // Pages without a colour are decodable without a fetch.
-            return if loader.has_decodable() && !lacks_room { Step::Coloured } else { nothing };
-        };
-        drop(colours);
-        let mut bytes = vec![0; (range.end - range.start) as usize];
-        let read = self.archive.source().read_at(range.start, &mut bytes);
-        let mut colours = lock(&self.colours);
-        let Some(loader) = &mut *colours else { return nothing };
-        let urgent = loader.most_urgent();
-        let given = match read {
-            Ok(()) => loader.given(bytes, self.now()),
-            Err(error) => {
-                loader.failed(self.now());
-                Err(error)
+        match fetch {
+            Some(fetch) if fetch.what == Payload::Pages => Step::Loaded(self.carry(fetch)),
+            Some(fetch) => {
+                self.carry(fetch);
+                Step::Coloured
             }
-        };
-        drop(colours);
-        if let (Some(key), Err(error)) = (urgent, given) {
-            lock(&self.coloured).push((key, Err(error)));
+            None => step,
         }
-        Step::Coloured
     }
 
     /// Passes the hints that pawns gave since the last time to the loader.
@@ -547,7 +497,7 @@ impl Shared {
         });
     }
 
-    /// Reads and decodes a run without holding a lock; returns the number of loaded pages.
+    /// Reads and decodes a fetch without holding a lock; returns the number of loaded pages.
     fn carry(&self, fetch: Fetch) -> usize {
         let answer = read(&self.archive, &fetch);
         let job = match answer {
@@ -562,40 +512,6 @@ impl Shared {
         self.settled.notify_all();
         loaded
     }
-
-    fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
-        let mut loader = lock(&self.loader);
-        let request = loader.request(keys, around);
-        loop {
-            match loader.request_turn(request, self.now()) {
-                Turn::Ended(outcome) => return outcome,
-                Turn::Fetch(fetch) => {
-                    drop(loader);
-                    self.carry(fetch);
-                    loader = lock(&self.loader);
-                }
-                turn => {
-                    // Another thread reads one of these pages, or snapshots hold the memory.
-                    let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
-                    loader = wait_at_most(&self.settled, &self.loader, loader, pause);
-                }
-            }
-        }
-    }
-
-    fn index(&self) -> &Index {
-        &self.snapshots.index
-    }
-}
-
-#[cfg(test)]
-impl Stream {
-    /// Reserves all memory, that for colours included.
-    pub(super) fn fill_the_budget(&self) -> Vec<super::budget::Reservation> {
-        let shared = lock(&self.shared.loader).budget().take_rest();
-        let own = lock(&self.shared.colours).as_ref().map(ColourLoader::take_rest);
-        own.into_iter().chain([shared]).collect()
-    }
 }
 
 #[cfg(test)]
@@ -608,6 +524,13 @@ mod tests {
     use crate::query::{Aabb, Overlap, overlaps};
     use crate::walk::{Config, MoveInput, Walker};
     use nalgebra::Vector2;
+
+    impl Stream {
+        /// Reserves all memory that is left.
+        pub(in crate::store) fn fill_the_budget(&self) -> crate::store::budget::Reservation {
+            lock(&self.shared.loader).budget().take_rest()
+        }
+    }
 
     fn archive() -> Archive {
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());

@@ -116,7 +116,8 @@ fn a_walker_falls_150_m_past_dense_storeys_and_misses_nothing_with_the_thread_an
 
 #[test]
 fn pages_are_loaded_in_the_order_in_which_a_fall_needs_them() {
-    let options = StreamOptions { run_bytes: 0, ..options(BUDGET, Prefetch::Manual) };
+    let mut options = options(BUDGET, Prefetch::Manual);
+    options.loader.run_bytes = 0;
     let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options).unwrap();
     let mut pawn = stream.pawn();
     let mut body = Body::at(0.0, 0.0, 152.0);
@@ -356,10 +357,9 @@ fn one_damaged_page_of_a_run_is_an_error_and_the_others_are_loaded() {
 #[test]
 fn neighbouring_pages_come_with_one_read() {
     let reads = |run_bytes: usize| {
-        let stream = Stream::open(
-            open(MemorySource::new(&TOWER[..])),
-            StreamOptions { run_bytes, ..options(BUDGET, Prefetch::Manual) },
-        );
+        let mut options = options(BUDGET, Prefetch::Manual);
+        options.loader.run_bytes = run_bytes;
+        let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options);
         let stream = stream.unwrap();
         let mut pawn = stream.pawn();
         pawn.hint(&Body::at(0.0, 0.0, 100.0).motion());

@@ -7,7 +7,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::page::{PageBuilder, Span};
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
+use slicewalk::store::{LoaderOptions, Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::*;
 use std::time::Duration;
 
@@ -250,9 +250,7 @@ fn the_outlook_names_every_page_that_a_step_asks_for() {
         let frame = Duration::from_secs_f64(1.0 / hz);
         let options = StreamOptions {
             prefetch: Prefetch::Manual,
-            horizon_min: frame,
-            horizon_max: frame,
-            ..StreamOptions::new(64 << 20)
+            loader: LoaderOptions { horizon_min: frame, horizon_max: frame, ..LoaderOptions::new(64 << 20) },
         };
         let config = Config { speed, ..config([BOX, CYLINDER][n / 2]) };
         let mut walker = Walker::new(config, Point3::new(0.1, 0.2, 9.0)).unwrap();

@@ -192,7 +192,7 @@ impl Checked<'_> {
         };
         if self.page(&entry, scratch)? != *page {
             let wrong = Violation::new("L5", "what the pages below make", "something else");
-            let at = entry.extent().map_or(0, |extent| extent.offset);
+            let at = entry.bytes().start;
             return Err(wrong.at(format!("page {key} of level {}", self.number), at));
         }
         self.page_colours(key, page, Some(sums), scratch);

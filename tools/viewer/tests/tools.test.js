@@ -110,17 +110,21 @@ describe("colours", () => {
     Object.assign(server, { holds: isOfColours, requests: [] });
     const held = () =>
       server.of("coloured-avenue.slices").filter(({ range }) => isOfColours(...(range?.match(/\d+/g) ?? []).map(Number)));
+    const waiting = () => held().filter(({ status }) => status === 206);
     try {
       await walkIn(page, address(server, { archive: "coloured-avenue.slices", at: [2, 0, 0.1], look: [90, 0] }));
-      await until(page, "colours asked for", ({ colours }) => colours.requests > 0);
-      assert.ok(held().length === 1 && held()[0].status === 206, JSON.stringify(held()));
+      await until(page, "colours asked for", () => waiting().length > 0);
       const { at } = await hold(page, ["Shift", "w"], "8 m on", (now) => now.at[0] > 10);
       assert.ok(Math.abs(at[2]) < 0.3, `z = ${at[2]}`);
+      await until(page, "colours asked for", () => waiting().length > 0);
+      const before = waiting();
       // Far beyond the pages in memory.
       await page.evaluate(() => window.slicewalk.goto({ at: [290, 0, 0.1] }));
-      const { missing, drawn } = await until(page, "there", (now) => now.at[0] > 280 && now.missing === 0);
-      assert.deepEqual([missing, drawn.coloured], [0, 0]);
-      await until(page, "the first request closed", () => held()[0].status === 0);
+      const { missing, colours } = await until(page, "there", (now) => now.at[0] > 280 && now.missing === 0);
+      // Colours within the end of the archive, which was read first, may be drawn: they cost no request.
+      assert.deepEqual([missing, colours.bytes], [0, 0]);
+      await until(page, "the first requests closed", () => before.every(({ status }) => status === 0));
+      await until(page, "colours asked for again", () => waiting().length > 0);
     } finally {
       server.holds = () => false;
     }

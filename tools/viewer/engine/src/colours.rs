@@ -1,7 +1,6 @@
 //! Colours of what scenes draw: those of pages first, then those of the overview level.
 //!
-//! In: what is drawn, and bytes fetched while nothing else is in flight. Out: one range to fetch at a time, and paint.
-//! The caller cancels a fetch when a pawn waits for a page.
+//! In: what is drawn, and the loaders of pages and of the level. Out: the pages whose colours they bring, and paint.
 
 use crate::named::{Moving, Named};
 use crate::outline::Outline;
@@ -9,133 +8,56 @@ use crate::paint::Paint;
 use crate::scene::{Part, Scenes};
 use slicewalk::Error;
 use slicewalk::frame::PageKey;
-use slicewalk::store::{ColourLoader, Loader, Snapshot, Time};
-use std::ops::Range;
+use slicewalk::store::Loader;
 
 /// Most pages whose colours are requested at a time; afterwards the camera may see others.
 const PAINTED: usize = 64;
 
-/// State of the colours.
 #[derive(Default)]
-pub(crate) enum Colours {
-    /// Not requested.
-    #[default]
-    Off,
-    /// Requested, but the directory is not loaded yet.
-    Wanted,
-    On(Box<Bringing>),
-    /// The archive has none.
-    Never,
-}
-
-pub(crate) struct Bringing {
-    near: ColourLoader,
-    /// Loader for the overview level, used when no page needs colours.
-    far: Option<ColourLoader>,
-    /// The fetch in flight, by name.
-    fetch: Option<(u32, Part)>,
+pub(crate) struct Colours {
+    is_on: bool,
     /// Set when something was drawn or painted since the loaders last received the pages.
     is_stale: bool,
     /// Decoded colours, and the scenes still to be painted with them.
     came: Option<(Part, PageKey, slicewalk::page::Colours, Vec<u32>)>,
 }
 
-impl Bringing {
-    /// Ends a fetch and returns the loader that requested it.
-    fn over(&mut self, name: u32) -> Option<&mut ColourLoader> {
-        let (_, of) = self.fetch.take_if(|fetch| fetch.0 == name)?;
-        match of {
-            Part::Pages => Some(&mut self.near),
-            Part::Level => self.far.as_mut(),
-        }
-    }
-}
-
 impl Colours {
     /// Starts bringing colours.
     pub fn bring(&mut self) {
-        if matches!(self, Self::Off) {
-            *self = Self::Wanted;
-        }
-    }
-
-    pub fn are_on(&self) -> bool {
-        matches!(self, Self::On(_))
-    }
-
-    /// Starts loading if colours are requested and the directory is loaded.
-    pub fn begin(&mut self, loader: &Loader) {
-        if matches!(self, Self::Wanted) && loader.snapshots().is_some() {
-            *self = loader.colours().map_or(Self::Never, |near| {
-                Self::On(Box::new(Bringing { near, far: None, fetch: None, is_stale: true, came: None }))
-            });
-        }
+        (self.is_on, self.is_stale) = (true, true);
     }
 
     /// Notes that a scene drew something.
     pub fn drawn(&mut self) {
-        if let Self::On(on) = self {
-            on.is_stale = true;
-        }
+        self.is_stale = true;
     }
 
-    /// Cancels the fetch in flight and returns its name.
-    pub fn give_up(&mut self) -> Option<u32> {
-        let Self::On(on) = self else { return None };
-        let (name, _) = on.fetch?;
-        on.over(name).into_iter().for_each(ColourLoader::cancel);
-        Some(name)
+    /// Requests the colours of what is drawn without. The caller does so while nothing is in flight.
+    pub fn want(&mut self, loader: &mut Loader, outline: Option<&mut Outline>, scenes: &Named<Moving<Scenes>>) {
+        if !self.is_on || !loader.has_colours() || !std::mem::take(&mut self.is_stale) {
+            return;
+        }
+        let wanted = |of| -> Vec<_> { scenes.things().flat_map(|scene| scene.thing.unpainted(of, PAINTED)).collect() };
+        loader.want_colours(&wanted(Part::Pages));
+        outline.and_then(Outline::loader).into_iter().for_each(|far| far.want_colours(&wanted(Part::Level)));
     }
 
-    /// Returns the next range to fetch under this name, unless a fetch is in flight, and when to ask again.
-    pub fn ask(
-        &mut self,
-        name: u32,
-        scenes: &Named<Moving<Scenes>>,
-        outline: Option<&Outline>,
-        now: Time,
-    ) -> (Option<Range<u64>>, Option<Time>) {
-        let Self::On(on) = self else { return (None, None) };
-        let Bringing { near, far, fetch, is_stale, .. } = &mut **on;
-        if fetch.is_some() {
-            return (None, None);
-        }
-        if far.is_none() {
-            *far = outline.and_then(Outline::colours);
-            *is_stale |= far.is_some();
-        }
-        if std::mem::take(is_stale) {
-            let wanted = |of| scenes.things().flat_map(move |scene| scene.thing.unpainted(of, PAINTED));
-            near.want(wanted(Part::Pages));
-            far.iter_mut().for_each(|far| far.want(wanted(Part::Level)));
-        }
-        let of_pages = near.poll(now).map(|range| (Part::Pages, range));
-        let found = of_pages.or_else(|| Some((Part::Level, far.as_mut()?.poll(now)?)));
-        let range = found.map(|(of, range)| {
-            *fetch = Some((name, of));
-            range
-        });
-        (range, [near.retry_at(), far.as_ref().and_then(ColourLoader::retry_at)].into_iter().flatten().min())
-    }
-
-    /// Takes the bytes of a fetch; `None` if the fetch was not for colours.
-    pub fn given(&mut self, name: u32, bytes: Vec<u8>, now: Time) -> Option<slicewalk::Result<()>> {
-        let Self::On(on) = self else { return None };
-        Some(on.over(name)?.given(bytes, now))
-    }
-
-    /// Notes that a fetch failed; it is requested again later.
-    pub fn failed(&mut self, name: u32, now: Time) {
-        if let Self::On(on) = self {
-            on.over(name).into_iter().for_each(|loader| loader.failed(now));
+    /// Gives up what a loader was asked for, until the next [`want`](Self::want).
+    pub fn give_up(&mut self, loader: &mut Loader) {
+        if self.is_on {
+            loader.want_colours(&[]);
+            self.is_stale = true;
         }
     }
 
     /// Number of pages that wait for colours, including those of an overview level.
-    pub fn unpainted(&self, scenes: &Named<Moving<Scenes>>) -> u32 {
-        let Self::On(on) = self else { return 0 };
-        let of = |of| scenes.things().map(move |scene| scene.thing.unpainted(of, usize::MAX).len() as u32);
-        of(Part::Pages).chain(of(Part::Level).filter(|_| on.far.is_some())).sum()
+    pub fn unpainted(&self, scenes: &Named<Moving<Scenes>>, loader: &Loader, outline: Option<&Outline>) -> u32 {
+        let of = |of| scenes.things().map(|scene| scene.thing.unpainted(of, usize::MAX).len() as u32).sum::<u32>();
+        match self.is_on && loader.has_colours() {
+            true => of(Part::Pages) + if outline.is_some_and(Outline::has_colours) { of(Part::Level) } else { 0 },
+            false => 0,
+        }
     }
 
     /// Paints the next page; returns the scene that draws it, its name, and its paint. Damaged colours are reported
@@ -143,39 +65,35 @@ impl Colours {
     pub fn paint(
         &mut self,
         scenes: &mut Named<Moving<Scenes>>,
-        view: &Snapshot,
-        level: Option<&Snapshot>,
-        mut report: impl FnMut(Error),
+        loader: &mut Loader,
+        mut outline: Option<&mut Outline>,
+        mut report: impl FnMut(&Error),
     ) -> Option<(u32, u32, Paint)> {
-        let Self::On(on) = self else { return None };
-        let Bringing { near, far, is_stale, came, .. } = &mut **on;
         loop {
-            if let Some((of, key, colours, waiting)) = came {
+            if let Some((of, key, colours, waiting)) = &mut self.came {
                 while let Some(name) = waiting.pop() {
                     let drawn = scenes.get_mut(name).and_then(|scene| scene.thing.paint(*of, *key));
                     if let Some((page, coarseness)) = drawn {
                         return Some((name, page, Paint::new(colours, coarseness)));
                     }
                 }
-                *came = None;
+                self.came = None;
             }
-            let of_pages = near.decode(view).map(|(key, colours)| (Part::Pages, key, colours));
-            let found = of_pages.or_else(|| {
-                let (key, colours) = far.as_mut()?.decode(level?)?;
-                Some((Part::Level, key, colours))
-            });
-            let (of, key, colours) = found?;
+            let near = loader.take_colours().map(|came| (Part::Pages, came));
+            let far = || outline.as_deref_mut()?.loader()?.take_colours().map(|came| (Part::Level, came));
+            let (of, (key, colours)) = near.or_else(far)?;
             match colours {
-                Ok(colours) => *came = Some((of, key, colours, scenes.0.iter().map(|(name, _)| *name).collect())),
+                Ok(colours) => self.came = Some((of, key, colours, scenes.0.iter().map(|(name, _)| *name).collect())),
                 Err(error) => {
-                    report(error);
-                    // Prevents further requests for it.
-                    for (_, scene) in &mut scenes.0 {
+                    report(&error);
+                    // Prevents further requests for damaged colours; others are requested again by the loader.
+                    let is_damaged = !matches!(error, Error::Io { .. });
+                    for (_, scene) in scenes.0.iter_mut().filter(|_| is_damaged) {
                         let _ = scene.thing.paint(of, key);
                     }
                 }
             }
-            *is_stale = true;
+            self.is_stale = true;
         }
     }
 }

@@ -11,11 +11,11 @@ use crate::named::{Moving, Named};
 use crate::outline::{self, Outline};
 use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
-use crate::scene::{HORIZON_S, Scenes};
+use crate::scene::{HORIZON_S, Part, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, RequestId, Snapshot, Time};
+use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, Payload, RequestId, Snapshot, Time};
 use std::collections::VecDeque;
 use std::time::Duration;
 use wasm_bindgen::prelude::wasm_bindgen;
@@ -36,8 +36,9 @@ const MOST_COLUMNS: usize = 10_000;
 #[wasm_bindgen]
 pub struct Engine {
     loader: Loader,
-    fetches: Named<FetchId>,
-    decodes: VecDeque<Decode>,
+    /// Fetches in flight, with the loaders that requested them.
+    fetches: Named<(Part, FetchId)>,
+    decodes: VecDeque<(Part, Decode)>,
     reports: VecDeque<String>,
     requests: Named<RequestId>,
     lacks: Lacks,
@@ -115,18 +116,61 @@ impl Engine {
 
     fn todo(&mut self, now: Time) -> Result<Vec<f64>, String> {
         let mut todo = Vec::new();
+        let is_fetched = matches!(self.outline, Distant::Wanted | Distant::Asked(_));
+        if !is_fetched && self.is_quiet() {
+            self.colours.want(&mut self.loader, outline_of(&mut self.outline), &self.scenes);
+        }
+        let (mut until, is_urgent) = self.ask(Part::Pages, now, &mut todo)?;
+        self.ask_outline(&mut todo);
+        let waits = is_urgent || self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
+        if let Some(far) = outline_of(&mut self.outline).and_then(Outline::loader)
+            && waits
+        {
+            self.colours.give_up(far);
+        }
+        if waits || self.is_quiet() {
+            let (again, _) = self.ask(Part::Level, now, &mut todo)?;
+            until = [until, again].into_iter().flatten().min();
+        }
+        let until = until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0);
+        todo.extend(acting(ActionCode::Wait, 0, until, 0.0));
+        Ok(todo)
+    }
+
+    /// Returns whether nothing is in flight or to be decoded.
+    fn is_quiet(&self) -> bool {
+        self.fetches.0.is_empty() && self.decodes.is_empty() && !matches!(self.outline, Distant::Asked(_))
+    }
+
+    fn loader_of(&mut self, part: Part) -> Option<&mut Loader> {
+        match part {
+            Part::Pages => Some(&mut self.loader),
+            Part::Level => outline_of(&mut self.outline).and_then(Outline::loader),
+        }
+    }
+
+    /// Starts and cancels fetches as a loader demands; returns when to ask it again, and whether it began to fetch what
+    /// is needed at once.
+    fn ask(&mut self, part: Part, now: Time, todo: &mut Vec<f64>) -> Result<(Option<Time>, bool), String> {
+        let mut is_urgent = false;
         loop {
-            match self.loader.poll(now).map_err(|error| fault::text(&error))? {
+            let Some(loader) = self.loader_of(part) else { return Ok((None, false)) };
+            match loader.poll(now).map_err(|error| fault::text(&error))? {
                 Next::Fetch(fetch) => {
+                    let action = match fetch.what {
+                        Payload::Colours => ActionCode::FetchColours,
+                        _ => ActionCode::Fetch,
+                    };
+                    is_urgent |= fetch.needed_in.is_zero();
                     if fetch.needed_in > OUTLINE_BEFORE {
-                        self.ask_outline(&mut todo);
+                        self.ask_outline(todo);
                     }
                     let name = self.name();
-                    self.fetches.insert(name, fetch.id);
-                    todo.extend(fetching(ActionCode::Fetch, name, &fetch.range));
+                    self.fetches.insert(name, (part, fetch.id));
+                    todo.extend(fetching(action, name, &fetch.range));
                 }
                 Next::Cancel(id) => {
-                    let name = self.fetches.0.iter().find(|(_, other)| *other == id).map(|(name, _)| *name);
+                    let name = self.fetches.0.iter().find(|(_, other)| *other == (part, id)).map(|(name, _)| *name);
                     if let Some(name) = name {
                         self.fetches.remove(name);
                         todo.extend(acting(ActionCode::Cancel, name, 0.0, 0.0));
@@ -136,13 +180,7 @@ impl Engine {
                     let text = fault::text(&page.error);
                     self.reports.push_back(text);
                 }
-                Next::Wait(until) => {
-                    self.ask_outline(&mut todo);
-                    let until = self.ask_colours(now, until, &mut todo);
-                    let until = until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0);
-                    todo.extend(acting(ActionCode::Wait, 0, until, 0.0));
-                    return Ok(todo);
-                }
+                Next::Wait(until) => return Ok((until, is_urgent)),
             }
         }
     }
@@ -154,33 +192,32 @@ impl Engine {
 
     /// Takes the bytes of a fetch; [`decode`](Self::decode) processes them.
     pub fn given(&mut self, fetch: u32, bytes: Vec<u8>, now_ms: f64) {
-        if let Some(id) = self.fetches.remove(fetch) {
-            self.decodes.extend(self.loader.given(id, bytes, time(now_ms)));
+        if let Some((part, id)) = self.fetches.remove(fetch) {
+            let job = self.loader_of(part).and_then(|loader| loader.given(id, bytes, time(now_ms)));
+            self.decodes.extend(job.map(|job| (part, job)));
         } else if matches!(self.outline, Distant::Asked(name) if name == fetch) {
             let outline = self.loader.catalog().map(|catalog| Outline::new(catalog, bytes, self.outline_budget));
             self.outline = self
                 .sound(outline.transpose())
                 .flatten()
                 .map_or(Distant::Never, |outline| Distant::Here(Box::new(outline)));
-        } else if let Some(given) = self.colours.given(fetch, bytes, time(now_ms)) {
-            self.sound(given);
         }
     }
 
     /// Notes that a fetch failed; it is requested again later.
     pub fn failed(&mut self, fetch: u32, message: &str, now_ms: f64) {
-        if let Some(id) = self.fetches.remove(fetch) {
-            let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
-            self.loader.failed(id, error, time(now_ms));
-        } else {
-            self.colours.failed(fetch, time(now_ms));
+        let Some((part, id)) = self.fetches.remove(fetch) else { return };
+        let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
+        if let Some(loader) = self.loader_of(part) {
+            loader.failed(id, error, time(now_ms));
         }
     }
 
     /// Decodes the bytes of one fetch; returns whether there were any.
     pub fn decode(&mut self, now_ms: f64) -> bool {
-        let Some(job) = self.decodes.pop_front() else { return self.decode_outline(time(now_ms)) };
-        let loaded = self.loader.loaded(job.run(), time(now_ms));
+        let Some((part, job)) = self.decodes.pop_front() else { return self.decode_outline(time(now_ms)) };
+        let decoded = job.run();
+        let loaded = self.loader_of(part).map_or(0, |loader| loader.loaded(decoded, time(now_ms)));
         self.loaded += loaded as u64;
         if loaded > 0 {
             self.scenes.0.iter_mut().for_each(|(_, scene)| scene.thing.pages_changed());
@@ -219,32 +256,10 @@ impl Engine {
         if let Some(range) = self.loader.catalog().and_then(outline::range) {
             let name = self.name();
             self.outline = Distant::Asked(name);
+            // Colours come while nothing else is in flight.
+            self.colours.give_up(&mut self.loader);
             todo.extend(fetching(ActionCode::Fetch, name, &range));
         }
-    }
-
-    /// Requests colours while no other request is in flight, and cancels that while a pawn waits; returns when to ask
-    /// again.
-    fn ask_colours(&mut self, now: Time, until: Option<Time>, todo: &mut Vec<f64>) -> Option<Time> {
-        self.colours.begin(&self.loader);
-        let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
-        if waits && let Some(name) = self.colours.give_up() {
-            todo.extend(acting(ActionCode::Cancel, name, 0.0, 0.0));
-        }
-        let is_busy = waits
-            || !self.fetches.0.is_empty()
-            || !self.decodes.is_empty()
-            || matches!(self.outline, Distant::Asked(_));
-        if is_busy {
-            return until;
-        }
-        let (outline, next) = (of_distant(&self.outline), self.names + 1);
-        let (range, retry_at) = self.colours.ask(next, &self.scenes, outline, now);
-        if let Some(range) = range {
-            self.names = next;
-            todo.extend(fetching(ActionCode::FetchColours, next, &range));
-        }
-        [until, retry_at].into_iter().flatten().min()
     }
 
     /// Returns whether the archive is open, with head and directory loaded.
@@ -529,18 +544,15 @@ impl Engine {
 
     /// Number of pages that wait for colours, including those of an overview level.
     pub fn unpainted(&self) -> u32 {
-        self.colours.unpainted(&self.scenes)
+        self.colours.unpainted(&self.scenes, &self.loader, self.outline())
     }
 
     /// Paints the next page and returns the numbers of a `PaintMessage`; [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) return the rest. Empty if there is no
     /// page to paint.
     pub fn paint(&mut self) -> Result<Vec<f64>, String> {
-        if !self.colours.are_on() {
-            return Ok(Vec::new());
-        }
-        let (view, level) = (self.snapshot()?, self.outline().and_then(Outline::snapshot));
-        let report = |error| self.reports.push_back(fault::text(&error));
-        let Some((scene, page, paint)) = self.colours.paint(&mut self.scenes, &view, level.as_ref(), report) else {
+        let report = |error: &_| self.reports.push_back(fault::text(error));
+        let outline = outline_of(&mut self.outline);
+        let Some((scene, page, paint)) = self.colours.paint(&mut self.scenes, &mut self.loader, outline, report) else {
             return Ok(Vec::new());
         };
         let paint = self.painted.insert(paint);
@@ -594,7 +606,10 @@ impl Engine {
     }
 
     fn outline(&self) -> Option<&Outline> {
-        of_distant(&self.outline)
+        match &self.outline {
+            Distant::Here(outline) => Some(outline),
+            _ => None,
+        }
     }
 
     fn moving(&mut self, pawn: u32) -> Result<&mut Moving<Pawn>, String> {
@@ -633,7 +648,7 @@ fn fetching(action: ActionCode, fetch: u32, range: &std::ops::Range<u64>) -> [f6
     acting(action, fetch, range.start as f64, range.end as f64)
 }
 
-fn of_distant(distant: &Distant) -> Option<&Outline> {
+fn outline_of(distant: &mut Distant) -> Option<&mut Outline> {
     match distant {
         Distant::Here(outline) => Some(outline),
         _ => None,

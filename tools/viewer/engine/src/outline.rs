@@ -5,7 +5,7 @@
 
 use slicewalk::archive::{Catalog, Level};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::store::{ColourLoader, Loader, LoaderOptions, Next, RequestId, Snapshot, Time};
+use slicewalk::store::{Loader, LoaderOptions, Next, RequestId, Snapshot, Time};
 use slicewalk::{Error, Result};
 use std::ops::Range;
 
@@ -60,9 +60,13 @@ impl Outline {
         Some((self.loading.as_ref()?.0, *self.snapshot()?.frame()))
     }
 
-    /// Loader for the level's colours, within its budget, once all its pages are resident; `None` without colours.
-    pub fn colours(&self) -> Option<ColourLoader> {
-        self.loading.as_ref().filter(|_| self.is_ready)?.1.colours()
+    /// Loader of the level once all its pages are resident: it brings the level's colours, within its budget.
+    pub fn loader(&mut self) -> Option<&mut Loader> {
+        self.loading.as_mut().filter(|_| self.is_ready).map(|loading| &mut loading.1)
+    }
+
+    pub fn has_colours(&self) -> bool {
+        self.is_ready && self.loading.as_ref().is_some_and(|loading| loading.1.has_colours())
     }
 
     /// Bytes in use, peak bytes, and budget, without the fetched range.
@@ -258,6 +262,7 @@ pub(crate) mod tests {
         let far = fetches.iter().position(|range| range[0] == table.start).expect("the table of levels");
         let section = archive.catalog().colours_section().unwrap();
         assert!(far > 1 && fetches[0][1] == section.end, "{fetches:?}");
+        assert_eq!(BTreeSet::from_iter(&fetches).len(), fetches.len(), "none twice: {fetches:?}");
         let end = fetches[far + 1..].iter().map(|range| range[1]).max().unwrap();
         assert!(fetches[..far].iter().all(|range| range[0] >= end), "{fetches:?}");
     }
