@@ -26,9 +26,6 @@ const ROUNDING: f64 = 1.0 + 1e-9;
 /// Most voxels that splats fill if the pixel size is chosen automatically: so a few blobs of many metres take seconds.
 pub const AUTO_VOXELS: f64 = (1u64 << 23) as f64;
 
-/// Most voxels that splats fill if the pixel size is chosen automatically: so a few blobs of many metres take seconds.
-pub const AUTO_VOXELS: f64 = (1u64 << 23) as f64;
-
 /// Measurements from which automatic options follow; `None` where the options were given.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Surveyed {
@@ -152,7 +149,8 @@ fn pixel_of_extent(
     let longer = along(0).max(along(1));
     if longer > 0.0 {
         let pixel_m = longer / AUTO_PIXELS;
-        let filled = |pixel_m: f64| survey.volume_m3 / (pixel_m * pixel_m * options.grid.slice_m.unwrap_or(3.0 * pixel_m));
+        let filled =
+            |pixel_m: f64| survey.volume_m3 / (pixel_m * pixel_m * options.grid.slice_m.unwrap_or(3.0 * pixel_m));
         let excess = filled(pixel_m) / AUTO_VOXELS.max(16.0 * survey.counts.read as f64);
         // Slices of a given height do not grow with the pixels.
         let grows = |excess: f64| if options.grid.slice_m.is_some() { excess.sqrt() } else { libm::cbrt(excess) };
