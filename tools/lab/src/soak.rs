@@ -14,7 +14,7 @@ use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, SweepHit, cast, ceiling_above, floor_under, overlaps, probe, sweep,
 };
 use slicewalk::store::{Prefetch, Snapshot, Stream, StreamOptions};
-use slicewalk::walk::{Body, Config, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, MoveInput, Walker};
 use std::path::Path;
 use std::time::{Duration, Instant};
 

@@ -52,7 +52,7 @@ impl Method for Ours {
 
     /// Conversion keeps to its budget; in memory it is a few bytes a voxel.
     fn estimate_bytes(&self, _: &Subject, _: f64, cubes: usize) -> f64 {
-        ConvertOptions::new(Vec::new(), PathBuf::new()).memory_bytes as f64 + 100.0 * cubes as f64
+        ConvertOptions::new(Vec::new(), PathBuf::new()).resources.memory_bytes as f64 + 100.0 * cubes as f64
     }
 
     fn build(&self, subject: &Subject, pixel_m: f64) -> Result<Box<dyn Built>> {
@@ -61,11 +61,11 @@ impl Method for Ours {
         let mut options = ConvertOptions::new(vec![subject.file.clone()], file.clone());
         options.grid.pixel = PixelSize::Metres(pixel_m);
         options.plan = PlanOptions {
-                classifier: self.classifier,
-                tolerance_m: self.tolerance * pixel_m,
-                up: subject.up,
-                ..PlanOptions::default()
-            };
+            classifier: self.classifier,
+            tolerance_m: self.tolerance * pixel_m,
+            up: subject.up,
+            ..PlanOptions::default()
+        };
         options.reading.units = subject.units;
         options.resources.temp_dir = folder.path().into();
         convert(&options, &NoMonitor)?;

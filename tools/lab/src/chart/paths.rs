@@ -12,7 +12,7 @@ use nalgebra::Point3;
 use rapier3d::prelude::SharedShape;
 use scangen::SampleSpec;
 use slicewalk::plan::Classifier;
-use slicewalk::walk::{Body, Config, Response, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, MoveInput, Response, Walker};
 
 /// The pawn (m).
 const RADIUS_M: f64 = 0.25;

@@ -8,7 +8,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, PageDecoder, PageEncoder};
 use slicewalk::query::{Aabb, Overlap, Ray, cast, floor_under, overlaps, sweep};
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, MoveInput, Walker};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::hint::black_box;
 use std::path::PathBuf;

@@ -111,12 +111,12 @@ impl Scan {
         let mut options = ConvertOptions::new(vec![self.path("scan.las")], output.clone());
         options.grid.pixel = PixelSize::Metres(setting.pixel_m);
         options.plan = PlanOptions {
-                max_slope_deg: setting.limit_deg,
-                classifier,
-                min_points: setting.min_points,
-                drop_floaters: setting.drop_floaters,
-                ..PlanOptions::default()
-            };
+            max_slope_deg: setting.limit_deg,
+            classifier,
+            min_points: setting.min_points,
+            drop_floaters: setting.drop_floaters,
+            ..PlanOptions::default()
+        };
         options.resources.threads = 1;
         options.overwrite = true;
         options.resources.temp_dir = self.folder.path().into();

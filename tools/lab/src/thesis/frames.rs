@@ -10,7 +10,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Answer, Cylinder, Overlap, floor_under, overlaps};
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, MoveInput, Walker};
 use std::path::Path;
 use std::time::Instant;
 

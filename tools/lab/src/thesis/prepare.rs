@@ -8,7 +8,7 @@ use crate::stability::table::{Table, number, percent};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
-use slicewalk::store::{PageSlot, Snapshot};
+use slicewalk::store::Snapshot;
 use slicewalk_mesh::sample::oversample;
 use std::collections::BTreeMap;
 use std::path::Path;

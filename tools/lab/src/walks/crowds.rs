@@ -8,7 +8,7 @@ use scangen::SampleSpec;
 use scangen::scene::build::Builder;
 use slicewalk::plan::Classifier;
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Crowd, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, Crowd, MoveInput, Walker};
 use std::time::Instant;
 
 const TICK_S: f64 = 1.0 / 60.0;

@@ -7,7 +7,7 @@ use crate::stability::table::{Table, number, percent};
 use crate::{Random, data};
 use nalgebra::{Point2, Point3};
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Region, Route, Search, PlaceId, StandingPlaces};
+use slicewalk::reach::{Coarse, Flood, Pawn, PlaceId, Planned, Region, Route, Search, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk_convert::{ConvertOptions, PixelSize};

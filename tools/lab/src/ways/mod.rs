@@ -19,7 +19,7 @@ mod truth;
 
 use crate::stability::Result;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Flood, Pawn, Region, PlaceId, StandingPlaces};
+use slicewalk::reach::{Flood, Pawn, PlaceId, Region, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::{Monitor, NoMonitor};
 use std::path::{Path, PathBuf};

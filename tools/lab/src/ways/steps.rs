@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector2};
 use slicewalk::plan::Up;
 use slicewalk::reach::Pawn;
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, State, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, MoveInput, State, Walker};
 
 /// Steps in one scene, and those between two starts elsewhere.
 const STEPS: usize = 10_000_000;
@@ -53,7 +53,8 @@ fn walk(store: &Snapshot, starts: &[Point3<f64>], body: Body, steps: usize) -> R
                 heading = random.between(0.0, std::f64::consts::TAU);
             }
             let before = walker.feet();
-            let report = walker.step(store, 1.0 / 60.0, MoveInput::Direction(Vector2::new(heading.cos(), heading.sin())));
+            let report =
+                walker.step(store, 1.0 / 60.0, MoveInput::Direction(Vector2::new(heading.cos(), heading.sin())));
             walked.metres += (walker.feet() - before).norm();
             walked.stopped += usize::from(report.stop.is_some());
             let drop = ground - walker.feet().z;

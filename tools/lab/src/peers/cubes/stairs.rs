@@ -13,7 +13,7 @@ use parry3d::shape::{SharedShape, TriMesh};
 use scangen::SampleSpec;
 use slicewalk::plan::Classifier;
 use slicewalk::store::Snapshot;
-use slicewalk::walk::{Body, Config, Walker, MoveInput};
+use slicewalk::walk::{Body, Config, MoveInput, Walker};
 use std::fmt::Write;
 use std::time::Instant;
 
