@@ -349,7 +349,7 @@ impl Conversion<'_> {
         })
     }
 
-    /// First pass: writes points, triangles, splats and cubes into runs, and tells `writer` what it must know before pages.
+    /// First pass: writes points, triangles, splats and cubes into runs, and sets the colours and inputs of `writer`.
     fn read(&self, progress: &Progress, notes: bool, writer: &mut ArchiveWriter) -> Result<AllRead> {
         let Inputs { scans, meshes, splats, cubes, .. } = self.inputs;
         let (pass, seeing) = (self.pass, self.seeing);

@@ -178,7 +178,7 @@ impl Default for SectionOptions {
     }
 }
 
-/// What a conversion may use of the machine.
+/// Memory, threads and temporary folder of a conversion.
 #[derive(Debug, Clone)]
 pub struct Resources {
     /// Memory budget (bytes, at least 64 MiB).
@@ -221,7 +221,7 @@ pub struct ConvertOptions {
     pub overwrite: bool,
     /// File for the points that were removed as moving, as LAS.
     pub removed: Option<PathBuf>,
-    /// What the conversion may use of the machine.
+    /// Memory, threads and temporary folder.
     pub resources: Resources,
     /// Plan file of this conversion, already applied to these options ([`PlanFile::apply_to`]); inputs other than its
     /// own are refused.

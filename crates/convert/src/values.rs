@@ -1,11 +1,11 @@
 //! Values of options as text: on the command line, in Python and in the browser. Messages say what is expected.
 
+use crate::Error;
 use crate::archive::MAX_SHARDS;
 use crate::input::Units;
 use crate::placement::Similarity;
 use crate::plan::Up;
 use crate::upright::Turn;
-use crate::{Error, Result as Fallible};
 use std::io::Read;
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -80,7 +80,7 @@ pub fn scale_from(from: &str, to: &str, metres: &str) -> Result<Units, String> {
     unit_from(place(from)?, place(to)?, length(metres)?)
 }
 
-/// Returns the unit by which two places in the file's coordinates are so many metres apart.
+/// Returns the unit by which two places in the file's coordinates are `metres` apart.
 pub fn unit_from(from: [f64; 3], to: [f64; 3], metres: f64) -> Result<Units, String> {
     let apart = (0..3).map(|axis| (to[axis] - from[axis]).powi(2)).sum::<f64>().sqrt();
     if !(metres > 0.0 && metres.is_finite()) {
@@ -93,7 +93,7 @@ pub fn unit_from(from: [f64; 3], to: [f64; 3], metres: f64) -> Result<Units, Str
 }
 
 /// Reads a 4 × 4 matrix from a text file.
-pub fn transform(path: &Path) -> Fallible<Similarity> {
+pub fn transform(path: &Path) -> crate::Result<Similarity> {
     /// Longest text of a matrix (bytes).
     const MOST_BYTES: u64 = 1 << 16;
     let file = std::fs::File::open(path).map_err(|error| Error::io(path, "open", error))?;

@@ -14,7 +14,7 @@ use crate::{ConvertOptions, Error, Monitor, NoMonitor, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// What the first pass over inputs of any kind needs.
+/// Settings, runs and monitor of the first pass, for inputs of any kind.
 #[derive(Clone, Copy)]
 pub(super) struct FirstPass<'a> {
     pub options: &'a ConvertOptions,

@@ -21,7 +21,7 @@ const LEAST_SHARE: f64 = 1.0 / (1u64 << 16) as f64;
 const LEAST_RADIUS_M: f64 = 1e-9;
 /// A splat is a flat disc if its smallest axis has at most this share of the middle one.
 const FLAT_SHARE: f64 = 0.5;
-/// A splat that is no disc is a needle if its middle axis has at most this share of the longest one.
+/// Any other splat is a needle if its middle axis has at most this share of the longest one.
 const NEEDLE_SHARE: f64 = 0.8;
 
 /// An ellipsoid: the places where a splat's opacity reaches a threshold.

@@ -231,6 +231,9 @@ impl Asked {
             return Err(refuse("drop_isolated", "is drop_floaters=1, which is given too; leave one of them out"));
         }
         options.plan.drop_floaters = options.plan.drop_floaters.max(isolated.into());
+        if is_named("scale_from") && is_named("units") {
+            return Err(refuse("scale_from", "is the unit, which is given too; leave one of them out"));
+        }
         if is_named("stations") && !(options.plan.remove_moving || options.sections.free_space) {
             return Err(refuse("stations", "is for remove_moving=True and free_space=True; give one of these, too"));
         }

@@ -179,6 +179,8 @@ def test_inputs_are_placed_as_on_the_command_line(las, tmp_path):
         bounds(units="m", up="down")
     with pytest.raises(slicewalk.ParameterError, match="the two places are the same"):
         bounds(scale_from=((0, 0, 0), (0, 0, 0), 1.0))
+    with pytest.raises(slicewalk.ParameterError, match="is the unit"):
+        bounds(units="m", scale_from=((0, 0, 0), (2, 0, 0), 1.0))
     with pytest.raises(slicewalk.ParameterError, match="opacity"):
         bounds(units="m", opacity=2.0)
 

@@ -47,8 +47,8 @@ impl EllipsoidBuilder {
         self
     }
 
-    /// Adds an ellipsoid with its bounds, and the opacity and colour of its splat; returns false if the grid does not reach it. Stops
-    /// with an error once `cancelled` is true.
+    /// Adds an ellipsoid with its bounds, and the opacity and colour of its splat; returns false if the grid does not reach
+    /// it. Stops with an error once `cancelled` is true.
     pub fn push(
         &mut self,
         ellipsoid: &Ellipsoid,

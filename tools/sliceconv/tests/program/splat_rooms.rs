@@ -21,7 +21,7 @@ use tempfile::TempDir;
 const PIXEL_M: f64 = 0.05;
 const RECIPE: [&str; 8] = ["--opacity", "0.65", "--max-size", "3", "--drop-floaters", "200", "--fill-holes", "0.4"];
 const RADIUS: f64 = 0.25;
-/// Places where only a body narrower or wider by this can stand are not judged: the grid alone shifts a wall or an edge
+/// Places where only a body narrower or wider by this can stand are not compared: the grid alone shifts a wall or an edge
 /// by up to a pixel, and noise more (m).
 const MARGIN: f64 = 1.5 * PIXEL_M;
 /// Difference of height of the same place: less than a step of the stairs (m).
@@ -109,7 +109,7 @@ impl House {
             let is_near =
                 |(i, j): (i64, i64)| (i as f64 * PIXEL_M - x).abs() < 0.3 && (j as f64 * PIXEL_M - y).abs() < 0.3;
             let mut heights = own.iter().filter(|(pixel, _)| is_near(**pixel)).flat_map(|(_, heights)| heights);
-            assert!(heights.any(|own| (own - z).abs() <= SAME_M), "{sample}: nobody stands at {x}, {y}, {z}");
+            assert!(heights.any(|own| (own - z).abs() <= SAME_M), "{sample}: no place to stand at {x}, {y}, {z}");
         }
     }
 }

@@ -35,7 +35,7 @@
 //!
 //! Other splats do not show their slope. A voxel of nothing else follows the surfaces of known slope in 3 × 3 pixels that
 //! are connected to it (a void of at most a pixel's width): it is floor if one of their voxels is, else an obstacle.
-//! Where there are none, it is floor if it is part of a surface: at least five of the eight pixels around it have solid
+//! Without any such surface, it is floor if it is part of a surface: at least five of the eight pixels around it have solid
 //! connected to it. So a lone splat, or one on the leg of a table, is nothing to stand on.
 
 mod extents;
