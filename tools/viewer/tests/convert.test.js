@@ -12,11 +12,13 @@ import { StaticServer } from "./static-server.js";
 
 const folder = mkdtempSync(join(tmpdir(), "page-"));
 const scan = join(folder, "house.laz");
+const splats = join(folder, "splats.ply");
 const OPTIONS = { units: "m", pixel: 0.1 };
 let server;
 
 before(async () => {
   program("scangen", "demo", "--format", "7", "--colour", "4", "-o", scan);
+  program("scangen", "corridor", "--density", "400", "-o", splats);
   writeFileSync(join(folder, "wrong.laz"), "this is no scan");
   writeFileSync(join(folder, "cut.laz"), readFileSync(scan).subarray(0, 200_000));
   writeFileSync(join(folder, "route.csv"), "x,y,z\n1.5,2,0\n3.8,5,0\n6.4,5,0\n");
@@ -39,10 +41,10 @@ after(async () => {
 });
 
 /** The bytes that `sliceconv` writes with the page's options. */
-function natively(options) {
+function natively(options, input = scan) {
   const output = join(folder, "native.slices");
   const words = Object.entries(options).flatMap(([name, value]) => [`--${name}`, String(value)]);
-  program("sliceconv", scan, "-o", output, "--quiet", "--force", "--colour", "auto", "--levels", "on", ...words);
+  program("sliceconv", input, "-o", output, "--quiet", "--force", "--colour", "auto", "--levels", "on", ...words);
   return readFileSync(output);
 }
 
@@ -92,6 +94,16 @@ describe("scans on the page", () => {
     assert.ok(stages.includes("reading points"), stages.join());
     assert.equal((await state(page)).ready, true);
     assert.ok((await saved(page)).equals(natively(OPTIONS)));
+  });
+
+  it("splats are converted as sliceconv does", async () => {
+    const { page } = tests;
+    server.files["/splats.ply"] = splats;
+    await page.goto(server.address);
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+    await page.evaluate((options) => window.slicewalk.open("splats.ply", options), OPTIONS);
+    assert.equal((await state(page)).ready, true);
+    assert.ok((await saved(page)).equals(natively(OPTIONS, splats)));
   });
 
   it("wrong, damaged and cancelled scans leave the open scene", async () => {
