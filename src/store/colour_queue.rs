@@ -474,6 +474,7 @@ pub(super) mod tests {
     }
 
     #[test]
+    #[ignore = "slow: .ci/run"]
     fn a_budget_without_room_and_damage_keep_colours_away_and_nothing_else() {
         let bytes = archive(false);
         let archive_of = |bytes: &[u8]| Archive::from_bytes(bytes.to_vec()).unwrap();

@@ -421,6 +421,7 @@ fn parts_extracts_and_recovered_archives_have_the_coloured_levels_of_a_single_ru
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
     let bytes = archive_coloured_by_place(&(city(), totals()), 2000, true, None);
     let good = Archive::from_bytes(bytes.clone()).unwrap();

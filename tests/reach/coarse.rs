@@ -105,6 +105,7 @@ fn level(archive: &Archive, number: u32) -> Snapshot {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn a_fine_level_has_a_way_wherever_an_exact_one_leads_and_mostly_along_it() {
     let (mut connected, mut held, mut refused, mut lengths) = (0, 0, 0, [0.0; 2]);
     for seed in 0..6 {

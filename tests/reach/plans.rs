@@ -145,6 +145,7 @@ fn a_prepared_region_gives_as_good_routes_and_looks_at_less() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn the_exact_way_along_a_coarse_one_takes_little_memory() {
     // 450 m.
     let (width, pawn) = (4500, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }));

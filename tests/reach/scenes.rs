@@ -113,6 +113,7 @@ fn arrives(store: &Snapshot, body: Body, route: &slicewalk::reach::Route) -> boo
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
     let store = named("house", &[]);
     for body in [Body::Box { x: 0.5, y: 0.5, height: 1.8 }, Body::Cylinder { radius: 0.25, height: 1.8 }] {

@@ -86,6 +86,7 @@ fn whichever_call_fails_in_whatever_way_nothing_is_lost_and_nothing_is_left_behi
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn nor_is_anything_of_an_archive_with_colours() {
     let job = Job::with(ColourMode::Of(ColourSource::Intensity));
     assert!(strike(&job, &[(false, false), (true, false)]).0 > 50);

@@ -86,6 +86,7 @@ fn section(archive: &Archive, from: u64, to: u64) -> Vec<u8> {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn voxels_have_the_colours_of_their_points_in_every_format_and_pages_are_those_without() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -168,6 +169,7 @@ fn voxels_that_stations_saw_in_different_light_have_the_mean_of_what_they_saw() 
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn order_threads_budget_and_parts_change_no_byte() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -268,6 +270,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn damage_of_colours_is_named_and_leaves_the_geometry() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -353,6 +356,7 @@ fn recovery_and_extracts_keep_the_colours_that_are_sound() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn colours_go_with_filled_holes_floaters_and_tolerance() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -457,6 +461,7 @@ fn assert_near(
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn every_format_gives_the_colours_of_the_same_points_as_las() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

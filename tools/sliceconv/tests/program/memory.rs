@@ -74,6 +74,7 @@ fn shuffled_points_with_an_outlier_stay_within_the_budget_and_go_to_disk() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn filling_holes_stays_within_the_budget() {
     let folder = tempfile::tempdir().unwrap();
     let mut random = Random(8);
@@ -90,6 +91,7 @@ fn filling_holes_stays_within_the_budget() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn shuffled_points_with_colours_stay_within_the_budget() {
     let folder = tempfile::tempdir().unwrap();
     let mut random = Random(8);
@@ -102,6 +104,7 @@ fn shuffled_points_with_colours_stay_within_the_budget() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn a_strip_of_100_kilometres_stays_within_the_budget() {
     peak_memory_kib("strip", "0.5", |_, random| uniform(random, [100_000.0, 20.0, 5.0]));
 }
@@ -112,6 +115,7 @@ fn coincident_points_stay_within_the_budget() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn clouds_of_scanners_stay_within_the_budget_and_go_to_disk() {
     // Twice as many bytes of coordinates as the budget plus the allowed excess.
     for (name, format, count) in [("scan.e57", CloudFormat::E57, POINTS), ("scan.ptx", CloudFormat::Ptx, POINTS)] {
@@ -129,6 +133,7 @@ fn clouds_of_scanners_stay_within_the_budget_and_go_to_disk() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn a_mesh_larger_than_the_budget_stays_within_it_and_goes_to_disk() {
     const SIDE: usize = 900;
     let folder = tempfile::tempdir().unwrap();

@@ -193,6 +193,7 @@ fn gltf_with(
 const MATERIALS: &str = "newmtl first\nKd 1 0 0\nnewmtl wood\nKd 0 0 0\nmap_Kd -s 1 1 1 my textures\\a b.png\n";
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn voxels_have_the_colours_of_the_texture_and_of_corners_in_every_format() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

@@ -145,6 +145,7 @@ fn is_among(gone: &HashSet<[i64; 3]>, p: [f64; 3]) -> bool {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -265,6 +266,7 @@ fn write_packed(path: &Path, format: u8, samples: &[Sample], id: impl Fn(usize) 
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn stations_by_source_id_and_by_time_do_what_files_of_their_own_do() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

@@ -68,6 +68,7 @@ fn poses() -> Vec<[f64; 4]> {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn the_floor_shows_which_way_is_up() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -227,6 +228,7 @@ fn a_matrix_moves_every_input_alike() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn parts_of_splats_merge_to_the_bytes_of_one_run() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

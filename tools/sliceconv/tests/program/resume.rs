@@ -130,6 +130,7 @@ impl Place {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn killed_at_any_moment_a_conversion_goes_on_and_repeats_little() {
     kills(&Place::new(setting("SLICEWALK_RESUME_POINTS", 6_000_000)), setting("SLICEWALK_RESUME_KILLS", 4));
 }
@@ -149,6 +150,7 @@ fn killed_at_any_moment_a_conversion_that_fills_holes_goes_on() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn killed_at_any_moment_a_conversion_with_colours_goes_on() {
     kills(&Place::with(4_000_000, 2_500.0, |_| true, &["--colour", "intensity"]), 2);
 }
@@ -199,6 +201,7 @@ fn kills(place: &Place, kills: u64) {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn after_a_kill_a_run_that_does_not_resume_cleans_up() {
     let place = Place::new(6_000_000);
     assert!(place.kill(place.starts(&["--resume"]), 1).is_some());
@@ -209,6 +212,7 @@ fn after_a_kill_a_run_that_does_not_resume_cleans_up() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn interrupted_or_without_space_a_run_to_be_resumed_says_what_it_keeps_and_where() {
     let place = Place::new(6_000_000);
     // Interrupted.

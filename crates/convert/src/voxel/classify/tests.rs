@@ -176,6 +176,7 @@ fn a_flat_floor_on_a_slice_boundary_is_floor() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn a_slab_scanned_from_above_and_below_is_floor_wherever_its_slices_begin() {
     let mut random = Random(17);
     let edge = 64.0 * T;
@@ -343,6 +344,7 @@ impl Sheet {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn planes_flip_at_the_limit_whatever_the_slice_height() {
     let mut random = Random(41);
     let mut case = 0;
