@@ -41,10 +41,14 @@ mod kinds;
 mod layout;
 mod pending;
 mod scene;
+#[cfg(all(feature = "convert", not(target_family = "wasm")))]
+mod voxels;
 
 pub use device::{Device, Options};
 pub use error::{Error, Result};
 pub use kinds::{Below, Question, Reply};
 pub use pending::{Pending, Replies};
 pub use scene::Scene;
+#[cfg(all(feature = "convert", not(target_family = "wasm")))]
+pub use voxels::VoxelPass;
 pub use wgpu;
