@@ -192,6 +192,16 @@ impl Shared {
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
+    /// Returns the most steps of loops that the device may take for a question.
+    pub fn budget(&self) -> u32 {
+        match self.info.device_type {
+            // llvmpipe ends loops after 65,535 steps of all questions that share a vector, at most 16.
+            wgpu::DeviceType::Cpu => 4000,
+            // Far below the seconds after which systems reset a device.
+            _ => 1 << 18,
+        }
+    }
+
     /// Returns the most questions of one dispatch.
     pub fn dispatch_limit(&self) -> u64 {
         u64::from(self.device.limits().max_compute_workgroups_per_dimension) * u64::from(GROUP)

@@ -1,4 +1,5 @@
 //! The kinds of questions: their words for the device, the meaning of its answers, and the processor's answers.
+#![allow(private_interfaces, reason = "the trait is public in name only")]
 
 use crate::device::Program;
 use crate::layout::{NONE, Place};
@@ -268,6 +269,7 @@ impl Kind for Sphere {
 /// Answers of floors, as `floors.wgsl` names them.
 const NO_FLOOR: i32 = -1;
 const FLOOR_NOT_LOADED: i32 = -2;
+const FLOOR_UNDECIDED: i32 = -3;
 
 impl Kind for Below {
     type Answer = Option<f64>;
@@ -288,14 +290,14 @@ impl Kind for Below {
     }
 
     fn decode(&self, resident: &Resident, _: &Snapshot, words: &[u32]) -> Found<Option<f64>> {
-        Found::Answer(match words[0] as i32 - 3 {
-            NO_FLOOR => Reply::Known(None),
-            FLOOR_NOT_LOADED => Reply::NotLoaded,
-            top => {
-                let place = &resident.place;
-                Reply::Known(Some(place.frame.top_height(i64::from(top) + place.origin[2])))
-            }
-        })
+        let place = &resident.place;
+        let height = |top: i32| place.frame.top_height(i64::from(top) + place.origin[2]);
+        match words[0] as i32 - 4 {
+            NO_FLOOR => Found::Answer(Reply::Known(None)),
+            FLOOR_NOT_LOADED => Found::Answer(Reply::NotLoaded),
+            FLOOR_UNDECIDED => Found::Undecided,
+            top => Found::Answer(Reply::Known(Some(height(top)))),
+        }
     }
 
     fn ask(&self, pages: &Snapshot) -> Reply<Option<f64>> {

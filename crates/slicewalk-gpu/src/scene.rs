@@ -120,7 +120,7 @@ impl Resident {
         let tiles = [self.place.tiles(0), self.place.tiles(1)].map(|count| count as u32);
         let quantum = (self.place.frame.quantum_m() / self.place.frame.pixel_m()) as f32;
         let last = (self.buckets.size() / 16 - 1) as u32;
-        let batch = [questions.len() as u32, last, tiles[0], tiles[1], quantum.to_bits(), 0];
+        let batch = [questions.len() as u32, last, tiles[0], tiles[1], quantum.to_bits(), shared.budget()];
         let batch = shared.upload("batch", &batch, wgpu::BufferUsages::UNIFORM);
         let words = shared.upload("questions", &words, wgpu::BufferUsages::STORAGE);
         let buffers = [&self.buckets, &self.slots, &self.words, &batch, &words, &answers];

@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{Asker, device, device_with, generated, generated_archive, random_pages};
+use common::{Asker, device, device_with, generated, generated_archive, partly_loaded, random_pages};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::nalgebra::Vector3;
 use slicewalk::page::{PageBuilder, Span};
-use slicewalk::query::{Aabb, Cylinder, Ray, Sphere, cast, overlaps};
+use slicewalk::query::{Aabb, Cylinder, Ray, Sphere, cast, floor_under, overlaps};
 use slicewalk::store::{MotionHint, Snapshot, Stream, StreamOptions};
 use slicewalk_gpu::{Below, Device, Error, Options, Question, Reply, Scene};
 use std::future::Future;
@@ -217,6 +217,26 @@ fn questions_of_any_size_are_answered() {
     assert_eq!((replies.answers, replies.by_processor), (vec![Reply::Known(true); 2], 2));
     let replies = scene.ask(&cylinders).unwrap().wait().unwrap();
     assert_eq!((replies.answers, replies.by_processor), (vec![overlaps(&pages, &cylinders[0]).into()], 1));
+}
+
+/// llvmpipe ends loops without an error after 65,535 steps. Floors under half a house take more.
+#[test]
+fn questions_that_take_many_steps_are_answered() {
+    let Some(device) = device() else { return };
+    let house = generated("house", 400_000, 0.05);
+    let pages = partly_loaded(&house, 7).pages;
+    let scene = Scene::new(&device, &pages).unwrap();
+    let everything = [f64::NEG_INFINITY, f64::INFINITY];
+    let shape = Aabb::new([everything[0], -0.25, 7.0].into(), [3.3, everything[1], 7.5].into()).unwrap();
+    let quantum = pages.frame().quantum_m();
+    // Where the floor lies just below the begin of the search, the missing pages decide.
+    let questions: Vec<_> = (9850..9870)
+        .map(|top| Below { shape, from: (f64::from(top) + 0.5) * quantum, depth: 100.0 * quantum })
+        .collect();
+    let expected: Vec<_> =
+        questions.iter().map(|below| Reply::from(floor_under(&pages, &shape, below.from, below.depth))).collect();
+    assert!(expected.contains(&Reply::NotLoaded));
+    assert_eq!(answers(&scene, &questions), expected);
 }
 
 #[test]

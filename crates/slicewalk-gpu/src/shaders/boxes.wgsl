@@ -4,7 +4,13 @@
 
 fn box_meets(page: u32, x: vec2<u32>, y: vec2<u32>, low: u32, high: u32) -> bool {
     for (var by = y.x >> 3u; by <= y.y >> 3u; by++) {
+        if is_spent() {
+            break;
+        }
         for (var bx = x.x >> 3u; bx <= x.y >> 3u; bx++) {
+            if is_spent() {
+                break;
+            }
             let record = record_of(page, by * 8u + bx);
             if record == NONE || !unions_meet(record, low, high) {
                 continue;
@@ -16,6 +22,9 @@ fn box_meets(page: u32, x: vec2<u32>, y: vec2<u32>, low: u32, high: u32) -> bool
             }
             let end = row_of(record, rows.y + 1u);
             for (var at = row_of(record, rows.x); at < end; at++) {
+                if is_spent() {
+                    break;
+                }
                 let span = words[at];
                 let lane = lane_of(span);
                 if lane >= columns.x && lane <= columns.y && meets(span, low, high) {
@@ -39,11 +48,20 @@ fn boxes(@builtin(global_invocation_id) id: vec3<u32>) {
     let high = integer(at + 5u);
     var answer = CLEAR;
     for (var ty = j.x >> 6u; ty <= j.y >> 6u; ty++) {
+        if is_spent() {
+            break;
+        }
         let y = part(j, ty * 64, 64);
         for (var tx = i.x >> 6u; tx <= i.y >> 6u; tx++) {
+            if is_spent() {
+                break;
+            }
             let x = part(i, tx * 64, 64);
             let column = column_of(tx, ty);
             for (var number = 0u; number < column.y; number++) {
+                if is_spent() {
+                    break;
+                }
                 let slot = slots[column.x + number];
                 let base = i32(slot.x) * PAGE_QUANTA;
                 if !is_near(base, low, high) {
@@ -63,5 +81,5 @@ fn boxes(@builtin(global_invocation_id) id: vec3<u32>) {
             }
         }
     }
-    answers[id.x] = answer;
+    answers[id.x] = select(answer, UNDECIDED, spent > batch.budget);
 }

@@ -1,10 +1,11 @@
 // The highest floor under boxes: integers alone decide.
 //
 // A question: first and last pixel along x and y, least and greatest top that count. An answer: the top or one of
-// the two numbers below, plus 3.
+// the three numbers below, plus 4.
 
 const NO_FLOOR: i32 = -1;
 const FLOOR_NOT_LOADED: i32 = -2;
+const FLOOR_UNDECIDED: i32 = -3;
 
 // Whether floor that ends at a page's end in pixel (`x`, `y`) continues in the page above.
 fn goes_on(above: vec4<u32>, x: u32, y: u32) -> bool {
@@ -17,6 +18,9 @@ fn goes_on(above: vec4<u32>, x: u32, y: u32) -> bool {
     }
     let end = row_of(record, (y & 7u) + 1u);
     for (var at = row_of(record, y & 7u); at < end; at++) {
+        if is_spent() {
+            break;
+        }
         let span = words[at];
         if lane_of(span) == (x & 7u) {
             // The lowest span of the pixel.
@@ -31,6 +35,9 @@ fn has_floor(record: u32, least: u32, limit: u32) -> bool {
     let first = words[record + 2u];
     let end = first + (words[record + 3u] & 0xffffu);
     for (var at = first; at < end; at++) {
+        if is_spent() {
+            break;
+        }
         let span = words[at];
         if bottom_of(span) > limit {
             break;
@@ -47,7 +54,13 @@ fn has_floor(record: u32, least: u32, limit: u32) -> bool {
 fn highest_top(page: u32, x: vec2<u32>, y: vec2<u32>, least: u32, limit: u32, above: u32) -> u32 {
     var highest = 0u;
     for (var by = y.x >> 3u; by <= y.y >> 3u; by++) {
+        if is_spent() {
+            break;
+        }
         for (var bx = x.x >> 3u; bx <= x.y >> 3u; bx++) {
+            if is_spent() {
+                break;
+            }
             let record = record_of(page, by * 8u + bx);
             if record == NONE || !has_floor(record, max(least, highest), limit) {
                 continue;
@@ -55,8 +68,14 @@ fn highest_top(page: u32, x: vec2<u32>, y: vec2<u32>, least: u32, limit: u32, ab
             let columns = vec2<u32>(max(x.x, bx * 8u), min(x.y, bx * 8u + 7u)) - vec2<u32>(bx * 8u);
             let rows = vec2<u32>(max(y.x, by * 8u), min(y.y, by * 8u + 7u)) - vec2<u32>(by * 8u);
             for (var row = rows.x; row <= rows.y; row++) {
+                if is_spent() {
+                    break;
+                }
                 let end = row_of(record, row + 1u);
                 for (var at = row_of(record, row); at < end; at++) {
+                    if is_spent() {
+                        break;
+                    }
                     let span = words[at];
                     let lane = lane_of(span);
                     let top = top_of(span);
@@ -89,13 +108,25 @@ fn floors(@builtin(global_invocation_id) id: vec3<u32>) {
     var best = NO_FLOOR;
     // The second pass looks whether a missing page can hold a higher floor than the one found.
     for (var pass_number = 0; pass_number < 2; pass_number++) {
+        if is_spent() {
+            break;
+        }
         var missing = false;
         for (var ty = j.x >> 6u; ty <= j.y >> 6u; ty++) {
+            if is_spent() {
+                break;
+            }
             let y = part(j, ty * 64, 64);
             for (var tx = i.x >> 6u; tx <= i.y >> 6u; tx++) {
+                if is_spent() {
+                    break;
+                }
                 let x = part(i, tx * 64, 64);
                 let column = column_of(tx, ty);
                 for (var left = column.y; left > 0u && least <= limit; left--) {
+                    if is_spent() {
+                        break;
+                    }
                     let number = column.x + left - 1u;
                     let slot = slots[number];
                     let base = i32(slot.x) * PAGE_QUANTA;
@@ -133,5 +164,5 @@ fn floors(@builtin(global_invocation_id) id: vec3<u32>) {
             break;
         }
     }
-    answers[id.x] = bitcast<u32>(best + 3);
+    answers[id.x] = bitcast<u32>(select(best, FLOOR_UNDECIDED, spent > batch.budget) + 4);
 }

@@ -23,6 +23,8 @@ struct Batch {
     tiles: vec2<i32>,
     // Height of a quantum in pixels.
     quantum: f32,
+    // Most steps of loops that a question may take.
+    budget: u32,
 }
 
 // Tile columns by place: tile x, tile y, first slot, number of slots (0 in a free bucket).
@@ -34,6 +36,15 @@ struct Batch {
 @group(0) @binding(3) var<uniform> batch: Batch;
 @group(0) @binding(4) var<storage, read> questions: array<u32>;
 @group(0) @binding(5) var<storage, read_write> answers: array<u32>;
+
+// Steps of loops so far. Every loop counts its steps and ends when they exceed the budget; the answer is then undecided.
+// Some drivers end loops by themselves after a number of steps, without an error, and others reset the device.
+var<private> spent: u32;
+
+fn is_spent() -> bool {
+    spent++;
+    return spent > batch.budget;
+}
 
 fn integer(at: u32) -> i32 {
     return bitcast<i32>(questions[at]);
@@ -51,6 +62,9 @@ fn column_of(tx: i32, ty: i32) -> vec2<u32> {
     at = (at ^ (at >> 15u)) & batch.buckets;
     // At least half of the buckets are free, so the loop ends early.
     for (var tried = 0u; tried <= batch.buckets; tried++) {
+        if is_spent() {
+            break;
+        }
         let bucket = buckets[at];
         if bucket.w == 0u {
             break;
@@ -121,6 +135,9 @@ fn unions_meet(record: u32, low: u32, high: u32) -> bool {
     let first = words[record + 2u];
     let end = first + (words[record + 3u] & 0xffffu);
     for (var at = first; at < end; at++) {
+        if is_spent() {
+            break;
+        }
         let span = words[at];
         if bottom_of(span) > high {
             break;

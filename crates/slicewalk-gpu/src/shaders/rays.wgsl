@@ -96,6 +96,9 @@ fn visit_pixel(number: u32, base: i32, record: u32, i: i32, j: i32, along: vec2<
     var count = 0u;
     var nearest = longest;
     for (var at = row_of(record, row); at < end; at++) {
+        if is_spent() {
+            break;
+        }
         let span = words[at];
         if lane_of(span) < lane {
             continue;
@@ -134,6 +137,9 @@ fn visit_block(number: u32, base: i32, record: u32, corner: vec2<i32>, along: ve
     let minor = 1u - major;
     let rows = cells(major, 0u, along, corner[major], corner[major] + 7);
     for (var n = 0; n <= rows.y - rows.x; n++) {
+        if is_spent() {
+            break;
+        }
         let row = in_order(major, rows, n);
         let in_row = clip(major, row, row + 1, margin, along);
         if !is_open(in_row) {
@@ -141,6 +147,9 @@ fn visit_block(number: u32, base: i32, record: u32, corner: vec2<i32>, along: ve
         }
         let line = cells(minor, 0u, in_row, corner[minor], corner[minor] + 7);
         for (var m = 0; m <= line.y - line.x; m++) {
+            if is_spent() {
+                break;
+            }
             let cell = in_order(minor, line, m);
             let in_cell = clip(minor, cell, cell + 1, margin, in_row);
             if !is_open(in_cell) {
@@ -163,6 +172,9 @@ fn visit_page(number: u32, base: i32, page: u32, corner: vec2<i32>, along: vec2<
     let minor = 1u - major;
     let rows = cells(major, 3u, along, corner[major] >> 3u, (corner[major] >> 3u) + 7);
     for (var n = 0; n <= rows.y - rows.x; n++) {
+        if is_spent() {
+            break;
+        }
         let row = in_order(major, rows, n);
         let in_row = clip(major, row * 8, row * 8 + 8, margin, along);
         if !is_open(in_row) {
@@ -170,6 +182,9 @@ fn visit_page(number: u32, base: i32, page: u32, corner: vec2<i32>, along: vec2<
         }
         let line = cells(minor, 3u, in_row, corner[minor] >> 3u, (corner[minor] >> 3u) + 7);
         for (var m = 0; m <= line.y - line.x; m++) {
+            if is_spent() {
+                break;
+            }
             let cell = in_order(minor, line, m);
             let in_cell = clip(minor, cell * 8, cell * 8 + 8, margin, in_row);
             if !is_open(in_cell) {
@@ -206,6 +221,9 @@ fn visit_tile(tx: i32, ty: i32, along: vec2<f32>) {
     }
     let all = heights(along, margin_z);
     for (var n = 0u; n < column.y; n++) {
+        if is_spent() {
+            break;
+        }
         let number = column.x + select(n, column.y - 1u - n, speed.z < 0.0);
         let slot = slots[number];
         let base = i32(slot.x) * PAGE_QUANTA;
@@ -254,6 +272,9 @@ fn rays(@builtin(global_invocation_id) id: vec3<u32>) {
     let along = vec2<f32>(0.0, longest);
     let rows = cells(major, 6u, along, 0, batch.tiles[major] - 1);
     for (var n = 0; n <= rows.y - rows.x; n++) {
+        if is_spent() {
+            break;
+        }
         let row = in_order(major, rows, n);
         let in_row = clip(major, row * 64, row * 64 + 64, margin, along);
         if !is_open(in_row) {
@@ -261,6 +282,9 @@ fn rays(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         let line = cells(minor, 6u, in_row, 0, batch.tiles[minor] - 1);
         for (var m = 0; m <= line.y - line.x; m++) {
+            if is_spent() {
+                break;
+            }
             let cell = in_order(minor, line, m);
             let in_cell = clip(minor, cell * 64, cell * 64 + 64, margin, in_row);
             if !is_open(in_cell) || unsure {
@@ -270,6 +294,6 @@ fn rays(@builtin(global_invocation_id) id: vec3<u32>) {
             visit_tile(tile.x, tile.y, in_cell);
         }
     }
-    answers[2u * id.x] = select(hit.x, NONE, unsure);
+    answers[2u * id.x] = select(hit.x, NONE, unsure || spent > batch.budget);
     answers[2u * id.x + 1u] = hit.y;
 }

@@ -32,9 +32,15 @@ fn rise(span: u32, base: i32) -> f32 {
 fn round_meets(page: u32, corner: vec2<i32>, x: vec2<u32>, y: vec2<u32>, base: i32, low: u32, high: u32, upright: bool) -> u32 {
     var answer = CLEAR;
     for (var by = y.x >> 3u; by <= y.y >> 3u; by++) {
+        if is_spent() {
+            break;
+        }
         let row = corner.y + i32(by) * 8;
         let dy = gap(1u, row, row + 8);
         for (var bx = x.x >> 3u; bx <= x.y >> 3u; bx++) {
+            if is_spent() {
+                break;
+            }
             let record = record_of(page, by * 8u + bx);
             if record == NONE {
                 continue;
@@ -52,6 +58,9 @@ fn round_meets(page: u32, corner: vec2<i32>, x: vec2<u32>, y: vec2<u32>, base: i
                 }
             }
             for (var dj = 0u; dj < 8u; dj++) {
+                if is_spent() {
+                    break;
+                }
                 let j = row + i32(dj);
                 let across = gap(1u, j, j + 1);
                 if across * across > outer {
@@ -59,6 +68,9 @@ fn round_meets(page: u32, corner: vec2<i32>, x: vec2<u32>, y: vec2<u32>, base: i
                 }
                 let end = row_of(record, dj + 1u);
                 for (var at = row_of(record, dj); at < end; at++) {
+                    if is_spent() {
+                        break;
+                    }
                     let span = words[at];
                     if !meets(span, low, high) {
                         continue;
@@ -94,11 +106,20 @@ fn answer_round(number: u32, upright: bool) {
     outer = real(at + 13u);
     var answer = CLEAR;
     for (var ty = j.x >> 6u; ty <= j.y >> 6u; ty++) {
+        if is_spent() {
+            break;
+        }
         let y = part(j, ty * 64, 64);
         for (var tx = i.x >> 6u; tx <= i.y >> 6u; tx++) {
+            if is_spent() {
+                break;
+            }
             let x = part(i, tx * 64, 64);
             let column = column_of(tx, ty);
             for (var slot_number = 0u; slot_number < column.y; slot_number++) {
+                if is_spent() {
+                    break;
+                }
                 let slot = slots[column.x + slot_number];
                 let base = i32(slot.x) * PAGE_QUANTA;
                 if !is_near(base, low, high) {
@@ -122,7 +143,7 @@ fn answer_round(number: u32, upright: bool) {
             }
         }
     }
-    answers[number] = answer;
+    answers[number] = select(answer, UNDECIDED, spent > batch.budget);
 }
 
 @compute @workgroup_size(64)

@@ -110,6 +110,10 @@ fn add_points(@builtin(global_invocation_id) id: vec3<u32>) {
     while atomicLoad(&table[2u * (column.y + at)]) != key + 1u {
         at = (at + 1u) & column.z;
     }
+    // Some drivers end loops by themselves. The processor counts the points.
+    if atomicLoad(&table[2u * (column.y + at)]) != key + 1u {
+        return;
+    }
     let voxel = 1u + VOXEL * atomicLoad(&table[2u * (column.y + at) + 1u]);
     let height = (record.x >> 14u) & 0x1fffu;
     let u = (record.x >> 7u) & 0x7fu;
