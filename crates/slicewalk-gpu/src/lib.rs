@@ -52,3 +52,10 @@ pub use scene::Scene;
 #[cfg(all(feature = "convert", not(target_family = "wasm")))]
 pub use voxels::VoxelPass;
 pub use wgpu;
+
+/// Compiles the examples in Markdown pages.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../../docs/graphics-card.md")]
+    struct GraphicsCard;
+}

@@ -3,6 +3,7 @@
 // A question: first and last pixel along x and y, least and greatest top that count. An answer: the top or one of
 // the three numbers below, plus 4.
 
+const END: u32 = 16320u;
 const NO_FLOOR: i32 = -1;
 const FLOOR_NOT_LOADED: i32 = -2;
 const FLOOR_UNDECIDED: i32 = -3;
@@ -30,10 +31,12 @@ fn goes_on(above: vec4<u32>, x: u32, y: u32) -> bool {
     return false;
 }
 
-// Whether a union of floor spans can hold a top from `least` to `limit`.
-fn has_floor(record: u32, least: u32, limit: u32) -> bool {
+// The highest top of a union of floor spans that begins at or below `limit`, plus 1; 0 without one. The top itself may lie
+// above `limit`.
+fn highest_union(record: u32, limit: u32) -> u32 {
     let first = words[record + 2u];
     let end = first + (words[record + 3u] & 0xffffu);
+    var highest = 0u;
     for (var at = first; at < end; at++) {
         if is_spent() {
             break;
@@ -42,11 +45,11 @@ fn has_floor(record: u32, least: u32, limit: u32) -> bool {
         if bottom_of(span) > limit {
             break;
         }
-        if (span & OBSTACLE) == 0u && top_of(span) >= least {
-            return true;
+        if (span & OBSTACLE) == 0u {
+            highest = max(highest, top_of(span) + 1u);
         }
     }
-    return false;
+    return highest;
 }
 
 // The highest top of floor from `least` to `limit`, plus 1; 0 without one. `above` is the number of the slot of the page
@@ -62,12 +65,21 @@ fn highest_top(page: u32, x: vec2<u32>, y: vec2<u32>, least: u32, limit: u32, ab
                 break;
             }
             let record = record_of(page, by * 8u + bx);
-            if record == NONE || !has_floor(record, max(least, highest), limit) {
+            if record == NONE {
+                continue;
+            }
+            let by_union = highest_union(record, limit);
+            if by_union <= max(least, highest) {
                 continue;
             }
             let columns = vec2<u32>(max(x.x, bx * 8u), min(x.y, bx * 8u + 7u)) - vec2<u32>(bx * 8u);
             let rows = vec2<u32>(max(y.x, by * 8u), min(y.y, by * 8u + 7u)) - vec2<u32>(by * 8u);
-            for (var row = rows.x; row <= rows.y; row++) {
+            // A top below the limit and the page's end is that of a span; all of the block's pixels count.
+            if columns.x == 0u && columns.y == 7u && rows.x == 0u && rows.y == 7u && by_union <= min(limit, END - 1u) + 1u {
+                highest = by_union;
+                continue;
+            }
+            for (var row = rows.x; row <= rows.y && highest < by_union; row++) {
                 if is_spent() {
                     break;
                 }
