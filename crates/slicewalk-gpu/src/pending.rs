@@ -5,10 +5,9 @@ use crate::error::Result;
 use crate::kinds::{Found, Question, Reply};
 use crate::scene::Resident;
 use slicewalk::store::Snapshot;
-use std::future::{Future, poll_fn};
-use std::pin::pin;
+use std::future::poll_fn;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::task::{Context, Poll, Waker};
+use std::task::{Poll, Waker};
 
 /// Questions that were sent to a device.
 #[must_use = "the answers are not collected"]
@@ -34,6 +33,7 @@ pub struct Replies<T> {
 #[derive(Debug)]
 pub(crate) struct Piece {
     copy: wgpu::Buffer,
+    #[cfg_attr(target_family = "wasm", allow(dead_code, reason = "browsers report by themselves"))]
     submission: wgpu::SubmissionIndex,
     mapped: Arc<Mutex<Mapped>>,
     /// Numbers of the questions that the device did not get.
@@ -198,8 +198,8 @@ impl<T> Replies<T> {
 /// Runs a future that completes on this thread.
 #[cfg(not(target_family = "wasm"))]
 pub(crate) fn wait_for<T>(future: impl Future<Output = T>) -> T {
-    let mut future = pin!(future);
-    let mut context = Context::from_waker(Waker::noop());
+    let mut future = std::pin::pin!(future);
+    let mut context = std::task::Context::from_waker(Waker::noop());
     loop {
         if let Poll::Ready(result) = future.as_mut().poll(&mut context) {
             return result;

@@ -1,7 +1,7 @@
 //! Pages that a device holds, or for want of one the processor, and the questions about them.
 
-use crate::device::{Device, GROUP, Options, bind};
-use crate::error::{Error, Result};
+use crate::device::{Device, GROUP, bind};
+use crate::error::Result;
 use crate::kinds::Question;
 use crate::layout::{Image, Place};
 use crate::pending::{Pending, Piece};
@@ -59,7 +59,7 @@ impl Scene {
 
     /// Opens a device and uploads the pages; if that fails, the processor answers, and the error says why.
     #[cfg(not(target_family = "wasm"))]
-    pub fn open(pages: &Snapshot, options: &Options) -> (Self, Option<Error>) {
+    pub fn open(pages: &Snapshot, options: &crate::Options) -> (Self, Option<crate::Error>) {
         match Device::open(options).and_then(|device| Self::new(&device, pages)) {
             Ok(scene) => (scene, None),
             Err(error) => (Self::on_processor(pages), Some(error)),
