@@ -14,7 +14,8 @@ pub struct Options {
     pub buffer_bytes: Option<u64>,
 }
 
-/// An open device. Clones share it.
+/// An open device. Clones share it. If several threads do, a failure may be reported to another one of them than the one
+/// that caused it, but no thread gets a wrong answer.
 #[derive(Debug, Clone)]
 pub struct Device {
     pub(crate) shared: Arc<Shared>,
