@@ -36,6 +36,7 @@ mod disc;
 mod floor;
 mod footprint;
 mod grid;
+mod parts;
 mod probe;
 mod ray;
 mod scan;
@@ -50,7 +51,11 @@ pub use cylinder::Cylinder;
 pub use floor::floor_under;
 pub use grid::Shape;
 pub(crate) use grid::all_within_reach;
+#[doc(hidden)]
+pub use parts::{GridExtent, grid_extent};
 pub use probe::{Probe, probe, probe_batch};
+#[doc(hidden)]
+pub use ray::first_of;
 pub use ray::{Ray, RayBound, RayHit, cast, cast_batch, cast_far};
 pub use sphere::Sphere;
 pub(crate) use sweep::{GridCell, Matter, SweepArea, Visit, descend};

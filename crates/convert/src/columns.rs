@@ -3,11 +3,11 @@
 
 use super::pipeline::{Closed, Pipeline};
 use crate::plan::Plan;
-use crate::voxel::accumulate::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
+use crate::voxel::accumulate::{Accumulate, Area, Folded, Job, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::bands::Bands;
 use crate::voxel::colours::ValueSieve;
 use crate::voxel::record::{ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, RecordPieces};
-use crate::voxel::runs::{ColumnJob, Merge};
+use crate::voxel::runs::{ColumnJob, LoadedRecords, Merge};
 use crate::voxel::visibility::{CHUNK, Views};
 use crate::{Error, Monitor, Parameter, Result};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -53,6 +53,8 @@ pub(super) struct Columns<'a> {
     pub views: Option<&'a Views>,
     /// True if the values of points are wanted.
     pub values: bool,
+    /// Accumulator to use in place of this crate's.
+    pub accumulator: Option<&'a dyn Accumulate>,
     pub monitor: &'a dyn Monitor,
 }
 
@@ -64,7 +66,7 @@ impl Columns<'_> {
         mut worker: impl FnMut(Patches<'w>) -> W,
         mut take: impl FnMut(W::Done) -> Result<()>,
     ) -> Result<()> {
-        let Self { merge, memory_bytes, threads, ahead, max_columns, views, values, monitor } = *self;
+        let Self { merge, memory_bytes, threads, ahead, max_columns, views, values, accumulator, monitor } = *self;
         let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views, values)).min(MOST_RECORDS);
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
@@ -72,7 +74,8 @@ impl Columns<'_> {
         Pipeline { threads, ahead }.run(
             |job| merge.jobs(job_records, max_columns, |next| job(next).map_err(|Closed| Error::Interrupted)),
             || {
-                let mut worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
+                let patches = Patches::new(plan, max_records, dense.clone(), (views, values), monitor);
+                let mut worker = worker(Patches { accumulator, ..patches });
                 move |job: ColumnJob| worker.work(merge, &job).map(|what| (job.records, what))
             },
             |(records, what)| {
@@ -122,6 +125,7 @@ pub(super) trait TakeAreas {
 pub(super) struct Patches<'a> {
     dense: Arc<Dense>,
     views: Option<&'a Views>,
+    accumulator: Option<&'a dyn Accumulate>,
     monitor: &'a dyn Monitor,
     bands: Bands,
     min_points: u32,
@@ -185,6 +189,7 @@ impl<'a> Patches<'a> {
         Self {
             dense,
             views,
+            accumulator: None,
             monitor,
             bands,
             min_points: plan.options.min_points,
@@ -223,12 +228,16 @@ impl<'a> Patches<'a> {
         if self.wants_values {
             merge.load_values(job, &mut values)?;
         }
+        let mut elsewhere = self.fold_elsewhere(&loaded, job);
         let mut rest_of_values = &values[..];
         for (number, (&(key, _), &of_values)) in job.columns.iter().zip(&job.values).enumerate() {
             let (own_values, others) = rest_of_values.split_at(if self.wants_values { of_values as usize } else { 0 });
             rest_of_values = others;
             if wanted(key) {
-                dropped += self.fold(key, Area::TILE, &loaded.column(number));
+                dropped += match elsewhere.get_mut(number).map(std::mem::take) {
+                    Some(folded) => self.patch.set_folded(&folded, self.min_points, Area::TILE, &mut self.sums),
+                    None => self.fold(key, Area::TILE, &loaded.column(number)),
+                };
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
                 if self.wants_values {
                     let sifted = self.views.map(|_| {
@@ -252,6 +261,15 @@ impl<'a> Patches<'a> {
         self.values = values;
         self.records = records;
         Ok(dropped)
+    }
+
+    /// Returns the voxels of each column of a job from another accumulator; empty without one, and if points are to be
+    /// removed first.
+    fn fold_elsewhere(&self, loaded: &LoadedRecords<'_>, job: &ColumnJob) -> Vec<Folded> {
+        let Some(accumulator) = self.accumulator.filter(|_| self.views.is_none()) else { return Vec::new() };
+        let mut columns = Job::default();
+        (0..job.columns.len()).for_each(|number| columns.push(&loaded.column(number)));
+        columns.fold(accumulator, self.bands.slices())
     }
 
     /// Accumulates the records of an area and its halo, except points classified as moving; returns how many voxels

@@ -73,6 +73,8 @@ pub use resume::Resumed;
 pub use slicewalk_base::placement::Similarity;
 pub use splats::{SplatCounts, SplatRules};
 pub use upright::{Turn, UpFound};
+#[doc(hidden)]
+pub use voxel::accumulate::{Accumulate, PointVoxel};
 pub use writer::PointWriter;
 
 use slicewalk::{archive, codec, page};

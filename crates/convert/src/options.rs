@@ -10,9 +10,11 @@ use crate::placement::Similarity;
 use crate::plan::PlanOptions;
 use crate::text::number;
 use crate::values::length;
+use crate::voxel::accumulate::Accumulate;
 use crate::{Error, MIN_MEMORY_BYTES, Parameter, Result};
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::sync::Arc;
 
 /// Choice of the pixel size.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -187,12 +189,15 @@ pub struct Resources {
     pub threads: usize,
     /// Folder for temporary data.
     pub temp_dir: PathBuf,
+    /// Accumulator of points to use in place of this crate's.
+    #[doc(hidden)]
+    pub accumulator: Option<Arc<dyn Accumulate>>,
 }
 
 impl Default for Resources {
     fn default() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-        Self { memory_bytes: 512 << 20, threads, temp_dir: crate::disk::temp_dir() }
+        Self { memory_bytes: 512 << 20, threads, temp_dir: crate::disk::temp_dir(), accumulator: None }
     }
 }
 

@@ -9,7 +9,7 @@ use crate::colour::ColourPlan;
 use crate::frame::PageKey;
 use crate::page::{Inferred, Occupancy, Page};
 use crate::plan::{Plan, PlanOptions};
-use crate::voxel::accumulate::{Area, Patch, Sums};
+use crate::voxel::accumulate::{Accumulate, Area, Patch, Sums};
 use crate::voxel::classify::{VoxelClasses, VoxelClassifier};
 use crate::voxel::colours::ColumnColours;
 use crate::voxel::components::{Dropped, Frontier, PieceFinder, Pieces};
@@ -45,6 +45,8 @@ pub(super) struct Writing<'a> {
     pub temp_dir: &'a Path,
     /// True if some voxels may count for less than one in components.
     pub weighted: bool,
+    /// Accumulator to use in place of this crate's.
+    pub accumulator: Option<&'a dyn Accumulate>,
 }
 
 /// Counts of what the second pass left out.
@@ -93,7 +95,7 @@ pub(super) fn write_columns(
     mut removed: Option<&mut RemovedPoints>,
     monitor: &dyn Monitor,
 ) -> Result<LeftOut> {
-    let Writing { memory_bytes, threads, columns, views, .. } = writing;
+    let Writing { memory_bytes, threads, columns, views, accumulator, .. } = writing;
     let mut merge = Merge::new(store);
     // Several voxels may count for one.
     if plan.options.drop_floaters > 1 || plan.options.drop_floaters == 1 && writing.weighted {
@@ -106,7 +108,8 @@ pub(super) fn write_columns(
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
     let colours = writer.colours();
     let values = colours.is_some();
-    let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, values, monitor };
+    let pass =
+        Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, values, accumulator, monitor };
     let most = (memory_bytes / 16 / threads as u64).max(LEAST_COLOUR_BYTES) / BYTES_PER_COLOUR;
     let maker = || PageMaker {
         colours: colours.map(|plan| PageColours::new(plan, most, levels)),
@@ -144,7 +147,8 @@ fn mark_floaters(
         runs = runs.only(move |index: ColumnIndex| (first..=last).contains(&index.key().column));
     }
     let ahead = PIECES_AHEAD_PER_THREAD * threads;
-    let pass = Columns { merge, memory_bytes, threads, ahead, max_columns: 1 << 10, views, values: false, monitor };
+    let (max_columns, values, accumulator) = (1 << 10, false, writing.accumulator);
+    let pass = Columns { merge, memory_bytes, threads, ahead, max_columns, views, values, accumulator, monitor };
     let worker = |patches| PieceWorker { patches, finder: PieceFinder::new(most) };
     let mut dropped: Vec<Dropped> = Vec::new();
     pass.work_in_order(plan, worker, |areas: Vec<Pieces>| {

@@ -18,6 +18,8 @@ mod walk;
 use super::answer::Answer;
 use super::batch;
 use super::grid::all_within_reach;
+use crate::frame::{Frame, PAGE_QUANTA};
+use crate::page::Span;
 use crate::store::Snapshot;
 use crate::text::{number, place};
 use crate::{Error, Result};
@@ -130,6 +132,15 @@ pub fn cast(set: &Snapshot, ray: &Ray) -> Answer<Option<RayHit>> {
         return exact::search(set, line, &bounds);
     }
     walk::first_hit(set, &line, &bounds).map_or_else(|_| exact::search(set, line, &bounds), Answer::Known)
+}
+
+/// Returns the first hit among `spans` of one pixel of a page in `layer`, all of which `ray` must meet; `None` without
+/// spans. For programs that find the pixel themselves.
+#[doc(hidden)]
+pub fn first_of(frame: &Frame, ray: &Ray, pixel: [i64; 2], layer: i32, spans: &[Span]) -> Option<RayHit> {
+    let (line, base) = (Line::new(frame, ray), i64::from(layer) * PAGE_QUANTA);
+    let hits = spans.iter().map(|&span| line.meet((pixel[0], pixel[1]), base, span));
+    hits.reduce(|first, hit| if hit.is_before(&first) { hit } else { first })
 }
 
 /// Runs [`cast`] for each of `rays`, in order, into `answers`.

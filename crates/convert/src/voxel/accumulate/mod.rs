@@ -5,6 +5,7 @@
 //! scan add up to the voxels of the whole.
 
 mod area;
+mod elsewhere;
 mod moments;
 mod pieces;
 mod sums;
@@ -12,6 +13,7 @@ mod voxel;
 
 use super::record::{HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, RecordPieces};
 pub use area::Area;
+pub use elsewhere::{Accumulate, Job, PointVoxel};
 pub use moments::Moments;
 pub use pieces::{Folded, PieceFolder};
 use std::ops::Range;

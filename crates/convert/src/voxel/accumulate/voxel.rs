@@ -55,6 +55,12 @@ impl Voxel {
         voxel
     }
 
+    /// Creates the voxel of points with these least and greatest heights (steps).
+    pub(super) fn of_points(slice: u32, [least, greatest]: [u32; 2], bins: u16) -> Self {
+        let (bottom, top) = (bottom_quantum(least) as u8, top_quantum(greatest) as u8);
+        Self { slice, bins, bottom, top, kinds: Self::POINTS }
+    }
+
     #[inline]
     pub(super) fn add(&mut self, record: Record) {
         match record.content() {

@@ -20,7 +20,7 @@ mod merge;
 mod store;
 
 pub use builder::RunBuilder;
-pub use merge::{ColumnJob, Merge};
+pub use merge::{ColumnJob, LoadedRecords, Merge};
 pub use store::RunStore;
 #[cfg(test)]
 pub use {builder::BUILD_BYTES, store::MOST_IN_MEMORY_WHILE_SPILLING};
