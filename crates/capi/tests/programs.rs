@@ -117,6 +117,67 @@ fn unit(state: &mut u64) -> f64 {
     (*state >> 11) as f64 / (1u64 << 53) as f64
 }
 
+/// Installs headers, libraries and the file for pkg-config, as in `/usr/local`.
+fn install(set: &Set, name: &str, libraries: &[&str]) -> PathBuf {
+    let (prefix, source) = (set.folder.path().join(name), Path::new(env!("CARGO_MANIFEST_DIR")));
+    for folder in ["include", "lib/pkgconfig"] {
+        std::fs::create_dir_all(prefix.join(folder)).unwrap();
+    }
+    let copy = |from: PathBuf, to: String| std::fs::copy(from, prefix.join(to)).unwrap();
+    for header in ["slicewalk.h", "slicewalk.hpp"] {
+        copy(source.join("include").join(header), format!("include/{header}"));
+    }
+    for library in libraries {
+        copy(set.built.join(library), format!("lib/{library}"));
+    }
+    copy(source.join("slicewalk.pc"), "lib/pkgconfig/slicewalk.pc".into());
+    prefix
+}
+
+#[test]
+fn programs_are_built_with_pkg_config() {
+    if !is_there("pkg-config") || !is_there("cc") {
+        return;
+    }
+    let (set, folder) = (set(), Path::new(env!("CARGO_MANIFEST_DIR")));
+    for (name, library, kind) in [("shared", "libslicewalk.so", None), ("static", "libslicewalk.a", Some("--static"))] {
+        let prefix = install(set, name, &[library]);
+        let asked = |words: &[&str]| {
+            let mut command = Command::new("pkg-config");
+            run(command.env("PKG_CONFIG_PATH", prefix.join("lib/pkgconfig")).args(words).arg("slicewalk"))
+        };
+        assert_eq!(asked(&["--modversion"]).trim(), env!("CARGO_PKG_VERSION"));
+        let program = prefix.join("program");
+        let mut command = Command::new("cc");
+        command.arg("-std=c99").arg(folder.join("tests/c/program.c")).arg("-o").arg(&program);
+        let flags = asked(&["--cflags", "--libs"].into_iter().chain(kind).collect::<Vec<_>>());
+        command.args(flags.split_whitespace()).args((name == "shared").then_some("-lm"));
+        run(command.arg(format!("-Wl,-rpath,{}", prefix.join("lib").display())));
+        let numbers = set.ends.as_flattened().iter().map(f64::to_string);
+        assert_eq!(run(Command::new(program).arg(&set.archive).args(numbers)), "done\n", "{name}");
+    }
+}
+
+#[test]
+fn the_sample_for_unity_walks_compiled_by_mcs() {
+    if !is_there("mcs") || !is_there("mono") {
+        return;
+    }
+    let (set, folder) = (set(), Path::new(env!("CARGO_MANIFEST_DIR")));
+    let program = set.folder.path().join("unity.exe");
+    let mut command = Command::new("mcs");
+    command.arg("-warnaserror").arg(format!("-out:{}", program.display()));
+    run(command.arg(folder.join("samples/unity/SlicewalkPawn.cs")).arg(folder.join("tests/c/unity.cs")));
+    let [x, y, z] = set.ends[0];
+    let mut command = Command::new("mono");
+    command.env("LD_LIBRARY_PATH", &set.built).arg(program).arg(&set.archive).arg(format!("{x} {y} {z}"));
+    let said = run(&mut command);
+    let end: Vec<f64> = said.split_whitespace().map(|number| number.parse().unwrap()).collect();
+    // In Unity's axes, y is up: the pawn stands on the sixth or seventh step, of 0.17 m.
+    let [x, up, across] = end[..] else { panic!("{said}") };
+    assert!((2.5..2.7).contains(&x) && (0.9..1.3).contains(&up) && across.abs() < 0.01, "{said}");
+}
+
 #[test]
 fn ctypes_gets_the_answers_of_the_library() {
     if !is_there("python3") {

@@ -1,4 +1,5 @@
-//! Readers of solid cubes: OctoMap trees (`.bt`, `.ot`) and voxel octrees of splat viewers (`.voxel.json`).
+//! Solid cubes: readers of OctoMap trees (`.bt`, `.ot`) and of voxel octrees of splat viewers (`.voxel.json`), and a
+//! writer of OctoMap trees ([`OctomapTree`]).
 //!
 //! In: a file of any size. Out: batches of [`Cube`]s with z up, as whole numbers of the file's resolution. Free leaves
 //! of OctoMap are skipped. The bytes are untrusted: a damaged file gives a one-line [`Error::Input`], every node is
@@ -8,7 +9,9 @@
 //! "Voxel format" of the user manual of splat-transform, version 1.1.
 
 mod octomap;
+mod octomap_tree;
 mod recognise;
+mod span_cubes;
 #[cfg(test)]
 mod tests;
 mod voxel;
@@ -19,7 +22,9 @@ use slicewalk_base::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+pub use octomap_tree::{Octomap, OctomapTree};
 pub use recognise::{CubeFormat, recognise};
+pub use span_cubes::SpanCubes;
 
 /// Most cubes in a batch.
 pub const BATCH_CUBES: usize = 1 << 12;

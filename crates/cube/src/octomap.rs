@@ -16,11 +16,11 @@ use std::sync::Arc;
 /// Most bytes of the header: comments are a few lines.
 const MOST_HEADER: usize = 1 << 16;
 /// Levels below the root.
-const LEVELS: u32 = 16;
+pub const LEVELS: u32 = 16;
 /// Values of a child's two bits.
-const FREE: u16 = 1;
-const OCCUPIED: u16 = 2;
-const INNER: u16 = 3;
+pub const FREE: u16 = 1;
+pub const OCCUPIED: u16 = 2;
+pub const INNER: u16 = 3;
 /// Trees farther from the origin than this are not moved (cubes).
 const FARTHEST: f64 = (1u64 << 40) as f64;
 

@@ -1,6 +1,7 @@
 use super::*;
 use slicewalk_base::bytes::MemorySource;
-use std::collections::BTreeSet;
+use slicewalk_base::frame::Frame;
+use std::collections::{BTreeMap, BTreeSet};
 
 fn all(reader: Result<CubeReader>) -> Result<Vec<Cube>> {
     let mut reader = reader?;
@@ -155,6 +156,139 @@ fn moved_trees_are_moved_back_and_empty_ones_are_empty() {
     let cube = Cube { corner: [-half; 3], edge: 2 * half };
     let leaf = [&0.0f32.to_le_bytes()[..], &[0]].concat();
     assert_eq!(read(&octomap(FULL, "OcTree", 1, &leaf)).unwrap(), [cube]);
+}
+
+/// The tree of single cubes, each free or occupied, as the format describes it.
+fn tree_of(cubes: &[([i64; 3], bool)], corner: [i64; 3], edge: i64) -> Node {
+    if let ([(_, occupied)], 1) = (cubes, edge) {
+        return if *occupied { Node::Solid } else { Node::Free };
+    }
+    if cubes.is_empty() {
+        return Node::Unknown;
+    }
+    let half = edge / 2;
+    let child = |number: i64| {
+        let corner = [0, 1, 2].map(|axis| corner[axis] + half * (number >> axis & 1));
+        let is_inside = |at: &[i64; 3]| (0..3).all(|axis| (corner[axis]..corner[axis] + half).contains(&at[axis]));
+        let own: Vec<_> = cubes.iter().filter(|(at, _)| is_inside(at)).copied().collect();
+        tree_of(&own, corner, half)
+    };
+    let children: Vec<Node> = (0..8).map(child).collect();
+    match &children[0] {
+        Node::Solid if children.iter().all(|child| matches!(child, Node::Solid)) => Node::Solid,
+        Node::Free if children.iter().all(|child| matches!(child, Node::Free)) => Node::Free,
+        _ => Node::Inner(children),
+    }
+}
+
+/// Runs of cubes in columns, tile by tile; some fill whole blocks of cubes.
+fn runs(random: &mut Random, corner: [i64; 3]) -> Vec<([i64; 2], (i64, i64), bool)> {
+    let mut runs = Vec::new();
+    for (x, y) in [(-70, 0), (0, -64), (0, 0)] {
+        for _ in 0..40 {
+            let at = [x + random.below(64) as i64, y + random.below(64) as i64];
+            let first = random.below(200) as i64 - 100;
+            runs.push((at, (first, first + 1 + random.below(90) as i64), random.below(3) > 0));
+        }
+        let is_solid = random.below(2) == 0;
+        runs.extend((0..64).map(|n| ([x.div_euclid(64) * 64 + n % 8, y + n / 8], (-8, 16), is_solid)));
+    }
+    runs.iter_mut().for_each(|(at, (first, end), _)| {
+        (*at, *first, *end) = ([at[0] + corner[0], at[1] + corner[1]], *first + corner[2], *end + corner[2]);
+    });
+    runs.sort_by_key(|(at, ..)| at.map(|v| v.div_euclid(64)));
+    runs
+}
+
+fn written(runs: &[([i64; 2], (i64, i64), bool)]) -> Octomap {
+    let mut tree = OctomapTree::new();
+    for &(at, cubes, is_occupied) in runs {
+        if is_occupied { tree.occupy(at, cubes) } else { tree.free(at, cubes) }
+    }
+    tree.finish(0.05).unwrap()
+}
+
+#[test]
+fn written_trees_are_those_of_their_cubes() {
+    for seed in 0..6 {
+        let runs = runs(&mut Random(seed), [0; 3]);
+        let mut cubes = BTreeMap::new();
+        for &([x, y], (first, end), is_occupied) in &runs {
+            (first..end).for_each(|z| *cubes.entry([x, y, z]).or_insert(false) |= is_occupied);
+        }
+        let cubes: Vec<_> = cubes.into_iter().collect();
+        let tree = tree_of(&cubes, [-(1 << 15); 3], 1 << 16);
+        let mut expected = format!("{BINARY}\nid OcTree\nsize {}\nres 0.05\ndata\n", count(&tree)).into_bytes();
+        encode_binary(&tree, &mut expected);
+        let (octomap, mut bytes) = (written(&runs), Vec::new());
+        octomap.write(&mut bytes).unwrap();
+        assert!(bytes == expected, "seed {seed}");
+        let occupied = cubes.iter().filter(|(_, occupied)| *occupied).count() as u64;
+        assert_eq!((octomap.occupied, octomap.free), (occupied, cubes.len() as u64 - occupied));
+    }
+}
+
+#[test]
+fn written_trees_far_from_the_origin_are_moved_and_come_back() {
+    let corner = [640_000, -6_400_000, 0];
+    let cubes = |corner| {
+        let octomap = written(&runs(&mut Random(1), corner));
+        let mut bytes = Vec::new();
+        octomap.write(&mut bytes).unwrap();
+        (octomap.moved, read(&bytes).unwrap())
+    };
+    let ((still, near), (moved, far)) = (cubes([0; 3]), cubes(corner));
+    assert_eq!((still, moved[2]), ([0; 3], 0));
+    assert!(moved[0] < 0 && moved[1] > 0, "{moved:?}");
+    let single = |cubes: &[Cube], by: [i64; 3]| {
+        let of = |cube: &Cube| {
+            let (corner, edge) = (cube.corner, cube.edge);
+            (0..edge.pow(3))
+                .map(move |n| [n % edge, n / edge % edge, n / edge / edge])
+                .map(move |at| [0, 1, 2].map(|axis| corner[axis] + at[axis] - by[axis]))
+        };
+        cubes.iter().flat_map(of).collect::<BTreeSet<_>>()
+    };
+    assert_eq!(single(&far, corner), single(&near, [0; 3]));
+}
+
+#[test]
+fn trees_without_cubes_and_too_large_ones() {
+    let mut bytes = Vec::new();
+    OctomapTree::new().finish(0.1).unwrap().write(&mut bytes).unwrap();
+    assert!(read(&bytes).unwrap().is_empty());
+    let mut tree = OctomapTree::new();
+    tree.occupy([0, 0], (0, 1));
+    tree.occupy([OctomapTree::MOST_CUBES, 0], (0, 1));
+    assert!(tree.finish(0.1).is_none());
+}
+
+#[test]
+#[should_panic(expected = "two turns")]
+fn tiles_in_two_turns_are_a_mistake() {
+    let mut tree = OctomapTree::new();
+    for at in [[0, 0], [64, 0], [1, 1]] {
+        tree.occupy(at, (0, 1));
+    }
+    tree.finish(0.1);
+}
+
+#[test]
+fn spans_reach_at_least_one_cube() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let cubes = SpanCubes::of(&frame);
+    // A cube is 85 quanta.
+    assert_eq!(cubes.of_span(0, 0), (0, 1));
+    assert_eq!(cubes.of_span(-1, 85), (-1, 1));
+    assert_eq!(cubes.of_span(84, 86), (0, 2));
+    let frame = Frame::new(0.1, 0.17).unwrap();
+    let cubes = SpanCubes::of(&frame);
+    for bottom in -600..600 {
+        let (first, end) = cubes.of_span(bottom, bottom + 40);
+        let [low, high] = [first, end].map(|cube| cube as f64 * 0.1);
+        assert!(low <= frame.bottom_height(bottom) + 1e-12 && high >= frame.top_height(bottom + 40) - 1e-12);
+        assert!(end - first <= 2, "{bottom}");
+    }
 }
 
 /// Reads damaged copies of `good`; returns how many were refused. Every message is one line that names the file.

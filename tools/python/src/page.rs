@@ -8,9 +8,12 @@ use crate::errors::Failure;
 use numpy::ndarray::{Array1, Array2, ArrayViewMut3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use slicewalk::Error;
-use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, TILE_PIXELS};
+use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
+use slicewalk::page::Span;
 use slicewalk::store::Snapshot;
+use slicewalk_cube::{OctomapTree, SpanCubes};
 use std::time::{Duration, Instant};
 
 /// Most voxels of a region.
@@ -197,6 +200,20 @@ impl Page {
     }
 }
 
+/// First and last slice, row and column of a box.
+type Extent = [[i64; 3]; 2];
+
+/// Returns the voxels that the box `bounds` meets.
+fn extent(frame: &Frame, bounds: &Bound<'_, PyAny>, wrong: impl Fn(Error) -> PyErr) -> PyResult<Extent> {
+    let [x0, y0, z0, x1, y1, z1] = numbers(bounds, "bounds")?;
+    if x0 > x1 || y0 > y1 || z0 > z1 {
+        let reason = "expected xmin, ymin, zmin, xmax, ymax, zmax in order";
+        return Err(wrong(Error::parameter("bounds", reason)));
+    }
+    let of = |[x, y, z]: [f64; 3]| [frame.slice_of(z), frame.pixel_of(y), frame.pixel_of(x)];
+    Ok([of([x0, y0, z0]), of([x1, y1, z1])])
+}
+
 /// Returns the voxels that the box `bounds` meets, as `slicewalk.Region`.
 pub fn region<'py>(
     py: Python<'py>,
@@ -204,15 +221,9 @@ pub fn region<'py>(
     name: Option<&str>,
     bounds: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let [x0, y0, z0, x1, y1, z1] = numbers(bounds, "bounds")?;
     let frame = *set.frame();
     let wrong = |error: Error| Failure::from(error).raise(py, name);
-    if x0 > x1 || y0 > y1 || z0 > z1 {
-        let reason = "expected xmin, ymin, zmin, xmax, ymax, zmax in order";
-        return Err(wrong(Error::parameter("bounds", reason)));
-    }
-    let first = [frame.slice_of(z0), frame.pixel_of(y0), frame.pixel_of(x0)];
-    let last = [frame.slice_of(z1), frame.pixel_of(y1), frame.pixel_of(x1)];
+    let [first, last] = extent(&frame, bounds, wrong)?;
     let count = [0, 1, 2].map(|axis| last[axis] - first[axis] + 1);
     let voxels = count.iter().try_fold(1i64, |product, count| product.checked_mul(*count));
     if voxels.is_none_or(|voxels| voxels > MOST_VOXELS) {
@@ -226,7 +237,8 @@ pub fn region<'py>(
     let [kind, bottom, top] = [zeros()?, zeros()?, zeros()?];
     // SAFETY: the arrays are new, and nothing else refers to them.
     let mut arrays = unsafe { [kind.as_array_mut(), bottom.as_array_mut(), top.as_array_mut()] };
-    py.detach(|| fill(set, first, last, &mut arrays)).map_err(|failure| failure.raise(py, name))?;
+    let fill = |[i, j]: [i64; 2], base: i64, span: Span| fill(&mut arrays, [first, last], [i, j], base, span);
+    py.detach(|| each_span(set, [first, last], fill)).map_err(|failure| failure.raise(py, name))?;
     py.import("slicewalk._results")?.getattr("Region")?.call1((
         kind,
         bottom,
@@ -237,13 +249,56 @@ pub fn region<'py>(
     ))
 }
 
-/// Fills the arrays with the interpreter released, except to check for Ctrl-C.
-fn fill(
+/// Enters the slices of a span into the arrays of a region.
+fn fill(arrays: &mut [ArrayViewMut3<'_, u8>; 3], [first, last]: Extent, [i, j]: [i64; 2], base: i64, span: Span) {
+    let (lowest, highest) = span.slices();
+    for k in (lowest..=highest).filter(|k| (first[0]..=last[0]).contains(&(base + i64::from(*k)))) {
+        let at = [base + i64::from(k) - first[0], j - first[1], i - first[2]].map(|v| v as usize);
+        let (bottom, top) = span.within_slice(k).unwrap_or((0, 0));
+        let [kinds, bottoms, tops] = &mut *arrays;
+        let was_empty = kinds[at] == 0;
+        bottoms[at] = if was_empty { bottom } else { bottoms[at].min(bottom) };
+        tops[at] = tops[at].max(top);
+        kinds[at] = kinds[at].max(if span.is_obstacle() { 2 } else { 1 });
+    }
+}
+
+/// Returns the voxels that the box `bounds` meets as a tree of OctoMap: the number of its cubes, and the file.
+pub fn octomap<'py>(
+    py: Python<'py>,
     set: &Snapshot,
-    first: [i64; 3],
-    last: [i64; 3],
-    arrays: &mut [ArrayViewMut3<'_, u8>; 3],
-) -> Result<(), Failure> {
+    name: Option<&str>,
+    bounds: &Bound<'py, PyAny>,
+) -> PyResult<(u64, Bound<'py, PyBytes>)> {
+    let wrong = |error: Error| Failure::from(error).raise(py, name);
+    let [first, last] = extent(set.frame(), bounds, wrong)?;
+    let made = py.detach(|| {
+        let (mut tree, cubes) = (OctomapTree::new(), SpanCubes::of(set.frame()));
+        each_span(set, [first, last], |pixel, base, span| {
+            let (lowest, highest) = span.slices();
+            if base + i64::from(highest) < first[0] || base + i64::from(lowest) > last[0] {
+                return;
+            }
+            let bottom = base * SLICE_QUANTA + i64::from(span.bottom());
+            let top = base * SLICE_QUANTA + i64::from(span.top());
+            let ends = (first[0] * SLICE_QUANTA, (last[0] + 1) * SLICE_QUANTA);
+            tree.occupy(pixel, cubes.of_span(bottom.max(ends.0), top.min(ends.1)));
+        })?;
+        let tree = tree.finish(set.frame().pixel_m()).ok_or_else(|| {
+            let most = OctomapTree::MOST_CUBES;
+            Error::limit("cubes along an axis of an OctoMap tree (take a smaller region)", format!("over {most}"), most)
+        })?;
+        let mut file = Vec::new();
+        tree.write(&mut file).map_err(|error| Failure::Raised(error.into()))?;
+        Ok::<_, Failure>((tree.occupied, file))
+    });
+    let (count, file) = made.map_err(|failure| failure.raise(py, name))?;
+    Ok((count, PyBytes::new(py, &file)))
+}
+
+/// Calls `give` with pixel, first slice of the page, and span of everything in the pixels of an extent, tile by tile.
+/// Called with the interpreter released; takes it to check for Ctrl-C.
+fn each_span(set: &Snapshot, [first, last]: Extent, mut give: impl FnMut([i64; 2], i64, Span)) -> Result<(), Failure> {
     let mut looked = Instant::now();
     let Some(bounds) = set.bounds() else { return Ok(()) };
     let tiles = |axis: usize, own: usize| {
@@ -271,16 +326,7 @@ fn fill(
                     continue;
                 }
                 for span in spans {
-                    let (lowest, highest) = span.slices();
-                    for k in (lowest..=highest).filter(|k| (first[0]..=last[0]).contains(&(base + i64::from(*k)))) {
-                        let at = [base + i64::from(k) - first[0], j - first[1], i - first[2]].map(|v| v as usize);
-                        let (bottom, top) = span.within_slice(k).unwrap_or((0, 0));
-                        let [kinds, bottoms, tops] = &mut *arrays;
-                        let was_empty = kinds[at] == 0;
-                        bottoms[at] = if was_empty { bottom } else { bottoms[at].min(bottom) };
-                        tops[at] = tops[at].max(top);
-                        kinds[at] = kinds[at].max(if span.is_obstacle() { 2 } else { 1 });
-                    }
+                    give([i, j], base, *span);
                 }
             }
         }

@@ -3,11 +3,12 @@
 use crate::archive::Opened;
 use crate::arrays::{self, batch, batch_of_rows, refused};
 use crate::errors::Failure;
-use crate::page::{Column, Page, region};
+use crate::page::{Column, Page, octomap, region};
 use crate::reach;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use slicewalk::Result;
 use slicewalk::frame::{Frame, PAGE_QUANTA};
 use slicewalk::nalgebra::{Point3, Vector3};
@@ -389,6 +390,13 @@ impl Pages {
     fn region<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let pages = self.set.pages(py)?;
         region(py, pages, self.name(), bounds)
+    }
+
+    /// Returns a region as a tree of OctoMap; see :func:`to_octomap`.
+    #[pyo3(name = "_octomap")]
+    fn octomap<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<(u64, Bound<'py, PyBytes>)> {
+        let pages = self.set.pages(py)?;
+        octomap(py, pages, self.name(), bounds)
     }
 
     /// Finds everything that a pawn can reach on foot.

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
 
 import numpy as np
 import pytest
 
 import scan
 import slicewalk
+
+PROGRAMS = os.environ.get("SLICEWALK_PROGRAMS")
 
 
 def leaves(path):
@@ -74,8 +78,37 @@ def test_full_blocks_of_cubes_are_joined(tmp_path):
     found, _ = leaves(tmp_path / "a.bt")
     assert len(cells(found)) == count == 512
     assert sorted(edge for _, edge in found) == [4] * 8
-    with pytest.raises(ValueError, match="32,768"):
+    with pytest.raises(ValueError, match="solid"):
         slicewalk.to_octomap(archive, tmp_path / "b.bt", bounds=(5, 5, 5, 6, 6, 6))
+    # A region has the voxels that its box meets, cut where they end.
+    part = (-0.3, -0.2, -0.1, 0.05, 0.25, 0.15)
+    assert slicewalk.to_octomap(archive, tmp_path / "b.bt", bounds=part) == 4 * 5 * 3
+    found, _ = leaves(tmp_path / "b.bt")
+    assert {tuple(cube) for cube in itertools.product(range(-3, 1), range(-2, 3), range(-1, 2))} == cells(found)
+
+
+def test_octrees_far_from_the_origin_are_moved_and_come_back(tmp_path):
+    points = np.random.default_rng(5).uniform(0, 3, (2000, 3)) + (200_000, -500_000, 0)
+    archive = slicewalk.from_numpy(points, tmp_path / "a.slices", pixel=0.1, slice=0.1)
+    count = slicewalk.to_octomap(archive, tmp_path / "a.bt")
+    assert b"# moved by -" in (tmp_path / "a.bt").read_bytes()[:80]
+    slicewalk.convert(tmp_path / "a.bt", tmp_path / "b.slices")
+    again = slicewalk.open(tmp_path / "b.slices")
+    assert again.voxels == count
+    assert np.abs(again.bounds - archive.bounds).max() <= 0.1 + 1e-9
+    points[0, 0] += 10_000
+    wide = slicewalk.from_numpy(points, tmp_path / "c.slices", pixel=0.1)
+    with pytest.raises(slicewalk.errors.LimitError, match="smaller region"):
+        slicewalk.to_octomap(wide, tmp_path / "c.bt")
+    assert not (tmp_path / "c.bt").exists()
+
+
+@pytest.mark.skipif(PROGRAMS is None, reason="SLICEWALK_PROGRAMS names no folder with slicetool")
+def test_octrees_are_those_of_slicetool(folder, tmp_path):
+    slicewalk.to_octomap(slicewalk.open(folder / "room.slices"), tmp_path / "a.bt")
+    command = [f"{PROGRAMS}/slicetool", "export", folder / "room.slices", "-o", tmp_path / "b.bt"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert (tmp_path / "a.bt").read_bytes() == (tmp_path / "b.bt").read_bytes()
 
 
 def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
@@ -127,11 +160,20 @@ def test_arrays_become_archives_and_points_again(tmp_path):
 
 
 def test_open3d_gets_voxels(folder):
-    open3d = pytest.importorskip("open3d")
+    open3d = pytest.importorskip("open3d", reason="open3d is not installed; `.ci/long open3d` does that")
     archive = slicewalk.open(folder / "room.slices")
     cloud = slicewalk.to_open3d(archive)
     assert isinstance(cloud, open3d.geometry.PointCloud)
-    assert len(cloud.points) == len(cloud.colors) == archive.voxels
+    region = archive.region(archive.bounds)
+    assert len(cloud.points) == archive.voxels
+    assert np.array_equal(np.asarray(cloud.points), region.points)
+    is_red = np.asarray(cloud.colors)[:, 0] > 0.5
+    assert np.array_equal(is_red, region.kind[region.occupied] == 2)
+    assert 0 < is_red.sum() < len(is_red)
+    # Open3D works with it: each point is its own nearest neighbour, and a voxel grid of pixels holds all of them.
+    assert np.asarray(cloud.compute_point_cloud_distance(cloud)).max() == 0
+    part = slicewalk.to_open3d(archive, bounds=(0, 0, -1, 2, 2, 1))
+    assert 0 < len(part.points) < archive.voxels
 
 
 def test_the_nearest_surface_is_that_of_the_spans(rubble):

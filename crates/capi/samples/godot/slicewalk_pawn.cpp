@@ -1,4 +1,4 @@
-// A node that walks in a slice archive, for godot-cpp. Not compiled here: see the README of the samples.
+// A node that walks in a slice archive, for godot-cpp. Not run in Godot: see the README of the samples.
 #include <gdextension_interface.h>
 #include <godot_cpp/classes/engine.hpp>
 #include <godot_cpp/classes/input.hpp>

@@ -1,4 +1,4 @@
-// A pawn that walks in a slice archive. Not compiled here: see the README of the samples.
+// A pawn that walks in a slice archive. Not run in Unity: see the README of the samples.
 using System;
 using System.Runtime.InteropServices;
 using UnityEngine;

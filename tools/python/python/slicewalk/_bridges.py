@@ -19,14 +19,9 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from slicewalk._options import WriterOptions
-    from slicewalk._results import Region
     from slicewalk._slicewalk import Archive, Pages
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
-_EDGE = 1 << 16
-_SOLID, _INNER = 2, 3
-_LEVELS = 16
-_QUANTA = 255
 _HIT, _NOT_LOADED = 1, 2
 
 
@@ -128,61 +123,16 @@ def to_occupancy_grid(
     return OccupancyGrid(data.reshape(rows, columns), pixel, origin)
 
 
-def _cubes(region: Region) -> NDArray[np.int64]:
-    """Return the cubes with the edge of a pixel that the solid of a region reaches, each once: x, y, z."""
-    slices, rows, columns = np.nonzero(region.kind)
-    base = (slices + region.first[2]) * _QUANTA
-    low, high = (base + part[slices, rows, columns].astype(np.int64) for part in (region.bottom, region.top))
-    ratio = region.slice_height / region.pixel_size
-    if abs(ratio - round(ratio)) <= 1e-12 * ratio and round(ratio) >= 1:
-        low, high = low * round(ratio) // _QUANTA, -(-high * round(ratio) // _QUANTA)
-    else:
-        scale = ratio / _QUANTA
-        low, high = np.floor(low * scale).astype(np.int64), np.ceil(high * scale).astype(np.int64)
-    count = np.maximum(high - low, 1)
-    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    flat = [np.repeat(part + k, count) for part, k in zip((columns, rows), region.first, strict=False)]
-    cubes: NDArray[np.int64] = np.unique(np.column_stack([*flat, np.repeat(low, count) + within]), axis=0)
-    return cubes
-
-
-def _codes(cubes: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the path of each cube from the root, three bits a level."""
-    shifted = (cubes + _EDGE // 2).astype(np.uint64)
-    codes = np.zeros(len(cubes), np.uint64)
-    for level in range(_LEVELS):
-        for axis in range(3):
-            codes |= (shifted[:, axis] >> np.uint64(level) & np.uint64(1)) << np.uint64(3 * level + axis)
-    return np.sort(codes)
-
-
-def _tree(codes: NDArray[np.uint64]) -> tuple[int, bytes]:
-    """Return the number of nodes of a tree of OctoMap, and its nodes depth first."""
-    states = np.full(len(codes), _SOLID, np.uint64)
-    keys, levels, masks, nodes = [], [], [], 1
-    for level in range(_LEVELS):
-        parents, begins = np.unique(codes >> np.uint64(3), return_index=True)
-        bits = states << (np.uint64(2) * (codes & np.uint64(7)))
-        mask = np.add.reduceat(bits, begins)
-        # Eight solid children are one solid leaf; the root always is a node.
-        full = (mask == 0xAAAA) & (level < _LEVELS - 1)
-        keys.append(parents[~full] << np.uint64(3 * (level + 1)))
-        levels.append(np.full(len(keys[-1]), -level))
-        masks.append(mask[~full].astype("<u2"))
-        nodes += int(np.diff(begins, append=len(codes))[~full].sum())
-        codes, states = parents, np.where(full, _SOLID, _INNER).astype(np.uint64)
-    order = np.lexsort([np.concatenate(levels), np.concatenate(keys)])
-    return nodes, np.concatenate(masks)[order].tobytes()
-
-
 def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike | None = None) -> int:
     """Write the solid of a region as an octree of OctoMap (``.bt``), and return the number of its cubes.
 
-    Cubes have the edge of a pixel and are occupied if a span reaches into them, as in ``slicetool export``. Memory: the
-    region; for more, use ``slicetool export``.
+    Cubes have the edge of a pixel and are occupied if a span reaches into them, as in ``slicetool export``, which also
+    writes seen space as free cubes. A tree has 65,536 cubes along each axis around the origin; a region beyond is moved
+    by whole tiles, which a comment in the file states and :func:`convert` undoes. Memory: the tree.
 
     Raises:
-        ValueError: the region is farther than 2¹⁵ pixels from the origin, or holds nothing
+        ValueError: the region holds nothing
+        LimitError: the region is larger than a tree
 
     >>> slicewalk.to_octomap(slicewalk.open("room.slices"), "room.bt") > 10_000
     True
@@ -190,15 +140,12 @@ def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike 
     True
 
     """
-    region = pages.region(_box(pages, bounds))
-    cubes = _cubes(region)
-    if len(cubes) == 0 or np.abs(cubes).max() >= _EDGE // 2:
-        message = "bounds: expected solid within 32,768 pixels of the origin, the size of a tree; give other bounds"
+    count, data = pages._octomap(_box(pages, bounds))
+    if count == 0:
+        message = "bounds: expected a region with solid, found none; give other bounds"
         raise ValueError(message)
-    nodes, data = _tree(_codes(cubes))
-    head = f"# Octomap OcTree binary file\nid OcTree\nsize {nodes}\nres {region.pixel_size!r}\ndata\n"
-    _write(Path(path), head.encode() + data)
-    return len(cubes)
+    _write(Path(path), data)
+    return count
 
 
 def to_open3d(pages: Pages, *, bounds: ArrayLike | None = None) -> Any:

@@ -39,6 +39,7 @@ use nav2::Which;
 use slicewalk::archive::Bounds;
 use slicewalk_base::output::is_standard;
 use slicewalk_base::text::{counted, finite_number, grouped, number, one_line, whole_number};
+use slicewalk_cube::binary_of;
 use std::path::{Path, PathBuf};
 
 /// Greatest distance of an ESDF by default (m).
@@ -140,7 +141,7 @@ impl Format {
             "npy" => Self::Npy,
             "bt" => Self::Octomap,
             "json" if heightfield::is_name(output) => Self::Heightfield,
-            "json" if voxel::binary_of(output).is_some() => Self::Voxel,
+            "json" if binary_of(output).is_some() => Self::Voxel,
             _ if is_standard(output) => Self::Ply,
             _ => return None,
         })
@@ -256,7 +257,7 @@ pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
             format!("{} × {} pixels of {pixel} m", grouped(width.into()), grouped(height.into()))
         }
         Format::Voxel => {
-            let binary = voxel::binary_of(output).unwrap_or_default();
+            let binary = binary_of(output).unwrap_or_default();
             voxel::write(&archive, path, [to, crate::output(&binary, &archive, &[output])?])?
         }
         Format::Octomap => octomap::bt(&archive, path, to)?,

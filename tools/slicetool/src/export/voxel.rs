@@ -17,7 +17,7 @@ use slicewalk_base::output::Output;
 use slicewalk_base::text::{counted, number};
 use std::collections::HashMap;
 use std::io::{BufWriter, IntoInnerError, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Edge of a block (cubes).
 const BLOCK: i64 = 4;
@@ -44,14 +44,6 @@ enum Kind {
     Mixed(u64),
     /// Children: their mask, and the index of the first one in the level below.
     Inner(u8, usize),
-}
-
-/// Returns the name of the binary file that belongs to a header file; `None` if its name does not end in `.voxel.json`.
-pub fn binary_of(header: &Path) -> Option<PathBuf> {
-    let name = header.file_name()?.to_str()?;
-    let stem = name.get(..name.len().checked_sub(".json".len())?)?;
-    let is_voxel = name.to_ascii_lowercase().ends_with(".voxel.json");
-    is_voxel.then(|| header.with_file_name(format!("{stem}.bin")))
 }
 
 /// Writes header and tree; returns a message about them. Memory: the tree, about 30 bytes for each block.
