@@ -33,7 +33,8 @@
 //! [`Replies::by_processor`] counts those answers.
 //!
 //! The processor also answers what a device handles badly: shapes over more than 1024 tiles, radii above 65,536 pixels,
-//! rays that cross more than 16,384 pixels of the scene, and rays that reach a page that is not in memory.
+//! rays that cross more than 16,384 pixels of the scene, rays that reach a page that is not in memory, and questions that
+//! take more steps than drivers allow.
 
 mod device;
 mod error;
