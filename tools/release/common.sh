@@ -16,12 +16,11 @@ from_folder() {
     echo "$found"
 }
 
-# cargo_tool NAME VERSION: installs a subcommand of cargo in the target folder and prints its path.
+# cargo_tool NAME VERSION [OPTION...]: installs a subcommand of cargo in the target folder and prints its path.
 cargo_tool() {
     if ! grep -qF "\"$1 $2 " "$tools/.crates.toml" 2>/dev/null; then
-        # It runs once in a release: a quick build counts more than a quick program.
-        CARGO_PROFILE_DEV_DEBUG=false CARGO_PROFILE_DEV_OPT_LEVEL=0 \
-            cargo install --quiet --locked --debug --root "$tools" --target-dir "$tools/target" "$1@$2" >&2
+        # Optimised: an unoptimised cargo-about takes many minutes to recognise licences.
+        cargo install --quiet --locked --root "$tools" --target-dir "$tools/target" "$1@$2" "${@:3}" >&2
         rm -rf "$tools/target"
     fi
     echo "$tools/bin/$1"

@@ -17,8 +17,9 @@ make_page() {
 
 make_licences() {
     local about
-    about=$(cargo_tool cargo-about 0.9.3)
-    "$about" generate --fail --workspace --all-features --config "$here/about.toml" --manifest-path Cargo.toml \
+    about=$(cargo_tool cargo-about 0.9.3 --features cli)
+    cargo fetch --quiet
+    "$about" generate --fail --offline --workspace --all-features --config "$here/about.toml" --manifest-path Cargo.toml \
         --output-file "$out/slicewalk-$version-licences.txt" "$here/licences.hbs"
     grep -q "zstd" "$out/slicewalk-$version-licences.txt" || fail "the licences lack those of zstd"
 }
