@@ -236,7 +236,13 @@ export class Conversions {
     const converter = new Converter(files);
     const cancel = h("button", { type: "button", class: "plain", onclick: () => this.#dialog.close() }, convert.cancel);
     this.#fill(convert.title(named(files)), h("p", {}, convert.reading(named(files))), cancel);
-    this.#dialog.addEventListener("close", () => converter.close(), { once: true });
+    // The event of an earlier close may come when the dialog is open again.
+    const ended = (): void => {
+      if (this.#dialog.open) return;
+      this.#dialog.removeEventListener("close", ended);
+      converter.close();
+    };
+    this.#dialog.addEventListener("close", ended);
     let facts: Facts;
     try {
       facts = await converter.preview(options);
