@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
-import time
 import threading
+import time
 
 import numpy as np
 import pytest
