@@ -32,7 +32,7 @@ pub(crate) struct Shared {
     failures: Arc<Mutex<Failures>>,
 }
 
-/// What the driver has reported outside the calls that caused it.
+/// Failures that the driver reported outside the calls that caused them.
 #[derive(Debug, Default)]
 struct Failures {
     lost: Option<String>,
@@ -52,9 +52,9 @@ pub(crate) enum Program {
 
 /// Entry points in the order of [`Program`], with their text after that of the pages.
 const PROGRAMS: [(&str, &str); 5] = [
-    ("boxes", include_str!("shaders/boxes.wgsl")),
-    ("cylinders", include_str!("shaders/rounds.wgsl")),
-    ("spheres", include_str!("shaders/rounds.wgsl")),
+    ("boxes", concat!(include_str!("shaders/shapes.wgsl"), include_str!("shaders/boxes.wgsl"))),
+    ("cylinders", concat!(include_str!("shaders/shapes.wgsl"), include_str!("shaders/rounds.wgsl"))),
+    ("spheres", concat!(include_str!("shaders/shapes.wgsl"), include_str!("shaders/rounds.wgsl"))),
     ("floors", include_str!("shaders/floors.wgsl")),
     ("rays", include_str!("shaders/rays.wgsl")),
 ];

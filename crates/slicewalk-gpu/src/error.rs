@@ -1,4 +1,4 @@
-//! What can go wrong on a device.
+//! Failures of a device.
 
 use std::fmt;
 

@@ -55,7 +55,7 @@ pub trait Question: sealed::Kind {}
 
 impl<Q: sealed::Kind> Question for Q {}
 
-/// What the device answers, or why the processor has to.
+/// The device's answer, or that the processor has to find it.
 pub enum Found<T> {
     Answer(Reply<T>),
     Undecided,
@@ -95,30 +95,26 @@ const CLEAR: u32 = 1;
 const HIT: u32 = 2;
 const NOT_LOADED: u32 = 3;
 
-fn of_shape(word: u32) -> Found<bool> {
-    match word {
-        CLEAR => Found::Answer(Reply::Known(false)),
-        HIT => Found::Answer(Reply::Known(true)),
-        NOT_LOADED => Found::Answer(Reply::NotLoaded),
-        _ => Found::Undecided,
-    }
-}
-
 /// Questions that the processor's batches answer at a time: their answers take 200 bytes and more each.
 const AT_A_TIME: usize = 1 << 16;
 
-/// Returns the answers of the library's batch.
-fn shapes_in_batches<S: Shape>(pages: &Snapshot, shapes: &[S]) -> Vec<Reply<bool>> {
-    let mut answers = vec![Overlap::Clear; shapes.len().min(AT_A_TIME)];
-    let mut replies = Vec::with_capacity(shapes.len());
-    for shapes in shapes.chunks(AT_A_TIME) {
-        overlaps_batch(pages, shapes, &mut answers);
-        replies.extend(answers[..shapes.len()].iter().map(|&answer| Reply::from(answer)));
+/// Returns the answers of the library's batch `ask`; `blank` is any answer.
+fn in_batches<Q, A: Copy + Into<Reply<T>>, T>(
+    questions: &[Q],
+    blank: A,
+    ask: impl Fn(&[Q], &mut [A]),
+) -> Vec<Reply<T>> {
+    let mut answers = vec![blank; questions.len().min(AT_A_TIME)];
+    let mut replies = Vec::with_capacity(questions.len());
+    for questions in questions.chunks(AT_A_TIME) {
+        let answers = &mut answers[..questions.len()];
+        ask(questions, answers);
+        replies.extend(answers.iter().map(|&answer| answer.into()));
     }
     replies
 }
 
-/// Most tiles under a shape; the device searches them one by one, the processor skips those without pages.
+/// Most tiles under a shape; the device searches each of them, the processor skips those without pages.
 const MOST_TILES: i64 = 1024;
 
 /// An extent that meets nothing: it ends in a tile before the one in which it begins.
@@ -150,20 +146,33 @@ fn push_reals(words: &mut Vec<u32>, values: &[f64]) {
     words.extend(values.iter().map(|&value| (value as f32).to_bits()));
 }
 
-impl Kind for Aabb {
+/// A shape that a program of the device meets with pages.
+trait DeviceShape: Shape {
+    const PROGRAM: Program;
+    const WORDS: usize;
+
+    /// See [`Kind::encode`].
+    fn encode(&self, place: &Place, words: &mut Vec<u32>) -> bool;
+}
+
+impl<S: DeviceShape> Kind for S {
     type Answer = bool;
-    const PROGRAM: Program = Program::Boxes;
-    const WORDS: usize = 6;
+    const PROGRAM: Program = S::PROGRAM;
+    const WORDS: usize = S::WORDS;
     const ANSWER_WORDS: usize = 1;
 
     #[inline]
     fn encode(&self, place: &Place, words: &mut Vec<u32>) -> bool {
-        let extent = within(place, &grid_extent(&place.frame, self));
-        extent.map(|extent| push(words, &extent)).is_some()
+        DeviceShape::encode(self, place, words)
     }
 
     fn decode(&self, _: &Resident, _: &Snapshot, words: &[u32]) -> Found<bool> {
-        of_shape(words[0])
+        match words[0] {
+            CLEAR => Found::Answer(Reply::Known(false)),
+            HIT => Found::Answer(Reply::Known(true)),
+            NOT_LOADED => Found::Answer(Reply::NotLoaded),
+            _ => Found::Undecided,
+        }
     }
 
     fn ask(&self, pages: &Snapshot) -> Reply<bool> {
@@ -171,7 +180,18 @@ impl Kind for Aabb {
     }
 
     fn ask_all(pages: &Snapshot, questions: &[Self]) -> Vec<Reply<bool>> {
-        shapes_in_batches(pages, questions)
+        in_batches(questions, Overlap::Clear, |shapes, answers| overlaps_batch(pages, shapes, answers))
+    }
+}
+
+impl DeviceShape for Aabb {
+    const PROGRAM: Program = Program::Boxes;
+    const WORDS: usize = 6;
+
+    #[inline]
+    fn encode(&self, place: &Place, words: &mut Vec<u32>) -> bool {
+        let extent = within(place, &grid_extent(&place.frame, self));
+        extent.map(|extent| push(words, &extent)).is_some()
     }
 }
 
@@ -218,51 +238,23 @@ fn encode_round(place: &Place, extent: &GridExtent, middle: [f64; 3], radius: f6
     true
 }
 
-impl Kind for Cylinder {
-    type Answer = bool;
+impl DeviceShape for Cylinder {
     const PROGRAM: Program = Program::Cylinders;
     const WORDS: usize = 14;
-    const ANSWER_WORDS: usize = 1;
 
     fn encode(&self, place: &Place, words: &mut Vec<u32>) -> bool {
         let [x, y, _] = self.feet().into();
         // The heights decide as integers, so the middle's height plays no part.
         encode_round(place, &grid_extent(&place.frame, self), [x, y, 0.0], self.radius(), words)
     }
-
-    fn decode(&self, _: &Resident, _: &Snapshot, words: &[u32]) -> Found<bool> {
-        of_shape(words[0])
-    }
-
-    fn ask(&self, pages: &Snapshot) -> Reply<bool> {
-        overlaps(pages, self).into()
-    }
-
-    fn ask_all(pages: &Snapshot, questions: &[Self]) -> Vec<Reply<bool>> {
-        shapes_in_batches(pages, questions)
-    }
 }
 
-impl Kind for Sphere {
-    type Answer = bool;
+impl DeviceShape for Sphere {
     const PROGRAM: Program = Program::Spheres;
     const WORDS: usize = 14;
-    const ANSWER_WORDS: usize = 1;
 
     fn encode(&self, place: &Place, words: &mut Vec<u32>) -> bool {
         encode_round(place, &grid_extent(&place.frame, self), self.center().into(), self.radius(), words)
-    }
-
-    fn decode(&self, _: &Resident, _: &Snapshot, words: &[u32]) -> Found<bool> {
-        of_shape(words[0])
-    }
-
-    fn ask(&self, pages: &Snapshot) -> Reply<bool> {
-        overlaps(pages, self).into()
-    }
-
-    fn ask_all(pages: &Snapshot, questions: &[Self]) -> Vec<Reply<bool>> {
-        shapes_in_batches(pages, questions)
     }
 }
 
@@ -414,13 +406,7 @@ impl Kind for Ray {
     }
 
     fn ask_all(pages: &Snapshot, questions: &[Self]) -> Vec<Reply<Option<RayHit>>> {
-        let mut answers = vec![Answer::Known(None); questions.len().min(AT_A_TIME)];
-        let mut replies = Vec::with_capacity(questions.len());
-        for rays in questions.chunks(AT_A_TIME) {
-            cast_batch(pages, rays, &mut answers);
-            replies.extend(answers[..rays.len()].iter().map(|&answer| Reply::from(answer)));
-        }
-        replies
+        in_batches(questions, Answer::Known(None), |rays, answers| cast_batch(pages, rays, answers))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Batches on their way.
+//! Batches that the device has not answered yet.
 
 use crate::device::Shared;
 use crate::error::Result;
@@ -22,18 +22,18 @@ pub struct Pending<'a, Q: Question> {
 /// Answers of a batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replies<T> {
-    /// One answer for each question, in their order.
+    /// Answers in the order of the questions.
     pub answers: Vec<Reply<T>>,
     /// Number of answers that the processor had to give: all without a device, else those that the device could not decide
     /// exactly.
     pub by_processor: usize,
 }
 
-/// A piece of a batch.
+/// Consecutive questions of a batch, sent together.
 #[derive(Debug)]
 pub(crate) struct Piece {
     copy: wgpu::Buffer,
-    #[cfg_attr(target_family = "wasm", allow(dead_code, reason = "browsers report by themselves"))]
+    #[cfg_attr(target_family = "wasm", allow(dead_code, reason = "browsers wake the task"))]
     submission: wgpu::SubmissionIndex,
     mapped: Arc<Mutex<Mapped>>,
     /// Numbers of the questions that the device did not get.
@@ -115,7 +115,7 @@ impl<'a, Q: Question> Pending<'a, Q> {
         self.pieces.iter().all(|piece| piece.result(None).is_some())
     }
 
-    /// Waits for the answers and collects them. Fails if the device is lost or out of memory; then there are none.
+    /// Waits for the answers and collects them. Fails, without any answer, if the device is lost or out of memory.
     #[cfg(not(target_family = "wasm"))]
     pub fn wait(self) -> Result<Replies<Q::Answer>> {
         let mut replies = Replies::with_capacity(self.questions.len());
@@ -128,8 +128,8 @@ impl<'a, Q: Question> Pending<'a, Q> {
         Ok(replies)
     }
 
-    /// Waits for the answers without blocking the thread. Fails like [`wait`](Self::wait). Outside browsers, which report
-    /// by themselves, each poll of the future asks the driver and wakes its task again.
+    /// Waits for the answers without blocking the thread. Fails like [`wait`](Self::wait). Outside browsers, which wake
+    /// the task, each poll of the future asks the driver and wakes its task again.
     pub async fn collect(self) -> Result<Replies<Q::Answer>> {
         let mut replies = Replies::with_capacity(self.questions.len());
         let Some(resident) = self.resident else { return Ok(self.ask_processor()) };

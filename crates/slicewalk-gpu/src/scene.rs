@@ -102,7 +102,7 @@ impl Resident {
         (PIECE as u64).min(by_memory).min(shared.dispatch_limit()).max(1) as usize
     }
 
-    /// Sends a piece of a batch, which is not empty.
+    /// Sends at least one question, and no more than [`piece`](Self::piece) allows.
     fn send<Q: Question>(&self, questions: &[Q]) -> Result<Piece> {
         let shared = &self.device.shared;
         let mut words = Vec::with_capacity(Q::WORDS * questions.len());

@@ -1,12 +1,13 @@
-//! Answers of the device beside those of the processor, one by one.
+//! Answers of the device, each compared with the processor's.
 //!
 //! `SLICEWALK_GPU_ANSWERS` sets how many of each kind are compared.
 
 mod common;
 
 use common::{Asker, Scene as Pages, converted, data, device, generated, partly_loaded, random_pages};
-use slicewalk::query::{RayHit, cast, floor_under, overlaps};
+use slicewalk::query::{RayHit, Shape, cast, floor_under, overlaps};
 use slicewalk_gpu::{Device, Question, Replies, Reply, Scene};
+use std::fmt::Debug;
 
 /// Answers of each kind that are compared, in all scenes together.
 fn wanted() -> usize {
@@ -44,31 +45,30 @@ fn bits(reply: &Reply<Option<RayHit>>) -> Option<u64> {
     }
 }
 
+/// Compares the answers of the device about shapes, and returns them.
+fn compare_shapes<S: Shape + Question<Answer = bool> + Debug>(
+    scene: &Scene,
+    name: &str,
+    shapes: &[S],
+) -> Replies<bool> {
+    let replies = ask(scene, shapes);
+    for (shape, reply) in shapes.iter().zip(&replies.answers) {
+        assert_eq!(*reply, overlaps(scene.pages(), shape).into(), "{name}: {shape:?}");
+    }
+    replies
+}
+
 fn compare(device: &Device, pages: &Pages, count: usize, seed: u64, tally: &mut Tally) {
     let scene = Scene::new(device, &pages.pages).unwrap();
     let (name, pages) = (&pages.name, &pages.pages);
     let mut asker = Asker::new(pages, seed);
 
-    let shapes: Vec<_> = (0..count).map(|_| asker.shape()).collect();
-    let replies = ask(&scene, &shapes);
-    for (shape, reply) in shapes.iter().zip(&replies.answers) {
-        assert_eq!(*reply, overlaps(pages, shape).into(), "{name}: {shape:?}");
-    }
-    tally.add(0, &replies, |hit| *hit);
-
-    let shapes: Vec<_> = (0..count).map(|_| asker.cylinder()).collect();
-    let replies = ask(&scene, &shapes);
-    for (shape, reply) in shapes.iter().zip(&replies.answers) {
-        assert_eq!(*reply, overlaps(pages, shape).into(), "{name}: {shape:?}");
-    }
-    tally.add(1, &replies, |hit| *hit);
-
-    let shapes: Vec<_> = (0..count).map(|_| asker.sphere()).collect();
-    let replies = ask(&scene, &shapes);
-    for (shape, reply) in shapes.iter().zip(&replies.answers) {
-        assert_eq!(*reply, overlaps(pages, shape).into(), "{name}: {shape:?}");
-    }
-    tally.add(2, &replies, |hit| *hit);
+    let boxes: Vec<_> = (0..count).map(|_| asker.shape()).collect();
+    tally.add(0, &compare_shapes(&scene, name, &boxes), |hit| *hit);
+    let cylinders: Vec<_> = (0..count).map(|_| asker.cylinder()).collect();
+    tally.add(1, &compare_shapes(&scene, name, &cylinders), |hit| *hit);
+    let spheres: Vec<_> = (0..count).map(|_| asker.sphere()).collect();
+    tally.add(2, &compare_shapes(&scene, name, &spheres), |hit| *hit);
 
     let questions: Vec<_> = (0..count).map(|_| asker.below()).collect();
     let replies = ask(&scene, &questions);

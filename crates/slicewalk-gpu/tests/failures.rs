@@ -79,7 +79,7 @@ fn pages_beyond_a_limit_are_refused_and_small_pieces_answer_alike() {
         "{error}"
     );
 
-    // What fits is answered in pieces of at most 64 KiB.
+    // A scene that fits is answered in pieces of at most 64 KiB.
     let pages = random_pages(0, 0.0).pages;
     let scene = Scene::new(&device, &pages).unwrap();
     let mut asker = Asker::new(&pages, 2);
@@ -135,7 +135,7 @@ fn a_lost_device_fails_every_batch_and_another_one_answers() {
     check_boxes(&scene, &boxes);
     let pending = scene.ask(&boxes).unwrap();
     gone.wgpu().0.destroy();
-    // A batch that was on its way has all of its answers, or none.
+    // A batch that was sent before has all of its answers, or fails.
     match pending.wait() {
         Ok(replies) => assert_eq!(replies.answers.len(), boxes.len()),
         Err(error) => assert!(matches!(error, Error::Lost { .. }), "{error}"),
@@ -187,7 +187,7 @@ fn windows_of_a_stream_answer_as_far_as_they_reach() {
         check_boxes(&scene, &boxes);
         for (shape, reply) in boxes.iter().zip(answers(&scene, &boxes)) {
             counts[usize::from(reply == Reply::NotLoaded)] += 1;
-            // What is known stays so.
+            // Known answers stay known.
             assert!(reply == Reply::NotLoaded || reply == overlaps(&everything, shape).into());
         }
     }
@@ -240,7 +240,7 @@ fn questions_that_take_many_steps_are_answered() {
 }
 
 #[test]
-fn several_batches_may_be_on_their_way_at_once() {
+fn several_batches_may_be_in_flight() {
     let Some(device) = device() else { return };
     let pages = random_pages(3, 5e5).pages;
     let scene = Scene::new(&device, &pages).unwrap();

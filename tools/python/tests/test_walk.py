@@ -200,7 +200,9 @@ def test_a_closed_stream_ends_with_its_thread_whoever_walked_on_it(folder):
     view = stream.view()
     if pathlib.Path("/proc/self/task").exists():
         # A thread names itself once it runs.
+        until = time.monotonic() + 60
         while "slicewalk-prefe\n" not in threads():
+            assert time.monotonic() < until
             time.sleep(0.01)
         stream.close()
         assert "slicewalk-prefe\n" not in threads()

@@ -6,6 +6,8 @@
 
 var<private> middle: vec3<i32>;
 var<private> fraction: vec3<f32>;
+// Whether the shape is a cylinder.
+var<private> upright: bool;
 // Bounds of the square of the radius.
 var<private> inner: f32;
 var<private> outer: f32;
@@ -29,7 +31,7 @@ fn rise(span: u32, base: i32) -> f32 {
 }
 
 // HIT, UNDECIDED or CLEAR for a page whose first pixel is `corner`.
-fn round_meets(page: u32, corner: vec2<i32>, x: vec2<u32>, y: vec2<u32>, base: i32, low: u32, high: u32, upright: bool) -> u32 {
+fn meets_page(page: u32, corner: vec2<i32>, x: vec2<u32>, y: vec2<u32>, base: i32, low: u32, high: u32) -> u32 {
     var answer = CLEAR;
     for (var by = y.x >> 3u; by <= y.y >> 3u; by++) {
         if is_spent() {
@@ -94,68 +96,27 @@ fn round_meets(page: u32, corner: vec2<i32>, x: vec2<u32>, y: vec2<u32>, base: i
     return answer;
 }
 
-fn answer_round(number: u32, upright: bool) {
+fn answer_round(number: u32) {
     let at = number * 14u;
-    let i = vec2<i32>(integer(at), integer(at + 1u));
-    let j = vec2<i32>(integer(at + 2u), integer(at + 3u));
-    let low = integer(at + 4u);
-    let high = integer(at + 5u);
     middle = vec3<i32>(integer(at + 6u), integer(at + 7u), integer(at + 8u));
     fraction = vec3<f32>(real(at + 9u), real(at + 10u), real(at + 11u));
     inner = real(at + 12u);
     outer = real(at + 13u);
-    var answer = CLEAR;
-    for (var ty = j.x >> 6u; ty <= j.y >> 6u; ty++) {
-        if is_spent() {
-            break;
-        }
-        let y = part(j, ty * 64, 64);
-        for (var tx = i.x >> 6u; tx <= i.y >> 6u; tx++) {
-            if is_spent() {
-                break;
-            }
-            let x = part(i, tx * 64, 64);
-            let column = column_of(tx, ty);
-            for (var slot_number = 0u; slot_number < column.y; slot_number++) {
-                if is_spent() {
-                    break;
-                }
-                let slot = slots[column.x + slot_number];
-                let base = i32(slot.x) * PAGE_QUANTA;
-                if !is_near(base, low, high) {
-                    continue;
-                }
-                let lowest = local(low, base);
-                let highest = local(high, base);
-                if !is_occupied(slot, lowest, highest) {
-                    continue;
-                }
-                if slot.w == NONE {
-                    answer = max(answer, NOT_LOADED);
-                    continue;
-                }
-                let met = round_meets(slot.w, vec2<i32>(tx * 64, ty * 64), x, y, base, lowest, highest, upright);
-                if met == HIT {
-                    answers[number] = HIT;
-                    return;
-                }
-                answer = max(answer, met);
-            }
-        }
-    }
-    answers[number] = select(answer, UNDECIDED, spent > batch.budget);
+    answer_shape(number, at);
 }
 
 @compute @workgroup_size(64)
 fn cylinders(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x < batch.count {
-        answer_round(id.x, true);
+        upright = true;
+        answer_round(id.x);
     }
 }
 
 @compute @workgroup_size(64)
 fn spheres(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x < batch.count {
-        answer_round(id.x, false);
+        upright = false;
+        answer_round(id.x);
     }
 }
