@@ -497,7 +497,7 @@ def find_grid(heights, slice_height, moved):
     units = [0.1, 0.1 * foot, 0.1 * us_foot / 3937, 0.01, 0.005, 0.01 * foot, 0.01 * us_foot / 3937, 0.002, 0.001]
     units += [0.0005, 0.001 * foot, 0.001 * us_foot / 3937, 0.00025, 0.0001]
     scanned = [int(unit * 255 / slice_height * ONE + 0.5) for unit in units]
-    for step in coarse_steps(scanned, moved) + scanned:
+    for step in [SLICE * ONE] + coarse_steps(scanned, moved) + scanned:
         if 2 * ONE <= step <= SLICE * ONE:
             phase = phase_of(heights, step)
             if phase is not None:

@@ -124,8 +124,8 @@ impl StepGrid {
         })
     }
 
-    /// Finds the grid of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, or else
-    /// the coarsest of the usual steps of scans. For an overview level, returns the level's grid, on which all heights
+    /// Finds the grid of one step a slice, if all `heights` (quanta) of a page lie on it; else of the first of `steps`
+    /// (1/2³² quantum) that they lie on, or of the coarsest of the usual steps of scans. For an overview level, returns the level's grid, on which all heights
     /// lie that it [admits](HeightsOf::admits).
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
@@ -162,7 +162,9 @@ impl StepGrid {
             let step = grid.step as i64;
             Some(Self { phase: phase(step, low, high).rem_euclid(step) as u64, ..grid })
         };
-        steps.iter().copied().chain(Self::steps_of_scans(frame)).find_map(with_step)
+        // Centres of voxels have one height in each slice.
+        let slice = SLICE_QUANTA as u64 * ONE as u64;
+        std::iter::once(slice).chain(steps.iter().copied()).chain(Self::steps_of_scans(frame)).find_map(with_step)
     }
 
     /// Returns the steps that scans have on this grid (1/2³² quantum), coarse to fine; some exceed the limits of a
