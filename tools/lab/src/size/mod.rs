@@ -3,6 +3,7 @@
 //!
 //! Out: `size.md`. All but its times are the same on every run.
 
+mod cubes;
 mod noise;
 mod octree;
 pub(crate) mod pictures;
@@ -155,9 +156,11 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         }
     }
     let page = format!(
-        "{}\n{}\n\n## What no coder can save\n\n{}\n\n{}\n\n## What the scenes needed\n\n{}\n\n{}\n\n## Opening and decoding\n\n{}\n\n{}\n\n## Reads along a walk\n\n{}\n\n{}\n",
+        "{}\n{}\n\n## Cubes\n\n{}\n\n{}\n\n## What no coder can save\n\n{}\n\n{}\n\n## What the scenes needed\n\n{}\n\n{}\n\n## Opening and decoding\n\n{}\n\n{}\n\n## Reads along a walk\n\n{}\n\n{}\n",
         include_str!("head.md"),
         sizes.markdown(),
+        include_str!("cubes.md").trim_end(),
+        cubes::table(folder.path(), quick)?,
         include_str!("noise.md").trim_end(),
         noises.markdown(),
         include_str!("needs.md").trim_end(),
@@ -196,9 +199,15 @@ fn cases(folder: &Path, quick: bool) -> Result<Vec<Case>> {
 }
 
 fn make(case: &Case, tolerance_m: f64, folder: &Path) -> Result<Made> {
+    make_slices(case, tolerance_m, None, folder)
+}
+
+/// Converts with slices of this height, by default three pixels.
+fn make_slices(case: &Case, tolerance_m: f64, slice_m: Option<f64>, folder: &Path) -> Result<Made> {
     let output = folder.join("made.slices");
     let mut options = ConvertOptions::new(vec![case.file.clone()], output.clone());
     options.grid.pixel = PixelSize::Metres(case.pixel_m);
+    options.grid.slice_m = slice_m;
     options.reading.units = case.units;
     options.plan.tolerance_m = tolerance_m;
     options.overwrite = true;
