@@ -43,6 +43,12 @@ pub(super) fn unit(code: u16) -> Option<f64> {
     UNITS.binary_search_by_key(&code, |unit| unit.0).ok().map(|at| UNITS[at].1)
 }
 
+/// Replaces a rounded conversion factor by the metre or the exact foot that it stands for.
+pub(super) fn exact(factor: f64) -> f64 {
+    let near = |exact: &f64| (factor - exact).abs() <= 1e-7 * exact;
+    [1.0, FOOT, US_SURVEY_FOOT].into_iter().find(near).unwrap_or(factor)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
