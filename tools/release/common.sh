@@ -38,3 +38,10 @@ tarred() {
     tar --sort=name --owner=0 --group=0 --numeric-owner --mode=go=rX,u=rwX --mtime="@$commit_time" -C "$2" -cf - "$3" |
         gzip -n9 >"$1"
 }
+
+# commit_in FOLDER: puts the commit into FOLDER, with the versions of crates that the build uses.
+commit_in() {
+    cargo fetch --quiet
+    git clone --quiet --shared . "$1"
+    cp Cargo.lock "$1"
+}
