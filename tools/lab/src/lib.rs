@@ -24,6 +24,7 @@ pub mod soak;
 pub mod stability;
 #[cfg(feature = "peers")]
 pub mod thesis;
+mod venv;
 pub mod voxels;
 pub mod walks;
 mod watch;

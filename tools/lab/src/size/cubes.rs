@@ -4,9 +4,9 @@
 //! converted again, are an archive that holds what the others hold, and which cubes are obstacles.
 
 use super::{Case, Made, RUNS};
-use crate::peers::cubes::python;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
+use crate::venv::python;
 use slicewalk::archive::PageDecoder;
 use slicewalk_input::Units;
 use std::fmt::Write as _;

@@ -7,15 +7,13 @@ use crate::peers::native::Recipe;
 use crate::stability::Result;
 use nalgebra::{Point3, Vector2};
 use std::ffi::{CStr, c_char, c_int, c_void};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
 const HEADER: &str = include_str!("../../../native/peer.h");
 /// Folder of JoltPhysics, with the library that its own build script makes.
 pub const JOLT: &str = "SLICEWALK_JOLT";
-/// Folder of a virtual environment of Python.
-pub const VENV: &str = "SLICEWALK_VENV";
 
 /// Cubes and their mesh: `Matter` of `peer.h`.
 #[repr(C)]
@@ -191,7 +189,7 @@ impl Native {
 
 /// Where the package `coal` of a virtual environment has its headers and libraries.
 fn coal_prefix() -> Result<PathBuf> {
-    let venv = PathBuf::from(std::env::var_os(VENV).ok_or(format!("{VENV} names no virtual environment"))?);
+    let venv = crate::venv::folder()?;
     let missing = || format!("the package coal is not in {}", venv.display());
     let versions = std::fs::read_dir(venv.join("lib")).map_err(|_| missing())?;
     let prefix = |version: std::io::Result<std::fs::DirEntry>| {
@@ -285,11 +283,4 @@ impl Drop for World {
         // SAFETY: no other owner has the handle.
         unsafe { (self.native.functions.free)(self.handle) }
     }
-}
-
-/// The interpreter of the virtual environment.
-pub fn python() -> Result<PathBuf> {
-    let venv = std::env::var_os(VENV).ok_or(format!("{VENV} names no virtual environment"))?;
-    let python = Path::new(&venv).join("bin/python");
-    if python.is_file() { Ok(python) } else { Err(format!("{} is not there", python.display()).into()) }
 }

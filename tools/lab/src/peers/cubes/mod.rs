@@ -11,8 +11,6 @@ mod questions;
 mod splat;
 mod stairs;
 
-pub(crate) use cpp::python;
-
 use crate::chart::subject::Subject;
 use crate::chart::workload::Workload;
 use crate::stability::Result;

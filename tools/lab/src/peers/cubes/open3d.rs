@@ -1,10 +1,10 @@
 //! Open3D, in a process of its own: a script of Python that answers whole batches.
 
-use super::cpp::python;
 use super::matter::{Matter, Mesh};
 use super::peer::Peer;
 use super::questions::{Kind, Questions};
 use crate::stability::Result;
+use crate::venv::python;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
