@@ -125,8 +125,8 @@ impl StepGrid {
     }
 
     /// Finds the grid of one step a slice, if all `heights` (quanta) of a page lie on it; else of the first of `steps`
-    /// (1/2³² quantum) that they lie on, or of the coarsest of the usual steps of scans. For an overview level, returns the level's grid, on which all heights
-    /// lie that it [admits](HeightsOf::admits).
+    /// (1/2³² quantum) that they lie on, or of the coarsest of the usual steps of scans. For an overview level, returns
+    /// the level's grid, on which all heights lie that it [admits](HeightsOf::admits).
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
     }
@@ -267,6 +267,16 @@ mod tests {
             }
         }
         assert!(found > 100, "{found} grids have steps");
+    }
+
+    #[test]
+    fn centres_of_voxels_have_one_step_a_slice() {
+        for slice_m in [0.05, 0.022, 0.066] {
+            let frame = Frame::new(slice_m, slice_m).unwrap();
+            let points: Vec<f64> = (0..60).map(|k| (f64::from(k * 7 % 64) + 0.5) * slice_m).collect();
+            let grid = StepGrid::find(&HeightsOf::Scan(frame), &[], &heights(&frame, &points, 0)).unwrap();
+            assert_eq!(grid.step, 255 << FRACTION_BITS, "slices of {slice_m} m");
+        }
     }
 
     #[test]

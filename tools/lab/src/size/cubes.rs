@@ -27,7 +27,7 @@ const SETS: [(&str, f64, f64); 6] = [
     ("forest_plot_tls", 0.17, 4.05),
 ];
 
-/// Returns the table of the sets whose scans are at hand.
+/// Returns the table of the sets whose scans are there.
 pub fn table(folder: &Path, quick: bool) -> Result<String> {
     let mut table =
         Table::new(["scan", "cube (m)", "cubes", "archive", "Draco", "G-PCC and flags", "ns a cube", "ns a span"]);
@@ -90,8 +90,7 @@ fn decode_ns(made: &Made) -> Result<f64> {
         }
         times.push(start.elapsed().as_secs_f64() * 1e9);
     }
-    times.sort_by(f64::total_cmp);
-    Ok(times[RUNS / 2])
+    Ok(super::median(&mut times))
 }
 
 /// Returns the bytes of the cubes in Draco; an error says in a few words why it cannot.
@@ -101,6 +100,5 @@ fn draco_bytes(cubes: &[[i64; 3]]) -> Result<u64> {
     child.stdin.take().ok_or("no input")?.write_all(&bytes)?;
     let output = child.wait_with_output()?;
     let text = String::from_utf8(output.stdout)?;
-    let bytes = text.split_whitespace().next().ok_or("DracoPy is not in the virtual environment")?;
-    Ok(bytes.parse()?)
+    Ok(text.trim().parse().map_err(|_| "DracoPy is not in the virtual environment")?)
 }

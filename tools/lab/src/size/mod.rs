@@ -289,10 +289,6 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
         }
         unpack.push(start.elapsed().as_secs_f64());
     }
-    let median = |times: &mut Vec<f64>| {
-        times.sort_by(f64::total_cmp);
-        times[times.len() / 2]
-    };
     let (open, decode, unpack) = (median(&mut open), median(&mut decode), median(&mut unpack));
     let pages = made.stats.pages.iter().sum::<u64>();
     // Memory of a program that keeps rasters: bottom, top and a bit of kind in each pixel of each tile.
@@ -308,4 +304,9 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
         number(in_planes as f64 / made.archive.header().bytes.pages as f64, 2),
         number(unpack * 1e9 / made.stats.spans.max(1) as f64, 0),
     ])
+}
+
+fn median(times: &mut [f64]) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
 }
