@@ -66,7 +66,8 @@ pub struct BodyId(u64);
 #[derive(Debug, Default)]
 struct Tracked {
     motion_hint: Option<MotionHint>,
-    missing: Option<Missing>,
+    /// Pages needed since the last hint, and those needed since the one before.
+    missing: [Option<Missing>; 2],
 }
 
 /// Keeps the pages around moving bodies in memory, under a byte budget. The loader opens the archive, decides what to
@@ -217,12 +218,13 @@ impl Loader {
     }
 
     /// Sets how a body moves now; call it once a frame. Replaces the body's last hint and the pages that it
-    /// [needed](Self::need). A hint that is not finite or not in order is dropped and counted.
+    /// [needed](Self::need) before that one: whichever comes first in a frame, hint or polling, pages needed in the frame
+    /// before are fetched. A hint that is not finite or not in order is dropped and counted.
     pub fn hint(&mut self, body: BodyId, motion_hint: &MotionHint) {
         if !motion_hint.is_valid() {
             self.counters.hints_dropped += 1;
         } else if let Some(body) = self.bodies.get_mut(&body) {
-            *body = Tracked { motion_hint: Some(*motion_hint), missing: None };
+            *body = Tracked { motion_hint: Some(*motion_hint), missing: [None, body.missing[0]] };
             self.stale = true;
         }
     }
@@ -230,7 +232,7 @@ impl Loader {
     /// Requests pages that a query of this body missed; they precede the pages that hints want.
     pub fn need(&mut self, body: BodyId, missing: &Missing) {
         if let Some(body) = self.bodies.get_mut(&body) {
-            body.missing = Some(*missing);
+            body.missing[0] = Some(*missing);
             self.stale = true;
         }
     }
@@ -373,7 +375,7 @@ impl Loader {
                 motion_hint.wants(index, horizon, &mut times);
                 focus.push(motion_hint.focus(index.frame()));
             }
-            let missing = body.missing.iter().flat_map(|missing| missing.keys());
+            let missing = body.missing.iter().flatten().flat_map(|missing| missing.keys());
             times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));
         }
         focus.sort_unstable();

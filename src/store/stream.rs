@@ -69,6 +69,7 @@ pub enum Step {
 #[derive(Debug)]
 struct Inbox {
     body: BodyId,
+    /// Given since they were last collected.
     motion_hint: Option<MotionHint>,
     missing: Option<Missing>,
     changed: bool,
@@ -352,11 +353,11 @@ pub struct PawnHandle {
 
 impl PawnHandle {
     /// Sets how the body moves now; call it once a frame. Replaces the last hint and the pages requested by
-    /// [`need`](Self::need). Never waits: a hint that is not finite or not in order, or that is given at the moment at
+    /// [`need`](Self::need) before it. Never waits: a hint that is not finite or not in order, or that is given at the moment at
     /// which the last one is collected, is dropped and counted.
     pub fn hint(&mut self, motion_hint: &MotionHint) {
         self.put(motion_hint.is_valid(), |inbox| {
-            (inbox.motion_hint, inbox.missing, inbox.changed) = (Some(*motion_hint), None, true);
+            (inbox.motion_hint, inbox.changed) = (Some(*motion_hint), true);
         });
     }
 
@@ -486,11 +487,11 @@ impl Shared {
             if inbox.gone {
                 loader.forget(inbox.body);
             } else if std::mem::take(&mut inbox.changed) {
-                if let Some(motion_hint) = &inbox.motion_hint {
-                    loader.hint(inbox.body, motion_hint);
+                if let Some(motion_hint) = inbox.motion_hint.take() {
+                    loader.hint(inbox.body, &motion_hint);
                 }
-                if let Some(missing) = &inbox.missing {
-                    loader.need(inbox.body, missing);
+                if let Some(missing) = inbox.missing.take() {
+                    loader.need(inbox.body, &missing);
                 }
             }
             !inbox.gone

@@ -313,7 +313,9 @@ impl Walker {
     /// pass it on once a frame. `frame` is the grid of the pages.
     ///
     /// The pawn may turn at any moment and walk off any ledge, so the box of the hint covers everything that a step
-    /// queries around it.
+    /// queries around it. With [`Config::max_drop`], a step at an edge also looks for ground below it, however deep; such
+    /// pages are loaded once the [missing](StepReport::missing) ones are passed to
+    /// [`PawnHandle::need`](crate::store::PawnHandle::need).
     pub fn motion_hint(&self, frame: &Frame) -> MotionHint {
         let config = &self.config;
         // A detour around pixel edges, or floor beside the footprint; a step up, and a step down.

@@ -109,6 +109,27 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
     assert_eq!((transcript, counters), walk());
 }
 
+/// A game loop that gives the hint, polls, asks, and says last what it missed.
+#[test]
+fn needed_pages_come_although_each_frame_begins_with_a_hint() {
+    let (mut loader, pawn) = opened(&TOWER, LoaderOptions::new(BUDGET));
+    let (stands, looks) = (Body::at(0.9, 0.0, 31.0), Body::at(2.5, 2.5, 1.0).shape());
+    let mut link = Link::new(&TOWER, Manners::GOOD, 1);
+    let mut frames = 0;
+    let view = loop {
+        loader.hint(pawn, &stands.motion());
+        link.run(&mut loader, link.now + seconds(FRAME_S)).unwrap();
+        let view = loader.snapshot().unwrap();
+        let Overlap::NotLoaded(missing) = overlaps(&view, &looks) else { break view };
+        loader.need(pawn, &missing);
+        frames += 1;
+        assert!(frames < 60, "{:#?}", link.transcript);
+    };
+    assert!(frames > 0 && overlaps(&view, &looks) == overlaps(&resident(&TOWER), &looks), "{frames}");
+    // What was needed once is not kept for good.
+    assert!(loader.counters().resident_pages < resident(&TOWER).page_count());
+}
+
 /// Drivers that answer in any order, lose answers, and cannot cancel: once the bodies rest, exactly the pages they need
 /// are loaded.
 #[test]
