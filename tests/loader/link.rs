@@ -1,7 +1,7 @@
 //! A link with latency, rate and loss between a loader and an archive in memory, in virtual time: hours pass in
 //! milliseconds.
 
-use crate::tower::Random;
+use super::random::Random;
 use slicewalk::store::{FetchId, Loader, Next, PageError};
 use slicewalk::{Error, Result};
 use std::ops::Range;

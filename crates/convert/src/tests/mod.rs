@@ -1,10 +1,16 @@
-//! Conversions on disks that fail or lose data, and conversions that resume from what another run left.
+//! Conversions on disks that fail or lose data, conversions that resume from what another run left, and whole stories.
 
 mod faults;
 mod floaters;
+#[path = "../../../../tests/loader/link.rs"]
+#[allow(dead_code, reason = "stories use a part")]
+mod link;
 mod pipeline;
 mod power;
+#[path = "../../../../tests/common/random.rs"]
+mod random;
 mod resume;
+mod stories;
 
 use super::conversion::{Limits, convert_within};
 use super::*;
@@ -12,26 +18,13 @@ use crate::colour::ColourSource;
 use crate::disk::Disk;
 use crate::disk::testing::model::{Content, ModelDisk};
 use crate::input::Units;
+use random::Random;
 use scangen::{Chunks, WriteSpec, write_las};
 use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
-
-/// Deterministic pseudorandom numbers (an LCG after Knuth).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        self.0 >> 24
-    }
-
-    fn below(&mut self, n: u64) -> u64 {
-        self.next() % n.max(1)
-    }
-}
 
 /// Conversion of two scans, a plain one and a compressed one in many chunks, that spills.
 struct Job {

@@ -108,7 +108,7 @@ fn whatever_a_power_loss_takes_at_random_an_archive_is_whole_and_the_next_run_cl
             _ => match random.below(4) {
                 0 => Fate::LengthOnly,
                 1 => Fate::Half,
-                2 => Fate::Blocks(random.next() ^ random.next() << 20),
+                2 => Fate::Blocks(random.bits()),
                 _ => Fate::Lost,
             },
         });
