@@ -8,7 +8,8 @@
 // if it is not installed; where there is no rustup, or it cannot download, `toolchain.sh` unpacks a compiler on Debian.
 // CARGO_TARGET_DIR is respected.
 
-import { execFileSync, spawnSync } from "node:child_process";
+import { execFileSync, spawn, spawnSync } from "node:child_process";
+import { once } from "node:events";
 import { copyFileSync, existsSync, mkdirSync, readFileSync, rmSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -26,12 +27,12 @@ function fail(text) {
 }
 
 /** Runs a program in a folder; its failure is the end. */
-function run(folder, program, words, variables = {}) {
+async function run(folder, program, words, variables = {}) {
   // npm is a script of the shell on Windows.
   const shell = isWindows && program === "npm";
-  const done = spawnSync(program, words, { cwd: folder, stdio: "inherit", shell, env: { ...process.env, ...variables } });
-  if (done.error) fail(`${program} cannot be started: ${done.error.message}`);
-  if (done.status !== 0) fail(`${program} ${words.slice(0, 4).join(" ")} failed`);
+  const child = spawn(program, words, { cwd: folder, stdio: "inherit", shell, env: { ...process.env, ...variables } });
+  const [status] = await once(child, "close").catch((error) => fail(`${program} cannot be started: ${error.message}`));
+  if (status !== 0) fail(`${program} ${words.slice(0, 4).join(" ")} failed`);
 }
 
 function answer(program, words) {
@@ -64,9 +65,9 @@ function toolchain() {
   return { variables, words: (variables.WASM_FLAGS ?? "").split(" ").filter(Boolean) };
 }
 
-function npmPackage(name) {
-  run(join(viewer, name), "npm", ["ci", "--no-audit", "--no-fund", "--loglevel=error"]);
-  if (name !== "bindgen") run(join(viewer, name), "npm", ["run", "--silent", "build"]);
+async function npmPackage(name) {
+  await run(join(viewer, name), "npm", ["ci", "--no-audit", "--no-fund", "--loglevel=error"]);
+  if (name !== "bindgen") await run(join(viewer, name), "npm", ["run", "--silent", "build"]);
 }
 
 /** Removes what the compiler leaves: duplicate functions, unused parameters and stores. Passes that shrink a module by renaming
@@ -80,7 +81,7 @@ const PASSES = {
   ].flat(),
 };
 
-function shrink(name) {
+async function shrink(name) {
   const path = join(wasm, name);
   const program = join(viewer, "bindgen/node_modules/binaryen/bin/wasm-opt");
   const features = [
@@ -89,7 +90,7 @@ function shrink(name) {
     "--enable-sign-ext",
     "--enable-mutable-globals",
   ];
-  run(root, process.execPath, [program, ...features, ...PASSES[name], path, "-o", path]);
+  await run(root, process.execPath, [program, ...features, ...PASSES[name], path, "-o", path]);
 }
 
 const [major, minor] = process.versions.node.split(".").map(Number);
@@ -100,23 +101,26 @@ const { variables, words } = toolchain();
 const wasm = join(viewer, "package/src/wasm");
 const builds = join(target, "wasm");
 const engine = ["build", "--quiet", "-p", "slicewalk-engine", "--lib", "--profile", "wasm", "--target", TARGET];
-run(root, "cargo", [...engine, "--target-dir", builds, ...words], variables);
 const convert = ["build", "--quiet", "--release", "--target", TARGET, "--target-dir", join(target, "wasm-convert")];
-run(join(viewer, "convert"), "cargo", [...convert, ...words], variables);
-run(join(viewer, "bindgen"), "cargo", ["build", "--quiet", "--target-dir", join(target, "viewer-bindgen")], {
-  CARGO_PROFILE_DEV_DEBUG: "0",
-});
+const bindgen = ["build", "--quiet", "--target-dir", join(target, "viewer-bindgen")];
+// Both modules are linked on one core each.
+await Promise.all([
+  run(root, "cargo", [...engine, "--target-dir", builds, ...words], variables),
+  run(join(viewer, "convert"), "cargo", [...convert, ...words], variables),
+  run(join(viewer, "bindgen"), "cargo", bindgen, { CARGO_PROFILE_DEV_DEBUG: "0" }),
+  npmPackage("bindgen"),
+]);
 rmSync(wasm, { recursive: true, force: true });
 mkdirSync(wasm, { recursive: true });
-run(root, join(target, `viewer-bindgen/debug/viewer-bindgen${isWindows ? ".exe" : ""}`), [
+await run(root, join(target, `viewer-bindgen/debug/viewer-bindgen${isWindows ? ".exe" : ""}`), [
   join(builds, TARGET, "wasm/slicewalk_engine.wasm"),
   wasm,
 ]);
 copyFileSync(join(target, "wasm-convert", TARGET, "release/viewer_convert.wasm"), join(wasm, "convert.wasm"));
-npmPackage("bindgen");
-for (const name of ["engine_bg.wasm", "convert.wasm"]) {
-  shrink(name);
+const modules = ["engine_bg.wasm", "convert.wasm"];
+await Promise.all(modules.map(shrink));
+for (const name of modules) {
   console.log(`${name}: ${gzipSync(readFileSync(join(wasm, name)), { level: 9 }).length} bytes compressed`);
 }
-npmPackage("package");
-if (!process.argv.includes("--engine")) npmPackage("page");
+await npmPackage("package");
+if (!process.argv.includes("--engine")) await npmPackage("page");

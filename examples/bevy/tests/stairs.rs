@@ -1,34 +1,50 @@
-//! A pawn climbs scanned stairs in an app without a window.
+//! A pawn climbs stairs in an app without a window.
 
 use bevy_app::App;
 use bevy_math::Vec3;
 use bevy_time::{Fixed, Time, TimePlugin, TimeUpdateStrategy};
 use bevy_transform::components::Transform;
 use bevy_walk::{Pawn, Scan, ScanPlugin};
-use scangen::geometry::Placement;
-use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
-use slicewalk::NoMonitor;
-use slicewalk::archive::Archive;
+use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
+use slicewalk::frame::{Frame, PageKey};
 use slicewalk::nalgebra::{Point3, Vector2, Vector3};
+use slicewalk::page::{PageBuilder, Span};
+use slicewalk::plan::Plan;
 use slicewalk::walk::{Config, MoveInput};
-use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::time::Duration;
 
-/// Where `f32` has steps of half a metre.
-const FAR: [f64; 3] = [4_500_000.0, 5_300_000.0, 100.0];
+/// Where `f32` has steps of half a metre: a corner of the grid's pages of 3.2 × 3.2 × 9.6 m.
+const FAR: [f64; 3] = [4_500_000.0, 5_299_200.0, 96.0];
+const FAR_PAGE: PageKey = PageKey { tx: 1_406_250, ty: 1_656_000, layer: 10 };
 
-/// A flight of 12 stairs along x, from (0, 0, 0) up to 2.04 m, at `FAR`.
+/// A flight of 12 stairs along x, from (0, 0, 0) up to 2.04 m, with a landing on either side, at `FAR`.
 fn stairs() -> Archive {
+    let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+    let steps = |i: i32| (i.div_euclid(6) + 1).clamp(0, 12);
+    let page = |tx: i32| {
+        let mut builder = PageBuilder::default();
+        for (px, py) in (0..64).flat_map(|px| (0..64).map(move |py| (px, py))) {
+            let top = plan.frame.quantum_ceil(0.17 * f64::from(steps(tx * 64 + px)));
+            let span = Span::new(0, top as u32, false).unwrap();
+            assert!(builder.set_column(px as u32, py, &[span]));
+        }
+        builder.build()
+    };
     let folder = tempfile::tempdir().unwrap();
-    let (scan, made) = (folder.path().join("scan.las"), folder.path().join("stairs.slices"));
-    let place = Placement { rotate_deg: 0.0, translate: FAR };
-    let scene = Scene::named("stairs", &Params::new()).unwrap().placed(&place);
-    let samples = scene.samples(1, &SampleSpec::direct_density(3600.0).with_noise(0.001)).unwrap();
-    write_samples(&scan, samples, &WriteSpec { offset: FAR, ..WriteSpec::for_path(&scan) }).unwrap();
-    let mut options = ConvertOptions::new(vec![scan], made.clone());
-    options.grid.pixel = PixelSize::Metres(0.05);
-    convert(&options, &NoMonitor).unwrap();
-    Archive::from_bytes(std::fs::read(made).unwrap()).unwrap()
+    let path = folder.path().join("stairs.slices");
+    let mut writer = ArchiveWriter::create(&path, &plan, false).unwrap();
+    let mut encoder = PageEncoder::of_plan(&plan);
+    let mut pages: Vec<_> = [-1, 0, 1].iter().flat_map(|&tx| [-1, 0].map(|ty| (tx, ty))).collect();
+    pages.sort_by_key(|&(tx, ty)| key(tx, ty).column());
+    for (tx, ty) in pages {
+        writer.put(key(tx, ty), encoder.encode(key(tx, ty), &page(tx))).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    Archive::from_bytes(std::fs::read(path).unwrap()).unwrap()
+}
+
+fn key(tx: i32, ty: i32) -> PageKey {
+    PageKey { tx: FAR_PAGE.tx + tx, ty: FAR_PAGE.ty + ty, ..FAR_PAGE }
 }
 
 #[test]
