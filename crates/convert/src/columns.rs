@@ -108,8 +108,8 @@ pub(super) type EachRecords<'a> = dyn FnMut(&mut dyn FnMut(&[Record])) -> Result
 
 /// Consumer of the voxels of tile columns, area by area.
 pub(super) trait TakeAreas {
-    /// Takes the voxels of an area of a column with its halo, and their sums; returns how many it dropped.
-    fn area(&mut self, column: ColumnKey, area: Area, patch: &mut Patch, sums: &mut Sums) -> u64;
+    /// Takes the voxels of an area of a column with its halo, and their sums.
+    fn area(&mut self, column: ColumnKey, area: Area, patch: &Patch, sums: &mut Sums);
 
     /// Takes the values of the points of an area, whose voxels `patch` holds: `each` passes them to its argument piece
     /// by piece, mixed with values from elsewhere. Called after [`area`](Self::area), if values are wanted.
@@ -238,7 +238,7 @@ impl<'a> Patches<'a> {
                     Some(folded) => self.patch.set_folded(&folded, self.min_points, Area::TILE, &mut self.sums),
                     None => self.fold(key, Area::TILE, &loaded.column(number)),
                 };
-                dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
+                take.area(key, Area::TILE, &self.patch, &mut self.sums);
                 if self.wants_values {
                     let sifted = self.views.map(|_| {
                         let (removed, mut sifted) = (self.removed_of(key), Vec::new());
@@ -318,7 +318,7 @@ impl<'a> Patches<'a> {
                 let loaded = merge.load_rows(job, (strip.y.0, strip.y.1 + 2), &mut records)?;
                 dropped += self.fold(key, strip, &loaded.column(0));
                 self.records = records;
-                dropped += take.area(key, strip, &mut self.patch, &mut self.sums);
+                take.area(key, strip, &self.patch, &mut self.sums);
                 self.stream_values(merge, job, strip, take)?;
             }
             return Ok(dropped);
@@ -340,7 +340,7 @@ impl<'a> Patches<'a> {
                 })?;
                 self.remove_moving(key, area, &mut own);
                 dropped += self.patch.fold(&own[..], self.min_points, area, &mut self.sums);
-                dropped += take.area(key, area, &mut self.patch, &mut self.sums);
+                take.area(key, area, &self.patch, &mut self.sums);
                 self.stream_values(merge, job, area, take)?;
                 self.records = own;
             } else if let Some([low, high]) = area.halves() {
@@ -422,7 +422,7 @@ impl<'a> Patches<'a> {
         self.removed.append(&mut moving);
         let dropped = self.patch.set_folded(&folded, self.min_points, area, &mut self.sums);
         drop(folded);
-        let dropped = dropped + take.area(job.columns[0].0, area, &mut self.patch, &mut self.sums);
+        take.area(job.columns[0].0, area, &self.patch, &mut self.sums);
         self.stream_values(merge, job, area, take)?;
         Ok(Some(dropped))
     }

@@ -309,7 +309,6 @@ impl Conversion<'_> {
             columns,
             views: self.seeing.filter(|seeing| seeing.removes).map(|seeing| &seeing.views),
             temp_dir: &options.resources.temp_dir,
-            weighted: !splats.is_empty(),
             accumulator: options.resources.accumulator.as_deref(),
         };
         let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;

@@ -43,8 +43,6 @@ pub(super) struct Writing<'a> {
     pub views: Option<&'a Views>,
     /// Folder for temporary data.
     pub temp_dir: &'a Path,
-    /// True if some voxels may count for less than one in components.
-    pub weighted: bool,
     /// Accumulator to use in place of this crate's.
     pub accumulator: Option<&'a dyn Accumulate>,
 }
@@ -97,8 +95,7 @@ pub(super) fn write_columns(
 ) -> Result<LeftOut> {
     let Writing { memory_bytes, threads, columns, views, accumulator, .. } = writing;
     let mut merge = Merge::new(store);
-    // Several voxels may count for one.
-    if plan.options.drop_floaters > 1 || plan.options.drop_floaters == 1 && writing.weighted {
+    if plan.options.drop_floaters > 0 {
         mark_floaters(plan, store, &merge, writing, monitor)?;
         merge.take_more();
     }
@@ -175,9 +172,8 @@ struct TakePieces<'a> {
 }
 
 impl TakeAreas for TakePieces<'_> {
-    fn area(&mut self, column: ColumnKey, area: Area, patch: &mut Patch, _: &mut Sums) -> u64 {
+    fn area(&mut self, column: ColumnKey, area: Area, patch: &Patch, _: &mut Sums) {
         self.found.push(self.finder.find(column, patch, area));
-        0
     }
 
     fn end(&mut self, _: ColumnKey) -> Result<()> {
@@ -230,7 +226,6 @@ impl ColumnWork for PageWorker<'_> {
 /// Maker of pages from the voxels of areas; reuses its scratch memory.
 struct PageMaker {
     classify: VoxelClassifier,
-    drop_isolated: bool,
     voxel_classes: VoxelClasses,
     columns: ColumnPages,
     /// True if heights may be coarsened.
@@ -268,7 +263,6 @@ impl PageMaker {
     fn new(plan: &Plan, levels: bool) -> Self {
         Self {
             classify: VoxelClassifier::new(plan),
-            drop_isolated: plan.options.drop_floaters == 1,
             voxel_classes: VoxelClasses::default(),
             columns: ColumnPages::default(),
             is_loose: plan.tolerance_quanta() > 0,
@@ -280,11 +274,9 @@ impl PageMaker {
 }
 
 impl TakeAreas for PageMaker {
-    fn area(&mut self, _: ColumnKey, area: Area, patch: &mut Patch, sums: &mut Sums) -> u64 {
-        let dropped = if self.drop_isolated { patch.drop_isolated(area, sums) } else { 0 };
+    fn area(&mut self, _: ColumnKey, area: Area, patch: &Patch, sums: &mut Sums) {
         self.classify.classify(patch, sums, area, &mut self.voxel_classes);
         self.columns.add(patch, area, &self.voxel_classes);
-        dropped
     }
 
     fn values(&mut self, patch: &Patch, area: Area, each: &mut EachRecords<'_>) -> Result<()> {

@@ -65,11 +65,7 @@ pub(super) fn reach(plan: &Plan, has_splats: bool) -> i64 {
         0 => 0,
         widest => Closer::reach(widest),
     };
-    let floaters = match i64::from(plan.options.drop_floaters) {
-        most if has_splats => most * i64::from(WHOLE),
-        0 | 1 => 0,
-        most => most,
-    };
+    let floaters = i64::from(plan.options.drop_floaters) * if has_splats { i64::from(WHOLE) } else { 1 };
     HALO_PIXELS + holes + floaters
 }
 

@@ -163,8 +163,7 @@ impl PointWriter {
         let (options, own) = (&self.options, &self.read.own);
         let Resources { memory_bytes, threads, ref temp_dir, ref accumulator } = options.resources;
         let accumulator = accumulator.as_deref();
-        let writing =
-            Writing { memory_bytes, threads, columns: None, views: None, temp_dir, weighted: false, accumulator };
+        let writing = Writing { memory_bytes, threads, columns: None, views: None, temp_dir, accumulator };
         let left_out = write_archive(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {

@@ -3,8 +3,8 @@
 use super::*;
 
 /// Conversion of points around the corner of four tiles, most of them in small components.
-fn options(folder: &Path, most: u16) -> ConvertOptions {
-    let mut random = Random(11);
+fn options(folder: &Path, most: u16, seed: u64) -> ConvertOptions {
+    let mut random = Random(seed);
     let mut points: Vec<[f64; 3]> = Vec::new();
     for _ in 0..3_000 {
         let mut at = [random.below(120), random.below(120), random.below(400)].map(|v| v as i64 - 60);
@@ -31,8 +31,8 @@ fn options(folder: &Path, most: u16) -> ConvertOptions {
 #[test]
 fn runs_on_disk_and_columns_in_areas_make_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    for most in [1, 2, 5] {
-        let mut options = options(folder.path(), most);
+    for (most, seed) in [(1, 11), (1, 12), (1, 13), (2, 11), (5, 11)] {
+        let mut options = options(folder.path(), most, seed);
         options.resources.threads = 1;
         let report = convert(&options, &NoMonitor).unwrap();
         assert!(report.voxels_dropped > 300 && report.header.voxels.occupied > 100, "{most}");
@@ -43,7 +43,10 @@ fn runs_on_disk_and_columns_in_areas_make_the_same_bytes() {
             for limits in [Limits::of(&options), Limits { retain_bytes: 0, build_bytes: 0, views_bytes: 0 }] {
                 let again = convert_within(&options, limits, &NoMonitor).unwrap();
                 assert_eq!(again.voxels_dropped, report.voxels_dropped);
-                assert!(fs::read(&options.output).unwrap() == expected, "{most}, {threads} threads, {limits:?}");
+                assert!(
+                    fs::read(&options.output).unwrap() == expected,
+                    "{most}, seed {seed}, {threads} threads, {limits:?}"
+                );
             }
         }
     }

@@ -71,6 +71,8 @@ impl<'a> Story<'a> {
         options.grid.slice_m = [None, None, Some(0.1), Some(0.5)][random.below(4)];
         options.plan.tolerance_m = [0.0, 0.0, pixel / 4.0][random.below(3)];
         options.plan.fill_holes = if random.chance(20) { 3 } else { 0 };
+        options.plan.drop_floaters = [0, 0, 1, 4][random.below(4)];
+        options.plan.min_points = if random.chance(15) { 2 } else { 1 };
         options.plan.max_slope_deg = random.between(20.0, 60.0);
         options.sections.levels = random.chance(40);
         options.sections.colour = if random.chance(30) { ColourMode::Of(ColourSource::Class) } else { ColourMode::Off };
@@ -125,7 +127,8 @@ impl<'a> Story<'a> {
     fn with_accidents(&mut self) -> Vec<u8> {
         let count = 1 + self.random.below(4);
         self.options.inputs = self.files("part", count);
-        self.options.resources.threads = 1 + self.random.below(2);
+        // With very many threads, columns are cut into areas.
+        self.options.resources.threads = if self.random.chance(5) { 300 } else { 1 + self.random.below(2) };
         self.options.overwrite = true;
         let mut content = Content::default();
         for _ in 0..self.random.below(4) {
@@ -212,8 +215,8 @@ impl<'a> Story<'a> {
     /// Compares the answers to random boxes with the points.
     fn question(&mut self, all: &Snapshot) {
         let frame = all.frame();
-        let tolerance = self.options.plan.tolerance_m;
-        let grow = Vector3::new(frame.pixel_m(), frame.pixel_m(), frame.slice_m()).add_scalar(tolerance);
+        let plan = self.options.plan.clone();
+        let grow = Vector3::new(frame.pixel_m(), frame.pixel_m(), frame.slice_m()).add_scalar(plan.tolerance_m);
         let places: Vec<_> = self.points.iter().map(|point| self.place(*point)).collect();
         for _ in 0..60 {
             let a = self.spot(&places);
@@ -224,12 +227,10 @@ impl<'a> Story<'a> {
                 places.iter().any(|p| (0..3).all(|axis| p[axis] >= a[axis] - by[axis] && p[axis] <= b[axis] + by[axis]))
             };
             let hit = overlaps(all, &shape) != Overlap::Clear;
-            assert!(hit || !holds(Vector3::zeros()), "no point is missed (G1): {shape:?}");
+            let keeps_all = plan.drop_floaters == 0 && plan.min_points == 1;
+            assert!(hit || !keeps_all || !holds(Vector3::zeros()), "no point is missed (G1): {shape:?}");
             // Inferred floor is solid without points.
-            assert!(
-                !hit || self.options.plan.fill_holes > 0 || holds(grow),
-                "phantoms are near points (G2): {shape:?}"
-            );
+            assert!(!hit || plan.fill_holes > 0 || holds(grow), "phantoms are near points (G2): {shape:?}");
         }
     }
 

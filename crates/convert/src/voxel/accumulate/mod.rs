@@ -200,30 +200,6 @@ impl Patch {
         range.start + first..range.start + first + count
     }
 
-    /// Drops the voxels of `area` without another voxel in the 3 × 3 × 3 around them, and returns how many. Keeping
-    /// those of the halo changes nothing, because a lone voxel is in no other voxel's neighbourhood.
-    pub fn drop_isolated(&mut self, area: Area, sums: &mut Sums) -> u64 {
-        let mut kept = vec![true; self.voxels.len()];
-        for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
-            for number in self.range(pixel) {
-                let slice = self.voxels[number].slice;
-                let slices = slice.saturating_sub(1)..slice + 2;
-                let around: usize =
-                    neighbourhood(pixel).map(|(other, ..)| self.between(other, slices.clone()).len()).sum();
-                kept[number] = around > 1;
-            }
-        }
-        let before = std::mem::take(self);
-        for pixel in before.occupied() {
-            let own = before.range(pixel).map(|number| (before.voxels[number], kept[number]));
-            self.push(pixel, own, area);
-        }
-        self.end();
-        self.folder = before.folder;
-        sums.retain(&kept);
-        (kept.len() - self.voxels.len()) as u64
-    }
-
     fn clear(&mut self) {
         self.starts.clear();
         self.occupied.clear();

@@ -180,13 +180,6 @@ impl Sums {
         self.places.resize(voxels.len(), NO_SUM);
     }
 
-    /// Drops the sums of the voxels that do not stay.
-    pub(super) fn retain(&mut self, stays: &[bool]) {
-        self.are_all_kept &= stays.iter().all(|&stays| stays);
-        let mut stays = stays.iter();
-        self.places.retain(|_| stays.next().is_none_or(|&stays| stays));
-    }
-
     /// Sets the sums of all voxels, in order, and drops the records.
     pub(super) fn set_all(&mut self, all: impl Iterator<Item = Moments>) {
         self.records = ByPixel::default();

@@ -120,26 +120,6 @@ fn more_sums_than_are_kept_are_made_again() {
 }
 
 #[test]
-fn only_voxels_alone_in_their_neighbourhood_are_dropped() {
-    let points = [
-        (5.2, 5.2, 0.1),
-        (9.2, 9.2, 0.1),
-        (9.7, 9.7, 1.6),
-        (20.2, 20.2, 0.1),
-        (20.2, 20.2, 3.1),
-        (31.7, 3.2, 0.1),
-        (32.2, 3.2, 0.1),
-    ];
-    let mut patch = Patch::default();
-    let mut sums = Sums::default();
-    patch.fold(&records(&points)[..], 1, Area::TILE, &mut sums);
-    assert_eq!(patch.drop_isolated(Area::TILE, &mut sums), 3, "one alone, two a slice apart; not the diagonal pair");
-    assert_eq!(patch.voxels().len(), 4, "the last pair lies across the tile's edge and stays");
-    assert_eq!(patch.occupied().count(), 4);
-    assert_eq!(sums.places.len(), 4, "the sums stay with their voxels");
-}
-
-#[test]
 fn halves_cover_an_area_without_overlap_down_to_single_pixels() {
     let mut open = vec![Area::TILE];
     let mut seen = vec![false; 4096];
