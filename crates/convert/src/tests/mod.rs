@@ -1,5 +1,6 @@
 //! Conversions on disks that fail or lose data, conversions that resume from what another run left, and whole stories.
 
+mod areas;
 mod faults;
 mod floaters;
 #[path = "../../../../tests/loader/link.rs"]
