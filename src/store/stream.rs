@@ -353,8 +353,8 @@ pub struct PawnHandle {
 
 impl PawnHandle {
     /// Sets how the body moves now; call it once a frame. Replaces the last hint and the pages requested by
-    /// [`need`](Self::need) before it. Never waits: a hint that is not finite or not in order, or that is given at the moment at
-    /// which the last one is collected, is dropped and counted.
+    /// [`need`](Self::need) before it. Never waits: a hint that is not finite or not in order, or that is given at the
+    /// moment at which the last one is collected, is dropped and counted.
     pub fn hint(&mut self, motion_hint: &MotionHint) {
         self.put(motion_hint.is_valid(), |inbox| {
             (inbox.motion_hint, inbox.changed) = (Some(*motion_hint), true);

@@ -126,7 +126,7 @@ fn needed_pages_come_although_each_frame_begins_with_a_hint() {
         assert!(frames < 60, "{:#?}", link.transcript);
     };
     assert!(frames > 0 && overlaps(&view, &looks) == overlaps(&resident(&TOWER), &looks), "{frames}");
-    // What was needed once is not kept for good.
+    // Needed pages are not kept for good.
     assert!(loader.counters().resident_pages < resident(&TOWER).page_count());
 }
 

@@ -26,12 +26,18 @@ function fail(text) {
   process.exit(1);
 }
 
+// Programs that run beside one that fails end with it.
+const running = new Set();
+process.on("exit", () => running.forEach((child) => child.kill()));
+
 /** Runs a program in a folder; its failure is the end. */
 async function run(folder, program, words, variables = {}) {
   // npm is a script of the shell on Windows.
   const shell = isWindows && program === "npm";
   const child = spawn(program, words, { cwd: folder, stdio: "inherit", shell, env: { ...process.env, ...variables } });
+  running.add(child);
   const [status] = await once(child, "close").catch((error) => fail(`${program} cannot be started: ${error.message}`));
+  running.delete(child);
   if (status !== 0) fail(`${program} ${words.slice(0, 4).join(" ")} failed`);
 }
 

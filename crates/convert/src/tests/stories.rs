@@ -5,7 +5,7 @@
 //! |---|---|
 //! | conversion, killed or without power several times, resumed or not; or planned, in parts and merged | the bytes of an undisturbed run over the same points in another order and other files (G4, G6) |
 //! | the archive | `verify` finds nothing; a box that contains a point is a hit (G1), one far from all points is not (G2) |
-//! | a damaged copy | is refused, or known to `verify`, or holds the same pages; recovery yields sound pages of the original only |
+//! | a damaged copy | is refused, or known to `verify`; recovery yields sound pages of the original only |
 //! | a region cut out | is a sound archive and answers in its bounds as the whole does |
 //! | pages over a link that is slow, loses answers and mixes their order | every answer is that of the whole archive or "not loaded"; memory stays in the budget |
 //! | the walk | ends at the very place where a pawn ends that has all pages in memory |
@@ -117,8 +117,9 @@ impl<'a> Story<'a> {
 
     /// Converts without accidents, from one file, on one thread, with everything in memory.
     fn undisturbed(&mut self) -> Vec<u8> {
-        let options =
-            ConvertOptions { inputs: self.files("all", 1), output: self.path("whole.slices"), ..self.options.clone() };
+        let inputs = self.files("all", 1);
+        let mut options = ConvertOptions { inputs, output: self.path("whole.slices"), ..self.options.clone() };
+        options.resources.threads = 1;
         convert(&options, &NoMonitor).unwrap();
         fs::read(&options.output).unwrap()
     }
