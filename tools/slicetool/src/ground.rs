@@ -9,7 +9,7 @@ use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Pawn, Snapped, StandingPlaces};
 use slicewalk::seen::SeenSpace;
-use slicewalk::store::{MISSING_KEYS, Prefetch, Snapshot, Stream, StreamOptions};
+use slicewalk::store::{MISSING_KEYS, Missing, Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::Body;
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
@@ -257,36 +257,44 @@ impl Loader {
 
     /// Repeats `ask` and loads the missing pages until it gives an answer.
     pub fn known<T>(&self, mut ask: impl FnMut(&Snapshot) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
-        let broken = |error| crate::broken(&self.archive, &error);
-        let too_small = || Failure::Text("the pages around one place do not fit in memory; give more --cache".into());
-        let mut place: Option<Place> = None;
+        let mut place = None;
         loop {
-            let missing = match ask(&self.stream.snapshot()).map_err(broken)? {
+            match ask(&self.stream.snapshot()).map_err(|error| self.broken(&error))? {
                 Answer::Known(known) => return Ok(known),
-                Answer::NotLoaded(missing) => missing,
-            };
-            let around = missing.keys()[0];
-            let here = match &mut place {
-                Some(here) if here.is_near(around) => here,
-                other => other.insert(Place { column: [around.tx, around.ty], asked: 0, loaded: 0, pages: None }),
-            };
-            here.asked += 1;
-            let mut loaded = 0;
-            if here.asked > MANY {
-                // In a tall column, load more of it each time.
-                let most = MISSING_KEYS << (here.asked - MANY).min(24);
-                let others = nearest(self.archive(), around, most, |key| here.is_near(key)).map_err(broken)?;
-                here.pages = here.pages.max(Some(others.len()));
-                loaded = self.stream.load(&[missing.keys(), &others].concat(), around).map_err(broken)?.loaded;
-            }
-            if loaded == 0 {
-                loaded = self.stream.load_missing(&missing).map_err(broken)?.loaded;
-            }
-            here.loaded += loaded;
-            if loaded == 0 || here.pages.is_some_and(|pages| here.loaded > AGAIN * (pages + MISSING_KEYS)) {
-                return Err(too_small());
+                Answer::NotLoaded(missing) => self.load(&missing, &mut place)?,
             }
         }
+    }
+
+    /// Loads `missing` pages; `place` is where the same question missed pages before.
+    fn load(&self, missing: &Missing, place: &mut Option<Place>) -> Result<(), Failure> {
+        let broken = |error| self.broken(&error);
+        let around = missing.keys()[0];
+        let here = match place {
+            Some(here) if here.is_near(around) => here,
+            other => other.insert(Place { column: [around.tx, around.ty], asked: 0, loaded: 0, pages: None }),
+        };
+        here.asked += 1;
+        let mut loaded = 0;
+        if here.asked > MANY {
+            // In a tall column, load more of it each time.
+            let most = MISSING_KEYS << (here.asked - MANY).min(24);
+            let others = nearest(self.archive(), around, most, |key| here.is_near(key)).map_err(broken)?;
+            here.pages = here.pages.max(Some(others.len()));
+            loaded = self.stream.load(&[missing.keys(), &others].concat(), around).map_err(broken)?.loaded;
+        }
+        if loaded == 0 {
+            loaded = self.stream.load_missing(missing).map_err(broken)?.loaded;
+        }
+        here.loaded += loaded;
+        if loaded == 0 || here.pages.is_some_and(|pages| here.loaded > AGAIN * (pages + MISSING_KEYS)) {
+            return Err(Failure::Text("the pages around one place do not fit in memory; give more --cache".into()));
+        }
+        Ok(())
+    }
+
+    fn broken(&self, error: &slicewalk::Error) -> Failure {
+        crate::broken(&self.archive, error)
     }
 
     /// Peak bytes of pages and of the table of pages.

@@ -28,6 +28,7 @@ fn points(random: &mut Random) -> Vec<[f64; 3]> {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn however_columns_are_cut_the_bytes_are_the_same_with_any_options() {
     let number = |name: &str, default: u64| std::env::var(name).ok().map_or(default, |text| text.parse().unwrap());
     let (cases, first) = (number("SLICEWALK_CASES", 12), number("SLICEWALK_SEED", 1));

@@ -296,6 +296,7 @@ fn obj_holds_the_surface_of_glb_and_both_are_the_same_again() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
 fn a_number_of_triangles_is_kept_and_used() {
     let folder = scene();
     let at = folder.path();
