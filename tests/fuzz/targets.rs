@@ -11,6 +11,7 @@ pub use loader::loader;
 use script::Script;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ColourReader, PageDecoder};
+use slicewalk::bytes::MemorySource;
 use slicewalk::bytes::testing::hold;
 use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
 use slicewalk::colour::ColourSource;
@@ -18,10 +19,11 @@ use slicewalk::frame::Frame;
 use slicewalk::page::{Occupancy, Page, PageBuilder, Span};
 use slicewalk_input::{InputOptions, InputSet, PointDecoder};
 use slicewalk_mesh::{MeshOptions, MeshSet};
+use slicewalk_splat::{SplatOptions, SplatReader};
 use std::cell::RefCell;
 use std::hash::{Hash, Hasher};
 use std::path::PathBuf;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 /// Points and triangles after which reading ends, because a few bytes may stand for billions.
 const ENOUGH: usize = 1 << 20;
@@ -92,6 +94,7 @@ pub const TARGETS: &[Target] = &[
     ("pts", |bytes| read_scan("pts", bytes)),
     ("ptx", |bytes| read_scan("ptx", bytes)),
     ("e57", e57),
+    ("splats", splats),
     ("plan", plan),
 ];
 
@@ -303,6 +306,26 @@ pub fn e57(bytes: &[u8]) -> Read {
         stated.copy_from_slice(&crc32c::crc32c(content).to_be_bytes());
     }
     if checked == bytes { read } else { read_scan("e57", &checked) }
+}
+
+/// Opens any bytes as splats: as the format that their start tells, or as `.splat`, which has none.
+pub fn splats(bytes: &[u8]) -> Read {
+    let options = SplatOptions { allow_incomplete: bytes.len().is_multiple_of(2), ..SplatOptions::default() };
+    let mut reader =
+        SplatReader::of_source(Arc::new(MemorySource::new(bytes)), "/no folder/fuzz.splat", &options).ok()?;
+    let (mut splats, mut hasher) = (0, Sum::default());
+    let read = reader.for_each_batch(&NoMonitor, 16 << 20, &mut |batch| {
+        splats += batch.len();
+        for splat in batch {
+            assert!(splat.mean.iter().all(|v| v.abs() <= 1e12));
+            assert!(splat.scale.iter().all(|v| v.is_finite() && *v >= 0.0));
+            assert!((splat.rotation.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5);
+            assert!((0.0..=1.0).contains(&splat.opacity));
+            splat.mean.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        }
+        if splats < ENOUGH { Ok(()) } else { Err(slicewalk::Error::Interrupted) }
+    });
+    read.ok().filter(|summary| summary.splats as usize == splats && splats > 0).map(|_| hasher.finish())
 }
 
 /// Opens any bytes as a scan with this extension, and decodes their points.
