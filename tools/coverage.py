@@ -20,7 +20,7 @@ PARTS = {
     "query": "src/query/",
     "walk": "src/walk/",
     "reach": "src/reach/",
-    "seen and edits": "src/",
+    "others of the library": "src/",
     "readers": "crates/input/src/",
     "splats": "crates/splat/src/",
     "meshes": "crates/mesh/src/",
@@ -28,6 +28,7 @@ PARTS = {
     "base": "crates/base/src/",
     "cube": "crates/cube/src/",
 }
+
 
 def uncovered(file: dict) -> list[tuple[int, int]]:
     """Lines and columns at which regions start that no test ran."""
@@ -58,7 +59,7 @@ def main() -> None:
     for part in [*PARTS, "all"]:
         count, ran = (sum(regions.values()), sum(run.values())) if part == "all" else (regions[part], run[part])
         if count:
-            print(f"{part:16} {ran:6} of {count:6} regions, {100 * ran / count:.2f} %")
+            print(f"{part:21} {ran:6} of {count:6} regions, {100 * ran / count:.2f} %")
 
 
 main()

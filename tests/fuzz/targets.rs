@@ -308,7 +308,7 @@ pub fn e57(bytes: &[u8]) -> Read {
     if checked == bytes { read } else { read_scan("e57", &checked) }
 }
 
-/// Opens any bytes as splats: as the format that their start tells, or as `.splat`, which has none.
+/// Opens any bytes as splats, in the format recognised from their first bytes; `.splat`, which has no signature, by default.
 pub fn splats(bytes: &[u8]) -> Read {
     let options = SplatOptions { allow_incomplete: bytes.len().is_multiple_of(2), ..SplatOptions::default() };
     let mut reader =
