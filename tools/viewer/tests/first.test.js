@@ -5,11 +5,8 @@ import { after, before, beforeEach, describe } from "node:test";
 import { it, pages, state, until, walkIn } from "./browser.js";
 import { DIST, house, scanned, twoStoreys, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
-import { address } from "./steer.js";
+import { address, FRAMED, WALKING } from "./steer.js";
 
-/** Least shares of the picture that show the scan. */
-const FRAMED = 0.25;
-const WALKING = 0.5;
 const PATIENT = { timeout: 110_000 };
 
 let server, page;

@@ -5,6 +5,10 @@ import { WAY } from "./scans.js";
 
 export const NEAR = 0.35;
 
+/** Least shares of the first picture, and of the first one while walking, that show the scan. */
+export const FRAMED = 0.25;
+export const WALKING = 0.5;
+
 export async function lookTowards(page, [x, y]) {
   const { at } = await state(page);
   const heading = (Math.atan2(x - at[0], y - at[1]) * 180) / Math.PI;

@@ -15,13 +15,12 @@ use std::collections::HashMap;
 pub(crate) const HORIZON_S: f64 = 8.0;
 /// Pages are dropped beyond this multiple of the radius, so that walking to and fro keeps them.
 const FORGET: f64 = 1.25;
-/// Steps of coarseness that a cell may be off before its page is rebuilt.
-const STEADY: u32 = 1;
+/// Share of a step of coarseness that a cell may be off before its page is rebuilt.
+const STEADY: f64 = 0.3;
 /// Factor by which everything becomes coarser when there are too many triangles.
 const COARSEN: f64 = 1.3;
-/// From here on near pages become coarser too, until everything is as coarse as possible.
-const COARSE_ALL: f64 = 16.0;
-const COARSEST_ALL: f64 = COARSE_ALL * (4 << COARSEST) as f64;
+/// Added to distances (m): the camera's own page and those next to it have much the same detail.
+const NEAR_M: f64 = 2.5;
 /// Below this fraction of the allowed triangles, everything becomes finer again.
 const REFINE_BELOW: f64 = 0.5;
 /// Fraction of the triangles for an overview level, and how far it is drawn (m).
@@ -266,7 +265,8 @@ impl Scene {
         self.refine();
         self.queue = self.wanted(set);
         // Coarser, until that makes a difference.
-        while self.queue.is_empty() && self.sum() > self.triangles && self.coarser < COARSEST_ALL {
+        let is_coarsest = |scene: &Self| scene.level(&frame, 0.0) >= f64::from(COARSEST);
+        while self.queue.is_empty() && self.sum() > self.triangles && !is_coarsest(self) {
             self.coarser *= COARSEN;
             self.queue = self.wanted(set);
         }
@@ -284,13 +284,14 @@ impl Scene {
                 if far > self.radius {
                     continue;
                 }
-                let coarseness = self.coarseness(&frame, far);
+                let level = self.level(&frame, far);
+                let coarseness = level as u32;
                 let Some(built) = self.drawn.get(&key) else {
                     wanted.push((far, key, coarseness));
                     continue;
                 };
-                let changed = coarseness + STEADY < built.coarseness || built.coarseness + STEADY < coarseness;
-                if changed || built.blocks != self.blocks {
+                let above = level - f64::from(built.coarseness);
+                if !(-STEADY..1.0 + STEADY).contains(&above) || built.blocks != self.blocks {
                     wanted.push((far, key, coarseness));
                 } else if !self.blocks && neighbours(set, key).iter().flatten().count() > built.neighbours {
                     // New neighbours only bend its edge, which is less urgent than all the rest.
@@ -320,10 +321,10 @@ impl Scene {
         }
     }
 
-    fn coarseness(&self, frame: &Frame, far: f64) -> u32 {
-        let cell = far * self.detail * self.coarser / frame.pixel_m();
-        let least = (self.coarser / COARSE_ALL).log2().max(0.0);
-        cell.max(1.0).log2().max(least).floor().min(f64::from(COARSEST)) as u32
+    /// Coarseness of a page so far away, with its fraction.
+    fn level(&self, frame: &Frame, far: f64) -> f64 {
+        let cell = (far + NEAR_M) * self.detail * self.coarser / frame.pixel_m();
+        cell.max(1.0).log2().min(f64::from(COARSEST))
     }
 
     fn nearest(&mut self) -> Option<(PageKey, u32)> {
@@ -417,7 +418,7 @@ mod tests {
         let built = build_all(&mut scene, &store);
         assert_eq!(built[0].1, PageKey { tx: 0, ty: 0, layer: 0 });
         assert!(built.iter().map(|page| page.2).is_sorted(), "{built:?}");
-        assert_eq!((built[0].2, built.last().unwrap().2), (0, 0), "0.01 × 10 m is two pixels: steady");
+        assert_eq!((built[0].2, built.last().unwrap().2), (0, 1), "0.01 × (10 + 2.5) m are two pixels");
         assert!(scene.dropped.is_empty());
         let count = built.len();
         assert!(count < 30 && build_all(&mut scene, &store).is_empty());

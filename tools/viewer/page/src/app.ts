@@ -137,7 +137,7 @@ export class App implements Stage {
     });
     this.#theme();
     this.#light.addEventListener("change", () => this.#theme());
-    void this.canvas.prepare(this.#shading.all);
+    void this.canvas.prepare(this.#shading.of(this.#shading.effort), true);
     this.canvas.marks.add(this.shell.measure.marks, this.#goal.group);
     this.#keyboard = new Keyboard((code) => this.#key(code));
     this.#sticks = new Sticks(parent);

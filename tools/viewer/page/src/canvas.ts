@@ -116,8 +116,11 @@ export class Canvas {
     this.#nose.rotation.z = (-look.heading * Math.PI) / 180;
   }
 
-  /** Compiles shaders ahead, in the background if the browser can; otherwise a frame would wait for it. */
-  async prepare(materials: readonly Material[]): Promise<void> {
+  /**
+   * Compiles shaders ahead, in the background if the browser can; otherwise a frame would wait for it. `use`: draws with
+   * them once as well, while nothing else is drawn.
+   */
+  async prepare(materials: readonly Material[], use = false): Promise<void> {
     const { renderer } = this;
     const scene = new Scene();
     // A degenerate triangle with the attributes of pages, which determine the shader.
@@ -131,8 +134,8 @@ export class Canvas {
     scene.add(...meshes);
     if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(scene, this.cameras.current);
     else renderer.compile(scene, this.cameras.current);
-    // The first use of a shader waits for the graphics card, so use it now while nothing else is drawn.
-    if (!this.lost) renderer.render(scene, this.cameras.current);
+    // The first use of a shader waits for the graphics card.
+    if (use && !this.lost) renderer.render(scene, this.cameras.current);
   }
 
   /** Calls back for each frame of the screen or the headset. */

@@ -5,7 +5,7 @@ import type { Mode } from "./address";
 import type { Canvas } from "./canvas";
 import { distance, flat, standing, type Ray } from "./geometry";
 import type { Cameras } from "./scene/cameras";
-import type { Colouring } from "./scene/material";
+import type { Colouring, Effort } from "./scene/material";
 import type { Session } from "./session";
 import type { QUALITIES, Settings } from "./settings";
 import type { Shell } from "./ui/shell";
@@ -60,7 +60,9 @@ export class Sight {
   #slow: boolean;
   #restsS = 0;
   #seen = "";
+  #outside = true;
   #blocks = false;
+  #compiling = false;
 
   constructor(
     readonly session: Session,
@@ -80,6 +82,9 @@ export class Sight {
     const { distance } = this.cameras.orbit;
     const { view, world } = this.session;
     const outside = mode !== "walk";
+    // A pawn sees fewer of the triangles around it than somebody outside.
+    if (outside !== this.#outside) this.#triangles = FIRST_TRIANGLES;
+    this.#outside = outside;
     // Measured from the camera, which is this far away.
     const radius = outside ? Math.max(settings.radius, distance) + distance : this.#around(settings.radius);
     this.#radius = radius;
@@ -152,8 +157,6 @@ export class Sight {
     const { world } = this.session;
     world.shading.colouring = this.#showsSlices ? "slice" : this.colouring;
     world.shading.uniforms.slope.value = settings.slope;
-    const [low, high] = this.cut;
-    world.opened = this.#mode !== "walk" || low > -FAR_M || high < FAR_M;
     const { min, max } = this.session.content;
     this.shell.colours.show([min[2], max[2]], settings.slope);
   }
@@ -188,7 +191,21 @@ export class Sight {
       this.canvas.quality = quality;
       if (!this.canvas.isSoftware) this.canvas.resize();
     }
-    this.session.world.shading.uniforms.fineness.value = quality === "lowest" ? 0 : 1;
+    const [low, high] = this.cut;
+    const scan = this.colouring === "scan" && !this.#showsSlices;
+    void this.#take({ scan, fine: quality !== "lowest", cut: low > -FAR_M || high < FAR_M });
+  }
+
+  /** Takes other shaders, once they are compiled. */
+  async #take(effort: Effort): Promise<void> {
+    const { world } = this.session;
+    const isSame = ({ scan, fine, cut }: Effort): boolean =>
+      scan === effort.scan && fine === effort.fine && cut === effort.cut;
+    if (this.#compiling || isSame(world.shading.effort)) return;
+    this.#compiling = true;
+    await this.canvas.prepare(world.shading.of(effort));
+    this.#compiling = false;
+    world.effort = effort;
   }
 
   /** Updates the shader's heights, which are relative to the moving local origin. */

@@ -45,7 +45,8 @@ impl Geometry {
         let mut cells = Cells::of(page, around, coarseness, step);
         let step_cells = f64::from(step) * frame.quantum_m() / cell_m;
         let smooth = around.map(|_| Smooth::new(cell_m, step, step_cells));
-        smooth.iter().for_each(|smooth| smooth.close_holes(&mut cells));
+        let apart = sparseness(page) > 0;
+        smooth.iter().for_each(|smooth| smooth.close_holes(&mut cells, apart));
         let mut faces = Faces { step_cells, smooth, ..Faces::default() };
         quads::levels(&cells, true, &mut faces);
         quads::levels(&cells, false, &mut faces);

@@ -31,7 +31,7 @@ pub(super) fn levels(cells: &Cells, top: bool, faces: &mut Faces) {
         ends.clear();
         for x in 0..edge {
             now.clear();
-            for bar in cells.at(x, y) {
+            for bar in cells.within(x, y) {
                 let z = if top { bar.top } else { bar.bottom };
                 let slope = if top { slope(cells, faces.step_cells, x, y, z) } else { 0 };
                 let face = if top { Face::Top } else { Face::Underside };

@@ -11,8 +11,11 @@ use slicewalk::page::Page;
 const CLIMB_M: f64 = 0.35;
 const LEAST_CELLS: f64 = 1.0;
 const MOST_CELLS: f64 = 1.5;
-/// A hole is closed if the surface is in this many of the eight cells around it.
+/// A hole is closed if the surface is in this many of the eight cells around it; in pages of points that lie apart, this
+/// many are enough, and cells that were closed count, too.
 const SURROUNDING: usize = 5;
+const SURROUNDING_APART: usize = 4;
+const ROUNDS_APART: usize = 3;
 /// Most ends of bars that are looked at around a corner or a hole.
 const MOST: usize = 24;
 
@@ -180,8 +183,13 @@ impl Smooth {
         [bottom.min(top), top]
     }
 
-    /// Closes holes that a surface surrounds.
-    pub fn close_holes(&self, cells: &mut Cells) {
+    /// Closes holes that a surface surrounds; `apart`: of points that lie apart.
+    pub fn close_holes(&self, cells: &mut Cells, apart: bool) {
+        let (rounds, surrounding) = if apart { (ROUNDS_APART, SURROUNDING_APART) } else { (1, SURROUNDING) };
+        (0..rounds).for_each(|_| self.close(cells, surrounding));
+    }
+
+    fn close(&self, cells: &mut Cells, surrounding: usize) {
         let edge = cells.edge as isize;
         let mut found = Vec::new();
         for (x, y) in (0..edge).flat_map(|y| (0..edge).map(move |x| (x, y))) {
@@ -193,7 +201,7 @@ impl Smooth {
             around.surfaces(self.reach, &mut |surface| {
                 let (low, high) = (surface[0].0, surface[surface.len() - 1].0);
                 let has_own = |bar: &Bar| bar.bottom <= high + self.reach && bar.top + self.reach >= low;
-                if surface.len() >= SURROUNDING && !cells.at(x, y).iter().any(has_own) {
+                if surface.len() >= surrounding && !cells.at(x, y).iter().any(has_own) {
                     let sum: u32 = surface.iter().map(|at| u32::from(at.0)).sum();
                     let top = ((sum / surface.len() as u32) as u16).max(1);
                     found.push((x, y, Bar { bottom: top - 1, top, obstacle: false }));

@@ -107,6 +107,25 @@ fn smooth_slopes_have_no_risers_and_steps_do() {
 }
 
 #[test]
+fn floors_that_go_on_in_the_next_pages_are_drawn_whole() {
+    let floor = page(|_, _| vec![(1000, 1020, false)]);
+    for coarseness in 0..=COARSEST {
+        let geometry = Geometry::of(&frame(), KEY, &floor, Some(&[Some(&floor); 9]), coarseness);
+        let [mut top, mut underside] = [0; 2];
+        for (corners, kinds) in geometry.positions.chunks(12).zip(geometry.attributes.chunks(16)) {
+            let [x, y] = [0, 1].map(|axis| u32::from(corners[6 + axis].abs_diff(corners[axis])));
+            match kinds[0] {
+                0 => top += x * y,
+                1 => underside += x * y,
+                _ => {}
+            }
+        }
+        let all = (64u32 >> coarseness).pow(2);
+        assert_eq!([top, underside], [all; 2], "{coarseness}");
+    }
+}
+
+#[test]
 fn surrounded_holes_are_closed_for_the_eye() {
     let floor = |holes: &'static [(u32, u32)]| {
         page(move |x, y| match holes.contains(&(x, y)) {

@@ -1,7 +1,7 @@
 // The first view: all of the scan, turning slowly, until a person walks in. Meanwhile it looks for the best place to begin.
 
 import type { Vec3 } from "slicewalk";
-import { add, direction, type Look } from "../geometry";
+import { add, clamp, direction, type Look } from "../geometry";
 import { findView, type Start } from "../start";
 import type { Orbit } from "./orbit";
 import type { Stage } from "./mode";
@@ -9,10 +9,11 @@ import type { Stage } from "./mode";
 /** Range and speed of the turn. */
 const SWAY_DEGREES = 12;
 const SWAY_PER_S = 0.35;
-/** A scan that is open or thin is looked at from nearer, until it fills so much of the picture. */
+/** A scan that is open or thin is looked at from nearer, until it fills so much of the picture, and no more than this. */
 const ENOUGH = 0.31;
+const MORE_THAN_ENOUGH = 0.36;
 const NEARER = 0.85;
-const NEAREST = 0.55;
+const NEAREST = 0.45;
 /** Pictures without news after which the picture counts as complete. */
 const QUIET = 3;
 /** Longest wait for any place to begin (ms). */
@@ -79,18 +80,22 @@ export class First {
     this.#quiet = still ? this.#quiet + 1 : 0;
     this.#loaded = loaded;
     const isNew = canvas.measured > this.#measured + 1;
-    if (
-      isNew &&
-      this.#quiet > QUIET &&
-      framed !== null &&
-      canvas.covered < ENOUGH &&
-      orbit.distance > NEAREST * framed.distance
-    ) {
+    if (isNew && this.#quiet > QUIET && framed !== null && this.#isOutlined) {
+      const { covered } = canvas;
+      const nearest = NEAREST * framed.distance;
+      const wanted = orbit.distance * Math.max(NEARER, Math.sqrt(covered / ENOUGH));
+      const distance = covered < ENOUGH || covered > MORE_THAN_ENOUGH ? clamp(wanted, nearest, framed.distance) : orbit.distance;
       // The next measure is of a picture from there.
-      this.#measured = canvas.measured;
-      orbit.distance *= Math.max(NEARER, Math.sqrt(canvas.covered / ENOUGH));
+      if (distance !== orbit.distance) this.#measured = canvas.measured;
+      orbit.distance = distance;
     }
     cameras.sway(SWAY_DEGREES * Math.sin(SWAY_PER_S * this.#swayed));
+  }
+
+  /** Whether all of the scan is drawn, at least from an overview level. */
+  get #isOutlined(): boolean {
+    const { session } = this.stage;
+    return session !== null && (session.archive.info.levels === 0 || session.world.counts.overview > 0);
   }
 
   /** A person turns the scan. */

@@ -81,7 +81,6 @@ uniform vec2 pawnSlice;
 uniform float slope;
 uniform float far;
 uniform float fogShare;
-uniform float fineness;
 uniform vec3 exposure;
 uniform vec3 sun;
 uniform vec3 haze;
@@ -182,17 +181,20 @@ bool covered() {
 #endif
 
 void main() {
+  float z = vLocal.z - 1e-4 * vFace.z;
+#ifdef CUT
   if (vLocal.z > cut.y) discard;
-#ifdef OVERVIEW
-  if (covered()) discard;
-#endif
   if (gl_FrontFacing && vLocal.z < cut.x) {
     // Below the shown slice: hides what is inside it, and shows nothing.
     colour = vec4(background, 1.0);
     return;
   }
   // Seen from inside, solid was cut open: show it as if filled up to the cut.
-  float z = gl_FrontFacing ? vLocal.z - 1e-4 * vFace.z : cut.y - 1e-4;
+  if (!gl_FrontFacing) z = cut.y - 1e-4;
+#endif
+#ifdef OVERVIEW
+  if (covered()) discard;
+#endif
   vec3 base;
   if (colouring == 1) {
     base = vKind.z > slope ? mix(obstacleColour, vec3(0.55, 0.16, 0.16), clamp((vKind.z - slope) / (90.5 - slope), 0.0, 1.0))
@@ -207,8 +209,13 @@ void main() {
   }
   // Light of the sky from above, and of the sun by the slope of the surface.
   float shade = 0.7 + 0.12 * vNormal.z + 0.26 * max(dot(vNormal, sun), 0.0);
-  if (colouring == 4) {
-    vec4 own = fineness > 0.5 && vDistance < 60.0 ? blended() : scanned();
+#ifdef SCAN
+  {
+#ifdef FINE
+    vec4 own = vDistance < 60.0 ? blended() : scanned();
+#else
+    vec4 own = scanned();
+#endif
     if (own.a < 0.5) own = paintUsual;
     // Without a colour, the grey of its height.
     vec3 lit = clamp((own.rgb - exposure.x) * exposure.y, 0.0, 1.0);
@@ -217,20 +224,33 @@ void main() {
     // The scan's colours include its lighting, so shade them less.
     shade = mix(1.0, shade, 0.6);
   }
-  if (fineness > 0.5) {
-    float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
-    if (near > 0.0) shade *= 1.0 + 0.05 * near * (grain(vCell + 0.01) - 0.5);
-  }
+#endif
+#ifdef FINE
+  float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
+  if (near > 0.0) shade *= 1.0 + 0.05 * near * (grain(vCell + 0.01) - 0.5);
+#endif
+#ifdef CUT
   if (!gl_FrontFacing) {
     if (colouring != 3) base = mix(base, vec3(0.93), 0.35);
     shade = 1.0;
   }
+#endif
   if (colouring == 3 && z >= pawnSlice.x && z < pawnSlice.y) shade *= 1.12;
   else if (colouring == 3 && pawnSlice.y > pawnSlice.x) base = mix(base, vec3(dot(base, vec3(0.33))), 0.45) * 0.8;
   // Air: what is far takes the colour of the horizon, but never all of it.
   float air = fogShare * min(0.75, vDistance / far);
   colour = vec4(mix(base * shade, haze, air * air), 1.0);
 }`;
+
+/**
+ * What shaders do beyond the least: colours of the scan, fine ones (blended, with some grain), solid cut open. Each is a
+ * shader of its own, because graphics by the processor compute all branches.
+ */
+export interface Effort {
+  readonly scan: boolean;
+  readonly fine: boolean;
+  readonly cut: boolean;
+}
 
 /** All uniforms; heights are relative to the scene's local origin. */
 export class Shading {
@@ -247,8 +267,6 @@ export class Shading {
     floorColour: IUniform<Vector3>;
     obstacleColour: IUniform<Vector3>;
     background: IUniform<Vector3>;
-    /** 0: as cheap as possible; 1: colours blended. */
-    fineness: IUniform<number>;
     /** Darkest value of the scan's colours, what they are multiplied with, and how much their middle is lifted. */
     exposure: IUniform<Vector3>;
     sun: IUniform<Vector3>;
@@ -258,10 +276,10 @@ export class Shading {
     paintColours: IUniform<DataTexture>;
     paintShare: IUniform<Vector3>;
   };
-  readonly #pages: Record<"solid" | "opened", ShaderMaterial>;
-  readonly #overview: Record<"solid" | "opened", ShaderMaterial>;
+  readonly #materials = new Map<string, ShaderMaterial>();
+  #effort: Effort = { scan: false, fine: false, cut: false };
 
-  constructor(cover: Cover) {
+  constructor(readonly cover: Cover) {
     this.uniforms = {
       colouring: { value: 0 },
       heights: { value: new Vector2(0, 1) },
@@ -275,7 +293,6 @@ export class Shading {
       floorColour: { value: plain(FLOOR) },
       obstacleColour: { value: plain(OBSTACLE) },
       background: { value: new Vector3() },
-      fineness: { value: 1 },
       exposure: { value: new Vector3(0, 1, 0) },
       sun: { value: new Vector3(-0.45, -0.6, 0.66).normalize() },
       haze: { value: new Vector3() },
@@ -284,26 +301,44 @@ export class Shading {
       paintColours: { value: PLAIN.colours },
       paintShare: { value: new Vector3(1, 1, 1) },
     };
-    const make = (side: typeof FrontSide | typeof DoubleSide, overview: boolean): ShaderMaterial =>
-      new ShaderMaterial({
-        glslVersion: GLSL3,
-        vertexShader: vertex,
-        fragmentShader: fragment,
-        uniforms: overview ? { ...this.uniforms, ...cover.uniforms } : this.uniforms,
-        defines: overview ? { OVERVIEW: "" } : {},
-        side,
-      });
-    this.#pages = { solid: make(FrontSide, false), opened: make(DoubleSide, false) };
-    this.#overview = { solid: make(FrontSide, true), opened: make(DoubleSide, true) };
   }
 
-  get all(): readonly ShaderMaterial[] {
-    return [this.#pages.solid, this.#pages.opened, this.#overview.solid, this.#overview.opened];
+  /** Materials of pages and of an overview that take this effort. */
+  of(effort: Effort): readonly ShaderMaterial[] {
+    return [false, true].map((overview) => this.#material(overview, effort));
   }
 
-  /** Material of the pages of this level; `opened`: also seen from inside. */
-  material(level: number, opened: boolean): ShaderMaterial {
-    return (level > 0 ? this.#overview : this.#pages)[opened ? "opened" : "solid"];
+  /** What the materials handed out take. */
+  get effort(): Effort {
+    return this.#effort;
+  }
+
+  set effort(effort: Effort) {
+    this.#effort = effort;
+  }
+
+  /** Material of the pages of this level. */
+  material(level: number): ShaderMaterial {
+    return this.#material(level > 0, this.#effort);
+  }
+
+  #material(overview: boolean, { scan, fine, cut }: Effort): ShaderMaterial {
+    const parts = { OVERVIEW: overview, SCAN: scan, FINE: fine, CUT: cut };
+    const defines = Object.fromEntries(Object.entries(parts).flatMap(([name, on]) => (on ? [[name, ""]] : [])));
+    const name = Object.keys(defines).join();
+    const known = this.#materials.get(name);
+    if (known !== undefined) return known;
+    const material = new ShaderMaterial({
+      glslVersion: GLSL3,
+      vertexShader: vertex,
+      fragmentShader: fragment,
+      uniforms: overview ? { ...this.uniforms, ...this.cover.uniforms } : this.uniforms,
+      defines,
+      // The inside of solid is seen only where it is cut open.
+      side: cut ? DoubleSide : FrontSide,
+    });
+    this.#materials.set(name, material);
+    return material;
   }
 
   /**
@@ -311,8 +346,8 @@ export class Shading {
    * what has no colours yet.
    */
   paint(material: Material, paint: Paint, share: Vector3, usual: Vector4): void {
-    const { paintCells, paintColours, paintShare, paintUsual, colouring } = this.uniforms;
-    if (COLOURINGS[colouring.value] !== "scan") return;
+    const { paintCells, paintColours, paintShare, paintUsual } = this.uniforms;
+    if (!this.#effort.scan) return;
     [paintCells.value, paintColours.value] = [paint.cells, paint.colours];
     paintShare.value.copy(share);
     paintUsual.value.copy(usual);

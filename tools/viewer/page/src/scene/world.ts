@@ -18,7 +18,7 @@ import {
 import { distance } from "../geometry";
 import { Cover } from "./cover";
 import { Exposure } from "./exposure";
-import { Shading } from "./material";
+import { type Effort, Shading } from "./material";
 import { forget, meanOf, type Paint, paintOf, PLAIN } from "./paint";
 
 /** Distance from the local origin beyond which another one is chosen. */
@@ -45,7 +45,6 @@ export class World {
   origin: Vec3 = [0, 0, 0];
   triangles = 0;
   bytes = 0;
-  #opened = false;
   readonly #drawn = new Map<number, Drawn>();
   readonly #waiting = new Map<number, PageGeometry>();
   /** Colours by page, and those that arrived since. */
@@ -143,11 +142,10 @@ export class World {
     this.#cover.clear();
   }
 
-  /** Sets whether faces are seen from inside, where solid is cut. */
-  set opened(opened: boolean) {
-    if (opened === this.#opened) return;
-    this.#opened = opened;
-    this.#drawn.forEach(({ mesh, page }) => (mesh.material = this.shading.material(page.key.level, opened)));
+  /** Sets what the shaders do. */
+  set effort(effort: Effort) {
+    this.shading.effort = effort;
+    this.#drawn.forEach(({ mesh, page }) => (mesh.material = this.shading.material(page.key.level)));
   }
 
   /** Adds arrived pages, for as long as a frame can spare. */
@@ -206,7 +204,7 @@ export class World {
     geometry.setIndex(new BufferAttribute(page.indices, 1));
     // Boxes of the world decide what is drawn; computing three.js' own sphere would visit all vertices.
     geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
-    const mesh = new Mesh(geometry, this.shading.material(page.key.level, this.#opened));
+    const mesh = new Mesh(geometry, this.shading.material(page.key.level));
     mesh.frustumCulled = false;
     const coarser = 4 ** page.key.level;
     const edge = this.pixelSize * PAGE_PIXELS * coarser;
