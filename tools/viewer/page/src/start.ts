@@ -34,6 +34,9 @@ const HALF_Y = 34;
 /** Share of a view that should show the scan, and how much a pitch costs per degree. */
 const ENOUGH = 0.72;
 const PITCH_COST = 0.005;
+/** An eighth of the scan, between these, is as far as anything need be to be worth seeing (m). */
+const LEAST_LIMIT_M = 10;
+const MOST_LIMIT_M = 100;
 
 export interface Start {
   readonly at: Vec3;
@@ -151,6 +154,8 @@ function halton(index: number, base: number): number {
 
 /** The best direction to look from a place, by rays in all directions through what is loaded. */
 export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: AbortSignal): Promise<Start> {
+  const { bounds } = archive.info;
+  const limit = bounds === null ? LEAST_LIMIT_M : clamp(distance(bounds.min, bounds.max) / 8, LEAST_LIMIT_M, MOST_LIMIT_M);
   const from: Vec3 = [at[0], at[1], at[2] + eye];
   const row = (heading: number, pitch: number, far: number): number[] => [...from, ...direction({ heading, pitch }), far];
   const turns = (step: number): number[] => Array.from({ length: 360 / step }, (_, n) => n * step);
@@ -187,7 +192,7 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
           all += weight;
           if (!(far < Infinity)) return;
           hits += weight;
-          worth += weight * worthOf(far);
+          worth += weight * worthOf(far, limit);
         });
       }
       const covered = hits / all;
@@ -199,7 +204,7 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
 }
 
 /** What is near fills the picture with little to see; far things tell more, up to a limit. */
-function worthOf(far: number): number {
+function worthOf(far: number, limit: number): number {
   if (far < 0.8) return 0.05;
-  return Math.min(1, 0.25 + 0.75 * (Math.log2(far / 0.8) / Math.log2(20 / 0.8)));
+  return Math.min(1, 0.25 + 0.75 * (Math.log2(far / 0.8) / Math.log2(limit / 0.8)));
 }

@@ -9,9 +9,13 @@ import type { Stage } from "./mode";
 /** Range and speed of the turn. */
 const SWAY_DEGREES = 12;
 const SWAY_PER_S = 0.35;
-/** A scan that is open or thin is looked at from nearer, until it fills so much of the picture, and no more than this. */
+/**
+ * A scan that is open or thin is looked at from nearer than all of it needs, until it fills so much of the picture, and from
+ * farther again while more of it comes.
+ */
 const ENOUGH = 0.31;
-const MORE_THAN_ENOUGH = 0.36;
+const LESS = 0.28;
+const MORE = 0.36;
 const NEARER = 0.85;
 const NEAREST = 0.45;
 /** Pictures without news after which the picture counts as complete. */
@@ -79,15 +83,15 @@ export class First {
     const still = unbuilt === 0 && pending === 0 && loaded === this.#loaded && session?.world.waiting === 0;
     this.#quiet = still ? this.#quiet + 1 : 0;
     this.#loaded = loaded;
-    const isNew = canvas.measured > this.#measured + 1;
-    if (isNew && this.#quiet > QUIET && framed !== null && this.#isOutlined) {
+    const isDrawn = this.#quiet > QUIET && this.#isOutlined;
+    if (isDrawn && canvas.measured > this.#measured + 1 && framed !== null) {
       const { covered } = canvas;
-      const nearest = NEAREST * framed.distance;
-      const wanted = orbit.distance * Math.max(NEARER, Math.sqrt(covered / ENOUGH));
-      const distance = covered < ENOUGH || covered > MORE_THAN_ENOUGH ? clamp(wanted, nearest, framed.distance) : orbit.distance;
+      const now = orbit.distance / framed.distance;
+      const wanted = covered < LESS || covered > MORE ? now * Math.max(NEARER, Math.sqrt(covered / ENOUGH)) : now;
+      const share = clamp(wanted, NEAREST, 1);
       // The next measure is of a picture from there.
-      if (distance !== orbit.distance) this.#measured = canvas.measured;
-      orbit.distance = distance;
+      if (share !== now) this.#measured = canvas.measured;
+      cameras.approach(share);
     }
     cameras.sway(SWAY_DEGREES * Math.sin(SWAY_PER_S * this.#swayed));
   }

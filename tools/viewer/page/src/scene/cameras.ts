@@ -57,6 +57,14 @@ export class Cameras {
     Object.assign(this.orbit, { ...this.framed, look: { ...this.framed.look } });
   }
 
+  /** Looks at the frame's scan from this share of its distance; its middle stays where it is in the picture. */
+  approach(share: number): void {
+    if (this.framed === null) return;
+    const { middle, target, distance } = this.framed;
+    this.orbit.target = add(middle, add(target, middle, -1), share);
+    this.orbit.distance = share * distance;
+  }
+
   /** Turns back and forth around the frame, by `share` of its range from -1 to 1. */
   sway(degrees: number): void {
     if (this.framed !== null) this.orbit.look.heading = wrap(this.framed.look.heading + degrees);

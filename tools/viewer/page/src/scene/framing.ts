@@ -4,6 +4,8 @@ import type { Bounds, Vec3 } from "slicewalk";
 import { across, add, clamp, direction, type Look } from "../geometry";
 
 export interface Frame {
+  /** Middle of the scan. */
+  readonly middle: Vec3;
   readonly target: Vec3;
   readonly distance: number;
   readonly look: Look;
@@ -22,17 +24,16 @@ const PITCHES = [
   [-48, 0.92],
   [-60, 0.8],
 ] as const;
-const MOST_BOXES = 500;
+/** Boxes are joined to at most this many along x and y. */
+const MOST_ALONG = 20;
 /** Cells of the picture in which boxes are counted. */
 const [WIDE, HIGH] = [48, 27];
-/** Part of the picture that the scan may fill, beside the bars above and below. */
-const MARGIN_X = 0.95;
-const MARGIN_Y = 0.86;
-/** The scan is this part of half the height above the middle, because a card lies below. */
-const LIFT = -0.08;
-/** Pictures with less of the scan are taken from nearer, down to this part of the distance. */
-const ENOUGH = 0.34;
-const NEARER = 0.8;
+/** Part of the picture that the scan may fill from its middle to the sides, to the bar above, and to the card below. */
+const SIDE = 0.95;
+const ABOVE = 0.86;
+const BELOW = 0.74;
+/** Least distance of what is nearest, as a share of the distance of the target. */
+const CLEAR = 0.05;
 
 /** Bounds of the scan without stray pages; null without any page. */
 export function contentBounds(boxes: Float64Array, whole: Bounds | null): Bounds | null {
@@ -49,17 +50,21 @@ export function contentBounds(boxes: Float64Array, whole: Bounds | null): Bounds
   return { min: corner(0), max: corner(1) };
 }
 
-/** Some of the boxes, cut off at the bounds of the content. */
+/** The boxes, cut off at the bounds of the content; those of a part of the plan are joined to one. */
 function within(boxes: Float64Array, { min, max }: Bounds): number[][] {
-  const count = boxes.length / 6;
-  const kept: number[][] = [];
-  const step = Math.max(1, count / MOST_BOXES);
-  for (let at = 0; at < count; at += step) {
-    const row = [...boxes.subarray(6 * Math.floor(at), 6 * Math.floor(at) + 6)];
-    const cut = row.map((value, n) => clamp(value, min[n % 3] ?? value, max[n % 3] ?? value));
-    if ([0, 1, 2].every((axis) => (cut[axis] ?? 0) < (cut[axis + 3] ?? 0))) kept.push(cut);
+  const joined = new Map<number, number[]>();
+  for (let at = 0; at < boxes.length; at += 6) {
+    const box = [...boxes.subarray(at, at + 6)].map((value, n) => clamp(value, min[n % 3] ?? value, max[n % 3] ?? value));
+    if ([0, 1, 2].some((axis) => (box[axis] ?? 0) >= (box[axis + 3] ?? 0))) continue;
+    const part = ([0, 1] as const).map((axis) => {
+      const share = ((box[axis] ?? 0) - min[axis]) / (max[axis] - min[axis]);
+      return Math.min(MOST_ALONG - 1, Math.floor(share * MOST_ALONG));
+    });
+    const name = (part[0] ?? 0) + MOST_ALONG * (part[1] ?? 0);
+    const other = joined.get(name) ?? box;
+    joined.set(name, box.map((value, n) => (n < 3 ? Math.min(value, other[n] ?? value) : Math.max(value, other[n] ?? value))));
   }
-  return kept;
+  return [...joined.values()];
 }
 
 /** Eight corners of a box. */
@@ -89,37 +94,40 @@ export function frame(boxes: Float64Array, bounds: Bounds, tanX: number, tanY: n
       const basis = axes(look);
       const seen = points.map((box) => box.map((at) => basis.map((axis) => dot(axis, add(at, middle, -1)))));
       const all = seen.flat();
-      // Moves the target until the outline is in the middle, and away until it fits.
-      let [distance, right, up] = [0.5, 0, 0];
-      for (let turn = 0; turn < 3; turn++) {
-        for (const [x = 0, y = 0, z = 0] of turn === 0 ? all : []) {
-          distance = Math.max(distance, Math.abs(x) / (tanX * MARGIN_X) - z, Math.abs(y) / (tanY * MARGIN_Y) - z);
-        }
-        let [x0, x1, y0, y1] = [Infinity, -Infinity, Infinity, -Infinity];
-        for (const [x = 0, y = 0, z = 0] of all) {
-          const far = Math.max(z + distance, 0.05 * distance);
-          [x0, x1] = [Math.min(x0, x / far), Math.max(x1, x / far)];
-          [y0, y1] = [Math.min(y0, y / far), Math.max(y1, y / far)];
-        }
-        const [shiftX, shiftY] = [((x0 + x1) / 2) * distance, ((y0 + y1) / 2 + LIFT * tanY) * distance];
-        all.forEach((point) => {
-          point[0] = (point[0] ?? 0) - shiftX;
-          point[1] = (point[1] ?? 0) - shiftY;
-        });
-        [right, up] = [right + shiftX, up + shiftY];
-        distance *= Math.max((x1 - x0) / 2 / (tanX * MARGIN_X), (y1 - y0) / 2 / (tanY * MARGIN_Y));
-      }
+      let distance = Math.max(0.5, ...all.map(([, , z = 0]) => -z / (1 - CLEAR)));
+      const across = fit(all.map(([x = 0, , z = 0]) => [x, z]), tanX * SIDE, tanX * SIDE);
+      const along = fit(all.map(([, y = 0, z = 0]) => [y, z]), tanY * BELOW, tanY * ABOVE);
+      distance = Math.max(distance, across.distance, along.distance);
+      const [right, up] = [across.middle(distance), along.middle(distance)] as const;
+      all.forEach((point) => {
+        point[0] = (point[0] ?? 0) - right;
+        point[1] = (point[1] ?? 0) - up;
+      });
       const target = add(add(middle, basis[0], right), basis[1], up);
-      let covered = cover(seen, distance, tanX, tanY);
-      if (covered < ENOUGH) {
-        distance *= Math.max(NEARER, Math.sqrt(covered / ENOUGH));
-        covered = cover(seen, distance, tanX, tanY);
-      }
+      const covered = cover(seen, distance, tanX, tanY);
       const rating = covered * pleasant;
-      if (best === null || rating > best.rating) best = { target, distance, look, covered, rating };
+      if (best === null || rating > best.rating) best = { middle, target, distance, look, covered, rating };
     }
   }
-  return best ?? { target: middle, distance: 20, look: { heading: 30, pitch: -35 }, covered: 0 };
+  return best ?? { middle, target: middle, distance: 20, look: { heading: 30, pitch: -35 }, covered: 0 };
+}
+
+/**
+ * Least distance from which points (offset, depth) lie within `low` and `high` (tangents) beside the axis, and the offset of
+ * the axis that has as much room on both sides from a distance: a point's offset is at most `high` times its distance, so
+ * both are linear.
+ */
+function fit(
+  points: readonly (readonly [number, number])[],
+  low: number,
+  high: number,
+): { distance: number; middle: (distance: number) => number } {
+  const upper = points.reduce((most, [at, depth]) => Math.max(most, at - high * depth), -Infinity);
+  const lower = points.reduce((most, [at, depth]) => Math.max(most, -at - low * depth), -Infinity);
+  return {
+    distance: (upper + lower) / (low + high),
+    middle: (distance) => (upper - high * distance + low * distance - lower) / 2,
+  };
 }
 
 /** Share of the cells of a picture that boxes, given by their corners in the camera's axes, touch. */
@@ -128,7 +136,7 @@ function cover(boxes: readonly (readonly number[][])[], distance: number, tanX: 
   for (const box of boxes) {
     let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
     for (const [x = 0, y = 0, z = 0] of box) {
-      const far = Math.max(z + distance, 0.05 * distance);
+      const far = Math.max(z + distance, CLEAR * distance);
       const [sx, sy] = [((x / far / tanX + 1) / 2) * WIDE, ((y / far / tanY + 1) / 2) * HIGH];
       [left, right, low, high] = [Math.min(left, sx), Math.max(right, sx), Math.min(low, sy), Math.max(high, sy)];
     }
