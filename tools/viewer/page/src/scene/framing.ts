@@ -32,6 +32,8 @@ const [WIDE, HIGH] = [48, 27];
 const SIDE = 0.95;
 const ABOVE = 0.86;
 const BELOW = 0.74;
+/** Least distance of the target (m). */
+const LEAST_M = 0.1;
 /** Least distance of what is nearest, as a share of the distance of the target. */
 const CLEAR = 0.05;
 
@@ -94,7 +96,7 @@ export function frame(boxes: Float64Array, bounds: Bounds, tanX: number, tanY: n
       const basis = axes(look);
       const seen = points.map((box) => box.map((at) => basis.map((axis) => dot(axis, add(at, middle, -1)))));
       const all = seen.flat();
-      let distance = Math.max(0.5, ...all.map(([, , z = 0]) => -z / (1 - CLEAR)));
+      let distance = Math.max(LEAST_M, ...all.map(([, , z = 0]) => -z / (1 - CLEAR)));
       const across = fit(all.map(([x = 0, , z = 0]) => [x, z]), tanX * SIDE, tanX * SIDE);
       const along = fit(all.map(([, y = 0, z = 0]) => [y, z]), tanY * BELOW, tanY * ABOVE);
       distance = Math.max(distance, across.distance, along.distance);
