@@ -199,8 +199,7 @@ export class Sight {
   /** Takes other shaders, once they are compiled. */
   async #take(effort: Effort): Promise<void> {
     const { world } = this.session;
-    const isSame = ({ scan, fine, cut }: Effort): boolean =>
-      scan === effort.scan && fine === effort.fine && cut === effort.cut;
+    const isSame = ({ scan, fine, cut }: Effort): boolean => scan === effort.scan && fine === effort.fine && cut === effort.cut;
     if (this.#compiling || isSame(world.shading.effort)) return;
     this.#compiling = true;
     await this.canvas.prepare(world.shading.of(effort));

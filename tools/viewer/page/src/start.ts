@@ -27,6 +27,8 @@ const LOADED_M = 25;
 const SPARSE = 900;
 const WIDE_M = 0.8;
 const SWEPT_M = 60;
+/** Share of what only wide rays hit that a picture shows. */
+const SWEPT_SHOWN = 0.6;
 /** Pitches of views, and half the angles that a view shows. */
 const PITCHES = [0, -6, -12, -18, -25, -34, -45, -58] as const;
 const HALF_X = 45;
@@ -166,6 +168,7 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
   const headings = turns(STEP);
   const rays = headings.flatMap((heading) => RAY_PITCHES.flatMap((pitch) => row(heading, pitch, RAY_M)));
   const { distances } = await archive.castFar(new Float64Array(rays), { signal });
+  const shown = distances.map((far) => (far < Infinity ? 1 : 0));
   const { voxels, pages } = archive.info;
   if (voxels.occupied < SPARSE * pages) {
     const box = flat(standing([from[0], from[1], from[2] - WIDE_M / 2], WIDE_M, WIDE_M));
@@ -175,7 +178,9 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
     });
     swept.forEach((share, n) => {
       const far = distances[n] ?? NaN;
-      if (share < 1 && !(far < share * SWEPT_M)) distances[n] = share * SWEPT_M;
+      if (!(share < 1) || far < share * SWEPT_M) return;
+      distances[n] = share * SWEPT_M;
+      shown[n] = Math.max(shown[n] ?? 0, SWEPT_SHOWN);
     });
   }
   let best: Start = { at, look: { heading: 0, pitch: 0 }, covered: 0, rating: -1 };
@@ -188,11 +193,10 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
           if (Math.abs(up - pitch) > HALF_Y) return;
           // Rows of rays are closer together near the horizon.
           const weight = Math.cos((up * Math.PI) / 180) * (up > -32 && up < 22 ? 1 : 1.2);
-          const far = distances[(column % headings.length) * RAY_PITCHES.length + n] ?? NaN;
+          const ray = (column % headings.length) * RAY_PITCHES.length + n;
           all += weight;
-          if (!(far < Infinity)) return;
-          hits += weight;
-          worth += weight * worthOf(far, limit);
+          hits += weight * (shown[ray] ?? 0);
+          worth += weight * (shown[ray] ?? 0) * worthOf(distances[ray] ?? NaN, limit);
         });
       }
       const covered = hits / all;
@@ -205,6 +209,6 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
 
 /** What is near fills the picture with little to see; far things tell more, up to a limit. */
 function worthOf(far: number, limit: number): number {
-  if (far < 0.8) return 0.05;
+  if (!(far >= 0.8)) return 0.05;
   return Math.min(1, 0.25 + 0.75 * (Math.log2(far / 0.8) / Math.log2(limit / 0.8)));
 }

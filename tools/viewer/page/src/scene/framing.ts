@@ -64,7 +64,10 @@ function within(boxes: Float64Array, { min, max }: Bounds): number[][] {
     });
     const name = (part[0] ?? 0) + MOST_ALONG * (part[1] ?? 0);
     const other = joined.get(name) ?? box;
-    joined.set(name, box.map((value, n) => (n < 3 ? Math.min(value, other[n] ?? value) : Math.max(value, other[n] ?? value))));
+    joined.set(
+      name,
+      box.map((value, n) => (n < 3 ? Math.min(value, other[n] ?? value) : Math.max(value, other[n] ?? value))),
+    );
   }
   return [...joined.values()];
 }
@@ -97,8 +100,16 @@ export function frame(boxes: Float64Array, bounds: Bounds, tanX: number, tanY: n
       const seen = points.map((box) => box.map((at) => basis.map((axis) => dot(axis, add(at, middle, -1)))));
       const all = seen.flat();
       let distance = Math.max(LEAST_M, ...all.map(([, , z = 0]) => -z / (1 - CLEAR)));
-      const across = fit(all.map(([x = 0, , z = 0]) => [x, z]), tanX * SIDE, tanX * SIDE);
-      const along = fit(all.map(([, y = 0, z = 0]) => [y, z]), tanY * BELOW, tanY * ABOVE);
+      const across = fit(
+        all.map(([x = 0, , z = 0]) => [x, z]),
+        tanX * SIDE,
+        tanX * SIDE,
+      );
+      const along = fit(
+        all.map(([, y = 0, z = 0]) => [y, z]),
+        tanY * BELOW,
+        tanY * ABOVE,
+      );
       distance = Math.max(distance, across.distance, along.distance);
       const [right, up] = [across.middle(distance), along.middle(distance)] as const;
       all.forEach((point) => {
