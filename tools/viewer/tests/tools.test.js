@@ -61,15 +61,19 @@ async function vivid(page) {
   return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
 }
 
+/** Waits until that fraction fits. */
+async function becomes(what, fits) {
+  const end = Date.now() + 20_000;
+  while (!fits(await vivid(page))) assert.ok(Date.now() < end, what);
+}
+
 /** Fraction of the picture in the scan's colours, which disappear when colours by kind are chosen. */
 async function ownColours(page) {
-  await page.waitForTimeout(500);
+  await becomes("the picture has the colours of the scan", (now) => now > 0.05);
   const own = await vivid(page);
-  assert.ok(own > 0.05, `${own} of the picture has the colours of the scan`);
   await tool("Colours").click();
   await page.getByLabel("Floor and obstacle").check();
-  await page.waitForTimeout(500);
-  assert.ok((await vivid(page)) < own / 4, "colours by kind are others");
+  await becomes("colours by kind are others", (now) => now < own / 4);
   return own;
 }
 
@@ -87,8 +91,7 @@ describe("colours", () => {
     assert.ok(drawn.coloured <= drawn.pages);
     const own = await ownColours(page);
     await page.getByLabel("Scan", { exact: true }).check();
-    await page.waitForTimeout(500);
-    assert.ok((await vivid(page)) > own / 2, "and back");
+    await becomes("and back", (now) => now > own / 2);
   });
 
   it("draws what is far away in the scan's colours too", async () => {

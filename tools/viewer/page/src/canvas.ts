@@ -175,6 +175,11 @@ export class Canvas {
     this.#covered.measure(now);
   }
 
+  /** Draws the next frame also while the view rests. */
+  refresh(): void {
+    this.#drawnAt = Number.NEGATIVE_INFINITY;
+  }
+
   /** Sets the colours of what was not scanned. */
   paint(theme: Theme): void {
     this.sky.theme = theme;
@@ -183,7 +188,7 @@ export class Canvas {
 
   /** The current picture. */
   picture(): Promise<Blob | null> {
-    this.#drawnAt = Number.NEGATIVE_INFINITY;
+    this.refresh();
     this.render();
     return new Promise((resolve) => this.element.toBlob(resolve, "image/png"));
   }

@@ -202,9 +202,13 @@ export class Sight {
     const isSame = ({ scan, fine, cut }: Effort): boolean => scan === effort.scan && fine === effort.fine && cut === effort.cut;
     if (this.#compiling || isSame(world.shading.effort)) return;
     this.#compiling = true;
-    await this.canvas.prepare(world.shading.of(effort));
-    this.#compiling = false;
+    try {
+      await this.canvas.prepare(world.shading.of(effort));
+    } finally {
+      this.#compiling = false;
+    }
     world.effort = effort;
+    this.canvas.refresh();
   }
 
   /** Updates the shader's heights, which are relative to the moving local origin. */
