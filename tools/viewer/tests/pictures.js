@@ -20,7 +20,7 @@ const coloured = (notches) => async (page) => {
   await page.mouse.move(SIZE.width / 2, SIZE.height / 2);
   for (let n = 0; n < Math.abs(notches); n++) await page.mouse.wheel(0, 200 * Math.sign(notches));
   await page.waitForTimeout(2000);
-  const whole = ({ drawn, colours }) => drawn.coloured > 0 && colours.missing === 0;
+  const whole = ({ drawn, colours }) => drawn.coloured + drawn.distant > 0 && colours.missing === 0;
   await settled(page);
   await until(page, "coloured", whole, { timeout: 120_000 });
 };
@@ -29,8 +29,8 @@ const PICTURES = [
   { name: "viewer-walk.jpg", place: STAIRS },
   { name: "viewer-orbit.jpg", place: { ...STAIRS, view: "orbit" } },
   { name: "viewer-slices.jpg", place: { ...STAIRS, view: "orbit" }, prepare: tool("Slices") },
-  { name: "viewer-pump-room.jpg", place: { archive: "pump_room.slices", view: "orbit" }, prepare: coloured(-2) },
-  { name: "viewer-autzen.jpg", place: { archive: "autzen_stadium.slices", view: "orbit" }, prepare: coloured(7) },
+  { name: "viewer-pump-room.jpg", place: { archive: "pump_room.slices", view: "orbit" }, prepare: coloured(0) },
+  { name: "viewer-autzen.jpg", place: { archive: "autzen_stadium.slices", view: "orbit" }, prepare: coloured(0) },
 ];
 
 const [folder, ...names] = process.argv.slice(2);

@@ -103,20 +103,22 @@ export async function firstStep(page, server, archive) {
   return { bytes, ranges: asked.map(({ range }) => range), early };
 }
 
-/**
- * Frames without anything new after which a picture counts as complete; software graphics draw only few frames a
- * second.
- */
+/** Frames and time (ms) without anything new after which a picture counts as complete, whatever the graphics' speed. */
 const QUIET_FRAMES = 12;
+const QUIET_MS = 2000;
 
 /** Waits until nothing new arrives. */
 export const settled = (page) =>
-  page.evaluate(async (quiet) => {
-    let [last, since] = ["", 0];
-    while (since < quiet) {
-      await new Promise(requestAnimationFrame);
-      const { drawn, pages, bytesLoaded, colours } = window.slicewalk.state();
-      const now = JSON.stringify([drawn, pages, bytesLoaded, colours]);
-      [last, since] = [now, now === last ? since + 1 : 0];
-    }
-  }, QUIET_FRAMES);
+  page.evaluate(
+    async ([quiet, quietMs]) => {
+      let [last, frames, since] = ["", 0, 0];
+      while (frames < quiet || performance.now() - since < quietMs) {
+        await new Promise(requestAnimationFrame);
+        const { drawn, pages, bytesLoaded, colours } = window.slicewalk.state();
+        const now = JSON.stringify([drawn, pages, bytesLoaded, colours]);
+        [frames, since] = now === last ? [frames + 1, since] : [0, performance.now()];
+        last = now;
+      }
+    },
+    [QUIET_FRAMES, QUIET_MS],
+  );
