@@ -16,8 +16,8 @@ const SWAY_PER_S = 0.35;
 const ENOUGH = 0.31;
 const LESS = 0.28;
 const MORE = 0.36;
-const NEARER = 0.85;
-const NEAREST = 0.45;
+const NEARER = 0.7;
+const NEAREST = 0.35;
 /** Pictures without news after which the picture counts as complete. */
 const QUIET = 3;
 /** Longest wait for any place to begin (ms). */
