@@ -2,7 +2,7 @@
 // `node views.js FOLDER ARCHIVE...`. A line for each archive; exit code 1 if one fills less than the page promises.
 
 import { basename, join } from "node:path";
-import { launch, until, walkIn } from "./browser.js";
+import { launch, state, until, walkIn } from "./browser.js";
 import { DIST } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { FRAMED, settled, WALKING } from "./steer.js";
@@ -23,7 +23,7 @@ const covers = (least) => (now) => now.covered >= least;
 async function share(page, least) {
   await settled(page);
   await until(page, "enough", covers(least), { timeout: 10_000 }).catch(() => {});
-  return (await page.evaluate(() => window.slicewalk.state())).covered;
+  return (await state(page)).covered;
 }
 
 async function views(n, name) {
@@ -36,7 +36,7 @@ async function views(n, name) {
     await until(page, "walking", ({ mode }) => mode === "walk");
     const walking = await share(page, WALKING);
     await page.screenshot({ path: join(folder, `${name}-walking.jpg`), ...JPEG });
-    const { ground } = await page.evaluate(() => window.slicewalk.state());
+    const { ground } = await state(page);
     return { framed, walking, ground };
   } finally {
     await page.end();

@@ -321,7 +321,7 @@ impl Scene {
         }
     }
 
-    /// Coarseness of a page so far away, with its fraction.
+    /// Coarseness of a page at a distance of `far` (m), with its fraction.
     fn level(&self, frame: &Frame, far: f64) -> f64 {
         let cell = (far + NEAR_M) * self.detail * self.coarser / frame.pixel_m();
         cell.max(1.0).log2().min(f64::from(COARSEST))

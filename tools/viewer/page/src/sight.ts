@@ -82,7 +82,7 @@ export class Sight {
     const { distance } = this.cameras.orbit;
     const { view, world } = this.session;
     const outside = mode !== "walk";
-    // A pawn sees fewer of the triangles around it than somebody outside.
+    // In a walk, most of the triangles lie behind the pawn.
     if (outside !== this.#outside) this.#triangles = FIRST_TRIANGLES;
     this.#outside = outside;
     // Measured from the camera, which is this far away.

@@ -10,8 +10,8 @@ import type { Stage } from "./mode";
 const SWAY_DEGREES = 12;
 const SWAY_PER_S = 0.35;
 /**
- * A scan that is open or thin is looked at from nearer than all of it needs, until it fills so much of the picture, and from
- * farther again while more of it comes.
+ * Share of the picture that the scan fills: the camera approaches below `LESS` and retreats above `MORE`, but no farther
+ * than all of the scan needs.
  */
 const ENOUGH = 0.31;
 const LESS = 0.28;

@@ -243,7 +243,7 @@ void main() {
 }`;
 
 /**
- * What shaders do beyond the least: colours of the scan, fine ones (blended, with some grain), solid cut open. Each is a
+ * Optional parts of the shaders: colours of the scan, fine ones (blended, with some grain), solid cut open. Each is a
  * shader of its own, because graphics by the processor compute all branches.
  */
 export interface Effort {
