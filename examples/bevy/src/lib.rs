@@ -13,7 +13,7 @@ use bevy_transform::components::Transform;
 use slicewalk::archive::Archive;
 use slicewalk::nalgebra::Point3;
 use slicewalk::store::{PawnHandle, Stream, StreamOptions};
-use slicewalk::walk::{Config, MoveInput, StepReport, Walker};
+use slicewalk::walk::{Config, MoveInput, Walker};
 
 /// The streamed scan that all pawns walk in.
 #[derive(Resource)]
@@ -41,6 +41,7 @@ pub struct Pawn {
     /// Where it is to go.
     pub wish: MoveInput,
     walker: Walker,
+    waits: bool,
     /// Keeps the pages around it loaded.
     handle: PawnHandle,
 }
@@ -51,7 +52,7 @@ impl Pawn {
         let walker = Walker::new(config, feet)?;
         let handle = scan.stream.pawn();
         scan.stream.load_around(&walker.motion_hint(scan.stream.archive().frame()))?;
-        Ok(Self { wish: MoveInput::Stay, walker, handle })
+        Ok(Self { wish: MoveInput::Stay, walker, waits: false, handle })
     }
 
     /// Returns the body as it moves.
@@ -59,13 +60,18 @@ impl Pawn {
         &self.walker
     }
 
-    fn step(&mut self, scan: &Scan, seconds: f64) -> StepReport {
+    /// Returns whether the last step was held up by pages that are still being read.
+    pub fn waits(&self) -> bool {
+        self.waits
+    }
+
+    fn step(&mut self, scan: &Scan, seconds: f64) {
         self.handle.hint(&self.walker.motion_hint(scan.stream.archive().frame()));
         let report = self.walker.step(&scan.stream.snapshot(), seconds, self.wish);
+        self.waits = report.missing.is_some();
         if let Some(missing) = &report.missing {
             self.handle.need(missing);
         }
-        report
     }
 }
 
