@@ -37,6 +37,8 @@ pub struct Planner {
     ends: [Point3<f64>; 2],
     standing: StandingPlaces,
     spots: [Option<PlaceId>; 2],
+    /// Distance within which the ends are moved to places where the pawn can stand (m).
+    snap: f64,
     flood: Option<Flood>,
     /// The region reached, kept while its route needs more pages.
     region: Option<Region>,
@@ -57,6 +59,7 @@ impl Planner {
             ends: [from, to],
             standing,
             spots: [None; 2],
+            snap: 0.0,
             flood: None,
             region: None,
             search: Search::new(),
@@ -70,6 +73,13 @@ impl Planner {
     #[must_use]
     pub fn within_seen(self, seen: Option<Arc<SeenSpace>>) -> Self {
         Self { standing: self.standing.within_seen(seen), ..self }
+    }
+
+    /// Moves an end where the pawn cannot stand to the nearest standing place within `metres`; see
+    /// [`StandingPlaces::snapped`].
+    #[must_use]
+    pub fn snapping(self, metres: f64) -> Self {
+        Self { snap: metres, ..self }
     }
 
     /// Restricts the search to where routes of up to `length` (m) may lead. [`Refusal::NotConnected`] then means that
@@ -89,8 +99,8 @@ impl Planner {
     pub fn advance(&mut self, set: &Snapshot, steps: usize, monitor: &dyn Monitor) -> Result<Planned> {
         for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
             if self.spots[end].is_none() {
-                match self.standing.spot(set, self.ends[end])? {
-                    Answer::Known(Some(spot)) => self.spots[end] = Some(spot),
+                match self.standing.snapped(set, self.ends[end], self.snap)? {
+                    Answer::Known(Some(snapped)) => self.spots[end] = Some(snapped.spot),
                     Answer::Known(None) => return Ok(Planned::Done(Err(refusal))),
                     Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
                 }

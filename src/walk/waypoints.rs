@@ -1,6 +1,6 @@
 //! Waypoints: places to reach in order.
 
-use super::MoveInput;
+use super::{MoveInput, Walker};
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3};
 
@@ -40,6 +40,11 @@ impl Waypoints {
     /// Returns whether the last place has been reached.
     pub fn done(&self) -> bool {
         self.next == self.places.len()
+    }
+
+    /// Returns the place that `walker` heads for in its next tick; `None` at the end. [`Walker::follow`] asks by itself.
+    pub fn next_place(&mut self, walker: &Walker) -> Option<Point2<f64>> {
+        self.wish(walker.feet(), walker.stalled).map(|_| self.places[self.next])
     }
 
     /// Returns the move input for a pawn at `feet` that did not move in its last tick if `stalled`; `None` at the end.

@@ -190,6 +190,31 @@ describe("places", () => {
     assert.equal(there.ground, "walking");
   });
 
+  it("walks through the door to where the straight way is blocked", async () => {
+    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await drawn();
+    // The plan has north above; where it is clicked twice, the pawn is at once.
+    const click = async (right, up) => {
+      const before = (await state(page)).at;
+      await page.mouse.dblclick(middle.x + right, middle.y - up);
+      const at = ({ at }) => Math.hypot(at[0] - before[0], at[1] - before[1]) > 0.2;
+      await until(page, "elsewhere", at);
+      await page.waitForTimeout(500);
+      return (await state(page)).at;
+    };
+    const [origin, off] = [await click(10, 10), await click(-40, -40)];
+    const scale = (origin[0] - off[0]) / 50;
+    await page.evaluate((at) => window.slicewalk.goto({ at }), WAY.start);
+    await until(page, "back", ({ at, missing }) => Math.abs(at[1] - WAY.start[1]) < 0.01 && missing === 0);
+    const [x, y] = [6.4, 2.5];
+    // The pawn is in the middle again.
+    await page.mouse.click(middle.x + (x - WAY.start[0]) / scale, middle.y - (y - WAY.start[1]) / scale);
+    const through = await until(page, "in the door", ({ at }) => at[0] > 4.8 && at[0] < 5, { timeout: 60_000 });
+    assert.ok(Math.abs(through.at[1] - 5) < 0.3, `through the door at y = 5: ${through.at}`);
+    const end = await until(page, "arrived", ({ at, speed }) => at[0] > 5.5 && speed === 0, { timeout: 60_000 });
+    assert.ok(Math.hypot(end.at[0] - x, end.at[1] - y) < 0.4, `${end.at}`);
+  });
+
   it("captures the mouse by a click in the walk view, without a step", async () => {
     const { at } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     await page.mouse.click(middle.x, middle.y);

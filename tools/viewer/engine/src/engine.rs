@@ -6,11 +6,12 @@ use crate::facts;
 use crate::fault::{self, invalid};
 use crate::geometry::Geometry;
 use crate::map::{columns, map};
-use crate::messages::{ActionCode, ActionMessage, PageMessage, PaintMessage, StatsMessage};
+use crate::messages::{ActionCode, ActionMessage, PageMessage, PaintMessage, RouteCode, StatsMessage};
 use crate::named::{Moving, Named};
 use crate::outline::{self, Outline};
 use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
+use crate::routes::{Routed, Routing};
 use crate::scene::{HORIZON_S, Part, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
@@ -43,6 +44,7 @@ pub struct Engine {
     requests: Named<RequestId>,
     lacks: Lacks,
     pawns: Named<Moving<Pawn>>,
+    routes: Named<Routing>,
     scenes: Named<Moving<Scenes>>,
     outline: Distant,
     outline_budget: usize,
@@ -88,6 +90,7 @@ impl Engine {
             requests: Named::NONE,
             lacks: Lacks::default(),
             pawns: Named::NONE,
+            routes: Named::NONE,
             scenes: Named::NONE,
             outline: if outline_budget > 0.0 { Distant::Later } else { Distant::Never },
             outline_budget: outline_budget as usize,
@@ -446,6 +449,35 @@ impl Engine {
         self.pawn_state(pawn)
     }
 
+    /// Begins the route of a pawn to a place (m); returns its name. [`advance_route`](Self::advance_route) finds it.
+    pub fn route(&mut self, pawn: u32, to: &[f64]) -> Result<u32, String> {
+        let routing = self.moving(pawn)?.thing.routing(pawn, point(to)?)?;
+        let name = self.name();
+        self.routes.insert(name, routing);
+        Ok(name)
+    }
+
+    /// Searches a route for some milliseconds. Returns the number of a [`RouteCode`]; after `NotLoaded`, the name of a
+    /// request; after `Found`, the places, three numbers each, which the pawn follows from now on.
+    pub fn advance_route(&mut self, route: u32) -> Result<Vec<f64>, String> {
+        let view = self.snapshot()?;
+        let Some(routing) = self.routes.get_mut(route) else { return Err(invalid("no such route")) };
+        let pawn = routing.pawn;
+        Ok(match routing.advance(&view)? {
+            Routed::Unfinished => vec![RouteCode::Unfinished.into()],
+            Routed::Refused(code) => vec![code.into()],
+            Routed::NotLoaded(missing) => {
+                let request = self.request(missing.keys());
+                vec![RouteCode::NotLoaded.into(), f64::from(request)]
+            }
+            Routed::Found(points) => {
+                self.moving(pawn)?.thing.set_route(&points);
+                let places = points.iter().flat_map(|point| [point.x, point.y, point.z]);
+                std::iter::once(RouteCode::Found.into()).chain(places).collect()
+            }
+        })
+    }
+
     /// Changes the settings of a pawn.
     pub fn set_pawn(&mut self, pawn: u32, settings: &[f64]) -> Result<Vec<f64>, String> {
         let (view, settings) = (self.snapshot()?, Settings::from_numbers(settings)?);
@@ -469,8 +501,9 @@ impl Engine {
         Ok(self.moving(pawn)?.thing.recording().1.to_vec())
     }
 
-    /// Removes a pawn or a scene.
+    /// Removes a pawn, a route that is being planned, or a scene.
     pub fn forget(&mut self, name: u32) {
+        self.routes.remove(name);
         let bodies = [self.pawns.remove(name).map(|pawn| pawn.body), self.scenes.remove(name).map(|scene| scene.body)];
         bodies.into_iter().flatten().for_each(|body| self.loader.forget(body));
     }

@@ -18,6 +18,7 @@ mod named;
 mod outline;
 mod paint;
 mod pawn;
+mod routes;
 mod scene;
 
 pub use engine::Engine;

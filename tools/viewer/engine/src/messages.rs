@@ -98,7 +98,7 @@ messages! {
         pace,
         /// Up or down while flying, -1 to 1.
         lift,
-        /// 1 jump, 2 crouch, 4 fly, 8 walk to the place.
+        /// 1 jump, 2 crouch, 4 fly, 8 walk to the place, 32 along the route.
         flags,
     }
     /// State of a pawn (m, m/s).
@@ -127,6 +127,8 @@ messages! {
         ticks,
         /// Steps answered.
         steps,
+        /// Places of its route that lie ahead.
+        ahead,
     }
     /// Memory and work of the engine.
     StatsMessage {
@@ -238,6 +240,23 @@ codes! {
         Ledge,
         /// Nothing was scanned below.
         Void,
+    }
+    /// State of a route.
+    RouteCode {
+        /// It was found.
+        Found,
+        /// It is not found yet.
+        Unfinished,
+        /// It needs pages, which are requested.
+        NotLoaded,
+        /// The pawn cannot stand at the start.
+        NotStandingFrom,
+        /// The pawn cannot stand at the end.
+        NotStandingTo,
+        /// No route connects the two.
+        NotConnected,
+        /// The search was given up.
+        TooFar,
     }
     /// Actions of the worker.
     ActionCode {

@@ -5,11 +5,12 @@
 
 use crate::fault::{self, invalid};
 use crate::messages::{GroundCode, InputMessage, SettingsMessage, StateMessage, StopCode};
+use crate::routes::Routing;
 use slicewalk::frame::Frame;
 use slicewalk::nalgebra::{Point2, Point3, Vector2, Vector3};
 use slicewalk::query::Answer;
 use slicewalk::store::{Missing, MotionHint, Snapshot};
-use slicewalk::walk::{Body, Config, Ground, MoveInput, State, Stop, Walker};
+use slicewalk::walk::{Body, Config, Ground, MoveInput, State, Stop, Walker, Waypoints};
 
 /// Length of a tick (s).
 pub const TICK_S: f64 = 1.0 / 240.0;
@@ -22,6 +23,7 @@ const CROUCH: u32 = 2;
 const FLY: u32 = 4;
 const TOWARD: u32 = 8;
 const PLACE: u32 = 16;
+const FOLLOW: u32 = 32;
 
 /// Settings that can change while a pawn walks.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,6 +64,12 @@ impl Settings {
         Ok(settings)
     }
 
+    /// Returns the configuration of an upright pawn that walks over no drop from which it could not return.
+    pub fn careful(&self) -> Config {
+        let config = self.config(1.0, false);
+        Config { max_drop: config.max_drop.or(Some(config.climb)), ..config }
+    }
+
     fn config(&self, pace: f64, crouched: bool) -> Config {
         Config {
             speed: self.speed * pace,
@@ -93,6 +101,8 @@ pub struct Input {
     pub lift: f64,
     /// Walks to the place `wish`.
     pub toward: bool,
+    /// Walks along the pawn's route.
+    pub follow: bool,
     /// Jumps if the pawn stands.
     pub jump: bool,
     /// Crouches.
@@ -111,8 +121,8 @@ impl Input {
             return Err(invalid(format_args!("no pawn can go ({x}, {y}) at pace {pace}, lift {lift}")));
         }
         let has = |flag: u32| flags as u32 & flag != 0;
-        let (jump, crouch, fly, toward) = (has(JUMP), has(CROUCH), has(FLY), has(TOWARD));
-        Ok(Self { wish: Vector2::new(x, y), pace, lift: lift.clamp(-1.0, 1.0), toward, jump, crouch, fly })
+        let (jump, crouch, fly, toward, follow) = (has(JUMP), has(CROUCH), has(FLY), has(TOWARD), has(FOLLOW));
+        Ok(Self { wish: Vector2::new(x, y), pace, lift: lift.clamp(-1.0, 1.0), toward, follow, jump, crouch, fly })
     }
 
     fn flags(&self) -> u32 {
@@ -143,6 +153,8 @@ pub struct Pawn {
     steps: u64,
     stop: Option<Stop>,
     missing: Option<Missing>,
+    /// The route that it follows.
+    route: Option<Waypoints>,
     /// Horizontal and upward speed over the last step (m/s).
     speed: [f64; 2],
     recording: Option<Recording>,
@@ -171,6 +183,7 @@ impl Pawn {
             steps: 0,
             stop: None,
             missing: None,
+            route: None,
             speed: [0.0; 2],
             recording: None,
         })
@@ -222,7 +235,7 @@ impl Pawn {
         }
         self.walker.place(at);
         (self.rest_s, self.jumps, self.stop, self.missing, self.speed) = (0.0, false, None, None, [0.0; 2]);
-        (self.ticks_here, self.goes_on) = (0, false);
+        (self.ticks_here, self.goes_on, self.route) = (0, false, None);
         self.keep([0.0, at.x, at.y, 1.0, 0.0, f64::from(PLACE), at.z, 0.0]);
         Ok(())
     }
@@ -241,10 +254,50 @@ impl Pawn {
         let mut input = Input { jump: std::mem::take(&mut self.jumps), ..*input };
         input.crouch = input.crouch || self.crouched && !self.may_stand_up(set);
         let before = self.walker.feet();
-        let passed = self.advance(set, ticks, &input);
+        let route = if input.follow && !input.fly { self.route.take() } else { None };
+        match route {
+            Some(route) => self.follow(set, ticks, &input, route),
+            None => {
+                let passed = self.advance(set, ticks, &input);
+                self.keep(input.row(passed));
+            }
+        }
         let moved = (self.walker.feet() - before) / (f64::from(ticks) * TICK_S);
         self.speed = [moved.xy().norm(), moved.z];
-        self.keep(input.row(passed));
+    }
+
+    /// Begins the route of a pawn as it stands; see [`set_route`](Self::set_route).
+    pub fn routing(&self, name: u32, to: Point3<f64>) -> Result<Routing, String> {
+        Routing::new(name, self.walker.feet(), self.settings, to)
+    }
+
+    /// Sets the places that the pawn walks to in order while its input says so.
+    pub fn set_route(&mut self, points: &[Point3<f64>]) {
+        self.route = Waypoints::new(points.iter().map(|point| point.xy()).collect()).ok();
+    }
+
+    /// Walks along `route`. The recording has a row for each place on the way.
+    fn follow(&mut self, set: &Snapshot, ticks: u32, input: &Input, mut route: Waypoints) {
+        let mut row: Option<Input> = None;
+        let mut passed = 0;
+        for tick in 0..ticks {
+            let jump = input.jump && tick == 0;
+            let next = route.next_place(&self.walker);
+            let toward =
+                Input { wish: next.map_or(Vector2::zeros(), |next| next.coords), jump, follow: false, ..*input };
+            let toward = Input { toward: next.is_some(), ..toward };
+            if row.is_some_and(|row| row != Input { jump: row.jump, ..toward }) {
+                row.take().into_iter().for_each(|row| self.keep(row.row(passed)));
+                passed = 0;
+            }
+            row.get_or_insert(toward);
+            if self.advance(set, 1, &toward) == 0 {
+                break;
+            }
+            passed += 1;
+        }
+        row.into_iter().for_each(|row| self.keep(row.row(passed)));
+        self.route = Some(route);
     }
 
     fn may_stand_up(&self, set: &Snapshot) -> bool {
@@ -362,6 +415,7 @@ impl Pawn {
             missing: self.missing.map_or(0, |missing| missing.count()) as f64,
             ticks: self.ticks as f64,
             steps: self.steps as f64,
+            ahead: self.route.as_ref().map_or(0, |route| route.places().len() - route.next()) as f64,
         }
     }
 }

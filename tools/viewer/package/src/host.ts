@@ -5,8 +5,18 @@
 
 import { aborted, asError, asFault } from "./fault.js";
 import { browser, HttpSource, type Outside } from "./http.js";
-import { ACTION_CODE, ACTION_LENGTH, INPUT_LENGTH, readAction, readPaint, readPage, readState, readStats } from "./messages.js";
-import type { Call, FromWorker, Note, Open, Step, ToWorker } from "./protocol.js";
+import {
+  ACTION_CODE,
+  ACTION_LENGTH,
+  INPUT_LENGTH,
+  readAction,
+  readPaint,
+  readPage,
+  readState,
+  readStats,
+  ROUTE_CODE,
+} from "./messages.js";
+import type { Call, FromWorker, Note, Open, Routed, Step, ToWorker } from "./protocol.js";
 import { BlobSource, TailFirst } from "./source.js";
 import { NOT_LOADED, SlicewalkError, type Stats } from "./types.js";
 import type { Engine } from "./wasm/engine.js";
@@ -176,6 +186,8 @@ export class Host {
         return this.woken(plain(engine.pawn(call.settings, call.at)));
       case "place":
         return this.woken(plain(readState(engine.place(call.walker, call.at))));
+      case "route":
+        return plain(await this.route(call.walker, call.to, signal));
       case "settings":
         return this.woken(plain(readState(engine.set_pawn(call.walker, call.settings))));
       case "record":
@@ -232,6 +244,32 @@ export class Host {
       this.pump();
     });
     return this.engine.info();
+  }
+
+  // Routes -------------------------------------------------------------------------------------------------------------------
+
+  private async route(walker: number, to: Float64Array, signal: AbortSignal): Promise<Routed> {
+    const route = this.ready().route(walker, to);
+    try {
+      for (;;) {
+        const [code = 0, ...rest] = this.ready().advance_route(route);
+        const [request = 0] = rest;
+        if (ROUTE_CODE[code] === "not-loaded") {
+          if ((await this.outcome(request, signal)) > 0) {
+            throw new SlicewalkError("out-of-memory", "the budget has no room for the pages of a route; give it more");
+          }
+        } else if (ROUTE_CODE[code] === "unfinished") {
+          await this.pause();
+        } else {
+          return { code, points: Float64Array.from(rest) };
+        }
+        if (signal.aborted) {
+          throw aborted();
+        }
+      }
+    } finally {
+      this.engine?.forget(route);
+    }
   }
 
   // Batches ------------------------------------------------------------------------------------------------------------------

@@ -6,6 +6,9 @@ export const GROUND_CODE = ["walking", "falling", "blocked", "flying"] as const;
 /** What blocked a pawn. */
 export const STOP_CODE = ["none", "wall", "steep", "headroom", "corner", "inside", "ledge", "void"] as const;
 
+/** State of a route. */
+export const ROUTE_CODE = ["found", "unfinished", "not-loaded", "not-standing-from", "not-standing-to", "not-connected", "too-far"] as const;
+
 /** Actions of the worker. */
 export const ACTION_CODE = ["wait", "fetch", "cancel", "fetch-colours"] as const;
 
@@ -76,7 +79,7 @@ export interface InputMessage {
   readonly pace: number;
   /** Up or down while flying, -1 to 1. */
   readonly lift: number;
-  /** 1 jump, 2 crouch, 4 fly, 8 walk to the place. */
+  /** 1 jump, 2 crouch, 4 fly, 8 walk to the place, 32 along the route. */
   readonly flags: number;
 }
 
@@ -129,6 +132,8 @@ export interface StateMessage {
   readonly ticks: number;
   /** Steps answered. */
   readonly steps: number;
+  /** Places of its route that lie ahead. */
+  readonly ahead: number;
 }
 
 export function readState(numbers: ArrayLike<number>, at = 0): StateMessage {
@@ -145,6 +150,7 @@ export function readState(numbers: ArrayLike<number>, at = 0): StateMessage {
     missing: numbers[at + 9] ?? 0,
     ticks: numbers[at + 10] ?? 0,
     steps: numbers[at + 11] ?? 0,
+    ahead: numbers[at + 12] ?? 0,
   };
 }
 
@@ -162,11 +168,12 @@ export function writeState(message: StateMessage): number[] {
     message.missing,
     message.ticks,
     message.steps,
+    message.ahead,
   ];
 }
 
 /** Numbers of a `StateMessage`. */
-export const STATE_LENGTH = 12;
+export const STATE_LENGTH = 13;
 
 /** Memory and work of the engine. */
 export interface StatsMessage {

@@ -28,6 +28,7 @@ export type Call =
   | { readonly call: "map"; readonly area: Float64Array; readonly cells: number }
   | { readonly call: "walker"; readonly settings: Float64Array; readonly at: Float64Array }
   | { readonly call: "place"; readonly walker: number; readonly at: Float64Array }
+  | { readonly call: "route"; readonly walker: number; readonly to: Float64Array }
   | { readonly call: "settings"; readonly walker: number; readonly settings: Float64Array }
   | { readonly call: "record"; readonly walker: number }
   | { readonly call: "recording"; readonly walker: number }
@@ -77,6 +78,12 @@ export type FromWorker =
   | { readonly event: "failed"; readonly fault: Fault }
   | PageEvent
   | { readonly event: "drop"; readonly view: number; readonly ids: Uint32Array };
+
+/** A route, or why there is none: a code of `ROUTE_CODE`, and three numbers for each place. */
+export interface Routed {
+  readonly code: number;
+  readonly points: Float64Array;
+}
 
 /** Contents of a recording. */
 export interface Recorded {

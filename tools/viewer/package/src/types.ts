@@ -278,6 +278,8 @@ export interface WalkerInput {
   wish?: readonly [number, number];
   /** Walks straight to this place instead, and stops there. */
   toward?: readonly [number, number];
+  /** Walks along the route found last instead, and stops at its end. */
+  follow?: boolean;
   /** Factor of the walking speed (running: 2); 1 by default, at most 100. */
   pace?: number;
   /** Jumps if the pawn stands. */
@@ -314,7 +316,20 @@ export interface WalkerState {
   readonly ticks: number;
   /** Steps answered so far. */
   readonly steps: number;
+  /** Places of the route that lie ahead; 0 without one, and at its end. */
+  readonly ahead: number;
 }
+
+/** A way on foot, which a walker has followed already. */
+export interface Route {
+  /** Places to go to in order, straight from one to the next. */
+  readonly points: readonly Vec3[];
+  /** Length of the lines between them, heights included (m). */
+  readonly length: number;
+}
+
+/** Why there is no route: `too-far` means that the search was given up. */
+export type RouteRefusal = "not-standing-from" | "not-standing-to" | "not-connected" | "too-far";
 
 /** Recording of a walker, for a native replay with `replay ARCHIVE RECORDING.json` of the engine crate. */
 export interface WalkerRecording {
@@ -322,7 +337,7 @@ export interface WalkerRecording {
   readonly options: Required<WalkerSettings> & { at: Vec3 };
   /**
    * Eight numbers per step: ticks that passed, wish x, wish y (of `toward`: the place), pace, lift, flags, and two
-   * reserved. Flags: 1 jump, 2 crouch, 4 fly, 8 toward.
+   * reserved. Flags: 1 jump, 2 crouch, 4 fly, 8 toward. Following a route adds a row for each place on the way.
    */
   readonly steps: readonly number[];
   /** Three numbers per step: the feet after it. */
@@ -343,6 +358,12 @@ export interface Walker {
   /** Moves the pawn elsewhere, at rest. */
   place(at: Vec3): Promise<WalkerState>;
   set(settings: WalkerSettings): Promise<WalkerState>;
+  /**
+   * Finds a way on foot to a place, without drops from which the pawn could not return, as `slicetool route` does:
+   * a start or an end where it cannot stand is moved by up to 0.5 m. Loads the pages that it needs, and lets steps
+   * through meanwhile. `step` with `follow` walks it; a pawn that has moved since begins from where it is.
+   */
+  route(to: Vec3, options?: { signal?: AbortSignal }): Promise<Route | RouteRefusal>;
   /** Begins a recording, here and at rest. */
   record(): Promise<void>;
   /** The recording so far. */

@@ -1,10 +1,12 @@
 /** Walkers as seen by the page. */
 
 import type { Link } from "./link.js";
-import { GROUND_CODE, readState, type StateMessage, STOP_CODE, writeInput, writeSettings } from "./messages.js";
-import type { Recorded } from "./protocol.js";
+import { GROUND_CODE, readState, ROUTE_CODE, type StateMessage, STOP_CODE, writeInput, writeSettings } from "./messages.js";
+import type { Recorded, Routed } from "./protocol.js";
 import {
   type Body,
+  type Route,
+  type RouteRefusal,
   SlicewalkError,
   type Vec3,
   type Walker,
@@ -48,9 +50,9 @@ function numbers(settings: Settings): Float64Array {
   );
 }
 
-function inputNumbers({ toward, wish, pace = 1, lift = 0, jump, crouch, fly }: WalkerInput): number[] {
+function inputNumbers({ toward, follow, wish, pace = 1, lift = 0, jump, crouch, fly }: WalkerInput): number[] {
   const [x, y] = toward ?? wish ?? [0, 0];
-  const flags = (jump ? 1 : 0) | (crouch ? 2 : 0) | (fly ? 4 : 0) | (toward ? 8 : 0);
+  const flags = (jump ? 1 : 0) | (crouch ? 2 : 0) | (fly ? 4 : 0) | (toward ? 8 : 0) | (follow ? 32 : 0);
   return writeInput({ x, y, pace, lift, flags });
 }
 
@@ -104,6 +106,22 @@ class WalkerHandle implements Walker {
     const told = await this.told({ call: "settings", walker: this.name, settings: numbers(complete(given)) });
     this.given = given;
     return told;
+  }
+
+  async route(to: Vec3, options: { signal?: AbortSignal } = {}): Promise<Route | RouteRefusal> {
+    this.check();
+    const call = { call: "route", walker: this.name, to: Float64Array.from(to) } as const;
+    const { code, points } = await this.link.call<Routed>(call, options.signal);
+    const outcome = ROUTE_CODE[code] ?? "not-connected";
+    if (outcome !== "found") {
+      return outcome as RouteRefusal;
+    }
+    const places = Array.from(
+      { length: points.length / 3 },
+      (_, n) => [...points.subarray(3 * n, 3 * n + 3)] as unknown as Vec3,
+    );
+    const legs = places.slice(1).map((place, n) => Math.hypot(...place.map((v, axis) => v - (places[n]?.[axis] ?? v))));
+    return { points: places, length: legs.reduce((sum, leg) => sum + leg, 0) };
   }
 
   async record(): Promise<void> {

@@ -120,6 +120,60 @@ test("a walker waits for its pages and then walks, jumps, crouches and flies", a
   archive.close();
 });
 
+test("a walker finds its way up the stairs, walks it, and says why there is none", async () => {
+  const archive = await open(new FileHost(scene), { budgetBytes: 16_000_000 });
+  const walker = await archive.walker({ at: [-6, 1.5, 0.2] });
+  await archive.load({ min: [-7, 1, -1], max: [-5, 2, 5] });
+  const go = (input) => walker.step(1 / 60, input);
+  for (let n = 0; n < 60; n++) await go({});
+  await walker.record();
+  const to = [4, 4, 3];
+  const route = await walker.route(to);
+  assert.ok(typeof route === "object" && route.points.length > 2, JSON.stringify(route));
+  const straight = Math.hypot(10, 2.5, 3);
+  assert.ok(route.length > straight && route.length < 2.5 * straight, `${route.length} m`);
+  const end = route.points.at(-1);
+  assert.ok(Math.hypot(...end.map((v, axis) => v - to[axis])) < 0.5, `${end}`);
+  let most = 0;
+  const follow = async () => {
+    for (let n = 0; n < 60 * 60; n++) {
+      const { ahead, ground } = await go({ follow: true, pace: 2 });
+      most = Math.max(most, ahead);
+      if (ahead === 0 && ground === "walking") return;
+    }
+  };
+  await follow();
+  const { at } = walker.state;
+  assert.ok(
+    most > 1 && Math.hypot(at[0] - end[0], at[1] - end[1]) < 1e-3 && Math.abs(at[2] - 3) < 0.02,
+    `${at}, beside ${end}`,
+  );
+  // Nothing is left to follow.
+  await go({ follow: true });
+  assert.deepEqual(walker.state.at, at);
+  // A row for each place on the way: one leg after the other.
+  const { steps } = await walker.recording();
+  const places = new Set();
+  for (let row = 0; row < steps.length; row += 8) if (steps[row + 5] & 8) places.add(`${steps[row + 1]} ${steps[row + 2]}`);
+  assert.ok(places.size >= route.points.length - 1, `${places.size} of ${route.points.length}`);
+  // Back over the edge of the gallery it does not go: down the stairs.
+  const back = await walker.route([4, -4, 0.1]);
+  assert.ok(typeof back === "object" && back.length > 10, JSON.stringify(back));
+  // What is straight ahead needs no plan; a place beside the wall is moved.
+  const near = await walker.route([at[0], at[1] + 0.1, at[2]]);
+  assert.equal(near.points.length, 2);
+  const beside = await walker.route([at[0], 8.7, 3]);
+  assert.ok(beside.points.at(-1)[1] < 8.6 && beside.points.at(-1)[1] > 8.2, JSON.stringify(beside.points.at(-1)));
+  assert.equal(await walker.route([40, 0, 0]), "not-standing-to");
+  const gate = new AbortController();
+  const late = walker.route([-6, -6, 0], { signal: gate.signal });
+  gate.abort();
+  await assert.rejects(late, refuses("aborted"));
+  await assert.rejects(walker.route([0, 0, Number.NaN]), refuses("invalid", /place/));
+  walker.close();
+  archive.close();
+});
+
 test("a view gets the pages around its camera, and forgets those it leaves behind", async () => {
   const archive = await open(new FileHost(scene));
   const pages = new Map();

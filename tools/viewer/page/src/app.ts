@@ -307,6 +307,7 @@ export class App implements Stage {
     this.canvas.sky.light(world.shading, mode === "plan");
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
+    pawn.onNoRoute = () => this.shell.messages.say(texts.news.noRoute);
     pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
     this.#minimap = new Minimap(
       archive,
@@ -593,7 +594,7 @@ export class App implements Stage {
     this.#seenTriangles = world.cull(this.canvas.camera, from);
     const metresHigh = this.cameras.orbit.distance;
     this.canvas.mark(outside && !this.#first.shown, world, pawn.state, pawn.look, this.settings.width, metresHigh);
-    this.#goal.show(world, pawn.at, pawn.target, outside ? metresHigh : 0);
+    this.#goal.show(world, pawn.way, outside ? metresHigh : 0);
     const { min, max } = session.content;
     this.canvas.sky.follow(
       this.canvas.camera,
@@ -640,7 +641,7 @@ export class App implements Stage {
         if (pawn === undefined) return;
         pawn.flying = false;
         pawn.onArrival = arrived;
-        pawn.walkTo(place);
+        void pawn.walkTo(place);
       },
       stop: () => page.session?.pawn.stop(),
     };

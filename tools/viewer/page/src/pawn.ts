@@ -18,13 +18,24 @@ const PATIENCE_S = 1;
 
 export type Arrival = "arrived" | "gave-up";
 
+/** A walk to a place: its route; `null` while it is searched, and straight on if there is none. */
+interface Walk {
+  readonly to: Vec3;
+  route: readonly Vec3[] | "straight" | null;
+  /** Steps answered before the route was there. */
+  since: number;
+  readonly search: AbortController;
+}
+
 export class Pawn {
   flying = false;
   /** Factor of the walking speed while flying. */
   flightPace = FLIGHT_PACE;
   readonly look: Look = { heading: 0, pitch: 0 };
   onArrival: (how: Arrival) => void = () => {};
-  #target: Vec3 | null = null;
+  /** Told when a walk has no route. */
+  onNoRoute: () => void = () => {};
+  #walk: Walk | null = null;
   #stuck = 0;
   #time = 0;
   #busy = false;
@@ -43,17 +54,34 @@ export class Pawn {
     return this.state.at;
   }
 
-  get target(): Vec3 | null {
-    return this.#target;
+  /** Places to which it goes, from where it is; those of its route that lie behind are left out. */
+  get way(): readonly Vec3[] {
+    const walk = this.#walk;
+    if (walk === null) return [];
+    if (walk.route === null || walk.route === "straight") return [this.at, walk.to];
+    const begun = this.state.steps > walk.since;
+    return [this.at, ...walk.route.slice(begun ? -Math.max(1, this.state.ahead) : 0)];
   }
 
-  walkTo(place: Vec3): void {
-    this.#target = place;
+  /** Walks along a route, in flight straight to the place; without a route as far as it gets. */
+  async walkTo(place: Vec3): Promise<void> {
+    this.stop();
+    const search = new AbortController();
+    const walk: Walk = { to: place, route: this.flying ? "straight" : null, since: 0, search };
+    this.#walk = walk;
     this.#stuck = 0;
+    if (walk.route !== null) return;
+    // A closed or failed archive is reported elsewhere.
+    const found = await this.walker.route(place, { signal: search.signal }).catch(() => null);
+    if (this.#walk !== walk || found === null) return;
+    walk.route = typeof found === "string" ? "straight" : found.points;
+    walk.since = this.state.steps;
+    if (typeof found === "string") this.onNoRoute();
   }
 
   stop(): void {
-    this.#target = null;
+    this.#walk?.search.abort();
+    this.#walk = null;
   }
 
   async place(at: Vec3): Promise<void> {
@@ -89,7 +117,9 @@ export class Pawn {
   }
 
   #input(intent: Intent, heading: number): WalkerInput {
-    if (this.#target !== null) return { toward: [this.#target[0], this.#target[1]] };
+    const walk = this.#walk;
+    if (walk?.route === "straight") return { toward: [walk.to[0], walk.to[1]], fly: this.flying };
+    if (walk !== null) return { follow: walk.route !== null };
     const { forward, right } = across(heading);
     const along = this.flying ? direction({ heading, pitch: this.look.pitch }) : [...forward, 0];
     const wish = [0, 1].map((axis) => intent.forward * (along[axis] ?? 0) + intent.right * (right[axis] ?? 0));
@@ -104,12 +134,15 @@ export class Pawn {
     };
   }
 
-  /** Ends a walk at its target, or when the pawn makes no progress. */
+  /** Ends a walk at its end, or when the pawn makes no progress. */
   #watch(seconds: number): void {
-    if (this.#target === null) return;
-    const { at, ground, missing } = this.state;
+    const walk = this.#walk;
+    if (walk === null || walk.route === null) return;
+    const { at, ground, missing, ahead, steps } = this.state;
+    if (steps <= walk.since) return;
     this.#stuck = ground === "blocked" && missing === 0 ? this.#stuck + seconds : 0;
-    const near = Math.hypot(at[0] - this.#target[0], at[1] - this.#target[1]) < ARRIVED_M;
+    const end = walk.route === "straight" ? walk.to : (walk.route.at(-1) ?? walk.to);
+    const near = Math.hypot(at[0] - end[0], at[1] - end[1]) < ARRIVED_M && (walk.route === "straight" || ahead <= 1);
     if (!near && this.#stuck < PATIENCE_S) return;
     this.stop();
     this.onArrival(near ? "arrived" : "gave-up");

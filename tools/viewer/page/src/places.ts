@@ -92,7 +92,7 @@ export class Places {
     if (atOnce) {
       await session.goto(place, settings).catch(() => {});
     } else {
-      session.pawn.walkTo(place);
+      void session.pawn.walkTo(place);
       shell.messages.say(texts.news.walkingThere);
     }
     return true;

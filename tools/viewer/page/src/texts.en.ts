@@ -208,6 +208,7 @@ export const texts = {
     flightSpeed: (speed: string) => `Flying at ${speed} m/s.`,
     fell: "You fell out of the scan; back to where you last stood.",
     walkingThere: "Walking there.",
+    noRoute: "No way there on foot was found; going straight on.",
     arrived: "Arrived.",
     gaveUp: "The way there is blocked.",
     nothingThere: "No floor to stand on there.",

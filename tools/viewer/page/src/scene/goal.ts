@@ -31,21 +31,25 @@ export class Goal {
 
   constructor() {
     this.#way.frustumCulled = false;
-    this.#way.geometry.setAttribute("position", new BufferAttribute(new Float32Array(6), 3));
     this.group.add(this.#ring, this.#way);
     this.group.visible = false;
   }
 
-  /** Shows where a pawn at `from` walks; null: nowhere. Seen from a distance, the ring is larger. */
-  show(world: World, from: Vec3, to: Vec3 | null, metresHigh: number): void {
-    this.group.visible = to !== null;
-    if (to === null) return;
-    const [a, b] = [world.local(from), world.local(to)];
-    this.#ring.position.set(b.x, b.y, b.z + ABOVE_M);
+  /** Shows the places to which a pawn walks, from where it is; none: it walks nowhere. Seen from a distance, the ring is larger. */
+  show(world: World, way: readonly Vec3[], metresHigh: number): void {
+    const places = way.map((place) => world.local(place));
+    const last = places.at(-1);
+    this.group.visible = last !== undefined;
+    if (last === undefined) return;
+    this.#ring.position.set(last.x, last.y, last.z + ABOVE_M);
     this.#ring.scale.setScalar(Math.max(1, metresHigh / 30));
-    const places = this.#way.geometry.getAttribute("position");
-    places.setXYZ(0, a.x, a.y, a.z + ABOVE_M);
-    places.setXYZ(1, b.x, b.y, b.z + ABOVE_M);
-    places.needsUpdate = true;
+    const { geometry } = this.#way;
+    if (geometry.getAttribute("position")?.count !== places.length) {
+      geometry.dispose();
+      geometry.setAttribute("position", new BufferAttribute(new Float32Array(3 * places.length), 3));
+    }
+    const points = geometry.getAttribute("position");
+    places.forEach((place, n) => points.setXYZ(n, place.x, place.y, place.z + ABOVE_M));
+    points.needsUpdate = true;
   }
 }
