@@ -7,7 +7,7 @@ import { DIST, scanned, twoStoreys } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address, settled } from "./steer.js";
 
-const SIZE = { width: 1160, height: 720 };
+const SIZE = { width: 1280, height: 720 };
 const JPEG = { type: "jpeg", quality: 80 };
 /** On the way to the stairs, looking along them. */
 const STAIRS = { at: [-10.2, -4.35, -1.2], look: [275, -8] };
@@ -28,6 +28,7 @@ const coloured = (notches) => async (page) => {
 const PICTURES = [
   { name: "viewer-walk.jpg", place: STAIRS },
   { name: "viewer-orbit.jpg", place: { ...STAIRS, view: "orbit" } },
+  { name: "viewer-plan.jpg", place: { ...STAIRS, view: "plan" } },
   { name: "viewer-slices.jpg", place: { ...STAIRS, view: "orbit" }, prepare: tool("Slices") },
   { name: "viewer-pump-room.jpg", place: { archive: "pump_room.slices", view: "orbit" }, prepare: coloured(0) },
   { name: "viewer-autzen.jpg", place: { archive: "autzen_stadium.slices", view: "orbit" }, prepare: coloured(0) },

@@ -50,6 +50,21 @@ async function drawn() {
   }
 }
 
+/** Waits until a plan is drawn: walls in ink, floor in white. */
+async function planned() {
+  const ink = async () => (await pixels(page)).filter((rgb) => Math.max(...rgb) < 40).length;
+  for (const end = Date.now() + 60_000; (await ink()) < 20; await page.waitForTimeout(200)) {
+    if (Date.now() > end) throw new Error("no plan is drawn");
+  }
+}
+
+/** The text of the file that is saved when `save` is clicked. */
+async function savedText(save) {
+  const [download] = await Promise.all([page.waitForEvent("download"), save.click()]);
+  const text = Buffer.concat(await (await download.createReadStream()).toArray()).toString("utf8");
+  return { name: download.suggestedFilename(), text };
+}
+
 /**
  * Fraction of the middle of the screen, without the background, that is distinctly blue or green: colours of the
  * formula, which the page itself never uses.
@@ -180,7 +195,7 @@ describe("places", () => {
 
   it("walks there by a click and is there at once by two", async () => {
     const { at: from } = await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
-    await drawn();
+    await planned();
     await page.mouse.dblclick(middle.x, middle.y - 40);
     const near = await until(page, "elsewhere", ({ at }) => Math.hypot(at[0] - from[0], at[1] - from[1]) > 0.4);
     assert.ok(Math.abs(near.at[2]) < 0.05, `on the floor below the cut: z = ${near.at[2]}`);
@@ -192,7 +207,7 @@ describe("places", () => {
 
   it("walks through the door to where the straight way is blocked", async () => {
     await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
-    await drawn();
+    await planned();
     // The plan has north above; where it is clicked twice, the pawn is at once.
     const click = async (right, up) => {
       const before = (await state(page)).at;
@@ -256,8 +271,9 @@ describe("places", () => {
 describe("tools", () => {
   it("shows one slice and marks the pawn's", async () => {
     await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
-    await drawn();
+    await planned();
     await tool("Slices").click();
+    await drawn();
     const slider = page.getByRole("slider", { name: "Slice" });
     await page.getByText(/The pawn stands in slice \d+/).waitFor();
     const many = await colours();
@@ -316,6 +332,91 @@ describe("tools", () => {
     }
     const [height, across] = [await value("height"), await value("across")];
     assert.ok(Math.abs(height) < 0.02 && across > 0.3 && across < 2, `${across} m across, ${height} m up`);
+  });
+
+  it("saves a plan true to scale: walls where they stand, doors between them", async () => {
+    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await planned();
+    const { name, text } = await savedText(page.getByRole("button", { name: "Save as SVG" }));
+    assert.equal(name, "house-plan.svg");
+    const attribute = (tag, key) => new RegExp(`<${tag}[^>]* ${key}="([^"]*)"`).exec(text)?.[1];
+    assert.match(attribute("svg", "width"), /^[\d.]+mm$/);
+    assert.match(text, /cut at z = 1.2\d m · 1 : 50\n/, "as large as A3 takes 14 × 10 m");
+    assert.equal((text.match(/>14</g) ?? []).length, 1, "the grid says where x = 14 is");
+    // The line x = 14 and its neighbour, a metre apart, tell where places are on paper.
+    const lines = [...text.matchAll(/<path d="M([\d.]+) 15V([\d.]+)"\/>/g)].map(([, x, y]) => [Number(x), Number(y)]);
+    const metre = lines[1][0] - lines[0][0];
+    assert.ok(Math.abs(metre - 20) < 0.02, `${metre} mm a metre at 1 : 50`);
+    const labels = [...text.matchAll(/<text x="([\d.]+)" y="[\d.]+">(-?\d+)</g)];
+    const zero = Number(labels.find(([, , at]) => at === "0")[1]);
+    const rows = [...text.matchAll(/translate\([\d.]+ ([\d.]+)\)rotate\(-90\)">(-?\d+)</g)];
+    const ground = Number(rows.find(([, , at]) => at === "0")[1]);
+    const outlines = [...attribute('path class="cut"', "d").matchAll(/M([^Z]*)Z/g)].map(([, corners]) =>
+      corners.split("L").map((corner) => corner.split(" ").map(Number)),
+    );
+    // Even-odd: outlines that a ray to the right crosses.
+    const isCut = ([x, y]) => {
+      const [px, py] = [zero + x * metre, ground - y * metre];
+      let crossed = 0;
+      for (const corners of outlines) {
+        corners.forEach(([ax, ay], n) => {
+          const [bx, by] = corners[(n + 1) % corners.length];
+          if (ay > py !== by > py && px < ax + ((py - ay) / (by - ay)) * (bx - ax)) crossed++;
+        });
+      }
+      return crossed % 2 === 1;
+    };
+    // The wall between the rooms stands at x = 4.8 to 5, its door at y = 4.5 to 5.5.
+    const wall = Array.from({ length: 60 }, (_, n) => 1.03 + n * 0.05);
+    const faces = wall.filter((y) => isCut([4.825, y]) || isCut([4.775, y])).length;
+    assert.ok(faces > 50, `${faces} of 60 places of the wall`);
+    assert.ok(![4.65, 4.85, 5, 5.2, 5.35].some((y) => isCut([4.9, y]) || isCut([4.825, y])), "the door is open");
+    assert.ok(![2, 2.5, 3].some((x) => isCut([x, 6.5])), "the room is empty");
+  });
+
+  it("lists what was measured and saves it as a table", async () => {
+    await walkIn(page, address(server, { at: [8, 5, 0], look: [90, -40] }));
+    await tool("Measure").click();
+    const entries = page.locator(".measures li");
+    for (let clicks = 0; (await entries.count()) < 2; clicks++) {
+      assert.ok(clicks < 60, "two distances are measured");
+      await page.mouse.click(middle.x + (clicks % 3) * 20, middle.y + (clicks % 2) * 120);
+      await page.waitForTimeout(500);
+    }
+    const { name, text } = await savedText(page.getByRole("button", { name: "Save as CSV" }));
+    assert.equal(name, "measures.csv");
+    const [head, ...rows] = text.trimEnd().split("\r\n");
+    assert.equal(head, "x0,y0,z0,x1,y1,z1,distance,distance_error,across,across_error,height,height_error");
+    assert.equal(rows.length, 2);
+    for (const row of rows) {
+      const [x0, y0, z0, x1, y1, z1, distance, , across, , height] = row.split(",").map(Number);
+      assert.ok(Math.abs(Math.hypot(x1 - x0, y1 - y0, z1 - z0) - distance) < 1e-3, row);
+      assert.ok(Math.abs(Math.hypot(x1 - x0, y1 - y0) - across) < 1e-3 && Math.abs(z1 - z0 - height) < 1e-3, row);
+    }
+    await page.getByRole("button", { name: "Remove measure 1" }).click();
+    assert.equal(await entries.count(), 1);
+  });
+
+  it("shows only what is inside the section box, and picks nothing outside", async () => {
+    await walkIn(page, address(server, { at: WAY.start, view: "orbit" }));
+    await drawn();
+    const covered = async () => {
+      await page.waitForTimeout(2500);
+      return (await state(page)).covered;
+    };
+    await tool("Section").click();
+    // A box around everything: roofs are not cut off any more.
+    await page.getByRole("slider", { name: "East" }).fill("499");
+    const whole = await covered();
+    await page.getByRole("slider", { name: "East" }).fill("150");
+    assert.ok(await page.getByLabel("Show only what is inside the box").isChecked());
+    const part = await covered();
+    assert.ok(part > 0 && part < 0.7 * whole, `${part} of ${whole}`);
+    // Sides do not cross.
+    await page.getByRole("slider", { name: "West" }).fill("400");
+    assert.equal(await page.getByRole("slider", { name: "West" }).inputValue(), "149");
+    await page.getByRole("button", { name: "All of the scan" }).click();
+    assert.equal(await page.getByLabel("Show only what is inside the box").isChecked(), false);
   });
 
   it("opens a file of this computer, dropped or chosen, without the network", async () => {

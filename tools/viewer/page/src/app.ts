@@ -4,7 +4,7 @@
 import { SlicewalkError, type Stats, type Vec3 } from "slicewalk";
 import { formatAddress, type Mode, type Place } from "./address";
 import { Canvas } from "./canvas";
-import { clamp, distance, wrap, type Look, type Ray } from "./geometry";
+import { clamp, distance, metres, wrap, type Look, type Ray } from "./geometry";
 import { readGamepad } from "./input/gamepad";
 import { joined, moves } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
@@ -22,13 +22,16 @@ import { ALIGNED } from "./scene/alignment";
 import { Cameras } from "./scene/cameras";
 import { Cover } from "./scene/cover";
 import { Goal } from "./scene/goal";
+import type { World } from "./scene/world";
 import { hasHeadset } from "./scene/headset";
 import { Shading } from "./scene/material";
 import { Conversions, type Opener } from "./conversions";
 import type { Driven, Kiosk } from "./kiosk";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, QUALITIES, saveSettings, THEMES, walkerSettings, type Settings } from "./settings";
-import { copyLink, savePicture } from "./share";
+import { CUT_ABOVE_M } from "./plan/drawing";
+import { Sheet } from "./plan/sheet";
+import { copyLink, savePicture, savePlan } from "./share";
 import { Sight } from "./sight";
 import type { Table } from "./table";
 import { texts } from "./texts.en";
@@ -75,6 +78,7 @@ export class App implements Stage {
   readonly #shading = new Shading(new Cover(1, 1));
   readonly #light = matchMedia("(prefers-color-scheme: light)");
   #minimap: Minimap | null = null;
+  #sheet: Sheet | null = null;
   #opening: AbortController | null = null;
   #last: Source | null = null;
   #mode: Mode = "walk";
@@ -98,6 +102,7 @@ export class App implements Stage {
       panel: () => this.#colour(),
       link: () => void copyLink(this, this.#place()),
       screenshot: () => void savePicture(this),
+      plan: () => void savePlan(this),
       headset: () => void this.#wear(),
       help: () => this.shell.help(),
       open: () => this.shell.welcome.show(),
@@ -309,6 +314,8 @@ export class App implements Stage {
     archive.on("failed", (error) => this.#fail(error));
     pawn.onNoRoute = () => this.shell.messages.say(texts.news.noRoute);
     pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
+    this.#sheet = new Sheet(archive);
+    this.canvas.marks.add(this.#sheet.group);
     this.#minimap = new Minimap(
       archive,
       (place) => void this.#goThere(place),
@@ -318,7 +325,7 @@ export class App implements Stage {
     this.sight = new Sight(session, this.shell, this.cameras, this.canvas);
     this.sight.colouring = this.shell.colours.chosen;
     this.sight.showBlocks(this.shell.colours.blocks);
-    this.shell.opened(session.source.name, archive.info, this.#minimap);
+    this.shell.opened(session.source.name, archive.info, session.content, this.#minimap);
     this.#places.clear();
     this.#places.start = { at: pawn.at, look: { ...pawn.look } };
     this.setMode(isFirst ? "orbit" : (mode ?? "walk"));
@@ -364,6 +371,8 @@ export class App implements Stage {
   #leave(): void {
     this.#ready = false;
     this.#minimap = null;
+    this.#sheet?.group.removeFromParent();
+    this.#sheet = null;
     this.#first.end();
     this.#overlays.left();
     const { session } = this;
@@ -595,6 +604,7 @@ export class App implements Stage {
     const metresHigh = this.cameras.orbit.distance;
     this.canvas.mark(outside && !this.#first.shown, world, pawn.state, pawn.look, this.settings.width, metresHigh);
     this.#goal.show(world, pawn.way, outside ? metresHigh : 0);
+    this.#drawPlan(world, pawn.at[2]);
     const { min, max } = session.content;
     this.canvas.sky.follow(
       this.canvas.camera,
@@ -604,6 +614,20 @@ export class App implements Stage {
     );
     this.canvas.render(performance.now(), this.#overlays.bringColours);
     this.#minimap?.update(pawn.at, pawn.look.heading);
+  }
+
+  /** Draws the storey around the pawn, except while slices are shown. */
+  #drawPlan(world: World, floor: number): void {
+    const { cameras, shell, canvas } = this;
+    const shows = this.#mode === "plan" && shell.toolbars.panel !== "slices";
+    const onlyCut = this.sight !== null && this.sight.colouring !== "height";
+    const pixelsHigh = canvas.element.clientHeight;
+    const shown = { area: cameras.area, floor, theme: canvas.sky.theme, onlyCut, pixelsHigh };
+    this.#sheet?.update(world, shows ? shown : null);
+    world.group.visible = world.matter && (!shows || onlyCut);
+    const step = this.#sheet?.step ?? 1;
+    const pixels = (step * pixelsHigh) / cameras.orbit.distance;
+    shell.plan.update(shows ? { step, pixels, cut: metres(floor + CUT_ABOVE_M) } : null);
   }
 
   /** The page for conversions. */

@@ -72,12 +72,10 @@ export class Canvas {
       this.worn(worn);
     });
     this.scene.add(this.headset.room);
-    const accent = "#ffb547";
-    this.#body = new LineSegments(
-      new EdgesGeometry(new BoxGeometry(1, 1, 1)),
-      new LineBasicMaterial({ color: accent, depthTest: false }),
-    );
-    this.#nose = new Mesh(new ConeGeometry(0.28, 0.8, 4), new MeshBasicMaterial({ color: accent, depthTest: false }));
+    // Marks that are transparent to three.js are drawn in their order, above the drawing of a plan.
+    const ink = { color: "#ffb547", depthTest: false, transparent: true } as const;
+    this.#body = new LineSegments(new EdgesGeometry(new BoxGeometry(1, 1, 1)), new LineBasicMaterial(ink));
+    this.#nose = new Mesh(new ConeGeometry(0.28, 0.8, 4), new MeshBasicMaterial(ink));
     this.#body.renderOrder = this.#nose.renderOrder = 1;
     this.#marker.add(this.#body, this.#nose);
     this.marks.add(this.#marker);

@@ -96,10 +96,18 @@ async function cast(archive: Archive, { origin, direction }: Ray, signal: AbortS
 }
 
 /** Distance, horizontal distance and height difference of two places. */
-export function between(archive: Archive, a: Vec3, b: Vec3): { straight: Value; across: Value; height: Value } {
+export interface Measured {
+  readonly ends: readonly [Vec3, Vec3];
+  readonly straight: Value;
+  readonly across: Value;
+  readonly height: Value;
+}
+
+export function between(archive: Archive, a: Vec3, b: Vec3): Measured {
   const [across, height] = [Math.hypot(a[0] - b[0], a[1] - b[1]), b[2] - a[2]];
   const [t, q] = [pixelError(archive), heightError(archive)];
   return {
+    ends: [a, b],
     straight: { metres: distance(a, b), error: Math.hypot(2 * t, 2 * q) },
     across: { metres: across, error: 2 * t },
     height: { metres: height, error: 2 * q },

@@ -129,13 +129,13 @@ export class Overlays {
 
   /** Shows or hides the archive itself. */
   showMatter(shown: boolean): void {
-    if (this.#session !== null) this.#session.world.group.visible = shown;
+    if (this.#session !== null) this.#session.world.matter = shown;
   }
 
   #tell(): void {
     const cloud = this.#cloudUrl === null ? null : this.#cloud !== null;
     const splats = this.#source === null ? null : this.#splats !== null;
     if (!cloud && !splats) this.showMatter(true);
-    this.shell.overlays.show(cloud, splats, this.#session?.world.group.visible ?? true);
+    this.shell.overlays.show(cloud, splats, this.#session?.world.matter ?? true);
   }
 }

@@ -2,7 +2,13 @@
 
 import { formatAddress, type Place } from "./address";
 import type { Stage } from "./modes/mode";
+import { draw } from "./plan/drawing";
+import { svg } from "./plan/svg";
 import { texts } from "./texts.en";
+import { shortName } from "./ui/names";
+
+/** Most cells along an edge of a plan that is saved. */
+const SHEET_CELLS = 4096;
 
 /** Puts the place into the address and the clipboard; null: all of the scan. */
 export async function copyLink({ session, shell }: Stage, place: Omit<Place, "archive"> | null): Promise<void> {
@@ -26,10 +32,31 @@ export async function savePicture({ canvas, shell }: Stage): Promise<void> {
   const picture = await canvas.picture();
   if (picture === null) return;
   const name = `slicewalk-${new Date().toISOString().slice(0, 19).replaceAll(":", "-")}.png`;
+  saveAs(picture, name);
+  shell.messages.say(texts.news.saved(name));
+}
+
+/** Draws all of the storey around the pawn as a sheet. */
+export async function savePlan({ session, shell }: Stage): Promise<void> {
+  if (session === null) return;
+  const { archive, content, pawn, crs, source } = session;
+  const [min, max] = [content.min, content.max];
+  shell.messages.say(texts.plan.saving);
+  try {
+    const wanted = { area: [min[0], min[1], max[0], max[1]], floor: pawn.at[2], cells: SHEET_CELLS, load: true } as const;
+    const drawing = await draw(archive, wanted, new AbortController().signal);
+    const name = `${shortName(source.name).replace(/\.slices$/, "")}-${texts.plan.name}.svg`;
+    saveAs(new Blob([svg(drawing, { name: shortName(source.name), crs })], { type: "image/svg+xml" }), name);
+    shell.messages.say(texts.news.saved(name));
+  } catch {
+    // A closed or failed archive is reported elsewhere.
+  }
+}
+
+export function saveAs(content: Blob, name: string): void {
   const anchor = document.createElement("a");
-  anchor.href = URL.createObjectURL(picture);
+  anchor.href = URL.createObjectURL(content);
   anchor.download = name;
   anchor.click();
   URL.revokeObjectURL(anchor.href);
-  shell.messages.say(texts.news.screenshot(name));
 }

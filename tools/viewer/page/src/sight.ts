@@ -1,9 +1,9 @@
 // Visible surroundings of the pawn: how far, in which colours, and between which heights.
 
-import type { Vec3 } from "slicewalk";
+import type { Bounds, Vec3 } from "slicewalk";
 import type { Mode } from "./address";
 import type { Canvas } from "./canvas";
-import { distance, flat, standing, type Ray } from "./geometry";
+import { add, distance, flat, standing, type Ray } from "./geometry";
 import type { Cameras } from "./scene/cameras";
 import type { Colouring, Effort } from "./scene/material";
 import type { Session } from "./session";
@@ -19,6 +19,7 @@ const SLIM = 0.6;
 /** Distance walked after which the ceiling is looked for again. */
 const WAY_M = 0.3;
 const FAR_M = 1e9;
+const EVERYWHERE: Bounds = { min: [-FAR_M, -FAR_M, -FAR_M], max: [FAR_M, FAR_M, FAR_M] };
 /** Far plane of the cameras. */
 const FAR_SEEN_M = 4000;
 /** Viewing distance until the pawn has made its first steps: what it walks on is loaded before what is far away. */
@@ -149,7 +150,9 @@ export class Sight {
       const bottom = info.origin[2] + slice * info.sliceHeight;
       return [bottom, bottom + info.sliceHeight];
     }
-    const cuts = roof && this.#mode !== "walk" && this.cameras.framed === null;
+    // A section box says itself what is cut off.
+    const isFree = this.cameras.framed === null && this.shell.section.box === null;
+    const cuts = roof && this.#mode !== "walk" && isFree;
     return [-FAR_M, cuts && this.cameras.orbit.distance < ROOF_M ? this.#roofZ : FAR_M];
   }
 
@@ -193,7 +196,8 @@ export class Sight {
     }
     const [low, high] = this.cut;
     const scan = this.colouring === "scan" && !this.#showsSlices;
-    void this.#take({ scan, fine: quality !== "lowest", cut: low > -FAR_M || high < FAR_M });
+    const cut = low > -FAR_M || high < FAR_M || this.shell.section.box !== null;
+    void this.#take({ scan, fine: quality !== "lowest", cut });
   }
 
   /** Takes other shaders, once they are compiled. */
@@ -220,6 +224,9 @@ export class Sight {
     const [low, high] = this.cut;
     const z = world.origin[2];
     uniforms.cut.value.set(low - z, high - z);
+    const box = this.shell.section.box ?? EVERYWHERE;
+    uniforms.boxLow.value.copy(world.local(box.min));
+    uniforms.boxHigh.value.copy(world.local(box.max));
     const { min, max } = this.session.content;
     uniforms.heights.value.set(min[2] - z, max[2] - z);
     uniforms.slicing.value.set(info.origin[2] - z, info.sliceHeight);
@@ -250,9 +257,13 @@ export class Sight {
   enter(ray: Ray): Ray {
     const [, top] = this.cut;
     const { origin, direction } = ray;
-    if (origin[2] <= top || direction[2] >= 0) return ray;
-    const far = (origin[2] - top) / -direction[2];
-    return { origin: [origin[0] + far * direction[0], origin[1] + far * direction[1], top], direction };
+    const { min, max } = this.shell.section.box ?? EVERYWHERE;
+    const high = [max[0], max[1], Math.min(max[2], top)];
+    const far = ([0, 1, 2] as const).map((axis) => {
+      const side = direction[axis] < 0 ? (high[axis] ?? FAR_M) : min[axis];
+      return direction[axis] === 0 ? 0 : (side - origin[axis]) / direction[axis];
+    });
+    return { origin: add(origin, direction, Math.max(0, ...far)), direction };
   }
 
   get #showsSlices(): boolean {

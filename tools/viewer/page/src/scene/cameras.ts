@@ -84,6 +84,15 @@ export class Cameras {
     if (!isPlan) this.orbit.look.pitch = -40;
   }
 
+  /** The area that a plan shows: minimum and maximum of x and y. */
+  get area(): readonly [number, number, number, number] {
+    const { target, distance, look } = this.orbit;
+    const [sin, cos] = [Math.abs(Math.sin(look.heading * RADIANS)), Math.abs(Math.cos(look.heading * RADIANS))];
+    const [wide, high] = [(distance / 2) * this.#aspect, distance / 2];
+    const [x, y] = [wide * cos + high * sin, wide * sin + high * cos];
+    return [target[0] - x, target[1] - y, target[0] + x, target[1] + y];
+  }
+
   /** Heading that points up on the screen, or ahead. */
   heading(look: Look): number {
     return this.#mode === "walk" ? look.heading : this.orbit.look.heading;

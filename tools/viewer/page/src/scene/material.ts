@@ -76,6 +76,8 @@ uniform vec4 paintUsual;
 uniform int colouring;
 uniform vec2 heights;
 uniform vec2 cut;
+uniform vec3 boxLow;
+uniform vec3 boxHigh;
 uniform vec2 slicing;
 uniform vec2 pawnSlice;
 uniform float slope;
@@ -183,14 +185,14 @@ bool covered() {
 void main() {
   float z = vLocal.z - 1e-4 * vFace.z;
 #ifdef CUT
-  if (vLocal.z > cut.y) discard;
+  if (vLocal.z > cut.y || any(lessThan(vLocal, boxLow)) || any(greaterThan(vLocal, boxHigh))) discard;
   if (gl_FrontFacing && vLocal.z < cut.x) {
     // Below the shown slice: hides what is inside it, and shows nothing.
     colour = vec4(background, 1.0);
     return;
   }
   // Seen from inside, solid was cut open: show it as if filled up to the cut.
-  if (!gl_FrontFacing) z = cut.y - 1e-4;
+  if (!gl_FrontFacing) z = min(cut.y, boxHigh.z) - 1e-4;
 #endif
 #ifdef OVERVIEW
   if (covered()) discard;
@@ -258,6 +260,9 @@ export class Shading {
     colouring: IUniform<number>;
     heights: IUniform<Vector2>;
     cut: IUniform<Vector2>;
+    /** The section box. */
+    boxLow: IUniform<Vector3>;
+    boxHigh: IUniform<Vector3>;
     slicing: IUniform<Vector2>;
     pawnSlice: IUniform<Vector2>;
     slope: IUniform<number>;
@@ -284,6 +289,8 @@ export class Shading {
       colouring: { value: 0 },
       heights: { value: new Vector2(0, 1) },
       cut: { value: new Vector2(-1e9, 1e9) },
+      boxLow: { value: new Vector3() },
+      boxHigh: { value: new Vector3() },
       slicing: { value: new Vector2(0, 1) },
       pawnSlice: { value: new Vector2(0, 0) },
       slope: { value: 45 },

@@ -51,6 +51,7 @@ export class Sky {
     reach: { value: 100 },
   };
   #paper = THEMES.light[3];
+  #theme: Theme = "light";
 
   constructor() {
     const geometry = new BufferGeometry();
@@ -73,7 +74,12 @@ export class Sky {
     return this.#paper;
   }
 
+  get theme(): Theme {
+    return this.#theme;
+  }
+
   set theme(theme: Theme) {
+    this.#theme = theme;
     const [zenith, horizon, ground, paper] = THEMES[theme];
     this.#uniforms.zenith.value = plain(zenith);
     this.#uniforms.horizon.value = plain(horizon);

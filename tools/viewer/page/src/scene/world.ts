@@ -43,6 +43,8 @@ export class World {
   readonly shading: Shading;
   /** Position of the scene's (0, 0, 0) in the scan. */
   origin: Vec3 = [0, 0, 0];
+  /** Whether the archive is drawn beside what lies over it. */
+  matter = true;
   triangles = 0;
   bytes = 0;
   readonly #drawn = new Map<number, Drawn>();

@@ -56,6 +56,7 @@ export const icons = {
   fly: "M12 20V6M6 11l6-6 6 6M5 20h14",
   measure: "M3 16 16 3l5 5L8 21zM7 12l2 2M10 9l2 2M13 6l2 2",
   slices: "M4 17l8 4 8-4M4 12l8 4 8-4M12 3 4 7l8 4 8-4z",
+  section: "M4 8v12h12V8zM4 8l4-4h12v12l-4 4M16 8l4-4M10 2v20",
   settings: "M4 7h10M18 7h2M4 17h2M10 17h10M14 7a2 2 0 1 0 4 0 2 2 0 1 0-4 0M6 17a2 2 0 1 0 4 0 2 2 0 1 0-4 0",
   link: "M10 14a4 4 0 0 0 6 0l3-3a4 4 0 0 0-6-6l-1 1M14 10a4 4 0 0 0-6 0l-3 3a4 4 0 0 0 6 6l1-1",
   screenshot: "M4 8h4l2-3h4l2 3h4v11H4zM12 16.500a3 3 0 1 0 0-6 3 3 0 0 0 0 6z",

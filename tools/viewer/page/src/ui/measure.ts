@@ -1,15 +1,17 @@
-// The measuring tool: values at the cursor, and the distance of two clicked places.
+// The measuring tool: values at the cursor, the distance of two clicked places, and a list of all that were measured.
 
 import type { Archive, Vec3 } from "slicewalk";
 import { BufferGeometry, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, SphereGeometry } from "three";
 import { metres, type Ray } from "../geometry";
-import { between, pick, surroundings, type Value } from "../measure";
+import { between, pick, surroundings, type Measured, type Value } from "../measure";
 import type { World } from "../scene/world";
+import { saveAs } from "../share";
 import { texts } from "../texts.en";
-import { h, write } from "./dom";
+import { h, icons, picture, write } from "./dom";
 
 const ROWS = ["place", "headroom", "width", "step", "distance", "across", "height"] as const;
-const POINT_M = 0.04;
+const BALL = new SphereGeometry(0.04, 12, 8);
+const INK = "#ffb547";
 
 type Row = (typeof ROWS)[number];
 
@@ -17,7 +19,11 @@ export class MeasurePanel {
   readonly element = h("section", { class: "panel measure", "aria-label": texts.tools.measure, hidden: true });
   readonly marks = new Group();
   readonly #values = new Map<Row, HTMLElement>();
-  #points: Vec3[] = [];
+  readonly #list = h("ol", { class: "measures" });
+  readonly #save: HTMLButtonElement;
+  #measured: Measured[] = [];
+  /** The first place of the next distance. */
+  #first: Vec3 | null = null;
   #asking: AbortController | null = null;
   #next: Ray | null = null;
 
@@ -29,19 +35,29 @@ export class MeasurePanel {
       list.append(h("div", {}, h("dt", {}, texts.measure[row]), value));
     }
     const clear = (): void => this.clear();
+    const save = (): void => saveAs(new Blob([csv(this.#measured)], { type: "text/csv" }), "measures.csv");
+    this.#save = h("button", { type: "button", class: "plain", hidden: true, onclick: save }, texts.measure.save);
     this.element.append(
       h("h2", {}, texts.tools.measure),
       h("p", { class: "quiet" }, texts.measure.hint),
       list,
-      h("button", { type: "button", class: "plain", onclick: clear }, texts.measure.clear),
+      this.#list,
+      h(
+        "div",
+        { class: "buttons" },
+        this.#save,
+        h("button", { type: "button", class: "plain", onclick: clear }, texts.measure.clear),
+      ),
     );
   }
 
   clear(): void {
-    this.#points = [];
+    this.#first = null;
+    this.#measured = [];
     this.#asking?.abort();
     this.#values.forEach((value) => write(value, "–"));
-    this.#mark(null);
+    this.#tell();
+    this.marks.clear();
   }
 
   /** Measures at the cursor; while an answer is pending, the newest ray waits. */
@@ -53,18 +69,20 @@ export class MeasurePanel {
   async click(archive: Archive, world: World, ray: Ray): Promise<void> {
     const spot = await pick(archive, ray, new AbortController().signal).catch(() => null);
     if (spot === null) return;
-    this.#points = this.#points.length === 1 ? [...this.#points, spot.at] : [spot.at];
-    const [a, b] = this.#points;
-    const length = a && b ? between(archive, a, b) : null;
-    this.#write("distance", length?.straight ?? null, "–");
-    this.#write("across", length?.across ?? null, "–");
-    this.#write("height", length?.height ?? null, "–");
+    const from = this.#first;
+    this.#first = from === null ? spot.at : null;
+    const measured = from === null ? null : between(archive, from, spot.at);
+    if (measured !== null) this.#measured.push(measured);
+    this.#write("distance", measured?.straight ?? null, "–");
+    this.#write("across", measured?.across ?? null, "–");
+    this.#write("height", measured?.height ?? null, "–");
+    this.#tell();
     this.#mark(world);
   }
 
   /** Moves the marks after the local origin has changed. */
   moved(world: World): void {
-    if (this.#points.length > 0) this.#mark(world);
+    this.#mark(world);
   }
 
   async #measure(archive: Archive): Promise<void> {
@@ -101,24 +119,55 @@ export class MeasurePanel {
     else element.dataset["metres"] = String(value.metres);
   }
 
-  #mark(world: World | null): void {
-    this.marks.clear();
-    if (world === null) return;
-    const places = this.#points.map((point) => world.local(point));
-    const material = new MeshBasicMaterial({ color: "#ffb547", depthTest: false });
-    for (const place of places) {
-      const ball = new Mesh(new SphereGeometry(POINT_M, 12, 8), material);
-      ball.position.copy(place);
-      ball.renderOrder = 2;
-      this.marks.add(ball);
-    }
-    if (places.length === 2) {
-      const line = new Line(
-        new BufferGeometry().setFromPoints(places),
-        new LineBasicMaterial({ color: "#ffb547", depthTest: false }),
+  /** Lists what was measured; a click removes it. */
+  #tell(): void {
+    this.#save.hidden = this.#measured.length === 0;
+    const entries = this.#measured.map((measured, n) => {
+      const text = `${metres(measured.straight.metres)} m`;
+      const remove = (): void => {
+        this.#measured.splice(n, 1);
+        this.marks.remove(...this.marks.children.filter((mark) => mark.userData["measured"] === measured));
+        this.#tell();
+      };
+      const button = h(
+        "button",
+        { type: "button", class: "tool", "aria-label": texts.measure.remove(n + 1), onclick: remove },
+        picture(icons.close),
       );
-      line.renderOrder = 2;
-      this.marks.add(line);
-    }
+      return h("li", {}, h("span", {}, text), button);
+    });
+    this.#list.replaceChildren(...entries);
   }
+
+  #mark(world: World): void {
+    this.marks.clear();
+    const material = new MeshBasicMaterial({ color: INK, depthTest: false, transparent: true });
+    const line = new LineBasicMaterial({ color: INK, depthTest: false, transparent: true });
+    const add = (mark: Mesh | Line, measured: Measured | null): void => {
+      mark.renderOrder = 2;
+      mark.userData["measured"] = measured;
+      this.marks.add(mark);
+    };
+    const point = (place: Vec3, measured: Measured | null): void => {
+      const ball = new Mesh(BALL, material);
+      ball.position.copy(world.local(place));
+      add(ball, measured);
+    };
+    for (const measured of this.#measured) {
+      measured.ends.forEach((end) => point(end, measured));
+      const ends = measured.ends.map((end) => world.local(end));
+      add(new Line(new BufferGeometry().setFromPoints(ends), line), measured);
+    }
+    if (this.#first !== null) point(this.#first, null);
+  }
+}
+
+/** A row for each distance; lengths in metres, with their errors. */
+function csv(all: readonly Measured[]): string {
+  const head = "x0,y0,z0,x1,y1,z1,distance,distance_error,across,across_error,height,height_error";
+  const rows = all.map(({ ends, straight, across, height }) => {
+    const values = [straight, across, height].flatMap(({ metres, error }) => [metres, error]);
+    return [...ends.flat(), ...values].map((value) => value.toFixed(4)).join(",");
+  });
+  return [head, ...rows, ""].join("\r\n");
 }

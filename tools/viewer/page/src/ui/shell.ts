@@ -1,6 +1,6 @@
 // The layout: the canvas below, bars and panels above it.
 
-import type { ArchiveInfo } from "slicewalk";
+import type { ArchiveInfo, Bounds } from "slicewalk";
 import type { Colouring } from "../scene/material";
 import type { Settings } from "../settings";
 import { texts } from "../texts.en";
@@ -12,6 +12,8 @@ import { Messages } from "./messages";
 import type { Minimap } from "./minimap";
 import { shortName } from "./names";
 import { OverlayFields, type OverlayEvents } from "./overlays";
+import { PlanBar } from "./plan";
+import { SectionPanel } from "./section";
 import { SettingsPanel } from "./settings";
 import { SlicesPanel } from "./slices";
 import { StatusPanel } from "./status";
@@ -23,6 +25,7 @@ export interface ShellEvents extends ToolEvents, WelcomeEvents, OverlayEvents {
   colouring(colouring: Colouring): void;
   blocks(blocks: boolean): void;
   slices(): void;
+  plan(): void;
   walkIn(): void;
 }
 
@@ -34,8 +37,10 @@ export class Shell {
   readonly first: FirstCard;
   readonly messages = new Messages();
   readonly status = new StatusPanel();
+  readonly plan: PlanBar;
   readonly measure = new MeasurePanel();
   readonly slices: SlicesPanel;
+  readonly section = new SectionPanel();
   readonly colours: ColoursPanel;
   readonly overlays: OverlayFields;
   readonly settings: SettingsPanel;
@@ -58,6 +63,7 @@ export class Shell {
     this.colours = new ColoursPanel(events.colouring, events.blocks, this.overlays.element);
     this.first = new FirstCard(events.walkIn);
     this.slices = new SlicesPanel(events.slices);
+    this.plan = new PlanBar(events.plan);
     this.welcome = new Welcome(events);
     this.toolbars = new Toolbars({ ...events, panel: (name) => this.#panel(name) });
     const head = h("header", { class: "head" }, this.#name, this.toolbars.modes, this.toolbars.tools);
@@ -66,10 +72,11 @@ export class Shell {
       { class: "right" },
       this.measure.element,
       this.slices.element,
+      this.section.element,
       this.colours.element,
       this.settings.element,
     );
-    this.#left.append(this.status.element);
+    this.#left.append(this.plan.element, this.status.element);
     const main = h(
       "main",
       {},
@@ -92,13 +99,14 @@ export class Shell {
     parent.classList.add("empty");
   }
 
-  opened(name: string, info: ArchiveInfo, minimap: Minimap): void {
+  opened(name: string, info: ArchiveInfo, content: Bounds, minimap: Minimap): void {
     const short = shortName(name);
     this.#name.textContent = short;
     this.#name.title = name;
     document.title = `${short} – ${texts.title}`;
     this.canvas.setAttribute("aria-label", texts.viewOf(short));
     this.slices.open(info);
+    this.section.open(content);
     this.#map.replaceChildren(minimap.element);
     this.#parent.classList.remove("empty");
   }
@@ -108,8 +116,10 @@ export class Shell {
   }
 
   #panel(name: PanelName | null): void {
-    const panels = { measure: this.measure, slices: this.slices, colours: this.colours, settings: this.settings };
-    Object.entries(panels).forEach(([key, panel]) => (panel.element.hidden = key !== name));
+    const { measure, slices, section, colours, settings } = this;
+    Object.entries({ measure, slices, section, colours, settings }).forEach(
+      ([key, panel]) => (panel.element.hidden = key !== name),
+    );
     document.documentElement.classList.toggle("panel-open", name !== null);
     this.events.panel(name);
   }

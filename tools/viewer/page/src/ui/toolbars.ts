@@ -4,7 +4,9 @@ import type { Mode } from "../address";
 import { texts } from "../texts.en";
 import { h, icons, tool } from "./dom";
 
-export type PanelName = "measure" | "slices" | "colours" | "settings";
+const PANELS = ["measure", "slices", "section", "colours", "settings"] as const;
+
+export type PanelName = (typeof PANELS)[number];
 
 export interface ToolEvents {
   mode(mode: Mode): void;
@@ -41,7 +43,7 @@ export class Toolbars {
     }
     this.modes = h("div", { class: "bar modes", role: "group", "aria-label": texts.modes.label }, ...this.#modes.values());
     this.#fly = tool(icons.fly, texts.tools.fly, "F", events.fly);
-    for (const name of ["measure", "slices", "colours", "settings"] as const) {
+    for (const name of PANELS) {
       this.#panels.set(
         name,
         tool(icons[name], texts.tools[name], null, () => this.show(this.#open === name ? null : name)),
