@@ -124,8 +124,20 @@ describe("odd devices", () => {
   it("covers no tool of a phone by the panel that it opens, and has targets for fingers", async () => {
     const phone = await tests.browser.newPage({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
     try {
-      await walkIn(phone, address(server, { at: WAY.start, look: [0, 0] }));
-      for (const name of ["Settings", "Colours", "Slices", "Measure"]) {
+      await walkIn(phone, address(server, { at: WAY.start, view: "plan" }));
+      await phone.getByText("Save as SVG").waitFor();
+      const crossing = await phone.evaluate(() => {
+        const shown = [".name", ".modes", ".tools", ".plan-bar", ".status", ".storeys", ".map", ".jump"]
+          .map((selector) => [selector, document.querySelector(selector)])
+          .filter(([, element]) => element !== null && element.offsetParent !== null)
+          .map(([selector, element]) => [selector, element.getBoundingClientRect()]);
+        const crosses = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+        return shown.flatMap(([one, a], n) =>
+          shown.slice(n + 1).flatMap(([other, b]) => (crosses(a, b) ? [`${one} and ${other}`] : [])),
+        );
+      });
+      assert.deepEqual(crossing, [], "nothing lies over something else");
+      for (const name of ["Settings", "Colours", "Slices", "Section", "Measure"]) {
         const button = phone.getByRole("button", { name, exact: true });
         await button.tap();
         await phone.locator(".right .panel:not([hidden])").waitFor();

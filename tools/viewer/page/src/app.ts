@@ -340,7 +340,7 @@ export class App implements Stage {
     this.#write();
     this.#ready = true;
     this.shell.messages.wait(null);
-    if (!this.#first.shown) this.shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
+    if (!this.#first.shown) this.#welcome(pawn.flying);
     this.shell.canvas.focus({ preventScroll: true });
     void session.describe();
   }
@@ -364,8 +364,16 @@ export class App implements Stage {
     this.#places.start = { at: place ?? at, look: { ...session.pawn.look } };
     await session.goto(place ?? at, this.settings).catch(() => {});
     this.shell.messages.wait(null);
-    this.shell.messages.say(session.pawn.flying ? texts.loading.found : texts.news.capture);
+    this.#welcome(session.pawn.flying);
     this.shell.canvas.focus({ preventScroll: true });
+  }
+
+  /** Says how to get about. */
+  #welcome(flies: boolean): void {
+    const { capture, touch } = texts.news;
+    const how = matchMedia("(pointer: coarse)").matches ? touch : capture;
+    if (flies) this.shell.messages.say(texts.loading.found);
+    else if (this.#mode === "walk") this.shell.messages.say(how);
   }
 
   #leave(): void {

@@ -224,6 +224,7 @@ export const texts = {
     link: "The link to this place is in the address bar.",
     saved: (name: string) => `Saved as ${name}.`,
     capture: "Click to look around with the mouse; Escape releases it.",
+    touch: "The left stick walks, the right one looks around. A tap on a place walks there.",
     captured: "Click: walk there. Double click: be there at once. Escape releases the mouse.",
     refused: "The browser does not capture the mouse now. Drag to look around; a click walks there.",
     flightSpeed: (speed: string) => `Flying at ${speed} m/s.`,

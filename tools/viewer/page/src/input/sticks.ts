@@ -38,8 +38,8 @@ export class Sticks {
       mode: "static",
       position: { left: "50%", top: "50%" },
       size: 112,
-      color: "#e8eaed",
-      restOpacity: 0.35,
+      color: "#66717c",
+      restOpacity: 0.5,
     } as const;
     const follow = (collection: ReturnType<typeof createSticks>, moved: (x: number, y: number) => void): void => {
       collection.on("move", (event: { data: { vector: { x: number; y: number } } }) =>
