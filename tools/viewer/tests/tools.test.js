@@ -454,6 +454,9 @@ describe("tools", () => {
     await page.keyboard.down("w");
     await until(page, "faster", (now) => Math.abs(now.speed - 3) < 0.1);
     await page.keyboard.up("w");
+    const [whole, field] = [(await state(page)).covered, page.getByLabel("Field of view (°)")];
+    await field.fill("100");
+    await until(page, "a wider view", ({ covered }) => covered !== whole);
     const height = page.getByLabel("Pawn height (m)");
     await height.fill("3.5");
     await height.press("Enter");

@@ -31,7 +31,7 @@ import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, QUALITIES, saveSettings, THEMES, walkerSettings, type Settings } from "./settings";
 import { CUT_ABOVE_M } from "./plan/drawing";
 import { Sheet } from "./plan/sheet";
-import { copyLink, savePicture, savePlan } from "./share";
+import { copyLink, savePicture, savePlan, toggleFullscreen } from "./share";
 import { Sight } from "./sight";
 import type { Table } from "./table";
 import { texts } from "./texts.en";
@@ -103,6 +103,7 @@ export class App implements Stage {
       link: () => void copyLink(this, this.#place()),
       screenshot: () => void savePicture(this),
       plan: () => void savePlan(this),
+      fullscreen: () => void toggleFullscreen(),
       headset: () => void this.#wear(),
       help: () => this.shell.help(),
       open: () => this.shell.welcome.show(),
@@ -539,6 +540,7 @@ export class App implements Stage {
     const theme = chosen !== "auto" ? chosen : this.#light.matches ? "light" : "dark";
     document.documentElement.dataset["theme"] = theme;
     this.canvas.paint(theme);
+    this.cameras.field = this.settings.field;
     if (this.session !== null) this.canvas.sky.light(this.session.world.shading, this.#mode === "plan");
   }
 

@@ -13,6 +13,7 @@ export interface Settings {
   drop: number;
   slope: number;
   radius: number;
+  field: number;
   sensitivity: number;
   /** Index of `QUALITIES` and of `THEMES`. */
   quality: number;
@@ -39,9 +40,10 @@ export const limits: Record<keyof Settings, Limit> = {
   climb: { usual: 0.35, min: 0, max: 0.45, step: 0.01 },
   speed: { usual: 1.4, min: 0.2, max: 20, step: 0.1 },
   jump: { usual: 0.5, min: 0, max: 3, step: 0.05 },
-  drop: { usual: 200, min: 0, max: 1000, step: 0.1 },
+  drop: { usual: 2, min: 0, max: 10, step: 0.1 },
   slope: { usual: 45, min: 1, max: 89, step: 1 },
   radius: { usual: 40, min: 5, max: 400, step: 5 },
+  field: { usual: 70, min: 40, max: 100, step: 1 },
   sensitivity: { usual: 1, min: 0.1, max: 5, step: 0.1 },
   quality: { usual: 0, min: 0, max: 2, step: 1 },
   theme: { usual: 0, min: 0, max: 2, step: 1 },

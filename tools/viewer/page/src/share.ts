@@ -1,4 +1,4 @@
-// Sharing: a link to the place, or a picture.
+// Sharing: a link to the place, a picture, a plan; and the whole screen.
 
 import { formatAddress, type Place } from "./address";
 import type { Stage } from "./modes/mode";
@@ -59,4 +59,14 @@ export function saveAs(content: Blob, name: string): void {
   anchor.download = name;
   anchor.click();
   URL.revokeObjectURL(anchor.href);
+}
+
+/** Fills the screen with the page, or gives it back. */
+export async function toggleFullscreen(): Promise<void> {
+  try {
+    if (document.fullscreenElement === null) await document.documentElement.requestFullscreen();
+    else await document.exitFullscreen();
+  } catch {
+    // The browser refused.
+  }
 }

@@ -9,17 +9,20 @@ import type { World } from "./world";
 
 const UP = new Vector3(0, 0, 1);
 const RADIANS = Math.PI / 180;
-const FIELD = 70;
+/** Widest field of view of a narrow screen. */
+const WIDEST = 100;
 /** Distance from which a pawn is looked at. */
 const AROUND_M = 18;
 /** Height of the part of a storey that a plan shows. */
 const PLAN_M = 40;
 
 export class Cameras {
-  readonly #eye = new PerspectiveCamera(FIELD, 1, 0.04, 12_000);
+  readonly #eye = new PerspectiveCamera(70, 1, 0.04, 12_000);
   readonly #top = new OrthographicCamera(-1, 1, 1, -1, 0.1, 8000);
   /** Orbit and plan: target, distance and direction. */
   readonly orbit = { target: [0, 0, 0] as Vec3, distance: AROUND_M, look: { heading: 30, pitch: -40 } as Look };
+  /** Field of view from top to bottom (degrees). */
+  field = 70;
   /** The frame that shows all of the scan, while it is shown so. */
   framed: Frame | null = null;
   #aspect = 1;
@@ -46,8 +49,8 @@ export class Cameras {
 
   /** Field of view from top to bottom; a narrow screen shows as wide a view as a square one. */
   get #field(): number {
-    const narrow = (2 / RADIANS) * Math.atan(Math.tan((FIELD / 2) * RADIANS) / this.#aspect);
-    return this.#aspect < 1 ? Math.min(100, narrow) : FIELD;
+    const narrow = (2 / RADIANS) * Math.atan(Math.tan((this.field / 2) * RADIANS) / this.#aspect);
+    return this.#aspect < 1 ? Math.max(this.field, Math.min(WIDEST, narrow)) : this.field;
   }
 
   /** Shows all of a scan with these pages. */

@@ -1,14 +1,15 @@
-// The settings panel: one labelled number per setting.
+// The settings panel: one labelled slider or choice per setting.
 
 import { choices, limits, sound, usualSettings, type Settings } from "../settings";
 import { texts } from "../texts.en";
-import { h } from "./dom";
+import { h, write } from "./dom";
 
 const NAMES = Object.keys(limits) as (keyof Settings)[];
 
 export class SettingsPanel {
   readonly element = h("section", { class: "panel settings", "aria-label": texts.settings.label, hidden: true });
   readonly #inputs = new Map<keyof Settings, HTMLInputElement | HTMLSelectElement>();
+  readonly #values = new Map<keyof Settings, HTMLOutputElement>();
 
   constructor(
     settings: Settings,
@@ -21,10 +22,17 @@ export class SettingsPanel {
       const words = choices[name]?.map((word, n) => h("option", { value: n }, texts.settings.choices[word] ?? word));
       const input =
         words === undefined
-          ? h("input", { type: "number", id, min, max, step, onchange })
+          ? h("input", { type: "range", id, min, max, step, onchange, oninput: () => this.#describe() })
           : h("select", { id, onchange }, ...words);
       this.#inputs.set(name, input);
-      this.element.append(h("div", { class: "field" }, h("label", { for: `set-${name}` }, texts.settings[name]), input));
+      const field = h("div", { class: words === undefined ? "field slide" : "field" });
+      field.append(h("label", { for: id }, texts.settings[name]), input);
+      if (words === undefined) {
+        const value = h("output", { for: id });
+        this.#values.set(name, value);
+        field.append(value);
+      }
+      this.element.append(field);
     }
     const reset = (): void => this.changed(usualSettings());
     this.element.append(h("button", { type: "button", class: "plain", onclick: reset }, texts.settings.reset));
@@ -33,6 +41,11 @@ export class SettingsPanel {
 
   show(settings: Settings): void {
     this.#inputs.forEach((input, name) => (input.value = String(settings[name])));
+    this.#describe();
+  }
+
+  #describe(): void {
+    this.#values.forEach((value, name) => write(value, this.#inputs.get(name)?.value ?? ""));
   }
 
   #read(): Settings {

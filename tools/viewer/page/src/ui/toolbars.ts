@@ -14,6 +14,7 @@ export interface ToolEvents {
   panel(name: PanelName | null): void;
   link(): void;
   screenshot(): void;
+  fullscreen(): void;
   headset(): void;
   help(): void;
   save(): void;
@@ -56,6 +57,7 @@ export class Toolbars {
       this.#headset,
       tool(icons.link, texts.tools.link, null, events.link, true),
       tool(icons.screenshot, texts.tools.screenshot, null, events.screenshot, true),
+      ...(document.fullscreenEnabled ? [tool(icons.fullscreen, texts.tools.fullscreen, null, events.fullscreen, true)] : []),
       tool(icons.save, texts.tools.save, null, events.save, true),
       tool(icons.open, texts.actions.other, null, events.open, true),
       tool(icons.help, texts.tools.help, "H", events.help, true),
