@@ -1,10 +1,11 @@
 // Benchmark of the viewer: limits and measured values. Run it by hand on a quiet machine: `.ci/long viewer`, or
-// `node bench.js [PART...]` with the parts native, street, house, city and colours.
+// `node bench.js [PART...]` with the parts native, street, house, city, colours and drop.
 //
 // SLICEWALK_ENGINE_CHECK is the output folder of an optimised `record`, which contains the native times. SLICEWALK_BIN
 // is a folder of optimised programs, which make the city in a few minutes.
 
-import { readFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { launch, until, walkIn } from "./browser.js";
@@ -26,6 +27,12 @@ const PASSING_US = 50;
 const TASK_MS = 50;
 const PAGES_BYTES = 64 << 20;
 const OUTLINE_BYTES = 3_000_000;
+
+/** Points of scans that are dropped on the page, and the time until one can walk in them (s). */
+const DROPS = [
+  [1_000_000, 5],
+  [10_000_000, 15],
+];
 
 const STREET_M = 100;
 /** Start in a street of the city, and the distance walked. */
@@ -78,6 +85,41 @@ async function within(folder, files, work) {
 }
 
 const parts = {
+  /** LAZ files of a house: until the first step, conversion included; then the tasks of the page while it converts. */
+  async drop() {
+    const folder = mkdtempSync(join(tmpdir(), "drop-"));
+    try {
+      for (const [points, most] of DROPS) {
+        const scan = join(folder, `${points}.laz`);
+        program("scangen", "house", "--points", String(points), "--noise", "0.003", "--format", "7", "-o", scan);
+        await within(DIST, {}, async (page, server) => {
+          await page.goto(server.address);
+          await page.waitForFunction(() => window.slicewalk !== undefined);
+          await page.evaluate(() => {
+            // What happens once somebody has answered the form.
+            const input = document.querySelector("#open-file");
+            input.addEventListener("change", (event) => event.stopImmediatePropagation(), { capture: true });
+          });
+          await page.locator("#open-file").setInputFiles(scan);
+          const [seconds, tasks] = await page.evaluate(async () => {
+            const [file] = document.querySelector("#open-file").files;
+            const [begun, tasks] = [performance.now(), []];
+            // Afterwards shaders are compiled, once.
+            const converts = () => window.slicewalk.state().converting !== null;
+            const note = (list) => converts() && tasks.push(...list.getEntries().map(({ duration }) => duration));
+            new PerformanceObserver(note).observe({ type: "longtask" });
+            await window.slicewalk.open(file, { units: "m" });
+            return [(performance.now() - begun) / 1000, tasks];
+          });
+          report("drop", `${points / 1e6} M points of LAZ until the first step`, seconds, most, "s");
+          reportTasks("drop", tasks);
+        });
+      }
+    } finally {
+      rmSync(folder, { recursive: true, force: true });
+    }
+  },
+
   /** Boxes and frames of a pawn in Chromium compared with the native engine. */
   async native() {
     const folder = process.env.SLICEWALK_ENGINE_CHECK;

@@ -566,8 +566,7 @@ export class App implements Stage {
     this.#frames++;
     const { session } = this;
     if (session === null) {
-      this.canvas.sky.mesh.visible = false;
-      this.canvas.render();
+      this.canvas.clear();
       return;
     }
     const { pawn, world, view } = session;

@@ -173,6 +173,13 @@ export class Canvas {
     this.#covered.measure(now);
   }
 
+  /** Empties the picture, now and then: nothing moves while nothing is open, and a conversion needs the processor. */
+  clear(now = performance.now()): void {
+    if (now - this.#drawnAt < RESTING_MS) return;
+    this.sky.mesh.visible = false;
+    this.render(now, true);
+  }
+
   /** Draws the next frame also while the view rests. */
   refresh(): void {
     this.#drawnAt = Number.NEGATIVE_INFINITY;
