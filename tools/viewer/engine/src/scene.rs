@@ -3,7 +3,7 @@
 //! In: the pages in memory and the position of the camera. Out: geometry, nearest first. Memory: a few words per page
 //! drawn.
 
-use crate::geometry::{COARSEST, Geometry, sparseness};
+use crate::geometry::{COARSEST, Geometry};
 use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
@@ -342,8 +342,7 @@ impl Scene {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
             let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
             let around = (!self.blocks).then(|| neighbours(set, key));
-            let least = if self.blocks { 0 } else { sparseness(page) };
-            let geometry = Geometry::of(set.frame(), key, page, around.as_ref(), coarseness.max(least));
+            let geometry = Geometry::of(set.frame(), key, page, around.as_ref(), coarseness);
             let neighbours = around.map_or(0, |around| around.iter().flatten().count());
             let before = self.drawn.get(&key).map(|drawn| (drawn.id, drawn.painted));
             let (id, painted) = before.unwrap_or_else(|| {

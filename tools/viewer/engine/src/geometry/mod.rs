@@ -12,7 +12,6 @@ use cells::Cells;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::page::Page;
 use smooth::Smooth;
-pub(crate) use smooth::sparseness;
 
 /// Largest cell, as a power of two of pixels.
 pub(crate) const COARSEST: u32 = 4;
@@ -36,17 +35,17 @@ pub struct Geometry {
 
 impl Geometry {
     /// Builds the geometry of `page` with cells of `2^coarseness` pixels: what collides, or if there are pages `around`
-    /// it (see `Cells::of`), with smooth surfaces.
+    /// it (see `Cells::of`), with smooth surfaces, and larger cells where points lie apart.
     pub fn of(frame: &Frame, key: PageKey, page: &Page, around: Option<&[Option<&Page>; 9]>, coarseness: u32) -> Self {
-        let coarseness = coarseness.min(COARSEST);
+        let sparseness = around.map_or(0, |_| smooth::sparseness(page));
+        let coarseness = coarseness.max(sparseness).min(COARSEST);
         let pixels = f64::from(1 << coarseness);
         let cell_m = frame.pixel_m() * pixels;
         let step = (cell_m / 4.0 / frame.quantum_m()).round().clamp(1.0, PAGE_QUANTA as f64) as u32;
         let mut cells = Cells::of(page, around, coarseness, step);
         let step_cells = f64::from(step) * frame.quantum_m() / cell_m;
         let smooth = around.map(|_| Smooth::new(cell_m, step, step_cells));
-        let apart = sparseness(page) > 0;
-        smooth.iter().for_each(|smooth| smooth.close_holes(&mut cells, apart));
+        smooth.iter().for_each(|smooth| smooth.close_holes(&mut cells, sparseness > 0));
         let mut faces = Faces { step_cells, smooth, ..Faces::default() };
         quads::levels(&cells, true, &mut faces);
         quads::levels(&cells, false, &mut faces);

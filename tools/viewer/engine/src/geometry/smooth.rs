@@ -25,7 +25,7 @@ const CONNECTED: f64 = 0.5;
 const FILLED: f64 = 0.45;
 
 /// Coarseness with which a page is drawn at least: points that lie apart, as scanned from the air, become a surface.
-pub(crate) fn sparseness(page: &Page) -> u32 {
+pub(super) fn sparseness(page: &Page) -> u32 {
     let mut rows = [0u64; TILE_PIXELS as usize + 1];
     let mut blocks = 0u64;
     for (x, y, _) in page.columns() {

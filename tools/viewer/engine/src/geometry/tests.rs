@@ -141,6 +141,27 @@ fn surrounded_holes_are_closed_for_the_eye() {
 }
 
 #[test]
+fn points_that_lie_apart_are_drawn_as_a_surface() {
+    // A point on every third pixel, and one of five of them missing.
+    let is_point = |x: u32, y: u32| x % 3 == 1 && y % 3 == 1 && (x * 7 + y * 13) % 5 != 0;
+    let apart = page(|x, y| if is_point(x, y) { vec![(1000, 1020, false)] } else { vec![] });
+    let drawn = |geometry: &Geometry| {
+        let cell = (geometry.scale[0] / frame().pixel_m()).round() as u32;
+        let faces = geometry.positions.chunks(12).zip(geometry.attributes.chunks(16));
+        let tops = faces.filter(|(_, kinds)| kinds[0] == 0);
+        let area = |corners: &[u16]| {
+            [0, 1].map(|axis| u32::from(corners[6 + axis].abs_diff(corners[axis]))).iter().product::<u32>()
+        };
+        tops.map(|(corners, _)| area(corners)).sum::<u32>() * cell * cell
+    };
+    let smooth = drawn(&Geometry::of(&frame(), KEY, &apart, Some(&alone(&apart)), 0));
+    let collides = drawn(&Geometry::of(&frame(), KEY, &apart, None, 0));
+    let points = (0..64).flat_map(|y| (0..64).map(move |x| (x, y))).filter(|(x, y)| is_point(*x, *y)).count();
+    assert_eq!(collides, points as u32, "what collides stays as it is");
+    assert!(smooth > 64 * 64 * 9 / 10, "{smooth} of {} pixels", 64 * 64);
+}
+
+#[test]
 fn neighbouring_pages_meet_at_the_same_heights() {
     let ground =
         |shift: u32| page(move |x, y| vec![(0, 900 + (x + shift) * 7 + y * 3 + (x + shift) * y % 11 * 9, false)]);

@@ -34,10 +34,11 @@ export class BlobFile {
 
   constructor(private readonly blob: Blob) {}
 
+  /** Reads at most a block. */
   read(offset: number, into: Uint8Array): number {
-    const length = Math.min(into.length, Math.max(0, this.blob.size - offset));
+    const length = Math.min(into.length, BLOCK, Math.max(0, this.blob.size - offset));
     try {
-      if (length >= BLOCK) {
+      if (length === BLOCK) {
         into.set(this.bytes(offset, offset + length));
         return length;
       }
