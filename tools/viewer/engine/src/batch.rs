@@ -3,7 +3,7 @@
 use crate::fault::invalid;
 use slicewalk::frame::PageKey;
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::query::{self, Aabb, Answer, Overlap, Ray, RayBound};
+use slicewalk::query::{self, Aabb, Answer, Cylinder, Overlap, Ray, RayBound, Shape, Sphere};
 use slicewalk::store::{Missing, Snapshot};
 
 /// Most keys of missing pages that a batch gathers.
@@ -53,18 +53,38 @@ fn aabb(row: &[f64]) -> slicewalk::Result<Aabb> {
     Aabb::new(Point3::from_slice(&row[..3]), Point3::from_slice(&row[3..6]))
 }
 
+fn sphere(row: &[f64]) -> slicewalk::Result<Sphere> {
+    Sphere::new(Point3::from_slice(&row[..3]), row[3])
+}
+
+fn cylinder(row: &[f64]) -> slicewalk::Result<Cylinder> {
+    Cylinder::new(Point3::from_slice(&row[..3]), row[3], row[4])
+}
+
+fn overlap<H: Shape>(set: &Snapshot, shape: &H, lacks: &mut Lacks) -> u8 {
+    match query::overlaps(set, shape) {
+        Overlap::Clear => 0,
+        Overlap::Hit => 1,
+        Overlap::NotLoaded(missing) => {
+            lacks.note(&missing);
+            2
+        }
+    }
+}
+
 /// N×6 (min, max) → 0 clear, 1 hit, 2 not loaded.
 pub(crate) fn overlaps(set: &Snapshot, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<u8>, String> {
-    each::<6, _>(boxes, |row| {
-        Ok(match query::overlaps(set, &aabb(row)?) {
-            Overlap::Clear => 0,
-            Overlap::Hit => 1,
-            Overlap::NotLoaded(missing) => {
-                lacks.note(&missing);
-                2
-            }
-        })
-    })
+    each::<6, _>(boxes, |row| Ok(overlap(set, &aabb(row)?, lacks)))
+}
+
+/// N×4 (centre, radius) → as [`overlaps`].
+pub(crate) fn spheres(set: &Snapshot, spheres: &[f64], lacks: &mut Lacks) -> Result<Vec<u8>, String> {
+    each::<4, _>(spheres, |row| Ok(overlap(set, &sphere(row)?, lacks)))
+}
+
+/// N×5 (feet, radius, height) → as [`overlaps`].
+pub(crate) fn cylinders(set: &Snapshot, cylinders: &[f64], lacks: &mut Lacks) -> Result<Vec<u8>, String> {
+    each::<5, _>(cylinders, |row| Ok(overlap(set, &cylinder(row)?, lacks)))
 }
 
 /// N×9 (min, max, motion) → free fraction of the motion; NaN: not loaded.

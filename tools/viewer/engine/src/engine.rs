@@ -358,6 +358,18 @@ impl Engine {
         batch::overlaps(&view, boxes, &mut self.lacks)
     }
 
+    /// Spheres N×4 → 0 clear, 1 hit, 2 not loaded.
+    pub fn spheres(&mut self, spheres: &[f64]) -> Result<Vec<u8>, String> {
+        let view = self.snapshot()?;
+        batch::spheres(&view, spheres, &mut self.lacks)
+    }
+
+    /// Upright cylinders N×5 → 0 clear, 1 hit, 2 not loaded.
+    pub fn cylinders(&mut self, cylinders: &[f64]) -> Result<Vec<u8>, String> {
+        let view = self.snapshot()?;
+        batch::cylinders(&view, cylinders, &mut self.lacks)
+    }
+
     /// Sweeps N×9 → free fraction of the motion; NaN: not loaded.
     pub fn sweep(&mut self, sweeps: &[f64]) -> Result<Vec<f64>, String> {
         let view = self.snapshot()?;

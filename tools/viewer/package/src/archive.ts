@@ -126,6 +126,14 @@ class OpenArchive implements Archive {
     return this.batch<Uint8Array>("overlaps", boxes, options);
   }
 
+  overlapsSpheres(spheres: Float64Array, options?: BatchOptions): Promise<Uint8Array> {
+    return this.batch<Uint8Array>("spheres", spheres, options);
+  }
+
+  overlapsCylinders(cylinders: Float64Array, options?: BatchOptions): Promise<Uint8Array> {
+    return this.batch<Uint8Array>("cylinders", cylinders, options);
+  }
+
   sweep(sweeps: Float64Array, options?: BatchOptions): Promise<Float64Array> {
     return this.batch("sweep", sweeps, options);
   }

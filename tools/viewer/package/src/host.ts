@@ -16,7 +16,7 @@ import {
   readStats,
   ROUTE_CODE,
 } from "./messages.js";
-import type { Call, FromWorker, Note, Open, Routed, Step, ToWorker } from "./protocol.js";
+import type { BatchKind, Call, FromWorker, Note, Open, Routed, Sliding, Step, ToWorker } from "./protocol.js";
 import { BlobSource, TailFirst } from "./source.js";
 import { NOT_LOADED, SlicewalkError, type Stats } from "./types.js";
 import type { Engine } from "./wasm/engine.js";
@@ -30,7 +30,17 @@ const STATS_EVERY = 250;
 /** Longest delay of the page requests of steps (ms); walkers that step more often share the streaming work. */
 const HINTS_EVERY = 8;
 /** Numbers per query of each kind, and per answer. */
-const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], far: [7, 2], floor: [6, 1] } as const;
+const SHAPES = {
+  overlaps: [6, 1],
+  spheres: [4, 1],
+  cylinders: [5, 1],
+  sweep: [9, 1],
+  cast: [7, 5],
+  far: [7, 2],
+  floor: [6, 1],
+} as const satisfies Record<BatchKind, readonly [number, number]>;
+/** Kinds that answer with bytes; of the others the first number of an answer is NaN if pages are missing. */
+const OVERLAPS: ReadonlySet<BatchKind> = new Set<BatchKind>(["overlaps", "spheres", "cylinders"]);
 
 export interface Port {
   post(message: FromWorker, transfer: Transferable[]): void;
@@ -274,13 +284,13 @@ export class Host {
 
   // Batches ------------------------------------------------------------------------------------------------------------------
 
-  private async batch(kind: keyof typeof SHAPES, rows: Float64Array, load: boolean, signal: AbortSignal) {
+  private async batch(kind: BatchKind, rows: Float64Array, load: boolean, signal: AbortSignal) {
     const [width, answers] = SHAPES[kind];
     const count = rows.length / width;
     if (!Number.isInteger(count)) {
       throw new SlicewalkError("invalid", `${rows.length} numbers are not rows of ${width}`);
     }
-    const out = kind === "overlaps" ? new Uint8Array(count) : new Float64Array(count * answers);
+    const out = OVERLAPS.has(kind) ? new Uint8Array(count) : new Float64Array(count * answers);
     let left: Uint32Array = await this.ask(kind, rows, null, out, signal);
     while (load && left.length > 0) {
       const before = left.length;
@@ -298,7 +308,7 @@ export class Host {
   }
 
   private async answerAlone(
-    kind: keyof typeof SHAPES,
+    kind: BatchKind,
     rows: Float64Array,
     row: Uint32Array,
     out: Uint8Array | Float64Array,
@@ -317,7 +327,7 @@ export class Host {
 
   /** Answers these rows, or all of them; returns the rows that lack pages. */
   private async ask(
-    kind: keyof typeof SHAPES,
+    kind: BatchKind,
     rows: Float64Array,
     which: Uint32Array | null,
     out: Uint8Array | Float64Array,
@@ -326,6 +336,7 @@ export class Host {
     const [width, answers] = SHAPES[kind];
     const count = which?.length ?? rows.length / width;
     const unknown: number[] = [];
+    const missing = OVERLAPS.has(kind) ? NOT_LOADED : Number.NaN;
     let begun = this.outside.now();
     for (let first = 0; first < count; first += ROWS) {
       if (this.outside.now() - begun > BATCH_MS) {
@@ -349,7 +360,7 @@ export class Host {
       if (!which) {
         out.set(found, first * answers);
         // Most batches know all answers; checking row by row would take half as long as answering.
-        if (!found.includes(kind === "overlaps" ? NOT_LOADED : Number.NaN)) {
+        if (!found.includes(missing)) {
           continue;
         }
       }
@@ -358,7 +369,7 @@ export class Host {
         if (which) {
           out.set(found.subarray(at, at + answers), row(n) * answers);
         }
-        if (kind === "overlaps" ? found[at] === NOT_LOADED : Number.isNaN(found[at])) {
+        if (Object.is(found[at], missing)) {
           unknown.push(row(n));
         }
       }

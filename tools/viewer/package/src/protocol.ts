@@ -14,7 +14,14 @@ export interface Open {
   readonly credentials: RequestCredentials | undefined;
 }
 
-export type BatchKind = "overlaps" | "sweep" | "cast" | "far" | "floor";
+export type BatchKind = "overlaps" | "spheres" | "cylinders" | "sweep" | "cast" | "far" | "floor";
+
+/** A move along surfaces; the shape has six numbers for a box, five for a cylinder, four for a sphere. */
+export interface Sliding {
+  readonly shape: Float64Array;
+  readonly motion: Float64Array;
+  readonly contacts: number;
+}
 
 export type SceneSettings = readonly [radius: number, triangles: number, detail: number, overview: boolean, blocks: boolean];
 

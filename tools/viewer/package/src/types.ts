@@ -15,12 +15,12 @@ export interface Bounds {
   readonly max: Vec3;
 }
 
-/** The box touches no solid; results of {@link Archive.overlaps}. */
+/** The shape touches no solid; results of {@link Archive.overlaps}. */
 export const CLEAR = 0;
-/** The box touches solid. */
+/** The shape touches solid. */
 export const HIT = 1;
 /**
- * The box touches no solid in memory, but meets pages that are not loaded and may hold some. Never treat it as free.
+ * The shape touches no solid in memory, but meets pages that are not loaded and may hold some. Never treat it as free.
  */
 export const NOT_LOADED = 2;
 
@@ -199,6 +199,10 @@ export interface Archive {
 
   /** Boxes N×6 (min, max) → N × {@link CLEAR}, {@link HIT} or {@link NOT_LOADED}. */
   overlaps(boxes: Float64Array, options?: BatchOptions): Promise<Uint8Array>;
+  /** Spheres N×4 (centre, radius) → answers like those of {@link overlaps}. */
+  overlapsSpheres(spheres: Float64Array, options?: BatchOptions): Promise<Uint8Array>;
+  /** Upright cylinders N×5 (middle of the bottom face, radius, height) → answers like those of {@link overlaps}. */
+  overlapsCylinders(cylinders: Float64Array, options?: BatchOptions): Promise<Uint8Array>;
   /** Sweeps N×9 (min, max, motion) → free fraction of the motion, 0 to 1; NaN: not loaded. */
   sweep(sweeps: Float64Array, options?: BatchOptions): Promise<Float64Array>;
   /** Rays N×7 (origin, direction, max) → distance; Infinity: no hit, NaN: not loaded. */

@@ -45,6 +45,15 @@ test("answers batches as natively, once what they need is loaded, under a budget
   assert.ok(now.every((answer, n) => answer === NOT_LOADED || answer === native[n]));
   assert.deepEqual(await archive.overlaps(boxes, { load: true }), native);
   assert.ok(native.includes(CLEAR) && native.includes(HIT));
+  for (const [round, width, method] of [
+    ["spheres", 4, "overlapsSpheres"],
+    ["cylinders", 5, "overlapsCylinders"],
+  ]) {
+    const shapes = numbers(`${round}.f64`).subarray(0, width * rows);
+    const expected = read(`${round}.answers.u8`).subarray(0, rows);
+    assert.ok((await archive[method](shapes)).every((answer, n) => answer === NOT_LOADED || answer === expected[n]));
+    assert.deepEqual(await archive[method](shapes, { load: true }), expected);
+  }
   assert.deepEqual(await archive.floor(boxes, { load: true }), numbers("boxes.floors.f64").slice(0, rows));
   const sweeps = await archive.sweep(numbers("sweeps.f64").subarray(0, 9 * rows), { load: true });
   assert.deepEqual(sweeps, numbers("sweeps.answers.f64").slice(0, rows));
@@ -70,6 +79,14 @@ test("arguments that make no sense are refused with their row", async () => {
   const boxes = new Float64Array(6 * 5000);
   boxes[6 * 4500] = 1;
   await assert.rejects(archive.overlaps(boxes), refuses("invalid", /^row 4500: box/));
+  await assert.rejects(archive.overlapsSpheres(new Float64Array(6)), refuses("invalid", /6 numbers are not rows of 4/));
+  const spheres = new Float64Array(4 * 5000);
+  spheres[4 * 4500 + 3] = -1;
+  await assert.rejects(archive.overlapsSpheres(spheres), refuses("invalid", /^row 4500: sphere/));
+  await assert.rejects(
+    archive.overlapsCylinders(Float64Array.of(0, 0, 0, 1, Number.NaN)),
+    refuses("invalid", /^row 0: cylinder/),
+  );
   await assert.rejects(archive.cast(new Float64Array(7)), refuses("invalid", /row 0: ray/));
   await assert.rejects(archive.walker({ at: [0, 0, Number.NaN] }), refuses("invalid"));
   await assert.rejects(archive.walker({ at: [0, 0, 0], climb: 3 }), refuses("invalid", /climb/));

@@ -64,11 +64,13 @@ function same(found, expected, what) {
 
 const questions = read("boxes.answers.u8").length;
 
-test(`${questions} boxes, their floors, sweeps and rays`, () => {
+test(`${questions} boxes, their floors, spheres, cylinders, sweeps and rays`, () => {
   const engine = whole();
   const boxes = numbers("boxes.f64");
   same(engine.overlaps(boxes), read("boxes.answers.u8"), "boxes");
   same(engine.floor(boxes), numbers("boxes.floors.f64"), "floors");
+  same(engine.spheres(numbers("spheres.f64")), read("spheres.answers.u8"), "spheres");
+  same(engine.cylinders(numbers("cylinders.f64")), read("cylinders.answers.u8"), "cylinders");
   same(engine.sweep(numbers("sweeps.f64")), numbers("sweeps.answers.f64"), "sweeps");
   same(engine.cast(numbers("rays.f64")), numbers("rays.answers.f64"), "rays");
   engine.free();

@@ -53,6 +53,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     });
     write("rays.f64", &rays)?;
     write("rays.answers.f64", &engine.cast(&rays)?)?;
+    let spheres = rows(questions, || [&place(&mut random, LOW, HIGH)[..], &[random.in_range(0.0, 0.8)]].concat());
+    write("spheres.f64", &spheres)?;
+    std::fs::write(folder.join("spheres.answers.u8"), engine.spheres(&spheres)?)?;
+    let cylinders = rows(questions, || {
+        [&place(&mut random, LOW, HIGH)[..], &[random.in_range(0.0, 0.5), random.in_range(0.0, 2.0)]].concat()
+    });
+    write("cylinders.f64", &cylinders)?;
+    std::fs::write(folder.join("cylinders.answers.u8"), engine.cylinders(&cylinders)?)?;
 
     write("rays.far.f64", &partly(&with_levels)?.far(&rays)?)?;
 
