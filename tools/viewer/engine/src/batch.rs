@@ -23,7 +23,8 @@ impl Lacks {
         }
     }
 
-    fn known<T>(&mut self, answer: Answer<T>) -> Option<T> {
+    /// Returns what is known, or notes what is missing for it.
+    pub(crate) fn known<T>(&mut self, answer: Answer<T>) -> Option<T> {
         match answer {
             Answer::Known(value) => Some(value),
             Answer::NotLoaded(missing) => {

@@ -13,6 +13,7 @@ use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
 use crate::routes::{Routed, Routing};
 use crate::scene::{HORIZON_S, Part, Scenes};
+use crate::slide::slide;
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
@@ -392,6 +393,13 @@ impl Engine {
     pub fn floor(&mut self, boxes: &[f64]) -> Result<Vec<f64>, String> {
         let view = self.snapshot()?;
         batch::floor(&view, boxes, &mut self.lacks)
+    }
+
+    /// Moves a box (six numbers), a cylinder (five) or a sphere (four) until it meets solid, and on along it. Returns the
+    /// numbers of a `SlideMessage`, and of a `ContactMessage` for each contact.
+    pub fn slide(&mut self, shape: &[f64], motion: &[f64], contacts: u32) -> Result<Vec<f64>, String> {
+        let view = self.snapshot()?;
+        slide(&view, shape, motion, contacts, &mut self.lacks)
     }
 
     /// Boxes around all solid, six numbers each (min, max): the runs of occupied slices of pages, in memory or not. Of a

@@ -20,6 +20,7 @@ mod paint;
 mod pawn;
 mod routes;
 mod scene;
+mod slide;
 
 pub use engine::Engine;
 pub use geometry::Geometry;

@@ -130,6 +130,30 @@ messages! {
         /// Places of its route that lie ahead.
         ahead,
     }
+    /// Outcome of a move along surfaces (m).
+    SlideMessage {
+        /// Way moved: x.
+        x,
+        /// Way moved: y.
+        y,
+        /// Way moved: z.
+        z,
+        /// 1 if pages are missing ahead.
+        missing,
+    }
+    /// Contact of a move.
+    ContactMessage {
+        /// Way until the contact (m).
+        distance,
+        /// Outward normal of the surface: x.
+        normal_x,
+        /// Outward normal of the surface: y.
+        normal_y,
+        /// Outward normal of the surface: z.
+        normal_z,
+        /// 1 if it is an obstacle.
+        obstacle,
+    }
     /// Memory and work of the engine.
     StatsMessage {
         /// Pages in memory.

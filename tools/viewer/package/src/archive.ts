@@ -3,6 +3,7 @@
 import { aborted, asError, fromFault } from "./fault.js";
 import { Link } from "./link.js";
 import type { BatchKind, FromWorker } from "./protocol.js";
+import { toSlide, toSliding } from "./slide.js";
 import {
   type Archive,
   type ArchiveEvents,
@@ -12,10 +13,14 @@ import {
   type Bounds,
   type FarHits,
   type OpenOptions,
+  type PlacedShape,
   type RayHits,
+  type Slide,
   type SliceMap,
+  type SlideOptions,
   SlicewalkError,
   type Stats,
+  type Vec3,
   type View,
   type ViewOptions,
   type Walker,
@@ -165,6 +170,13 @@ class OpenArchive implements Archive {
 
   floor(boxes: Float64Array, options?: BatchOptions): Promise<Float64Array> {
     return this.batch("floor", boxes, options);
+  }
+
+  async moveAndSlide(shape: PlacedShape, motion: Vec3, options: SlideOptions = {}): Promise<Slide> {
+    const sliding = toSliding(shape, motion, options);
+    const transfer = [sliding.shape.buffer, sliding.motion.buffer] as ArrayBuffer[];
+    const call = { call: "slide", load: options.load ?? false, ...sliding } as const;
+    return toSlide(await this.link.call<Float64Array>(call, options.signal, transfer));
   }
 
   private batch<T = Float64Array>(kind: BatchKind, rows: Float64Array, options: BatchOptions = {}): Promise<T> {

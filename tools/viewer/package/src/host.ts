@@ -12,6 +12,7 @@ import {
   readAction,
   readPaint,
   readPage,
+  readSlide,
   readState,
   readStats,
   ROUTE_CODE,
@@ -181,6 +182,8 @@ export class Host {
       }
       case "batch":
         return moved(await this.batch(call.kind, call.rows, call.load, signal));
+      case "slide":
+        return moved(await this.slide(call, call.load, signal));
       case "load": {
         const leftOut = await this.outcome(engine.load(call.box), signal);
         if (leftOut > 0) {
@@ -305,6 +308,22 @@ export class Host {
     }
     this.engine?.forget_missing();
     return out;
+  }
+
+  private async slide({ shape, motion, contacts }: Sliding, load: boolean, signal: AbortSignal): Promise<Float64Array> {
+    for (;;) {
+      // Only what the move itself misses; batches find what they miss again.
+      this.ready().forget_missing();
+      const slid = this.ready().slide(shape, motion, contacts);
+      const request = load && readSlide(slid).missing > 0 ? this.ready().load_missing() : 0;
+      this.ready().forget_missing();
+      if (request === 0) {
+        return slid;
+      }
+      if ((await this.outcome(request, signal)) > 0) {
+        throw new SlicewalkError("out-of-memory", "the budget has no room for the pages that the move needs; give it more");
+      }
+    }
   }
 
   private async answerAlone(

@@ -175,6 +175,76 @@ export function writeState(message: StateMessage): number[] {
 /** Numbers of a `StateMessage`. */
 export const STATE_LENGTH = 13;
 
+/** Outcome of a move along surfaces (m). */
+export interface SlideMessage {
+  /** Way moved: x. */
+  readonly x: number;
+  /** Way moved: y. */
+  readonly y: number;
+  /** Way moved: z. */
+  readonly z: number;
+  /** 1 if pages are missing ahead. */
+  readonly missing: number;
+}
+
+export function readSlide(numbers: ArrayLike<number>, at = 0): SlideMessage {
+  return {
+    x: numbers[at] ?? 0,
+    y: numbers[at + 1] ?? 0,
+    z: numbers[at + 2] ?? 0,
+    missing: numbers[at + 3] ?? 0,
+  };
+}
+
+export function writeSlide(message: SlideMessage): number[] {
+  return [
+    message.x,
+    message.y,
+    message.z,
+    message.missing,
+  ];
+}
+
+/** Numbers of a `SlideMessage`. */
+export const SLIDE_LENGTH = 4;
+
+/** Contact of a move. */
+export interface ContactMessage {
+  /** Way until the contact (m). */
+  readonly distance: number;
+  /** Outward normal of the surface: x. */
+  readonly normalX: number;
+  /** Outward normal of the surface: y. */
+  readonly normalY: number;
+  /** Outward normal of the surface: z. */
+  readonly normalZ: number;
+  /** 1 if it is an obstacle. */
+  readonly obstacle: number;
+}
+
+export function readContact(numbers: ArrayLike<number>, at = 0): ContactMessage {
+  return {
+    distance: numbers[at] ?? 0,
+    normalX: numbers[at + 1] ?? 0,
+    normalY: numbers[at + 2] ?? 0,
+    normalZ: numbers[at + 3] ?? 0,
+    obstacle: numbers[at + 4] ?? 0,
+  };
+}
+
+export function writeContact(message: ContactMessage): number[] {
+  return [
+    message.distance,
+    message.normalX,
+    message.normalY,
+    message.normalZ,
+    message.obstacle,
+  ];
+}
+
+/** Numbers of a `ContactMessage`. */
+export const CONTACT_LENGTH = 5;
+
 /** Memory and work of the engine. */
 export interface StatsMessage {
   /** Pages in memory. */

@@ -31,6 +31,7 @@ export type Call =
   | { readonly call: "reference" }
   | { readonly call: "boxes" }
   | { readonly call: "batch"; readonly kind: BatchKind; readonly rows: Float64Array; readonly load: boolean }
+  | ({ readonly call: "slide"; readonly load: boolean } & Sliding)
   | { readonly call: "load"; readonly box: Float64Array }
   | { readonly call: "map"; readonly area: Float64Array; readonly cells: number }
   | { readonly call: "walker"; readonly settings: Float64Array; readonly at: Float64Array }

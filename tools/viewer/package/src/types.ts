@@ -172,6 +172,42 @@ export interface FarHits {
   readonly coarse: Uint8Array;
 }
 
+/**
+ * A shape at a place: a box between two corners, a body that stands on the middle of its bottom face, or a sphere around
+ * its centre.
+ */
+export type PlacedShape =
+  Bounds | (Body & { readonly at: Vec3 }) | { readonly shape: "sphere"; readonly radius: number; readonly at: Vec3 };
+
+/** Options of a move along surfaces. */
+export interface SlideOptions extends BatchOptions {
+  /** Most contacts that it handles; 4 by default, at most 16. At the last one it ends. */
+  iterations?: number;
+}
+
+/** A contact of a move. */
+export interface Contact {
+  /** Way moved until then. */
+  readonly distance: number;
+  /**
+   * Outward normal of the surface; zeros if the shape was inside of solid before it moved. Then it does not move: place
+   * it elsewhere.
+   */
+  readonly normal: Vec3;
+  /** Whether the surface is an obstacle, or floor. */
+  readonly obstacle: boolean;
+}
+
+/** Outcome of a move along surfaces. */
+export interface Slide {
+  /** Motion that the shape made: add it to its place. */
+  readonly motion: Vec3;
+  /** In the order of the way. */
+  readonly contacts: readonly Contact[];
+  /** Pages are not loaded ahead, so the move ended before them. Never with `load`. */
+  readonly missing: boolean;
+}
+
 /** A plan of one storey, seen from above. */
 export interface SliceMap {
   readonly width: number;
@@ -219,6 +255,13 @@ export interface Archive {
    * floor, NaN: not loaded.
    */
   floor(boxes: Float64Array, options?: BatchOptions): Promise<Float64Array>;
+
+  /**
+   * Moves a shape until it meets solid, and on along it, as character controllers do: against a wall along the wall,
+   * between two walls along their crease, in a corner not at all. Never ends in solid that the shape was not in before,
+   * nor moves farther than `motion` is long. Gravity, steps and slopes are the caller's; a {@link walker} has them.
+   */
+  moveAndSlide(shape: PlacedShape, motion: Vec3, options?: SlideOptions): Promise<Slide>;
 
   /** Loads the pages that a pawn needs to stand in this box; resolves once all of them are in memory. */
   load(box: Bounds, options?: { signal?: AbortSignal }): Promise<void>;

@@ -95,6 +95,45 @@ test("arguments that make no sense are refused with their row", async () => {
   archive.close();
 });
 
+test("a shape slides along what it meets, and waits for nothing that it was not told to load", async () => {
+  const archive = await open(new FileHost(scene));
+  const body = { shape: "box", x: 0.5, y: 0.5, height: 1.8, at: [-6, 2, 1.5] };
+  const motion = [0, 0.3, -3];
+  assert.deepEqual(await archive.moveAndSlide(body, motion), { motion: [0, 0, 0], contacts: [], missing: true });
+  const down = await archive.moveAndSlide(body, motion, { load: true });
+  assert.ok(!down.missing && down.contacts.length > 0 && down.motion[2] > -1.51 && down.motion[2] < -0.9, JSON.stringify(down));
+  const [{ normal, distance, obstacle }] = down.contacts;
+  assert.deepEqual([normal, obstacle], [[0, 0, 1], false]);
+  assert.ok(distance > 0.9 && distance <= Math.hypot(...motion));
+  // The same box by its corners, and no more contacts than asked for.
+  const bounds = { min: [-6.25, 1.75, 1.5], max: [-5.75, 2.25, 3.3] };
+  assert.deepEqual(await archive.moveAndSlide(bounds, motion), down);
+  const once = await archive.moveAndSlide(bounds, motion, { iterations: 1 });
+  assert.ok(once.contacts.length === 1 && once.motion[1] < down.motion[1]);
+  // Into the outer wall, whose surface lies at 8.8, along it and into the corner.
+  const sphere = { shape: "sphere", radius: 0.2, at: [8.5, 8, 1.5] };
+  const corner = await archive.moveAndSlide(sphere, [5, 4, 0], { load: true });
+  assert.ok(
+    corner.motion.every((v, axis) => Math.abs(v - [0.1, 0.6, 0][axis]) < 0.05),
+    `${corner.motion}`,
+  );
+  const free = await archive.moveAndSlide({ shape: "cylinder", radius: 0.2, height: 1, at: sphere.at }, [0.01, 0.02, 0]);
+  assert.deepEqual(free, { motion: [0.01, 0.02, 0], contacts: [], missing: false });
+  await assert.rejects(archive.moveAndSlide(bounds, [0, Number.NaN, 0]), refuses("invalid", /move/));
+  await assert.rejects(archive.moveAndSlide({ min: [0, 0, 0], max: [1, 1] }, [0, 0, 0]), refuses("invalid", /box/));
+  const late = new AbortController();
+  const far = archive.moveAndSlide(bounds, [15, 15, 0], { load: true, signal: late.signal });
+  late.abort();
+  await assert.rejects(far, refuses("aborted"));
+  archive.close();
+  const small = await open(new FileHost(scene), { budgetBytes: 300_000 });
+  const up = { min: [-8, -8, 5.5], max: [-7.9, -7.9, 5.6] };
+  const all = { min: [-8, -8, -0.05], max: [8.7, 8.7, 5.2] };
+  assert.ok((await small.moveAndSlide(up, [0, 0, 1])).contacts.length === 0);
+  await assert.rejects(small.moveAndSlide(all, [0, 0, 20], { load: true }), refuses("out-of-memory", /move/));
+  small.close();
+});
+
 test("a walker waits for its pages and then walks, jumps, crouches and flies", async () => {
   const host = new FileHost(scene);
   const archive = await open(host);
