@@ -1,18 +1,8 @@
 /** Errors in transit between worker, engine and page. */
 
-import { type ErrorKind, SlicewalkError } from "./types.js";
+import { ERROR_KINDS, type ErrorKind, SlicewalkError } from "./types.js";
 
-const KINDS: ReadonlySet<string> = new Set<ErrorKind>([
-  "not-an-archive",
-  "damaged",
-  "replaced",
-  "network",
-  "no-ranges",
-  "out-of-memory",
-  "aborted",
-  "invalid",
-  "engine",
-]);
+const KINDS: ReadonlySet<string> = new Set(ERROR_KINDS);
 
 /** An error in a message. */
 export interface Fault {

@@ -25,7 +25,7 @@ export const HIT = 1;
 export const NOT_LOADED = 2;
 
 /**
- * Kind of an error:
+ * Kinds of errors:
  *
  * - `not-an-archive`: the first bytes are not those of a slice archive, or of a version that this engine does not read;
  * - `damaged`: bytes break a rule of the format (the message names part and rule);
@@ -37,8 +37,19 @@ export const NOT_LOADED = 2;
  * - `invalid`: an argument is invalid;
  * - `engine`: a defect of the engine, or its worker cannot start.
  */
-export type ErrorKind =
-  "not-an-archive" | "damaged" | "replaced" | "network" | "no-ranges" | "out-of-memory" | "aborted" | "invalid" | "engine";
+export const ERROR_KINDS = [
+  "not-an-archive",
+  "damaged",
+  "replaced",
+  "network",
+  "no-ranges",
+  "out-of-memory",
+  "aborted",
+  "invalid",
+  "engine",
+] as const;
+
+export type ErrorKind = (typeof ERROR_KINDS)[number];
 
 /** The only error class that the package throws or rejects with. */
 export class SlicewalkError extends Error {
@@ -50,6 +61,14 @@ export class SlicewalkError extends Error {
     super(message, options);
     this.name = "SlicewalkError";
   }
+}
+
+/** Tells errors of this package from others, and if kinds are given, those of these kinds. */
+export function isSlicewalkError<K extends ErrorKind = ErrorKind>(
+  thrown: unknown,
+  ...kinds: readonly K[]
+): thrown is SlicewalkError & { readonly kind: K } {
+  return thrown instanceof SlicewalkError && (kinds.length === 0 || (kinds as readonly ErrorKind[]).includes(thrown.kind));
 }
 
 /** Options of `openArchive`. */

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { CLEAR, HIT, NOT_LOADED, openArchive, SlicewalkError } from "../dist/index.js";
+import { CLEAR, ERROR_KINDS, HIT, isSlicewalkError, NOT_LOADED, openArchive, SlicewalkError } from "../dist/index.js";
 import { FileHost, numbers, read } from "./local.js";
 
 const scene = read("scene.slices");
@@ -71,6 +71,13 @@ test("answers batches as natively, once what they need is loaded, under a budget
   await until(() => archive.stats.pending === 0 && archive.stats.evicted > 0);
   assert.ok(archive.stats.peakBytes <= 1_000_000 && archive.stats.requests >= 2 && archive.stats.bytesLoaded > 1000);
   archive.close();
+});
+
+test("errors are told apart by their kind", () => {
+  const error = new SlicewalkError("network", "no answer");
+  assert.ok(isSlicewalkError(error) && isSlicewalkError(error, "aborted", "network"));
+  assert.ok(!isSlicewalkError(error, "aborted") && !isSlicewalkError(new Error("network")) && !isSlicewalkError(undefined));
+  assert.ok(ERROR_KINDS.includes(error.kind) && new Set(ERROR_KINDS).size === 9);
 });
 
 test("arguments that make no sense are refused with their row", async () => {
