@@ -1,7 +1,7 @@
 /** Archives as seen by the page. */
 
 import { aborted, asError, fromFault } from "./fault.js";
-import { Link } from "./link.js";
+import { Link, type WorkerLike } from "./link.js";
 import type { BatchKind, FromWorker } from "./protocol.js";
 import { toSlide, toSliding } from "./slide.js";
 import {
@@ -29,25 +29,10 @@ import {
 import { ViewHandle } from "./view.js";
 import { makeWalker } from "./walker.js";
 
-/** Opens the archive at an address, or in a file chosen by the user. */
-export async function openArchive(source: string | URL | Blob, options: OpenOptions = {}): Promise<Archive> {
-  if (options.signal?.aborted) {
-    throw aborted();
-  }
-  let worker: Worker;
-  try {
-    worker = options.worker ? options.worker() : new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
-  } catch (thrown) {
-    throw asError(thrown);
-  }
-  const archive = new OpenArchive(worker);
-  await archive.open(source, options);
-  return archive;
-}
-
 function absolute(address: string | URL): string {
   try {
-    return new URL(address, typeof document === "undefined" ? undefined : document.baseURI).href;
+    const base = typeof document === "undefined" ? globalThis.location?.href : document.baseURI;
+    return new URL(address, base).href;
   } catch (cause) {
     throw new SlicewalkError("invalid", `${address} is no address`, { cause });
   }
@@ -68,7 +53,18 @@ const NO_STATS: Stats = {
   colours: { missing: 0, requests: 0, bytes: 0 },
 };
 
-class OpenArchive implements Archive {
+export function toRayHits(answers: Float64Array): RayHits {
+  const count = answers.length / 5;
+  const hits = { distances: new Float64Array(count), normals: new Float64Array(3 * count), obstacles: new Uint8Array(count) };
+  for (let ray = 0; ray < count; ray++) {
+    hits.distances[ray] = answers[5 * ray] as number;
+    hits.normals.set(answers.subarray(5 * ray + 1, 5 * ray + 4), 3 * ray);
+    hits.obstacles[ray] = answers[5 * ray + 4] as number;
+  }
+  return hits;
+}
+
+export class OpenArchive implements Archive {
   info!: ArchiveInfo;
   stats: Stats = NO_STATS;
   private readonly link: Link;
@@ -80,7 +76,7 @@ class OpenArchive implements Archive {
   };
   private referenced: Promise<ArchiveReference> | undefined;
 
-  constructor(worker: Worker) {
+  constructor(worker: WorkerLike) {
     this.link = new Link(worker, (event) => this.happened(event));
   }
 
@@ -148,15 +144,7 @@ class OpenArchive implements Archive {
   }
 
   async castHits(rays: Float64Array, options?: BatchOptions): Promise<RayHits> {
-    const answers = await this.batch<Float64Array>("cast", rays, options);
-    const count = answers.length / 5;
-    const hits = { distances: new Float64Array(count), normals: new Float64Array(3 * count), obstacles: new Uint8Array(count) };
-    for (let ray = 0; ray < count; ray++) {
-      hits.distances[ray] = answers[5 * ray] as number;
-      hits.normals.set(answers.subarray(5 * ray + 1, 5 * ray + 4), 3 * ray);
-      hits.obstacles[ray] = answers[5 * ray + 4] as number;
-    }
-    return hits;
+    return toRayHits(await this.batch<Float64Array>("cast", rays, options));
   }
 
   async castFar(rays: Float64Array, options: { signal?: AbortSignal } = {}): Promise<FarHits> {

@@ -1,6 +1,6 @@
 /**
- * The worker's side: drives the engine with bytes and time, and answers the page. It does not depend on `Worker`, so
- * tests run it in place.
+ * The worker's side: drives the engine with bytes and time, and answers the page. It does not depend on `Worker`, so it
+ * also runs in the caller's thread.
  */
 
 import { aborted, asError, asFault } from "./fault.js";
@@ -81,6 +81,8 @@ export class Host {
   private statsDue = false;
   private statsWait = false;
   private lastStats = "";
+  /** Batches in progress. */
+  private batches = 0;
   /** Input of a step, reused. */
   private readonly input = new Float64Array(INPUT_LENGTH);
   /** Wakes the worker without the delay of a timer. */
@@ -94,13 +96,20 @@ export class Host {
     this.bell.port1.onmessage = () => this.pump();
   }
 
-  /** Ends everything; for tests, because a worker is simply terminated. */
+  /** Ends everything and frees the memory, where no worker is terminated. */
   close(): void {
     this.failure ??= aborted();
     for (const gate of [...this.fetches.values(), ...this.calls.values(), this.timer, this.life]) {
       gate.abort();
     }
     this.bell.port1.close();
+    const engine = this.engine;
+    this.engine = undefined;
+    try {
+      engine?.free();
+    } catch {
+      // After a trap the engine cannot be freed.
+    }
   }
 
   receive(message: ToWorker): void {
@@ -125,17 +134,9 @@ export class Host {
   private step(message: Step): void {
     const [id, walker, seconds, ...input] = message;
     try {
-      this.input.set(input);
-      const state = this.ready().step(walker, seconds, this.input);
-      this.port.post([id, ...state], []);
-      // Missing pages block the walker.
-      if (readState(state).missing > 0 || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
-        this.wake();
-      } else {
-        this.wakeLater();
-      }
+      this.port.post([id, ...this.stepNow(walker, seconds, input)], []);
     } catch (thrown) {
-      this.port.post({ id, fault: asFault(this.caught(thrown)) }, []);
+      this.port.post({ id, fault: asFault(thrown) }, []);
     }
   }
 
@@ -233,6 +234,56 @@ export class Host {
     return this.engine;
   }
 
+  // At once ------------------------------------------------------------------------------------------------------------------
+
+  /** Steps a walker and returns the numbers of its state. */
+  stepNow(walker: number, seconds: number, input: readonly number[]): Float64Array {
+    return this.atOnce(() => {
+      this.input.set(input);
+      const state = this.ready().step(walker, seconds, this.input);
+      // Missing pages block the walker.
+      if (readState(state).missing > 0 || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
+        this.wake();
+      } else {
+        this.wakeLater();
+      }
+      return state;
+    });
+  }
+
+  /** Answers a batch from the pages in memory. */
+  batchNow(kind: BatchKind, rows: Float64Array): Uint8Array | Float64Array {
+    return this.atOnce(() => {
+      const answers = this.ready()[kind](rows);
+      this.forgetMissing();
+      return answers;
+    });
+  }
+
+  /** Moves a shape among the pages in memory. */
+  slideNow({ shape, motion, contacts }: Sliding): Float64Array {
+    return this.atOnce(() => {
+      const slid = this.ready().slide(shape, motion, contacts);
+      this.forgetMissing();
+      return slid;
+    });
+  }
+
+  private atOnce<T>(work: () => T): T {
+    try {
+      return work();
+    } catch (thrown) {
+      throw this.caught(thrown);
+    }
+  }
+
+  /** What answers at once misses is not loaded; but what a batch has missed so far, it will load. */
+  private forgetMissing(): void {
+    if (this.batches === 0) {
+      this.engine?.forget_missing();
+    }
+  }
+
   // Opening ------------------------------------------------------------------------------------------------------------------
 
   private opened: Waiting | undefined;
@@ -249,6 +300,9 @@ export class Host {
     this.source = bytes;
     // The engine loads while the first bytes arrive.
     const [module] = await Promise.all([this.load(call.wasm), bytes.begin(HEAD, signal)]);
+    if (signal.aborted) {
+      throw aborted();
+    }
     this.module = module;
     this.engine = module.open(bytes.length ?? Number.NaN, call.budgetBytes, call.requests);
     await new Promise<number>((resolve, reject) => {
@@ -294,6 +348,23 @@ export class Host {
       throw new SlicewalkError("invalid", `${rows.length} numbers are not rows of ${width}`);
     }
     const out = OVERLAPS.has(kind) ? new Uint8Array(count) : new Float64Array(count * answers);
+    this.batches += 1;
+    try {
+      await this.fill(kind, rows, out, load, signal);
+    } finally {
+      this.batches -= 1;
+    }
+    this.forgetMissing();
+    return out;
+  }
+
+  private async fill(
+    kind: BatchKind,
+    rows: Float64Array,
+    out: Uint8Array | Float64Array,
+    load: boolean,
+    signal: AbortSignal,
+  ): Promise<void> {
     let left: Uint32Array = await this.ask(kind, rows, null, out, signal);
     while (load && left.length > 0) {
       const before = left.length;
@@ -306,8 +377,6 @@ export class Host {
         left = left.slice(1);
       }
     }
-    this.engine?.forget_missing();
-    return out;
   }
 
   private async slide({ shape, motion, contacts }: Sliding, load: boolean, signal: AbortSignal): Promise<Float64Array> {

@@ -1,2 +1,2 @@
-export { openArchive } from "./archive.js";
+export { openArchive } from "./open.js";
 export * from "./types.js";

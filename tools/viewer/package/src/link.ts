@@ -11,6 +11,14 @@ interface Waiting {
   reject(error: SlicewalkError): void;
 }
 
+/** What a link needs of a worker. */
+export interface WorkerLike {
+  onmessage: ((event: MessageEvent<FromWorker>) => void) | null;
+  onerror: ((event: ErrorEvent) => void) | null;
+  postMessage(message: ToWorker, transfer?: Transferable[]): void;
+  terminate(): void;
+}
+
 export class Link {
   /** Reason why no more calls are possible. */
   error: SlicewalkError | null = null;
@@ -18,7 +26,7 @@ export class Link {
   private ids = 0;
 
   constructor(
-    private readonly worker: Worker,
+    private readonly worker: WorkerLike,
     private readonly onEvent: (event: Event) => void,
   ) {
     worker.onmessage = (event: MessageEvent<FromWorker>) => this.receive(event.data);

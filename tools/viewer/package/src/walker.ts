@@ -1,5 +1,6 @@
 /** Walkers as seen by the page. */
 
+import type { Host } from "./host.js";
 import type { Link } from "./link.js";
 import { GROUND_CODE, readState, ROUTE_CODE, type StateMessage, STOP_CODE, writeInput, writeSettings } from "./messages.js";
 import type { Recorded, Routed } from "./protocol.js";
@@ -74,7 +75,7 @@ export async function makeWalker(link: Link, options: WalkerOptions): Promise<Wa
   return new WalkerHandle(link, name, at, given);
 }
 
-class WalkerHandle implements Walker {
+export class WalkerHandle implements Walker {
   state: WalkerState;
   private start: Vec3;
   private closed = false;
@@ -94,6 +95,13 @@ class WalkerHandle implements Walker {
   async step(seconds: number, input: WalkerInput): Promise<WalkerState> {
     this.check();
     this.state = toState(readState(await this.link.step(this.name, seconds, inputNumbers(input)), 1));
+    return this.state;
+  }
+
+  /** Makes a step at once, with a host in this thread. */
+  stepBy(host: Host, seconds: number, input: WalkerInput): WalkerState {
+    this.check();
+    this.state = toState(readState(host.stepNow(this.name, seconds, inputNumbers(input))));
     return this.state;
   }
 

@@ -1,8 +1,8 @@
 /** The worker: an engine and its host. */
 
+import { loadEngine } from "./engine.js";
 import { Host } from "./host.js";
 import type { FromWorker, ToWorker } from "./protocol.js";
-import init, { Engine } from "./wasm/engine.js";
 
 interface Scope {
   onmessage: ((event: MessageEvent<ToWorker>) => void) | null;
@@ -11,19 +11,6 @@ interface Scope {
 
 const scope = globalThis as unknown as Scope;
 
-const host = new Host({ post: (message, transfer) => scope.postMessage(message, transfer) }, async (wasm) => {
-  const { memory } = wasm === undefined ? await init() : await init({ module_or_path: wasm });
-  return {
-    open: (fileLength, budget, requests) => new Engine(fileLength, budget, requests),
-    isFull: () => {
-      try {
-        memory.grow(1);
-        return false;
-      } catch {
-        return true;
-      }
-    },
-  };
-});
+const host = new Host({ post: (message, transfer) => scope.postMessage(message, transfer) }, loadEngine);
 
 scope.onmessage = (event) => host.receive(event.data);

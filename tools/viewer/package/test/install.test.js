@@ -25,8 +25,9 @@ before(() => {
 after(() => rmSync(work, { recursive: true, force: true }));
 
 /** Script of a page: opens, queries, walks, draws, and reports the results. */
-const script = (from) => `
+const script = (from, here) => `
   import { openArchive } from ${JSON.stringify(from)};
+  import { openArchiveHere } from ${JSON.stringify(here)};
   const answer = { error: null };
   try {
     const archive = await openArchive("/scene.slices");
@@ -39,6 +40,10 @@ const script = (from) => `
       archive.view({ radius: 3, onPage: (page) => resolve(page.indices.length / 3), onDrop: () => undefined }).look([0, 0, 1]);
     });
     archive.close();
+    const here = await openArchiveHere("/scene.slices");
+    await here.load({ min: [-1, -1, -1], max: [1, 1, 1] });
+    answer.here = Array.from(here.now.overlaps(Float64Array.of(-1, -1, -0.5, 1, 1, 0.5)));
+    here.close();
   } catch (error) {
     answer.error = String(error?.stack ?? error);
   }
@@ -122,7 +127,7 @@ function project(name, files) {
 
 function sound(answer) {
   assert.equal(answer.error, null);
-  assert.deepEqual([answer.boxes, answer.ground], [[1, 0], "walking"]);
+  assert.deepEqual([answer.boxes, answer.ground, answer.here], [[1, 0], "walking", [1]]);
   assert.ok(answer.triangles > 0);
 }
 
@@ -138,6 +143,7 @@ test("the package holds what it needs and no more", () => {
     "dist/index.d.ts",
     "dist/types.d.ts",
     "dist/worker.js",
+    "dist/here.js",
     "dist/wasm/engine_bg.wasm",
     "dist/wasm/convert.wasm",
   ]) {
@@ -151,7 +157,7 @@ test("the package holds what it needs and no more", () => {
 test("as a plain module script", { timeout: 180_000 }, async (t) => {
   const root = project("plain", {
     "package.json": "{}",
-    "index.html": `<!doctype html><script type="module">${script("./node_modules/slicewalk/dist/index.js")}</script>`,
+    "index.html": `<!doctype html><script type="module">${script("./node_modules/slicewalk/dist/index.js", "./node_modules/slicewalk/dist/here.js")}</script>`,
   });
   if (!browser) {
     t.skip("no Chromium here");
@@ -164,7 +170,7 @@ test("with a bundler", { timeout: 180_000 }, async (t) => {
   const root = project("bundled", {
     "package.json": "{}",
     "index.html": '<!doctype html><script type="module" src="/main.js"></script>',
-    "main.js": script("slicewalk"),
+    "main.js": script("slicewalk", "slicewalk/here"),
   });
   execFileSync(join(here, "node_modules/.bin/vite"), ["build", "--logLevel", "error", "--target", "esnext"], { cwd: root });
   const assets = readdirSync(join(root, "dist/assets"));
