@@ -76,6 +76,19 @@ test(`${questions} boxes, their floors, spheres, cylinders, sweeps and rays`, ()
   engine.free();
 });
 
+test("cylinders and spheres that slide", () => {
+  const engine = whole();
+  const [sweeps, cylinders, spheres] = ["sweeps.f64", "cylinders.f64", "spheres.f64"].map(numbers);
+  const slides = [];
+  for (let n = 0; n < Math.min(10_000, questions); n++) {
+    const motion = sweeps.subarray(9 * n + 6, 9 * n + 9);
+    slides.push(...engine.slide(cylinders.subarray(5 * n, 5 * n + 5), motion, 4));
+    slides.push(...engine.slide(spheres.subarray(4 * n, 4 * n + 4), motion, 4));
+  }
+  same(Float64Array.from(slides), numbers("slides.f64"), "slides");
+  engine.free();
+});
+
 test("rays beyond the pages in memory, by an overview level", () => {
   const levels = read("levels.slices");
   const engine = module.open(levels.length, 64e6, 4);

@@ -15,6 +15,8 @@ use std::time::Instant;
 const FRAMES: usize = 36_000;
 /// Frames of the walk over a slow link.
 const STREAMED: usize = 1800;
+/// Moves of cylinders and spheres.
+const SLIDES: usize = 10_000;
 /// Runs of each measurement.
 const RUNS: usize = 5;
 /// Lowest and highest corner of the loaded pages where an overview level covers the rest.
@@ -62,6 +64,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     write("cylinders.f64", &cylinders)?;
     std::fs::write(folder.join("cylinders.answers.u8"), engine.cylinders(&cylinders)?)?;
 
+    let mut slides = Vec::new();
+    let motions = sweeps.chunks(9).map(|sweep| &sweep[6..]);
+    for (motion, (cylinder, sphere)) in motions.zip(cylinders.chunks(5).zip(spheres.chunks(4))).take(SLIDES) {
+        slides.extend(engine.slide(cylinder, motion, 4)?);
+        slides.extend(engine.slide(sphere, motion, 4)?);
+    }
+    write("slides.f64", &slides)?;
     write("rays.far.f64", &partly(&with_levels)?.far(&rays)?)?;
 
     let inputs = inputs(FRAMES);
