@@ -2,6 +2,7 @@
 
 use crate::batch::{self, Lacks};
 use crate::colours::Colours;
+use crate::crowd::Company;
 use crate::facts;
 use crate::fault::{self, invalid};
 use crate::geometry::Geometry;
@@ -15,7 +16,7 @@ use crate::routes::{Routed, Routing};
 use crate::scene::{HORIZON_S, Part, Scenes};
 use crate::slide::slide;
 use slicewalk::archive::Catalog;
-use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
+use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
 use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, Payload, RequestId, Snapshot, Time};
 use std::collections::VecDeque;
@@ -46,6 +47,7 @@ pub struct Engine {
     lacks: Lacks,
     pawns: Named<Moving<Pawn>>,
     routes: Named<Routing>,
+    crowds: Named<Company>,
     scenes: Named<Moving<Scenes>>,
     outline: Distant,
     outline_budget: usize,
@@ -92,6 +94,7 @@ impl Engine {
             lacks: Lacks::default(),
             pawns: Named::NONE,
             routes: Named::NONE,
+            crowds: Named::NONE,
             scenes: Named::NONE,
             outline: if outline_budget > 0.0 { Distant::Later } else { Distant::Never },
             outline_budget: outline_budget as usize,
@@ -521,9 +524,33 @@ impl Engine {
         Ok(self.moving(pawn)?.thing.recording().1.to_vec())
     }
 
-    /// Removes a pawn, a route that is being planned, or a scene.
+    /// Places walkers that keep out of each other, three numbers each, with the same settings; returns the name of the
+    /// crowd.
+    pub fn crowd(&mut self, settings: &[f64], places: &[f64]) -> Result<u32, String> {
+        let frame = *self.snapshot()?.frame();
+        let company = Company::new(&Settings::from_numbers(settings)?, places, || self.loader.body())?;
+        let name = self.name();
+        self.crowds.insert(name, company);
+        self.hint_crowd(name, &frame);
+        Ok(name)
+    }
+
+    /// Advances a crowd by at most 0.25 s, with three numbers per walker: x and y of a direction, or of a place if the
+    /// third is 1. Returns the numbers of a `CrowdMessage`, and of a `MemberMessage` for each walker.
+    pub fn step_crowd(&mut self, crowd: u32, seconds: f64, wishes: &[f64]) -> Result<Vec<f64>, String> {
+        let view = self.snapshot()?;
+        let company = self.crowds.get_mut(crowd).ok_or_else(|| invalid("the crowd is closed"))?;
+        company.step(&view, seconds, wishes)?;
+        let state = company.state();
+        self.hint_crowd(crowd, view.frame());
+        Ok(state)
+    }
+
+    /// Removes a pawn, a crowd, a route that is being planned, or a scene.
     pub fn forget(&mut self, name: u32) {
         self.routes.remove(name);
+        let crowd = self.crowds.remove(name);
+        crowd.iter().flat_map(|company| &company.bodies).for_each(|(body, _)| self.loader.forget(*body));
         let bodies = [self.pawns.remove(name).map(|pawn| pawn.body), self.scenes.remove(name).map(|scene| scene.body)];
         bodies.into_iter().flatten().for_each(|body| self.loader.forget(body));
     }
@@ -682,6 +709,14 @@ impl Engine {
             }
         }
         Ok(())
+    }
+
+    /// Passes the motion hints of a crowd and its missing pages to the loader.
+    fn hint_crowd(&mut self, name: u32, frame: &Frame) {
+        let Some(company) = self.crowds.get_mut(name) else { return };
+        let missing = company.missing.zip(company.bodies.first().map(|(body, _)| *body));
+        company.hints(frame).for_each(|(body, hint)| self.loader.hint(body, &hint));
+        missing.iter().for_each(|(missing, body)| self.loader.need(*body, missing));
     }
 
     fn request(&mut self, keys: &[PageKey]) -> u32 {

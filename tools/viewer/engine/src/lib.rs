@@ -8,6 +8,7 @@
 
 mod batch;
 mod colours;
+mod crowd;
 mod engine;
 mod facts;
 mod fault;

@@ -130,6 +130,22 @@ messages! {
         /// Places of its route that lie ahead.
         ahead,
     }
+    /// State of a crowd.
+    CrowdMessage {
+        /// Pages that the last step waited for.
+        missing,
+    }
+    /// State of a walker of a crowd (m).
+    MemberMessage {
+        /// Feet: x.
+        x,
+        /// Feet: y.
+        y,
+        /// Feet: z.
+        z,
+        /// Number of a `MemberCode`.
+        activity,
+    }
     /// Outcome of a move along surfaces (m).
     SlideMessage {
         /// Way moved: x.
@@ -245,6 +261,17 @@ codes! {
         Blocked,
         /// Flies.
         Flying,
+    }
+    /// What a walker of a crowd does.
+    MemberCode {
+        /// Stands or walks.
+        Walking,
+        /// Is in the air.
+        Falling,
+        /// Cannot go on.
+        Blocked,
+        /// Is at its goal, or as near as others let it.
+        Arrived,
     }
     /// What blocked a pawn.
     StopCode {

@@ -15,7 +15,7 @@ use slicewalk::walk::{Body, Config, Ground, MoveInput, State, Stop, Walker, Wayp
 /// Length of a tick (s).
 pub const TICK_S: f64 = 1.0 / 240.0;
 /// Longest time of one step (s); the rest is dropped.
-const LONGEST_S: f64 = 0.25;
+pub(crate) const LONGEST_S: f64 = 0.25;
 /// Numbers of one recorded step: ticks, wish or place x and y, pace, lift, flags, place z, and one reserved.
 const ROW: usize = 8;
 const JUMP: u32 = 1;
@@ -64,9 +64,14 @@ impl Settings {
         Ok(settings)
     }
 
+    /// Returns the configuration of an upright pawn.
+    pub fn upright(&self) -> Config {
+        self.config(1.0, false)
+    }
+
     /// Returns the configuration of an upright pawn that walks over no drop from which it could not return.
     pub fn careful(&self) -> Config {
-        let config = self.config(1.0, false);
+        let config = self.upright();
         Config { max_drop: config.max_drop.or(Some(config.climb)), ..config }
     }
 

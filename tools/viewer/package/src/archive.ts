@@ -1,6 +1,7 @@
 /** Archives as seen by the page. */
 
 import { aborted, asError, fromFault } from "./fault.js";
+import { makeCrowd } from "./crowd.js";
 import { Link, type WorkerLike } from "./link.js";
 import type { BatchKind, FromWorker } from "./protocol.js";
 import { toSlide, toSliding } from "./slide.js";
@@ -11,6 +12,8 @@ import {
   type ArchiveReference,
   type BatchOptions,
   type Bounds,
+  type Crowd,
+  type CrowdOptions,
   type FarHits,
   type OpenOptions,
   type PlacedShape,
@@ -67,7 +70,7 @@ export function toRayHits(answers: Float64Array): RayHits {
 export class OpenArchive implements Archive {
   info!: ArchiveInfo;
   stats: Stats = NO_STATS;
-  private readonly link: Link;
+  protected readonly link: Link;
   private readonly views = new Map<number, ViewHandle>();
   private readonly listeners: { [E in keyof ArchiveEvents]: Set<ArchiveEvents[E]> } = {
     stats: new Set(),
@@ -197,6 +200,10 @@ export class OpenArchive implements Archive {
 
   walker(options: WalkerOptions): Promise<Walker> {
     return makeWalker(this.link, options);
+  }
+
+  crowd(options: CrowdOptions): Promise<Crowd> {
+    return makeCrowd(this.link, options);
   }
 
   view(options: ViewOptions): View {

@@ -1,14 +1,17 @@
 /** Archives in the calling thread, without a worker: their queries also answer at once. */
 
 import { OpenArchive, toRayHits } from "./archive.js";
+import { CrowdHandle } from "./crowd.js";
 import { loadEngine } from "./engine.js";
 import { aborted } from "./fault.js";
 import { Host } from "./host.js";
-import type { WorkerLike } from "./link.js";
+import type { Link, WorkerLike } from "./link.js";
 import type { FromWorker, ToWorker } from "./protocol.js";
 import { toSlide, toSliding } from "./slide.js";
 import {
   type Archive,
+  type Crowd,
+  type CrowdState,
   type OpenOptions,
   type PlacedShape,
   type RayHits,
@@ -46,6 +49,8 @@ export interface Now {
   moveAndSlide(shape: PlacedShape, motion: Vec3, options?: Pick<SlideOptions, "iterations">): Slide;
   /** Like {@link Walker.step}, of a walker of this archive. */
   step(walker: Walker, seconds: number, input: WalkerInput): WalkerState;
+  /** Like {@link Crowd.step}, of a crowd of this archive. */
+  stepCrowd(crowd: Crowd, seconds: number, wishes: Float64Array): CrowdState;
 }
 
 /**
@@ -140,12 +145,15 @@ class HereArchive extends OpenArchive implements ArchiveHere {
 
   constructor(place: InPlace) {
     super(place);
-    this.now = new Immediate(place.host);
+    this.now = new Immediate(this.link, place.host);
   }
 }
 
 class Immediate implements Now {
-  constructor(private readonly host: Host) {}
+  constructor(
+    private readonly link: Link,
+    private readonly host: Host,
+  ) {}
 
   overlaps(boxes: Float64Array): Uint8Array {
     return this.host.batchNow("overlaps", boxes) as Uint8Array;
@@ -183,6 +191,12 @@ class Immediate implements Now {
     if (!(walker instanceof WalkerHandle)) {
       throw new SlicewalkError("invalid", "this is no walker of the archive");
     }
-    return walker.stepBy(this.host, seconds, input);
+    return walker.stepBy(this.link, this.host, seconds, input);
+  }
+  stepCrowd(crowd: Crowd, seconds: number, wishes: Float64Array): CrowdState {
+    if (!(crowd instanceof CrowdHandle)) {
+      throw new SlicewalkError("invalid", "this is no crowd of the archive");
+    }
+    return crowd.stepBy(this.link, this.host, seconds, wishes);
   }
 }

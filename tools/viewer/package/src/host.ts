@@ -10,6 +10,7 @@ import {
   ACTION_LENGTH,
   INPUT_LENGTH,
   readAction,
+  readCrowd,
   readPaint,
   readPage,
   readSlide,
@@ -200,6 +201,10 @@ export class Host {
         return this.woken(plain(engine.pawn(call.settings, call.at)));
       case "place":
         return this.woken(plain(readState(engine.place(call.walker, call.at))));
+      case "crowd":
+        return this.woken(plain(engine.crowd(call.settings, call.places)));
+      case "step-crowd":
+        return moved(this.stepCrowdNow(call.crowd, call.seconds, call.wishes));
       case "route":
         return plain(await this.route(call.walker, call.to, signal));
       case "settings":
@@ -241,14 +246,27 @@ export class Host {
     return this.atOnce(() => {
       this.input.set(input);
       const state = this.ready().step(walker, seconds, this.input);
-      // Missing pages block the walker.
-      if (readState(state).missing > 0 || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
-        this.wake();
-      } else {
-        this.wakeLater();
-      }
+      this.stepped(readState(state).missing);
       return state;
     });
+  }
+
+  /** Steps a crowd and returns the numbers of its state. */
+  stepCrowdNow(crowd: number, seconds: number, wishes: Float64Array): Float64Array {
+    return this.atOnce(() => {
+      const state = this.ready().step_crowd(crowd, seconds, wishes);
+      this.stepped(readCrowd(state).missing);
+      return state;
+    });
+  }
+
+  /** Streams what walkers need next; missing pages block them. */
+  private stepped(missing: number): void {
+    if (missing > 0 || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
+      this.wake();
+    } else {
+      this.wakeLater();
+    }
   }
 
   /** Answers a batch from the pages in memory. */

@@ -3,6 +3,9 @@
 /** What a pawn does. */
 export const GROUND_CODE = ["walking", "falling", "blocked", "flying"] as const;
 
+/** What a walker of a crowd does. */
+export const MEMBER_CODE = ["walking", "falling", "blocked", "arrived"] as const;
+
 /** What blocked a pawn. */
 export const STOP_CODE = ["none", "wall", "steep", "headroom", "corner", "inside", "ledge", "void"] as const;
 
@@ -174,6 +177,60 @@ export function writeState(message: StateMessage): number[] {
 
 /** Numbers of a `StateMessage`. */
 export const STATE_LENGTH = 13;
+
+/** State of a crowd. */
+export interface CrowdMessage {
+  /** Pages that the last step waited for. */
+  readonly missing: number;
+}
+
+export function readCrowd(numbers: ArrayLike<number>, at = 0): CrowdMessage {
+  return {
+    missing: numbers[at] ?? 0,
+  };
+}
+
+export function writeCrowd(message: CrowdMessage): number[] {
+  return [
+    message.missing,
+  ];
+}
+
+/** Numbers of a `CrowdMessage`. */
+export const CROWD_LENGTH = 1;
+
+/** State of a walker of a crowd (m). */
+export interface MemberMessage {
+  /** Feet: x. */
+  readonly x: number;
+  /** Feet: y. */
+  readonly y: number;
+  /** Feet: z. */
+  readonly z: number;
+  /** Number of a `MemberCode`. */
+  readonly activity: number;
+}
+
+export function readMember(numbers: ArrayLike<number>, at = 0): MemberMessage {
+  return {
+    x: numbers[at] ?? 0,
+    y: numbers[at + 1] ?? 0,
+    z: numbers[at + 2] ?? 0,
+    activity: numbers[at + 3] ?? 0,
+  };
+}
+
+export function writeMember(message: MemberMessage): number[] {
+  return [
+    message.x,
+    message.y,
+    message.z,
+    message.activity,
+  ];
+}
+
+/** Numbers of a `MemberMessage`. */
+export const MEMBER_LENGTH = 4;
 
 /** Outcome of a move along surfaces (m). */
 export interface SlideMessage {

@@ -36,6 +36,8 @@ export type Call =
   | { readonly call: "map"; readonly area: Float64Array; readonly cells: number }
   | { readonly call: "walker"; readonly settings: Float64Array; readonly at: Float64Array }
   | { readonly call: "place"; readonly walker: number; readonly at: Float64Array }
+  | { readonly call: "crowd"; readonly settings: Float64Array; readonly places: Float64Array }
+  | { readonly call: "step-crowd"; readonly crowd: number; readonly seconds: number; readonly wishes: Float64Array }
   | { readonly call: "route"; readonly walker: number; readonly to: Float64Array }
   | { readonly call: "settings"; readonly walker: number; readonly settings: Float64Array }
   | { readonly call: "record"; readonly walker: number }

@@ -301,6 +301,9 @@ export interface Archive {
   /** Creates a pawn. Pages are loaded ahead of it. */
   walker(options: WalkerOptions): Promise<Walker>;
 
+  /** Creates walkers that keep out of each other. Pages are loaded ahead of them. */
+  crowd(options: CrowdOptions): Promise<Crowd>;
+
   /** Creates a view: geometry around a camera, for drawing. */
   view(options: ViewOptions): View;
 
@@ -434,6 +437,39 @@ export interface Walker {
   record(): Promise<void>;
   /** The recording so far. */
   recording(): Promise<WalkerRecording>;
+  close(): void;
+}
+
+/** Settings of all walkers of a crowd, and where each of them begins. */
+export interface CrowdOptions extends Omit<WalkerSettings, "jump" | "crouchHeight"> {
+  /** Positions of the feet, N×3; 1 to 1000 walkers. Those that overlap part. */
+  at: Float64Array;
+}
+
+/** What a walker of a crowd does, as numbers in {@link CrowdState.activities}. */
+export const CROWD_ACTIVITIES = ["walking", "falling", "blocked", "arrived"] as const;
+
+export interface CrowdState {
+  /** N×3: middle of the bottom face of each walker. */
+  readonly places: Float64Array;
+  /** One index into {@link CROWD_ACTIVITIES} per walker. */
+  readonly activities: Uint8Array;
+  /** Pages that walkers waited for in the last step; these stood still. */
+  readonly missing: number;
+}
+
+/**
+ * Walkers that keep out of each other, make way in doors, and settle around a common goal. Time passes in ticks of 1/60 s.
+ * Like the path of a walker, theirs depend on the inputs alone.
+ */
+export interface Crowd {
+  /** Latest state reported by the worker; changes when a step is answered. */
+  readonly state: CrowdState;
+  /**
+   * Advances by at most 0.25 s; the rest is dropped. `wishes` has three numbers per walker: x and y of a direction
+   * (shorter than 1: slower), and 0; or x and y of a place to go to, and 1.
+   */
+  step(seconds: number, wishes: Float64Array): Promise<CrowdState>;
   close(): void;
 }
 

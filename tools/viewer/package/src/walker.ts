@@ -30,7 +30,7 @@ const DEFAULTS: Omit<Settings, "crouchHeight"> = {
 };
 
 /** Fills in defaults; the default crouching height depends on the body. */
-function complete(given: WalkerSettings): Settings {
+export function complete(given: WalkerSettings): Settings {
   const chosen = { ...DEFAULTS, ...defined(given) };
   const crouchHeight =
     given.crouchHeight ?? Math.min(chosen.body.height, Math.max(0.6 * chosen.body.height, chosen.climb + 0.1));
@@ -41,7 +41,7 @@ function defined<T extends object>(given: T): Partial<T> {
   return Object.fromEntries(Object.entries(given).filter(([, value]) => value !== undefined)) as Partial<T>;
 }
 
-function numbers(settings: Settings): Float64Array {
+export function settingsNumbers(settings: Settings): Float64Array {
   const { climb, speed, gravity, jump, crouchHeight: crouch, maxDrop } = settings;
   const body: Body = settings.body;
   const shape = body.shape === "box" ? { shape: 0, x: body.x, y: body.y } : { shape: 1, x: body.radius, y: 0 };
@@ -71,7 +71,7 @@ function toState({ x, y, z, ground, stop, crouched, ...rest }: StateMessage): Wa
 export async function makeWalker(link: Link, options: WalkerOptions): Promise<Walker> {
   const { at, ...given } = options;
   const settings = complete(given);
-  const name = await link.call<number>({ call: "walker", settings: numbers(settings), at: Float64Array.from(at) });
+  const name = await link.call<number>({ call: "walker", settings: settingsNumbers(settings), at: Float64Array.from(at) });
   return new WalkerHandle(link, name, at, given);
 }
 
@@ -99,7 +99,10 @@ export class WalkerHandle implements Walker {
   }
 
   /** Makes a step at once, with a host in this thread. */
-  stepBy(host: Host, seconds: number, input: WalkerInput): WalkerState {
+  stepBy(link: Link, host: Host, seconds: number, input: WalkerInput): WalkerState {
+    if (link !== this.link) {
+      throw new SlicewalkError("invalid", "this is no walker of the archive");
+    }
     this.check();
     this.state = toState(readState(host.stepNow(this.name, seconds, inputNumbers(input))));
     return this.state;
@@ -111,7 +114,7 @@ export class WalkerHandle implements Walker {
 
   async set(settings: WalkerSettings): Promise<WalkerState> {
     const given = { ...this.given, ...defined(settings) };
-    const told = await this.told({ call: "settings", walker: this.name, settings: numbers(complete(given)) });
+    const told = await this.told({ call: "settings", walker: this.name, settings: settingsNumbers(complete(given)) });
     this.given = given;
     return told;
   }

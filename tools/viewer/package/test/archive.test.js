@@ -3,7 +3,16 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { CLEAR, ERROR_KINDS, HIT, isSlicewalkError, NOT_LOADED, openArchive, SlicewalkError } from "../dist/index.js";
+import {
+  CLEAR,
+  CROWD_ACTIVITIES,
+  ERROR_KINDS,
+  HIT,
+  isSlicewalkError,
+  NOT_LOADED,
+  openArchive,
+  SlicewalkError,
+} from "../dist/index.js";
 import { FileHost, numbers, read } from "./local.js";
 
 const scene = read("scene.slices");
@@ -234,6 +243,48 @@ test("a walker finds its way up the stairs, walks it, and says why there is none
   await assert.rejects(late, refuses("aborted"));
   await assert.rejects(walker.route([0, 0, Number.NaN]), refuses("invalid", /place/));
   walker.close();
+  archive.close();
+});
+
+test("walkers of a crowd wait for pages, keep out of each other and settle around their goal", async () => {
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  host.delay = 200;
+  const body = { shape: "cylinder", radius: 0.2, height: 1.7 };
+  const places = Float64Array.from(
+    { length: 36 },
+    (_, n) => [-6 + 0.6 * (Math.floor(n / 3) % 4), -6 + 0.6 * Math.floor(n / 12), 0.6][n % 3],
+  );
+  const crowd = await archive.crowd({ at: places, body });
+  assert.deepEqual(crowd.state, { places, activities: new Uint8Array(12), missing: 0 });
+  const goals = Float64Array.from({ length: 36 }, (_, n) => [-4, -4.9, 1][n % 3]);
+  const first = await crowd.step(1 / 60, goals);
+  assert.ok(first.missing > 0, "not loaded is never free");
+  assert.deepEqual(first.places, places);
+  host.delay = 1;
+  await archive.load({ min: [-7, -7, -1], max: [-2, -2, 3] });
+  let frames = 0;
+  const done = () => crowd.state.activities.every((activity) => CROWD_ACTIVITIES[activity] === "arrived");
+  while (!done() && frames++ < 3600) await crowd.step(1 / 60, goals);
+  assert.ok(done(), `${crowd.state.activities}`);
+  const end = crowd.state.places;
+  for (let n = 0; n < 12; n++) {
+    assert.ok(Math.hypot(end[3 * n] + 4, end[3 * n + 1] + 4.9) < 2, `${end.subarray(3 * n, 3 * n + 3)}`);
+    for (let m = 0; m < n; m++) {
+      assert.ok(Math.hypot(end[3 * n] - end[3 * m], end[3 * n + 1] - end[3 * m + 1]) > 0.4 - 1e-6, `${n} in ${m}`);
+    }
+  }
+  await assert.rejects(crowd.step(1 / 60, goals.subarray(3)), refuses("invalid", /33 numbers are not wishes of 12 walkers/));
+  const wrong = goals.slice();
+  wrong[16] = Number.NaN;
+  await assert.rejects(crowd.step(1 / 60, wrong), refuses("invalid", /^row 5: a wish/));
+  await assert.rejects(archive.crowd({ at: new Float64Array(0) }), refuses("invalid", /places/));
+  await assert.rejects(archive.crowd({ at: new Float64Array(3003) }), refuses("invalid", /places/));
+  await assert.rejects(archive.crowd({ at: new Float64Array(4) }), refuses("invalid", /places/));
+  await assert.rejects(archive.crowd({ at: Float64Array.of(0, 0, Number.NaN) }), refuses("invalid"));
+  await assert.rejects(archive.crowd({ at: places, climb: 3 }), refuses("invalid", /climb/));
+  crowd.close();
+  await assert.rejects(crowd.step(1 / 60, goals), refuses("invalid", /closed/));
   archive.close();
 });
 

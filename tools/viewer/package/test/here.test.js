@@ -75,6 +75,24 @@ test("steps a walker without a frame of delay, and draws", async () => {
   archive.close();
 });
 
+test("steps a crowd at once, and none of another archive", async () => {
+  const [archive, other] = await Promise.all([openArchiveHere(file), openArchiveHere(file)]);
+  const crowd = await archive.crowd({ at: Float64Array.of(-2, 2, 0.2, -3, 2, 0.2) });
+  const wishes = Float64Array.of(1, 0, 0, 1, 0, 0);
+  assert.ok(archive.now.stepCrowd(crowd, 1 / 60, wishes).missing > 0);
+  await archive.load({ min: [-5, 0, -1], max: [1, 4, 5] });
+  for (let n = 0; n < 60; n++) archive.now.stepCrowd(crowd, 1 / 60, wishes);
+  const { places, missing } = crowd.state;
+  assert.ok(missing === 0 && places[0] > -2 && places[3] > -3 && places[0] - places[3] > 0.5 - 1e-6, `${places}`);
+  assert.deepEqual((await crowd.step(0, wishes)).places, places);
+  const walker = await archive.walker({ at: [-2, 2, 0.2] });
+  assert.throws(() => other.now.stepCrowd(crowd, 1 / 60, wishes), refuses("invalid", /crowd of the archive/));
+  assert.throws(() => other.now.step(walker, 1 / 60, {}), refuses("invalid", /walker of the archive/));
+  crowd.close();
+  assert.throws(() => archive.now.stepCrowd(crowd, 1 / 60, wishes), refuses("invalid", /closed/));
+  [archive, other].forEach((each) => each.close());
+});
+
 test("queries between the parts of a batch that loads spoil nothing", async () => {
   const archive = await openArchiveHere(file, { budgetBytes: 1_000_000 });
   const rows = 3000;

@@ -76,7 +76,7 @@ test(`${questions} boxes, their floors, spheres, cylinders, sweeps and rays`, ()
   engine.free();
 });
 
-test("cylinders and spheres that slide", () => {
+test("cylinders and spheres that slide, and a crowd that gathers", () => {
   const engine = whole();
   const [sweeps, cylinders, spheres] = ["sweeps.f64", "cylinders.f64", "spheres.f64"].map(numbers);
   const slides = [];
@@ -86,6 +86,12 @@ test("cylinders and spheres that slide", () => {
     slides.push(...engine.slide(spheres.subarray(4 * n, 4 * n + 4), motion, 4));
   }
   same(Float64Array.from(slides), numbers("slides.f64"), "slides");
+  const places = numbers("crowd.f64");
+  const crowd = engine.crowd(settings.subarray(10, 20), places);
+  const wishes = Float64Array.from(places, (_, n) => [2, -2, 1][n % 3]);
+  const states = [];
+  for (let frame = 0; frame < 600; frame++) states.push(...engine.step_crowd(crowd, 1 / 60, wishes));
+  same(Float64Array.from(states), numbers("crowd.states.f64"), "crowd");
   engine.free();
 });
 

@@ -17,6 +17,9 @@ const FRAMES: usize = 36_000;
 const STREAMED: usize = 1800;
 /// Moves of cylinders and spheres.
 const SLIDES: usize = 10_000;
+/// Walkers of a crowd, and the frames in which they gather.
+const MEMBERS: usize = 30;
+const GATHERING: usize = 600;
 /// Runs of each measurement.
 const RUNS: usize = 5;
 /// Lowest and highest corner of the loaded pages where an overview level covers the rest.
@@ -71,6 +74,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         slides.extend(engine.slide(sphere, motion, 4)?);
     }
     write("slides.f64", &slides)?;
+    let places = rows(MEMBERS, || place(&mut random, [-4.0, -4.0, 0.6], [-2.0, -2.0, 0.6]).to_vec());
+    write("crowd.f64", &places)?;
+    write("crowd.states.f64", &crowd(&mut engine, &places)?)?;
     write("rays.far.f64", &partly(&with_levels)?.far(&rays)?)?;
 
     let inputs = inputs(FRAMES);
@@ -156,6 +162,18 @@ fn play(engine: &mut Engine, pawn: u32, input: &[f64; 6]) -> Result<Vec<f64>, St
         [_, place @ .., -1.0] => engine.place(pawn, &place[..3]),
         [seconds, input @ ..] => engine.step(pawn, *seconds, input),
     }
+}
+
+/// States of a crowd whose walkers go to one place.
+fn crowd(engine: &mut Engine, places: &[f64]) -> Result<Vec<f64>, String> {
+    let crowd = engine.crowd(&SETTINGS[1], places)?;
+    let wishes = [2.0, -2.0, 1.0].repeat(places.len() / 3);
+    let mut states = Vec::new();
+    for _ in 0..GATHERING {
+        states.extend(engine.step_crowd(crowd, 1.0 / 60.0, &wishes)?);
+    }
+    engine.forget(crowd);
+    Ok(states)
 }
 
 /// Opens an engine with the whole archive in memory.
