@@ -480,7 +480,7 @@ impl Engine {
         Ok(name)
     }
 
-    /// Searches a route for some milliseconds. Returns the number of a [`RouteCode`]; after `NotLoaded`, the name of a
+    /// Searches a route for some milliseconds. Returns the number of a `RouteCode`; after `NotLoaded`, the name of a
     /// request; after `Found`, the places, three numbers each, which the pawn follows from now on.
     pub fn advance_route(&mut self, route: u32) -> Result<Vec<f64>, String> {
         let view = self.snapshot()?;

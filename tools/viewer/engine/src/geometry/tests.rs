@@ -143,7 +143,7 @@ fn surrounded_holes_are_closed_for_the_eye() {
 #[test]
 fn points_that_lie_apart_are_drawn_as_a_surface() {
     // A point on every third pixel, and one of five of them missing.
-    let is_point = |x: u32, y: u32| x % 3 == 1 && y % 3 == 1 && (x * 7 + y * 13) % 5 != 0;
+    let is_point = |x: u32, y: u32| [x % 3, y % 3] == [1, 1] && !(x * 7 + y * 13).is_multiple_of(5);
     let apart = page(|x, y| if is_point(x, y) { vec![(1000, 1020, false)] } else { vec![] });
     let drawn = |geometry: &Geometry| {
         let cell = (geometry.scale[0] / frame().pixel_m()).round() as u32;
