@@ -100,8 +100,13 @@ describe("walking", () => {
     await page.keyboard.up("w");
   });
 
-  it("lands after a fall of 150 m", async () => {
-    const top = await walkIn(page, address(server, { archive: "tower.slices", at: [-2.25, 0, 150], look: [90, 0] }));
+  it("stops before a drop of 150 m, and lands after it without the guard rail", async () => {
+    const edge = { archive: "tower.slices", at: [-2.25, 0, 150], look: [90, 0] };
+    await walkIn(page, address(server, edge));
+    await hold(page, ["w"], "at the edge", ({ ground, at }) => ground === "blocked" && at[0] > -2);
+    assert.ok(Math.abs((await state(page)).at[2] - 150) < 0.3);
+    await page.evaluate(() => localStorage.setItem("slicewalk.settings", JSON.stringify({ drop: 0 })));
+    const top = await walkIn(page, address(server, edge));
     assert.ok(Math.abs(top.at[2] - 150) < 0.3, `starts at z = ${top.at[2]}`);
     await hold(page, ["w"], "falling", ({ ground }) => ground === "falling");
     const end = await until(page, "landed", ({ ground, at }) => ground === "walking" && at[2] < 1, { timeout: 120_000 });
