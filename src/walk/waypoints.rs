@@ -42,7 +42,8 @@ impl Waypoints {
         self.next == self.places.len()
     }
 
-    /// Returns the place that `walker` heads for in its next tick; `None` at the end. [`Walker::follow`] asks by itself.
+    /// Returns the place that `walker` heads for in its next tick; `None` at the end. For callers that move the
+    /// walker tick by tick; [`Walker::follow`] needs no such call.
     pub fn next_place(&mut self, walker: &Walker) -> Option<Point2<f64>> {
         self.wish(walker.feet(), walker.stalled).map(|_| self.places[self.next])
     }

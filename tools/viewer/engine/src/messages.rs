@@ -262,7 +262,7 @@ codes! {
         /// Flies.
         Flying,
     }
-    /// What a walker of a crowd does.
+    /// Activity of a walker of a crowd.
     MemberCode {
         /// Stands or walks.
         Walking,

@@ -30,7 +30,7 @@ pub enum Routed {
     Unfinished,
     /// These pages are needed.
     NotLoaded(Missing),
-    /// There is none.
+    /// No route, with the reason.
     Refused(RouteCode),
     /// Places to go to in order.
     Found(Vec<Point3<f64>>),

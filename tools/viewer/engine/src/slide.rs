@@ -27,7 +27,7 @@ struct Slide {
 /// Sweeps the shape, moved by the first vector, along the second one.
 type Meet<'a> = &'a dyn Fn(Vector3<f64>, Vector3<f64>) -> slicewalk::Result<Answer<Option<SweepHit>>>;
 
-/// Moves a shape by `motion`, with up to so many `contacts`. Six numbers are a box (min, max), five a cylinder (feet,
+/// Moves a shape by `motion`, with at most `contacts` contacts. Six numbers are a box (min, max), five a cylinder (feet,
 /// radius, height), four a sphere (centre, radius). Returns the numbers of a [`SlideMessage`], and of a
 /// [`ContactMessage`] for each contact.
 pub(crate) fn slide(
@@ -71,7 +71,7 @@ pub(crate) fn slide(
 
 fn along(motion: Vector3<f64>, most: usize, meet: Meet, lacks: &mut Lacks) -> slicewalk::Result<Slide> {
     let mut slide = Slide::default();
-    // What is left of the motion: as it was before it met the surfaces that the shape touches here, and along them.
+    // The rest of the motion: undeflected (`wish`), and along the surfaces that the shape touches here (`rest`).
     let (mut wish, mut rest) = (motion, motion);
     let (mut surfaces, mut way) = (Vec::new(), 0.0);
     loop {

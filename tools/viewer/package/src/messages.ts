@@ -3,7 +3,7 @@
 /** What a pawn does. */
 export const GROUND_CODE = ["walking", "falling", "blocked", "flying"] as const;
 
-/** What a walker of a crowd does. */
+/** Activity of a walker of a crowd. */
 export const MEMBER_CODE = ["walking", "falling", "blocked", "arrived"] as const;
 
 /** What blocked a pawn. */

@@ -9,7 +9,7 @@ const CONTACTS = 4;
 
 function shapeNumbers(shape: PlacedShape): Float64Array {
   if ("min" in shape) {
-    // By name, because the engine tells shapes apart by the count of their numbers.
+    // By name, because the engine distinguishes shapes by the count of their numbers.
     const [[x0, y0, z0], [x1, y1, z1]] = [shape.min, shape.max];
     return Float64Array.of(x0, y0, z0, x1, y1, z1);
   }

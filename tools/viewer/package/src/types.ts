@@ -460,7 +460,7 @@ export interface CrowdState {
 
 /**
  * Walkers that keep out of each other, make way in doors, and settle around a common goal. Time passes in ticks of 1/60 s.
- * Like the path of a walker, theirs depend on the inputs alone.
+ * Paths depend on the inputs alone, like that of a single walker.
  */
 export interface Crowd {
   /** Latest state reported by the worker; changes when a step is answered. */

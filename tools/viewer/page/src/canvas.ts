@@ -72,7 +72,7 @@ export class Canvas {
       this.worn(worn);
     });
     this.scene.add(this.headset.room);
-    // Marks that are transparent to three.js are drawn in their order, above the drawing of a plan.
+    // three.js sorts transparent objects by `renderOrder`, so marks lie above the drawing of a plan.
     const ink = { color: "#ffb547", depthTest: false, transparent: true } as const;
     this.#body = new LineSegments(new EdgesGeometry(new BoxGeometry(1, 1, 1)), new LineBasicMaterial(ink));
     this.#nose = new Mesh(new ConeGeometry(0.28, 0.8, 4), new MeshBasicMaterial(ink));

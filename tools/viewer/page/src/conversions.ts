@@ -5,6 +5,7 @@ import { SlicewalkError } from "slicewalk";
 import { ConversionError, Converter, type ConversionOptions, type Converted } from "slicewalk/convert";
 import { chosenLanguage, languageTexts } from "./languages";
 import { fromAddress, type Source } from "./session";
+import { saveAs } from "./share";
 import { h } from "./ui/dom";
 import "./conversions.css";
 
@@ -126,11 +127,7 @@ export class Conversions {
       return;
     }
     try {
-      const anchor = document.createElement("a");
-      anchor.href = URL.createObjectURL(await this.save());
-      anchor.download = source.name.split(/[?#]/)[0]?.split("/").at(-1) || "scan.slices";
-      anchor.click();
-      setTimeout(() => URL.revokeObjectURL(anchor.href), 60_000);
+      saveAs(await this.save(), source.name.split(/[?#]/)[0]?.split("/").at(-1) || "scan.slices");
     } catch (error) {
       this.opener.say(error instanceof Error ? error.message : String(error));
     }

@@ -53,12 +53,16 @@ export async function savePlan({ session, shell }: Stage): Promise<void> {
   }
 }
 
+/** Time after which a browser has certainly begun to save (ms). */
+const SAVED_MS = 60_000;
+
+/** Offers content as a file to save. */
 export function saveAs(content: Blob, name: string): void {
   const anchor = document.createElement("a");
   anchor.href = URL.createObjectURL(content);
   anchor.download = name;
   anchor.click();
-  URL.revokeObjectURL(anchor.href);
+  setTimeout(() => URL.revokeObjectURL(anchor.href), SAVED_MS);
 }
 
 /** Fills the screen with the page, or gives it back. */

@@ -67,7 +67,7 @@ export async function draw(
       const top = [low[0] + wide * cell, low[1] + high * cell] as const;
       if (load) {
         const box = { min: [...low, floor - BELOW_M], max: [...top, z + BAND_M] } as const;
-        // What does not fit into memory stays unknown.
+        // Cells whose pages do not fit into memory stay unknown.
         await archive.load(box, { signal }).catch(() => {});
       }
       const corner = low.map((value) => value - ASIDE * pixel) as [number, number];
