@@ -7,7 +7,8 @@
 //! brink to the next. Stretches narrower than half of the pawn count as the longest one beside them.
 //!
 //! From each rim the open pixels are flooded at its height: they are its *gap*. A gap that reaches the end of the scan,
-//! or has more than 2¹⁶ pixels, is not enclosed. Enclosed gaps that share a pixel are one gap if their heights differ by
+//! or has more than 2¹⁶ pixels, is not enclosed. Pixels that hold nothing are open at every height, so whether they lead
+//! that far is decided once for all rims: most gaps end there after few pixels. Enclosed gaps that share a pixel are one gap if their heights differ by
 //! no more than the pawn's; the depth below a pixel is then that from the lowest of them. Each stretch of a rim is a leak:
 //!
 //! - **hole**: the gap is enclosed, and nothing was scanned below the stretch, or at least half of the gap's border is
@@ -87,13 +88,54 @@ enum There {
     Outside,
 }
 
-impl Region {
-    /// Returns all leaks, sorted by place (y, x, z). Needs the pages of the tiles that hold open pixels, and of those
-    /// around them. Fails if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
-    pub fn leaks(&self, standing: &mut StandingPlaces, set: &Snapshot) -> Result<Answer<Vec<Leak>>> {
-        let survey = Survey { region: self, standing, set, last: None, marks: Vec::new(), gaps: Vec::new() };
-        answer(survey.leaks())
+/// A search for the leaks of a region that can wait for pages.
+#[derive(Debug)]
+pub struct LeakSearch<'a> {
+    region: &'a Region,
+    found: Found,
+}
+
+impl<'a> LeakSearch<'a> {
+    /// Creates a search for all leaks of `region`.
+    pub fn new(region: &'a Region) -> Self {
+        Self { region, found: Found::default() }
     }
+
+    /// Continues to the end, or until pages are missing: load them and call again with the standing places of the
+    /// region. Returns all leaks, sorted by place (y, x, z). Needs the pages of the tiles that hold open pixels, and of
+    /// those around them. Fails if a tile holds more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    pub fn find(&mut self, standing: &mut StandingPlaces, set: &Snapshot) -> Result<Answer<Vec<Leak>>> {
+        answer(Survey { region: self.region, found: &mut self.found, standing, set, last: None }.leaks())
+    }
+}
+
+/// What a search has found so far.
+#[derive(Debug, Default)]
+struct Found {
+    brinks: Vec<Brink>,
+    /// Number of places whose brinks are known.
+    seen: u32,
+    /// By height, the next one last.
+    rims: Option<Vec<Rim>>,
+    stretches: Vec<Stretch>,
+    gaps: Vec<Gap>,
+    /// The next gap, if pages were missing for it.
+    begun: Option<BegunGap>,
+    /// For each tile of the standing places, twice the number of the last gap that was flooded at each pixel, plus one
+    /// on the border of the gap. Empty for tiles without gaps.
+    marks: Vec<Box<[u32]>>,
+    /// Likewise for the pixels that hold nothing.
+    voids: Vec<Box<[Void]>>,
+}
+
+/// Brinks near each other.
+#[derive(Debug)]
+struct Rim {
+    /// Median height: a rim beside stairs has a height for each tread.
+    level: i32,
+    brinks: Vec<Brink>,
+    /// The brinks of each of its stretches.
+    stretches: Vec<Vec<Brink>>,
 }
 
 /// Number of the last brink at each pixel, by tile.
@@ -122,6 +164,16 @@ impl Firsts {
         };
         std::mem::replace(&mut self.tiles[tile][cell(pixel)], number)
     }
+}
+
+/// Where the pixels that hold nothing lead.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Void {
+    Unknown,
+    /// To at most [`MOST_PIXELS`] of their kind.
+    Enclosed,
+    /// To the end of the scan, or to more.
+    Endless,
 }
 
 /// Returns the number of a pixel in its tile.
@@ -168,7 +220,7 @@ impl Sets {
 }
 
 /// A step from a standing place to an open pixel.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 struct Brink {
     place: u32,
     way: usize,
@@ -176,7 +228,15 @@ struct Brink {
     depth: Option<i32>,
 }
 
+/// A gap whose first pixels have their neighbours.
+#[derive(Debug)]
+struct BegunGap {
+    gap: Gap,
+    done: usize,
+}
+
 /// Open pixels behind a rim.
+#[derive(Debug)]
 struct Gap {
     level: i32,
     /// Empty if the gap is not enclosed.
@@ -187,7 +247,7 @@ struct Gap {
 }
 
 /// Open pixel of a gap.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 struct GapPixel {
     pixel: [i32; 2],
     /// Number of its tile.
@@ -197,6 +257,7 @@ struct GapPixel {
 }
 
 /// Neighbouring brinks of a rim with similar depth.
+#[derive(Debug)]
 struct Stretch {
     brinks: Vec<Brink>,
     /// Number of its gap.
@@ -225,33 +286,58 @@ impl Stretch {
 
 struct Survey<'a> {
     region: &'a Region,
+    found: &'a mut Found,
     standing: &'a mut StandingPlaces,
     set: &'a Snapshot,
     /// The last tile and its number.
     last: Option<([i32; 2], usize)>,
-    /// For each tile of the standing places, twice the number of the last gap that was flooded at each pixel, plus one
-    /// on the border of the gap. Empty for tiles without gaps.
-    marks: Vec<Box<[u32]>>,
-    gaps: Vec<Gap>,
+}
+
+/// Returns what is known of a pixel, in a list that grows to the number of `tiles`.
+fn known<T: Copy>(lists: &mut Vec<Box<[T]>>, tiles: usize, tile: usize, pixel: [i32; 2], nothing: T) -> &mut T {
+    if lists.len() <= tile {
+        lists.resize_with(tiles, Box::default);
+    }
+    if lists[tile].is_empty() {
+        lists[tile] = vec![nothing; TILE * TILE].into();
+    }
+    &mut lists[tile][cell(pixel)]
 }
 
 impl Survey<'_> {
     fn leaks(mut self) -> Needs<Vec<Leak>> {
-        let brinks = self.brinks()?;
-        let mut stretches = Vec::new();
-        let mut rims = self.rims(&brinks);
-        // By height, so that gaps of the same height follow each other and need one flood.
-        rims.sort_by_key(|(level, ..)| *level);
-        for (level, members, own) in rims {
-            let gap = self.gaps.len() as u32;
-            let rim: Vec<Brink> = members.iter().map(|brink| brinks[*brink as usize]).collect();
-            self.flood(level, &rim)?;
-            stretches.extend(own.into_iter().map(|brinks| Stretch { brinks, gap }));
+        self.brinks()?;
+        let mut rims = match self.found.rims.take() {
+            Some(rims) => rims,
+            None => {
+                let brinks = std::mem::take(&mut self.found.brinks);
+                let mut rims = self.rims(&brinks);
+                // By height, so that gaps of the same height follow each other and need one flood.
+                rims.sort_by_key(|rim| rim.level);
+                rims.reverse();
+                rims
+            }
+        };
+        while let Some(rim) = rims.pop() {
+            if let ControlFlow::Break(stop) = self.flood(&rim) {
+                rims.push(rim);
+                self.found.rims = Some(rims);
+                return ControlFlow::Break(stop);
+            }
+            let gap = self.found.gaps.len() as u32 - 1;
+            self.found.stretches.extend(rim.stretches.into_iter().map(|brinks| Stretch { brinks, gap }));
         }
+        let leaks = self.leaks_of_gaps();
+        // Another search begins anew.
+        *self.found = Found::default();
+        leaks
+    }
+
+    fn leaks_of_gaps(&mut self) -> Needs<Vec<Leak>> {
         let mut sets = self.joined_gaps();
         let mut stretches_of: Vec<Vec<Stretch>> = Vec::new();
-        stretches_of.resize_with(self.gaps.len(), Vec::new);
-        for stretch in stretches {
+        stretches_of.resize_with(self.found.gaps.len(), Vec::new);
+        for stretch in std::mem::take(&mut self.found.stretches) {
             stretches_of[sets.root(stretch.gap) as usize].push(stretch);
         }
         let mut leaks = Vec::new();
@@ -293,22 +379,25 @@ impl Survey<'_> {
         ControlFlow::Continue(leaks)
     }
 
-    fn brinks(&mut self) -> Needs<Vec<Brink>> {
-        let mut brinks = Vec::new();
-        for place in 0..self.region.len() as u32 {
+    /// Finds the brinks of all places.
+    fn brinks(&mut self) -> Needs<()> {
+        while (self.found.seen as usize) < self.region.len() {
+            let place = self.found.seen;
             let at = place as usize;
             // A neighbour that can be stood on is not open.
-            if !self.region.standing[at] || !self.region.is_beside_end(place) {
-                continue;
-            }
-            for way in 0..WAYS.len() {
-                let brink = Brink { place, way, depth: None };
-                if let There::Open(depth) = self.there(self.beyond(&brink), self.region.tops[at])? {
-                    brinks.push(Brink { depth, ..brink });
+            if self.region.standing[at] && self.region.is_beside_end(place) {
+                let mut own = [None; WAYS.len()];
+                for (way, own) in own.iter_mut().enumerate() {
+                    let brink = Brink { place, way, depth: None };
+                    if let There::Open(depth) = self.there(self.beyond(&brink), self.region.tops[at])? {
+                        *own = Some(Brink { depth, ..brink });
+                    }
                 }
+                self.found.brinks.extend(own.into_iter().flatten());
             }
+            self.found.seen += 1;
         }
-        ControlFlow::Continue(brinks)
+        ControlFlow::Continue(())
     }
 
     /// Returns the open pixel of a brink.
@@ -318,9 +407,8 @@ impl Survey<'_> {
         [pixel[0] + way[0], pixel[1] + way[1]]
     }
 
-    /// Returns the height of each rim, the numbers of its brinks, and the brinks of its stretches. The height is the
-    /// median: a rim beside stairs has one for each tread.
-    fn rims(&self, brinks: &[Brink]) -> Vec<(i32, Vec<u32>, Vec<Vec<Brink>>)> {
+    /// Returns the rims, by their first brink.
+    fn rims(&self, brinks: &[Brink]) -> Vec<Rim> {
         let (mut rims, mut stretches) = (Sets::new(brinks.len()), Sets::new(brinks.len()));
         let mut meets: Vec<[u32; 2]> = Vec::new();
         let up = self.standing.grid.up;
@@ -379,8 +467,11 @@ impl Survey<'_> {
         let rim = |members: Vec<u32>| {
             let mut tops: Vec<i32> = members.iter().map(|brink| top_of(&brinks[*brink as usize])).collect();
             tops.sort_unstable();
-            let own = std::mem::take(&mut own[members[0] as usize]);
-            (tops[tops.len() / 2], members, own)
+            Rim {
+                level: tops[tops.len() / 2],
+                brinks: members.iter().map(|brink| brinks[*brink as usize]).collect(),
+                stretches: std::mem::take(&mut own[members[0] as usize]),
+            }
         };
         rims.members().into_iter().map(rim).collect()
     }
@@ -448,13 +539,70 @@ impl Survey<'_> {
         ControlFlow::Continue(self.there_in(tile, pixel, level))
     }
 
+    /// Returns the blocks of a pixel of a known tile.
+    #[inline]
+    fn column(&self, tile: usize, pixel: [i32; 2]) -> &[Block] {
+        let tile = &self.standing.tiles[tile];
+        // Gaps lead far over tiles without anything, and most of their pixels hold nothing.
+        if tile.blocks.is_empty() { &[] } else { tile.column(pixel) }
+    }
+
+    /// Returns whether pixels that hold nothing lead from one of them, in `tile`, to the end of the scan or to more than
+    /// [`MOST_PIXELS`].
+    fn is_endless(&mut self, pixel: [i32; 2], tile: usize) -> Needs<bool> {
+        let void = *known(&mut self.found.voids, self.standing.tiles.len(), tile, pixel, Void::Unknown);
+        if void != Void::Unknown {
+            return ControlFlow::Continue(void == Void::Endless);
+        }
+        self.found.voids[tile][cell(pixel)] = Void::Enclosed;
+        let mut pixels = vec![(pixel, tile)];
+        let is_endless = self.leads_out(&mut pixels);
+        let void = match is_endless {
+            ControlFlow::Continue(false) => return is_endless,
+            ControlFlow::Continue(true) => Void::Endless,
+            ControlFlow::Break(_) => Void::Unknown,
+        };
+        pixels.iter().for_each(|&(pixel, tile)| self.found.voids[tile][cell(pixel)] = void);
+        is_endless
+    }
+
+    /// Adds the pixels that hold nothing around `pixels`, until it is known whether they are endless.
+    fn leads_out(&mut self, pixels: &mut Vec<([i32; 2], usize)>) -> Needs<bool> {
+        let mut done = 0;
+        while let Some(&(pixel, tile)) = pixels.get(done) {
+            for way in WAYS {
+                let to = [pixel[0] + way[0], pixel[1] + way[1]];
+                if !self.standing.grid.is_inside(to) {
+                    return ControlFlow::Continue(true);
+                }
+                let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+                let tile = if is_same { tile } else { self.standing.tile(self.set, to)? };
+                if !self.column(tile, to).is_empty() {
+                    continue;
+                }
+                let void = known(&mut self.found.voids, self.standing.tiles.len(), tile, to, Void::Unknown);
+                match void {
+                    Void::Endless => return ControlFlow::Continue(true),
+                    Void::Enclosed => {}
+                    Void::Unknown => {
+                        *void = Void::Enclosed;
+                        pixels.push((to, tile));
+                    }
+                }
+            }
+            if pixels.len() > MOST_PIXELS {
+                return ControlFlow::Continue(true);
+            }
+            done += 1;
+        }
+        ControlFlow::Continue(false)
+    }
+
     /// Returns the content of a pixel of a known tile at `level`.
     #[inline]
     fn there_in(&self, tile: usize, pixel: [i32; 2], level: i32) -> There {
         let grid = &self.standing.grid;
-        let tile = &self.standing.tiles[tile];
-        // Gaps lead far over tiles without anything, and most of their pixels hold nothing.
-        let column: &[Block] = if tile.blocks.is_empty() { &[] } else { tile.column(pixel) };
+        let column = self.column(tile, pixel);
         if column.is_empty() {
             return There::Open(None);
         }
@@ -473,30 +621,42 @@ impl Survey<'_> {
         if is_deep { There::Open(depth) } else { There::Floor }
     }
 
-    /// Floods the open pixels at `level` next to a rim.
-    fn flood(&mut self, level: i32, rim: &[Brink]) -> Needs<()> {
-        let mut gap = Gap { level, pixels: Vec::new(), is_closed: true, shared: Vec::new() };
-        let up = self.standing.grid.up;
-        let region = self.region;
-        for brink in rim.iter().filter(|brink| (region.tops[brink.place as usize] - level).abs() <= up) {
-            self.visit(&mut gap, self.beyond(brink), None)?;
+    /// Floods the open pixels next to a rim.
+    fn flood(&mut self, rim: &Rim) -> Needs<()> {
+        let mut begun = self.found.begun.take().unwrap_or_else(|| BegunGap {
+            gap: Gap { level: rim.level, pixels: Vec::new(), is_closed: true, shared: Vec::new() },
+            done: 0,
+        });
+        if let ControlFlow::Break(stop) = self.fill(&mut begun, &rim.brinks) {
+            self.found.begun = Some(begun);
+            return ControlFlow::Break(stop);
         }
-        let mut done = 0;
-        loop {
-            gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
-            // A gap that is not enclosed need not be explored further.
-            let Some(&GapPixel { pixel, tile, .. }) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
-            for way in WAYS {
-                let to = [pixel[0] + way[0], pixel[1] + way[1]];
-                let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
-                self.visit(&mut gap, to, is_same.then_some(tile as usize))?;
-            }
-            done += 1;
-        }
+        let mut gap = begun.gap;
         if !gap.is_closed {
             gap.pixels = Vec::new();
         }
-        self.gaps.push(gap);
+        self.found.gaps.push(gap);
+        ControlFlow::Continue(())
+    }
+
+    fn fill(&mut self, BegunGap { gap, done }: &mut BegunGap, rim: &[Brink]) -> Needs<()> {
+        let up = self.standing.grid.up;
+        for brink in rim {
+            if (self.region.tops[brink.place as usize] - gap.level).abs() <= up {
+                self.visit(gap, self.beyond(brink), None)?;
+            }
+        }
+        loop {
+            gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
+            // A gap that is not enclosed need not be explored further.
+            let Some(&GapPixel { pixel, tile, .. }) = gap.pixels.get(*done).filter(|_| gap.is_closed) else { break };
+            for way in WAYS {
+                let to = [pixel[0] + way[0], pixel[1] + way[1]];
+                let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+                self.visit(gap, to, is_same.then_some(tile as usize))?;
+            }
+            *done += 1;
+        }
         ControlFlow::Continue(())
     }
 
@@ -512,20 +672,18 @@ impl Survey<'_> {
                 return ControlFlow::Continue(());
             }
         };
-        if self.marks.len() <= tile {
-            self.marks.resize_with(self.standing.tiles.len(), Box::default);
-        }
-        if self.marks[tile].is_empty() {
-            self.marks[tile] = vec![NOTHING; TILE * TILE].into();
-        }
-        let number = self.gaps.len() as u32;
-        let mark = self.marks[tile][cell(pixel)];
+        let number = self.found.gaps.len() as u32;
+        let mark = *known(&mut self.found.marks, self.standing.tiles.len(), tile, pixel, NOTHING);
         if mark >> 1 == number {
             return ControlFlow::Continue(());
         }
         let there = self.there_in(tile, pixel, gap.level);
         if let There::Open(depth) = there {
-            let before = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
+            if self.column(tile, pixel).is_empty() && self.is_endless(pixel, tile)? {
+                gap.is_closed = false;
+                return ControlFlow::Continue(());
+            }
+            let before = self.found.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
             if let Some(before) = before.filter(|before| before.level == gap.level) {
                 gap.is_closed &= before.is_closed;
                 if gap.shared.last() != Some(&(mark >> 1)) {
@@ -535,19 +693,19 @@ impl Survey<'_> {
             }
             gap.pixels.push(GapPixel { pixel, tile: tile as u32, depth });
         }
-        self.marks[tile][cell(pixel)] = 2 * number + u32::from(!matches!(there, There::Open(_)));
+        self.found.marks[tile][cell(pixel)] = 2 * number + u32::from(!matches!(there, There::Open(_)));
         ControlFlow::Continue(())
     }
 
     /// Returns the sets of enclosed gaps that are one. From now on marks are numbers of gaps.
     fn joined_gaps(&mut self) -> Sets {
-        let mut sets = Sets::new(self.gaps.len());
-        self.marks.iter_mut().for_each(|marks| marks.fill(NOTHING));
-        for (number, gap) in (0..).zip(&self.gaps).filter(|(_, gap)| gap.is_closed) {
+        let mut sets = Sets::new(self.found.gaps.len());
+        self.found.marks.iter_mut().for_each(|marks| marks.fill(NOTHING));
+        for (number, gap) in (0..).zip(&self.found.gaps).filter(|(_, gap)| gap.is_closed) {
             gap.shared.iter().for_each(|other| sets.join(number, *other));
             for own in &gap.pixels {
-                let before = std::mem::replace(&mut self.marks[own.tile as usize][cell(own.pixel)], number);
-                let height = |before: u32| gap.level - self.gaps[before as usize].level;
+                let before = std::mem::replace(&mut self.found.marks[own.tile as usize][cell(own.pixel)], number);
+                let height = |before: u32| gap.level - self.found.gaps[before as usize].level;
                 if before != NOTHING && height(before) < self.standing.grid.height {
                     sets.join(number, before);
                 }
@@ -558,23 +716,23 @@ impl Survey<'_> {
 
     /// Returns gaps, in order of their heights, as one gap.
     fn joined(&self, members: &[u32]) -> Gap {
-        let all = || members.iter().map(|gap| &self.gaps[*gap as usize]);
+        let all = || members.iter().map(|gap| &self.found.gaps[*gap as usize]);
         let mut pixels: Vec<GapPixel> = all().flat_map(|gap| gap.pixels.iter().copied()).collect();
         if members.len() > 1 {
             // The sort is stable: of a pixel of several gaps that of the lowest stays.
             pixels.sort_by_key(|own| own.pixel);
             pixels.dedup_by_key(|own| own.pixel);
         }
-        let level = self.gaps[members[0] as usize].level;
+        let level = self.found.gaps[members[0] as usize].level;
         Gap { level, pixels, is_closed: all().all(|gap| gap.is_closed), shared: Vec::new() }
     }
 
     /// Returns true if at least half of the pixels around an enclosed gap hold nothing solid at its height. `number`
     /// marks its pixels.
     fn is_in_floor(&mut self, gap: &Gap, number: u32) -> Needs<bool> {
-        let inside = 2 * self.gaps.len() as u32 + 2 * number;
+        let inside = 2 * self.found.gaps.len() as u32 + 2 * number;
         for own in &gap.pixels {
-            self.marks[own.tile as usize][cell(own.pixel)] = inside;
+            self.found.marks[own.tile as usize][cell(own.pixel)] = inside;
         }
         let (mut border, mut matter) = (0usize, 0usize);
         for own in &gap.pixels {
@@ -582,7 +740,7 @@ impl Survey<'_> {
                 let to = [own.pixel[0] + way[0], own.pixel[1] + way[1]];
                 // An enclosed gap was flooded, with all pixels around it.
                 let tile = self.tile(to)?;
-                let mark = &mut self.marks[tile][cell(to)];
+                let mark = &mut self.found.marks[tile][cell(to)];
                 if *mark & !1 != inside {
                     *mark = inside + 1;
                     border += 1;

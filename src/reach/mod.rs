@@ -2,7 +2,7 @@
 //!
 //! Input: a [`Snapshot`](crate::store::Snapshot) and a [`Pawn`]. Output: [`StandingPlaces`], the standing places,
 //! computed tile by tile; [`Region`], those that can be reached from one of them, with area, clearance,
-//! [passages](Region::passages) and [leaks](Leak); and routes ([`Search`]). Nothing is precomputed: the places of each
+//! [passages](Region::passages) and [leaks](LeakSearch); and routes ([`Search`]). Nothing is precomputed: the places of each
 //! pawn come from the spans.
 //!
 //! ```text
@@ -56,7 +56,7 @@ mod storeys;
 mod tiles;
 
 pub use coarse_planner::Coarse;
-pub use leaks::{Leak, LeakKind};
+pub use leaks::{Leak, LeakKind, LeakSearch};
 pub use passages::Passage;
 pub use pawn::Pawn;
 pub use planner::{Planned, Planner};

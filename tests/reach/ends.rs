@@ -6,7 +6,7 @@ use super::{everywhere, flat, known};
 use crate::common::random::Random;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::page::Span;
-use slicewalk::reach::Pawn;
+use slicewalk::reach::{LeakSearch, Pawn};
 use slicewalk::walk::Body;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -130,7 +130,7 @@ impl World {
             let at = (frame.pixel_of(place.feet.x) - corner.0, frame.pixel_of(place.feet.y) - corner.1);
             ((at, frame.quantum_ceil(place.feet.z)), place.clearance)
         };
-        let mut leaks = known(region.leaks(&mut standing, &store).unwrap());
+        let mut leaks = known(LeakSearch::new(&region).find(&mut standing, &store).unwrap());
         for leak in &mut leaks {
             leak.at.x -= corner.0 as f64 * T;
             leak.at.y -= corner.1 as f64 * T;

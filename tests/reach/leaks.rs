@@ -2,7 +2,7 @@
 
 use super::flat::{FLOOR, T, room};
 use super::{known, reached};
-use slicewalk::reach::{Leak, LeakKind, Pawn, Region};
+use slicewalk::reach::{Leak, LeakKind, LeakSearch, Pawn, Region};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
@@ -12,7 +12,7 @@ fn pawn() -> Pawn {
 
 fn leaks_with(store: &Snapshot, pawn: Pawn) -> (Region, Vec<Leak>) {
     let (mut standing, region) = reached(store, pawn, [0.5, 0.5, FLOOR]);
-    let leaks = known(region.leaks(&mut standing, store).unwrap());
+    let leaks = known(LeakSearch::new(&region).find(&mut standing, store).unwrap());
     (region, leaks)
 }
 

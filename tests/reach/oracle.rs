@@ -5,7 +5,8 @@ use crate::common::part::Part;
 use crate::common::random::Random;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::page::Span;
-use slicewalk::reach::{Flood, Pawn, StandingPlaces};
+use slicewalk::query::Answer;
+use slicewalk::reach::{Flood, LeakSearch, Pawn, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use std::collections::BTreeMap;
@@ -166,7 +167,7 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     let whole = store(&world);
     let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.2 });
     let (mut standing, region) = everywhere(&whole, pawn);
-    let leaks = known(region.leaks(&mut standing, &whole).unwrap());
+    let leaks = known(LeakSearch::new(&region).find(&mut standing, &whole).unwrap());
     let mut partly = Part::new(whole.clone());
     let mut standing = StandingPlaces::new(&partly, pawn).unwrap();
     let mut waits = 0;
@@ -176,17 +177,28 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     };
     let mut flood = loop {
         match Flood::everywhere(&mut standing, &partly).unwrap() {
-            slicewalk::query::Answer::Known(flood) => break flood,
-            slicewalk::query::Answer::NotLoaded(missing) => load(&mut partly, missing),
+            Answer::Known(flood) => break flood,
+            Answer::NotLoaded(missing) => load(&mut partly, missing),
         }
     };
-    while let slicewalk::query::Answer::NotLoaded(missing) =
-        flood.grow(&mut standing, &partly, &slicewalk::NoMonitor).unwrap()
-    {
+    while let Answer::NotLoaded(missing) = flood.grow(&mut standing, &partly, &slicewalk::NoMonitor).unwrap() {
         load(&mut partly, missing);
     }
     let found = flood.region(&standing);
     assert!(found.places().eq(region.places()));
-    assert_eq!(known(found.leaks(&mut standing, &partly).unwrap()), leaks);
+    assert_eq!(known(LeakSearch::new(&found).find(&mut standing, &partly).unwrap()), leaks);
     assert_eq!(waits, 4, "four pages, one at a time");
+    // A search for leaks continues where it waited, also in the middle of a gap.
+    assert!(!leaks.is_empty());
+    let mut partly = Part::new(whole.clone());
+    let mut standing = StandingPlaces::new(&partly, pawn).unwrap();
+    let mut search = LeakSearch::new(&region);
+    let again = loop {
+        match search.find(&mut standing, &partly).unwrap() {
+            Answer::Known(leaks) => break leaks,
+            Answer::NotLoaded(missing) => assert_eq!(partly.load(&missing.keys()[..1]), 1),
+        }
+    };
+    assert_eq!(again, leaks);
+    assert_eq!(known(search.find(&mut standing, &partly).unwrap()), leaks, "again, from the start");
 }

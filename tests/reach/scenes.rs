@@ -5,7 +5,7 @@ use super::{everywhere, known, reached, spot, way};
 use crate::common::random::Random;
 use nalgebra::{Point2, Point3};
 use scangen::{Params, Scene};
-use slicewalk::reach::{Pawn, Search};
+use slicewalk::reach::{LeakSearch, Pawn, Search};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, MoveInput, State, Walker, Waypoints};
 
@@ -90,7 +90,7 @@ fn a_floor_without_walls_is_all_standing_and_ends_at_one_edge() {
     let (mut standing, region) = reached(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }), [0.0; 3]);
     // At most one pixel more at each border.
     assert!((36.0..=(6.0 + 4.0 * T).powi(2)).contains(&region.area_m2()), "{}", region.area_m2());
-    let leaks = known(region.leaks(&mut standing, &store).unwrap());
+    let leaks = known(LeakSearch::new(&region).find(&mut standing, &store).unwrap());
     assert_eq!(leaks.len(), 1, "{leaks:?}");
     assert_eq!((leaks[0].kind.name(), leaks[0].drop), ("edge", None));
     assert!((leaks[0].width - 6.0).abs() < 4.0 * T);

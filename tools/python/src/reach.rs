@@ -9,7 +9,7 @@ use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use slicewalk::nalgebra::Point3;
-use slicewalk::reach::{Flood, Pawn, Place, Refusal, Region, Route, Search, StandingPlaces};
+use slicewalk::reach::{Flood, LeakSearch, Pawn, Place, Refusal, Region, Route, Search, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk::{Error, Monitor};
@@ -51,7 +51,7 @@ fn survey(set: &Snapshot, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) ->
     monitor.stage("reach", 0, "places");
     needs(flood.grow(&mut standing, set, monitor)?)?;
     let region = flood.region(&standing);
-    let leaks = needs(region.leaks(&mut standing, set)?)?;
+    let leaks = needs(LeakSearch::new(&region).find(&mut standing, set)?)?;
     Ok(Found {
         storeys: region.storeys().all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
         passages: region.passages().iter().map(|passage| (passage.at.into(), passage.width)).collect(),

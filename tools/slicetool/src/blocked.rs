@@ -16,7 +16,7 @@ use crate::Failure;
 use crate::ground::{Loader, tidy};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, LeakKind, Pawn, Region, Route, Search, Snapped, StandingPlaces};
+use slicewalk::reach::{Flood, LeakKind, LeakSearch, Pawn, Region, Route, Search, Snapped, StandingPlaces};
 use slicewalk::walk::Body;
 use std::collections::HashMap;
 
@@ -325,7 +325,8 @@ impl Ways<'_> {
         // The ground is missing because it is deeper, or because nothing was scanned.
         let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(None) };
         let region = reached.region();
-        let leaks = self.loader.known(|view| region.leaks(&mut reached.standing, view))?;
+        let mut search = LeakSearch::new(&region);
+        let leaks = self.loader.known(|view| search.find(&mut reached.standing, view))?;
         let nearest = leaks.iter().min_by(|a, b| (a.at - at).norm().total_cmp(&(b.at - at).norm()));
         let is_deeper = nearest.is_some_and(|leak| leak.kind == LeakKind::Ledge || leak.drop.is_some());
         Ok(Some(Blocked { at, reason: if is_deeper { "gap" } else { "unseen" }, needs }))

@@ -9,7 +9,7 @@ use scangen::sample::{Mode, Order};
 use scangen::scene::build::{Builder, Wall};
 use scangen::{Sample, SampleSpec, Scene};
 use slicewalk::plan::Classifier;
-use slicewalk::reach::{LeakKind, Pawn, StandingPlaces};
+use slicewalk::reach::{LeakKind, LeakSearch, Pawn, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
@@ -83,7 +83,7 @@ fn leaks(store: &Snapshot, pawn: Pawn, from: [f64; 3]) -> Result<Vec<([f64; 3], 
     let mut standing = StandingPlaces::new(store, pawn)?;
     let start = spot(store, &mut standing, from)?.ok_or("no place to start")?;
     let region = reached(store, &mut standing, start)?;
-    let leaks = known(region.leaks(&mut standing, store)?)?;
+    let leaks = known(LeakSearch::new(&region).find(&mut standing, store)?)?;
     Ok(leaks.iter().map(|leak| (leak.at.into(), leak.kind)).collect())
 }
 

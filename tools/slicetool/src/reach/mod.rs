@@ -7,7 +7,7 @@ mod map;
 use crate::ground::{Walks, end_json, tidy};
 use crate::links::{Joined, Way};
 use crate::{Failure, Outcome};
-use slicewalk::reach::{Leak, Passage, Region, Snapped, Storeys};
+use slicewalk::reach::{Leak, LeakSearch, Passage, Region, Snapped, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
@@ -75,7 +75,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     };
     let links = arguments.walks.edits().read()?.map(|file| file.links).unwrap_or_default();
     let joined = Joined::from(&loader, &arguments.walks, &mut standing, &from, &links)?;
-    let leaks = loader.known(|view| joined.region.leaks(&mut standing, view))?;
+    let mut search = LeakSearch::new(&joined.region);
+    let leaks = loader.known(|view| search.find(&mut standing, view))?;
     let mut way = None;
     if let Some(asked) = arguments.to {
         if let Some(to) = &to {
