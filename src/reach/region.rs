@@ -5,7 +5,6 @@ use super::pawn::{Grid, Pawn, WAYS};
 use super::route::LANDMARKS;
 use super::standing::{Kind, PlaceId, StandingPlaces, Step};
 use super::{Needs, answer};
-use crate::frame::PageKey;
 use crate::query::Answer;
 use crate::store::Snapshot;
 use crate::{Error, Monitor, Result};
@@ -507,18 +506,6 @@ impl Region {
         let place =
             size_of::<[i32; 2]>() + 2 * size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>();
         self.len() * place + size_of_val(&self.landmarks[..])
-    }
-
-    /// Returns the tiles that hold a place, as keys of their pages in the lowest layer of the set.
-    pub fn tiles(&self) -> Vec<PageKey> {
-        let mut tiles: Vec<PageKey> = Vec::new();
-        for pixel in &self.pixels {
-            let at = [0, 1].map(|axis| (pixel[axis] >> 6) + self.grid.origin[axis]);
-            if tiles.last().is_none_or(|last| [last.tx, last.ty] != at) {
-                tiles.push(PageKey { tx: at[0], ty: at[1], layer: self.grid.origin[2] });
-            }
-        }
-        tiles
     }
 }
 
