@@ -7,10 +7,11 @@ use super::head::{COLOURS, Header, LEVELS, SEEN};
 use super::levels::CoarseSpan;
 use super::page_coding::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
-use crate::Result;
 use crate::frame::PageKey;
+use crate::{Error, Result};
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Limit on the coarse spans kept for all contents together: 4 MiB.
@@ -19,6 +20,8 @@ const COARSE_KEPT: usize = 1 << 19;
 /// Writes pages whose content is identified by a `K`. Memory: about 150 bytes for each of the last 65,536 contents, and
 /// 4 MiB.
 pub(super) struct Copier<K> {
+    /// Number of contents that are known.
+    most: usize,
     known: HashMap<K, Known>,
     /// Oldest first.
     order: VecDeque<K>,
@@ -35,7 +38,12 @@ struct Known {
 
 impl<K: Copy + Eq + Hash> Copier<K> {
     pub fn new() -> Self {
-        Self { known: HashMap::new(), order: VecDeque::new(), coarse_kept: 0 }
+        Self::knowing(WINDOW)
+    }
+
+    /// Creates a copier that knows only the last `most` contents, for a large `K`.
+    pub fn knowing(most: usize) -> Self {
+        Self { most, known: HashMap::new(), order: VecDeque::new(), coarse_kept: 0 }
     }
 
     /// Writes page `key` with this `content` and its own `colours`. Calls `make` to read and encode the page only if
@@ -67,7 +75,7 @@ impl<K: Copy + Eq + Hash> Copier<K> {
         }
         if self.known.insert(content, Known { placed, coarse: Some(coarse) }).is_none() {
             self.order.push_back(content);
-            if self.order.len() > WINDOW
+            if self.order.len() > self.most
                 && let Some(oldest) = self.order.pop_front()
             {
                 self.known.remove(&oldest);
@@ -86,6 +94,20 @@ pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
         true => format!("what format {major}.{minor} adds to the head"),
         false => format!("optional features {features:#x}"),
     })
+}
+
+/// Returns whether the archive with this header has seen space.
+pub(super) fn has_seen(header: &Header) -> bool {
+    header.features_optional & SEEN != 0
+}
+
+/// Adds the path, and what to do, to an error about the content of one of several archives.
+pub(super) fn named(path: &Path, error: Error, advice: &str) -> Error {
+    match error {
+        Error::Format { .. } | Error::Unsupported { .. } => Error::input(path, "damaged", format!("{error}; {advice}")),
+        limit @ Error::Limit { .. } => Error::input(path, "directory", limit.to_string()),
+        other => other,
+    }
 }
 
 #[cfg(test)]

@@ -5,14 +5,14 @@
 //! and one page.
 
 use super::colour_section::{ColourReader, EncodedColours};
-use super::copy::{Copier, beyond_this_version};
-use super::head::{Bounds, Header, SEEN, Voxels};
+use super::copy::{Copier, beyond_this_version, has_seen};
+use super::head::{Header, Voxels};
 use super::metadata::{Metadata, Tag, Unknown, tag_name};
 use super::page_coding::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::seen::SeenReader;
 use super::shard::{InputRead, Shard};
-use super::solid_bounds::Matter;
+use super::solid_bounds::{Matter, joined};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::open_named;
 use crate::output::Existing;
@@ -91,15 +91,9 @@ impl<'a> OpenShard<'a> {
     }
 }
 
-/// Adds the path to an error about the content of an archive.
+/// Adds the path to an error about the content of a part.
 fn named(path: &Path, error: Error) -> Error {
-    match error {
-        Error::Format { .. } | Error::Unsupported { .. } => {
-            Error::input(path, "damaged", format!("{error}; convert this part again"))
-        }
-        limit @ Error::Limit { .. } => Error::input(path, "directory", limit.to_string()),
-        other => other,
-    }
+    super::copy::named(path, error, "convert this part again")
 }
 
 /// Merges the archives `shards`, in any order, into `output`: byte for byte what one run over the whole input writes.
@@ -386,10 +380,6 @@ fn copy(part: &OpenShard<'_>, plan: &Plan, writer: &mut ArchiveWriter, monitor: 
     Ok(())
 }
 
-fn has_seen(header: &Header) -> bool {
-    header.features_optional & SEEN != 0
-}
-
 /// Copies the seen space of `part` into `writer`. Every cell depends on its place alone, so those of all parts are
 /// those of the whole.
 fn copy_seen(part: &OpenShard<'_>, writer: &mut ArchiveWriter) -> Result<()> {
@@ -430,13 +420,6 @@ fn add(totals: &mut Totals, part: &OpenShard<'_>) -> Result<()> {
     }
     totals.bounds = joined(totals.bounds, header.bounds);
     Ok(())
-}
-
-/// Returns the smallest bounds around both.
-fn joined(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
-    let (Some((min, max)), Some((other_min, other_max))) = (a, b) else { return a.or(b) };
-    let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
-    Some((axes(f64::min, min, other_min), axes(f64::max, max, other_max)))
 }
 
 #[cfg(test)]

@@ -47,7 +47,11 @@ mod merge;
 
 mod copy;
 
+mod region;
+
 mod extract;
+
+mod replace;
 
 mod salvage;
 
@@ -65,6 +69,7 @@ pub use opening::{Opened, Opening};
 pub use page_coding::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::{Archive, PageReader};
 pub use recover::{Recovered, recover};
+pub use replace::{Replaced, replace};
 pub(crate) use runs::joined;
 pub use seen::SeenTable;
 pub use shard::{InputRead, MAX_SHARDS, Shard};

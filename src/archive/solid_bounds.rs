@@ -11,6 +11,13 @@ const PAGE: [i64; 3] = [TILE_PIXELS, TILE_PIXELS, PAGE_QUANTA];
 /// Grid units of a pixel or slice along each axis.
 const UNITS: [i64; 3] = [1, 1, SLICE_QUANTA];
 
+/// Returns the smallest bounds around both.
+pub(super) fn joined(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
+    let (Some((min, max)), Some((other_min, other_max))) = (a, b) else { return a.or(b) };
+    let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
+    Some((axes(f64::min, min, other_min), axes(f64::max, max, other_max)))
+}
+
 /// Smallest box around all solid: pixels along x and y, quanta along z, both ends inclusive.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Matter {
@@ -75,11 +82,22 @@ impl Matter {
         if self.check(plan, is_part, bounds.as_ref()).is_ok() {
             return bounds;
         }
+        self.moved(plan, bounds, |axis| self.allowed(plan, is_part, axis))
+    }
+
+    /// Moves the faces of `bounds` that lie beyond the outermost pixels or quanta of the solid to the solid; returns
+    /// `None` without solid.
+    pub fn shrink(&self, plan: &Plan, bounds: Option<Bounds>) -> Option<Bounds> {
+        self.moved(plan, bounds, |axis| self.near(axis, 0, moved_by(plan, axis)))
+    }
+
+    /// Moves the faces of `bounds` that are not `allowed` along an axis to the solid.
+    fn moved(&self, plan: &Plan, bounds: Option<Bounds>, allowed: impl Fn(usize) -> Allowed) -> Option<Bounds> {
         let around = self.bounds(&plan.frame)?;
         let Some((mut min, mut max)) = bounds else { return Some(around) };
         let (low, high) = on_grid(&plan.frame, &min, &max);
         for axis in 0..3 {
-            let allowed = self.allowed(plan, is_part, axis);
+            let allowed = allowed(axis);
             if !(allowed.min.0..=allowed.min.1).contains(&low[axis]) {
                 min[axis] = around.0[axis];
             }
@@ -92,23 +110,29 @@ impl Matter {
 
     fn allowed(&self, plan: &Plan, is_part: bool, axis: usize) -> Allowed {
         let end = (MAX_INDEX + 1) * UNITS[axis];
-        let Some((least, greatest)) = self.range.map(|(min, max)| (min[axis], max[axis])) else {
-            return Allowed { min: (-end, end), max: (-end, end) };
-        };
         // Points of dropped voxels count for the bounds, and a part has the bounds of all triangles.
         let PlanOptions { min_points, drop_floaters, remove_moving, .. } = plan.options;
         let close = min_points == 1 && drop_floaters == 0 && !remove_moving && !is_part;
         let margin = if close { PAGE[axis] } else { 2 * end };
-        let moved = match axis {
-            _ if borrows(plan, is_part) => 2 * end,
-            2 => i64::from(plan.tolerance_quanta()),
-            _ => 0,
+        self.near(axis, margin, if borrows(plan, is_part) { 2 * end } else { moved_by(plan, axis) })
+    }
+
+    /// Returns the positions at most `margin` outside the solid, or up to `moved` inside.
+    fn near(&self, axis: usize, margin: i64, moved: i64) -> Allowed {
+        let end = (MAX_INDEX + 1) * UNITS[axis];
+        let Some((least, greatest)) = self.range.map(|(min, max)| (min[axis], max[axis])) else {
+            return Allowed { min: (-end, end), max: (-end, end) };
         };
         Allowed {
             min: ((least - margin).max(-end), (least + moved).min(end)),
             max: ((greatest - moved).max(-end), (greatest + margin).min(end)),
         }
     }
+}
+
+/// Returns how far heights may lie inside the solid that was coarsened (grid units).
+fn moved_by(plan: &Plan, axis: usize) -> i64 {
+    if axis == 2 { i64::from(plan.tolerance_quanta()) } else { 0 }
 }
 
 /// Returns whether solid may lie beyond the bounds: in a part with filled holes, floor may follow from points of other

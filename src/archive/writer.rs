@@ -261,6 +261,11 @@ impl ArchiveWriter {
         self.matter.fit(&self.plan, self.shard.is_some(), bounds)
     }
 
+    /// Moves the faces of `bounds` that lie beyond the solid of the pages added to the solid, and returns the result.
+    pub(super) fn shrink(&self, bounds: Option<Bounds>) -> Option<Bounds> {
+        self.matter.shrink(&self.plan, bounds)
+    }
+
     /// Adds a page. Keys must ascend. The page must not be empty and must be encoded under this key; if the archive has
     /// overview levels, it must be prepared [for levels](super::PageEncoder::for_levels).
     pub fn put(&mut self, key: PageKey, page: EncodedPage) -> Result<()> {

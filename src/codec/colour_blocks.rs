@@ -332,6 +332,24 @@ impl ColourBlock {
         values.iter().any(|value| value[0] != ABSENT).then_some(Self { steps: self.steps, values })
     }
 
+    /// Returns the colours of `voxels`, each given by a block and its number there. If two blocks with different steps
+    /// have some, steps become 1, which keeps every colour as it is.
+    pub fn pieced(blocks: [Option<&Self>; 2], voxels: impl Iterator<Item = (usize, Option<usize>)>) -> Option<Self> {
+        let find = |(side, number): (usize, Option<usize>)| {
+            let block = blocks.get(side).copied().flatten()?;
+            block.values.get(number?).filter(|value| value[0] != ABSENT).map(|&value| (block.steps, value))
+        };
+        let found: Vec<Option<([u8; 3], [i16; 3])>> = voxels.map(find).collect();
+        let mut all = found.iter().flatten().map(|(steps, _)| *steps);
+        let first = all.next()?;
+        let steps = if all.all(|steps| steps == first) { first } else { [1; 3] };
+        let value = |(own, value): ([u8; 3], [i16; 3])| match own == steps {
+            true => value,
+            false => ycocg(restored(value, own)).map(|value| value as i16),
+        };
+        Some(Self { steps, values: found.into_iter().map(|found| found.map_or([ABSENT, 0, 0], value)).collect() })
+    }
+
     /// Returns whether exact colours (16 bits a channel) of the same voxels quantise to this block with its steps.
     pub fn is_of(&self, colours: &[Option<[u16; 3]>]) -> bool {
         let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| numbers(colour, self.steps));

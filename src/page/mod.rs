@@ -16,5 +16,7 @@ pub use inferred::Inferred;
 pub use page_colours::{Colours, Occupancy};
 pub use span::Span;
 #[doc(hidden)]
+pub use span::joins;
+#[doc(hidden)]
 pub use spans::RowBuilder;
 pub use spans::{BLOCK_PIXELS, BlockView, Page, PageBounds, PageBuilder, PageSize};

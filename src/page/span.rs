@@ -2,6 +2,18 @@
 
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 
+/// Widest gap (quanta) over which voxels of one pixel join in any class: a pixel's width at the default slice height.
+const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
+
+/// Returns whether the solid of two voxels of one pixel, one right above the other, is one solid run: the `gap` between
+/// their points (quanta) is narrow, or both are `obstacles`. Guarantee G2 allows to fill it, whatever its width. Runs of
+/// one class become one span; others meet on the boundary of the slices.
+#[doc(hidden)]
+#[inline]
+pub fn joins(gap: i64, obstacles: [bool; 2]) -> bool {
+    obstacles == [true; 2] || gap <= JOIN_QUANTA
+}
+
 /// Bottom and top (quanta above the page's floor) and class (floor or obstacle) of a solid run; 4 bytes.
 ///
 /// Both ends are inclusive: a span is the closed interval `[bottom, top]`, `0 ≤ bottom ≤ top ≤ 16320`.

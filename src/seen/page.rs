@@ -70,6 +70,15 @@ impl SeenPage {
         }
     }
 
+    /// Takes the cells of `inside` from `other`. Further cells of `meets`, which lie in both, stay seen if both pages say
+    /// so.
+    pub(crate) fn replace(&mut self, other: &Self, inside: &Self, meets: &Self) {
+        for (slice, word) in self.slices.as_flattened_mut().iter_mut().enumerate() {
+            let [other, inside, meets] = [other, inside, meets].map(|page| page.slices.as_flattened()[slice]);
+            *word = (*word | inside) & (other | !meets);
+        }
+    }
+
     /// Returns the bits of its slices: cell `(x, y)` is bit `16·(y mod 4) + x` of word `y / 4`.
     pub fn slices(&self) -> &[[u64; 4]; 64] {
         &self.slices

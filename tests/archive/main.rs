@@ -8,4 +8,5 @@ use common::random;
 mod encodings;
 mod levels;
 mod parts;
+mod replace;
 mod samples;

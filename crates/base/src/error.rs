@@ -208,7 +208,7 @@ pub enum Parameter {
     Input,
     /// Plan of a conversion or of a recovery.
     Plan,
-    /// Region to cut out of an archive.
+    /// Region of an archive.
     Bounds,
     /// Parameter of a pawn or of its walk, by name: its speed, its climb height.
     Pawn(&'static str),

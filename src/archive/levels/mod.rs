@@ -53,7 +53,7 @@
 //! the colours section.
 //!
 //! Levels follow from the pages and their colours alone, so everything that writes an archive rebuilds them in the same
-//! pass: a conversion, a merge of parts, an extract, a recovery. `verify` rebuilds them and compares.
+//! pass: a conversion, a merge of parts, an extract, a replacement, a recovery. `verify` rebuilds them and compares.
 
 mod build;
 mod check;

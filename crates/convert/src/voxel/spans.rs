@@ -3,12 +3,7 @@
 use super::accumulate::{Area, Patch, Voxel};
 use super::record::{BLOCK_SLICES, PATCH_PIXELS};
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA, TILE_PIXELS};
-use crate::page::{Page, RowBuilder, Span};
-
-/// Voxels of one pixel in adjacent slices form one span if the gap between their points is at most this (quanta): a
-/// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
-/// allows both: only gaps between points of vertically adjacent voxels are filled.
-const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
+use crate::page::{Page, RowBuilder, Span, joins};
 
 /// Part of a span inside one page, as one number: layer, pixel, bottom, top, kind, from the highest bits down. So
 /// pieces sort in place by page, pixel and height, and a column of many millions stays small.
@@ -162,10 +157,7 @@ fn each_span(patch: &Patch, patch_pixel: usize, voxel_classes: &[bool], mut give
         let floor = i64::from(voxel.slice) * SLICE_QUANTA;
         let (bottom, top) = (floor + i64::from(voxel.bottom), floor + i64::from(voxel.top));
         open = Some(match open {
-            Some(below)
-                if below.slice + 1 == voxel.slice
-                    && (below.obstacle && obstacle || bottom - below.top <= JOIN_QUANTA) =>
-            {
+            Some(below) if below.slice + 1 == voxel.slice && joins(bottom - below.top, [below.obstacle, obstacle]) => {
                 if below.obstacle == obstacle {
                     OpenSpan { top, slice: voxel.slice, ..below }
                 } else {
