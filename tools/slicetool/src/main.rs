@@ -19,6 +19,7 @@ mod outline;
 mod query;
 mod reach;
 mod recover;
+mod replace;
 mod route;
 mod show;
 mod standard;
@@ -178,6 +179,8 @@ enum Command {
     Recover(recover::Arguments),
     /// Extract a region of an archive; queries inside it give the same answers as the whole
     Extract(extract::Arguments),
+    /// Replace a region of an archive by that of another one, such as a rescan of a room, in a new archive
+    Replace(replace::Arguments),
     /// Answer boxes or rays from a CSV file
     Query(query::Arguments),
     /// Walk a pawn along waypoints and write its path
@@ -306,6 +309,7 @@ fn main() -> ExitCode {
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
         Command::Extract(arguments) => extract::run(&arguments),
+        Command::Replace(arguments) => replace::run(&arguments),
         Command::Query(arguments) => query::run(&arguments),
         Command::Walk(arguments) => walk::run(&arguments),
         Command::Reach(arguments) => reach::run(&arguments),

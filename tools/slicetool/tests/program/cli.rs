@@ -110,6 +110,8 @@ fn an_archive_that_is_none_or_damaged_is_named_by_every_command() {
             &["show", name, "--slice", "1", "-o", "out.png"],
             &["diff", name, "a.slices"],
             &["diff", "a.slices", name],
+            &["replace", "a.slices", "--with", name, "-o", "out.slices", "--bounds", "0,0,0,9,9,9"],
+            &["replace", name, "--with", "a.slices", "-o", "out.slices", "--bounds", "0,0,0,1,1,1"],
             &["export", name, "-o", "out.ply"],
             &["export", name, "-o", "out.las"],
             &["query", name, "--boxes", "q.csv"],
@@ -120,7 +122,10 @@ fn an_archive_that_is_none_or_damaged_is_named_by_every_command() {
             }
             let said = refuses(at, command);
             assert!(said.contains(name), "{command:?}: {said}");
-            assert!(["out.png", "out.ply", "out.las"].iter().all(|output| !at.join(output).exists()), "{command:?}");
+            assert!(
+                ["out.png", "out.ply", "out.las", "out.slices"].iter().all(|output| !at.join(output).exists()),
+                "{command:?}"
+            );
         }
     }
     for name in ["text.slices", "empty.slices", "cut.slices", "page.slices"] {
@@ -543,6 +548,9 @@ fn wrong_usage_ends_with_2() {
         &["merge", "-o", "m.slices"],
         &["recover", "a.slices"],
         &["extract", "a.slices", "-o", "x.slices"],
+        &["replace", "a.slices", "-o", "x.slices", "--bounds", "0,0,0,1,1,1"],
+        &["replace", "a.slices", "--with", "a.slices", "-o", "x.slices"],
+        &["replace", "a.slices", "--with", "a.slices", "-o", "x.slices", "--bounds", "1,0,0,0,1,1"],
     ] {
         let out = slicetool(folder.path(), arguments);
         assert_eq!(out.status.code(), Some(2), "{arguments:?}");

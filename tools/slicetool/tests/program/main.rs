@@ -23,6 +23,7 @@ mod heightfields;
 mod house;
 mod outputs;
 mod reach;
+mod replace;
 mod scene;
 mod seen;
 mod serve;

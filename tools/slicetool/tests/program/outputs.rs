@@ -86,6 +86,7 @@ fn what_a_command_reads_is_not_replaced_under_any_name() {
     std::os::unix::fs::symlink("a.slices", at.join("soft.las")).unwrap();
     #[cfg(not(unix))]
     fs::hard_link(at.join("a.slices"), at.join("soft.las")).unwrap();
+    fs::copy(at.join("a.slices"), at.join("b.slices")).unwrap();
     let before = contents(at);
     for output in outputs {
         for command in writers("a.slices", output) {
@@ -96,8 +97,12 @@ fn what_a_command_reads_is_not_replaced_under_any_name() {
         }
         let bounds = "--bounds=0,0,0,1,1,1";
         for force in [&[][..], &["--force"]] {
-            for command in [&["extract", "a.slices", bounds, "-o", output][..], &["recover", "a.slices", "-o", output]]
-            {
+            for command in [
+                &["extract", "a.slices", bounds, "-o", output][..],
+                &["recover", "a.slices", "-o", output],
+                &["replace", "a.slices", "--with", "b.slices", bounds, "-o", output],
+                &["replace", "b.slices", "--with", "a.slices", bounds, "-o", output],
+            ] {
                 assert!(refuses(at, &[command, force].concat()).contains("this command reads"), "{command:?}");
             }
         }

@@ -214,6 +214,7 @@ fn no_name_or_text_of_a_file_reaches_the_terminal_with_control_characters() {
         &["show", name, "--slice", "0", "-o", "out\u{1b}.png"],
         &["extract", name, "-o", "cut\u{1b}.slices", "--bounds=0,0,0,1,1,1"],
         &["recover", name, "-o", "again\u{1b}.slices"],
+        &["replace", name, "--with", name, "-o", "new\u{1b}.slices", "--bounds=0,0,0,1,1,1"],
     ] {
         let out = slicetool(at, command);
         for text in [text(out.stdout), text(out.stderr)] {
