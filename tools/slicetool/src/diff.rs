@@ -1,13 +1,14 @@
 //! `slicetool diff`: compares the contents of two archives, not their encoding.
 
-use crate::{Failure, Outcome};
+use crate::{Failure, Outcome, changes};
 use serde_json::json;
 use slicewalk::archive::{Archive, ColourReader, PageEntry, PageReader};
 use slicewalk::colour::{LabTable, difference as lab_difference};
+use slicewalk::frame::PageKey;
 use slicewalk::page::{Colours, Inferred, Page, Span};
-use slicewalk_base::text::grouped;
+use slicewalk_base::text::{counted, grouped, one_line};
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Counts of differences; voxels of both archives are compared by lowest bottom, highest top and kind.
 #[derive(Clone, Copy, Default)]
@@ -43,13 +44,44 @@ struct ColourDifference {
     greatest: f32,
 }
 
-type Quanta = u8;
+/// Bottom or top above the floor of a slice (quanta).
+pub type Quanta = u8;
 
 /// A page and its inferred spans.
 type Marked<'a> = (&'a Page, &'a Inferred);
 
-/// Compares the archives at `a` and `b`, which must share their grid.
-pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
+/// Archive and its path.
+pub type Named<'a> = (&'a Archive, &'a Path);
+
+/// Options of `slicetool diff`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Slice archive
+    a: PathBuf,
+    /// Slice archive on the same grid
+    b: PathBuf,
+    /// Write what is new in B, gone, or not seen in it, as a point per voxel; the extension selects the format (.csv,
+    /// .ply). `-` writes CSV to standard output
+    #[arg(long, value_name = "OUT")]
+    changes: Option<PathBuf>,
+    /// With --changes, a voxel counts only if the other archive holds nothing within this distance in metres along each
+    /// axis, rounded up to whole pixels and slices [default: a pixel]
+    #[arg(long, value_name = "METRES", requires = "changes", allow_negative_numbers = true, value_parser = within)]
+    within: Option<f64>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn within(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|v: &f64| *v >= 0.0 && v.is_finite());
+    value.ok_or_else(|| "expected a distance of 0 or more".into())
+}
+
+/// Compares the archives, which must share their grid.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let (a, b, json) = (&*arguments.a, &*arguments.b, arguments.json);
+    crate::standard::refuse_two("--changes", arguments.changes.as_deref(), json)?;
     let (first, second) = (crate::open(a)?, crate::open(b)?);
     if first.frame() != second.frame() {
         let grid =
@@ -69,10 +101,12 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     let identical = same_matter && same_colours;
     let same_plan = first.header().plan_hash == second.header().plan_hash;
     let same_crs = first.crs().map_err(|e| crate::broken(a, &e))? == second.crs().map_err(|e| crate::broken(b, &e))?;
+    let write = |path: &Path| changes::write((&first, a), (&second, b), path, arguments.within);
+    let changes = arguments.changes.as_deref().map(write).transpose()?;
     let metres = |quanta: Quanta| f64::from(quanta) * first.frame().quantum_m();
     let (bottom, top) = (metres(difference.greatest_bottom), metres(difference.greatest_top));
     if json {
-        let facts = json!({
+        let mut facts = json!({
             "identical": identical,
             "same_plan": same_plan,
             "same_crs": same_crs,
@@ -105,6 +139,9 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
             "greatest_bottom_difference": bottom,
             "greatest_top_difference": top,
         });
+        if let Some([new, gone, not_seen]) = changes {
+            facts["changes"] = json!({ "new": new, "gone": gone, "not_seen": not_seen });
+        }
         return Ok(format!("{facts:#}\n"));
     }
     let mut text = String::new();
@@ -145,7 +182,16 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
             writeln!(text, "colours differ by {mean:.2} ΔE on average, by {greatest:.2} at most")?;
         }
     }
-    Ok(text)
+    match (changes, &arguments.changes) {
+        (Some(counts), Some(path)) => {
+            let [new, gone, not_seen] = counts;
+            let (new, gone, not_seen) = (counted(new, "voxel"), grouped(gone), grouped(not_seen));
+            let name = path.to_string_lossy();
+            writeln!(text, "{}: {new} new, {gone} gone, {not_seen} not seen", one_line(&name))?;
+            crate::standard::written(path, &text)
+        }
+        _ => Ok(text),
+    }
 }
 
 impl ColourDifference {
@@ -173,10 +219,7 @@ impl ColourDifference {
 }
 
 /// Compares the colours of the voxels of two archives; `None` if neither has colours.
-fn compare_colours(
-    (a, path_a): (&Archive, &Path),
-    (b, path_b): (&Archive, &Path),
-) -> Result<Option<ColourDifference>, Failure> {
+fn compare_colours((a, path_a): Named<'_>, (b, path_b): Named<'_>) -> Result<Option<ColourDifference>, Failure> {
     let reader = |archive: &Archive, path: &Path| ColourReader::new(archive).map_err(|e| crate::broken(path, &e));
     let (mut colours_a, mut colours_b) = (reader(a, path_a)?, reader(b, path_b)?);
     if colours_a.is_none() && colours_b.is_none() {
@@ -252,19 +295,32 @@ impl Difference {
     }
 }
 
-/// Walks both directories in parallel; memory: one page of each.
-fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Result<Difference, Failure> {
+/// Walks both directories in parallel and passes each key with the entries of both archives to `take`.
+pub fn each_pair(
+    (a, path_a): Named<'_>,
+    (b, path_b): Named<'_>,
+    mut take: impl FnMut(PageKey, [Option<PageEntry>; 2]) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut entries = [entries(a, path_a), entries(b, path_b)];
+    let mut next = [entries[0].next().transpose()?, entries[1].next().transpose()?];
+    while let Some(key) = next.iter().flatten().map(|entry| entry.key).min() {
+        let found = next.map(|entry| entry.filter(|entry| entry.key == key));
+        take(key, found)?;
+        for (side, _) in found.iter().enumerate().filter(|(_, found)| found.is_some()) {
+            next[side] = entries[side].next().transpose()?;
+        }
+    }
+    Ok(())
+}
+
+/// Compares page by page; memory: one page of each.
+fn compare((a, path_a): Named<'_>, (b, path_b): Named<'_>) -> Result<Difference, Failure> {
     let mut difference = Difference::default();
-    let (mut entries_a, mut entries_b) = (entries(a, path_a), entries(b, path_b));
-    let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
     let (mut pages_a, mut pages_b) = (PageReader::new(a), PageReader::new(b));
     let (empty, nothing) = (slicewalk::page::PageBuilder::default().build(), Inferred::new());
     // Equal pairs of contents tend to repeat, so the last result is kept.
     let mut last = None;
-    while next_a.is_some() || next_b.is_some() {
-        let (key_a, key_b) = (next_a.map(|entry| entry.key), next_b.map(|entry| entry.key));
-        let entry_a = next_a.filter(|a| key_b.is_none_or(|b| a.key <= b));
-        let entry_b = next_b.filter(|b| key_a.is_none_or(|a| b.key <= a));
+    each_pair((a, path_a), (b, path_b), |_, [entry_a, entry_b]| {
         let contents = (entry_a.map(|entry| entry.content()), entry_b.map(|entry| entry.content()));
         let between = match last {
             Some((same, between)) if same == contents => between,
@@ -278,13 +334,8 @@ fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Re
         };
         last = Some((contents, between));
         difference.add(&between);
-        if entry_a.is_some() {
-            next_a = entries_a.next().transpose()?;
-        }
-        if entry_b.is_some() {
-            next_b = entries_b.next().transpose()?;
-        }
-    }
+        Ok(())
+    })?;
     Ok(difference)
 }
 
@@ -332,7 +383,7 @@ fn inferred(page: &Page, marks: &Inferred, px: u32, py: u32) -> u64 {
 }
 
 /// Returns lowest bottom and highest top in one slice of a pixel's spans, and whether any span is an obstacle.
-fn voxel(spans: &[Span], slice: u32) -> Option<(Quanta, Quanta, bool)> {
+pub fn voxel(spans: &[Span], slice: u32) -> Option<(Quanta, Quanta, bool)> {
     let parts = spans.iter().filter_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())));
     parts
         .map(|((bottom, top), obstacle)| (bottom, top, obstacle))

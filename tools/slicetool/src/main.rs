@@ -2,6 +2,7 @@
 //! success, 1 failure (one line: what, where, what to do), 2 usage.
 
 mod blocked;
+mod changes;
 mod coverage;
 mod demo;
 mod diff;
@@ -162,15 +163,7 @@ enum Command {
     /// black empty
     Show(show::Arguments),
     /// Compare the contents of two archives on one grid, not their bytes; exits with code 0 whether they differ or not
-    Diff {
-        /// Slice archive
-        a: PathBuf,
-        /// Slice archive on the same grid
-        b: PathBuf,
-        /// Print JSON
-        #[arg(long)]
-        json: bool,
-    },
+    Diff(diff::Arguments),
     /// Export voxels as points, floors as a raster, a slice as a plan, or all occupied space as a surface
     Export(export::Arguments),
     /// Merge the parts that `sliceconv --shard` wrote, in any order, into the exact bytes of a single run
@@ -304,7 +297,7 @@ fn main() -> ExitCode {
         Command::Stats { archive, coverage: true, output, json } => coverage::run(&archive, output.as_deref(), json),
         Command::Stats { archive, json, .. } => stats::run(&archive, json),
         Command::Show(arguments) => show::run(&arguments),
-        Command::Diff { a, b, json } => diff::run(&a, &b, json),
+        Command::Diff(arguments) => diff::run(&arguments),
         Command::Export(arguments) => export::run(&arguments, &given),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),

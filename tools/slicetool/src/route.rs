@@ -58,7 +58,7 @@ pub struct Arguments {
 
 /// Finds the route; without `--output` and `--json` the route is the result.
 pub fn run(arguments: &Arguments) -> Outcome {
-    crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
+    crate::standard::refuse_two("-o", arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let archive = arguments.walks.open(&arguments.archive)?;
     let edits = arguments.walks.edits().path();

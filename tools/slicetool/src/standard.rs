@@ -24,12 +24,10 @@ pub fn refuse_archive(path: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Refuses to write both JSON and a table to standard output.
-pub fn refuse_two(output: Option<&Path>, json: bool) -> Result<(), Failure> {
-    match output.is_some_and(is_standard) && json {
-        true => Err(Failure::Usage("-o - and --json both write to standard output; name a file for -o".into())),
-        false => Ok(()),
-    }
+/// Refuses to write both JSON and a table to standard output; `option` names the table.
+pub fn refuse_two(option: &str, output: Option<&Path>, json: bool) -> Result<(), Failure> {
+    let reason = format!("{option} - and --json both write to standard output; name a file for {option}");
+    if output.is_some_and(is_standard) && json { Err(Failure::Usage(reason)) } else { Ok(()) }
 }
 
 /// Returns the message about a written file as the result, or prints it as a diagnostic if the file itself went to

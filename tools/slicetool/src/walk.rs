@@ -130,7 +130,7 @@ impl Arguments {
 
 /// Walks; the path appears complete or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
-    crate::standard::refuse_two(Some(&arguments.output), arguments.json)?;
+    crate::standard::refuse_two("-o", Some(&arguments.output), arguments.json)?;
     let pawn = arguments.pawn();
     let config = Config {
         speed: arguments.speed,

@@ -27,6 +27,8 @@ mod points;
 mod surface;
 mod voxel;
 
+pub use points::{Ply, check_count};
+
 use crate::ground::Loader;
 use crate::ground::Pawns;
 use crate::{Failure, Outcome};

@@ -115,27 +115,53 @@ fn each_voxel(
     Ok(())
 }
 
-pub fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failure> {
-    let mut file = BufWriter::new(output);
-    let head = "ply\nformat binary_little_endian 1.0\nelement vertex ";
-    write!(
-        file,
-        "{head}{:COUNT_DIGITS$}\nproperty double x\nproperty double y\nproperty double z\n\
-         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
-        ""
-    )?;
-    let mut count = 0u64;
-    each_voxel(archive, path, |point| {
-        count += 1;
-        for value in point.position {
-            file.write_all(&value.to_le_bytes())?;
+/// Coloured points as binary PLY; their number may become known at the end.
+pub struct Ply {
+    file: BufWriter<Output>,
+    /// Where the count is written.
+    count_at: u64,
+    count: u64,
+}
+
+impl Ply {
+    /// Begins the file. `comment` is a line of the header, or empty; `more` names properties of one byte.
+    pub fn begin(output: Output, comment: &str, more: &[&str]) -> Result<Self, Failure> {
+        let mut file = BufWriter::new(output);
+        let comment = if comment.is_empty() { String::new() } else { format!("{comment}\n") };
+        let head = format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex ");
+        let bytes = ["red", "green", "blue"].iter().chain(more);
+        let bytes: String = bytes.map(|name| format!("property uchar {name}\n")).collect();
+        write!(
+            file,
+            "{head}{:COUNT_DIGITS$}\nproperty double x\nproperty double y\nproperty double z\n{bytes}end_header\n",
+            ""
+        )?;
+        Ok(Self { file, count_at: head.len() as u64, count: 0 })
+    }
+
+    /// Adds a point with the values of its further properties.
+    pub fn put(&mut self, position: [f64; 3], colour: [u8; 3], more: &[u8]) -> Result<(), Failure> {
+        self.count += 1;
+        for value in position {
+            self.file.write_all(&value.to_le_bytes())?;
         }
-        Ok(file.write_all(&point.colour)?)
-    })?;
-    file.seek(SeekFrom::Start(head.len() as u64))?;
-    write!(file, "{count:<COUNT_DIGITS$}")?;
-    file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
-    Ok(count)
+        self.file.write_all(&colour)?;
+        Ok(self.file.write_all(more)?)
+    }
+
+    /// Publishes the file and returns the number of points.
+    pub fn finish(mut self) -> Result<u64, Failure> {
+        self.file.seek(SeekFrom::Start(self.count_at))?;
+        write!(self.file, "{:<COUNT_DIGITS$}", self.count)?;
+        self.file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
+        Ok(self.count)
+    }
+}
+
+pub fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failure> {
+    let mut ply = Ply::begin(output, "", &[])?;
+    each_voxel(archive, path, |point| ply.put(point.position, point.colour, &[]))?;
+    ply.finish()
 }
 
 /// Writes LAS 1.2 with a reference system's code as GeoTIFF keys, or 1.4 for a system known by its text.

@@ -50,7 +50,7 @@ struct Reach {
 
 /// Finds everything that can be reached; a file appears complete or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
-    crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
+    crate::standard::refuse_two("-o", arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let archive = arguments.walks.open(&arguments.archive)?;

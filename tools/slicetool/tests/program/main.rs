@@ -12,6 +12,7 @@ mod store;
 
 mod blocked;
 mod budgets;
+mod changes;
 mod cli;
 mod collider;
 mod colour;
