@@ -63,7 +63,7 @@ fn holds_its_result(arguments: &[&str]) -> bool {
 /// Runs every command on the archive `name` and returns the outputs.
 fn ask_everything(folder: &Path, name: &str, is_wanted: impl Fn(&[&str]) -> bool) -> Vec<Output> {
     let cache = format!("{CACHE_MIB}MiB");
-    let commands: [&[&str]; 17] = [
+    let commands: [&[&str]; 18] = [
         &["info", name, "--json"],
         &["verify", name],
         &["stats", name],
@@ -79,6 +79,7 @@ fn ask_everything(folder: &Path, name: &str, is_wanted: impl Fn(&[&str]) -> bool
         &["export", name, "-o", "p.dxf"],
         &["export", name, "-o", "p.glb"],
         &["extract", name, "-o", "x.slices", "--bounds", "0,0,0,1,1,1", "--force"],
+        &["diff", name, "x.slices", "--changes", "c.ply"],
         &["recover", name, "-o", "r.slices", "--force"],
         &["replace", name, "--with", name, "-o", "c.slices", "--bounds=-9e9,-9e9,-9e9,9e9,2,9", "--force"],
     ];

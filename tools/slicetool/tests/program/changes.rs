@@ -58,7 +58,7 @@ fn write(path: &Path, voxels: &Voxels, seen: Option<&BTreeSet<Place>>) {
     let plan = plan();
     let mut writer = ArchiveWriter::create(path, &plan, true).unwrap();
     let mut encoder = PageEncoder::of_plan(&plan);
-    let mut pages: BTreeMap<PageKey, BTreeMap<(u32, u32), Vec<(Span, bool)>>> = BTreeMap::new();
+    let mut pages: BTreeMap<PageKey, BTreeMap<_, Vec<(Span, bool)>>> = BTreeMap::new();
     for (&place, &(bottom, top, inferred)) in voxels {
         let (key, [px, py, k]) = page_of(place);
         let span = Span::new(k * 255 + bottom, k * 255 + top, false).unwrap();

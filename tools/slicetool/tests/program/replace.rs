@@ -9,6 +9,8 @@ use slicewalk::archive::Archive;
 use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
 use slicewalk::plan::Classifier;
+use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::store::Snapshot;
 use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, convert};
 use std::fs;
 use std::path::Path;
@@ -129,6 +131,38 @@ fn voxels_of_both_archives_make_the_bytes_of_one_conversion() {
         }
         let all = fs::read(at.join("all.slices")).unwrap();
         assert!(replaced(at) == all, "rich: {rich}: {}", done(at, &["diff", "all.slices", "c.slices"]));
+    }
+}
+
+/// Guarantee G1, also where spans of both archives cross the faces of the region, whatever the classes.
+#[test]
+fn every_point_that_an_archive_contributes_is_a_hit() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let mut random = Random(11);
+    let mut scan = |count: usize| -> Points {
+        let points = (0..count).map(|_| {
+            let [x, y, z] = random.place(AROUND);
+            // On the boundaries of slices, and anywhere.
+            let height = if random.uniform() < 0.4 { (z / 0.3).round() * 0.3 } else { z };
+            rounded([x, y, height])
+        });
+        points.collect()
+    };
+    for (count, classifier) in [(60_000, Classifier::Plane), (60_000, Classifier::Span), (9_000, Classifier::Plane)] {
+        let scans = [scan(count), scan(count)];
+        archive(at, "a.slices", &scans[0], false, classifier);
+        archive(at, "b.slices", &scans[1], false, classifier);
+        replaced(at);
+        let store = Snapshot::resident(&Archive::open(at.join("c.slices")).unwrap(), &NoMonitor).unwrap();
+        for (points, is_new) in scans.iter().zip([false, true]) {
+            let kept = points.iter().filter(|point| is_inside(point, [0.0; 3]) == is_new);
+            let missed = kept.filter(|point| {
+                let place = (**point).into();
+                overlaps(&store, &Aabb::new(place, place).unwrap()) != Overlap::Hit
+            });
+            assert_eq!(missed.collect::<Vec<_>>(), [&[0.0; 3]; 0], "{count} {classifier:?}");
+        }
     }
 }
 
