@@ -1,7 +1,12 @@
 //! Extraction of a region into an archive of its own, which answers queries inside the region like the whole.
+//!
+//! If the archive carries edits, the extract holds the edited space: the tile columns that they touch are read and edited
+//! first, and their pages take the place of the archive's.
 
 use super::colour_section::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
+use super::directory::PageEntry;
+use super::edited::edited_pages;
 use super::head::{Bounds, Header};
 use super::metadata::{Metadata, tag_name};
 use super::page_coding::{PageDecoder, PageEncoder};
@@ -9,11 +14,13 @@ use super::reader::Archive;
 use super::region::{PagePart, Region};
 use super::seen::SeenReader;
 use super::writer::{ArchiveWriter, Totals};
-use crate::codec::ColourEncoder;
+use crate::codec::{ColourBlock, ColourEncoder};
+use crate::frame::PageKey;
 use crate::output::{Existing, Protected};
-use crate::page::PageBuilder;
+use crate::page::{Inferred, Occupancy, Page, PageBuilder};
 use crate::seen::SeenBlock;
 use crate::{Error, Monitor, Result};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Result of an extraction.
@@ -32,8 +39,12 @@ pub struct Extracted {
 /// answer as in the whole archive. Spans are cut at slices. Point counts stay those of the conversion; the bounds are
 /// cut. Metadata of unknown tags is dropped because it may describe what was cut away.
 ///
-/// Fails if `bounds` are inverted or NaN, if `output` exists and `overwrite` is false, or if `monitor` cancels. Cost:
-/// reads the directory and the pages that meet the region.
+/// If the archive [carries edits](Archive::with_edits), the new one holds the edited space, and its bounds grow around
+/// solid that was added. Added solid has no colour; seen space stays as it is.
+///
+/// Fails if `bounds` are inverted or NaN, if `output` exists and `overwrite` is false, if the edits touch more than 2¹⁶
+/// pages, or if `monitor` cancels. Cost: reads the directory and the pages that meet the region; holds those of the tile
+/// columns with edits.
 pub fn extract(
     archive: &Archive,
     bounds: &Bounds,
@@ -55,6 +66,7 @@ pub fn extract(
     if levels {
         writer.set_levels();
     }
+    let edited = edited_pages(archive)?.unwrap_or_default();
     let mut colours = ColourReader::new(archive)?;
     if let Some(colours) = header.colours {
         writer.set_colours(colours.plan);
@@ -63,32 +75,49 @@ pub fn extract(
     let mut colour_encoder = ColourEncoder::default();
     let mut encoder = PageEncoder::of_plan(&plan).for_levels(levels);
     let mut copier = Copier::new();
-    for entry in archive.entries() {
+    for page in pages(archive, edited) {
         if monitor.cancelled() {
             return Err(Error::Interrupted);
         }
-        let entry = entry?;
-        monitor.advance(1);
-        let Some(part) = region.part_of(entry.key) else { continue };
+        let (key, entry, edited) = page?;
+        monitor.advance(u64::from(entry.is_some()));
+        let Some(part) = region.part_of(key) else { continue };
+        let original = match (&entry, &edited) {
+            (Some(entry), Some(_)) => Some(archive.page_with(entry, &mut decoder)?),
+            _ => None,
+        };
+        if let Some(edited) = edited.filter(|edited| original.as_ref() != Some(edited)) {
+            let inferred = unchanged(original.as_ref(), decoder.inferred(), &edited);
+            let (page, inferred) = part.cut(&edited, &inferred, &mut builder);
+            if page.slices() != 0 {
+                let own = match (&mut colours, &original) {
+                    (Some(colours), Some(original)) => remaining(colours, key, original, &page, &mut colour_encoder)?,
+                    _ => EncodedColours::default(),
+                };
+                writer.put(key, encoder.encode_inferred(key, &page, &inferred).with_colours(own))?;
+            }
+            continue;
+        }
+        let Some(entry) = entry else { continue };
         let own = match &mut colours {
             Some(colours) => {
                 let page = archive.page_with(&entry, &mut decoder)?;
                 if part == PagePart::WHOLE {
-                    colours.copied(entry.key, &page)?
+                    colours.copied(key, &page)?
                 } else {
                     let (cut, _) = part.cut(&page, decoder.inferred(), &mut builder);
-                    colours.part(entry.key, &page, &cut, &mut colour_encoder)?
+                    colours.part(key, &page, &cut, &mut colour_encoder)?
                 }
             }
             None => EncodedColours::default(),
         };
-        copier.put(&mut writer, entry.key, (entry.content(), part), own, || {
+        copier.put(&mut writer, key, (entry.content(), part), own, || {
             let page = archive.page_with(&entry, &mut decoder)?;
             if part == PagePart::WHOLE {
-                return Ok(Some(encoder.copied(entry.key, &decoder.bytes, &page, decoder.inferred())));
+                return Ok(Some(encoder.copied(key, &decoder.bytes, &page, decoder.inferred())));
             }
             let (part, inferred) = part.cut(&page, decoder.inferred(), &mut builder);
-            Ok((part.slices() != 0).then(|| encoder.encode_inferred(entry.key, &part, &inferred)))
+            Ok((part.slices() != 0).then(|| encoder.encode_inferred(key, &part, &inferred)))
         })?;
     }
     extract_seen(archive, &region, &mut writer)?;
@@ -98,6 +127,52 @@ pub fn extract(
     dropped.extend(beyond_this_version(header));
     let header = writer.finish(Totals { bounds, crs, units, noise, ..Totals::of_points(header) })?;
     Ok(Extracted { header, dropped })
+}
+
+/// Iterates over the keys of the archive and of `edited`, in order, with the archive's entry and the edited page.
+fn pages(
+    archive: &Archive,
+    edited: BTreeMap<PageKey, Page>,
+) -> impl Iterator<Item = Result<(PageKey, Option<PageEntry>, Option<Page>)>> + '_ {
+    let (mut entries, mut edited) = (archive.entries().peekable(), edited.into_iter().peekable());
+    std::iter::from_fn(move || {
+        let own = match entries.peek() {
+            Some(Ok(entry)) => Some(entry.key),
+            Some(Err(_)) => return entries.next().map(|entry| entry.map(|entry| (entry.key, Some(entry), None))),
+            None => None,
+        };
+        let key = [own, edited.peek().map(|(key, _)| *key)].into_iter().flatten().min()?;
+        let entry = entries.next_if(|_| own == Some(key)).and_then(Result::ok);
+        Some(Ok((key, entry, edited.next_if(|page| page.0 == key).map(|page| page.1))))
+    })
+}
+
+/// Returns which spans of `edited` are inferred: those of pixels that are as in the original, whose marks are
+/// `inferred`.
+fn unchanged(original: Option<&Page>, inferred: &Inferred, edited: &Page) -> Inferred {
+    let mut kept = Inferred::new();
+    let Some(original) = original else { return kept };
+    for (px, py, mask) in inferred.pixels().filter(|&(px, py, _)| original.column(px, py) == edited.column(px, py)) {
+        let in_order = kept.push(px, py, mask);
+        debug_assert!(in_order, "pixels come in row order");
+    }
+    kept
+}
+
+/// Returns the colours of the voxels of `page` that the `original` page has, too.
+fn remaining(
+    colours: &mut ColourReader,
+    key: PageKey,
+    original: &Page,
+    page: &Page,
+    encoder: &mut ColourEncoder,
+) -> Result<EncodedColours> {
+    let place = colours.find(key)?;
+    let block = colours.block(&place, key, original)?;
+    let occupancy = Occupancy::of(page);
+    let voxels = occupancy.voxels().map(|(pixel, k)| (0, colours.occupancy().find(pixel, k)));
+    let block = block.and_then(|block| ColourBlock::pieced([Some(&block), None], voxels));
+    Ok(block.map_or_else(EncodedColours::default, |block| EncodedColours::of_block(block, &occupancy, encoder)))
 }
 
 /// Copies the seen cells that meet the region.

@@ -49,6 +49,8 @@ mod copy;
 
 mod region;
 
+mod edited;
+
 mod extract;
 
 mod replace;
@@ -60,6 +62,7 @@ mod recover;
 pub use catalog::Catalog;
 pub use colour_section::{ColourEntry, ColourHead, ColourReader, ColourTable, EncodedColours};
 pub use directory::{Content, Extent, PageEntry, Storage};
+pub(crate) use edited::edited_pages;
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use levels::{Level, Levels};

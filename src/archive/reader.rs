@@ -96,9 +96,9 @@ impl Archive {
         Self::from_parts(self.source.clone(), catalog)
     }
 
-    /// Returns the archive with inferred spans included.
+    /// Returns the archive, with its edits, with inferred spans included.
     pub(super) fn whole(&self) -> Self {
-        Self::from_parts(self.source.clone(), self.catalog.whole())
+        Self { edits: self.edits.clone(), ..Self::from_parts(self.source.clone(), self.catalog.whole()) }
     }
 
     /// Returns the overview levels, finest first; none if the archive was written without levels, has too few pages for

@@ -9,9 +9,8 @@
 //! groups and the slots of the groups that change.
 
 use super::budget::Reservation;
-use super::edited::edited_pages;
 use super::table::{KeyBounds, PageTable};
-use crate::archive::{Archive, PageEntry};
+use crate::archive::{Archive, PageEntry, edited_pages};
 use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
 use crate::page::Page;

@@ -10,6 +10,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{
     Archive, ArchiveWriter, Bounds, PageEncoder, PageReader, Recovered, Shard, Storage, Totals, extract, merge, recover,
 };
+use slicewalk::edit::{Edits, Prism};
 use slicewalk::frame::Frame;
 use slicewalk::page::{Page, Span};
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
@@ -530,6 +531,59 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     assert!(header.pages.total() == 0 && header.bounds.is_none());
     assert!(extract(&whole, &([1.0; 3], [0.0; 3]), &target, true, &NoMonitor).is_err());
     assert!(render(&verified(&target)).contains("points read 5000"));
+}
+
+#[test]
+fn an_edited_archive_is_written_as_it_answers() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("edited.slices");
+    let made = scene();
+    let (mut random, mut changed) = (Random(11), 0);
+    for number in 0..30 {
+        let mut between =
+            |low: f64, high: f64| low + (high - low) * f64::from(random.below(1 << 20)) / f64::from(1 << 20);
+        let (mut edits, mut corners) = (Edits::default(), Vec::new());
+        for edit in 0..4 {
+            // Around the scene and in it, so that pages are changed, emptied and added, also beyond its bounds.
+            let low = [between(-8.0, 18.0), between(-22.0, 6.0), between(-18.0, 25.0)];
+            let high = [0, 1, 2].map(|axis| low[axis] + between(0.02, [3.0, 3.0, 12.0][axis]));
+            corners.extend([low, high]);
+            let prism = Prism::of_box(low, high).unwrap();
+            match edit % 2 {
+                0 => edits.remove(prism).unwrap(),
+                _ => edits.add(prism, number % 2 == 0).unwrap(),
+            }
+        }
+        // A whole column is emptied.
+        edits.remove(Prism::of_box([6.3, -0.1, -30.0], [12.9, 6.5, 30.0]).unwrap()).unwrap();
+        let whole = Archive::from_bytes(archive(&made)).unwrap();
+        let before = Snapshot::resident(&whole, &NoMonitor).unwrap();
+        let edited = whole.with_edits(edits);
+        let expected = Snapshot::resident(&edited, &NoMonitor).unwrap();
+        let everything: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+        let header = extract(&edited, &everything, &target, true, &NoMonitor).unwrap().header;
+        let found = verified(&target);
+        assert_eq!((found.header(), found.edits()), (&header, None));
+        let found = Snapshot::resident(&found, &NoMonitor).unwrap();
+        for _ in 0..200 {
+            let corner = corners[between(0.0, 8.0) as usize];
+            let low = corner.map(|at| at + between(-1.0, 1.0));
+            let high = low.map(|at| at + between(0.0, 1.0));
+            let shape = Aabb::new(low.into(), high.into()).unwrap();
+            assert_eq!(probe(&found, &shape), probe(&expected, &shape), "{number}: {shape:?}");
+            changed += usize::from(probe(&before, &shape) != probe(&expected, &shape));
+            let direction = nalgebra::Vector3::from(low) - nalgebra::Vector3::new(5.0, -7.0, 3.0);
+            let ray = Ray::new([5.0, -7.0, 3.0].into(), direction, 60.0).unwrap();
+            assert_eq!(cast(&found, &ray), cast(&expected, &ray), "{number}: {ray:?}");
+        }
+    }
+    assert!(changed > 300, "{changed} boxes met an edit");
+    // Edits that change nothing give the same bytes.
+    let mut edits = Edits::default();
+    edits.remove(Prism::of_box([-7.0, -7.0, -90.0], [7.0, 7.0, -80.0]).unwrap()).unwrap();
+    let edited = Archive::from_bytes(archive(&made)).unwrap().with_edits(edits);
+    extract(&edited, &([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]), &target, true, &NoMonitor).unwrap();
+    assert!(fs::read(&target).unwrap() == archive(&made));
 }
 
 #[test]

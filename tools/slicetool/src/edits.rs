@@ -4,6 +4,7 @@ use crate::Failure;
 use nalgebra::{Point2, Point3};
 use serde::Deserialize;
 use slicewalk::edit::{Edits, Prism};
+use slicewalk_base::text::counted;
 use std::collections::HashSet;
 use std::fs::File;
 use std::io::Read;
@@ -212,6 +213,13 @@ impl EditFile {
     /// The edits as boxes and rays meet them.
     pub fn for_queries(&self) -> Edits {
         self.solids.clone()
+    }
+
+    /// Describes what an archive with the edited solid lacks of them.
+    pub fn not_solid(&self) -> Vec<String> {
+        let areas = self.with_no_go.len() - self.solids.len();
+        let lacking = [(areas, "no-go area"), (self.links.len(), "link")];
+        lacking.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| counted(count as u64, what)).collect()
     }
 }
 

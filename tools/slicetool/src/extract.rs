@@ -1,6 +1,7 @@
 //! `slicetool extract`: writes a region as its own archive.
 
 use crate::Outcome;
+use crate::edits::EditOption;
 use slicewalk::archive::{Bounds, Extracted, extract};
 use slicewalk_base::text::{counted, file_size, one_line};
 use std::fmt::Write;
@@ -14,9 +15,13 @@ pub struct Arguments {
     /// Archive to write
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
-    /// Lowest and highest corner of the region in metres; inf and -inf for no limit
-    #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = bounds)]
-    bounds: Bounds,
+    /// Lowest and highest corner of the region in metres; inf and -inf for no limit. With --edits: everything, unless
+    /// given
+    #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = bounds,
+          required_unless_present = "edits")]
+    bounds: Option<Bounds>,
+    #[command(flatten)]
+    edits: EditOption,
     /// Replace an existing slice archive
     #[arg(long)]
     force: bool,
@@ -24,6 +29,9 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
 }
+
+/// Bounds without a limit.
+pub const EVERYTHING: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
 
 /// Parses the corners of a region.
 pub fn bounds(text: &str) -> Result<Bounds, String> {
@@ -37,12 +45,19 @@ pub fn bounds(text: &str) -> Result<Bounds, String> {
 /// Extracts the region.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    let Extracted { header, dropped, .. } =
-        extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &crate::terminal())
+    let (archive, also_dropped) = match arguments.edits.read()? {
+        Some(file) => (archive.with_edits(file.for_queries()), file.not_solid()),
+        None => (archive, Vec::new()),
+    };
+    let bounds = arguments.bounds.unwrap_or(EVERYTHING);
+    let Extracted { header, mut dropped, .. } =
+        extract(&archive, &bounds, &arguments.output, arguments.force, &crate::terminal())
             .map_err(|error| crate::broken(&arguments.archive, &error))?;
+    dropped.extend(also_dropped);
     if header.voxels.occupied == 0 {
         let (archive, output) = (arguments.archive.display(), arguments.output.display());
-        crate::say(&format!("warning: {archive}: nothing lies within --bounds; {output} is an empty archive"));
+        let nothing = if arguments.bounds.is_some() { "nothing lies within --bounds" } else { "nothing is left" };
+        crate::say(&format!("warning: {archive}: {nothing}; {output} is an empty archive"));
     }
     if arguments.json {
         let about = archive.crs().and_then(|crs| Ok((crs, archive.units()?)));

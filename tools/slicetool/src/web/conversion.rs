@@ -1,7 +1,9 @@
 //! Conversion of the scans that `serve` and `site` are given: into a temporary folder, with progress for the page.
 
 use super::KioskArguments;
+use crate::extract::EVERYTHING;
 use crate::{Failure, of_library, say, suggestion};
+use slicewalk::archive::{Archive, extract};
 use slicewalk::{Error, Monitor, Warning};
 use slicewalk_base::output::{ARCHIVE_MAGIC, DRAFT_MAGIC};
 use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, convert};
@@ -44,9 +46,16 @@ pub fn is_archive(path: &Path) -> bool {
             && (start == ARCHIVE_MAGIC || start == DRAFT_MAGIC)
 }
 
-/// Scans to convert into one archive. Dropping it removes the archive.
+/// How an archive is made.
+enum Work {
+    Convert(Box<ConvertOptions>),
+    /// Copy an archive with the edits that it carries.
+    Edit(Box<Archive>),
+}
+
+/// Scans to convert into one archive, or an archive to edit. Dropping it removes the new archive.
 pub struct Conversion {
-    options: ConvertOptions,
+    work: Work,
     /// Name of the archive for the page.
     pub name: String,
     /// Where the archive will be.
@@ -61,9 +70,7 @@ impl Conversion {
         // A pattern is no name.
         let stem = scans.first().and_then(stem).filter(|stem| !stem.contains(['*', '?', '[']) && !stem.is_empty());
         let name = format!("{}.slices", stem.as_deref().unwrap_or("scans"));
-        let failed = |error| Failure::Text(format!("{}: cannot create a temporary folder: {error}", temp_dir()));
-        let folder = tempfile::Builder::new().prefix("slicetool-").tempdir().map_err(failed)?;
-        let path = folder.path().join("scan.slices");
+        let (folder, path) = temporary()?;
         let mut options = ConvertOptions::new(scans, path.clone());
         options.resources.temp_dir = folder.path().to_path_buf();
         options.grid.pixel = arguments.pixel;
@@ -74,14 +81,23 @@ impl Conversion {
         };
         options.sections.colour = ColourMode::Auto;
         options.sections.levels = true;
-        Ok(Self { options, name, path, folder })
+        Ok(Self { work: Work::Convert(Box::new(options)), name, path, folder })
     }
 
-    /// Converts on this thread.
+    /// Prepares a copy of `archive`, shown under `name`, with the edits that it carries.
+    pub fn of_edits(archive: Archive, name: String) -> Result<Self, Failure> {
+        let (folder, path) = temporary()?;
+        Ok(Self { work: Work::Edit(Box::new(archive)), name, path, folder })
+    }
+
+    /// Makes the archive on this thread.
     pub fn run(&self, progress: &Progress) -> Result<(), Failure> {
-        let done = convert(&self.options, progress);
+        let done = match &self.work {
+            Work::Convert(options) => convert(options, progress).map(drop),
+            Work::Edit(archive) => extract(archive, &EVERYTHING, &self.path, false, progress).map(drop),
+        };
         progress.terminal().take();
-        done.map(drop).map_err(|error| match error {
+        done.map_err(|error| match error {
             Error::Interrupted => Failure::Interrupted(128 + progress.signal.load(Ordering::Relaxed) as u8),
             error => of_library(&error),
         })
@@ -95,8 +111,13 @@ impl Conversion {
     }
 }
 
-fn temp_dir() -> String {
-    std::env::temp_dir().display().to_string()
+/// Creates a temporary folder, and names the archive in it.
+fn temporary() -> Result<(TempDir, PathBuf), Failure> {
+    let parent = std::env::temp_dir();
+    let failed = |error| Failure::Text(format!("{}: cannot create a temporary folder: {error}", parent.display()));
+    let folder = tempfile::Builder::new().prefix("slicetool-").tempdir().map_err(failed)?;
+    let path = folder.path().join("scan.slices");
+    Ok((folder, path))
 }
 
 /// Progress of a conversion, for the terminal and for the page.

@@ -3,7 +3,7 @@
 //!
 //! Both provide the same files: the page, the archives beside it, and `archives.json`, which lists their addresses for
 //! the page. A browser can reach nothing that is not in that table. Scans are converted first; `serve` shows the page
-//! meanwhile.
+//! meanwhile. With `--edits`, they show an edited copy, which is made in the same way.
 
 mod conversion;
 mod page;
@@ -13,6 +13,7 @@ mod ranges;
 pub mod serve;
 pub mod site;
 
+use crate::edits::{EditFile, EditOption};
 use crate::{Failure, open};
 use conversion::{Conversion, ConversionArguments, check_tour, is_archive};
 use page::Page;
@@ -29,6 +30,9 @@ const SETTINGS: &str = "settings.json";
 /// Characters that need no escape in the address of a file.
 const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'.').remove(b'-').remove(b'_').remove(b'~');
 
+/// Why `--edits` is refused.
+const ONE_ARCHIVE: &str = "--edits: expected one archive and no scans; convert scans first, with sliceconv";
+
 /// Options shared by `serve` and `site`.
 #[derive(clap::Args)]
 pub struct ShowArguments {
@@ -42,6 +46,8 @@ pub struct ShowArguments {
     /// Folder of the built page [default: beside the program, or tools/viewer/dist of the repository]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
+    #[command(flatten)]
+    edits: EditOption,
     #[command(flatten)]
     conversion: ConversionArguments,
     #[command(flatten)]
@@ -97,6 +103,14 @@ impl Show {
             }
         }
         let page = Page::find(arguments.page.as_deref())?;
+        let mut conversion = None;
+        if let Some(file) = arguments.edits.read()? {
+            let [only] = &mut named[..] else { return Err(Failure::Usage(ONE_ARCHIVE.into())) };
+            if !scans.is_empty() {
+                return Err(Failure::Usage(ONE_ARCHIVE.into()));
+            }
+            conversion = edited(only, &file)?;
+        }
         if let Some(cloud) = &arguments.cloud {
             check_cloud(cloud)?;
             named.push((cloud.clone(), name_of(cloud), Kind::Cloud));
@@ -112,15 +126,12 @@ impl Show {
             named.push((settings, SETTINGS.into(), Kind::Settings));
         }
         let first = scans.first().map(|(_, place)| *place);
-        let conversion = match first {
-            None => None,
-            Some(place) => {
-                let scans = scans.into_iter().map(|(path, _)| path).collect();
-                let conversion = Conversion::new(scans, &arguments.conversion)?;
-                named.insert(place, (conversion.path.clone(), conversion.name.clone(), Kind::Converted));
-                Some(conversion)
-            }
-        };
+        if let Some(place) = first {
+            let scans = scans.into_iter().map(|(path, _)| path).collect();
+            let scan = Conversion::new(scans, &arguments.conversion)?;
+            named.insert(place, (scan.path.clone(), scan.name.clone(), Kind::Converted));
+            conversion = Some(scan);
+        }
         let mut files: Vec<Shown> = Vec::new();
         for (path, name, kind) in named {
             let name = free_name(&name, |name| {
@@ -158,6 +169,18 @@ impl Show {
         }
         format!("{table}\n")
     }
+}
+
+/// Puts an edited copy, which is yet to be made, in place of an archive.
+fn edited((path, name, kind): &mut (PathBuf, String, Kind), file: &EditFile) -> Result<Option<Conversion>, Failure> {
+    let Kind::Archive(archive) = std::mem::replace(kind, Kind::Converted) else { return Ok(None) };
+    let lacking = file.not_solid();
+    if !lacking.is_empty() {
+        crate::say(&format!("--edits: the page does not know {}", lacking.join(" and ")));
+    }
+    let copy = Conversion::of_edits(archive.with_edits(file.for_queries()), name.clone())?;
+    path.clone_from(&copy.path);
+    Ok(Some(copy))
 }
 
 /// The file name of `path`.

@@ -31,7 +31,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
         listen(&progress).map_err(|error| Failure::Text(format!("cannot listen for Ctrl-C: {error}")))?;
         conversion.run(&progress)?;
     }
-    let mut protected: Protected = show.files.iter().map(|file| &file.path).chain(&arguments.show.inputs).collect();
+    let shown = show.files.iter().map(|file| file.path.as_path());
+    let read = arguments.show.inputs.iter().map(PathBuf::as_path).chain(arguments.show.edits.path());
+    let mut protected: Protected = shown.chain(read).collect();
     for file in &show.files {
         if let Kind::Archive(archive) = &file.kind {
             protected.add_source(archive.source());

@@ -217,3 +217,49 @@ fn bad_edits_are_refused_in_one_line() {
     refused(&["--edits", "e.json", "-o", "e.json"], 1);
     assert_eq!(fs::read_to_string(at.join("e.json")).unwrap(), "{}");
 }
+
+#[test]
+fn a_copy_with_edits_answers_as_the_archive_with_them() {
+    let house = House::new(ROOMS, 3);
+    let folder = archive_of(house.points());
+    let at = folder.path();
+    let open = house.sides.iter().position(|side| side.has_door && side.is_open).unwrap();
+    let shut = json!({
+        "doors": [{ "name": "door", "box": house.door(open), "open": false }],
+        "links": [{ "name": "lift", "from": [1, 1, 0], "to": [1, 1, 3], "seconds": 5 }],
+    });
+    write(&folder, &shut);
+    let out = slicetool(&folder, "extract", &["a.slices", "--edits", "e.json", "-o", "shut.slices"]);
+    let said = String::from_utf8_lossy(&out.stdout);
+    assert!(out.status.success() && said.contains("dropped: 1 link\n"), "{said}");
+    let (mut boxes, doors) = (String::new(), house.door(open));
+    let [x, y, z] = [0, 1, 2].map(|axis| doors[axis].midpoint(doors[axis + 3]));
+    for step in 0..200 {
+        let by = f64::from(step) * 0.03 - 3.0;
+        boxes += &format!("{},{},{},{},{},{}\n", x + by, y - by, z, x + by + 0.1, y - by + 0.1, z + 0.1);
+        boxes += &format!("{},{},{},{},{},{}\n", x + by, y, z, x + by + 0.02, y + 0.02, z + 0.02);
+    }
+    fs::write(at.join("boxes.csv"), boxes).unwrap();
+    let ask = |archive: &str, more: &[&str]| {
+        let out = slicetool(&folder, "query", &[&[archive, "--boxes", "boxes.csv"], more].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        String::from_utf8(out.stdout).unwrap()
+    };
+    assert_eq!(ask("shut.slices", &[]), ask("a.slices", &["--edits", "e.json"]));
+    assert_ne!(ask("shut.slices", &[]), ask("a.slices", &[]));
+    // The page walks in the same copy.
+    fs::create_dir(at.join("page")).unwrap();
+    fs::write(at.join("page/index.html"), "<title>page</title>").unwrap();
+    let site = ["a.slices", "--edits", "e.json", "--page", "page", "-o", "site"];
+    let out = slicetool(&folder, "site", &site);
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success() && said.contains("the page does not know 1 link"), "{said}");
+    assert!(fs::read(at.join("site/a.slices")).unwrap() == fs::read(at.join("shut.slices")).unwrap());
+    // What cannot be.
+    let refused = slicetool(&folder, "site", &[&["shut.slices"], &site[..]].concat());
+    assert_eq!(refused.status.code(), Some(2), "two archives");
+    let refused = slicetool(&folder, "extract", &["a.slices", "--edits", "e.json", "-o", "e.json", "--force"]);
+    assert_eq!(refused.status.code(), Some(1), "the edits themselves");
+    assert_eq!(fs::read_to_string(at.join("e.json")).unwrap(), shut.to_string());
+    assert_eq!(slicetool(&folder, "extract", &["a.slices", "-o", "b.slices"]).status.code(), Some(2), "no bounds");
+}
