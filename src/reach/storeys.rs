@@ -1,11 +1,15 @@
 //! Storeys of a region.
 //!
 //! Neighbouring places at most 6 cm apart in height belong to one part (ramps, terrain, rooms; not the treads of a
-//! stair). The largest part makes a storey together with all parts whose median height lies within half of the pawn's
+//! stair). A part that lies above itself, such as a helical ramp or two floors and a ramp between them, is split: each
+//! piece grows from the lowest place that is left, lowest neighbours first, and leaves out what lies above or below it.
+//! The largest part makes a storey together with all parts whose median height lies within half of the pawn's
 //! height; the largest of the rest makes the next one, as long as it has two square metres. What remains, treads and
 //! landings, joins the storey nearest in height.
 
 use super::region::{NO_PLACE, Region};
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
 
 /// Highest step inside one part (m). With coarse pixels it is the pixel size, because ramps rise as much.
 const LEVEL_M: f64 = 0.06;
@@ -45,6 +49,13 @@ struct Part {
 }
 
 impl Part {
+    fn of(region: &Region, members: Vec<u32>) -> Self {
+        let standing = members.iter().filter(|place| region.standing[**place as usize]);
+        let mut tops: Vec<i32> = standing.map(|place| region.tops[*place as usize]).collect();
+        tops.sort_unstable();
+        Self { tops, members }
+    }
+
     fn middle(&self) -> i32 {
         self.tops.get(self.tops.len() / 2).copied().unwrap_or(0)
     }
@@ -54,7 +65,7 @@ fn storeys(region: &Region) -> Storeys {
     let grid = &region.grid;
     let level = grid.frame.quanta(LEVEL_M.max(grid.frame.pixel_m() * 1.01)) as i32;
     let mut parts = parts(region, level);
-    parts.sort_by_key(|part| (std::cmp::Reverse(part.tops.len()), part.members[0]));
+    parts.sort_by_key(|part| (Reverse(part.tops.len()), part.members[0]));
     let mut heights: Vec<i32> = Vec::new();
     let near = |heights: &[i32], part: &Part| heights.iter().any(|z| (z - part.middle()).abs() <= grid.height / 2);
     for part in &parts {
@@ -82,30 +93,73 @@ fn storeys(region: &Region) -> Storeys {
     Storeys { all: tops.iter_mut().map(storey).collect(), of }
 }
 
-/// Returns the parts: places joined by steps of at most `level`.
+/// Returns the parts: places joined by steps of at most `level`, none above another one.
 fn parts(region: &Region, level: i32) -> Vec<Part> {
-    let mut seen = vec![false; region.len()];
+    let mut whole = vec![NO_PART; region.len()];
     let mut parts = Vec::new();
     for first in 0..region.len() as u32 {
-        if std::mem::replace(&mut seen[first as usize], true) {
+        if whole[first as usize] != NO_PART {
             continue;
         }
-        let (mut part, mut next) = (Part { tops: Vec::new(), members: vec![first] }, 0);
-        while next < part.members.len() {
-            let place = part.members[next] as usize;
+        let (number, mut members, mut next) = (first, vec![first], 0);
+        whole[first as usize] = number;
+        while let Some(&place) = members.get(next) {
             next += 1;
-            if region.standing[place] {
-                part.tops.push(region.tops[place]);
-            }
-            for &link in region.links[place].iter().filter(|link| **link != NO_PLACE) {
-                if (region.tops[link as usize] - region.tops[place]).abs() <= level && !seen[link as usize] {
-                    seen[link as usize] = true;
-                    part.members.push(link);
+            for link in level_links(region, place, level) {
+                if whole[link as usize] == NO_PART {
+                    whole[link as usize] = number;
+                    members.push(link);
                 }
             }
         }
-        part.tops.sort_unstable();
-        parts.push(part);
+        let is_same = |other: u32| whole[other as usize] == number;
+        match members.iter().any(|place| others_of_pixel(region, *place).any(is_same)) {
+            true => parts.extend(pieces(region, level, members).into_iter().map(|members| Part::of(region, members))),
+            false => parts.push(Part::of(region, members)),
+        }
     }
     parts
+}
+
+/// Stands for a place that belongs to no part yet.
+const NO_PART: u32 = u32::MAX;
+
+/// Iterates over the places beside `place` that are at most `level` higher or lower.
+fn level_links(region: &Region, place: u32, level: i32) -> impl Iterator<Item = u32> {
+    let links = region.links[place as usize].into_iter().filter(|link| *link != NO_PLACE);
+    links.filter(move |link| (region.tops[*link as usize] - region.tops[place as usize]).abs() <= level)
+}
+
+/// Iterates over the places above and below `place`, whose numbers follow each other.
+fn others_of_pixel(region: &Region, place: u32) -> impl Iterator<Item = u32> {
+    let pixel = region.pixels[place as usize];
+    let is_here = move |other: &u32| region.pixels[*other as usize] == pixel;
+    let above = (place + 1..region.len() as u32).take_while(is_here);
+    (0..place).rev().take_while(is_here).chain(above)
+}
+
+/// Splits the places of a part into pieces that nowhere lie above themselves.
+fn pieces(region: &Region, level: i32, mut members: Vec<u32>) -> Vec<Vec<u32>> {
+    let height = |place: u32| Reverse((region.tops[place as usize], place));
+    members.sort_unstable_by_key(|place| Reverse(height(*place)));
+    // By place: the number of its piece.
+    let mut piece_of: HashMap<u32, usize> = members.iter().map(|place| (*place, usize::MAX)).collect();
+    let mut pieces: Vec<Vec<u32>> = Vec::new();
+    for &first in &members {
+        if piece_of[&first] != usize::MAX {
+            continue;
+        }
+        let (own, mut piece, mut open) = (pieces.len(), Vec::new(), BinaryHeap::from([height(first)]));
+        while let Some(Reverse((_, place))) = open.pop() {
+            let is_free = piece_of.get(&place) == Some(&usize::MAX);
+            if !is_free || others_of_pixel(region, place).any(|other| piece_of.get(&other) == Some(&own)) {
+                continue;
+            }
+            piece_of.insert(place, own);
+            piece.push(place);
+            open.extend(level_links(region, place, level).map(height));
+        }
+        pieces.push(piece);
+    }
+    pieces
 }

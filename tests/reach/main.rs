@@ -13,6 +13,7 @@ mod oracle;
 mod plans;
 mod routes;
 mod scenes;
+mod storeys;
 mod walked;
 #[allow(dead_code)]
 #[path = "../walk/world.rs"]
