@@ -29,10 +29,14 @@ pub struct Passage {
     pub at: Point3<f64>,
     /// Clear width, exact to a pixel (m).
     pub width: f64,
+    /// The two rooms that it joins, each by the place with the most clearance (m).
+    pub rooms: [Point3<f64>; 2],
 }
 
 struct Room {
     parent: u32,
+    /// Its place with the most clearance, and that clearance.
+    middle: u32,
     peak: f32,
     places: usize,
 }
@@ -67,7 +71,7 @@ impl Region {
             beside.dedup();
             let Some(&main) = beside.first() else {
                 room_of[place as usize] = rooms.len() as u32;
-                rooms.push(Room { parent: rooms.len() as u32, peak: own, places: 1 });
+                rooms.push(Room { parent: rooms.len() as u32, middle: place, peak: own, places: 1 });
                 continue;
             };
             for &other in &beside[1..] {
@@ -84,11 +88,11 @@ impl Region {
         for room in &mut room_of {
             *room = root(&rooms, *room);
         }
-        self.stretches(&room_of)
+        self.stretches(&room_of, &rooms)
     }
 
     /// Returns the passages among the stretches along which two rooms touch, each at the widest place of its stretch.
-    fn stretches(&self, room_of: &[u32]) -> Vec<Passage> {
+    fn stretches(&self, room_of: &[u32], rooms: &[Room]) -> Vec<Passage> {
         let clearance = |place: u32| self.clearances[place as usize];
         let across =
             |place: u32| self.around(place).filter(move |next| room_of[*next as usize] != room_of[place as usize]);
@@ -107,7 +111,9 @@ impl Region {
             }
             let middle = self.middle_of_its_level(place, &mut level_of);
             if self.standing[middle as usize] && !std::mem::replace(&mut is_middle[middle as usize], true) {
-                passages.extend(self.passage(middle, &ends));
+                let beyond = across(place).next().unwrap_or(place);
+                let joined = [place, beyond].map(|place| rooms[room_of[place as usize] as usize].middle);
+                passages.extend(self.passage(middle, &ends, joined.map(|middle| self.feet(middle))));
             }
             // The rest of the stretch, on both sides of it.
             let mut open = vec![place];
@@ -145,7 +151,7 @@ impl Region {
 
     /// Returns the passage at a place, if there is one. Its clear width leads from one end of the region across the
     /// place to the end on the other side.
-    fn passage(&self, place: u32, borders: &Borders) -> Option<Passage> {
+    fn passage(&self, place: u32, borders: &Borders, rooms: [Point3<f64>; 2]) -> Option<Passage> {
         let pixel = self.grid.frame.pixel_m();
         let clear = |place: u32| f64::from(self.clearances[place as usize]) / pixel;
         // The shortest of eight lines through the place.
@@ -172,7 +178,7 @@ impl Region {
         };
         let separates = one == other || is_long(one) && is_long(other);
         // If the middle of the body hangs over an edge on both sides, no ground leads across.
-        (separates && pixels >= 1.0).then(|| Passage { at: self.feet(place), width: pixels * pixel })
+        (separates && pixels >= 1.0).then(|| Passage { at: self.feet(place), width: pixels * pixel, rooms })
     }
 
     /// Returns the step without a link between a place and the pixel a few pixels away.

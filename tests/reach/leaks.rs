@@ -110,6 +110,9 @@ fn doors_are_passages_of_their_width_and_connect_what_fits() {
                 is_near(passage.at.x, 4.05) && is_near(passage.at.y, (30.0 + door as f64 / 2.0) * T),
                 "{passage:?}"
             );
+            // The rooms are 4 and 3.9 m wide.
+            let [one, other] = passage.rooms;
+            assert!(one.x.min(other.x) < 3.5 && one.x.max(other.x) > 4.6, "{passage:?}");
         }
     }
     // Two doors between the same rooms are two passages.

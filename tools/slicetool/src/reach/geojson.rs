@@ -1,11 +1,12 @@
-//! Areas of storeys as polygons, ways as lines, passages, leaks and places where a way stops as points, in the scan's
-//! coordinates.
+//! Areas of storeys and ramps as polygons, ways as lines, passages, steps, leaks and places where a way stops as points,
+//! in the scan's coordinates.
 
 use super::Reach;
+use super::features::{Ground, Ramp};
 use super::files::Out;
 use crate::Failure;
 use crate::blocked::Blocked;
-use crate::ground::Loader;
+use crate::ground::{Loader, tidy};
 use crate::links::Way;
 use crate::outline::{Area, Corner};
 use nalgebra::Point3;
@@ -19,17 +20,34 @@ pub(super) fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(),
         areas[usize::from(*storey)].insert((frame.pixel_of(place.feet.x), frame.pixel_of(place.feet.y)));
     }
     let mut features = Vec::new();
-    for (storey, area) in reach.storeys.all.iter().zip(areas) {
-        let edge = |v: i64| frame.edge_of_pixel(v);
-        let ring =
-            |ring: &Vec<Corner>| ring.iter().map(|(i, j)| json!([edge(*i), edge(*j), storey.z])).collect::<Vec<_>>();
+    let edge = |v: i64| frame.edge_of_pixel(v);
+    let polygons = |area: Area, z: f64| {
+        let ring = |ring: &Vec<Corner>| ring.iter().map(|(i, j)| json!([edge(*i), edge(*j), z])).collect::<Vec<_>>();
         let polygons: Vec<Value> =
             area.polygons().iter().map(|rings| json!(rings.iter().map(ring).collect::<Vec<_>>())).collect();
+        json!({ "type": "MultiPolygon", "coordinates": polygons })
+    };
+    for (storey, area) in reach.storeys.all.iter().zip(areas) {
         let properties = json!({ "what": "storey", "z": storey.z, "area_m2": storey.area_m2 });
-        features.push(feature(json!({ "type": "MultiPolygon", "coordinates": polygons }), properties));
+        features.push(feature(polygons(area, storey.z), properties));
+    }
+    let ground = Ground::new(reach, frame);
+    for Ramp { area, area_m2, z, grade, rise } in ground.ramps() {
+        let properties = json!({ "what": "ramp", "z": tidy(z), "area_m2": tidy(area_m2), "grade_percent": tidy(100.0 * grade), "rise": tidy(rise) });
+        features.push(feature(polygons(area, z), properties));
+    }
+    for step in ground.steps() {
+        features.push(feature(
+            point(step.at),
+            json!({ "what": "step", "height": tidy(step.height), "width": tidy(step.width) }),
+        ));
     }
     for passage in &reach.passages {
-        features.push(feature(point(passage.at), json!({ "what": "passage", "width": passage.width })));
+        let connects = passage.rooms.map(|room| [room.x, room.y, room.z].map(tidy));
+        features.push(feature(
+            point(passage.at),
+            json!({ "what": "passage", "width": tidy(passage.width), "connects": connects }),
+        ));
     }
     features.extend(reach.way.as_ref().map(way_feature));
     for leak in &reach.leaks {

@@ -1,5 +1,6 @@
 //! `slicetool reach`: finds where a pawn can walk from a place, how narrow it gets, and where it leaks.
 
+mod features;
 mod files;
 pub mod geojson;
 mod map;
@@ -112,7 +113,7 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
     let summary = serde_json::json!({
         "area_m2": tidy(region.area_m2()),
         "storeys": reach.storeys.all.iter().map(|storey| serde_json::json!({ "z": tidy(storey.z), "area_m2": tidy(storey.area_m2) })).collect::<Vec<_>>(),
-        "passages": reach.passages.iter().map(|passage| at(passage.at, "width", passage.width)).collect::<Vec<_>>(),
+        "passages": reach.passages.iter().map(passage_json).collect::<Vec<_>>(),
         "leaks": reach.leaks.iter().map(|leak| serde_json::json!({
             "x": tidy(leak.at.x), "y": tidy(leak.at.y), "z": tidy(leak.at.z),
             "width": tidy(leak.width), "drop": leak.drop.map(tidy), "kind": leak.kind.name(),
@@ -129,6 +130,17 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         "seconds": seconds,
     });
     Ok(format!("{summary:#}\n"))
+}
+
+fn passage_json(passage: &Passage) -> serde_json::Value {
+    let place = |at: nalgebra::Point3<f64>| {
+        let [x, y, z] = [at.x, at.y, at.z].map(tidy);
+        serde_json::json!({ "x": x, "y": y, "z": z })
+    };
+    let mut json = place(passage.at);
+    json["width"] = tidy(passage.width).into();
+    json["connects"] = passage.rooms.map(place).to_vec().into();
+    json
 }
 
 fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {

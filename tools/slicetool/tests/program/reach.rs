@@ -68,6 +68,8 @@ fn reach_reports_area_passages_and_leaks() {
     let passages = found["passages"].as_array().unwrap();
     let door = passages.iter().find(|passage| (number(&passage["x"]) - 4.0).abs() < 0.11);
     assert!(door.is_some_and(|door| (number(&door["width"]) - 0.9).abs() < 0.11), "{found}");
+    let rooms = door.map(|door| [0, 1].map(|side| number(&door["connects"][side]["x"])));
+    assert!(rooms.is_some_and(|[a, b]| a.min(b) < 3.5 && a.max(b) > 4.5), "{found}");
     assert!(number(&found["memory_bytes"]) > 0.0 && number(&found["seconds"]) >= 0.0);
     assert!(found["way_m"].is_null());
     let there =
@@ -137,6 +139,45 @@ fn reach_writes_maps_tables_points_and_polygons() {
         corners.windows(2).map(|pair| (pair[0][0] * pair[1][1] - pair[1][0] * pair[0][1]) / 2.0).sum::<f64>()
     };
     assert!((rings.iter().map(area_of).sum::<f64>() - area).abs() < 1e-6, "outer ring less its holes");
+}
+
+/// Features of one kind that `reach` writes about a scene, by their properties.
+fn features(scene: &str, parameters: &Params, from: &str, what: &str) -> Vec<serde_json::Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scan = at.join("scene.las");
+    let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(3600.0) };
+    let scene = Scene::named(scene, parameters).unwrap();
+    write_samples(&scan, scene.samples(5, &spec).unwrap(), &WriteSpec::for_path(&scan)).unwrap();
+    to_archive(scan, at);
+    done(at, &["reach", "a.slices", "--from", from, "-o", "out.geojson"]);
+    let collection = json(&fs::read_to_string(at.join("out.geojson")).unwrap());
+    let features = collection["features"].as_array().unwrap();
+    let properties = features.iter().map(|feature| feature["properties"].clone());
+    properties.filter(|properties| properties["what"] == what).collect()
+}
+
+#[test]
+fn steps_and_ramps_are_features() {
+    let stairs = Params::new().with("risers", 6.0).with("riser", 0.17);
+    let steps = features("stairs", &stairs, "-1,0.3,0.1", "step");
+    assert_eq!(steps.len(), 6, "{steps:?}");
+    for step in &steps {
+        let [height, width] = ["height", "width"].map(|name| step[name].as_f64().unwrap());
+        assert!((height - 0.17).abs() < 0.01 && width > 0.5, "{step}");
+    }
+    assert!(features("stairs", &stairs, "-1,0.3,0.1", "ramp").is_empty());
+    for (slope, expected) in [(6.0, 1), (2.0, 0)] {
+        let plane = Params::new().with("slope", slope).with("size", 6.0).with("heading", 25.0);
+        let ramps = features("plane", &plane, "0,0,0.5", "ramp");
+        assert_eq!(ramps.len(), expected, "{slope}°: {ramps:?}");
+        for ramp in &ramps {
+            let [grade, rise] = ["grade_percent", "rise"].map(|name| ramp[name].as_f64().unwrap());
+            assert!((grade - 100.0 * f64::to_radians(slope).tan()).abs() < 0.7, "{ramp}");
+            assert!(rise > 0.5, "{ramp}");
+        }
+        assert!(features("plane", &plane, "0,0,0.5", "step").is_empty());
+    }
 }
 
 #[test]
