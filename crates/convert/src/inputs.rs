@@ -67,7 +67,7 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
         up: options.plan.up,
         placement: options.reading.placement,
         exclude_classes: options.plan.exclude_classes,
-        memory_bytes: options.resources.memory_bytes / 8 / options.resources.threads as u64,
+        memory_bytes: options.resources.memory_bytes / 16,
         // Set later, and not needed for an automatic pixel size.
         colour: None,
         allow_incomplete: options.allow_incomplete,

@@ -184,8 +184,8 @@ impl PointDecoder {
             times: matches!(tag, Some(TagField::GpsTime(_))),
         };
         let run = |packing, start, len, stream, name| {
-            let (points, memory_bytes) = (piece.points, set.options.memory_bytes);
-            PackedPoints { source, packing, start, len, points, stream, wanted, memory_bytes, name }
+            let (points, memory) = (piece.points, &set.chunk_memory);
+            PackedPoints { source, packing, start, len, points, stream, wanted, memory, name }
         };
         let (slab, only_whole) = (&mut self.slab, set.options.allow_incomplete);
         // `Ok` holds the number of missing points.

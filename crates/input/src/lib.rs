@@ -37,6 +37,7 @@ mod source;
 pub mod spacing;
 pub mod unzstd;
 
+use laz::ChunkMemory;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -109,7 +110,9 @@ pub struct InputOptions {
     pub placement: Option<Similarity>,
     /// LAS classes to leave out: class `c` is bit `c % 64` of word `c / 64`.
     pub exclude_classes: ClassSet,
-    /// Byte limit for one compressed LAZ chunk in one decoder, and for all chunk tables of the set together.
+    /// Byte limit for a compressed LAZ chunk in a decoder, and for all chunk tables of the set together. Only one decoder
+    /// at a time holds more than its share, this limit divided by the number of threads: together they hold at most
+    /// twice the limit.
     pub memory_bytes: u64,
     /// Source of colour values to read from points, in files that have it.
     pub colour: Option<ColourSource>,
@@ -117,7 +120,7 @@ pub struct InputOptions {
     pub allow_incomplete: bool,
     /// Hashes everything that is decoded, so that two runs can check that they read the same data.
     pub hash: bool,
-    /// Threads that read headers, at least 1.
+    /// Threads that read headers, and that decode at once; at least 1.
     pub threads: usize,
 }
 
@@ -313,6 +316,8 @@ pub struct InputSet {
     hashes: Mutex<Vec<u128>>,
     /// Kind of tag to read from points that have it.
     tag: Option<Tag>,
+    /// Memory of all decoders for compressed chunks.
+    chunk_memory: ChunkMemory,
 }
 
 impl InputSet {
@@ -434,7 +439,8 @@ impl InputSet {
             files.iter_mut().try_for_each(|file| file.prepare_values(source))?;
         }
         files.shrink_to_fit();
-        Ok(Self { files, meshes, options, crs, filters, diagnostics, hashes, tag: None })
+        let chunk_memory = ChunkMemory::new(options.memory_bytes, options.threads);
+        Ok(Self { files, meshes, options, crs, filters, diagnostics, hashes, tag: None, chunk_memory })
     }
 
     /// Replaces the reference system, for runs whose inputs are not only scans.

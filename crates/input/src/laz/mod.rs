@@ -19,6 +19,7 @@ mod coder;
 mod fields;
 mod items;
 mod layers;
+mod memory;
 mod packed;
 mod sequence;
 #[cfg(test)]
@@ -40,6 +41,8 @@ use super::source::Source;
 use crate::{Error, Parameter, Result};
 
 pub(super) use self::chunking::{Chunk, Chunking};
+pub(super) use self::memory::ChunkMemory;
+use self::memory::Permit;
 
 /// Packing of the points of one LAZ file.
 #[derive(Debug, Clone)]
@@ -57,6 +60,8 @@ pub(super) struct Packing {
     layers: usize,
     /// Version of the point's own item.
     version: u16,
+    /// Memory of the models of extra bytes (bytes).
+    models_bytes: u64,
     /// Offset of RGB in an unpacked record; `rgb_layer`: index of its layer in a layered chunk.
     pub rgb_at: Option<usize>,
     rgb_layer: usize,
@@ -84,9 +89,10 @@ impl Packing {
             layers += item.layers();
         }
         // Each extra byte has adaptive models of 256 symbols: about 3 KiB, and the same again while they grow.
-        if extra * (12 << 10) > memory_bytes {
+        let models_bytes = extra * (12 << 10);
+        if models_bytes > memory_bytes {
             let what = format!("models of {extra} extra bytes a point (bytes)");
-            return Err(too_much(source, &what, extra * (12 << 10), memory_bytes));
+            return Err(too_much(source, &what, models_bytes, memory_bytes));
         }
         let items = Items::of(&record.items).filter(|_| !layered);
         let decodes = if layered { layers::exist(version) } else { items.is_some() };
@@ -110,6 +116,7 @@ impl Packing {
             layout,
             layers,
             version,
+            models_bytes,
             rgb_at,
             rgb_layer,
             rgb_version,
@@ -177,7 +184,7 @@ pub(super) struct PackedPoints<'a> {
     /// `Some` for a stream: holds the offset of the chunk table stated by the file, if it has one.
     pub stream: Option<Option<u64>>,
     pub wanted: Wanted,
-    pub memory_bytes: u64,
+    pub memory: &'a ChunkMemory,
     /// Name for messages: "LAZ chunk 3".
     pub name: String,
 }
@@ -219,6 +226,7 @@ impl PackedPoints<'_> {
             return self.run_layers(slab, sink, whole);
         }
         let Some(items) = self.packing.items else { return Ok(()) };
+        let _permit = self.permit("models of extra bytes", self.packing.models_bytes)?;
         let chunk_points = match self.stream {
             Some(Some(_)) => u64::from(self.packing.record.chunk_points),
             _ => points,
@@ -250,6 +258,12 @@ impl PackedPoints<'_> {
         }
     }
 
+    /// Waits until the decoder may hold `bytes` for the chunk.
+    fn permit(&self, what: &str, bytes: u64) -> Result<Permit<'_>> {
+        let refuse = |most| too_much(self.source, &format!("{}: {what}", self.name), bytes, most);
+        self.memory.permit(bytes).map_err(refuse)
+    }
+
     fn run_layers(&self, slab: &mut [u8], sink: Sink, whole: &mut u64) -> Result<()> {
         let Some(head) = self.packing.head(self.source, self.start, self.len)? else {
             return Err(self.damaged(0, "it is too short for its head"));
@@ -263,9 +277,7 @@ impl PackedPoints<'_> {
         if u64::from(head.points) != self.points {
             return Err(self.damaged(0, &format!("it holds {} points, expected {}", head.points, self.points)));
         }
-        if needed > self.memory_bytes {
-            return Err(too_much(self.source, &format!("{}: compressed bytes", self.name), needed, self.memory_bytes));
-        }
+        let _permit = self.permit("compressed bytes", needed)?;
         let colour = self.packing.rgb_at.filter(|_| self.wanted.rgb).map(|at| (at, self.packing.rgb_version));
         if colour.is_some_and(|(_, version)| !layers::exist(version)) {
             return Err(self.damaged(0, "no decoder can be made of its items"));

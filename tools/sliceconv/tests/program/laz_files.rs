@@ -45,6 +45,24 @@ fn the_same_records_plain_and_packed_give_the_same_archive() {
     assert!(archives > 30, "{archives}");
 }
 
+/// On a machine with very many processors, a thread's share of a small budget is less than a chunk.
+#[test]
+fn chunks_larger_than_the_share_of_a_thread_are_read() {
+    let folder = Folder::new();
+    for format in [1, 7] {
+        let path = folder.file("a.laz", &Scan::new(4, format, 20_000).laz(9_000));
+        let archive = |threads: usize| {
+            let mut options = ConvertOptions::new(vec![path.clone()], folder.0.path().join("a.slices"));
+            options.grid.pixel = PixelSize::Metres(5.0);
+            options.overwrite = true;
+            (options.resources.threads, options.resources.memory_bytes) = (threads, 64 << 20);
+            convert(&options, &NoMonitor).unwrap();
+            std::fs::read(&options.output).unwrap()
+        };
+        assert!(archive(500) == archive(1), "format {format}");
+    }
+}
+
 #[test]
 fn extra_bytes_are_stepped_over_and_bound_the_memory() {
     let folder = Folder::new();
