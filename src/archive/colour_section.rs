@@ -580,7 +580,7 @@ impl ColourReader {
         again == self.bytes
     }
 
-    /// Returns the colours of those voxels of `page` that are also in `part`, which was cut from it.
+    /// Returns the colours of those voxels of `page` that are also in `part`, which was cut from it or edited.
     pub(super) fn part(
         &mut self,
         key: PageKey,

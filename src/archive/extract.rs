@@ -14,10 +14,10 @@ use super::reader::Archive;
 use super::region::{PagePart, Region};
 use super::seen::SeenReader;
 use super::writer::{ArchiveWriter, Totals};
-use crate::codec::{ColourBlock, ColourEncoder};
+use crate::codec::ColourEncoder;
 use crate::frame::PageKey;
 use crate::output::{Existing, Protected};
-use crate::page::{Inferred, Occupancy, Page, PageBuilder};
+use crate::page::{Inferred, Page, PageBuilder};
 use crate::seen::SeenBlock;
 use crate::{Error, Monitor, Result};
 use std::collections::BTreeMap;
@@ -91,7 +91,7 @@ pub fn extract(
             let (page, inferred) = part.cut(&edited, &inferred, &mut builder);
             if page.slices() != 0 {
                 let own = match (&mut colours, &original) {
-                    (Some(colours), Some(original)) => remaining(colours, key, original, &page, &mut colour_encoder)?,
+                    (Some(colours), Some(original)) => colours.part(key, original, &page, &mut colour_encoder)?,
                     _ => EncodedColours::default(),
                 };
                 writer.put(key, encoder.encode_inferred(key, &page, &inferred).with_colours(own))?;
@@ -157,22 +157,6 @@ fn unchanged(original: Option<&Page>, inferred: &Inferred, edited: &Page) -> Inf
         debug_assert!(in_order, "pixels come in row order");
     }
     kept
-}
-
-/// Returns the colours of the voxels of `page` that the `original` page has, too.
-fn remaining(
-    colours: &mut ColourReader,
-    key: PageKey,
-    original: &Page,
-    page: &Page,
-    encoder: &mut ColourEncoder,
-) -> Result<EncodedColours> {
-    let place = colours.find(key)?;
-    let block = colours.block(&place, key, original)?;
-    let occupancy = Occupancy::of(page);
-    let voxels = occupancy.voxels().map(|(pixel, k)| (0, colours.occupancy().find(pixel, k)));
-    let block = block.and_then(|block| ColourBlock::pieced([Some(&block), None], voxels));
-    Ok(block.map_or_else(EncodedColours::default, |block| EncodedColours::of_block(block, &occupancy, encoder)))
 }
 
 /// Copies the seen cells that meet the region.

@@ -484,7 +484,7 @@ impl<'a> Maker<'a> {
                 continue;
             }
             if !self.builder.set_column(px, py, &column) {
-                // Only archives that no conversion made have so many.
+                // A conversion never writes more.
                 return Err(Error::limit(format!("spans of a pixel in page {key}"), column.len(), 64));
             }
             let in_order = marks.push(px, py, mask);

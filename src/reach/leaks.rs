@@ -8,8 +8,9 @@
 //!
 //! From each rim the open pixels are flooded at its height: they are its *gap*. A gap that reaches the end of the scan,
 //! or has more than 2¹⁶ pixels, is not enclosed. Pixels that hold nothing are open at every height, so whether they lead
-//! that far is decided once for all rims: most gaps end there after few pixels. Enclosed gaps that share a pixel are one gap if their heights differ by
-//! no more than the pawn's; the depth below a pixel is then that from the lowest of them. Each stretch of a rim is a leak:
+//! that far is decided once for all rims: most gaps end there after few pixels. Enclosed gaps that share a pixel are one
+//! gap if their heights differ by no more than the pawn's; the depth below a pixel is then that from the lowest of them.
+//! Each stretch of a rim is a leak:
 //!
 //! - **hole**: the gap is enclosed, and nothing was scanned below the stretch, or at least half of the gap's border is
 //!   floor; stretches of one gap with the same depth are one hole, and a gap with several holes is divided by depth;
@@ -109,7 +110,7 @@ impl<'a> LeakSearch<'a> {
     }
 }
 
-/// What a search has found so far.
+/// Results of a search before its end.
 #[derive(Debug, Default)]
 struct Found {
     brinks: Vec<Brink>,
@@ -328,7 +329,7 @@ impl Survey<'_> {
             self.found.stretches.extend(rim.stretches.into_iter().map(|brinks| Stretch { brinks, gap }));
         }
         let leaks = self.leaks_of_gaps();
-        // Another search begins anew.
+        // The next call starts another search.
         *self.found = Found::default();
         leaks
     }

@@ -441,26 +441,34 @@ impl Region {
         (low < self.len() && (self.pixels[low], self.tops[low]) == (spot.pixel, spot.top)).then_some(low as u32)
     }
 
-    /// Leaves out the places on ground too steep for the pawn: the region ends there.
-    fn leave_out_steep(&mut self, ends: &mut Vec<End>) {
+    /// Returns the grade of the ground at a place, like [`Pawn::max_grade`].
+    fn grade(&self, place: u32) -> f64 {
         let far = ((GRADE_M / 2.0 / self.grid.frame.pixel_m()).round() as usize).clamp(1, MOST_GRADED);
         let pixels_up = self.grid.frame.quantum_m() / self.grid.frame.pixel_m();
-        let is_steep: Vec<bool> = (0..self.len() as u32)
-            .map(|place| {
-                let grade = |axis: usize| {
-                    let end = |way: usize| {
-                        let (mut at, mut steps) = (place, 0);
-                        while steps < far && self.links[at as usize][way] != NO_PLACE {
-                            (at, steps) = (self.links[at as usize][way], steps + 1);
-                        }
-                        (self.levels[at as usize], steps)
-                    };
-                    let ((ahead, steps), (behind, others)) = (end(axis), end(axis + 2));
-                    f64::from(ahead - behind) * pixels_up / (steps + others).max(1) as f64
-                };
-                grade(0).hypot(grade(1)) > self.grid.pawn.max_grade * (1.0 + GRADE_SLACK)
-            })
-            .collect();
+        let along = |axis: usize| {
+            let end = |way: usize| {
+                let (mut at, mut steps) = (place, 0);
+                while steps < far && self.links[at as usize][way] != NO_PLACE {
+                    (at, steps) = (self.links[at as usize][way], steps + 1);
+                }
+                (self.levels[at as usize], steps)
+            };
+            let ((ahead, steps), (behind, others)) = (end(axis), end(axis + 2));
+            f64::from(ahead - behind) * pixels_up / (steps + others).max(1) as f64
+        };
+        along(0).hypot(along(1))
+    }
+
+    /// Returns the grade of the ground at each standing place (rise over run), in the order of
+    /// [`places`](Self::places). It is measured as for [`Pawn::max_grade`], so stairs count as ramps.
+    pub fn grades(&self) -> Vec<f64> {
+        (0..self.len() as u32).filter(|place| self.standing[*place as usize]).map(|place| self.grade(place)).collect()
+    }
+
+    /// Leaves out the places on ground too steep for the pawn: the region ends there.
+    fn leave_out_steep(&mut self, ends: &mut Vec<End>) {
+        let most = self.grid.pawn.max_grade * (1.0 + GRADE_SLACK);
+        let is_steep: Vec<bool> = (0..self.len() as u32).map(|place| self.grade(place) > most).collect();
         for place in 0..self.len() {
             for (link, way) in self.links[place].iter_mut().zip(WAYS) {
                 if *link != NO_PLACE && (is_steep[place] || is_steep[*link as usize]) {

@@ -7,7 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 pub struct ChunkMemory {
     /// Limit of a chunk.
     most: u64,
-    /// What each decoder may hold at any time.
+    /// Limit of each decoder outside its turn.
     share: u64,
     /// Held by the decoder of a chunk that needs more than a share.
     turn: Mutex<()>,
@@ -48,7 +48,7 @@ mod tests {
         let _small = [memory.permit(100).unwrap(), memory.permit(0).unwrap()];
         assert!(memory.turn.try_lock().is_err());
         drop(_large);
-        // What all hold together stays below the sum of the shares and one large chunk.
+        // The sum over all decoders stays below the sum of the shares and one large chunk.
         let (held, most) = (AtomicU64::new(0), AtomicU64::new(0));
         std::thread::scope(|scope| {
             for thread in 0..10u64 {

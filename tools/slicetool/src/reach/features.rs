@@ -14,9 +14,6 @@ const LEAST_WIDTH_M: f64 = 0.3;
 const SAME_M: f64 = 0.03;
 /// Ground steeper than 1:20 is a ramp (ADA Standards for Accessible Design 2010, 403.3).
 const RAMP: f64 = 0.05;
-/// Length over which a grade is measured (m), and most pixels to each side.
-const GRADE_M: f64 = 1.0;
-const MOST_GRADED: usize = 64;
 /// Least area (m²) and rise (m) of a ramp.
 const LEAST_RAMP_M2: f64 = 1.0;
 const LEAST_RISE_M: f64 = 0.1;
@@ -44,9 +41,10 @@ pub struct Ramp {
 pub struct Ground<'a> {
     frame: &'a Frame,
     feet: Vec<Point3<f64>>,
+    grades: Vec<f64>,
     pixels: Vec<[i64; 2]>,
     by_pixel: HashMap<[i64; 2], Vec<u32>>,
-    /// Highest step of the pawn, and greatest rise to a neighbour that is no step (m).
+    /// Highest step of the pawn, and greatest rise to a neighbouring place of the same level (m).
     climb: f64,
     level: f64,
 }
@@ -61,7 +59,15 @@ impl<'a> Ground<'a> {
         }
         // Floors are rounded to quanta, so a step of exactly the climb height may be higher.
         let climb = reach.region.pawn().climb + 2.0 * frame.quantum_m();
-        Self { frame, feet, pixels, by_pixel, climb, level: LEAST_STEP_M.max(1.01 * frame.pixel_m()) }
+        Self {
+            frame,
+            feet,
+            grades: reach.region.grades(),
+            pixels,
+            by_pixel,
+            climb,
+            level: LEAST_STEP_M.max(1.01 * frame.pixel_m()),
+        }
     }
 
     fn z(&self, place: u32) -> f64 {
@@ -139,31 +145,9 @@ impl<'a> Ground<'a> {
         Some(StepEdge { at, height: heights[heights.len() / 2], width })
     }
 
-    /// Returns the rise over run of the ground at a place.
-    fn grade(&self, place: u32) -> f64 {
-        let far = ((GRADE_M / 2.0 / self.frame.pixel_m()).round() as usize).clamp(1, MOST_GRADED);
-        let end = |way: [i64; 2]| {
-            let (mut at, mut steps) = (place, 0);
-            while let Some(next) = Some(at).filter(|_| steps < far).and_then(|at| self.beside(at, way, self.level)) {
-                (at, steps) = (next, steps + 1);
-            }
-            (self.z(at), steps)
-        };
-        let along = |way: [i64; 2]| {
-            let ((ahead, steps), (behind, others)) = (end(way), end(way.map(|by| -by)));
-            // A narrow strip says little.
-            if 2 * (steps + others) < far {
-                0.0
-            } else {
-                (ahead - behind) / ((steps + others) as f64 * self.frame.pixel_m())
-            }
-        };
-        along([1, 0]).hypot(along([0, 1]))
-    }
-
     /// Returns the ramps, by the number of their first place.
     pub fn ramps(&self) -> Vec<Ramp> {
-        let grades: Vec<f64> = (0..self.feet.len() as u32).map(|place| self.grade(place)).collect();
+        let grades = &self.grades;
         let mut taken: Vec<bool> = grades.iter().map(|grade| *grade <= RAMP).collect();
         let mut ramps = Vec::new();
         for first in 0..self.feet.len() as u32 {

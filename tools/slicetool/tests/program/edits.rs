@@ -255,7 +255,7 @@ fn a_copy_with_edits_answers_as_the_archive_with_them() {
     let said = String::from_utf8_lossy(&out.stderr);
     assert!(out.status.success() && said.contains("the page does not know 1 link"), "{said}");
     assert!(fs::read(at.join("site/a.slices")).unwrap() == fs::read(at.join("shut.slices")).unwrap());
-    // What cannot be.
+    // Combinations that are refused.
     let refused = slicetool(&folder, "site", &[&["shut.slices"], &site[..]].concat());
     assert_eq!(refused.status.code(), Some(2), "two archives");
     let refused = slicetool(&folder, "extract", &["a.slices", "--edits", "e.json", "-o", "e.json", "--force"]);
