@@ -115,3 +115,20 @@ fn tables_count_colours_and_comparisons_find_theirs() {
     assert_eq!(json(at, &["diff", "plain.slices", "plain.slices"])["colours"], Value::Null);
     assert!(done(at, &["verify", "a.slices"]).contains(": ok, "));
 }
+
+#[test]
+fn copies_with_edits_keep_the_colours_that_remain() {
+    let folder = folder();
+    let at = folder.path();
+    let edits = r#"{"remove": [{"box": [1, 1, -1, 3, 2, 3]}], "add": [{"box": [0.5, 0.5, 0.5, 0.9, 0.9, 1]}]}"#;
+    fs::write(at.join("e.json"), edits).unwrap();
+    done(at, &["extract", "a.slices", "--edits", "e.json", "-o", "edited.slices"]);
+    assert!(done(at, &["verify", "edited.slices"]).contains(": ok, "));
+    let found = json(at, &["diff", "a.slices", "edited.slices"]);
+    let count = |of: &str, name: &str| found[of][name].as_u64().unwrap();
+    assert!(count("voxels", "only_a") > 200 && count("voxels", "only_b") > 20, "{found}");
+    // Added solid has no colour.
+    assert_eq!(count("colours", "only_a"), count("voxels", "only_a"), "{found}");
+    assert_eq!((count("colours", "only_b"), count("colours", "other")), (0, 0), "{found}");
+    assert!(count("colours", "in_both") > 900, "{found}");
+}
