@@ -41,22 +41,19 @@ async function colours() {
   return new Set((await pixels(page)).map((rgb) => rgb.map((value) => value >> 3).join())).size;
 }
 
-/** Waits until something is drawn: more colours than a plain background has. */
-async function drawn() {
-  const end = Date.now() + 60_000;
-  while ((await colours()) < 12) {
-    if (Date.now() > end) throw new Error("nothing is drawn");
-    await page.waitForTimeout(200);
+/** Waits until the picture shows what `fits` awaits; `what` names it if it never does. */
+async function shown(what, fits) {
+  for (const end = Date.now() + 60_000; !(await fits()); await page.waitForTimeout(200)) {
+    if (Date.now() > end) throw new Error(`never shown: ${what}`);
   }
 }
 
+/** Waits until something is drawn: more colours than a plain background has. */
+const drawn = () => shown("anything", async () => (await colours()) >= 12);
+
 /** Waits until a plan is drawn: walls in ink, floor in white. */
-async function planned() {
-  const ink = async () => (await pixels(page)).filter((rgb) => Math.max(...rgb) < 40).length;
-  for (const end = Date.now() + 60_000; (await ink()) < 20; await page.waitForTimeout(200)) {
-    if (Date.now() > end) throw new Error("no plan is drawn");
-  }
-}
+const planned = () =>
+  shown("a plan", async () => (await pixels(page)).filter((rgb) => Math.max(...rgb) < 40).length >= 20);
 
 /** The text of the file that is saved when `save` is clicked. */
 async function savedText(save) {
@@ -212,10 +209,9 @@ describe("places", () => {
     const click = async (right, up) => {
       const before = (await state(page)).at;
       await page.mouse.dblclick(middle.x + right, middle.y - up);
-      const at = ({ at }) => Math.hypot(at[0] - before[0], at[1] - before[1]) > 0.2;
-      await until(page, "elsewhere", at);
-      await page.waitForTimeout(500);
-      return (await state(page)).at;
+      const elsewhere = ({ at, speed, missing }) =>
+        Math.hypot(at[0] - before[0], at[1] - before[1]) > 0.2 && speed === 0 && missing === 0;
+      return (await until(page, "elsewhere", elsewhere)).at;
     };
     const [origin, off] = [await click(10, 10), await click(-40, -40)];
     const scale = (origin[0] - off[0]) / 50;
@@ -285,8 +281,7 @@ describe("tools", () => {
     assert.match(await text(), /^Slice 1 of /);
     assert.ok(await page.getByLabel("Show one slice only").isChecked());
     await page.keyboard.press("End");
-    await page.waitForTimeout(500);
-    assert.notEqual(await colours(), many);
+    await shown("another slice", async () => (await colours()) !== many);
   });
 
   it("measures a door of 1 m, its headroom and a step", async () => {
@@ -400,18 +395,13 @@ describe("tools", () => {
   it("shows only what is inside the section box, and picks nothing outside", async () => {
     await walkIn(page, address(server, { at: WAY.start, view: "orbit" }));
     await drawn();
-    const covered = async () => {
-      await page.waitForTimeout(2500);
-      return (await state(page)).covered;
-    };
     await tool("Section").click();
     // A box around everything: roofs are not cut off any more.
     await page.getByRole("slider", { name: "East" }).fill("499");
-    const whole = await covered();
+    const { covered: whole } = await until(page, "all of the house before the eye", ({ covered }) => covered > 0.15);
     await page.getByRole("slider", { name: "East" }).fill("150");
     assert.ok(await page.getByLabel("Show only what is inside the box").isChecked());
-    const part = await covered();
-    assert.ok(part > 0 && part < 0.7 * whole, `${part} of ${whole}`);
+    await until(page, "less than that", ({ covered }) => covered > 0 && covered < 0.7 * whole);
     // Sides do not cross.
     await page.getByRole("slider", { name: "West" }).fill("400");
     assert.equal(await page.getByRole("slider", { name: "West" }).inputValue(), "149");
