@@ -52,8 +52,7 @@ async function shown(what, fits) {
 const drawn = () => shown("anything", async () => (await colours()) >= 12);
 
 /** Waits until a plan is drawn: walls in ink, floor in white. */
-const planned = () =>
-  shown("a plan", async () => (await pixels(page)).filter((rgb) => Math.max(...rgb) < 40).length >= 20);
+const planned = () => shown("a plan", async () => (await pixels(page)).filter((rgb) => Math.max(...rgb) < 40).length >= 20);
 
 /** The text of the file that is saved when `save` is clicked. */
 async function savedText(save) {

@@ -46,7 +46,7 @@ describe("trouble", () => {
     await page.evaluate(() => window.lose.restoreContext());
     await page.getByText("The graphics are back").waitFor();
     await hold(page, ["w"], "walking on", ({ speed }) => speed > 0.5);
-    for (const end = Date.now() + 60_000; (await picture()).length <= 1.5 * black.length; ) {
+    for (const end = Date.now() + 60_000; (await picture()).length <= 1.5 * black.length;) {
       assert.ok(Date.now() < end, "nothing is drawn after the graphics came back");
     }
     // Objects of the lost context are deleted in the new one, which logs a warning.
