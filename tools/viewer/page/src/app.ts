@@ -257,7 +257,7 @@ export class App implements Stage {
       colours: { ...stats.colours },
       drawn: {
         ...(this.session?.world.counts ?? { pages: 0, overview: 0, coloured: 0, distant: 0 }),
-        splats: this.#overlays.count,
+        ...this.#overlays.counts,
       },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
@@ -610,6 +610,7 @@ export class App implements Stage {
     this.#places.watch(seconds);
     this.#stops.update(pawn, seconds);
     this.#seenTriangles = world.cull(this.canvas.camera, from);
+    this.#overlays.follow(from, outside ? this.cameras.orbit.distance : null, this.cameras.focal(this.canvas.element.height));
     const metresHigh = this.cameras.orbit.distance;
     this.canvas.mark(outside && !this.#first.shown, world, pawn.state, pawn.look, this.settings.width, metresHigh);
     this.#goal.show(world, pawn.way, outside ? metresHigh : 0);

@@ -1,5 +1,6 @@
 // Point cloud and Gaussian splats over an open archive, only for display: collisions use the archive.
 
+import type { Vec3 } from "slicewalk";
 import type { Canvas } from "./canvas";
 import { thousands } from "./geometry";
 import { ALIGNED, type Alignment } from "./scene/alignment";
@@ -27,14 +28,14 @@ export class Overlays {
     readonly shell: Shell,
   ) {}
 
-  /** Number of splats drawn. */
-  get count(): number {
-    return this.#splats?.count ?? 0;
+  /** Numbers of points and splats drawn. */
+  get counts(): { points: number; splats: number } {
+    return { points: this.#cloud?.count ?? 0, splats: this.#splats?.count ?? 0 };
   }
 
   /** Whether something is drawn whose colours the finish would change. */
   get bringColours(): boolean {
-    return this.#splats !== null || this.#cloud !== null;
+    return this.#splats !== null;
   }
 
   /** Part of a link; null without splats, or for a local file. */
@@ -61,9 +62,12 @@ export class Overlays {
 
   /** Follows the scene's local origin. */
   place(): void {
-    if (this.#session === null) return;
-    this.#cloud?.place(this.#session.world);
-    this.#splats?.place(this.#alignment, this.#session.world);
+    if (this.#session !== null) this.#splats?.place(this.#alignment, this.#session.world);
+  }
+
+  /** Draws the cloud as it is seen; see `Cloud.follow`. */
+  follow(eye: Vec3, reach: number | null, focal: number): void {
+    if (this.#session !== null) this.#cloud?.follow(this.#session.world, eye, reach, focal);
   }
 
   showCloud(shown: boolean): void {
@@ -75,11 +79,10 @@ export class Overlays {
     }
     if (shown && session !== null && this.#cloudUrl !== null) {
       const url = new URL(this.#cloudUrl, location.href).href;
-      this.#cloud = new Cloud(url, session.pawn.at, session.unit, (told) => {
+      this.#cloud = new Cloud(url, session.pawn.at, session.unit, session.world, (told) => {
         const { cloud, noCloud } = texts.news;
         this.shell.messages.say(typeof told === "number" ? cloud(thousands(told)) : noCloud(told));
       });
-      this.#cloud.place(session.world);
       this.canvas.scene.add(this.#cloud.group);
     }
     this.#tell();

@@ -53,6 +53,11 @@ export class Cameras {
     return this.#aspect < 1 ? Math.max(this.field, Math.min(WIDEST, narrow)) : this.field;
   }
 
+  /** Pixels of a picture of this height for a length of 1 at a distance of 1; in a plan, at that of `stand`. */
+  focal(height: number): number {
+    return this.#mode === "plan" ? height : height / (2 * Math.tan((this.#field / 2) * RADIANS));
+  }
+
   /** Shows all of a scan with these pages. */
   frame(boxes: Float64Array, bounds: Bounds): void {
     const tan = Math.tan((this.#field / 2) * RADIANS);

@@ -32,6 +32,14 @@ export const plain = (hex: string): Vector3 => {
   return new Vector3(r, g, b);
 };
 
+/** The scan's colours as they are drawn. */
+export const EXPOSED = /* glsl */ `
+uniform vec3 exposure;
+vec3 exposed(vec3 own) {
+  vec3 lit = clamp((own - exposure.x) * exposure.y, 0.0, 1.0);
+  return lit + exposure.z * (lit * (1.0 - lit) + 0.09 * (1.0 - lit));
+}`;
+
 const vertex = /* glsl */ `
 in vec4 attributes;
 out vec3 vLocal;
@@ -83,7 +91,7 @@ uniform vec2 pawnSlice;
 uniform float slope;
 uniform float far;
 uniform float fogShare;
-uniform vec3 exposure;
+${EXPOSED}
 uniform vec3 sun;
 uniform vec3 haze;
 uniform vec3 ramp[5];
@@ -220,9 +228,7 @@ void main() {
 #endif
     if (own.a < 0.5) own = paintUsual;
     // Without a colour, the grey of its height.
-    vec3 lit = clamp((own.rgb - exposure.x) * exposure.y, 0.0, 1.0);
-    lit += exposure.z * (lit * (1.0 - lit) + 0.09 * (1.0 - lit));
-    base = own.a > 0.5 ? lit : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
+    base = own.a > 0.5 ? exposed(own.rgb) : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
     // The scan's colours include its lighting, so shade them less.
     shade = mix(1.0, shade, 0.6);
   }
