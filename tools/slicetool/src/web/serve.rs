@@ -55,9 +55,61 @@ pub struct Arguments {
 
 /// Resource that a name in an address refers to.
 enum Entry {
-    Memory { bytes: Vec<u8>, tag: String },
+    Memory(Kept),
     File(PathBuf),
     Conversion(Arc<Converting>),
+}
+
+/// A file of the page.
+struct Kept {
+    bytes: Vec<u8>,
+    tag: String,
+    /// The same as a gzip stream, made for the first browser that takes it: a page is larger than all that it loads of an
+    /// archive until the first step.
+    packed: OnceLock<Vec<u8>>,
+}
+
+impl Kept {
+    fn new(bytes: &[u8]) -> Self {
+        let tag = format!("\"{:08x}\"", crc32c::crc32c(bytes));
+        Self { bytes: bytes.to_vec(), tag, packed: OnceLock::new() }
+    }
+
+    fn packed(&self) -> &[u8] {
+        self.packed.get_or_init(|| {
+            let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+            packed.write_all(&self.bytes).and_then(|()| packed.finish()).unwrap_or_default()
+        })
+    }
+
+    /// Answers a request; ranges count in the file itself.
+    fn answer(&self, headers: &HeaderMap, name: &str) -> Result<Response<Body>, StatusCode> {
+        let packs = takes_gzip(headers) && !headers.contains_key(header::RANGE);
+        let (bytes, tag) = match packs {
+            true => (self.packed(), format!("{}-gzip\"", self.tag.trim_end_matches('"'))),
+            false => (&*self.bytes, self.tag.clone()),
+        };
+        let about = About { len: bytes.len() as u64, tag, modified: None };
+        let (mut head, part) = about.head(headers, name)?;
+        head = head.header(header::VARY, "accept-encoding");
+        if packs && part.is_some() {
+            head = head.header(header::CONTENT_ENCODING, "gzip");
+        }
+        let body =
+            part.map_or(Body::empty(), |part| Body::from(bytes[part.start as usize..part.end as usize].to_vec()));
+        head.body(body).map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
+    }
+}
+
+/// Returns whether a request accepts answers in gzip: named, and not with a weight of 0.
+fn takes_gzip(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|coding| {
+        let mut parts = coding.split(';').map(str::trim);
+        let weight = |part: &str| part.strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok());
+        parts.next().is_some_and(|name| name.eq_ignore_ascii_case("gzip"))
+            && parts.all(|part| weight(part) != Some(0.0))
+    })
 }
 
 struct Table {
@@ -122,8 +174,7 @@ impl Converting {
 impl Table {
     fn new(show: Show, converting: Option<&Arc<Converting>>) -> Self {
         let table = show.table(converting.is_some());
-        let memory =
-            |bytes: &[u8]| Entry::Memory { bytes: bytes.to_vec(), tag: format!("\"{:08x}\"", crc32c::crc32c(bytes)) };
+        let memory = |bytes: &[u8]| Entry::Memory(Kept::new(bytes));
         let mut entries: std::collections::BTreeMap<_, _> =
             show.page.files().map(|(name, bytes)| (name.to_owned(), memory(bytes))).collect();
         entries.insert(TABLE.into(), memory(table.as_bytes()));
@@ -259,13 +310,7 @@ async fn respond(table: &Table, method: &Method, uri: &Uri, headers: &HeaderMap)
             response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(mime(CONVERSION)));
             Ok(response)
         }
-        Entry::Memory { bytes, tag } => {
-            let about = About { len: bytes.len() as u64, tag: tag.clone(), modified: None };
-            let (head, part) = about.head(headers, name)?;
-            let body =
-                part.map_or(Body::empty(), |part| Body::from(bytes[part.start as usize..part.end as usize].to_vec()));
-            head.body(body).map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
-        }
+        Entry::Memory(kept) => kept.answer(headers, name),
         Entry::File(path) => {
             let (mut file, about) = About::open(path).await.map_err(|error| missing(path, &error))?;
             let (head, part) = about.head(headers, name)?;

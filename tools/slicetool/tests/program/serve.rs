@@ -206,6 +206,35 @@ fn the_page_comes_with_its_types_and_policy_and_knows_the_archives() {
 }
 
 #[test]
+fn the_page_is_packed_for_browsers_that_take_it_and_archives_never_are() {
+    let folder = folder();
+    let text = "let a = 1;\n".repeat(1000);
+    fs::write(folder.path().join("page/assets/main.js"), &text).unwrap();
+    let server = Server::start(folder.path(), &["a.slices"]);
+    for takes in ["gzip", "br, GZIP;q=0.5", "deflate,gzip"] {
+        let packed = server.get("/assets/main.js", &format!("Accept-Encoding: {takes}\r\n"));
+        assert_eq!((packed.status, packed.header("content-encoding")), (200, "gzip"), "{takes}");
+        assert!(packed.body.len() < text.len() / 10, "{takes}");
+        let mut unpacked = String::new();
+        flate2::read::GzDecoder::new(&*packed.body).read_to_string(&mut unpacked).unwrap();
+        assert!(unpacked == text, "{takes}");
+        let again = format!("Accept-Encoding: gzip\r\nIf-None-Match: {}\r\n", packed.header("etag"));
+        assert_eq!(server.get("/assets/main.js", &again).status, 304);
+    }
+    let plain = server.get("/assets/main.js", "");
+    assert_eq!((plain.body.as_slice(), plain.header("vary")), (text.as_bytes(), "accept-encoding"));
+    for takes in ["identity", "gzip;q=0", "gzip; q=0.0, br", "x-gzip2"] {
+        let answer = server.get("/assets/main.js", &format!("Accept-Encoding: {takes}\r\n"));
+        assert!(answer.body == text.as_bytes() && !answer.headers.contains_key("content-encoding"), "{takes}");
+        assert_eq!(answer.header("etag"), plain.header("etag"));
+    }
+    let range = server.get("/assets/main.js", "Accept-Encoding: gzip\r\nRange: bytes=3-9\r\n");
+    assert_eq!((range.status, range.body.as_slice()), (206, &text.as_bytes()[3..10]));
+    let whole = server.get("/a.slices", "Accept-Encoding: gzip\r\n");
+    assert!(whole.body == fs::read(folder.path().join("a.slices")).unwrap());
+}
+
+#[test]
 fn nothing_else_of_the_disk_is_served() {
     let folder = folder();
     let server = Server::start(folder.path(), &["a.slices"]);
