@@ -6,7 +6,7 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, beforeEach, describe } from "node:test";
 import { drop, hold, it, pages, pixels, state, until, walkIn } from "./browser.js";
-import { avenue, colourBytes, colouredAvenue, colouredHouse, DIST, house, WAY } from "./scans.js";
+import { avenue, colourBytes, colouredAvenue, colouredHouse, DIST, house, program, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
@@ -53,6 +53,30 @@ const drawn = () => shown("anything", async () => (await colours()) >= 12);
 
 /** Waits until a plan is drawn: walls in ink, floor in white. */
 const planned = () => shown("a plan", async () => (await pixels(page)).filter((rgb) => Math.max(...rgb) < 40).length >= 20);
+
+/** Clicks a place in a plan whose pawn stands at the start of the way. */
+async function clickPlan([x, y]) {
+  // The plan has north above; where it is clicked twice, the pawn is at once. Its first click may have made it walk before.
+  const jump = async (right, up) => {
+    const before = (await state(page)).at;
+    await page.mouse.dblclick(middle.x + right, middle.y - up);
+    let last = before;
+    const rests = ({ at, speed, missing }) => {
+      const moved = Math.hypot(at[0] - last[0], at[1] - last[1]);
+      last = at;
+      return moved === 0 && speed === 0 && missing === 0 && Math.hypot(at[0] - before[0], at[1] - before[1]) > 0.2;
+    };
+    await until(page, "elsewhere", rests);
+    await page.waitForTimeout(1000);
+    return (await until(page, "at rest", rests)).at;
+  };
+  const [origin, off] = [await jump(10, 10), await jump(-40, -40)];
+  const scale = (origin[0] - off[0]) / 50;
+  await page.evaluate((at) => window.slicewalk.goto({ at }), WAY.start);
+  await until(page, "back", ({ at, missing }) => Math.abs(at[1] - WAY.start[1]) < 0.01 && missing === 0);
+  // The pawn is in the middle again.
+  await page.mouse.click(middle.x + (x - WAY.start[0]) / scale, middle.y - (y - WAY.start[1]) / scale);
+}
 
 /** The text of the file that is saved when `save` is clicked. */
 async function savedText(save) {
@@ -204,25 +228,37 @@ describe("places", () => {
   it("walks through the door to where the straight way is blocked", async () => {
     await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
     await planned();
-    // The plan has north above; where it is clicked twice, the pawn is at once.
-    const click = async (right, up) => {
-      const before = (await state(page)).at;
-      await page.mouse.dblclick(middle.x + right, middle.y - up);
-      const elsewhere = ({ at, speed, missing }) =>
-        Math.hypot(at[0] - before[0], at[1] - before[1]) > 0.2 && speed === 0 && missing === 0;
-      return (await until(page, "elsewhere", elsewhere)).at;
-    };
-    const [origin, off] = [await click(10, 10), await click(-40, -40)];
-    const scale = (origin[0] - off[0]) / 50;
-    await page.evaluate((at) => window.slicewalk.goto({ at }), WAY.start);
-    await until(page, "back", ({ at, missing }) => Math.abs(at[1] - WAY.start[1]) < 0.01 && missing === 0);
     const [x, y] = [6.4, 2.5];
-    // The pawn is in the middle again.
-    await page.mouse.click(middle.x + (x - WAY.start[0]) / scale, middle.y - (y - WAY.start[1]) / scale);
-    const through = await until(page, "in the door", ({ at }) => at[0] > 4.8 && at[0] < 5, { timeout: 60_000 });
-    assert.ok(Math.abs(through.at[1] - 5) < 0.3, `through the door at y = 5: ${through.at}`);
+    await clickPlan([x, y]);
+    await page.evaluate(() => window.slicewalk.record());
     const end = await until(page, "arrived", ({ at, speed }) => at[0] > 5.5 && speed === 0, { timeout: 60_000 });
     assert.ok(Math.hypot(end.at[0] - x, end.at[1] - y) < 0.4, `${end.at}`);
+    // The middle of the wall is at x = 4.9, that of the door at y = 5.
+    const { path } = await page.evaluate(() => window.slicewalk.recording());
+    const places = Array.from({ length: path.length / 3 }, (_, n) => path.slice(3 * n, 3 * n + 2));
+    const crossed = places.flatMap(([x1, y1], n) => {
+      const [x0, y0] = places[n - 1] ?? [x1, y1];
+      return x0 < 4.9 !== x1 < 4.9 ? [y0 + ((y1 - y0) * (4.9 - x0)) / (x1 - x0)] : [];
+    });
+    assert.ok(crossed.length === 1 && Math.abs(crossed[0] - 5) < 0.3, `through the door at y = 5: ${crossed}`);
+  });
+
+  it("marks where the way is blocked, and which pawn gets through, as slicetool does", async () => {
+    const [width, to] = [1.2, [6.4, 2.5, 0]];
+    await page.addInitScript((settings) => localStorage.setItem("slicewalk.settings", settings), JSON.stringify({ width }));
+    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await planned();
+    await clickPlan(to);
+    const said = page.getByText(/The way is too narrow at the mark/);
+    await said.waitFor();
+    const needs = Number(/A pawn (\d+\.\d+) m wide/.exec(await said.textContent())[1]);
+    const ends = [`--from=${WAY.start.join(",")}`, `--to=${to.join(",")}`, "--pawn", `box:${width}x${width}x1.8`];
+    const { blocked } = JSON.parse(program("slicetool", "route", house(), ...ends, "--json"));
+    assert.equal(blocked.reason, "width");
+    assert.ok(Math.abs(needs - blocked.needs) <= 0.06, `${needs} m, and ${blocked.needs} m by slicetool`);
+    const atDoor = ({ at, speed }) => Math.hypot(at[0] - blocked.x, at[1] - blocked.y) < 0.5 && speed === 0;
+    await until(page, "before the door", atDoor, { timeout: 60_000 });
+    await page.getByText(/The way is too narrow at the mark/).waitFor();
   });
 
   it("captures the mouse by a click in the walk view, without a step", async () => {

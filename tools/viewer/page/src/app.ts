@@ -9,6 +9,7 @@ import { readGamepad } from "./input/gamepad";
 import { joined, moves } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
 import { Pointer } from "./input/pointer";
+import { findObstacle, type Obstacle } from "./obstacle";
 import { Sticks } from "./input/sticks";
 import { First } from "./modes/first";
 import { Fly } from "./modes/fly";
@@ -55,6 +56,9 @@ const NO_STATS = {
   bytesLoaded: 0,
   colours: { missing: 0, requests: 0, bytes: 0 },
 } satisfies Partial<Stats>;
+
+const blockedBy = (obstacle: Obstacle | null): string =>
+  obstacle === null ? texts.news.gaveUp : texts.obstacles[obstacle.reason](metres(obstacle.needs));
 
 export class App implements Stage {
   readonly shell: Shell;
@@ -313,8 +317,8 @@ export class App implements Stage {
     this.canvas.sky.light(world.shading, mode === "plan");
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
-    pawn.onNoRoute = () => this.shell.messages.say(texts.news.noRoute);
-    pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
+    pawn.onNoRoute = (to, signal) => this.#explain(to, signal);
+    pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : blockedBy(pawn.obstacle));
     this.#sheet = new Sheet(archive);
     this.canvas.marks.add(this.#sheet.group);
     this.#minimap = new Minimap(
@@ -367,6 +371,17 @@ export class App implements Stage {
     this.shell.messages.wait(null);
     this.#welcome(session.pawn.flying);
     this.shell.canvas.focus({ preventScroll: true });
+  }
+
+  /** Says why there is no way to a place. */
+  async #explain(to: Vec3, signal: AbortSignal): Promise<Obstacle | null> {
+    const { session, settings } = this;
+    if (session === null) return null;
+    this.shell.messages.say(texts.news.noRoute);
+    const obstacle = await findObstacle(session.archive, settings, session.pawn.at, to, signal);
+    if (signal.aborted) return null;
+    this.shell.messages.say(obstacle === null ? texts.news.straightOn : blockedBy(obstacle));
+    return obstacle;
   }
 
   /** Says how to get about. */
@@ -613,7 +628,7 @@ export class App implements Stage {
     this.#overlays.follow(from, outside ? this.cameras.orbit.distance : null, this.cameras.focal(this.canvas.element.height));
     const metresHigh = this.cameras.orbit.distance;
     this.canvas.mark(outside && !this.#first.shown, world, pawn.state, pawn.look, this.settings.width, metresHigh);
-    this.#goal.show(world, pawn.way, outside ? metresHigh : 0);
+    this.#goal.show(world, pawn.way, pawn.obstacle, outside ? metresHigh : 0);
     this.#drawPlan(world, pawn.at[2]);
     const { min, max } = session.content;
     this.canvas.sky.follow(

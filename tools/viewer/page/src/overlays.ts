@@ -13,6 +13,10 @@ import type { Shell } from "./ui/shell";
 /** A file of splats: its address, or the file itself. */
 export type SplatsSource = string | File;
 
+/** Most points of a cloud, and those that graphics by the processor draw in time. */
+const MOST_POINTS = 2_000_000;
+const SOFTWARE_POINTS = 400_000;
+
 export class Overlays {
   #session: Session | null = null;
   #cloudUrl: string | null = null;
@@ -79,7 +83,8 @@ export class Overlays {
     }
     if (shown && session !== null && this.#cloudUrl !== null) {
       const url = new URL(this.#cloudUrl, location.href).href;
-      this.#cloud = new Cloud(url, session.pawn.at, session.unit, session.world, (told) => {
+      const most = this.canvas.isSoftware ? SOFTWARE_POINTS : MOST_POINTS;
+      this.#cloud = new Cloud(url, session.pawn.at, session.unit, session.world, most, (told) => {
         const { cloud, noCloud } = texts.news;
         this.shell.messages.say(typeof told === "number" ? cloud(thousands(told)) : noCloud(told));
       });

@@ -3,6 +3,7 @@
 import type { Vec3, Walker, WalkerInput, WalkerState } from "slicewalk";
 import { across, direction, type Look } from "./geometry";
 import { moves, type Intent } from "./input/intent";
+import type { Obstacle } from "./obstacle";
 
 const RUN_PACE = 2.5;
 const FLIGHT_PACE = 4;
@@ -33,8 +34,10 @@ export class Pawn {
   flightPace = FLIGHT_PACE;
   readonly look: Look = { heading: 0, pitch: 0 };
   onArrival: (how: Arrival) => void = () => {};
-  /** Told when a walk has no route. */
-  onNoRoute: () => void = () => {};
+  /** Asked for the reason when a walk has no route. */
+  onNoRoute: (to: Vec3, signal: AbortSignal) => Promise<Obstacle | null> = async () => null;
+  /** What the last walk was blocked by. */
+  obstacle: Obstacle | null = null;
   #walk: Walk | null = null;
   #stuck = 0;
   #time = 0;
@@ -63,7 +66,7 @@ export class Pawn {
     return [this.at, ...walk.route.slice(begun ? -Math.max(1, this.state.ahead) : 0)];
   }
 
-  /** Walks along a route, in flight straight to the place; without a route as far as it gets. */
+  /** Walks along a route, in flight straight to the place; without a route to what blocks it, or straight on. */
   async walkTo(place: Vec3): Promise<void> {
     this.stop();
     const search = new AbortController();
@@ -74,14 +77,26 @@ export class Pawn {
     // A closed or failed archive is reported elsewhere.
     const found = await this.walker.route(place, { signal: search.signal }).catch(() => null);
     if (this.#walk !== walk || found === null) return;
-    walk.route = typeof found === "string" ? "straight" : found.points;
+    if (typeof found !== "string") {
+      this.#follow(walk, found.points);
+      return;
+    }
+    const obstacle = await this.onNoRoute(place, search.signal);
+    const near = obstacle && (await this.walker.route(obstacle.at, { signal: search.signal }).catch(() => null));
+    if (this.#walk !== walk) return;
+    this.obstacle = obstacle;
+    this.#follow(walk, near === null || typeof near === "string" ? "straight" : near.points);
+  }
+
+  #follow(walk: Walk, route: readonly Vec3[] | "straight"): void {
+    walk.route = route;
     walk.since = this.state.steps;
-    if (typeof found === "string") this.onNoRoute();
   }
 
   stop(): void {
     this.#walk?.search.abort();
     this.#walk = null;
+    this.obstacle = null;
   }
 
   async place(at: Vec3): Promise<void> {
@@ -144,7 +159,9 @@ export class Pawn {
     const end = walk.route === "straight" ? walk.to : (walk.route.at(-1) ?? walk.to);
     const near = Math.hypot(at[0] - end[0], at[1] - end[1]) < ARRIVED_M && (walk.route === "straight" || ahead <= 1);
     if (!near && this.#stuck < PATIENCE_S) return;
+    const { obstacle } = this;
     this.stop();
-    this.onArrival(near ? "arrived" : "gave-up");
+    this.obstacle = obstacle;
+    this.onArrival(near && obstacle === null ? "arrived" : "gave-up");
   }
 }

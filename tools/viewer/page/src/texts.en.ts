@@ -1,6 +1,7 @@
 // All texts of the user interface, in English. A translation is a copy of this file.
 
 import type { ErrorKind, Stop } from "slicewalk";
+import type { Reason } from "./obstacle";
 
 /** A short title of a problem, and what to do about it. The error's message is shown between the two. */
 interface Trouble {
@@ -52,7 +53,15 @@ const stops: Record<Stop, string> = {
   void: "nothing scanned below",
 };
 
+/** What blocks the way to a place, and which pawn would get there. */
+const obstacles: Record<Reason, (needs: string) => string> = {
+  width: (needs) => `The way is too narrow at the mark. A pawn ${needs} m wide gets through.`,
+  headroom: (needs) => `The way is too low at the mark. A pawn ${needs} m high gets through.`,
+  step: (needs) => `The way has a step too high at the mark. A pawn that climbs ${needs} m gets on.`,
+};
+
 export const texts = {
+  obstacles,
   title: "Slicewalk",
   viewOf: (name: string) => `View of ${name}`,
   open: {
@@ -232,7 +241,8 @@ export const texts = {
     flightSpeed: (speed: string) => `Flying at ${speed} m/s.`,
     fell: "You fell out of the scan; back to where you last stood.",
     walkingThere: "Walking there.",
-    noRoute: "No way there on foot was found; going straight on.",
+    noRoute: "No way there on foot was found. Looking for what blocks it.",
+    straightOn: "No way there on foot was found; going straight on.",
     arrived: "Arrived.",
     gaveUp: "The way there is blocked.",
     nothingThere: "No floor to stand on there.",

@@ -5,6 +5,8 @@ import { CHANGED, FULL, REFUSED, TOO_MANY } from "./module.js";
 /** Bytes read at once from an input, and how many such blocks are kept. */
 const BLOCK = 1 << 20;
 const BLOCKS = 8;
+/** Arrays of 100 numbers made for each block: half a megabyte, of which the space for young objects holds at most 32. */
+const LITTER = 640;
 /** Temporary files that a conversion may have at once: all are opened before, because opening one takes a wait. */
 const FILES = 16;
 /** Bytes of a piece of a temporary file in memory, and of all of them. */
@@ -26,11 +28,17 @@ export interface AccessHandle {
   close(): void;
 }
 
-/** A file that a person chose, read in blocks. */
+/**
+ * A file that a person chose, read in blocks. A browser makes a new buffer for each block, and collects it late while a conversion
+ * never returns. Blocks are copied at once, so that no buffer lives long, and small objects are thrown away beside each, because
+ * engines look for dead objects when the space for young ones is full.
+ */
 export class BlobFile {
+  /** Public, so that no compiler leaves it out. */
+  litter: unknown;
   private readonly reader = new FileReaderSync();
   /** The last one was used last. */
-  private blocks: { at: number; bytes: Uint8Array }[] = [];
+  private readonly blocks: { at: number; length: number; bytes: Uint8Array }[] = [];
 
   constructor(private readonly blob: Blob) {}
 
@@ -38,15 +46,12 @@ export class BlobFile {
   read(offset: number, into: Uint8Array): number {
     const length = Math.min(into.length, BLOCK, Math.max(0, this.blob.size - offset));
     try {
-      if (length === BLOCK) {
-        into.set(this.bytes(offset, offset + length));
-        return length;
-      }
+      if (length === BLOCK) return this.fetch(offset, into);
       let done = 0;
       while (done < length) {
-        const { at, bytes } = this.block(offset + done);
+        const { at, bytes, length: held } = this.block(offset + done);
         const start = offset + done - at;
-        const part = bytes.subarray(start, start + length - done);
+        const part = bytes.subarray(start, Math.min(held, start + length - done));
         into.set(part, done);
         done += part.length;
       }
@@ -56,19 +61,26 @@ export class BlobFile {
     }
   }
 
-  private block(offset: number): { at: number; bytes: Uint8Array } {
+  private block(offset: number): { at: number; length: number; bytes: Uint8Array } {
     const at = offset - (offset % BLOCK);
     const place = this.blocks.findIndex((block) => block.at === at);
-    const [block] = place < 0 ? [{ at, bytes: this.bytes(at, at + BLOCK) }] : this.blocks.splice(place, 1);
-    const found = block as { at: number; bytes: Uint8Array };
-    if (found.bytes.length === 0) throw new RangeError("an empty block");
-    this.blocks.push(found);
-    if (this.blocks.length > BLOCKS) this.blocks.shift();
-    return found;
+    let [block] = place < 0 ? [] : this.blocks.splice(place, 1);
+    if (block === undefined) {
+      block = this.blocks.length < BLOCKS ? { at, length: 0, bytes: new Uint8Array(BLOCK) } : this.blocks.shift();
+      if (block === undefined) throw new RangeError("no block");
+      block.at = at;
+      block.length = this.fetch(at, block.bytes);
+      if (block.length === 0) throw new RangeError("an empty block");
+    }
+    this.blocks.push(block);
+    return block;
   }
 
-  private bytes(start: number, end: number): Uint8Array {
-    return new Uint8Array(this.reader.readAsArrayBuffer(this.blob.slice(start, end)));
+  private fetch(start: number, into: Uint8Array): number {
+    this.litter = Array.from({ length: LITTER }, () => new Array<number>(100).fill(0));
+    const bytes = this.reader.readAsArrayBuffer(this.blob.slice(start, start + BLOCK));
+    into.set(new Uint8Array(bytes));
+    return bytes.byteLength;
   }
 }
 

@@ -8,7 +8,6 @@ import type { CloudAnswer, CloudLook, CloudRequest } from "./cloud-worker";
 import { EXPOSED } from "./material";
 import type { World } from "./world";
 
-const MOST_POINTS = 2_000_000;
 /** Gap between points that looks closed (pixels of the screen). */
 const CLOSED_PX = 1.5;
 /** Width of a pixel of the archive on the screen at which points end, and the least distance for that. */
@@ -19,6 +18,8 @@ const MOVED_SHARE = 0.1;
 const MOVED_M = 0.5;
 /** Least width of a point (m). */
 const POINT_M = 0.02;
+/** How far points are lifted to the surface at most, relative to their distance. */
+const MOST_LIFT = 0.015;
 /** Longest viewing distance (m). */
 const FAR_M = 1e5;
 
@@ -48,8 +49,8 @@ void main() {
   bool isFlat = projectionMatrix[3][3] > 0.5;
   vColour = exposed(paint);
   gl_Position = projectionMatrix * seen;
-  // Points lie within the solid that is drawn: they are as near as its surface.
-  vec4 lifted = projectionMatrix * (seen + vec4(0.0, 0.0, lift, 0.0));
+  // Points lie within the solid that is drawn: they are as near as its surface. More than this would look like an edge.
+  vec4 lifted = projectionMatrix * (seen + vec4(0.0, 0.0, min(lift, ${MOST_LIFT} * away), 0.0));
   if (lifted.w > 0.0) gl_Position.z = max(lifted.z / lifted.w, -1.0) * gl_Position.w;
   gl_PointSize = isFlat ? 2.0 : clamp(max(gap, ${POINT_M.toFixed(3)} / away) * focal * 1.4, 2.0, 12.0);
   bool hidden = isCut && (local.z > cut.y || local.z < cut.x || any(lessThan(local.xyz, boxLow)) || any(greaterThan(local.xyz, boxHigh)));
@@ -78,8 +79,11 @@ export class Cloud {
   /** Number of points drawn. */
   count = 0;
 
-  /** `told` receives the number of points when those of the first look are drawn, or an error message. */
-  constructor(url: string, near: Vec3, unit: number, world: World, told: (points: number | string) => void) {
+  /**
+   * A cloud of which at most `most` points are drawn. `told` receives the number of points when those of the first look are drawn,
+   * or an error message.
+   */
+  constructor(url: string, near: Vec3, unit: number, world: World, most: number, told: (points: number | string) => void) {
     this.#origin = [Math.round(near[0]), Math.round(near[1]), Math.round(near[2])];
     const { cut, boxLow, boxHigh, exposure } = world.shading.uniforms;
     this.#uniforms = {
@@ -111,7 +115,7 @@ export class Cloud {
         this.#worker.terminate();
       }
     });
-    const request: CloudRequest = { url, origin: [...this.#origin] as [number, number, number], unit, most: MOST_POINTS };
+    const request: CloudRequest = { url, origin: [...this.#origin] as [number, number, number], unit, most };
     this.#worker.postMessage(request);
   }
 

@@ -1,4 +1,4 @@
-// The place that the pawn walks to: a ring on its floor, and the way there.
+// The place that the pawn walks to: a ring on its floor, the way there, and where it is blocked.
 
 import type { Vec3 } from "slicewalk";
 import {
@@ -12,18 +12,25 @@ import {
   MeshBasicMaterial,
   RingGeometry,
 } from "three";
+import type { Obstacle } from "../obstacle";
 import type { World } from "./world";
 
 const [INNER_M, OUTER_M] = [0.22, 0.3];
 const ABOVE_M = 0.03;
 const ACCENT = "#ffb547";
+const STOP = "#d63c2f";
+
+const ring = (inner: number, outer: number, color: string): Mesh =>
+  new Mesh(
+    new RingGeometry(inner, outer, 32),
+    new MeshBasicMaterial({ color, transparent: true, opacity: 0.9, depthTest: false, side: DoubleSide }),
+  );
 
 export class Goal {
   readonly group = new Group();
-  readonly #ring = new Mesh(
-    new RingGeometry(INNER_M, OUTER_M, 32),
-    new MeshBasicMaterial({ color: ACCENT, transparent: true, opacity: 0.9, depthTest: false, side: DoubleSide }),
-  );
+  readonly #ring = ring(INNER_M, OUTER_M, ACCENT);
+  /** Filled, and in another colour, so that it differs without colours too. */
+  readonly #stop = ring(0, INNER_M, STOP);
   readonly #way = new Line(
     new BufferGeometry(),
     new LineBasicMaterial({ color: ACCENT, transparent: true, opacity: 0.7, depthTest: false }),
@@ -31,18 +38,23 @@ export class Goal {
 
   constructor() {
     this.#way.frustumCulled = false;
-    this.group.add(this.#ring, this.#way);
+    this.group.add(this.#ring, this.#stop, this.#way);
     this.group.visible = false;
   }
 
-  /** Shows the places to which a pawn walks, from where it is; none: it walks nowhere. Seen from a distance, the ring is larger. */
-  show(world: World, way: readonly Vec3[], metresHigh: number): void {
-    const places = way.map((place) => world.local(place));
-    const last = places.at(-1);
-    this.group.visible = last !== undefined;
-    if (last === undefined) return;
-    this.#ring.position.set(last.x, last.y, last.z + ABOVE_M);
-    this.#ring.scale.setScalar(Math.max(1, metresHigh / 30));
+  /**
+   * Shows the places to which a pawn walks, from where it is; none: it walks nowhere. Where an obstacle ends its way, shows that
+   * place and the way of a pawn that passes. Seen from a distance, the rings are larger.
+   */
+  show(world: World, way: readonly Vec3[], obstacle: Obstacle | null, metresHigh: number): void {
+    const last = way.at(-1);
+    const end = obstacle?.way.at(-1) ?? last;
+    this.group.visible = end !== undefined;
+    if (end === undefined) return;
+    this.#at(this.#ring, world, end, metresHigh);
+    this.#stop.visible = obstacle !== null;
+    if (obstacle !== null) this.#at(this.#stop, world, obstacle.at, metresHigh);
+    const places = (obstacle?.way ?? way).map((place) => world.local(place));
     const { geometry } = this.#way;
     if (geometry.getAttribute("position")?.count !== places.length) {
       geometry.dispose();
@@ -51,5 +63,11 @@ export class Goal {
     const points = geometry.getAttribute("position");
     places.forEach((place, n) => points.setXYZ(n, place.x, place.y, place.z + ABOVE_M));
     points.needsUpdate = true;
+  }
+
+  #at(mark: Mesh, world: World, at: Vec3, metresHigh: number): void {
+    mark.position.copy(world.local(at));
+    mark.position.z += ABOVE_M;
+    mark.scale.setScalar(Math.max(1, metresHigh / 30));
   }
 }
