@@ -1,10 +1,11 @@
 //! The archives in `spec/samples/`, each with a JSON twin that states its content or the rule that it breaks: material
 //! for readers of the format, such as `spec/reader.py`.
 //!
-//! `SLICEWALK_SAMPLES=write cargo test --test samples` regenerates them.
+//! `SLICEWALK_SAMPLES=write cargo test --test archive samples` regenerates them.
 
 use crate::common;
 mod damaged;
+mod damaged_seen;
 mod good;
 
 use common::content::content_or_rule;
@@ -18,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// Every sample: its name, its bytes, and the rule that it breaks.
 fn all() -> Vec<(String, Vec<u8>, Option<&'static str>)> {
     let good = good::all().into_iter().map(|(name, bytes)| (name.to_string(), bytes, None));
-    let damaged = damaged::all().into_iter();
+    let damaged = damaged::all().into_iter().chain(damaged_seen::all());
     good.chain(damaged.map(|(name, rule, bytes)| (format!("damaged-{name}"), bytes, Some(rule)))).collect()
 }
 
@@ -30,8 +31,9 @@ fn folder() -> PathBuf {
 fn text(twin: &Value) -> String {
     let Some(pages) = twin["pages"].as_array() else { return format!("{twin}\n") };
     let pages: Vec<_> = pages.iter().map(Value::to_string).collect();
-    let levels = twin.get("levels").map_or(String::new(), |levels| format!(",\n\"levels\": {levels}"));
-    format!("{{\"info\": {},\n\"pages\": [\n{}\n]{levels}}}\n", twin["info"], pages.join(",\n"))
+    let [seen, levels] = ["seen", "levels"]
+        .map(|name| twin.get(name).map_or(String::new(), |section| format!(",\n\"{name}\": {section}")));
+    format!("{{\"info\": {},\n\"pages\": [\n{}\n]{seen}{levels}}}\n", twin["info"], pages.join(",\n"))
 }
 
 /// Only some pages, by index, of a content with very many.

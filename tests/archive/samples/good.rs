@@ -10,6 +10,7 @@ use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
 use slicewalk::page::{Inferred, Span};
 use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
+use slicewalk::seen::{SeenBlock, SeenPage};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
 
@@ -41,6 +42,10 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
         ("colours-exact", archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false)),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
+        ("seen", seen(floor(), seen_blocks(), |_| ())),
+        ("seen-nothing", seen(two_pixels().0, Vec::new(), |_| ())),
+        ("seen-of-part", seen(stairs(), seen_blocks().split_off(2), |writer| writer.set_shard(part()))),
+        ("seen-with-levels", seen(wall(), seen_blocks(), ArchiveWriter::set_levels)),
     ]
 }
 
@@ -248,8 +253,54 @@ fn holes(plan: &Plan) -> Vec<u8> {
     std::fs::read(target).unwrap()
 }
 
+/// Seen space below and above the origin, in columns with and without pages: pages seen entirely, in part, and not at
+/// all between them.
+fn seen_blocks() -> Vec<SeenBlock> {
+    let mut random = Congruential(17);
+    let mut part = |boxes: u32| {
+        let mut page = SeenPage::NOTHING;
+        for _ in 0..boxes {
+            let [x, y, z] = [12, 12, 56].map(|limit| random.below(limit) as usize);
+            page.mark([[x, x + 3], [y, y + 2], [z, z + 7]]);
+        }
+        page
+    };
+    let mut cell = SeenPage::NOTHING;
+    cell.mark([[15, 15], [0, 0], [63, 63]]);
+    let mut most = SeenPage::NOTHING;
+    most.mark([[0, 15], [0, 15], [0, 62]]);
+    let mut made = Vec::new();
+    for (key, pages) in [
+        (key(-1, -1, -1), vec![(62, SeenPage::ALL), (63, part(3))]),
+        (key(-1, -1, 0), vec![(0, part(2))]),
+        (key(0, 0, 0), vec![(0, part(4)), (1, SeenPage::ALL), (3, SeenPage::ALL), (5, most)]),
+        (key(7, 2, 3), vec![(63, cell)]),
+    ] {
+        let mut block = SeenBlock::new(key);
+        pages.iter().for_each(|(at, page)| block.push(*at, page));
+        made.push(block);
+    }
+    made
+}
+
+/// Pages with seen space.
+fn seen(pages: Pages, blocks: Vec<SeenBlock>, begin: impl FnOnce(&mut ArchiveWriter)) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("seen.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    begin(&mut writer);
+    writer.set_seen();
+    let mut encoder = PageEncoder::of_plan(&plan());
+    for (key, page) in &pages {
+        writer.put(*key, encoder.encode(*key, page)).unwrap();
+    }
+    blocks.iter().for_each(|block| writer.put_seen(block).unwrap());
+    writer.finish(totals()).unwrap();
+    std::fs::read(target).unwrap()
+}
+
 /// All columns from that of page (0, 0).
-fn part() -> Shard {
+pub fn part() -> Shard {
     Shard { index: 3, count: 3, first: 3 << 62, last: u64::MAX, plan_file: 0x0123_4567_89AB_CDEF_0011_2233_4455_6677 }
 }
 
