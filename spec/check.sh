@@ -51,3 +51,6 @@ scan slope "--pixel 0.29 --classifier thesis" plane --param slope=30 --scale 0.0
 scan feet "--pixel 0.1016 --tolerance 0.02" corridor --density 1000 --noise 0.003 --scale 0.01 --origin 150000,400000,40
 scan house "--pixel 0.1 --min-points 2 --levels on" house --density 300 --noise 0.005 --rotate 30
 scan ground "--pixel 0.1 --tolerance 0.025" house --density 300 --noise 0.003
+printf 'file,x,y,z\nseen.las,1.5,3.5,1.6\n' >"$fresh/stations.csv"
+scan seen "--pixel 0.1 --levels on --free-space --stations $fresh/stations.csv" \
+    house --mode scanner --points 100000 --station 1.5,3.5,1.6
