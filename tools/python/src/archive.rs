@@ -4,8 +4,9 @@ use crate::arrays::{key, short};
 use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
 use crate::errors::Failure;
-use crate::options::refuse;
-use crate::pages::{Pages, Set};
+use crate::options::{refuse, size};
+use crate::pages::{MOST_SEEN_BYTES, Pages, Set};
+use crate::seen::SeenSpace;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -14,6 +15,7 @@ use pyo3::types::{PyByteArray, PyBytes, PyDict, PyTuple};
 use slicewalk::Error;
 use slicewalk::archive::{Archive as Inner, ColourReader, Finding};
 use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource, interruptible, stop_of_thread};
+use slicewalk::seen::SeenSpace as Space;
 use slicewalk::store::Snapshot;
 use std::collections::HashMap;
 use std::ffi::OsString;
@@ -30,6 +32,8 @@ pub struct Opened {
     /// Options of requests to a server; `None` for files and bytes.
     remote: Option<RemoteOptions>,
     store: OnceLock<Snapshot>,
+    /// `None` in it if the archive has no seen space.
+    seen: OnceLock<Option<Arc<Space>>>,
     loading: Mutex<()>,
 }
 
@@ -40,7 +44,7 @@ impl Opened {
         remote: Option<RemoteOptions>,
     ) -> slicewalk::Result<Self> {
         let archive = Inner::from_source(Box::new(source.clone()))?;
-        Ok(Self { archive, source, name, remote, store: OnceLock::new(), loading: Mutex::default() })
+        Ok(Self::unread(archive, source, name, remote))
     }
 
     /// Opens an address. The time-out covers the whole of it.
@@ -65,7 +69,28 @@ impl Opened {
     fn level(&self, number: u32) -> slicewalk::Result<Self> {
         let (archive, source) = (self.archive.level(number)?, self.source.clone());
         let (name, remote) = (self.name.clone(), self.remote.clone());
-        Ok(Self { archive, source, name, remote, store: OnceLock::new(), loading: Mutex::default() })
+        Ok(Self::unread(archive, source, name, remote))
+    }
+
+    /// Nothing is read yet but what opening reads.
+    fn unread(
+        archive: Inner,
+        source: Arc<dyn ByteSource>,
+        name: Option<String>,
+        remote: Option<RemoteOptions>,
+    ) -> Self {
+        let (store, seen) = (OnceLock::new(), OnceLock::new());
+        Self { archive, source, name, remote, store, seen, loading: Mutex::default() }
+    }
+
+    /// Returns the seen space, which the first call reads into at most `most_bytes` of memory; `None` if there is none.
+    pub fn seen_space(&self, py: Python<'_>, most_bytes: u64) -> PyResult<Option<Arc<Space>>> {
+        if self.seen.get().is_none() {
+            let space = self.read(py, |opened| opened.archive.seen_space(most_bytes))?;
+            // Another thread may have read it, too.
+            let _ = self.seen.set(space.map(Arc::new));
+        }
+        Ok(self.seen.get().cloned().flatten())
     }
 
     /// Runs `work`, a few reads. Ctrl-C interrupts it while it waits for a server.
@@ -354,6 +379,28 @@ impl Archive {
     fn level(&self, py: Python<'_>, number: u32) -> PyResult<Pages> {
         let of_level = self.opened.read(py, |opened| opened.level(number))?;
         Ok(Pages { set: Set::All(Arc::new(of_level)) })
+    }
+
+    /// Returns the space that the scanners saw, as ``convert(..., free_space=True)`` stored it. The first call reads it.
+    ///
+    /// Args:
+    ///     memory: most memory that it may take: bytes, or a text such as ``"4GiB"``; 1 GiB by default
+    ///
+    /// Returns:
+    ///     :class:`SeenSpace`; None if the archive was written without, so that nothing is known about it
+    ///
+    /// Raises:
+    ///     LimitError: it takes more than ``memory``
+    ///     FormatError: it is damaged; other queries do not need it
+    ///
+    /// >>> slicewalk.open("seen.slices").seen_space().cells > 100
+    /// True
+    /// >>> slicewalk.open("room.slices").seen_space() is None
+    /// True
+    #[pyo3(signature = (*, memory=None))]
+    fn seen_space(&self, py: Python<'_>, memory: Option<&Bound<'_, PyAny>>) -> PyResult<Option<SeenSpace>> {
+        let most = memory.map_or(Ok(MOST_SEEN_BYTES), |memory| size("memory", memory))?;
+        Ok(self.opened.seen_space(py, most)?.map(|space| SeenSpace { space }))
     }
 
     /// Returns the colours of a page's voxels, as `sliceconv --colour` stored them.

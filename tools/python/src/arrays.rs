@@ -62,6 +62,10 @@ impl<'py, const N: usize> Rows<'py, N> {
         Ok(Self { array: array.cast_into::<PyArray2<f64>>()?, what })
     }
 
+    pub fn array(&self) -> &Bound<'py, PyArray2<f64>> {
+        &self.array
+    }
+
     pub fn len(&self) -> usize {
         self.array.shape()[0]
     }

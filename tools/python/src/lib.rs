@@ -1,7 +1,7 @@
 //! Compiled half of the Python package `slicewalk`; the other half is in `python/slicewalk`.
 //!
 //! One file per subject: [`pages`] (queries), [`archive`], [`page`] (columns, pages, regions), [`stream`], [`walk`],
-//! [`reach`], [`convert`], [`writer`]. Only [`arrays`] touches the caller's arrays; [`attend`] handles signals and
+//! [`reach`], [`seen`], [`convert`], [`writer`]. Only [`arrays`] touches the caller's arrays; [`attend`] handles signals and
 //! progress, [`errors`] exceptions.
 
 mod archive;
@@ -13,6 +13,7 @@ mod options;
 mod page;
 mod pages;
 mod reach;
+mod seen;
 mod stream;
 mod walk;
 mod writer;
@@ -28,6 +29,8 @@ mod _slicewalk {
     use crate::page::{Column, Page};
     #[pymodule_export]
     use crate::pages::Pages;
+    #[pymodule_export]
+    use crate::seen::SeenSpace;
     #[pymodule_export]
     use crate::stream::{Body, Stream, View};
     #[pymodule_export]

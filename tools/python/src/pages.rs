@@ -3,6 +3,7 @@
 use crate::archive::Opened;
 use crate::arrays::{self, batch, batch_of_rows, refused};
 use crate::errors::Failure;
+use crate::options::refuse;
 use crate::page::{Column, Page, octomap, region};
 use crate::reach;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
@@ -16,6 +17,7 @@ use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, nearest_surface, overlaps,
     sweep,
 };
+use slicewalk::seen::SeenSpace;
 use slicewalk::store::Snapshot;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
@@ -25,8 +27,8 @@ use std::sync::Arc;
 pub enum Set {
     /// All pages of an archive; the first query loads them.
     All(Arc<Opened>),
-    /// The pages in memory at one moment.
-    View(Snapshot),
+    /// The pages in memory at one moment, and the archive that they are of.
+    View(Snapshot, Arc<Opened>),
 }
 
 impl Set {
@@ -34,10 +36,13 @@ impl Set {
     pub fn pages(&self, py: Python<'_>) -> PyResult<&Snapshot> {
         match self {
             Self::All(opened) => opened.pages(py),
-            Self::View(view) => Ok(view),
+            Self::View(view, _) => Ok(view),
         }
     }
 }
+
+/// Most memory for seen space by default (bytes).
+pub const MOST_SEEN_BYTES: u64 = 1 << 30;
 
 /// Number of threads of a batch; all cores by default.
 type Threads = Option<NonZeroUsize>;
@@ -93,7 +98,7 @@ impl Pages {
     pub fn frame(&self) -> Frame {
         match &self.set {
             Set::All(opened) => *opened.archive.frame(),
-            Set::View(view) => *view.frame(),
+            Set::View(view, _) => *view.frame(),
         }
     }
 
@@ -101,8 +106,24 @@ impl Pages {
     pub fn name(&self) -> Option<&str> {
         match &self.set {
             Set::All(opened) => opened.name.as_deref(),
-            Set::View(_) => None,
+            Set::View(..) => None,
         }
+    }
+
+    /// Returns the seen space in which a pawn must stay, if it must.
+    fn seen(&self, py: Python<'_>, must: bool) -> PyResult<Option<Arc<SeenSpace>>> {
+        let (Set::All(opened) | Set::View(_, opened)) = &self.set;
+        if !must {
+            return Ok(None);
+        }
+        let space = opened.seen_space(py, MOST_SEEN_BYTES)?;
+        space.map(Some).ok_or_else(|| {
+            let reason = match opened.archive.header().level {
+                0 => "the archive does not say which space was seen; convert the scan again with free_space=True",
+                _ => "overview levels do not say which space was seen; ask the archive itself",
+            };
+            refuse("seen", reason)
+        })
     }
 }
 
@@ -407,28 +428,32 @@ impl Pages {
     ///     climb: highest step that the pawn climbs (m)
     ///     max_drop: deepest drop that the pawn takes (m); by default the climb height, so that every route also works
     ///         in reverse
+    ///     seen: whether the pawn must stay in seen space (see :meth:`Archive.seen_space`): a place counts only if
+    ///         the line through its middle was seen, from the climb height to the head
     ///     progress: called with stage, amount done, total (0 if unknown) and unit
     ///
     /// Returns:
     ///     :class:`Reach`: area, storeys, passages, leaks, and all standing places
     ///
     /// Raises:
-    ///     ParameterError: the pawn cannot stand at ``start``
+    ///     ParameterError: the pawn cannot stand at ``start``, or ``seen`` is True and the archive has no seen space
     ///     NotLoadedError: a page of a view is not in memory
     ///
     /// >>> reach = slicewalk.open("room.slices").reach((4, 3, 0.1))
     /// >>> round(reach.area), len(reach.storeys), reach.places.shape[1]
     /// (40, 1, 4)
-    #[pyo3(signature = (start, *, pawn=None, climb=0.35, max_drop=None, progress=None))]
+    #[pyo3(signature = (start, *, pawn=None, climb=0.35, max_drop=None, seen=false, progress=None))]
     fn reach<'py>(
         &self,
         start: &Bound<'py, PyAny>,
         pawn: Option<&Bound<'py, PyAny>>,
         climb: f64,
         max_drop: Option<f64>,
+        seen: bool,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        reach::reach(self, start, &reach::pawn(pawn, climb, max_drop)?, progress)
+        let seen = self.seen(start.py(), seen)?;
+        reach::reach(self, start, &reach::pawn(pawn, climb, max_drop)?, seen, progress)
     }
 
     /// Finds a route of a pawn between two places, at most 5 % longer than the shortest.
@@ -439,16 +464,21 @@ impl Pages {
     ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
     ///     climb: highest step that the pawn climbs (m)
     ///     max_drop: deepest drop that the pawn takes (m); the climb height by default
+    ///     seen: whether the pawn must stay in seen space, as for :meth:`reach`
     ///     progress: called with stage, amount done, total (0 if unknown) and unit
     ///
     /// Returns:
     ///     :class:`Route`: whether there is a route, why not, its length, and its points, which ``Walker.path`` takes
     ///     as waypoints
     ///
+    /// Raises:
+    ///     ParameterError: ``seen`` is True and the archive has no seen space
+    ///     NotLoadedError: a page of a view is not in memory
+    ///
     /// >>> route = slicewalk.open("room.slices").route((1, 1, 0.1), (7, 5, 0.1))
     /// >>> route.found, round(route.length, 1)
     /// (True, 7.2)
-    #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, progress=None))]
+    #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, seen=false, progress=None))]
     fn route<'py>(
         &self,
         start: &Bound<'py, PyAny>,
@@ -456,15 +486,17 @@ impl Pages {
         pawn: Option<&Bound<'py, PyAny>>,
         climb: f64,
         max_drop: Option<f64>,
+        seen: bool,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        reach::route(self, [start, goal], &reach::pawn(pawn, climb, max_drop)?, progress)
+        let seen = self.seen(start.py(), seen)?;
+        reach::route(self, [start, goal], &reach::pawn(pawn, climb, max_drop)?, seen, progress)
     }
 
     fn __repr__(&self) -> String {
         match &self.set {
             Set::All(opened) => opened.described("Pages"),
-            Set::View(view) => {
+            Set::View(view, _) => {
                 let columns = (0..view.column_count()).map(|number| view.column_at(number).2);
                 let (all, there) = columns
                     .flatten()

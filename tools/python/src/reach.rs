@@ -10,9 +10,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 use slicewalk::nalgebra::Point3;
 use slicewalk::reach::{Flood, LeakSearch, Pawn, Place, Refusal, Region, Route, Search, StandingPlaces};
+use slicewalk::seen::SeenSpace;
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use slicewalk::{Error, Monitor};
+use std::sync::Arc;
 
 /// Reads a pawn, given as on the command line or as its sizes; by default the pawn of the thesis.
 pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
@@ -29,6 +31,9 @@ pub fn pawn(given: Option<&Bound<'_, PyAny>>, climb: f64, max_drop: Option<f64>)
     Ok(Pawn { climb, max_drop: max_drop.unwrap_or(climb), ..Pawn::new(body(given)?) })
 }
 
+/// Space in which a pawn must stay, if it must.
+type Seen = Option<Arc<SeenSpace>>;
+
 /// Results of a search from one start.
 struct Found {
     region: Region,
@@ -37,12 +42,13 @@ struct Found {
     leaks: Vec<([f64; 3], f64, Option<f64>, &'static str)>,
 }
 
-fn survey(set: &Snapshot, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
-    let mut standing = StandingPlaces::new(set, pawn)?;
+fn survey(set: &Snapshot, pawn: Pawn, seen: Seen, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
+    let must_be_seen = if seen.is_some() { ", all of it seen" } else { "" };
+    let mut standing = StandingPlaces::new(set, pawn)?.within_seen(seen);
     let Some(spot) = needs(standing.spot(set, start.into())?)? else {
         let [x, y, z] = start;
         let reason = format!(
-            "the pawn cannot stand at {x}, {y}, {z} (expected floor below it and room for its whole body); choose another \
+            "the pawn cannot stand at {x}, {y}, {z} (expected floor below it and room for its whole body{must_be_seen}); choose another \
              place, or a smaller pawn"
         );
         return Err(Error::parameter("start", reason).into());
@@ -65,6 +71,7 @@ pub fn reach<'py>(
     pages: &Pages,
     start: &Bound<'py, PyAny>,
     pawn: &Pawn,
+    seen: Seen,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = start.py();
@@ -72,7 +79,7 @@ pub fn reach<'py>(
     let audience = Audience { progress, ..Audience::default() };
     let found = {
         let set = pages.set.pages(py)?;
-        attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, at, monitor))?
+        attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, seen, at, monitor))?
     };
     let places: Vec<f64> = py.detach(|| {
         let row = |place: Place| [place.feet.x, place.feet.y, place.feet.z, place.clearance];
@@ -99,6 +106,7 @@ pub fn route<'py>(
     pages: &Pages,
     ends: [&Bound<'py, PyAny>; 2],
     pawn: &Pawn,
+    seen: Seen,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = ends[0].py();
@@ -106,7 +114,7 @@ pub fn route<'py>(
     let audience = Audience { progress, ..Audience::default() };
     let found = {
         let set = pages.set.pages(py)?;
-        attended(py, &audience, pages.name(), |monitor| find(set, *pawn, [from, to], monitor))?
+        attended(py, &audience, pages.name(), |monitor| find(set, *pawn, seen, [from, to], monitor))?
     };
     let (length, points, reason) = match found {
         Ok(route) => (Some(route.length_m), route.points, None),
@@ -121,10 +129,11 @@ pub fn route<'py>(
 fn find(
     set: &Snapshot,
     pawn: Pawn,
+    seen: Seen,
     ends: [Point3<f64>; 2],
     monitor: &dyn Monitor,
 ) -> Result<Result<Route, Refusal>, Failure> {
-    let mut standing = StandingPlaces::new(set, pawn)?;
+    let mut standing = StandingPlaces::new(set, pawn)?.within_seen(seen);
     let Some(from) = needs(standing.spot(set, ends[0])?)? else { return Ok(Err(Refusal::NotStandingFrom)) };
     let Some(to) = needs(standing.spot(set, ends[1])?)? else { return Ok(Err(Refusal::NotStandingTo)) };
     let (mut flood, mut search) = (Flood::from(from), Search::new());

@@ -110,7 +110,7 @@ impl Stream {
     /// Returns the pages now in memory as a :class:`View`. Take one per frame; it costs next to nothing.
     fn view(&self, py: Python<'_>) -> PyResult<Py<View>> {
         let view = self.inner()?.snapshot();
-        Py::new(py, PyClassInitializer::from(Pages { set: Set::View(view) }).add_subclass(View {}))
+        Py::new(py, PyClassInitializer::from(Pages { set: Set::View(view, self.opened.clone()) }).add_subclass(View {}))
     }
 
     /// Loads the pages that the boxes touch, and returns once they are in memory.

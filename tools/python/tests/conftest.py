@@ -15,10 +15,13 @@ import store as stores
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory):
-    """A folder with room.las and room.slices, which the examples of the documentation use."""
+    """A folder with room.las, room.slices and seen.slices, which the examples of the documentation use."""
     folder = tmp_path_factory.mktemp("scans")
     (folder / "room.las").write_bytes(scan.las(scan.room()))
     slicewalk.convert(folder / "room.las", folder / "room.slices", pixel=scan.PIXEL, units="m")
+    (folder / "stations.csv").write_text("file,x,y,z\nroom.las,4,3,1.5\n")
+    options = {"free_space": True, "stations": folder / "stations.csv"}
+    slicewalk.convert(folder / "room.las", folder / "seen.slices", pixel=scan.PIXEL, units="m", **options)
     return folder
 
 

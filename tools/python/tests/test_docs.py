@@ -42,7 +42,7 @@ def test_everything_is_documented(name):
 
 @pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if ">>>" in (text or "")])
 def test_examples(name, folder, tmp_path, monkeypatch):
-    for file in ("room.las", "room.slices"):
+    for file in ("room.las", "room.slices", "seen.slices"):
         shutil.copy(folder / file, tmp_path)
     monkeypatch.chdir(tmp_path)
     names = {"slicewalk": slicewalk, "np": np}

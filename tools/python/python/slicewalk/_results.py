@@ -198,7 +198,9 @@ class Route:
     Attributes:
         found: whether there is a route
         length: length of the lines between its points, including heights (m); None without a route
-        reason: why there is no route: ``"not_standing_from"``, ``"not_standing_to"``, ``"not_connected"``
+        reason: why there is no route: ``"not_standing_from"``, ``"not_standing_to"``, ``"not_connected"``. With
+            ``seen=True``, ground on which the pawn was not seen counts as none, so the same route without it tells
+            whether that is the reason
         points: float64 of shape (N, 3): places to reach in turn (m)
 
     """
