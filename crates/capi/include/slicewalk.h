@@ -10,8 +10,8 @@
 // guarantees what cannot be checked: arrays have the stated length, handles are open, and no handle is closed while a
 // call uses it.
 //
-// Threads: any number of threads may use a sw_archive, sw_pages, sw_stream or sw_route at once. A sw_walker or a
-// sw_body serves one thread at a time; another thread gets SW_ERROR_BUSY. Each thread has its own sw_last_error().
+// Threads: any number of threads may use a sw_archive, sw_pages, sw_stream, sw_route or sw_seen at once. A sw_walker
+// or a sw_body serves one thread at a time; another thread gets SW_ERROR_BUSY. Each thread has its own sw_last_error().
 //
 // Structs begin with their size: set it to sizeof before any call, so that a library of another version recognises it.
 
@@ -86,6 +86,12 @@ typedef struct sw_pages sw_pages;
 
 // A route that a walker can follow. Any number of threads may use it at once.
 typedef struct sw_route sw_route;
+
+// Space that the scanners of an archive saw. Any number of threads may use it at once.
+//
+// Space is divided into cells of 4 × 4 pixels and one slice. A cell is seen only if one station looked through all of
+// it; of all other cells nothing is known. The cells of a surface and about two in front of it are never seen.
+typedef struct sw_seen sw_seen;
 
 // The pages around moving bodies under a byte budget. Any number of threads may use it at once.
 typedef struct sw_stream sw_stream;
@@ -406,6 +412,51 @@ sw_status sw_route_points(const struct sw_route *route, double *xyz, size_t xyz_
 
 // Closes a route. NULL is allowed.
 sw_status sw_route_close(struct sw_route *route);
+
+// Reads the seen space of an archive. `seen` gets NULL if the archive was written without, so that nothing is known.
+// Space that takes more than `memory` bytes is refused with `SW_ERROR_LIMIT`.
+sw_status sw_seen_load(const struct sw_archive *archive,
+                       uint64_t memory,
+                       struct sw_seen **seen);
+
+// Writes the number of seen cells into `cells`.
+sw_status sw_seen_cells(const struct sw_seen *seen, uint64_t *cells);
+
+// Answers whether places were seen: 3 numbers each, x, y, z (m). `answers` gets `count` values: 1 if it was, else 0.
+sw_status sw_seen_places(const struct sw_seen *seen,
+                         const double *places,
+                         size_t places_len,
+                         uint8_t *answers,
+                         size_t count);
+
+// Answers whether all of each box was seen, like `sw_seen_places`: 6 numbers each, as for `sw_overlaps_boxes`. A box that
+// is clear and seen is free; one that is clear and not seen may hold what nobody scanned.
+sw_status sw_seen_boxes(const struct sw_seen *seen,
+                        const double *boxes,
+                        size_t boxes_len,
+                        uint8_t *answers,
+                        size_t count);
+
+// Answers whether all of each ray was seen, like `sw_seen_places`: 8 numbers each, those of `sw_cast_rays`, then the
+// distance that it answered. The ray is followed up to its hit, before which two cells along each axis count as seen,
+// or without a hit up to its longest distance. The answer is 0 where the distance is NaN.
+sw_status sw_seen_rays(const struct sw_seen *seen,
+                       const double *rays,
+                       size_t rays_len,
+                       uint8_t *answers,
+                       size_t count);
+
+// Plans a route like `sw_route_plan`, on which the line through the middle of the pawn was seen, from its climb height
+// to its head. All other ground counts as none.
+sw_status sw_route_plan_seen(const struct sw_pages *pages,
+                             const struct sw_seen *seen,
+                             const struct sw_pawn *pawn,
+                             const double *from,
+                             const double *to,
+                             struct sw_route **route);
+
+// Closes seen space. NULL is allowed.
+sw_status sw_seen_close(struct sw_seen *seen);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -9,6 +9,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -191,12 +192,49 @@ private:
     }
 };
 
+// Space that the scanners saw. Rows are those of slicewalk.h, and so are answers: 1 where all of a row was seen.
+class SeenSpace : public Owned<sw_seen, sw_seen_close> {
+public:
+    // Nothing if the archive was written without seen space.
+    static std::optional<SeenSpace> load(const Archive &archive, std::uint64_t memory) {
+        sw_seen *seen = nullptr;
+        check(sw_seen_load(archive.get(), memory, &seen));
+        if (!seen) return std::nullopt;
+        return SeenSpace(seen);
+    }
+    std::uint64_t cells() const {
+        std::uint64_t cells = 0;
+        check(sw_seen_cells(get(), &cells));
+        return cells;
+    }
+    std::vector<std::uint8_t> places(const std::vector<double> &places) const { return ask<3>(sw_seen_places, places); }
+    std::vector<std::uint8_t> boxes(const std::vector<double> &boxes) const { return ask<6>(sw_seen_boxes, boxes); }
+    std::vector<std::uint8_t> rays(const std::vector<double> &rays) const { return ask<8>(sw_seen_rays, rays); }
+
+private:
+    using Owned::Owned;
+
+    template <std::size_t N, class Call>
+    std::vector<std::uint8_t> ask(Call call, const std::vector<double> &rows) const {
+        std::vector<std::uint8_t> answers(rows.size() / N);
+        check(call(get(), rows.data(), rows.size(), answers.data(), answers.size()));
+        return answers;
+    }
+};
+
 class Route : public Owned<sw_route, sw_route_close> {
 public:
     static Route plan(const Pages &pages, const std::array<double, 3> &from, const std::array<double, 3> &to,
                       const sw_pawn &pawn = default_pawn()) {
         sw_route *route = nullptr;
         check(sw_route_plan(pages.get(), &pawn, from.data(), to.data(), &route));
+        return Route(route);
+    }
+    // Stays in seen space.
+    static Route plan(const Pages &pages, const SeenSpace &seen, const std::array<double, 3> &from,
+                      const std::array<double, 3> &to, const sw_pawn &pawn = default_pawn()) {
+        sw_route *route = nullptr;
+        check(sw_route_plan_seen(pages.get(), seen.get(), &pawn, from.data(), to.data(), &route));
         return Route(route);
     }
     double length() const {

@@ -15,5 +15,6 @@ mod archive;
 mod border;
 mod pages;
 mod route;
+mod seen;
 mod stream;
 mod walker;

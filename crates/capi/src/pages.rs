@@ -40,14 +40,14 @@ pub unsafe extern "C" fn sw_pages_close(pages: *mut sw_pages) -> sw_status {
 ///
 /// # Safety
 /// The conditions of [`held`], [`input`] and [`output`] hold.
-unsafe fn batch<const N: usize, A: Copy>(
-    pages: *const sw_pages,
+pub unsafe fn batch<H: Handle, const N: usize, A: Copy>(
+    handle: *const H,
     (rows, len, what): (*const f64, usize, &str),
     (answers, count): (*mut A, usize),
-    answer: impl Fn(&Snapshot, &[f64; N]) -> Result<A>,
+    answer: impl Fn(&H::Value, &[f64; N]) -> Result<A>,
 ) -> Outcome {
     // SAFETY: guaranteed by the caller.
-    let pages = unsafe { held(pages) }?;
+    let content = unsafe { held(handle) }?;
     if count.checked_mul(N) != Some(len) {
         let text = format!("{what}: expected {N} numbers for each of {count} answers, found {len} numbers");
         return Err(Failure::argument(text));
@@ -56,7 +56,7 @@ unsafe fn batch<const N: usize, A: Copy>(
     // SAFETY: guaranteed by the caller.
     let (rows, answers) = unsafe { (input(rows, len, what)?, output(answers, count, "answers")?) };
     for (number, (row, place)) in rows.as_chunks::<N>().0.iter().zip(answers).enumerate() {
-        place.write(answer(pages, row).map_err(|error| Failure::from(error).of_row(what, number))?);
+        place.write(answer(content, row).map_err(|error| Failure::from(error).of_row(what, number))?);
     }
     Ok(())
 }
@@ -69,7 +69,8 @@ fn code(overlap: Overlap) -> u8 {
     }
 }
 
-fn aabb(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Result<Aabb> {
+/// Reads a box.
+pub fn aabb(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Result<Aabb> {
     Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())
 }
 

@@ -6,7 +6,9 @@ use crate::stream::numbers;
 use crate::walker::sw_pawn;
 use engine::NoMonitor;
 use engine::reach::{Pawn, Planned, Planner, Route};
+use engine::seen::SeenSpace;
 use engine::store::Snapshot;
+use std::sync::Arc;
 
 /// A route that a walker can follow. Any number of threads may use it at once.
 pub struct sw_route;
@@ -19,8 +21,9 @@ impl Handle for sw_route {
 /// Places that a planner visits between two looks at its state.
 const STEPS: usize = 1 << 20;
 
-fn plan(set: &Snapshot, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> Outcome<Route> {
-    let mut planner = Planner::new(set, pawn, from.into(), to.into())?;
+/// Plans the route, which may be bound to `seen` space.
+pub fn plan(set: &Snapshot, seen: Option<Arc<SeenSpace>>, pawn: Pawn, [from, to]: [[f64; 3]; 2]) -> Outcome<Route> {
+    let mut planner = Planner::new(set, pawn, from.into(), to.into())?.within_seen(seen);
     loop {
         match planner.advance(set, STEPS, &NoMonitor)? {
             Planned::Done(Ok(route)) => return Ok(route),
@@ -37,6 +40,17 @@ fn plan(set: &Snapshot, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> Outcome<Rou
     }
 }
 
+/// Reads the pawn of a route, and its ends.
+///
+/// # Safety
+/// The conditions of [`record`] and [`numbers`] hold.
+pub unsafe fn ends(pawn: *const sw_pawn, from: *const f64, to: *const f64) -> Outcome<(Pawn, [[f64; 3]; 2])> {
+    // SAFETY: guaranteed by the caller.
+    let (pawn, from, to) = unsafe { (record(pawn)?, numbers::<3>(from, "from")?, numbers::<3>(to, "to")?) };
+    let max_drop = if pawn.max_drop == f64::INFINITY { pawn.climb } else { pawn.max_drop };
+    Ok((Pawn { climb: pawn.climb, max_drop, ..Pawn::new(pawn.body()?) }, [from, to]))
+}
+
 /// Plans a route of a pawn between two places of 3 numbers (m); a place in the air stands for the floor below it. A
 /// pawn whose `max_drop` is infinite steps down as far as it climbs. The call returns when the search ends: call it on
 /// a thread of its own if the program must not wait.
@@ -50,12 +64,9 @@ pub unsafe extern "C" fn sw_route_plan(
 ) -> sw_status {
     guard(|| {
         // SAFETY: as the header demands of handles, structs and arrays.
-        let (pages, pawn, from, to) =
-            unsafe { (held(pages)?, record(pawn)?, numbers::<3>(from, "from")?, numbers::<3>(to, "to")?) };
-        let max_drop = if pawn.max_drop == f64::INFINITY { pawn.climb } else { pawn.max_drop };
-        let pawn = Pawn { climb: pawn.climb, max_drop, ..Pawn::new(pawn.body()?) };
+        let (pages, (pawn, ends)) = unsafe { (held(pages)?, ends(pawn, from, to)?) };
         // SAFETY: as the header demands of `route`.
-        unsafe { give(route, || plan(pages, pawn, from, to)) }
+        unsafe { give(route, || plan(pages, None, pawn, ends)) }
     })
 }
 

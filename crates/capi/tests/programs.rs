@@ -5,6 +5,7 @@ use engine::archive::Archive;
 use engine::nalgebra::{Point3, Vector3};
 use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_under, nearest_surface, overlaps, sweep};
 use engine::store::Snapshot;
+use scangen::sample::{Mode, ScannerSpec};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
@@ -69,11 +70,18 @@ fn is_there(program: &str) -> bool {
     there
 }
 
-/// Compiles `source` with `compiler`, linked with the static or the shared library, and runs it.
+/// Compiles `source` with `compiler` and runs it on the stairs.
 fn check(compiler: &str, standard: &str, source: &str, is_static: bool) {
     if !is_there(compiler) {
         return;
     }
+    let set = set();
+    let numbers = set.ends.as_flattened().iter().map(f64::to_string);
+    assert_eq!(run(compiled(compiler, standard, source, is_static).arg(&set.archive).args(numbers)), "done\n");
+}
+
+/// The program `source`, linked with the static or the shared library.
+fn compiled(compiler: &str, standard: &str, source: &str, is_static: bool) -> Command {
     let (set, folder) = (set(), Path::new(env!("CARGO_MANIFEST_DIR")));
     let program = set.folder.path().join(format!("{source}-{compiler}-{is_static}"));
     let mut command = Command::new(compiler);
@@ -86,8 +94,7 @@ fn check(compiler: &str, standard: &str, source: &str, is_static: bool) {
         command.arg(set.built.join("libslicewalk.so")).arg(format!("-Wl,-rpath,{}", set.built.display()));
     }
     run(command.args(["-lpthread", "-ldl", "-lm"]));
-    let numbers = set.ends.as_flattened().iter().map(f64::to_string);
-    assert_eq!(run(Command::new(program).arg(&set.archive).args(numbers)), "done\n");
+    Command::new(program)
 }
 
 #[test]
@@ -220,4 +227,75 @@ fn ctypes_gets_the_answers_of_the_library() {
     let library = set.built.join("libslicewalk.so");
     let printed = run(Command::new("python3").arg(script).arg(library).arg(&set.archive).arg(table));
     assert_eq!(printed, "500 rows are the same\n");
+}
+
+/// A storey of a house in which all surfaces were scanned, but one station looked around, in one room; with its seen
+/// space, and without.
+fn house(folder: &Path) -> [PathBuf; 2] {
+    let scene = Scene::named("house", &Params::new().with("storeys", 1.0)).unwrap();
+    let at = scene.stations()[0];
+    let scanner = ScannerSpec { stations: vec![at], mixed_rate: 0.0, ..ScannerSpec::default() };
+    let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(200_000) };
+    let seen = scene.samples(1, &spec).unwrap();
+    let samples: Vec<_> = seen.chain(scene.samples(2, &SampleSpec::direct_density(300.0)).unwrap()).collect();
+    let (scan, stations) = (folder.join("house.las"), folder.join("stations.csv"));
+    write_samples(&scan, samples, &WriteSpec::for_path(&scan)).unwrap();
+    std::fs::write(&stations, format!("file,x,y,z\nhouse.las,{},{},{}\n", at[0], at[1], at[2])).unwrap();
+    [true, false].map(|is_seen| {
+        let archive = folder.join(format!("house-{is_seen}.slices"));
+        let mut options = ConvertOptions::new(vec![scan.clone()], archive.clone());
+        options.grid.pixel = PixelSize::Metres(0.1);
+        options.reading.units = Units::Factor(1.0);
+        options.resources.threads = 1;
+        options.sections.free_space = is_seen;
+        options.stations = is_seen.then(|| stations.clone());
+        convert(&options, &NoMonitor).unwrap();
+        archive
+    })
+}
+
+/// A table of places, boxes and rays with the answers of the library in Rust.
+fn seen_rows(archive: &Path) -> String {
+    let archive = Archive::open(archive).unwrap();
+    let space = archive.seen_space(1 << 30).unwrap().unwrap();
+    let store = Snapshot::resident(&archive, &NoMonitor).unwrap();
+    let (low, high) = archive.header().bounds.unwrap();
+    let (mut random, mut rows, mut counts) = (11, String::new(), [[0; 2]; 3]);
+    for _ in 0..600 {
+        let at: [f64; 3] = std::array::from_fn(|axis| low[axis] + (high[axis] - low[axis]) * unit(&mut random));
+        let size = 0.02 + 0.5 * unit(&mut random);
+        let way: [f64; 3] = std::array::from_fn(|_| unit(&mut random) - 0.5);
+        let longest = 0.2 + 8.0 * unit(&mut random);
+        let ray = Ray::new(at.into(), way.into(), longest).unwrap();
+        let hit = cast(&store, &ray).known().unwrap().map(|hit| hit.distance);
+        let answers = [
+            space.is_seen(at.into()),
+            space.is_box_seen(at.into(), Point3::from(at) + Vector3::repeat(size)),
+            space.is_ray_seen(ray.origin(), ray.direction(), hit.unwrap_or(longest), hit.is_some()),
+        ];
+        counts.iter_mut().zip(answers).for_each(|(count, answer)| count[usize::from(answer)] += 1);
+        let numbers = at.iter().chain(&way).chain([&longest, &size]).copied();
+        let numbers =
+            numbers.chain([hit.unwrap_or(f64::INFINITY)]).chain(answers.map(|answer| f64::from(u8::from(answer))));
+        numbers.for_each(|number| write!(rows, "{number:?} ").unwrap());
+        rows.push('\n');
+    }
+    assert!(counts.as_flattened().iter().all(|count| *count > 25), "{counts:?}");
+    rows
+}
+
+#[test]
+fn programs_get_the_seen_space_of_the_library() {
+    let set = set();
+    let [archive, plain] = house(set.folder.path());
+    let table = set.folder.path().join("seen.txt");
+    std::fs::write(&table, seen_rows(&archive)).unwrap();
+    for (compiler, standard, source) in
+        [("gcc", "-std=c99", "seen.c"), ("clang", "-std=c99", "seen.c"), ("g++", "-std=c++17", "seen.cpp")]
+    {
+        if is_there(compiler) {
+            let mut program = compiled(compiler, standard, source, false);
+            assert_eq!(run(program.arg(&archive).arg(&plain).arg(&table)), "600 rows are the same\n", "{source}");
+        }
+    }
 }
