@@ -478,6 +478,7 @@ impl Pages {
     /// >>> route = slicewalk.open("room.slices").route((1, 1, 0.1), (7, 5, 0.1))
     /// >>> route.found, round(route.length, 1)
     /// (True, 7.2)
+    #[expect(clippy::too_many_arguments, reason = "one for each argument in Python")]
     #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, seen=false, progress=None))]
     fn route<'py>(
         &self,
