@@ -24,7 +24,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
     };
     let (some, all) = (corner(), SeenPage::ALL);
     vec![
-        ("seen-space-without-a-section", "V1", Parts::of(&archive(&two_pixels())).build(with_seen)),
+        ("seen-space-without-a-section", "V1", Parts::of(&archive(&two_pixels())).build(|head| with_seen(head))),
         ("flipped-in-trailer-of-seen-space", "V1", flipped(&sound(), 39 - 20)),
         ("seen-space-longer-than-the-pages", "V1", made(&|section| section.more_len = 1 << 20)),
         ("seen-space-without-a-table", "V1", made(&|section| section.table_len = Some(0))),
@@ -65,7 +65,7 @@ fn block(key: PageKey) -> SeenBlock {
 }
 
 /// Sets the bit of seen space.
-fn with_seen(head: &mut Vec<u8>) {
+fn with_seen(head: &mut [u8]) {
     put(head, 24, 4, 8);
 }
 
@@ -157,7 +157,7 @@ impl Section {
         let mut parts = Parts::of(&archive(&two_pixels()));
         parts.pages.resize(parts.pages.len() + self.before, 0);
         parts.pages.extend(self.bytes());
-        parts.build(with_seen)
+        parts.build(|head| with_seen(head))
     }
 }
 
