@@ -5,7 +5,7 @@ use crate::arrays::{self, batch, batch_of_rows, refused};
 use crate::errors::Failure;
 use crate::options::refuse;
 use crate::page::{Column, Page, octomap, region};
-use crate::reach;
+use crate::{reach, seen};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -110,12 +110,18 @@ impl Pages {
         }
     }
 
+    /// The archive that the pages are of.
+    fn opened(&self) -> &Opened {
+        let (Set::All(opened) | Set::View(_, opened)) = &self.set;
+        opened
+    }
+
     /// Returns the seen space in which a pawn must stay, if it must.
     fn seen(&self, py: Python<'_>, must: bool) -> PyResult<Option<Arc<SeenSpace>>> {
-        let (Set::All(opened) | Set::View(_, opened)) = &self.set;
         if !must {
             return Ok(None);
         }
+        let opened = self.opened();
         let space = opened.seen_space(py, MOST_SEEN_BYTES)?;
         space.map(Some).ok_or_else(|| {
             let reason = match opened.archive.header().level {
@@ -418,6 +424,12 @@ impl Pages {
     fn octomap<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<(u64, Bound<'py, PyBytes>)> {
         let pages = self.set.pages(py)?;
         octomap(py, pages, self.name(), bounds)
+    }
+
+    /// Returns the seen space of the archive, also for a view; see :meth:`Archive.seen_space`.
+    #[pyo3(name = "_seen_space")]
+    fn seen_space(&self, py: Python<'_>) -> PyResult<Option<seen::SeenSpace>> {
+        Ok(self.opened().seen_space(py, MOST_SEEN_BYTES)?.map(|space| seen::SeenSpace { space }))
     }
 
     /// Finds everything that a pawn can reach on foot.

@@ -149,6 +149,23 @@ def test_reach_and_routes_stay_in_seen_space(seen, space):
         assert (view.reach(start, seen=True, **options).places == reach.places).all()
 
 
+def test_occupancy_grids_call_unseen_ground_unknown(folder, seen, space):
+    options = {"pawn": (0.1, 1.7), "climb": 0.65}
+    plain = slicewalk.to_occupancy_grid(slicewalk.open(folder / "room.slices"), 0.0, **options)
+    grid = slicewalk.to_occupancy_grid(seen, 0.0, **options)
+    rows, columns = np.nonzero(plain.data == 0)
+    middles = np.array(grid.origin) + (np.column_stack([columns, rows]) + 0.5) * grid.resolution
+    lines = np.column_stack([middles, np.full(len(middles), 0.66), middles, np.full(len(middles), 1.69)])
+    expected = np.where(space.boxes(lines), 0, -1)
+    assert 100 < (expected == 0).sum() < len(expected)
+    assert (grid.data[rows, columns] == expected).all()
+    assert (grid.data == plain.data)[plain.data != 0].all()
+    with slicewalk.Stream(seen, "64MiB") as stream:
+        stream.load([[*seen.bounds[0], *seen.bounds[1]]])
+        view = slicewalk.to_occupancy_grid(stream.view(), 0.0, bounds=seen.bounds, **options)
+        assert (view.data == grid.data).all()
+
+
 def test_archives_without_seen_space(folder, seen):
     room = slicewalk.open(folder / "room.slices")
     assert room.seen_space() is None

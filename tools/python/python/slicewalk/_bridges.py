@@ -91,7 +91,8 @@ def to_occupancy_grid(
 
     Each pixel is decided by the pawn's body above the climb height, over the highest floor within the climb height of
     `z`, or over `z` if there is none: occupied if the body meets solid; free if it meets none and has a floor; else, or
-    if a page of a view is not loaded, unknown.
+    if a page of a view is not loaded, unknown. If the archive has seen space (:meth:`Archive.seen_space`), a pixel is
+    free only where the line through the middle of the body was seen, else unknown, as in ``slicetool export``.
 
     Args:
         pages: an archive or a view
@@ -117,7 +118,10 @@ def to_occupancy_grid(
     feet = np.where(has_floor, floor, z) + climb
     rest = [np.full(len(middle), radius), np.full(len(middle), max(height - climb, 0.05))]
     met = pages.overlaps_cylinders(np.column_stack([middle, feet, *rest]))
-    choices = {UNKNOWN: unloaded | (met == _NOT_LOADED), OCCUPIED: met == _HIT, FREE: has_floor}
+    seen = pages._seen_space()
+    lines = np.column_stack([middle, feet, middle, feet + rest[1]])
+    is_free = has_floor if seen is None else has_floor & seen.boxes(lines)
+    choices = {UNKNOWN: unloaded | (met == _NOT_LOADED), OCCUPIED: met == _HIT, FREE: is_free}
     data = np.select(list(choices.values()), list(choices), UNKNOWN).astype(np.int8)
     origin = (float(first[0] * pixel), float(first[1] * pixel))
     return OccupancyGrid(data.reshape(rows, columns), pixel, origin)
