@@ -121,11 +121,8 @@ impl StandingPlaces {
         Ok(Self { grid, tiles: Vec::new(), numbers: TileNumbers::default(), seen: None })
     }
 
-    /// Counts as standing places only those where a scanner saw the middle of the pawn, from the climb height to the
-    /// head; call it before anything else. All other ground counts as no floor.
-    ///
-    /// Only the middle, because nothing is stored as seen beside surfaces: whatever is wider than that would make a way
-    /// along a wall unseen.
+    /// Counts as standing places only those where a scanner saw the middle of the pawn
+    /// ([`SeenSpace::is_pawn_seen`]); call it before anything else. All other ground counts as no floor.
     #[must_use]
     pub fn within_seen(self, seen: Option<Arc<SeenSpace>>) -> Self {
         Self { seen, ..self }
@@ -343,9 +340,8 @@ fn refuse_unseen(grid: &Grid, seen: &SeenSpace, tile: &mut Tile) {
         let pixel = [0, 1].map(|axis| tile.at[axis] * TILE as i32 + ((cell >> (6 * axis)) & 63) as i32);
         let [x, y] = [0, 1].map(|axis| grid.middle(pixel[axis], axis));
         for block in &mut tile.blocks[ends[0] as usize..ends[1] as usize] {
-            let feet = grid.z(block.top);
-            let [low, high] = [grid.pawn.climb, grid.pawn.body.height()].map(|above| Point3::new(x, y, feet + above));
-            if block.kind != Kind::Refused && !seen.is_box_seen(low, high) {
+            let feet = Point3::new(x, y, grid.z(block.top));
+            if block.kind != Kind::Refused && !seen.is_pawn_seen(feet, grid.pawn.climb, grid.pawn.body.height()) {
                 block.kind = Kind::Refused;
             }
         }

@@ -19,6 +19,9 @@ use crate::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS, morton};
 use nalgebra::Point3;
 use page::{BLOCK_LAYERS, CELLS_PER_ROW};
 
+/// Slices at a floor that are hardly ever seen: that of its surface, and those in front of it.
+const FLOOR_SLICES: f64 = 3.0;
+
 /// Cells that the last stretch of a ray before its hit may cross unseen, along each axis.
 const HIT_CELLS: i64 = 2;
 
@@ -128,6 +131,17 @@ impl SeenSpace {
             }
         }
         true
+    }
+
+    /// Returns whether the middle of a pawn with its feet at `feet` (m) was seen: the line above them from `climb` to
+    /// `height` (m).
+    ///
+    /// Only the middle, because nothing is stored as seen beside surfaces: whatever is wider than that would make a way
+    /// along a wall unseen. For the same reason three slices above the feet do not count, up to the head.
+    pub fn is_pawn_seen(&self, feet: Point3<f64>, climb: f64, height: f64) -> bool {
+        let low = climb.max(FLOOR_SLICES * self.frame.slice_m()).min(height);
+        let [low, high] = [low, height].map(|above| Point3::new(feet.x, feet.y, feet.z + above));
+        self.is_box_seen(low, high)
     }
 
     /// Returns whether a place (m) was seen.

@@ -70,6 +70,20 @@ proptest! {
     }
 
     #[test]
+    fn pawns_are_seen_if_the_line_above_three_slices_is(
+        boxes in boxes(), feet in [-5.0f64..5.0, -5.0..5.0, -11.0..11.0], climb in 0.0f64..1.0, height in 0.1f64..3.0
+    ) {
+        let (space, cells) = space(&boxes);
+        let feet = feet.map(|v| (v * 100.0).floor() / 100.0 + 0.0033);
+        let [climb, height] = [climb, height].map(|v| (v * 100.0).floor() / 100.0);
+        let low = if climb > 0.45 { climb } else { 0.45 };
+        let low = if low < height { low } else { height };
+        let [first, last] = [low, height].map(|up| cell([feet[0], feet[1], feet[2] + up]));
+        let all = (first[2]..=last[2]).all(|z| cells.contains(&[first[0], first[1], z]));
+        prop_assert_eq!(space.is_pawn_seen(feet.into(), climb, height), all);
+    }
+
+    #[test]
     fn rays_are_seen_if_all_cells_on_their_way_are(
         boxes in boxes(), origin in [-5.0f64..5.0, -5.0..5.0, -11.0..11.0], along in [-1.0f64..1.0, -1.0..1.0, -1.0..1.0],
         length in 0.0f64..6.0, hits: bool, flat in 0usize..8

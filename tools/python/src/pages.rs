@@ -441,7 +441,8 @@ impl Pages {
     ///     max_drop: deepest drop that the pawn takes (m); by default the climb height, so that every route also works
     ///         in reverse
     ///     seen: whether the pawn must stay in seen space (see :meth:`Archive.seen_space`): a place counts only if
-    ///         the line through its middle was seen, from the climb height to the head
+    ///         the line through its middle was seen, up to the head, from the climb height or three slices above the
+    ///         floor, whichever is more
     ///     progress: called with stage, amount done, total (0 if unknown) and unit
     ///
     /// Returns:

@@ -96,6 +96,15 @@ impl SeenSpace {
         })
     }
 
+    /// Tests whether the middle of each pawn was seen, as a pawn that must stay in seen space does: N × 5, its feet, what it
+    /// climbs, and its height (m).
+    #[pyo3(name = "_pawns")]
+    fn pawns<'py>(&self, pawns: &Bound<'py, PyAny>) -> Answers<'py> {
+        batch(pawns, "pawns", None, |&[x, y, z, climb, height]: &[f64; 5]| {
+            Ok(self.space.is_pawn_seen([x, y, z].into(), climb, height))
+        })
+    }
+
     /// Tests whether all of each ray was seen, up to its hit or its greatest distance.
     ///
     /// Args:

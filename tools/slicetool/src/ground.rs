@@ -69,7 +69,7 @@ pub struct Pawns {
     max_drop: Option<f64>,
     #[command(flatten)]
     variant: crate::Variant,
-    /// Stay where a scanner saw the middle of the pawn, from the climb height to the head (`sliceconv --free-space`)
+    /// Stay where a scanner saw the middle of the pawn, from the climb height, or three slices above the floor, to the head (`sliceconv --free-space`)
     #[arg(long)]
     seen: bool,
     /// Memory for pages, and as much again for seen space

@@ -119,8 +119,8 @@ def to_occupancy_grid(
     rest = [np.full(len(middle), radius), np.full(len(middle), max(height - climb, 0.05))]
     met = pages.overlaps_cylinders(np.column_stack([middle, feet, *rest]))
     seen = pages._seen_space()
-    lines = np.column_stack([middle, feet, middle, feet + rest[1]])
-    is_free = has_floor if seen is None else has_floor & seen.boxes(lines)
+    pawns = np.column_stack([middle, feet - climb, np.full(len(middle), climb), climb + rest[1]])
+    is_free = has_floor if seen is None else has_floor & seen._pawns(pawns)
     choices = {UNKNOWN: unloaded | (met == _NOT_LOADED), OCCUPIED: met == _HIT, FREE: is_free}
     data = np.select(list(choices.values()), list(choices), UNKNOWN).astype(np.int8)
     origin = (float(first[0] * pixel), float(first[1] * pixel))

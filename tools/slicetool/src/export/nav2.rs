@@ -240,13 +240,11 @@ impl<'a> Ground<'a> {
         Ok(samples)
     }
 
-    /// Returns whether the middle of the pawn was seen, from the climb height to the head; true if the archive does not
-    /// say.
+    /// Returns whether the middle of the pawn was seen; true if the archive does not say.
     fn is_seen(&self, pixel: [i64; 2], z: f64) -> bool {
         let Some(seen) = self.loader.known_seen() else { return true };
         let [x, y] = pixel.map(|at| self.frame().edge_of_pixel(at).midpoint(self.frame().edge_of_pixel(at + 1)));
-        let [low, high] = [self.pawn.climb, self.pawn.body.height()].map(|above| Point3::new(x, y, z + above));
-        seen.is_box_seen(low, high)
+        seen.is_pawn_seen(Point3::new(x, y, z), self.pawn.climb, self.pawn.body.height())
     }
 
     /// Returns whether the body above the climb height meets anything solid.
