@@ -65,11 +65,11 @@ export class Cameras {
     Object.assign(this.orbit, { ...this.framed, look: { ...this.framed.look } });
   }
 
-  /** Looks at the frame's scan from this share of its distance; its middle stays where it is in the picture. */
+  /** Looks at the scan from this share of the frame's distance; what is worth approaching stays where it is in the picture. */
   approach(share: number): void {
     if (this.framed === null) return;
-    const { middle, target, distance } = this.framed;
-    this.orbit.target = add(middle, add(target, middle, -1), share);
+    const { focus, target, distance } = this.framed;
+    this.orbit.target = add(focus, add(target, focus, -1), share);
     this.orbit.distance = share * distance;
   }
 

@@ -4,8 +4,8 @@ import type { Bounds, Vec3 } from "slicewalk";
 import { across, add, clamp, direction, type Look } from "../geometry";
 
 export interface Frame {
-  /** Middle of the scan. */
-  readonly middle: Vec3;
+  /** The place of the scan that is worth approaching: around it, most of the picture shows the scan. */
+  readonly focus: Vec3;
   readonly target: Vec3;
   readonly distance: number;
   readonly look: Look;
@@ -34,6 +34,8 @@ const ABOVE = 0.86;
 const BELOW = 0.74;
 /** Least distance of the target (m). */
 const LEAST_M = 0.1;
+/** Share of the distance at which places to approach are compared. */
+const APPROACHED = 0.5;
 /** Least distance of what is nearest, as a share of the distance of the target. */
 const CLEAR = 0.05;
 
@@ -76,6 +78,9 @@ function within(boxes: Float64Array, { min, max }: Bounds): number[][] {
 const corners = (box: readonly number[]): Vec3[] =>
   Array.from({ length: 8 }, (_, n) => [box[n & 1 ? 3 : 0] ?? 0, box[n & 2 ? 4 : 1] ?? 0, box[n & 4 ? 5 : 2] ?? 0]);
 
+const middleOf = (box: readonly Vec3[]): Vec3 =>
+  [0, 1, 2].map((axis) => box.reduce((sum, at) => sum + (at[axis] ?? 0), 0) / box.length) as unknown as Vec3;
+
 /** Right, up and forward of a view. */
 function axes(look: Look): readonly [Vec3, Vec3, Vec3] {
   const forward = direction(look);
@@ -92,7 +97,7 @@ export function frame(boxes: Float64Array, bounds: Bounds, tanX: number, tanY: n
   const middle: Vec3 = [0, 1, 2].map((axis) => ((bounds.min[axis] ?? 0) + (bounds.max[axis] ?? 0)) / 2) as unknown as Vec3;
   const hull = corners([...bounds.min, ...bounds.max]);
   const points = kept.length === 0 ? [hull] : kept.map(corners);
-  let best: (Frame & { rating: number }) | null = null;
+  let best: (Omit<Frame, "focus"> & { rating: number }) | null = null;
   for (const [pitch, pleasant] of PITCHES) {
     for (let n = 0; n < HEADINGS; n++) {
       const look = { heading: (n * 360) / HEADINGS + 7.5, pitch };
@@ -119,10 +124,31 @@ export function frame(boxes: Float64Array, bounds: Bounds, tanX: number, tanY: n
       const target = add(add(middle, basis[0], right), basis[1], up);
       const covered = cover(seen, distance, tanX, tanY);
       const rating = covered * pleasant;
-      if (best === null || rating > best.rating) best = { middle, target, distance, look, covered, rating };
+      if (best === null || rating > best.rating) best = { target, distance, look, covered, rating };
     }
   }
-  return best ?? { middle, target: middle, distance: 20, look: { heading: 30, pitch: -35 }, covered: 0 };
+  if (best === null) return { focus: middle, target: middle, distance: 20, look: { heading: 30, pitch: -35 }, covered: 0 };
+  return { ...best, focus: focusOf(points, best, tanX, tanY) ?? middle };
+}
+
+/** The middle of the box that is best approached. */
+function focusOf(
+  boxes: readonly (readonly Vec3[])[],
+  { target, distance, look }: Omit<Frame, "focus">,
+  tanX: number,
+  tanY: number,
+): Vec3 | null {
+  const basis = axes(look);
+  const seen = boxes.map((box) => box.map((at) => basis.map((axis) => dot(axis, add(at, target, -1)))));
+  let best: { focus: Vec3; covered: number } | null = null;
+  for (const box of boxes) {
+    const focus = middleOf(box);
+    const away = basis.map((axis) => (1 - APPROACHED) * dot(axis, add(focus, target, -1)));
+    const nearer = seen.map((other) => other.map((at) => at.map((value, axis) => value - (away[axis] ?? 0))));
+    const covered = cover(nearer, APPROACHED * distance, tanX, tanY);
+    if (best === null || covered > best.covered) best = { focus, covered };
+  }
+  return best?.focus ?? null;
 }
 
 /**
