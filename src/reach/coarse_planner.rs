@@ -445,7 +445,7 @@ impl Coarse {
             at = near;
         }
         let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        Route { points, length_m }
+        Route { points, length_m, headings: Vec::new() }
     }
 
     /// Returns whether the straight line between two nodes has no doubt.

@@ -14,6 +14,9 @@
 //! and does no I/O. For long distances, plan on a coarse [level](crate::archive::Level) of the archive with [`Coarse`],
 //! and let [`RouteRefiner`] find the exact route along the result, piece by piece.
 //!
+//! [`LongSearch`] finds what a pawn that is longer than wide reaches, such as a wheelchair, and its routes as places with
+//! headings.
+//!
 //! # Definition of standing
 //!
 //! A place is the centre of a pixel and the height of the span that the feet rest on. The spans of all pixels that the
@@ -38,13 +41,15 @@
 //! # Memory
 //!
 //! [`StandingPlaces`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 20 bytes for each place
-//! in it; [`Region`] holds 37 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while
-//! their tile is computed.
+//! in it; [`Region`] holds 37 bytes for each place that it reaches; [`Search`] another 12, [`LongSearch`] another 65.
+//! Pages are needed only while their tile is computed.
 
 mod coarse_planner;
 mod distance;
+mod footprints;
 mod intervals;
 mod leaks;
+mod long;
 mod passages;
 mod pawn;
 mod planner;
@@ -57,6 +62,7 @@ mod tiles;
 
 pub use coarse_planner::Coarse;
 pub use leaks::{Leak, LeakKind, LeakSearch};
+pub use long::{LongReached, LongSearch};
 pub use passages::Passage;
 pub use pawn::Pawn;
 pub use planner::{Planned, Planner};

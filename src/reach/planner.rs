@@ -1,6 +1,6 @@
 //! Route planning as a task that can wait for pages and be cancelled.
 
-use super::{Flood, Pawn, PlaceId, Refusal, Region, Route, Search, StandingPlaces};
+use super::{Flood, LongSearch, Pawn, PlaceId, Refusal, Region, Route, Search, StandingPlaces};
 use crate::query::Answer;
 use crate::seen::SeenSpace;
 use crate::store::{Missing, Snapshot};
@@ -43,6 +43,9 @@ pub struct Planner {
     /// The region reached, kept while its route needs more pages.
     region: Option<Region>,
     search: Search,
+    /// Length of a long pawn (m), and its search in the region reached.
+    long_m: Option<f64>,
+    long: Option<LongSearch<Region>>,
     length: f64,
     /// True if longer routes are not wanted.
     is_bounded: bool,
@@ -63,6 +66,8 @@ impl Planner {
             flood: None,
             region: None,
             search: Search::new(),
+            long_m: None,
+            long: None,
             length,
             is_bounded: false,
             peak_bytes: 0,
@@ -80,6 +85,13 @@ impl Planner {
     #[must_use]
     pub fn snapping(self, metres: f64) -> Self {
         Self { snap: metres, ..self }
+    }
+
+    /// Plans for a pawn drawn out to `length` (m), from any heading to any; see [`LongSearch`]. An unfit length is an error
+    /// of the first search.
+    #[must_use]
+    pub fn drawn_out(self, length: Option<f64>) -> Self {
+        Self { long_m: length, ..self }
     }
 
     /// Restricts the search to where routes of up to `length` (m) may lead. [`Refusal::NotConnected`] then means that
@@ -108,13 +120,17 @@ impl Planner {
         }
         let [Some(from), Some(to)] = self.spots else { return Ok(Planned::Unfinished) };
         let flood = self.flood.get_or_insert_with(|| Flood::from(from));
-        if self.region.is_none() {
-            flood.within(self.ends.map(|end| end.xy()), self.length);
+        if self.region.is_none() && self.long.is_none() {
+            // The ends of a long pawn lie beside its way.
+            flood.within(self.ends.map(|end| end.xy()), self.length + self.long_m.unwrap_or(0.0));
             match flood.grow_some(&mut self.standing, set, steps, monitor)? {
                 Answer::Known(true) => {}
                 Answer::Known(false) => return Ok(Planned::Unfinished),
                 Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
             }
+        }
+        if let Some(length) = self.long_m {
+            return self.plan_long(set, length, [from, to], monitor);
         }
         let region = self.region.get_or_insert_with(|| flood.region(&self.standing));
         let route = match self.search.route(set, region, &from, &to, monitor)? {
@@ -125,14 +141,51 @@ impl Planner {
         let bytes = self.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + search;
         self.peak_bytes = self.peak_bytes.max(bytes);
         self.region = None;
-        // Everything that a route of this length can touch has been searched, and so every shorter route.
-        let is_last = self.is_bounded || flood.is_whole();
-        match route {
-            Some(route) if is_last || route.length_m <= self.length => return Ok(Planned::Done(Ok(route))),
-            Some(route) => self.length = route.length_m,
-            None if is_last => return Ok(Planned::Done(Err(Refusal::NotConnected))),
-            None => self.length *= WIDER,
+        let cost_m = route.as_ref().map(|route| route.length_m);
+        Ok(self.judged(route, cost_m))
+    }
+
+    /// Plans in the region reached, like [`advance`](Self::advance).
+    fn plan_long(
+        &mut self,
+        set: &Snapshot,
+        length: f64,
+        [from, to]: [PlaceId; 2],
+        monitor: &dyn Monitor,
+    ) -> Result<Planned> {
+        let Some(flood) = &self.flood else { return Ok(Planned::Unfinished) };
+        let mut search = match self.long.take() {
+            Some(search) => search,
+            None => LongSearch::new(flood.region(&self.standing), length)?,
+        };
+        for (end, refusal) in [(&from, Refusal::NotStandingFrom), (&to, Refusal::NotStandingTo)] {
+            if search.region().holds(end) && !search.stands_at(end) {
+                return Ok(Planned::Done(Err(refusal)));
+            }
         }
-        Ok(Planned::Unfinished)
+        let route = match search.route(set, &from, &to, monitor)? {
+            Answer::Known(route) => route,
+            Answer::NotLoaded(missing) => {
+                self.long = Some(search);
+                return Ok(Planned::NotLoaded(missing));
+            }
+        };
+        let bytes = flood.memory_bytes() + search.region().memory_bytes() + search.memory_bytes();
+        self.peak_bytes = self.peak_bytes.max(self.standing.memory_bytes() + bytes);
+        let cost_m = route.as_ref().map(|route| search.cost_m(route));
+        Ok(self.judged(route, cost_m))
+    }
+
+    /// Returns a route if no better one can lie outside of what was searched; otherwise widens the search.
+    fn judged(&mut self, route: Option<Route>, cost_m: Option<f64>) -> Planned {
+        // Everything that a route of this cost can touch has been searched, and so every better route.
+        let is_last = self.is_bounded || self.flood.as_ref().is_some_and(Flood::is_whole);
+        match (route, cost_m) {
+            (Some(route), Some(cost_m)) if is_last || cost_m <= self.length => return Planned::Done(Ok(route)),
+            (Some(_), Some(cost_m)) => self.length = cost_m,
+            _ if is_last => return Planned::Done(Err(Refusal::NotConnected)),
+            _ => self.length *= WIDER,
+        }
+        Planned::Unfinished
     }
 }

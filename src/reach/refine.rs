@@ -108,7 +108,7 @@ impl RouteRefiner {
                     if self.keep(&route, piece.is_last) {
                         let points = std::mem::take(&mut self.points);
                         let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-                        return Ok(Answer::Known(Ok(Route { points, length_m })));
+                        return Ok(Answer::Known(Ok(Route { points, length_m, headings: Vec::new() })));
                     }
                     if self.done < before + LEAST_PROGRESS_M {
                         return Ok(Answer::Known(Err(Refusal::NotConnected)));

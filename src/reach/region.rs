@@ -499,6 +499,25 @@ impl Region {
         self.standing.iter_mut().zip(seen).for_each(|(standing, seen)| *standing &= seen);
     }
 
+    /// Finds the lowest headroom of the standing places, and the highest step beside one of them.
+    pub(super) fn measure(&mut self, standing: &StandingPlaces) {
+        (self.lowest_headroom, self.highest_step) = (None, None);
+        for place in (0..self.len()).filter(|place| self.standing[*place]) {
+            let (pixel, top) = (self.pixels[place], self.tops[place]);
+            let column = standing.known(pixel).map_or(&[][..], |tile| standing.tiles[tile].column(pixel));
+            let above = column.iter().find(|block| block.top > top).map(|block| block.bottom - top);
+            if let Some(room) = above.filter(|room| self.lowest_headroom.is_none_or(|lowest| *room < lowest.0)) {
+                self.lowest_headroom = Some((room, place as u32));
+            }
+            for &link in self.links[place].iter().filter(|link| **link != NO_PLACE) {
+                let rise = self.tops[link as usize] - top;
+                if rise > 0 && self.highest_step.is_none_or(|(highest, _)| rise > highest) {
+                    self.highest_step = Some((rise, place as u32));
+                }
+            }
+        }
+    }
+
     /// Returns whether the pawn can stand at a place of the region.
     pub fn stands_at(&self, spot: &PlaceId) -> bool {
         self.number(spot).is_some_and(|place| self.standing[place as usize])

@@ -26,26 +26,26 @@ use crate::query::Answer;
 use crate::store::Snapshot;
 use crate::walk::{Config, State, Walker, Waypoints};
 use crate::{Error, Monitor, Result};
-use nalgebra::Point3;
+use nalgebra::{Point2, Point3};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
 use std::ops::ControlFlow;
 
 /// Costs of steps of lengths 1, √2 and √5 pixels, rounded down.
-const STRAIGHT: u32 = 1000;
-const DIAGONAL: u32 = 1414;
-const KNIGHT: u32 = 2236;
+pub(super) const STRAIGHT: u32 = 1000;
+pub(super) const DIAGONAL: u32 = 1414;
+pub(super) const KNIGHT: u32 = 2236;
 /// Places expanded between two checks of the monitor.
-const BETWEEN_LOOKS: usize = 1 << 12;
+pub(super) const BETWEEN_LOOKS: usize = 1 << 12;
 /// Number of places from which a prepared region stores the costs of routes.
 pub(super) const LANDMARKS: usize = 8;
 /// Cost of a place that cannot be reached.
-const UNREACHED: u32 = u32::MAX;
+pub(super) const UNREACHED: u32 = u32::MAX;
 /// Edge of the square over which heights are averaged, approximately (m), and most pixels to each side.
 const LEVEL_M: f64 = 0.6;
 const MOST_LEVELLED: i32 = 16;
 /// Most searches for one route, each without the steps that the walker could not take before.
-const MOST_SEARCHES: usize = 1 << 7;
+pub(super) const MOST_SEARCHES: usize = 1 << 7;
 /// A walker fails if it takes longer than `PATIENCE` times the time of the path plus `PATIENCE_S` (s).
 const PATIENCE: f64 = 2.0;
 const PATIENCE_S: f64 = 1.0;
@@ -86,6 +86,9 @@ pub struct Route {
     pub points: Vec<Point3<f64>>,
     /// Length of the lines between the points, heights included (m).
     pub length_m: f64,
+    /// Heading of a [long pawn](super::LongSearch) at each point (degrees clockwise from +y, from 0 to 360); empty for
+    /// other pawns.
+    pub headings: Vec<f64>,
 }
 
 /// Search for routes; reuses its memory from one to the next.
@@ -106,7 +109,7 @@ pub struct Search {
 }
 
 /// Walkers with short and with long ticks.
-type Walkers = [Walker; 2];
+pub(super) type Walkers = [Walker; 2];
 
 /// A path that walkers follow.
 #[derive(Debug)]
@@ -364,7 +367,7 @@ impl Search {
 
 /// Returns the cost of the shortest path of the sixteen steps on open ground, a lower bound.
 #[inline]
-fn least_cost(from: [i32; 2], to: [i32; 2]) -> u32 {
+pub(super) fn least_cost(from: [i32; 2], to: [i32; 2]) -> u32 {
     let [x, y] = [0, 1].map(|axis| from[axis].abs_diff(to[axis]));
     let (long, short) = (x.max(y), x.min(y));
     if 2 * short <= long {
@@ -438,7 +441,7 @@ impl Region {
 
     /// Returns the cost of a step, given the cost `across` of its length on the ground plan.
     #[inline]
-    fn length(&self, from: u32, to: u32, across: u32) -> u32 {
+    pub(super) fn length(&self, from: u32, to: u32, across: u32) -> u32 {
         let rise = self.levels[to as usize] - self.levels[from as usize];
         if rise == 0 {
             return across;
@@ -616,12 +619,12 @@ impl Trial {
         }
         let points = std::mem::take(&mut self.points);
         let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        ControlFlow::Continue(Ok(Route { points, length_m }))
+        ControlFlow::Continue(Ok(Route { points, length_m, headings: Vec::new() }))
     }
 }
 
 /// Returns walkers at a place.
-fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
+pub(super) fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
     let (pawn, feet) = (region.pawn(), region.feet(place));
     let config = Config { climb: pawn.climb, ..Config::new(pawn.body) };
     Ok([Walker::new(config, feet)?, Walker::new(Config { tick_s: LONG_TICK_S, ..config }, feet)?])
@@ -640,19 +643,28 @@ fn walked(set: &Snapshot, region: &Region, mut walkers: Walkers, place: u32) -> 
 /// Moves a walker straight to a place and returns whether it got there.
 fn arrives(set: &Snapshot, region: &Region, walker: &mut Walker, place: u32) -> Needs<bool> {
     let to = region.feet(place);
-    let Ok(mut waypoints) = Waypoints::new(vec![to.xy()]) else { return ControlFlow::Continue(false) };
+    goes(set, walker, vec![to.xy()], to.z, region.grid.frame.quantum_m())
+}
+
+/// Moves a walker along `line` and returns whether it got to the end of it, at a height of `z` or at most `off` from that
+/// (m).
+pub(super) fn goes(set: &Snapshot, walker: &mut Walker, line: Vec<Point2<f64>>, z: f64, off: f64) -> Needs<bool> {
+    let Some(&end) = line.last() else { return ControlFlow::Continue(true) };
+    let start = walker.feet();
+    let length: f64 = line.iter().fold((0.0, start.xy()), |(sum, at), to| (sum + (to - at).norm(), *to)).0;
+    let Ok(mut waypoints) = Waypoints::new(line) else { return ControlFlow::Continue(false) };
     let (speed, tick_s) = (walker.config().speed, walker.config().tick_s);
-    let mut left = (PATIENCE * (to - walker.feet()).norm() / speed + PATIENCE_S) / tick_s;
+    let mut left = (PATIENCE * length.hypot(z - start.z) / speed + PATIENCE_S) / tick_s;
     while left > 0.0 {
         let report = walker.follow(set, 8.0 * tick_s, &mut waypoints);
         if let Some(missing) = report.missing {
             return ControlFlow::Break(Stop::Missing(missing));
         }
         left -= f64::from(report.ticks);
-        let off = to - walker.feet();
+        let feet = walker.feet();
         match report.state {
             State::Arrived => {
-                let is_there = off.xy().norm() <= THERE_M && off.z.abs() <= region.grid.frame.quantum_m();
+                let is_there = (end - feet.xy()).norm() <= THERE_M && (z - feet.z).abs() <= off;
                 return ControlFlow::Continue(is_there);
             }
             State::Blocked => return ControlFlow::Continue(false),
@@ -663,7 +675,7 @@ fn arrives(set: &Snapshot, region: &Region, walker: &mut Walker, place: u32) -> 
 }
 
 /// Adds points between the last of `points` and `to` so that the line stays within the climb height of the `profile`.
-fn follow_heights(region: &Region, profile: &[Point3<f64>], to: Point3<f64>, points: &mut Vec<Point3<f64>>) {
+pub(super) fn follow_heights(region: &Region, profile: &[Point3<f64>], to: Point3<f64>, points: &mut Vec<Point3<f64>>) {
     let Some(&from) = points.last() else { return };
     let way = (to - from).xy();
     let off = |place: &Point3<f64>| {

@@ -10,6 +10,7 @@ mod ends;
 mod flat;
 mod leaks;
 mod oracle;
+mod oriented;
 mod plans;
 mod routes;
 mod scenes;

@@ -1,0 +1,226 @@
+//! Pixels under the middle line of a long pawn that stands, drives or turns on the spot.
+//!
+//! The middle line is the row of middles of the discs that make up the pawn. The middles of the pixels are the corners
+//! of a grid of squares: a [`Mask`] holds the corners of each square that the line meets, and the sides of those
+//! squares. On a line of the grid itself it holds only the corners and sides on that line. The footprint of a disc
+//! anywhere inside of a square is covered by the footprints at its corners, so nothing thin lies between two masks.
+//!
+//! All masks are computed with integers, in the first octant, and turned to the other headings.
+
+use super::pawn::WAYS;
+use super::region::{NO_PLACE, Region};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Number of headings that differ: a pawn that is turned by 180° covers the same pixels.
+pub const HEADINGS: usize = 8;
+/// Direction of each heading (pixels); the next one lies to the left.
+pub const DIRECTIONS: [[i32; 2]; HEADINGS] = [[1, 0], [2, 1], [1, 1], [1, 2], [0, 1], [-1, 2], [-1, 1], [-2, 1]];
+/// Angles between neighbouring headings, one of which lies along an axis, and between others: atan(1/2) and atan(1/3).
+pub const ANGLES: [f64; 2] = [0.463_647_609_000_806_1, 0.321_750_554_396_642_2];
+/// Returns which of the [`ANGLES`] lies between a heading and the next one.
+pub fn kind_of_turn(heading: usize) -> usize {
+    usize::from(matches!(heading % 4, 1 | 2))
+}
+
+/// Fractions of a pixel in which lengths count.
+const PARTS: i64 = 1 << 10;
+
+/// Two pixels beside each other, or at opposite corners of a square.
+type Pair = [[i32; 2]; 2];
+
+/// Pixels of which all neighbours must be linked.
+#[derive(Debug, Clone)]
+pub struct Mask {
+    /// Offsets of the pixels, the own one first.
+    pub pixels: Vec<[i32; 2]>,
+    /// Number of a pixel, the way from there, and the number of the pixel that it leads to: the next number at the first
+    /// visit.
+    links: Vec<(u32, u8, u32)>,
+    /// Opposite corners of the squares.
+    diagonals: Vec<[u32; 2]>,
+    /// Greatest offset along x or y.
+    pub extent: i32,
+}
+
+impl Mask {
+    fn new(pairs: impl IntoIterator<Item = Pair>) -> Self {
+        let mut sides: BTreeMap<[i32; 2], [bool; 4]> = BTreeMap::new();
+        let mut corners: BTreeSet<Pair> = BTreeSet::new();
+        for [a, b] in pairs {
+            let by = [b[0] - a[0], b[1] - a[1]];
+            match WAYS.iter().position(|way| *way == by) {
+                Some(way) => {
+                    sides.entry(a).or_default()[way] = true;
+                    sides.entry(b).or_default()[(way + 2) & 3] = true;
+                }
+                None => _ = corners.insert([a.min(b), a.max(b)]),
+            }
+        }
+        let (mut pixels, mut links) = (vec![[0; 2]], Vec::new());
+        let mut numbers = BTreeMap::from([([0; 2], 0)]);
+        let mut own = 0;
+        while let Some(&pixel) = pixels.get(own) {
+            let ways = sides.get(&pixel).copied().unwrap_or_default();
+            for way in (0..4).filter(|way| ways[*way]) {
+                let to = [pixel[0] + WAYS[way][0], pixel[1] + WAYS[way][1]];
+                let number = *numbers.entry(to).or_insert_with(|| {
+                    pixels.push(to);
+                    pixels.len() - 1
+                });
+                // The links of earlier pixels count in both directions.
+                if number > own {
+                    links.push((own as u32, way as u8, number as u32));
+                }
+            }
+            own += 1;
+        }
+        let diagonals = corners.iter().map(|pair| pair.map(|pixel| numbers[&pixel] as u32)).collect();
+        let extent = pixels.iter().flatten().map(|by| by.abs()).max().unwrap_or(0);
+        Self { pixels, links, diagonals, extent }
+    }
+
+    /// Returns whether all places under the mask around `place` are linked in both directions, and no square rises by
+    /// more than the pawn climbs; then `places` are the places of the pixels.
+    pub fn follow(&self, region: &Region, place: u32, places: &mut Vec<u32>) -> bool {
+        places.clear();
+        places.push(place);
+        for &(from, way, number) in &self.links {
+            let (from, way) = (places[from as usize], usize::from(way));
+            let to = region.links[from as usize][way];
+            if to == NO_PLACE || region.links[to as usize][(way + 2) & 3] != from {
+                return false;
+            }
+            match places.get(number as usize) {
+                Some(known) if *known != to => return false,
+                Some(_) => {}
+                None => places.push(to),
+            }
+        }
+        let rise = |[a, b]: &[u32; 2]| {
+            let [a, b] = [*a, *b].map(|number| region.tops[places[number as usize] as usize]);
+            (a - b).abs()
+        };
+        self.diagonals.iter().all(|pair| rise(pair) <= region.grid.up)
+    }
+
+    /// Returns the number of the pixel at `offset`.
+    pub fn number(&self, offset: [i32; 2]) -> Option<usize> {
+        self.pixels.iter().position(|pixel| *pixel == offset)
+    }
+
+    fn memory_bytes(&self) -> usize {
+        size_of_val(&self.pixels[..]) + size_of_val(&self.links[..]) + size_of_val(&self.diagonals[..])
+    }
+}
+
+/// Masks of a long pawn.
+#[derive(Debug, Clone)]
+pub struct Footprints {
+    /// The four squares around a pixel.
+    pub around: Mask,
+    /// By heading: where the pawn stands.
+    pub stand: Vec<Mask>,
+    /// By heading: where it drives by the direction of the heading, ahead and back.
+    pub drive: Vec<[Mask; 2]>,
+    /// By heading: where it turns to the next one.
+    pub turn: Vec<Mask>,
+}
+
+impl Footprints {
+    /// Returns the masks of a pawn whose middle line is `2 · half` pixels long.
+    pub fn new(half: f64) -> Self {
+        let parts = |pixels: f64| (pixels * PARTS as f64).round() as i64;
+        let along = |heading: usize| {
+            let [x, y] = DIRECTIONS[heading].map(f64::from);
+            parts(half / (x * x + y * y).sqrt())
+        };
+        let both = |heading: usize, ahead: i64, back: i64| {
+            let back = line(heading, back).into_iter().map(|pair| pair.map(|[x, y]| [-x, -y]));
+            line(heading, ahead).into_iter().chain(back).collect::<Vec<Pair>>()
+        };
+        let row = |heading: usize| both(heading, along(heading), along(heading));
+        let turn = |heading: usize| {
+            let ahead = sector(heading, parts(half));
+            let back: Vec<Pair> = ahead.iter().map(|pair| pair.map(|[x, y]| [-x, -y])).collect();
+            Mask::new([ahead, back, row(heading), row((heading + 1) % HEADINGS)].concat())
+        };
+        let drive = |heading: usize| {
+            let (own, next) = (along(heading), along(heading) + PARTS);
+            [Mask::new(both(heading, next, own)), Mask::new(both(heading, own, next))]
+        };
+        Self {
+            around: Mask::new([[0, 0], [-1, 0], [0, -1], [-1, -1]].into_iter().flat_map(square)),
+            stand: (0..HEADINGS).map(|heading| Mask::new(row(heading))).collect(),
+            drive: (0..HEADINGS).map(drive).collect(),
+            turn: (0..HEADINGS).map(turn).collect(),
+        }
+    }
+
+    /// Returns the greatest extent of a mask (pixels).
+    pub fn extent(&self) -> i32 {
+        let drive = self.drive.iter().flatten();
+        self.turn.iter().chain(drive).map(|mask| mask.extent).max().unwrap_or(0)
+    }
+
+    pub fn memory_bytes(&self) -> usize {
+        self.stand.iter().chain(&self.turn).chain(self.drive.iter().flatten()).map(Mask::memory_bytes).sum()
+    }
+}
+
+/// Sides and diagonals of the square from a corner on.
+fn square([i, j]: [i32; 2]) -> [Pair; 6] {
+    let [a, b, c, d] = [[i, j], [i + 1, j], [i, j + 1], [i + 1, j + 1]];
+    [[a, b], [a, c], [b, d], [c, d], [a, d], [b, c]]
+}
+
+/// Turns pairs from the first octant to a heading; `is_mirrored` exchanges x and y first.
+fn turned(pairs: Vec<Pair>, is_mirrored: bool, quarters: usize) -> Vec<Pair> {
+    let turn = |[x, y]: [i32; 2]| {
+        let at = if is_mirrored { [y, x] } else { [x, y] };
+        (0..quarters).fold(at, |[x, y], _| [-y, x])
+    };
+    pairs.into_iter().map(|pair| pair.map(turn)).collect()
+}
+
+/// Returns what the line meets from the middle of a pixel to `length` times the direction of a heading (parts).
+fn line(heading: usize, length: i64) -> Vec<Pair> {
+    let before = |halves: i64| (0i32..).take_while(move |n| i64::from(*n) * PARTS < halves * length);
+    let (is_mirrored, quarters) = (heading % 4 == 3, heading / 4);
+    let pairs = match heading % 4 {
+        0 => before(1).map(|i| [[i, 0], [i + 1, 0]]).collect(),
+        2 => before(1).flat_map(|i| square([i, i])).collect(),
+        // Two squares for each time the direction.
+        _ => before(2).flat_map(|n| square([n, n / 2])).collect(),
+    };
+    turned(pairs, is_mirrored, quarters)
+}
+
+/// Returns what the sector of a circle of `radius` (parts) between a heading and the next one meets.
+fn sector(heading: usize, radius: i64) -> Vec<Pair> {
+    let (is_mirrored, quarters) = (heading % 4 >= 2, heading / 4);
+    let [low, high]: [[i64; 2]; 2] = match heading % 4 {
+        0 | 3 => [[1, 0], [2, 1]],
+        _ => [[2, 1], [1, 1]],
+    };
+    let cross = |a: [i64; 2], b: [i64; 2]| a[0] * b[1] - a[1] * b[0];
+    let squared = |[x, y]: [i64; 2]| i128::from(x * x + y * y);
+    // Whether the square at `at` is nearer than the radius, where a ray enters it.
+    let is_near = |at: [i64; 2], ray: [i64; 2]| {
+        let (far, of) = if at[0] * ray[1] >= at[1] * ray[0] { (at[0], ray[0]) } else { (at[1], ray[1]) };
+        i128::from(far * PARTS).pow(2) * squared(ray) < i128::from(radius * of).pow(2)
+    };
+    let most = radius / PARTS + 1;
+    let meets = |at: &[i64; 2]| {
+        let [i, j] = *at;
+        let is_between = cross([i + 1, j], high) > 0 && cross(low, [i, j + 1]) > 0;
+        // The nearest point of the square within the sector is its corner, or lies on a ray.
+        is_between
+            && match (cross(low, *at) < 0, cross(*at, high) < 0) {
+                (true, _) => is_near(*at, low),
+                (_, true) => is_near(*at, high),
+                _ => squared([i * PARTS, j * PARTS]) < i128::from(radius).pow(2),
+            }
+    };
+    let all = (0..=most).flat_map(|j| (0..=most).map(move |i| [i, j])).filter(meets);
+    turned(all.flat_map(|at| square(at.map(|v| v as i32))).collect(), is_mirrored, quarters)
+}
