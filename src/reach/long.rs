@@ -277,7 +277,7 @@ impl<R: Borrow<Region>> LongSearch<R> {
     }
 
     /// Returns everything that the pawn reaches from `starts`, places of the region, in whatever headings it can have
-    /// there. Fails only if `monitor` asks to stop.
+    /// there. Fails only if `monitor` asks to stop. Visits up to eight states for each place.
     pub fn reached(&mut self, starts: &[PlaceId], monitor: &dyn Monitor) -> Result<LongReached> {
         let mut headings = vec![0u8; self.region().len()];
         let mut open = Vec::new();

@@ -8,6 +8,8 @@
 //! fails, too, ground is missing: where what is reached from the start
 //! comes nearest to what is reached from the end.
 //!
+//! A long pawn that does not get where the round one does is too long: the length is bisected in what the round one reaches.
+//!
 //! A pawn that must stay in seen space is first tried without that: if it then gets through, the reason is `unseen`.
 //!
 //! Ways are looked for within an ellipse around both ends. Cost: up to about 25 floods of it.
@@ -16,7 +18,7 @@ use crate::Failure;
 use crate::ground::{Loader, tidy};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, LeakKind, LeakSearch, Pawn, Region, Route, Search, Snapped, StandingPlaces};
+use slicewalk::reach::{Flood, LeakKind, LeakSearch, LongSearch, Pawn, Region, Route, Search, Snapped, StandingPlaces};
 use slicewalk::walk::Body;
 use std::collections::HashMap;
 
@@ -42,9 +44,9 @@ const CELL_M: f64 = 2.0;
 pub struct Blocked {
     /// Where the way stops (m).
     pub at: Point3<f64>,
-    /// `width`, `headroom`, `step`, `slope`, `gap` or `unseen`.
+    /// `width`, `length`, `headroom`, `step`, `slope`, `gap` or `unseen`.
     pub reason: &'static str,
-    /// Width or height of the widest or highest pawn that passes, height of the step to climb, or width of the missing
+    /// Width, length or height of the largest pawn that passes, height of the step to climb, or width of the missing
     /// ground (m); or the grade to climb (percent).
     pub needs: f64,
 }
@@ -62,6 +64,7 @@ impl Blocked {
         let at = format!("{:.2},{:.2},{:.2}", at.x, at.y, at.z);
         match reason {
             "width" => format!("too narrow at {at}; a pawn {needs:.2} m wide passes"),
+            "length" => format!("too long to pass or to turn at {at}; a pawn {needs:.2} m long passes"),
             "headroom" => format!("too low at {at}; a pawn {needs:.2} m high passes"),
             "step" => format!("a step too high at {at}; --climb {needs:.2} passes"),
             "slope" => format!("too steep at {at}; --max-grade {needs:.1} passes"),
@@ -157,10 +160,21 @@ impl Change {
     }
 }
 
-/// Returns why the pawn does not get from one place to the other, both standing places that are not connected.
-pub fn blocked(loader: &Loader, pawn: &Pawn, ends: [Point3<f64>; 2]) -> Result<Option<Blocked>, Failure> {
+/// Returns why a pawn, drawn out to `length` (m) if there is one, does not get from one place to the other, both standing
+/// places that are not connected.
+pub fn blocked(
+    loader: &Loader,
+    pawn: &Pawn,
+    length: Option<f64>,
+    ends: [Point3<f64>; 2],
+) -> Result<Option<Blocked>, Failure> {
     let straight = (ends[1] - ends[0]).xy().norm();
     let search = Ways { loader, ends, length_m: LONGEST * straight + DETOUR_M, anywhere: false };
+    if let Some(length) = length
+        && let Some(found) = search.too_long(pawn, length)?
+    {
+        return Ok(Some(found));
+    }
     let Some(own) = search.reached(pawn, ends[0])? else { return Ok(None) };
     let own = Ground::of(loader, &own.region());
     if let Some(seen) = loader.seen()
@@ -287,23 +301,58 @@ impl Ways<'_> {
         let region = reached.region();
         let (mut search, start) = (Search::new(), reached.start.spot);
         let route = self.loader.known(|view| search.route(view, &region, &start, &end.spot, &NoMonitor))?;
-        Ok(route.map(|Route { points, .. }| {
-            // A stretch is straight in plan only: between its ends it has the heights of the ground that it crosses.
-            let ground = Ground::of(self.loader, &region);
-            let mut places = vec![points[0]];
-            for pair in points.windows(2) {
-                let steps = ((pair[1] - pair[0]).xy().norm() / self.pixel_m()).ceil().max(1.0);
-                let mut level = pair[0].z;
-                for n in 1..steps as usize {
-                    let mut place = pair[0] + (pair[1] - pair[0]) * (n as f64 / steps);
-                    level = ground.level([place.x, place.y], level);
-                    place.z = level;
-                    places.push(place);
-                }
-                places.push(pair[1]);
+        Ok(route.map(|route| self.places(&region, &route)))
+    }
+
+    /// Places along a route through a region, a pixel apart.
+    fn places(&self, region: &Region, Route { points, .. }: &Route) -> Vec<Point3<f64>> {
+        // A stretch is straight in plan only: between its ends it has the heights of the ground that it crosses.
+        let ground = Ground::of(self.loader, region);
+        let mut places = vec![points[0]];
+        for pair in points.windows(2) {
+            let steps = ((pair[1] - pair[0]).xy().norm() / self.pixel_m()).ceil().max(1.0);
+            let mut level = pair[0].z;
+            for n in 1..steps as usize {
+                let mut place = pair[0] + (pair[1] - pair[0]) * (n as f64 / steps);
+                level = ground.level([place.x, place.y], level);
+                place.z = level;
+                places.push(place);
             }
-            places
-        }))
+            places.push(pair[1]);
+        }
+        places
+    }
+
+    /// Where the way of a shorter pawn leaves what a pawn of this length reaches; `None` if the round pawn does not get to
+    /// the end, either.
+    fn too_long(&self, pawn: &Pawn, length: f64) -> Result<Option<Blocked>, Failure> {
+        let Some(mut reached) = self.reached(pawn, self.ends[0])? else { return Ok(None) };
+        let end = self.loader.known(|view| reached.standing.snapped(view, self.ends[1], SNAP_M))?;
+        let (mut region, start) = (reached.region(), reached.start.spot);
+        let Some(end) = end.filter(|end| region.stands_at(&end.spot)) else { return Ok(None) };
+        let connects = |length: f64| -> Result<bool, Failure> {
+            Ok(LongSearch::new(&region, length)?.reached(&[start], &NoMonitor)?.holds(&region, &end.spot))
+        };
+        let (mut blocked, mut passing) = (length, 2.0 * pawn.body.half().x);
+        if !connects(passing)? {
+            return Ok(None);
+        }
+        while blocked - passing > self.pixel_m() / 2.0 {
+            let middle = passing.midpoint(blocked);
+            match connects(middle)? {
+                true => passing = middle,
+                false => blocked = middle,
+            }
+        }
+        let mut shorter = LongSearch::new(&region, passing)?;
+        let Some(route) = self.loader.known(|view| shorter.route(view, &start, &end.spot, &NoMonitor))? else {
+            return Ok(None);
+        };
+        let places = self.places(&region, &route);
+        let own = LongSearch::new(&region, length)?.reached(&[start], &NoMonitor)?;
+        region.keep_reached(&reached.standing, &own);
+        let stop = Ground::of(self.loader, &region).leaves(&places);
+        Ok(stop.map(|stop| Blocked { at: places[stop], reason: "length", needs: passing }))
     }
 
     /// The first place of a way at which the pawn can stand without having reached it.

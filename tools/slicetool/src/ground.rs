@@ -4,10 +4,11 @@ use crate::Failure;
 use crate::edits::EditOption;
 use crate::nearest::nearest;
 use nalgebra::Point3;
+use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Pawn, Snapped, StandingPlaces};
+use slicewalk::reach::{Flood, LongSearch, Pawn, Snapped, StandingPlaces};
 use slicewalk::seen::SeenSpace;
 use slicewalk::store::{MISSING_KEYS, Missing, Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::Body;
@@ -21,7 +22,7 @@ use std::sync::Arc;
 pub enum Profile {
     /// A pedestrian.
     Foot,
-    /// A wheelchair; turning takes no more room than its width.
+    /// A wheelchair.
     Wheelchair,
     /// A stroller.
     Stroller,
@@ -37,6 +38,15 @@ impl Profile {
         };
         Pawn { body, climb, max_drop: climb, max_grade }
     }
+
+    /// Length of the pawn where its headings count (m); `None` if it is as long as wide.
+    fn length(self) -> Option<f64> {
+        match self {
+            Self::Foot => None,
+            Self::Wheelchair => Some(1.2),
+            Self::Stroller => Some(1.0),
+        }
+    }
 }
 
 /// Options of the pawn, and of where it starts and ends.
@@ -44,6 +54,10 @@ impl Profile {
 pub struct Walks {
     #[command(flatten)]
     pawns: Pawns,
+    /// Length of a pawn that is longer than wide (m): a cylinder drawn out to this length, which drives along its heading
+    /// and turns on the spot [default: of the profile, 1.2 of a wheelchair and 1 of a stroller, unless --pawn is given]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
+    length: Option<f64>,
     #[command(flatten)]
     snap: Snap,
 }
@@ -151,14 +165,72 @@ impl std::ops::Deref for Walks {
 }
 
 impl Walks {
-    /// Finds the standing place at `at` or near it.
+    /// The length of a long pawn (m): of `--length`, or of the profile if its pawn is used. Refuses what no pawn can have.
+    pub fn length(&self) -> Result<Option<f64>, Failure> {
+        let Some(length) = self.length else {
+            return Ok(self.pawns.profile.length().filter(|_| self.pawns.pawn.is_none()));
+        };
+        match self.pawn().body {
+            Body::Cylinder { radius, .. } if length >= 2.0 * radius => Ok(Some(length)),
+            Body::Cylinder { radius, .. } => {
+                let text = format!("--length {length}: the pawn is {} m wide; give at least that", 2.0 * radius);
+                Err(Failure::Text(text))
+            }
+            Body::Box { .. } => {
+                let text = "only a cylinder can be drawn out; give --pawn cylinder:RADIUSxHEIGHT or a --profile";
+                Err(Failure::Text(format!("--length {length}: {text}")))
+            }
+        }
+    }
+
+    /// True if the length was given as an option.
+    pub fn has_length(&self) -> bool {
+        self.length.is_some()
+    }
+
+    /// Finds the standing place at `at` or near it. A long pawn must have room there in some heading.
     pub fn snapped(
         &self,
         loader: &Loader,
         standing: &mut StandingPlaces,
         at: Point3<f64>,
     ) -> Result<Option<Snapped>, Failure> {
-        loader.known(|view| standing.snapped(view, at, self.snap.metres))
+        let snapped = loader.known(|view| standing.snapped(view, at, self.snap.metres))?;
+        match (snapped, self.length()?) {
+            (Some(snapped), Some(length)) => self.with_room(loader, standing, at, snapped, length),
+            (snapped, _) => Ok(snapped),
+        }
+    }
+
+    /// Finds the place nearest to `at` on the ground around `near` where a long pawn has room in some heading.
+    fn with_room(
+        &self,
+        loader: &Loader,
+        standing: &mut StandingPlaces,
+        at: Point3<f64>,
+        near: Snapped,
+        length: f64,
+    ) -> Result<Option<Snapped>, Failure> {
+        let mut flood = Flood::from(near.spot);
+        flood.within([at.xy(); 2], 2.0 * (self.snap.metres + length + AROUND_M));
+        loader.known(|view| flood.grow(standing, view, &NoMonitor))?;
+        let region = flood.region(standing);
+        let mut search = LongSearch::new(&region, length)?;
+        if search.stands_at(&near.spot) {
+            return Ok(Some(near));
+        }
+        let far = |feet: &Point3<f64>| (feet - at).norm();
+        let mut others: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
+        others.retain(|feet| far(feet) <= self.snap.metres);
+        others.sort_by(|a, b| far(a).total_cmp(&far(b)));
+        for feet in others {
+            let found = loader.known(|view| standing.snapped(view, feet, 0.0))?;
+            if let Some(mut found) = found.filter(|found| search.stands_at(&found.spot)) {
+                found.moved = far(&feet);
+                return Ok(Some(found));
+            }
+        }
+        Ok(None)
     }
 
     /// Describes in words how far a place may be moved.
@@ -170,6 +242,8 @@ impl Walks {
     }
 }
 
+/// Ground around a place that decides on its grade (m).
+const AROUND_M: f64 = 2.0;
 /// Queries near one place after which more pages are loaded than those reported missing.
 const MANY: u32 = 16;
 /// How often all pages near one place may be loaded, each evicting others, before the cache counts as too small.

@@ -5,7 +5,7 @@ use crate::edits::Link;
 use crate::ground::{Loader, Walks};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, PlaceId, Region, Search, Snapped, StandingPlaces};
+use slicewalk::reach::{Flood, LongSearch, PlaceId, Region, Route, Search, Snapped, StandingPlaces};
 
 /// Speed at which the time of a way counts (m/s).
 const SPEED_M_S: f64 = 1.4;
@@ -15,6 +15,8 @@ pub struct Joined {
     pub flood: Flood,
     pub region: Region,
     doors: Vec<Door>,
+    /// Length of a long pawn (m).
+    length: Option<f64>,
 }
 
 /// A direction of a link of which the pawn can use both ends.
@@ -35,12 +37,24 @@ pub struct Way {
     pub seconds: f64,
     /// Names of the links, in turn.
     pub links: Vec<String>,
+    /// Heading of a long pawn at each point (degrees clockwise from +y); empty for other pawns.
+    pub headings: Vec<f64>,
 }
 
 impl Way {
     /// A way on foot.
-    pub fn on_foot(points: Vec<Point3<f64>>, length_m: f64) -> Self {
-        Self { points, length_m, seconds: length_m / SPEED_M_S, links: Vec::new() }
+    pub fn on_foot(Route { points, length_m, headings, .. }: Route) -> Self {
+        Self { points, length_m, seconds: length_m / SPEED_M_S, links: Vec::new(), headings }
+    }
+
+    /// The sum of the turns of a long pawn (degrees).
+    pub fn turned_deg(&self) -> f64 {
+        self.headings.windows(2).map(|pair| ((pair[1] - pair[0] + 180.0).rem_euclid(360.0) - 180.0).abs()).sum()
+    }
+
+    /// A way that has arrived.
+    fn at_end() -> Self {
+        Self { points: Vec::new(), length_m: 0.0, seconds: 0.0, links: Vec::new(), headings: Vec::new() }
     }
 }
 
@@ -54,7 +68,7 @@ impl Joined {
         start: &Snapped,
         links: &[Link],
     ) -> Result<Self, Failure> {
-        let mut doors = Vec::new();
+        let (mut doors, length) = (Vec::new(), walks.length()?);
         for (number, link) in links.iter().enumerate() {
             let mut spots = Vec::new();
             for end in link.ends {
@@ -82,6 +96,10 @@ impl Joined {
             loader.known(|view| flood.grow(standing, view, &NoMonitor))?;
             let mut region = flood.region(standing);
             region.keep_linked(&seeds);
+            if let Some(length) = length {
+                let reached = LongSearch::new(&region, length)?.reached(&seeds, &NoMonitor)?;
+                region.keep_reached(standing, &reached);
+            }
             let more: Vec<PlaceId> = doors
                 .iter()
                 .filter(|door| region.stands_at(&door.from) && !region.stands_at(&door.to))
@@ -89,7 +107,7 @@ impl Joined {
                 .filter(|to| !seeds.contains(to))
                 .collect();
             if more.is_empty() {
-                return Ok(Self { flood, region, doors });
+                return Ok(Self { flood, region, doors, length });
             }
             for spot in more {
                 flood.add(spot);
@@ -106,12 +124,16 @@ impl Joined {
     /// Returns the way of least time from one place to another; `None` if there is none.
     pub fn way(&self, loader: &Loader, [from, to]: [&Snapped; 2], links: &[Link]) -> Result<Option<Way>, Failure> {
         let mut search = Search::new();
+        let mut long = self.length.map(|length| LongSearch::new(&self.region, length)).transpose()?;
         let mut leg = |from: &PlaceId, to: &PlaceId| -> Result<Option<Way>, Failure> {
             if from == to {
-                return Ok(Some(Way::on_foot(Vec::new(), 0.0)));
+                return Ok(Some(Way::at_end()));
             }
-            let route = loader.known(|view| search.route(view, &self.region, from, to, &NoMonitor))?;
-            Ok(route.map(|route| Way::on_foot(route.points, route.length_m)))
+            let route = loader.known(|view| match &mut long {
+                Some(long) => long.route(view, from, to, &NoMonitor),
+                None => search.route(view, &self.region, from, to, &NoMonitor),
+            })?;
+            Ok(route.map(Way::on_foot))
         };
         if self.doors.is_empty() {
             return leg(&from.spot, &to.spot);
@@ -119,7 +141,7 @@ impl Joined {
         // Dijkstra's algorithm: place 0 is the start, place n + 1 lies behind door n.
         let count = self.doors.len() + 1;
         let mut best: Vec<Option<Way>> = (0..count).map(|_| None).collect();
-        best[0] = Some(Way::on_foot(Vec::new(), 0.0));
+        best[0] = Some(Way::at_end());
         let mut done = vec![false; count];
         let mut found: Option<Way> = None;
         loop {
@@ -138,6 +160,7 @@ impl Joined {
                     length_m: way.length_m + more.length_m,
                     seconds: way.seconds + more.seconds,
                     links: way.links.iter().chain(&more.links).cloned().collect(),
+                    headings: way.headings.iter().chain(&more.headings).copied().collect(),
                 })
             };
             if let Some(way) = leg(&here, &to.spot)?.and_then(longer)

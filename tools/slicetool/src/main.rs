@@ -106,6 +106,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Pawn("climb height") => "--climb",
         Parameter::Pawn("deepest drop") => "--max-drop",
         Parameter::Pawn("start") => "--start",
+        Parameter::Pawn("length") => "--length",
         Parameter::Pawn(_) => "--pawn",
         Parameter::Cache => "--cache",
         Parameter::PixelSize => "--pixel",

@@ -60,6 +60,11 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two("-o", arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
+    let is_long = arguments.walks.length()?.is_some() && !arguments.coarse;
+    if arguments.coarse && arguments.walks.has_length() {
+        let text = "--coarse: the overview levels do not have headings; leave out --coarse or --length";
+        return Err(Failure::Text(text.into()));
+    }
     let archive = arguments.walks.open(&arguments.archive)?;
     let edits = arguments.walks.edits().path();
     let output =
@@ -73,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut ends = [(arguments.from, 0.0), (arguments.to, 0.0)];
     let mut stop = None;
     let links = arguments.walks.edits().read()?.map(|file| file.links).unwrap_or_default();
-    let on_foot = |found: Found| found.map(|Route { points, length_m, .. }| Way::on_foot(points, length_m));
+    let on_foot = |found: Found| found.map(Way::on_foot);
     let (found, guess) = if !links.is_empty() {
         if arguments.coarse {
             let text = "--coarse: the overview levels do not have the links of --edits; leave out one of them";
@@ -89,10 +94,14 @@ pub fn run(arguments: &Arguments) -> Outcome {
         (on_foot(find(arguments, archive, &mut ends, &mut stop, &mut bytes)?), None)
     };
     let seconds = started.elapsed().as_secs_f64();
-    let mut rows = String::from("x,y,z\n");
-    for point in found.iter().flat_map(|route| &route.points) {
+    let mut rows = String::from(if is_long { "x,y,z,heading\n" } else { "x,y,z\n" });
+    for (number, point) in found.iter().flat_map(|route| route.points.iter().enumerate()) {
         // Not rounded, because a gate may be exactly as wide as the pawn.
-        writeln!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
+        write!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
+        match found.as_ref().ok().and_then(|route| route.headings.get(number)) {
+            Some(heading) => writeln!(rows, ",{heading:.1}")?,
+            None => writeln!(rows)?,
+        }
     }
     if let Some(mut output) = output {
         let features = match (&found, &stop) {
@@ -104,7 +113,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         output.publish()?;
     }
     if arguments.json {
-        let summary = serde_json::json!({
+        let mut summary = serde_json::json!({
             "found": found.is_ok(),
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
@@ -118,6 +127,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "memory_bytes": bytes,
             "seconds": seconds,
         });
+        if is_long {
+            summary["turned_deg"] = found.as_ref().ok().map(|way| tidy(way.turned_deg())).into();
+        }
         return Ok(format!("{summary:#}\n"));
     }
     match &found {
@@ -127,7 +139,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 doubt_m => format!("about, on overview level {level}, with {doubt_m:.1} m in doubt: "),
             });
             let by = if route.links.is_empty() { String::new() } else { format!(" and {}", route.links.join(", ")) };
-            crate::say(&format!("{about}{:.2} m over {} places{by}", route.length_m, route.points.len()));
+            let turns = if is_long { format!(", with turns of {:.0}°", route.turned_deg()) } else { String::new() };
+            crate::say(&format!("{about}{:.2} m over {} places{by}{turns}", route.length_m, route.points.len()));
             for (name, (feet, moved)) in ["start", "end"].into_iter().zip(ends).filter(|end| end.1.1 > 0.0) {
                 crate::say(&format!("{name} moved by {moved:.2} m to {:.2},{:.2},{:.2}", feet.x, feet.y, feet.z));
             }
@@ -173,17 +186,19 @@ fn find(
     if let Err(refusal) = stand(arguments, &loader, ends)? {
         return Ok(Err(refusal));
     }
-    let ends = ends.map(|end| end.0);
+    let (ends, length) = (ends.map(|end| end.0), arguments.walks.length()?);
     let straight = (ends[1] - ends[0]).xy().norm();
     // Overview levels do not say what was seen.
-    let known = match straight > NEAR_M && loader.seen().is_none() {
+    // Overview levels have no headings, either.
+    let known = match straight > NEAR_M && loader.seen().is_none() && length.is_none() {
         true => match coarse(arguments, loader.archive(), ends, bytes)? {
             Ok(guess) => refined(arguments, &loader, ends, guess, bytes)?,
             Err(_) => None,
         },
         false => None,
     };
-    let mut planner = Planner::new(&loader.snapshot(), pawn, ends[0], ends[1])?.within_seen(loader.seen().cloned());
+    let mut planner =
+        Planner::new(&loader.snapshot(), pawn, ends[0], ends[1])?.within_seen(loader.seen().cloned()).drawn_out(length);
     let known = match known {
         Some(route) => {
             // Only a route this short would be better by more than the bound.
@@ -200,7 +215,7 @@ fn find(
     let found = loader.known(|view| planned(&mut planner, view))?;
     *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
     if found.is_err() && known.is_none() {
-        *stop = blocked(&loader, &pawn, ends)?;
+        *stop = blocked(&loader, &pawn, length, ends)?;
     }
     Ok(match (found, known) {
         (Ok(found), Some(known)) if known.length_m < found.length_m => Ok(known),
@@ -233,7 +248,7 @@ fn by_links(
     match way {
         Some(way) => Ok(Ok(way)),
         None => {
-            *stop = blocked(&loader, &pawn, ends.map(|end| end.0))?;
+            *stop = blocked(&loader, &pawn, arguments.walks.length()?, ends.map(|end| end.0))?;
             Ok(Err(Refusal::NotConnected))
         }
     }

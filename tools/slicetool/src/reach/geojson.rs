@@ -71,7 +71,10 @@ pub fn collection(crs: &str, features: Vec<Value>) -> Value {
 /// A way as a line.
 pub fn way_feature(way: &Way) -> Value {
     let line = way.points.iter().map(|at| json!([at.x, at.y, at.z])).collect::<Vec<_>>();
-    let properties = json!({ "what": "way", "length_m": way.length_m, "way_s": way.seconds, "links": way.links });
+    let mut properties = json!({ "what": "way", "length_m": way.length_m, "way_s": way.seconds, "links": way.links });
+    if !way.headings.is_empty() {
+        properties["headings"] = way.headings.iter().map(|heading| tidy(*heading)).collect::<Vec<_>>().into();
+    }
     feature(json!({ "type": "LineString", "coordinates": line }), properties)
 }
 

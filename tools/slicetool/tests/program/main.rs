@@ -22,6 +22,7 @@ mod exports;
 mod fields;
 mod heightfields;
 mod house;
+mod long;
 mod outputs;
 mod reach;
 mod replace;
