@@ -115,8 +115,8 @@ struct Brute {
 impl Brute {
     fn new(t: f64, half: f64, length: f64) -> Self {
         let (mut stand, mut moves) = (Vec::new(), Vec::new());
-        for heading in 0..8 {
-            let (end, by) = (unit(heading) * half, DIRECTIONS[heading]);
+        for (heading, by) in DIRECTIONS.into_iter().enumerate() {
+            let end = unit(heading) * half;
             let step = Vector2::new(by[0] as f64, by[1] as f64);
             let mut met = Met::default();
             line(-end, end, &mut met);

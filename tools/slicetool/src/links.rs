@@ -118,7 +118,9 @@ impl Joined {
 
     /// Memory of the region and its flood (bytes).
     pub fn memory_bytes(&self) -> usize {
-        self.flood.memory_bytes() + self.region.memory_bytes()
+        // A long pawn has a byte for the places around each place, and one for its headings there.
+        let headings = self.length.map_or(0, |_| 2 * self.region.len());
+        self.flood.memory_bytes() + self.region.memory_bytes() + headings
     }
 
     /// Returns the way of least time from one place to another; `None` if there is none.
