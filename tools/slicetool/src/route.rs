@@ -47,8 +47,9 @@ pub struct Arguments {
     /// Use only the overview levels (`sliceconv --levels on`): immediate over any distance, but approximate
     #[arg(long)]
     coarse: bool,
-    /// File to write: x,y,z of the places to reach in turn, which `walk --waypoints` takes, or with .geojson a line, or the
-    /// place where the best way stops, in the coordinates of the scan. `-` writes CSV to standard output
+    /// File to write: x,y,z (with --length also the heading, degrees clockwise from +y) of the places to reach in turn,
+    /// which `walk --waypoints` takes, or with .geojson a line, or the place where the best way stops, in the coordinates
+    /// of the scan. `-` writes CSV to standard output
     #[arg(short, long, value_name = "ROUTE")]
     output: Option<PathBuf>,
     /// Print a summary as JSON
@@ -94,13 +95,18 @@ pub fn run(arguments: &Arguments) -> Outcome {
         (on_foot(find(arguments, archive, &mut ends, &mut stop, &mut bytes)?), None)
     };
     let seconds = started.elapsed().as_secs_f64();
-    let mut rows = String::from(if is_long { "x,y,z,heading\n" } else { "x,y,z\n" });
+    // Readers of routes of a profile expect its columns, and no place twice.
+    let has_headings = is_long && arguments.walks.has_length();
+    let mut rows = String::from(if has_headings { "x,y,z,heading\n" } else { "x,y,z\n" });
+    let mut last = None;
     for (number, point) in found.iter().flat_map(|route| route.points.iter().enumerate()) {
+        let heading = found.as_ref().ok().and_then(|route| route.headings.get(number));
+        let is_turn = heading.is_some() && last.replace(point) == Some(point);
         // Not rounded, because a gate may be exactly as wide as the pawn.
-        write!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
-        match found.as_ref().ok().and_then(|route| route.headings.get(number)) {
-            Some(heading) => writeln!(rows, ",{heading:.1}")?,
-            None => writeln!(rows)?,
+        match heading.filter(|_| has_headings) {
+            Some(heading) => writeln!(rows, "{},{},{:.4},{heading:.1}", point.x, point.y, point.z)?,
+            None if is_turn => {}
+            None => writeln!(rows, "{},{},{:.4}", point.x, point.y, point.z)?,
         }
     }
     if let Some(mut output) = output {

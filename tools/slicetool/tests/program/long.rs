@@ -38,7 +38,7 @@ const ROUND: [&str; 4] = ["--profile", "wheelchair", "--pawn", "cylinder:0.4x1.4
 #[test]
 fn a_wheelchair_turns_where_there_is_room() {
     let folder = archive_of(bend(1.6));
-    let found = route(&folder, &["--profile", "wheelchair", "-o", "r.csv"]);
+    let found = route(&folder, &["--profile", "wheelchair", "--length", "1.2", "-o", "r.csv"]);
     assert_eq!(found["found"], Value::from(true), "{found}");
     assert!(found["turned_deg"].as_f64().unwrap() >= 89.9, "{found}");
     let table = fs::read_to_string(folder.path().join("r.csv")).unwrap();
@@ -57,7 +57,16 @@ fn a_wheelchair_turns_where_there_is_room() {
     let drawn: Value = serde_json::from_slice(&fs::read(folder.path().join("r.geojson")).unwrap()).unwrap();
     let headings = drawn["features"][0]["properties"]["headings"].as_array().unwrap().len();
     assert_eq!(headings, rows.len());
-    // The round pawn has neither the column nor the keys.
+    // Without --length the columns are those of other pawns; turns have no rows.
+    let found = route(&folder, &["--profile", "wheelchair", "-o", "r.csv"]);
+    assert!(found["turned_deg"].as_f64().unwrap() >= 89.9, "{found}");
+    let table = fs::read_to_string(folder.path().join("r.csv")).unwrap();
+    let lines: Vec<&str> = table.lines().collect();
+    assert!(
+        lines[0] == "x,y,z" && lines.len() < headings && lines.windows(2).all(|pair| pair[0] != pair[1]),
+        "{table}"
+    );
+    // The round pawn has neither the column nor the key.
     let round = route(&folder, &[&ROUND[..], &["-o", "r.csv"]].concat());
     assert!(round.get("turned_deg").is_none(), "{round}");
     assert!(fs::read_to_string(folder.path().join("r.csv")).unwrap().starts_with("x,y,z\n"));
