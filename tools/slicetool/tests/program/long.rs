@@ -2,6 +2,8 @@
 
 use crate::house::{House, archive_of, slicetool};
 use serde_json::Value;
+use slicewalk::NoMonitor;
+use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use std::fs;
 use tempfile::TempDir;
 
@@ -139,4 +141,26 @@ fn lengths_that_no_pawn_can_have_are_refused_in_one_line() {
             assert!(code == 2 || said.lines().count() == 1, "{said}");
         }
     }
+}
+
+#[test]
+fn the_landing_of_the_real_building_lets_through_only_short_pawns() {
+    let Some(scans) = crate::data::folder() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut options =
+        ConvertOptions::new(vec![scans.join("indoor_two_storey_zup.laz")], folder.path().join("a.slices"));
+    options.grid.pixel = PixelSize::Metres(0.05);
+    convert(&options, &NoMonitor).unwrap();
+    let route = |more: &[&str]| {
+        let ends = ["a.slices", "--from=-5,-3,-1.2", "--to=-7,-4.5,4.5", "--pawn", "cylinder:0.25x1.6", "--json"];
+        let out = slicetool(&folder, "route", &[&ends[..], more].concat());
+        serde_json::from_slice::<Value>(&out.stdout).unwrap()
+    };
+    let (round, long) = (route(&[]), route(&["--length", "1"]));
+    let metres = |found: &Value| found["length_m"].as_f64().unwrap();
+    assert!(metres(&long) < 1.1 * metres(&round) && long["turned_deg"].as_f64().unwrap() > 180.0, "{round} {long}");
+    let stopped = route(&["--length", "1.4"]);
+    let number = |key: &str| stopped["blocked"][key].as_f64().unwrap();
+    assert_eq!(stopped["blocked"]["reason"], Value::from("length"), "{stopped}");
+    assert!((1.0..1.4).contains(&number("needs")) && (number("z") - 1.23).abs() < 0.5, "{stopped}");
 }
