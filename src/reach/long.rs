@@ -48,7 +48,7 @@ const EQUAL_M: f64 = 1e-9;
 /// State that does not exist.
 const NO_STATE: u32 = u32::MAX;
 
-/// What a long pawn reaches: the headings at each place of a region.
+/// Headings that a long pawn reaches at each place of a region.
 #[derive(Debug, Clone)]
 pub struct LongReached(Vec<u8>);
 
@@ -318,8 +318,8 @@ impl<R: Borrow<Region>> LongSearch<R> {
 /// Routes.
 impl<R: Borrow<Region>> LongSearch<R> {
     /// Returns the cheapest route between two places of the region, from any heading to any, that walkers have followed in
-    /// `set` with the middle, the front and the rear of the pawn; `None` if there is none. Load pages that are missing, and
-    /// call again with the same arguments. Fails only if `monitor` asks to stop.
+    /// `set` with the middle, the front and the rear of the pawn; `None` if no route connects them. Load pages that are
+    /// missing, and call again with the same arguments. Fails only if `monitor` asks to stop.
     ///
     /// Of the two ways round in which a pawn can drive a route, its headings are those with which more of it leads ahead.
     pub fn route(
@@ -539,7 +539,7 @@ impl<R: Borrow<Region>> LongSearch<R> {
             forwards += by.dot(&ahead(heading));
             let is_drive = heading == trial.headings[at - 1];
             profile.push(to);
-            // The stretch goes on.
+            // The stretch continues.
             if is_drive && next.is_some_and(|next| trial.headings[at + 1] == heading && next.dot(&by) > 0.0) {
                 continue;
             }

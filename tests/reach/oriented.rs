@@ -35,7 +35,7 @@ fn at(t: f64, [i, j]: [i64; 2]) -> Point3<f64> {
 /// Squares by their lower corner, and sides.
 type Met = (BTreeSet<[i64; 2]>, BTreeSet<[[i64; 2]; 2]>);
 
-/// What a line from `from` to `to` meets, by where it crosses the lines of the grid.
+/// Adds the squares and sides that a line meets, found by where it crosses the lines of the grid.
 fn line(from: Vector2<f64>, to: Vector2<f64>, met: &mut Met) {
     let by = to - from;
     if by.norm() == 0.0 {
@@ -62,7 +62,7 @@ fn line(from: Vector2<f64>, to: Vector2<f64>, met: &mut Met) {
     }
 }
 
-/// What a sector between two unit vectors meets: squares in which a fine polygon has an area.
+/// Adds the squares that a sector between two unit vectors meets: those in which a fine polygon has an area.
 fn sector([low, high]: [Vector2<f64>; 2], radius: f64, met: &mut Met) {
     let angle = low.perp(&high).atan2(low.dot(&high));
     let turned = |by: f64| Vector2::new(low.x * by.cos() - low.y * by.sin(), low.x * by.sin() + low.y * by.cos());
