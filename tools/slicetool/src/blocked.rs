@@ -181,10 +181,7 @@ pub fn blocked(
         && let Some(route) = (Ways { anywhere: true, ..search }).route(pawn, ends[1])?
         && let Some(stop) = own.leaves(&route)
     {
-        let is_seen = |feet: &Point3<f64>| {
-            let [low, high] = [pawn.climb, pawn.body.height()].map(|above| Point3::new(feet.x, feet.y, feet.z + above));
-            seen.is_box_seen(low, high)
-        };
+        let is_seen = |feet: &Point3<f64>| seen.is_pawn_seen(*feet, pawn.climb, pawn.body.height());
         let beyond = route[stop + 1..].iter().skip_while(|feet| is_seen(feet)).find(|feet| is_seen(feet));
         let needs = (beyond.unwrap_or(&ends[1]) - route[stop]).norm();
         return Ok(Some(Blocked { at: route[stop], reason: "unseen", needs }));
