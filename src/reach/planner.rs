@@ -40,12 +40,7 @@ pub struct Planner {
     /// Distance within which the ends are moved to places where the pawn can stand (m).
     snap: f64,
     flood: Option<Flood>,
-    /// The region reached, kept while its route needs more pages.
-    region: Option<Region>,
-    search: Search,
-    /// Length of a long pawn (m), and its search in the region reached.
-    long_m: Option<f64>,
-    long: Option<LongSearch<Region>>,
+    finder: Box<dyn Finder>,
     length: f64,
     /// True if longer routes are not wanted.
     is_bounded: bool,
@@ -64,10 +59,7 @@ impl Planner {
             spots: [None; 2],
             snap: 0.0,
             flood: None,
-            region: None,
-            search: Search::new(),
-            long_m: None,
-            long: None,
+            finder: Box::new(RoundFinder { region: None, search: Search::new() }),
             length,
             is_bounded: false,
             peak_bytes: 0,
@@ -91,7 +83,10 @@ impl Planner {
     /// of the first search.
     #[must_use]
     pub fn drawn_out(self, length: Option<f64>) -> Self {
-        Self { long_m: length, ..self }
+        match length {
+            Some(length) => Self { finder: Box::new(LongFinder { length, search: None }), ..self },
+            None => self,
+        }
     }
 
     /// Restricts the search to where routes of up to `length` (m) may lead. [`Refusal::NotConnected`] then means that
@@ -120,72 +115,145 @@ impl Planner {
         }
         let [Some(from), Some(to)] = self.spots else { return Ok(Planned::Unfinished) };
         let flood = self.flood.get_or_insert_with(|| Flood::from(from));
-        if self.region.is_none() && self.long.is_none() {
-            // The ends of a long pawn lie beside its way.
-            flood.within(self.ends.map(|end| end.xy()), self.length + self.long_m.unwrap_or(0.0));
+        if !self.finder.waits() {
+            flood.within(self.ends.map(|end| end.xy()), self.length + self.finder.beyond_m());
             match flood.grow_some(&mut self.standing, set, steps, monitor)? {
                 Answer::Known(true) => {}
                 Answer::Known(false) => return Ok(Planned::Unfinished),
                 Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
             }
         }
-        if let Some(length) = self.long_m {
-            return self.plan_long(set, length, [from, to], monitor);
-        }
-        let region = self.region.get_or_insert_with(|| flood.region(&self.standing));
-        let route = match self.search.route(set, region, &from, &to, monitor)? {
-            Answer::Known(route) => route,
+        let found = match self.finder.find(set, &|| flood.region(&self.standing), [from, to], monitor)? {
+            Answer::Known(found) => found,
             Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
         };
-        let search = self.search.memory_bytes();
-        let bytes = self.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + search;
+        let bytes = self.standing.memory_bytes() + flood.memory_bytes() + found.bytes;
         self.peak_bytes = self.peak_bytes.max(bytes);
-        self.region = None;
-        let cost_m = route.as_ref().map(|route| route.length_m);
-        Ok(self.judged(route, cost_m))
+        Ok(match found.route {
+            Ok(route) => self.judged(route, found.cost_m),
+            Err(refusal) => Planned::Done(Err(refusal)),
+        })
     }
 
-    /// Plans in the region reached, like [`advance`](Self::advance).
-    fn plan_long(
+    /// Returns a route if no better one can lie outside of what was searched; otherwise widens the search.
+    fn judged(&mut self, route: Option<Route>, cost_m: f64) -> Planned {
+        // Everything that a route of this cost can touch has been searched, and so every better route.
+        let is_last = self.is_bounded || self.flood.as_ref().is_some_and(Flood::is_whole);
+        match route {
+            Some(route) if is_last || cost_m <= self.length => return Planned::Done(Ok(route)),
+            Some(_) => self.length = cost_m,
+            None if is_last => return Planned::Done(Err(Refusal::NotConnected)),
+            None => self.length *= WIDER,
+        }
+        Planned::Unfinished
+    }
+}
+
+/// Search for a route in what was reached. An object, so that a program that never draws a pawn out, such as the engine of the
+/// viewer, does not hold the search for that.
+trait Finder: std::fmt::Debug + Send + Sync {
+    /// Whether a search goes on once its pages are there.
+    fn waits(&self) -> bool;
+    /// How far the pawn may reach beyond its way (m).
+    fn beyond_m(&self) -> f64;
+    /// Finds the route between the places in the region `reached`.
+    fn find(
         &mut self,
         set: &Snapshot,
-        length: f64,
+        reached: &dyn Fn() -> Region,
+        ends: [PlaceId; 2],
+        monitor: &dyn Monitor,
+    ) -> Result<Answer<Found>>;
+}
+
+/// What a [`Finder`] found.
+struct Found {
+    /// The route, if there is one within the region.
+    route: std::result::Result<Option<Route>, Refusal>,
+    /// Its cost (m).
+    cost_m: f64,
+    /// Memory that the search took.
+    bytes: usize,
+}
+
+#[derive(Debug)]
+struct RoundFinder {
+    /// Kept while its route needs more pages.
+    region: Option<Region>,
+    search: Search,
+}
+
+impl Finder for RoundFinder {
+    fn waits(&self) -> bool {
+        self.region.is_some()
+    }
+
+    fn beyond_m(&self) -> f64 {
+        0.0
+    }
+
+    fn find(
+        &mut self,
+        set: &Snapshot,
+        reached: &dyn Fn() -> Region,
         [from, to]: [PlaceId; 2],
         monitor: &dyn Monitor,
-    ) -> Result<Planned> {
-        let Some(flood) = &self.flood else { return Ok(Planned::Unfinished) };
-        let mut search = match self.long.take() {
+    ) -> Result<Answer<Found>> {
+        let region = self.region.get_or_insert_with(reached);
+        let route = match self.search.route(set, region, &from, &to, monitor)? {
+            Answer::Known(route) => route,
+            Answer::NotLoaded(missing) => return Ok(Answer::NotLoaded(missing)),
+        };
+        let bytes = region.memory_bytes() + self.search.memory_bytes();
+        self.region = None;
+        let cost_m = route.as_ref().map_or(0.0, |route| route.length_m);
+        Ok(Answer::Known(Found { route: Ok(route), cost_m, bytes }))
+    }
+}
+
+#[derive(Debug)]
+struct LongFinder {
+    /// Length of the pawn (m).
+    length: f64,
+    /// Kept while its route needs more pages.
+    search: Option<LongSearch<Region>>,
+}
+
+impl Finder for LongFinder {
+    fn waits(&self) -> bool {
+        self.search.is_some()
+    }
+
+    /// The ends of a long pawn lie beside its way.
+    fn beyond_m(&self) -> f64 {
+        self.length
+    }
+
+    fn find(
+        &mut self,
+        set: &Snapshot,
+        reached: &dyn Fn() -> Region,
+        [from, to]: [PlaceId; 2],
+        monitor: &dyn Monitor,
+    ) -> Result<Answer<Found>> {
+        let mut search = match self.search.take() {
             Some(search) => search,
-            None => LongSearch::new(flood.region(&self.standing), length)?,
+            None => LongSearch::new(reached(), self.length)?,
         };
         for (end, refusal) in [(&from, Refusal::NotStandingFrom), (&to, Refusal::NotStandingTo)] {
             if search.region().holds(end) && !search.stands_at(end) {
-                return Ok(Planned::Done(Err(refusal)));
+                return Ok(Answer::Known(Found { route: Err(refusal), cost_m: 0.0, bytes: 0 }));
             }
         }
         let route = match search.route(set, &from, &to, monitor)? {
             Answer::Known(route) => route,
             Answer::NotLoaded(missing) => {
-                self.long = Some(search);
-                return Ok(Planned::NotLoaded(missing));
+                self.search = Some(search);
+                return Ok(Answer::NotLoaded(missing));
             }
         };
-        let bytes = flood.memory_bytes() + search.region().memory_bytes() + search.memory_bytes();
-        self.peak_bytes = self.peak_bytes.max(self.standing.memory_bytes() + bytes);
-        let cost_m = route.as_ref().map(|route| search.cost_m(route));
-        Ok(self.judged(route, cost_m))
-    }
-
-    /// Returns a route if no better one can lie outside of what was searched; otherwise widens the search.
-    fn judged(&mut self, route: Option<Route>, cost_m: Option<f64>) -> Planned {
-        // Everything that a route of this cost can touch has been searched, and so every better route.
-        let is_last = self.is_bounded || self.flood.as_ref().is_some_and(Flood::is_whole);
-        match (route, cost_m) {
-            (Some(route), Some(cost_m)) if is_last || cost_m <= self.length => return Planned::Done(Ok(route)),
-            (Some(_), Some(cost_m)) => self.length = cost_m,
-            _ if is_last => return Planned::Done(Err(Refusal::NotConnected)),
-            _ => self.length *= WIDER,
-        }
-        Planned::Unfinished
+        let bytes = search.region().memory_bytes() + search.memory_bytes();
+        let cost_m = route.as_ref().map_or(0.0, |route| search.cost_m(route));
+        Ok(Answer::Known(Found { route: Ok(route), cost_m, bytes }))
     }
 }
