@@ -36,6 +36,8 @@ const BELOW = 0.74;
 const LEAST_M = 0.1;
 /** Share of the distance at which places to approach are compared. */
 const APPROACHED = 0.5;
+/** How much more must be seen elsewhere than around the middle. */
+const MUCH_MORE = 1.25;
 /** Least distance of what is nearest, as a share of the distance of the target. */
 const CLEAR = 0.05;
 
@@ -128,27 +130,30 @@ export function frame(boxes: Float64Array, bounds: Bounds, tanX: number, tanY: n
     }
   }
   if (best === null) return { focus: middle, target: middle, distance: 20, look: { heading: 30, pitch: -35 }, covered: 0 };
-  return { ...best, focus: focusOf(points, best, tanX, tanY) ?? middle };
+  return { ...best, focus: focusOf(middle, points, best, tanX, tanY) };
 }
 
-/** The middle of the box that is best approached. */
+/** The best place to approach: the middle of the scan, unless around the middle of some box much more is seen. */
 function focusOf(
+  middle: Vec3,
   boxes: readonly (readonly Vec3[])[],
   { target, distance, look }: Omit<Frame, "focus">,
   tanX: number,
   tanY: number,
-): Vec3 | null {
+): Vec3 {
   const basis = axes(look);
   const seen = boxes.map((box) => box.map((at) => basis.map((axis) => dot(axis, add(at, target, -1)))));
-  let best: { focus: Vec3; covered: number } | null = null;
-  for (const box of boxes) {
-    const focus = middleOf(box);
+  const coveredAt = (focus: Vec3): number => {
     const away = basis.map((axis) => (1 - APPROACHED) * dot(axis, add(focus, target, -1)));
-    const nearer = seen.map((other) => other.map((at) => at.map((value, axis) => value - (away[axis] ?? 0))));
-    const covered = cover(nearer, APPROACHED * distance, tanX, tanY);
-    if (best === null || covered > best.covered) best = { focus, covered };
+    const nearer = seen.map((box) => box.map((at) => at.map((value, axis) => value - (away[axis] ?? 0))));
+    return cover(nearer, APPROACHED * distance, tanX, tanY);
+  };
+  let best = { focus: middle, covered: MUCH_MORE * coveredAt(middle) };
+  for (const focus of boxes.map(middleOf)) {
+    const covered = coveredAt(focus);
+    if (covered > best.covered) best = { focus, covered };
   }
-  return best?.focus ?? null;
+  return best.focus;
 }
 
 /**
