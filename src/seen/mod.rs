@@ -20,7 +20,7 @@ use nalgebra::Point3;
 use page::{BLOCK_LAYERS, CELLS_PER_ROW};
 
 /// Slices at a floor that are hardly ever seen: that of its surface, and those in front of it.
-const FLOOR_SLICES: f64 = 3.0;
+const FLOOR_SLICES: i64 = 3;
 
 /// Cells that the last stretch of a ray before its hit may cross unseen, along each axis.
 const HIT_CELLS: i64 = 2;
@@ -109,6 +109,10 @@ impl SeenSpace {
     /// Returns whether all of the closed box between these corners (m) was seen.
     pub fn is_box_seen(&self, min: Point3<f64>, max: Point3<f64>) -> bool {
         let [first, last] = [min, max].map(|corner| self.cell_of(corner));
+        self.are_cells_seen(first, last)
+    }
+
+    fn are_cells_seen(&self, first: CellIndex, last: CellIndex) -> bool {
         // Ends at the first cell that was not seen, so its cost does not depend on the size of the box.
         let pages = |axis: usize, cells: i64| first[axis].div_euclid(cells)..=last[axis].div_euclid(cells);
         for ty in pages(1, CELLS_PER_ROW) {
@@ -139,9 +143,11 @@ impl SeenSpace {
     /// Only the middle, because nothing is stored as seen beside surfaces: whatever is wider than that would make a way
     /// along a wall unseen. For the same reason three slices above the feet do not count, up to the head.
     pub fn is_pawn_seen(&self, feet: Point3<f64>, climb: f64, height: f64) -> bool {
-        let low = climb.max(FLOOR_SLICES * self.frame.slice_m()).min(height);
-        let [low, high] = [low, height].map(|above| Point3::new(feet.x, feet.y, feet.z + above));
-        self.is_box_seen(low, high)
+        let [floor, mut low, head] =
+            [0.0, climb, height].map(|above| self.cell_of(Point3::new(feet.x, feet.y, feet.z + above)));
+        // Counted in slices: a multiple of their height may be rounded to the one below.
+        low[2] = low[2].max(floor[2] + FLOOR_SLICES).min(head[2]);
+        self.are_cells_seen(low, head)
     }
 
     /// Returns whether a place (m) was seen.

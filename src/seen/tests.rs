@@ -76,10 +76,10 @@ proptest! {
         let (space, cells) = space(&boxes);
         let feet = feet.map(|v| (v * 100.0).floor() / 100.0 + 0.0033);
         let [climb, height] = [climb, height].map(|v| (v * 100.0).floor() / 100.0);
-        let low = if climb > 0.45 { climb } else { 0.45 };
-        let low = if low < height { low } else { height };
-        let [first, last] = [low, height].map(|up| cell([feet[0], feet[1], feet[2] + up]));
-        let all = (first[2]..=last[2]).all(|z| cells.contains(&[first[0], first[1], z]));
+        let [floor, climbed, head] = [0.0, climb, height].map(|up| cell([feet[0], feet[1], feet[2] + up]));
+        let lowest = if climbed[2] > floor[2] + 3 { climbed[2] } else { floor[2] + 3 };
+        let lowest = if lowest < head[2] { lowest } else { head[2] };
+        let all = (lowest..=head[2]).all(|z| cells.contains(&[floor[0], floor[1], z]));
         prop_assert_eq!(space.is_pawn_seen(feet.into(), climb, height), all);
     }
 

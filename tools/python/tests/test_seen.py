@@ -122,8 +122,8 @@ def test_reach_and_routes_stay_in_seen_space(seen, space):
     start, goal = (2, 2, 0.1), (6, 4, 0.1)
     options = {"pawn": "box:0.5x0.5x1.7"}
     free, reach = seen.reach(start, **options), seen.reach(start, seen=True, **options)
-    # The pawn's middle was seen wherever it stands, except for three slices of 0.3 m above the floor.
-    lines = np.hstack([free.places[:, :3] + (0, 0, 0.9), free.places[:, :3] + (0, 0, 1.7)])
+    # The pawn's middle was seen wherever it stands, except for the three slices of 0.3 m at the floor.
+    lines = np.hstack([free.places[:, :3] + (0, 0, 1.05), free.places[:, :3] + (0, 0, 1.7)])
     is_seen = space.boxes(lines)
     assert 0 < is_seen.sum() < len(is_seen)
     rows = {tuple(row) for row in free.places[is_seen, :3].round(6).tolist()}
@@ -133,7 +133,7 @@ def test_reach_and_routes_stay_in_seen_space(seen, space):
     assert route
     assert route.length == pytest.approx(seen.route(start, goal, **options).length, rel=0.2)
     steps = [a + (b - a) * share for a, b in itertools.pairwise(route.points) for share in np.linspace(0, 1, 50)]
-    assert space.boxes([[*(step + (0, 0, 0.9)), *(step + (0, 0, 1.7))] for step in steps]).mean() > 0.95
+    assert space.boxes([[*(step + (0, 0, 1.05)), *(step + (0, 0, 1.7))] for step in steps]).mean() > 0.95
     # Beside a wall one can stand, but nobody saw that.
     corner = (0.5, 0.5, 0.1)
     assert seen.route(start, corner, **options)
@@ -154,7 +154,7 @@ def test_occupancy_grids_call_unseen_ground_unknown(folder, seen, space):
     grid = slicewalk.to_occupancy_grid(seen, 0.0, **options)
     rows, columns = np.nonzero(plain.data == 0)
     middles = np.array(grid.origin) + (np.column_stack([columns, rows]) + 0.5) * grid.resolution
-    lines = np.column_stack([middles, np.full(len(middles), 0.91), middles, np.full(len(middles), 1.69)])
+    lines = np.column_stack([middles, np.full(len(middles), 1.05), middles, np.full(len(middles), 1.69)])
     expected = np.where(space.boxes(lines), 0, -1)
     assert 100 < (expected == 0).sum() < len(expected)
     assert (grid.data[rows, columns] == expected).all()

@@ -115,11 +115,12 @@ def to_occupancy_grid(
     ends = np.full((len(middle), 1), z)
     floor = pages.floor(np.hstack([middle, ends - climb, middle, ends + climb]))
     unloaded, has_floor = np.isnan(floor), floor > -np.inf
-    feet = np.where(has_floor, floor, z) + climb
+    ground = np.where(has_floor, floor, z)
+    feet = ground + climb
     rest = [np.full(len(middle), radius), np.full(len(middle), max(height - climb, 0.05))]
     met = pages.overlaps_cylinders(np.column_stack([middle, feet, *rest]))
     seen = pages._seen_space()
-    pawns = np.column_stack([middle, feet - climb, np.full(len(middle), climb), climb + rest[1]])
+    pawns = np.column_stack([middle, ground, np.full(len(middle), climb), climb + rest[1]])
     is_free = has_floor if seen is None else has_floor & seen._pawns(pawns)
     choices = {UNKNOWN: unloaded | (met == _NOT_LOADED), OCCUPIED: met == _HIT, FREE: is_free}
     data = np.select(list(choices.values()), list(choices), UNKNOWN).astype(np.int8)
