@@ -157,14 +157,16 @@ describe("colours", () => {
       await until(page, "colours asked for", () => waiting().length > 0);
       const before = waiting();
       // Far beyond the pages in memory.
-      await page.evaluate(() => window.slicewalk.goto({ at: [290, 0, 0.1] }));
+      await page.evaluate(() => window.slicewalk.goto({ at: [290, 0, 0.1], look: [-90, 0] }));
       const { missing, colours } = await until(page, "there", (now) => now.at[0] > 280 && now.missing === 0);
       // Colours within the end of the archive, which was read first, may be drawn: they cost no request.
       assert.deepEqual([missing, colours.bytes], [0, 0]);
-      await until(page, "the first requests closed", () => before.every(({ status }) => status === 0));
+      // At the latest when the pawn runs into pages that come later than it.
+      server.delayMs = 3000;
+      await hold(page, ["Shift", "w"], "the first requests closed", () => before.every(({ status }) => status === 0));
       await until(page, "colours asked for again", () => waiting().length > 0);
     } finally {
-      server.holds = () => false;
+      Object.assign(server, { holds: () => false, delayMs: 0 });
     }
   });
 
