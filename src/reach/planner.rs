@@ -152,7 +152,7 @@ impl Planner {
 /// Search for a route in what was reached. An object, so that a program that never draws a pawn out, such as the engine of the
 /// viewer, does not hold the search for that.
 trait Finder: std::fmt::Debug + Send + Sync {
-    /// Whether a search goes on once its pages are there.
+    /// Whether a search waits for pages and continues with its region.
     fn waits(&self) -> bool;
     /// How far the pawn may reach beyond its way (m).
     fn beyond_m(&self) -> f64;
@@ -166,7 +166,7 @@ trait Finder: std::fmt::Debug + Send + Sync {
     ) -> Result<Answer<Found>>;
 }
 
-/// What a [`Finder`] found.
+/// Result of a [`Finder`].
 struct Found {
     /// The route, if there is one within the region.
     route: std::result::Result<Option<Route>, Refusal>,

@@ -430,7 +430,7 @@ sw_status sw_seen_places(const struct sw_seen *seen,
                          size_t count);
 
 // Answers whether all of each box was seen, like `sw_seen_places`: 6 numbers each, as for `sw_overlaps_boxes`. A box that
-// is clear and seen is free; one that is clear and not seen may hold what nobody scanned.
+// is clear and seen is free; one that is clear and not seen may hold solid that was never scanned.
 sw_status sw_seen_boxes(const struct sw_seen *seen,
                         const double *boxes,
                         size_t boxes_len,

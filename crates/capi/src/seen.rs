@@ -71,7 +71,7 @@ pub unsafe extern "C" fn sw_seen_places(
 }
 
 /// Answers whether all of each box was seen, like `sw_seen_places`: 6 numbers each, as for `sw_overlaps_boxes`. A box that
-/// is clear and seen is free; one that is clear and not seen may hold what nobody scanned.
+/// is clear and seen is free; one that is clear and not seen may hold solid that was never scanned.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_seen_boxes(
     seen: *const sw_seen,

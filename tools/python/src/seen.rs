@@ -20,7 +20,7 @@ type Answers<'py> = PyResult<Bound<'py, PyArray1<bool>>>;
 /// through all of it; of all other cells nothing is known. The cells of a surface and about two in front of it are
 /// never seen, so a box beside a wall is not seen, either. What is outside the scan is not seen.
 ///
-/// A box that is clear and seen is free; one that is clear and not seen may hold what nobody scanned:
+/// A box that is clear and seen is free; one that is clear and not seen may hold solid that was never scanned:
 ///
 /// >>> archive = slicewalk.open("seen.slices")
 /// >>> boxes = np.array([[3, 2, 0.9, 3.5, 2.5, 1.4], [30, 2, 0.9, 30.5, 2.5, 1.4]])

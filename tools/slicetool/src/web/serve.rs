@@ -64,8 +64,8 @@ enum Entry {
 struct Kept {
     bytes: Vec<u8>,
     tag: String,
-    /// The same as a gzip stream, made for the first browser that takes it: a page is larger than all that it loads of an
-    /// archive until the first step.
+    /// `bytes` as a gzip stream, made for the first browser that accepts it: a page is larger than what it loads of an
+    /// archive before the first step.
     packed: OnceLock<Vec<u8>>,
 }
 

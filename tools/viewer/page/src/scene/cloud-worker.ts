@@ -1,4 +1,4 @@
-// Reads a COPC point cloud by ranges, as much of it as its eye can tell apart, and posts points relative to an origin. Runs in its
+// Reads a COPC point cloud by ranges, in the detail that the eye can resolve, and posts points relative to an origin. Runs in its
 // own worker, because decoding takes longer than a frame.
 
 import { Copc, Hierarchy } from "copc";
