@@ -47,6 +47,7 @@
 mod coarse_planner;
 mod distance;
 mod footprints;
+mod grades;
 mod intervals;
 mod leaks;
 mod long;

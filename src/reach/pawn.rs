@@ -26,15 +26,19 @@ pub struct Pawn {
     pub climb: f64,
     /// Deepest drop that it steps down (m, >= 0).
     pub max_drop: f64,
-    /// Steepest ground that it walks on, as rise over run (> 0): the rise of the ground, averaged over 0.6 m, within
-    /// half a metre to each side along x and y. Infinite if only steps and obstacles limit it.
+    /// Steepest ground that it walks on, as rise over run (> 0): the slope of the plane through the ground within half a
+    /// metre to each side. Infinite if only steps and obstacles limit it.
     pub max_grade: f64,
+    /// Longest ramp between two landings (m, > 0). A landing is ground that rises by at most 3 % over 1.5 m, and a ramp is
+    /// all other ground: no place on it may be farther than half of this length from a landing. Infinite if ramps need no
+    /// landings.
+    pub max_ramp: f64,
 }
 
 impl Pawn {
     /// Returns a pawn that climbs 0.35 m and steps down as far, so that it can return from wherever it gets to.
     pub fn new(body: Body) -> Self {
-        Self { body, climb: 0.35, max_drop: 0.35, max_grade: f64::INFINITY }
+        Self { body, climb: 0.35, max_drop: 0.35, max_grade: f64::INFINITY, max_ramp: f64::INFINITY }
     }
 
     fn check(&self) -> Result<()> {
@@ -47,9 +51,11 @@ impl Pawn {
             let reason = format!("{} m is not allowed; expected 0 or more", self.max_drop);
             return Err(Error::parameter(Parameter::Pawn("deepest drop"), reason));
         }
-        if self.max_grade.is_nan() || self.max_grade <= 0.0 {
-            let reason = format!("{} is not allowed; expected more than 0", self.max_grade);
-            return Err(Error::parameter(Parameter::Pawn("steepest grade"), reason));
+        for (what, most) in [("steepest grade", self.max_grade), ("longest ramp", self.max_ramp)] {
+            if most.is_nan() || most <= 0.0 {
+                let reason = format!("{most} is not allowed; expected more than 0");
+                return Err(Error::parameter(Parameter::Pawn(what), reason));
+            }
         }
         Ok(())
     }

@@ -11,12 +11,6 @@ use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::ops::ControlFlow;
 
-/// Length over which the grade of the ground is measured (m), and most pixels to each side.
-const GRADE_M: f64 = 1.0;
-const MOST_GRADED: usize = 64;
-/// A grade is too steep if it exceeds the limit by more than this share: heights are rounded to quanta.
-const GRADE_SLACK: f64 = 0.02;
-
 /// Number in a link that leads nowhere.
 pub(super) const NO_PLACE: u32 = u32::MAX;
 /// Places between two checks of the monitor.
@@ -329,7 +323,10 @@ impl Flood {
         }
         region.levels = region.levelled();
         if region.grid.pawn.max_grade.is_finite() {
-            region.leave_out_steep(&mut ends);
+            region.leave_out(&region.too_steep(), &mut ends);
+        }
+        if region.grid.pawn.max_ramp.is_finite() {
+            region.leave_out(&region.far_from_landings(), &mut ends);
         }
         region.clearances = clearances(&standing.grid, &region.links, &ends);
         region
@@ -441,50 +438,24 @@ impl Region {
         (low < self.len() && (self.pixels[low], self.tops[low]) == (spot.pixel, spot.top)).then_some(low as u32)
     }
 
-    /// Returns the grade of the ground at a place, like [`Pawn::max_grade`].
-    fn grade(&self, place: u32) -> f64 {
-        let far = ((GRADE_M / 2.0 / self.grid.frame.pixel_m()).round() as usize).clamp(1, MOST_GRADED);
-        let pixels_up = self.grid.frame.quantum_m() / self.grid.frame.pixel_m();
-        let along = |axis: usize| {
-            let end = |way: usize| {
-                let (mut at, mut steps) = (place, 0);
-                while steps < far && self.links[at as usize][way] != NO_PLACE {
-                    (at, steps) = (self.links[at as usize][way], steps + 1);
-                }
-                (self.levels[at as usize], steps)
-            };
-            let ((ahead, steps), (behind, others)) = (end(axis), end(axis + 2));
-            f64::from(ahead - behind) * pixels_up / (steps + others).max(1) as f64
-        };
-        along(0).hypot(along(1))
-    }
-
-    /// Returns the grade of the ground at each standing place (rise over run), in the order of
-    /// [`places`](Self::places). It is measured as for [`Pawn::max_grade`], so stairs count as ramps.
-    pub fn grades(&self) -> Vec<f64> {
-        (0..self.len() as u32).filter(|place| self.standing[*place as usize]).map(|place| self.grade(place)).collect()
-    }
-
-    /// Leaves out the places on ground too steep for the pawn: the region ends there.
-    fn leave_out_steep(&mut self, ends: &mut Vec<End>) {
-        let most = self.grid.pawn.max_grade * (1.0 + GRADE_SLACK);
-        let is_steep: Vec<bool> = (0..self.len() as u32).map(|place| self.grade(place) > most).collect();
+    /// Leaves out these places: the region ends there.
+    fn leave_out(&mut self, is_out: &[bool], ends: &mut Vec<End>) {
         for place in 0..self.len() {
             for (link, way) in self.links[place].iter_mut().zip(WAYS) {
-                if *link != NO_PLACE && (is_steep[place] || is_steep[*link as usize]) {
+                if *link != NO_PLACE && (is_out[place] || is_out[*link as usize]) {
                     *link = NO_PLACE;
-                    if !is_steep[place] {
+                    if !is_out[place] {
                         let offset = way.map(|way| way as i16);
                         ends.push(End { place: place as u32, offset, is_open: false });
                     }
                 }
             }
-            self.standing[place] &= !is_steep[place];
+            self.standing[place] &= !is_out[place];
         }
     }
 
-    /// Leaves out the places that no steps lead to from any of `starts`. Only a pawn with a steepest grade leaves such
-    /// places in the region of a [`Flood`] from them.
+    /// Leaves out the places that no steps lead to from any of `starts`. Only a pawn with a steepest grade or a longest ramp leaves
+    /// such places in the region of a [`Flood`] from them.
     pub fn keep_linked(&mut self, starts: &[PlaceId]) {
         let mut seen = vec![false; self.len()];
         let mut open: Vec<u32> = starts.iter().filter_map(|start| self.number(start)).collect();

@@ -12,6 +12,7 @@ mod leaks;
 mod oracle;
 mod oriented;
 mod plans;
+mod ramps;
 mod routes;
 mod scenes;
 mod storeys;

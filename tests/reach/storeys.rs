@@ -14,7 +14,7 @@ const T: f64 = 0.1;
 const SLICE: f64 = 0.3;
 
 /// Makes floors of the heights (m, from 0 to 18) over the middle of each pixel within 12 m of the origin, lowest first.
-fn floors(heights: impl Fn(f64, f64) -> Vec<f64>) -> Snapshot {
+pub(super) fn floors(heights: impl Fn(f64, f64) -> Vec<f64>) -> Snapshot {
     let mut pages: BTreeMap<[i32; 2], PageBuilder> = BTreeMap::new();
     for (j, i) in (-120..120i32).flat_map(|j| (-120..120i32).map(move |i| (j, i))) {
         let quanta = |z: f64| (z / SLICE * 255.0).round() as u32 + 300;
@@ -34,7 +34,7 @@ fn storeys(store: &Snapshot, from: [f64; 3]) -> (Region, Storeys) {
 }
 
 /// Height of the floors of [`floors`] above the origin of the grid (m).
-const LIFT: f64 = 300.0 / 255.0 * SLICE;
+pub(super) const LIFT: f64 = 300.0 / 255.0 * SLICE;
 
 #[test]
 fn each_turn_of_a_helical_ramp_is_a_storey() {

@@ -31,12 +31,13 @@ pub enum Profile {
 impl Profile {
     /// The pawn of this profile.
     pub fn pawn(self) -> Pawn {
-        let (body, climb, max_grade) = match self {
-            Self::Foot => (Body::Box { x: 0.5, y: 0.5, height: 1.8 }, 0.35, f64::INFINITY),
-            Self::Wheelchair => (Body::Cylinder { radius: 0.4, height: 1.4 }, 0.02, 0.06),
-            Self::Stroller => (Body::Cylinder { radius: 0.3, height: 1.2 }, 0.08, 0.12),
+        let any = f64::INFINITY;
+        let (body, climb, max_grade, max_ramp) = match self {
+            Self::Foot => (Body::Box { x: 0.5, y: 0.5, height: 1.8 }, 0.35, any, any),
+            Self::Wheelchair => (Body::Cylinder { radius: 0.4, height: 1.4 }, 0.02, 0.06, 6.0),
+            Self::Stroller => (Body::Cylinder { radius: 0.3, height: 1.2 }, 0.08, 0.12, any),
         };
-        Pawn { body, climb, max_drop: climb, max_grade }
+        Pawn { climb, max_drop: climb, max_grade, max_ramp, ..Pawn::new(body) }
     }
 
     /// Length of the pawn where its headings count (m); `None` if it is as long as wide.
@@ -66,7 +67,7 @@ pub struct Walks {
 #[derive(clap::Args)]
 pub struct Pawns {
     /// Whose pawn, steps and grades count: those of foot are box:0.5x0.5x1.8 and 0.35 m; of a wheelchair
-    /// cylinder:0.4x1.4, 0.02 m and 6 %; of a stroller cylinder:0.3x1.2, 0.08 m and 12 %
+    /// cylinder:0.4x1.4, 0.02 m and 6 %, with a landing every 6 m; of a stroller cylinder:0.3x1.2, 0.08 m and 12 %
     #[arg(long, value_enum, default_value_t = Profile::Foot)]
     profile: Profile,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m) [default: of the profile]
@@ -78,6 +79,10 @@ pub struct Pawns {
     /// Steepest ground that the pawn walks on, over a metre (percent) [default: of the profile]
     #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = finite_number)]
     max_grade: Option<f64>,
+    /// Longest ramp from one landing to the next (m): no ground steeper than 3 % is used that is farther than half of this
+    /// from ground that rises by at most 3 % over 1.5 m [default: of the profile, 6 of a wheelchair]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
+    max_ramp: Option<f64>,
     /// Deepest drop the pawn takes (m) [default: the climb height, so that every route also works in reverse]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
@@ -152,6 +157,7 @@ impl Pawns {
         pawn.climb = self.climb.unwrap_or(pawn.climb);
         pawn.max_drop = self.max_drop.unwrap_or(pawn.climb);
         pawn.max_grade = self.max_grade.map_or(pawn.max_grade, |percent| percent / 100.0);
+        pawn.max_ramp = self.max_ramp.unwrap_or(pawn.max_ramp);
         pawn
     }
 }

@@ -124,6 +124,7 @@ impl Arguments {
             climb,
             max_drop: self.max_drop.unwrap_or(climb),
             max_grade: self.max_grade.map_or(profile.max_grade, |percent| percent / 100.0),
+            ..profile
         }
     }
 }

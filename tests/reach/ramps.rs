@@ -1,0 +1,74 @@
+//! Ramps with and without landings.
+
+use super::storeys::{LIFT, floors};
+use super::{known, reached};
+use slicewalk::reach::Pawn;
+use slicewalk::store::Snapshot;
+use slicewalk::walk::Body;
+
+/// A path 3 m wide and 22 m long through the origin that leads in a direction (radians), with these heights along it (m).
+fn path(heading: f64, height: impl Fn(f64) -> f64) -> Snapshot {
+    floors(|x, y| {
+        let (along, across) = (x * heading.cos() + y * heading.sin(), y * heading.cos() - x * heading.sin());
+        if across.abs() < 1.5 && along.abs() < 11.0 { vec![height(along)] } else { Vec::new() }
+    })
+}
+
+fn wheelchair() -> Pawn {
+    let body = Body::Cylinder { radius: 0.4, height: 1.4 };
+    Pawn { climb: 0.02, max_drop: 0.02, max_grade: 0.06, ..Pawn::new(body) }
+}
+
+/// Whether a wheelchair gets from one end of a path 3 m wide to the other: 4 m of level ground, these stretches of a length
+/// and a grade (m, rise over run), and level ground again. The path leads in a direction (degrees).
+fn connects(stretches: &[(f64, f64)], direction: f64, max_ramp: f64) -> bool {
+    let heading = direction.to_radians();
+    let height = |along: f64| {
+        let mut left = (along + 7.0).max(0.0);
+        stretches.iter().fold(1.0, |z, (length, grade)| {
+            let own = left.min(*length);
+            left -= own;
+            z + own * grade
+        })
+    };
+    let store = path(heading, height);
+    let pawn = Pawn { max_ramp, ..wheelchair() };
+    let end = |along: f64| [along * heading.cos(), along * heading.sin(), height(along) + LIFT + 0.1];
+    let (mut standing, mut region) = reached(&store, pawn, end(-10.0));
+    let start = known(standing.spot(&store, end(-10.0).into()).unwrap()).unwrap();
+    let goal = known(standing.spot(&store, end(10.0).into()).unwrap()).unwrap();
+    region.keep_linked(&[start]);
+    region.stands_at(&goal)
+}
+
+#[test]
+fn ramps_need_a_landing_every_six_metres() {
+    for direction in [0.0, 30.0, 45.0, 77.0] {
+        let passes = |stretches: &[(f64, f64)]| connects(stretches, direction, 6.0);
+        assert!(passes(&[(5.5, 0.055)]) && !passes(&[(6.6, 0.055)]), "{direction}°");
+        assert!(passes(&[(5.5, -0.055)]) && !passes(&[(6.6, -0.055)]), "{direction}°");
+        // A landing divides a long ramp; a short one does not.
+        assert!(passes(&[(5.0, 0.055), (1.5, 0.0), (5.0, 0.055)]), "{direction}°");
+        assert!(passes(&[(5.0, 0.055), (1.5, 0.02), (5.0, -0.055)]), "{direction}°");
+        assert!(!passes(&[(5.0, 0.055), (0.4, 0.0), (5.0, 0.055)]), "{direction}°");
+        // Ground that rises by less is no ramp.
+        assert!(passes(&[(13.0, 0.028)]) && !passes(&[(13.0, 0.035)]), "{direction}°");
+        assert!(connects(&[(13.0, 0.055)], direction, f64::INFINITY), "{direction}°");
+        assert!(
+            connects(&[(8.0, 0.055)], direction, 9.0) && !connects(&[(8.0, 0.055)], direction, 7.0),
+            "{direction}°"
+        );
+    }
+}
+
+#[test]
+fn the_grade_of_a_plane_is_exact_beside_the_end_of_the_region_too() {
+    for direction in [0.0, 17.0, 45.0, 68.0, 90.0] {
+        let heading = f64::to_radians(direction);
+        let (_, region) = reached(&path(heading, |along| 2.0 + 0.055 * along), wheelchair(), [0.0, 0.0, LIFT + 2.1]);
+        let grades = region.places().zip(region.grades());
+        let inner = grades.filter(|(place, _)| place.feet.xy().coords.norm() < 8.0);
+        let off = inner.map(|(_, grade)| (grade - 0.055).abs()).fold(0.0, f64::max);
+        assert!(off < 0.006, "{direction}°: {off}");
+    }
+}
