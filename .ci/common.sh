@@ -10,3 +10,9 @@ step() {
     "$@"
     echo "== $name: $((SECONDS - start)) s"
 }
+
+# install PACKAGE...: installs packages of Debian, one call after the other.
+install() {
+    mkdir -p "$target"
+    flock "$target/.install" bash -c 'apt-get update -qq && apt-get install --yes --quiet "$@"' install "$@" >&2
+}

@@ -22,7 +22,7 @@ if [ ! -d "$readers/node_modules/@playcanvas/supersplat-viewer" ]; then
 fi
 
 if ! command -v bt2vrml >/dev/null; then
-    { apt-get install --yes --quiet octomap-tools || echo "skipped: octomap-tools cannot be installed"; } >&2
+    (cd "$root" && source .ci/common.sh && install octomap-tools) || echo "skipped: octomap-tools cannot be installed" >&2
 fi
 
 made=$(mktemp -d)
