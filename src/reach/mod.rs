@@ -17,6 +17,8 @@
 //! [`LongSearch`] finds what a pawn that is longer than wide reaches, such as a wheelchair, and its routes as places with
 //! headings.
 //!
+//! If no route connects two places, [`ObstructionSearch`] finds what is in the way, and the pawn that would pass.
+//!
 //! # Definition of standing
 //!
 //! A place is the centre of a pixel and the height of the span that the feet rest on. The spans of all pixels that the
@@ -44,6 +46,7 @@
 //! in it; [`Region`] holds 37 bytes for each place that it reaches; [`Search`] another 12, [`LongSearch`] another 65.
 //! Pages are needed only while their tile is computed.
 
+mod blocked;
 mod coarse_planner;
 mod distance;
 mod footprints;
@@ -61,6 +64,7 @@ mod standing;
 mod storeys;
 mod tiles;
 
+pub use blocked::{Obstruction, ObstructionSearch, Reason, Sought};
 pub use coarse_planner::Coarse;
 pub use leaks::{Leak, LeakKind, LeakSearch};
 pub use long::{LongReached, LongSearch};

@@ -1,0 +1,646 @@
+//! Why no route connects two places: where the best way stops, and what would pass.
+//!
+//! The pawn is changed in one respect at a time (narrower, lower, a higher step, a steeper grade), by bisection to the
+//! least change with which the end is reached. The least of these changes, as a share of the pawn's own measure, is the
+//! reason; the place is where the way of the changed pawn leaves what the pawn itself reaches. If no single change helps,
+//! a narrow pawn that is also low, or climbs high, finds a way; the reason is then the least change that leads past the
+//! first place where this way leaves what the pawn reaches, or the width that passes there once the other measure does
+//! not matter. If that fails, too, ground is missing: where what is reached from the start comes nearest to what is
+//! reached from the end.
+//!
+//! A long pawn that does not get where the round one does is too long: the length is bisected in what the round one
+//! reaches.
+//!
+//! A pawn that must stay in seen space is first tried without that: if it then gets through, the reason is unseen ground.
+//!
+//! Ways are looked for within an ellipse around both ends.
+
+use super::{Flood, LeakKind, LeakSearch, LongSearch, Pawn, Region, Route, Search, Snapped, StandingPlaces};
+use crate::query::Answer;
+use crate::seen::SeenSpace;
+use crate::store::{Missing, Snapshot};
+use crate::walk::Body;
+use crate::{Monitor, Result};
+use nalgebra::Point3;
+use std::collections::HashMap;
+use std::future::poll_fn;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
+
+/// Ways are at most this many times as long as the straight line, plus a detour (m).
+const LONGEST: f64 = 2.0;
+const DETOUR_M: f64 = 30.0;
+/// Least height of a body, and least height above the climb height (m).
+const LOWEST_M: f64 = 0.3;
+const ABOVE_CLIMB_M: f64 = 0.05;
+/// Steepest grade that is tried.
+const STEEPEST: f64 = 2.0;
+/// Highest step that is tried (m).
+const HIGHEST_STEP_M: f64 = 3.0;
+/// Precision of steps and headroom (m).
+const PRECISION_M: f64 = 0.01;
+/// How far a changed pawn may be moved to stand at an end (m).
+const SNAP_M: f64 = 0.5;
+/// Cell in which the nearest ground is looked for (m).
+const CELL_M: f64 = 2.0;
+
+/// What keeps a pawn from its goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Reason {
+    /// It is too wide.
+    Width,
+    /// A [long pawn](LongSearch) is too long to pass or to turn.
+    Length,
+    /// It is too high.
+    Headroom,
+    /// A step is higher than it climbs.
+    Step,
+    /// The ground is steeper than it walks.
+    Slope,
+    /// The ground between is deeper than it steps down.
+    Gap,
+    /// The ground between was not scanned, or no scanner saw the pawn there and it must stay in seen space.
+    Unseen,
+}
+
+impl Reason {
+    /// Returns the name that `slicetool route` writes.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Width => "width",
+            Self::Length => "length",
+            Self::Headroom => "headroom",
+            Self::Step => "step",
+            Self::Slope => "slope",
+            Self::Gap => "gap",
+            Self::Unseen => "unseen",
+        }
+    }
+}
+
+/// Where the best way of a pawn stops, and what would pass.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Obstruction {
+    /// The last place that the pawn reaches (m).
+    pub at: Point3<f64>,
+    /// What is in the way.
+    pub reason: Reason,
+    /// With the pawn's other measures as they are: the width along its shorter side, the length or the height of the
+    /// largest pawn that passes, or the height of the step to climb (m), all found by bisection and known to pass; the
+    /// [steepest grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
+    pub needs: f64,
+}
+
+/// State of an [`ObstructionSearch`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Sought {
+    /// The obstruction; `None` if the pawn gets from one place to the other, cannot stand at one of them, or if nothing
+    /// was found.
+    Done(Option<Obstruction>),
+    /// These pages are needed: load them and continue.
+    NotLoaded(Missing),
+    /// The search is not finished: continue when there is time.
+    Unfinished,
+}
+
+/// Search for what keeps a pawn from getting from one place to another, for pawns that a [`Planner`](super::Planner)
+/// answered [`NotConnected`](super::Refusal::NotConnected).
+///
+/// The reason is the smallest change, relative to the pawn's own measure, that opens a way of at most twice the straight
+/// distance plus 30 m. If no single change helps, it is the least one that leads past the first obstacle; for a door both
+/// narrow and low, or narrow and high, the width.
+///
+/// It does no I/O and reads no clock, and dropping it ends the search. It takes the time of up to about 25 floods of that
+/// ellipse, and the memory of one at a time with its [`StandingPlaces`], of a [`Region`] with a route, and of some 50 bytes
+/// for each place that the pawn reaches.
+///
+/// ```
+/// use nalgebra::Point3;
+/// use slicewalk::NoMonitor;
+/// use slicewalk::frame::{Frame, PageKey};
+/// use slicewalk::page::{PageBuilder, Span};
+/// use slicewalk::reach::{ObstructionSearch, Pawn, Reason, Sought};
+/// use slicewalk::store::Snapshot;
+/// use slicewalk::walk::Body;
+///
+/// let mut builder = PageBuilder::default();
+/// for (px, py) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+///     // A floor of 3.2 × 3.2 m, and across it a wall with a door of 0.4 m.
+///     let is_wall = px == 32 && !(30..38).contains(&py);
+///     let span = if is_wall { Span::new(0, 5000, true) } else { Span::new(0, 10, false) };
+///     assert!(builder.set_column(px, py, &[span.unwrap()]));
+/// }
+/// let key = PageKey { tx: 0, ty: 0, layer: 0 };
+/// let store = Snapshot::from_pages(Frame::new(0.05, 0.15)?, [(key, builder.build())]);
+///
+/// let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 });
+/// let (from, to) = (Point3::new(0.5, 1.7, 0.1), Point3::new(2.7, 1.7, 0.1));
+/// let mut search = ObstructionSearch::new(&store, pawn, from, to, &NoMonitor)?;
+/// let found = loop {
+///     match search.advance(&store)? {
+///         Sought::Done(found) => break found.expect("the door is too narrow"),
+///         Sought::NotLoaded(missing) => panic!("{missing:?}"), // load these pages, and give the new snapshot
+///         _ => {}
+///     }
+/// };
+/// assert!(found.reason == Reason::Width && (found.needs - 0.4).abs() < 0.05);
+/// # Ok::<(), slicewalk::Error>(())
+/// ```
+pub struct ObstructionSearch<'a> {
+    ways: Ways<'a>,
+    /// The search itself is plain code that asks one question after the other. It is a future only so that it can stop
+    /// within a question for which pages are missing, and go on from there: it never waits for anything else, and only
+    /// [`advance`](Self::advance) polls it.
+    running: Option<Pin<Box<dyn Future<Output = Result<Option<Obstruction>>> + Send + 'a>>>,
+}
+
+impl std::fmt::Debug for ObstructionSearch<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Ways { pawn, ends, length, .. } = &self.ways;
+        let mut text = f.debug_struct("ObstructionSearch");
+        text.field("pawn", pawn).field("ends", ends).field("length", length).finish_non_exhaustive()
+    }
+}
+
+impl<'a> ObstructionSearch<'a> {
+    /// Creates a search between two places (m); in the air, the floor below counts. `monitor` can end it. Fails like
+    /// [`StandingPlaces::new`] for an invalid pawn or a set of pages that is too large.
+    pub fn new(
+        set: &Snapshot,
+        pawn: Pawn,
+        from: Point3<f64>,
+        to: Point3<f64>,
+        monitor: &'a dyn Monitor,
+    ) -> Result<Self> {
+        let pixel_m = StandingPlaces::new(set, pawn)?.grid.frame.pixel_m();
+        let ways = Ways { desk: Desk::default(), monitor, pawn, length: None, ends: [from, to], seen: None, pixel_m };
+        Ok(Self { ways, running: None })
+    }
+
+    /// Keeps the pawn within seen space; see [`StandingPlaces::within_seen`]. Call it before anything else.
+    #[must_use]
+    pub fn within_seen(self, seen: Option<Arc<SeenSpace>>) -> Self {
+        Self { ways: Ways { seen, ..self.ways }, ..self }
+    }
+
+    /// Searches for a pawn drawn out to `length` (m); see [`LongSearch`]. Call it before anything else. An unfit length is
+    /// an error of the search.
+    #[must_use]
+    pub fn drawn_out(self, length: Option<f64>) -> Self {
+        Self { ways: Ways { length, ..self.ways }, ..self }
+    }
+
+    /// Continues to the end of one question, such as a flood or a route, or until pages are missing: load them and call
+    /// again. After the end or an error, the next call begins anew. Fails if the monitor asks to stop, or if a tile holds
+    /// more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    pub fn advance(&mut self, set: &Snapshot) -> Result<Sought> {
+        let desk = self.ways.desk.clone();
+        *desk.lock() = OnDesk { set: Some(set.clone()), missing: None };
+        let running = self.running.get_or_insert_with(|| Box::pin(self.ways.clone().obstruction()));
+        let polled = running.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        // Pages that were evicted since would stay in memory with their snapshot.
+        let missing = std::mem::take(&mut *desk.lock()).missing;
+        match polled {
+            Poll::Ready(found) => {
+                self.running = None;
+                found.map(Sought::Done)
+            }
+            Poll::Pending => Ok(missing.map_or(Sought::Unfinished, Sought::NotLoaded)),
+        }
+    }
+}
+
+/// Where a search finds the pages of the moment, and leaves word of those that it misses.
+#[derive(Clone, Default)]
+struct Desk(Arc<Mutex<OnDesk>>);
+
+#[derive(Default)]
+struct OnDesk {
+    set: Option<Snapshot>,
+    missing: Option<Missing>,
+}
+
+impl Desk {
+    fn lock(&self) -> MutexGuard<'_, OnDesk> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What a pawn reaches from a place.
+struct Reached {
+    standing: StandingPlaces,
+    flood: Flood,
+    start: Snapped,
+}
+
+impl Reached {
+    /// The places with their steps, without ground that is too steep and what lies beyond it.
+    fn region(&self) -> Region {
+        let mut region = self.flood.region(&self.standing);
+        region.keep_linked(&[self.start.spot]);
+        region
+    }
+}
+
+/// A respect in which a pawn is changed.
+#[derive(Clone, Copy)]
+enum Change {
+    Width,
+    Headroom,
+    Step,
+    Slope,
+}
+
+impl Change {
+    const ALL: [Self; 4] = [Self::Width, Self::Headroom, Self::Step, Self::Slope];
+
+    /// The measure of the pawn, and the value furthest from it that is tried.
+    fn range(self, pawn: &Pawn, pixel_m: f64) -> [f64; 2] {
+        let half = pawn.body.half();
+        match self {
+            Self::Width => [2.0 * half.min(), pixel_m.min(2.0 * half.min()) * half.min() / half.max()],
+            Self::Headroom => [pawn.body.height(), (pawn.climb + ABOVE_CLIMB_M).max(LOWEST_M)],
+            Self::Step => [pawn.climb, (pawn.body.height() - ABOVE_CLIMB_M).min(HIGHEST_STEP_M)],
+            Self::Slope if pawn.max_grade.is_finite() => [pawn.max_grade, STEEPEST],
+            Self::Slope => [0.0; 2],
+        }
+    }
+
+    /// The pawn with this measure.
+    fn apply(self, pawn: &Pawn, value: f64) -> Pawn {
+        let share = value / (2.0 * pawn.body.half().min());
+        let body = match (self, pawn.body) {
+            (Self::Width, Body::Box { x, y, height }) => Body::Box { x: x * share, y: y * share, height },
+            (Self::Width, Body::Cylinder { radius, height }) => Body::Cylinder { radius: radius * share, height },
+            (Self::Headroom, Body::Box { x, y, .. }) => Body::Box { x, y, height: value },
+            (Self::Headroom, Body::Cylinder { radius, .. }) => Body::Cylinder { radius, height: value },
+            (Self::Step | Self::Slope, body) => body,
+        };
+        match self {
+            Self::Step => Pawn { body, climb: value, max_drop: pawn.max_drop.max(value), ..*pawn },
+            Self::Slope => Pawn { max_grade: value, ..*pawn },
+            _ => Pawn { body, ..*pawn },
+        }
+    }
+
+    fn reason(self) -> Reason {
+        match self {
+            Self::Width => Reason::Width,
+            Self::Headroom => Reason::Headroom,
+            Self::Step => Reason::Step,
+            Self::Slope => Reason::Slope,
+        }
+    }
+
+    /// How much of the pawn's own measure the change to `value` is.
+    fn share(self, pawn: &Pawn, value: f64, pixel_m: f64) -> f64 {
+        let own = self.range(pawn, pixel_m)[0];
+        (value - own).abs() / own.max(PRECISION_M)
+    }
+}
+
+/// The search, and what it asks.
+#[derive(Clone)]
+struct Ways<'a> {
+    desk: Desk,
+    monitor: &'a dyn Monitor,
+    pawn: Pawn,
+    /// Length of a long pawn (m).
+    length: Option<f64>,
+    ends: [Point3<f64>; 2],
+    /// Space in which the pawn must stay.
+    seen: Option<Arc<SeenSpace>>,
+    pixel_m: f64,
+}
+
+impl Ways<'_> {
+    /// Repeats `ask` until it knows the answer. Each time that pages are missing, and once more with the answer, the
+    /// search stops for the caller.
+    async fn known<T>(&self, mut ask: impl FnMut(&Snapshot) -> Result<Answer<T>>) -> Result<T> {
+        let mut found = None;
+        poll_fn(|_| {
+            if let Some(found) = found.take() {
+                return Poll::Ready(found);
+            }
+            let Some(set) = self.desk.lock().set.clone() else { return Poll::Pending };
+            match ask(&set) {
+                Ok(Answer::Known(value)) => found = Some(Ok(value)),
+                Ok(Answer::NotLoaded(missing)) => self.desk.lock().missing = Some(missing),
+                Err(error) => return Poll::Ready(Err(error)),
+            }
+            Poll::Pending
+        })
+        .await
+    }
+
+    async fn obstruction(mut self) -> Result<Option<Obstruction>> {
+        let Some(ends) = self.feet().await? else { return Ok(None) };
+        self.ends = ends;
+        let pawn = self.pawn;
+        if let Some(length) = self.length
+            && let Some(found) = self.too_long(&pawn, length).await?
+        {
+            return Ok(Some(found));
+        }
+        let Some(own) = self.own_ground().await? else { return Ok(None) };
+        if let Some(seen) = &self.seen
+            && let Some(route) = (Ways { seen: None, ..self.clone() }).route(&pawn, ends[1]).await?
+            && let Some(stop) = own.leaves(&route)
+        {
+            let is_seen = |feet: &Point3<f64>| seen.is_pawn_seen(*feet, pawn.climb, pawn.body.height());
+            let beyond = route[stop + 1..].iter().skip_while(|feet| is_seen(feet)).find(|feet| is_seen(feet));
+            let needs = (beyond.unwrap_or(&ends[1]) - route[stop]).norm();
+            return Ok(Some(Obstruction { at: route[stop], reason: Reason::Unseen, needs }));
+        }
+        if let Some((change, needs, passing)) = self.least_change(&pawn, ends[1]).await?
+            && let Some(route) = self.route(&passing, ends[1]).await?
+            && let Some(stop) = own.leaves(&route)
+        {
+            return Ok(Some(Obstruction { at: route[stop], reason: change.reason(), needs }));
+        }
+        // A low pawn cannot climb high, so these exclude each other.
+        for other in [Change::Headroom, Change::Step] {
+            let changed = [Change::Width, other].into_iter().fold(pawn, |pawn, change| {
+                let value = change.range(&pawn, self.pixel_m)[1];
+                change.apply(&pawn, value)
+            });
+            let Some(route) = self.route(&changed, ends[1]).await? else { continue };
+            let Some(stop) = own.leaves(&route) else { continue };
+            let beyond = self.stands_beyond(&pawn, &route[stop..], &own).await?.unwrap_or(ends[1]);
+            let found = match self.least_change(&pawn, beyond).await? {
+                Some((change, value, _)) => Some((change, value)),
+                // Both measures are too large: the width that passes once the other one does not matter.
+                None => {
+                    let eased = other.apply(&pawn, other.range(&pawn, self.pixel_m)[1]);
+                    self.bisect(&eased, Change::Width, beyond, None).await?.map(|value| (Change::Width, value))
+                }
+            };
+            let Some((change, needs)) = found else { continue };
+            return Ok(Some(Obstruction { at: route[stop], reason: change.reason(), needs }));
+        }
+        self.missing_ground(&pawn, &own).await
+    }
+
+    /// The places at the ends where the pawn stands; `None` if it cannot stand at one of them.
+    async fn feet(&self) -> Result<Option<[Point3<f64>; 2]>> {
+        let (mut standing, mut feet) = (self.standing(&self.pawn).await?, self.ends);
+        for end in &mut feet {
+            let Some(found) = self.known(|set| standing.snapped(set, *end, 0.0)).await? else { return Ok(None) };
+            *end = found.feet;
+        }
+        Ok(Some(feet))
+    }
+
+    /// The ground that the pawn itself reaches; `None` if the end is on it.
+    async fn own_ground(&self) -> Result<Option<Ground>> {
+        let Some(mut reached) = self.reached(&self.pawn, self.ends[0]).await? else { return Ok(None) };
+        let end = self.known(|set| reached.standing.snapped(set, self.ends[1], SNAP_M)).await?;
+        let region = reached.region();
+        Ok(end.is_none_or(|end| !region.stands_at(&end.spot)).then(|| Ground::of(&region)))
+    }
+
+    async fn standing(&self, pawn: &Pawn) -> Result<StandingPlaces> {
+        let standing = self.known(|set| Ok(Answer::Known(StandingPlaces::new(set, *pawn)?))).await?;
+        Ok(standing.within_seen(self.seen.clone()))
+    }
+
+    /// Everything that a pawn reaches from `from`; `None` if it can stand nowhere near.
+    async fn reached(&self, pawn: &Pawn, from: Point3<f64>) -> Result<Option<Reached>> {
+        let mut standing = self.standing(pawn).await?;
+        let Some(start) = self.known(|set| standing.snapped(set, from, SNAP_M)).await? else { return Ok(None) };
+        let mut flood = Flood::from(start.spot);
+        let straight = (self.ends[1] - self.ends[0]).xy().norm();
+        flood.within(self.ends.map(|end| end.xy()), LONGEST * straight + DETOUR_M);
+        self.known(|set| flood.grow(&mut standing, set, self.monitor)).await?;
+        Ok(Some(Reached { standing, flood, start }))
+    }
+
+    /// Whether a pawn gets from the start to `to`.
+    async fn connects(&self, pawn: &Pawn, to: Point3<f64>) -> Result<bool> {
+        let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(false) };
+        let end = self.known(|set| reached.standing.snapped(set, to, SNAP_M)).await?;
+        let Some(end) = end else { return Ok(false) };
+        if pawn.max_grade.is_infinite() {
+            return Ok(reached.flood.holds(&reached.standing, &end.spot));
+        }
+        Ok(reached.region().stands_at(&end.spot))
+    }
+
+    /// The least single change with which the pawn gets to `to`, its value, and the pawn.
+    async fn least_change(&self, pawn: &Pawn, to: Point3<f64>) -> Result<Option<(Change, f64, Pawn)>> {
+        let mut best: Option<(f64, Change, f64)> = None;
+        for change in Change::ALL {
+            let least = best.map(|(least, ..)| least);
+            if let Some(value) = self.bisect(pawn, change, to, least).await? {
+                let share = change.share(pawn, value, self.pixel_m);
+                if least.is_none_or(|least| share < least) {
+                    best = Some((share, change, value));
+                }
+            }
+        }
+        Ok(best.map(|(_, change, value)| (change, value, change.apply(pawn, value))))
+    }
+
+    /// The value nearest to the pawn's own with which it gets to `to`; `None` if no value that is tried does. Ends early,
+    /// with a value that passes, once the change is certain to be larger than the share `least`.
+    async fn bisect(&self, pawn: &Pawn, change: Change, to: Point3<f64>, least: Option<f64>) -> Result<Option<f64>> {
+        let [own, furthest] = change.range(pawn, self.pixel_m);
+        let precision = match change {
+            Change::Width => self.pixel_m / 2.0,
+            Change::Headroom | Change::Step => PRECISION_M,
+            Change::Slope => PRECISION_M / 10.0,
+        };
+        if (furthest - own).abs() < precision || !self.connects(&change.apply(pawn, furthest), to).await? {
+            return Ok(None);
+        }
+        let (mut blocked, mut passing) = (own, furthest);
+        while (passing - blocked).abs() > precision
+            && least.is_none_or(|least| change.share(pawn, blocked, self.pixel_m) < least)
+        {
+            let middle = passing.midpoint(blocked);
+            match self.connects(&change.apply(pawn, middle), to).await? {
+                true => passing = middle,
+                false => blocked = middle,
+            }
+        }
+        Ok(Some(passing))
+    }
+
+    /// Places along a pawn's way from the start to `to`, a pixel apart.
+    async fn route(&self, pawn: &Pawn, to: Point3<f64>) -> Result<Option<Vec<Point3<f64>>>> {
+        let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(None) };
+        let end = self.known(|set| reached.standing.snapped(set, to, SNAP_M)).await?;
+        let Some(end) = end else { return Ok(None) };
+        let region = reached.region();
+        let (mut search, start) = (Search::new(), reached.start.spot);
+        let route = self.known(|set| search.route(set, &region, &start, &end.spot, self.monitor)).await?;
+        Ok(route.map(|route| places(&region, &route)))
+    }
+
+    /// Where the way of a shorter pawn leaves what a pawn of this length reaches; `None` if the round pawn does not get to
+    /// the end, either.
+    async fn too_long(&self, pawn: &Pawn, length: f64) -> Result<Option<Obstruction>> {
+        let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(None) };
+        let end = self.known(|set| reached.standing.snapped(set, self.ends[1], SNAP_M)).await?;
+        let (mut region, start) = (reached.region(), reached.start.spot);
+        let Some(end) = end.filter(|end| region.stands_at(&end.spot)) else { return Ok(None) };
+        let connects = |length: f64| -> Result<bool> {
+            Ok(LongSearch::new(&region, length)?.reached(&[start], self.monitor)?.holds(&region, &end.spot))
+        };
+        let (mut blocked, mut passing) = (length, 2.0 * pawn.body.half().x);
+        if !connects(passing)? {
+            return Ok(None);
+        }
+        while blocked - passing > self.pixel_m / 2.0 {
+            let middle = passing.midpoint(blocked);
+            match connects(middle)? {
+                true => passing = middle,
+                false => blocked = middle,
+            }
+        }
+        let mut shorter = LongSearch::new(&region, passing)?;
+        let route = self.known(|set| shorter.route(set, &start, &end.spot, self.monitor)).await?;
+        let Some(route) = route else { return Ok(None) };
+        let places = places(&region, &route);
+        let own = LongSearch::new(&region, length)?.reached(&[start], self.monitor)?;
+        region.keep_reached(&reached.standing, &own);
+        let stop = Ground::of(&region).leaves(&places);
+        Ok(stop.map(|stop| Obstruction { at: places[stop], reason: Reason::Length, needs: passing }))
+    }
+
+    /// The first place of a way at which the pawn can stand without having reached it.
+    async fn stands_beyond(&self, pawn: &Pawn, way: &[Point3<f64>], own: &Ground) -> Result<Option<Point3<f64>>> {
+        let mut standing = self.standing(pawn).await?;
+        for place in way.iter().filter(|place| !own.holds(place)) {
+            if self.known(|set| standing.spot(set, *place)).await?.is_some() {
+                return Ok(Some(*place));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Where what the pawn reaches from the start comes nearest to what it reaches from the end.
+    async fn missing_ground(&self, pawn: &Pawn, own: &Ground) -> Result<Option<Obstruction>> {
+        let beyond = self.reached(pawn, self.ends[1]).await?.map(|reached| Ground::of(&reached.region()));
+        let Some((at, needs)) = beyond.and_then(|beyond| own.nearest(&beyond)) else { return Ok(None) };
+        // The ground is missing because it is deeper, or because nothing was scanned.
+        let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(None) };
+        let region = reached.region();
+        let mut search = LeakSearch::new(&region);
+        let leaks = self.known(|set| search.find(&mut reached.standing, set)).await?;
+        let nearest = leaks.iter().min_by(|a, b| (a.at - at).norm().total_cmp(&(b.at - at).norm()));
+        let is_deeper = nearest.is_some_and(|leak| leak.kind == LeakKind::Ledge || leak.drop.is_some());
+        Ok(Some(Obstruction { at, reason: if is_deeper { Reason::Gap } else { Reason::Unseen }, needs }))
+    }
+}
+
+/// Places along a route through a region, a pixel apart.
+fn places(region: &Region, Route { points, .. }: &Route) -> Vec<Point3<f64>> {
+    // A stretch is straight in plan only: between its ends it has the heights of the ground that it crosses.
+    let ground = Ground::of(region);
+    let mut places = vec![points[0]];
+    for pair in points.windows(2) {
+        let steps = ((pair[1] - pair[0]).xy().norm() / ground.pixel_m).ceil().max(1.0);
+        let mut level = pair[0].z;
+        for n in 1..steps as usize {
+            let mut place = pair[0] + (pair[1] - pair[0]) * (n as f64 / steps);
+            level = ground.level([place.x, place.y], level);
+            place.z = level;
+            places.push(place);
+        }
+        places.push(pair[1]);
+    }
+    places
+}
+
+/// Places that a pawn reaches, by pixel and by cell.
+struct Ground {
+    pixel_m: f64,
+    climb: f64,
+    pixels: HashMap<[i64; 2], Vec<f64>>,
+    cells: HashMap<[i64; 2], Vec<Point3<f64>>>,
+}
+
+impl Ground {
+    fn of(region: &Region) -> Self {
+        let pixel_m = region.grid.frame.pixel_m();
+        let mut ground = Self { pixel_m, climb: region.pawn().climb, pixels: HashMap::new(), cells: HashMap::new() };
+        for place in region.places() {
+            let at = ground.pixel(place.feet.x, place.feet.y);
+            ground.pixels.entry(at).or_default().push(place.feet.z);
+            ground.cells.entry(cell(&place.feet)).or_default().push(place.feet);
+        }
+        ground
+    }
+
+    fn pixel(&self, x: f64, y: f64) -> [i64; 2] {
+        [x, y].map(|v| (v / self.pixel_m).floor() as i64)
+    }
+
+    /// Height of the ground at a place (m): the one nearest to `near`, or `near` where nothing is reached.
+    fn level(&self, [x, y]: [f64; 2], near: f64) -> f64 {
+        let all = self.pixels.get(&self.pixel(x, y)).into_iter().flatten().copied();
+        all.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())).unwrap_or(near)
+    }
+
+    /// Whether the place is reached.
+    fn holds(&self, at: &Point3<f64>) -> bool {
+        let all = self.pixels.get(&self.pixel(at.x, at.y));
+        all.is_some_and(|all| all.iter().any(|z| (z - at.z).abs() <= self.climb.max(self.pixel_m)))
+    }
+
+    /// Index of the place of a way after which the way is no longer on this ground.
+    fn leaves(&self, way: &[Point3<f64>]) -> Option<usize> {
+        let last = way.iter().rposition(|place| self.holds(place))?;
+        (last + 1 < way.len()).then_some(last)
+    }
+
+    /// The place of this ground that is nearest to another ground in plan, and the distance between them (m); of several
+    /// pairs the first by the cells.
+    fn nearest(&self, other: &Self) -> Option<(Point3<f64>, f64)> {
+        let mut cells: Vec<&[i64; 2]> = self.cells.keys().collect();
+        cells.sort_unstable();
+        let along = |axis: usize| {
+            let beyond = other.cells.keys().map(move |cell| cell[axis]);
+            let (first, last) = (beyond.clone().min()?, beyond.max()?);
+            cells.iter().map(|own| (own[axis] - first).abs().max((own[axis] - last).abs())).max()
+        };
+        let furthest = along(0)?.max(along(1)?);
+        let mut best: Option<(Point3<f64>, f64)> = None;
+        // The cells of the other ground that are `far` cells away, then those farther off.
+        for far in 0..=furthest {
+            let least = (far - 1).max(0) as f64 * CELL_M;
+            for own in &cells {
+                for [x, y] in ring(far) {
+                    if best.is_some_and(|(_, distance)| distance <= least) {
+                        return best;
+                    }
+                    let Some(beyond) = other.cells.get(&[own[0] + x, own[1] + y]) else { continue };
+                    for (a, b) in self.cells[*own].iter().flat_map(|a| beyond.iter().map(move |b| (a, b))) {
+                        let distance = (a - b).xy().norm();
+                        if best.is_none_or(|(_, best)| distance < best) {
+                            best = Some((*a, distance));
+                        }
+                    }
+                }
+            }
+        }
+        best
+    }
+}
+
+/// Offsets of the cells on the border of a square around one, in order.
+fn ring(far: i64) -> impl Iterator<Item = [i64; 2]> {
+    (-far..=far).flat_map(move |x| {
+        let step = if x.abs() == far { 1 } else { 2 * far };
+        (-far..=far).step_by(step.max(1) as usize).map(move |y| [x, y])
+    })
+}
+
+fn cell(at: &Point3<f64>) -> [i64; 2] {
+    [at.x, at.y].map(|v| (v / CELL_M).floor() as i64)
+}
