@@ -1,6 +1,6 @@
 //! `slicetool route`: finds the shortest route of a pawn between two places.
 
-use crate::blocked::{Blocked, blocked};
+use crate::blocked::{self, blocked};
 use crate::edits::Link;
 use crate::ground::{Loader, Walks, end_json, tidy};
 use crate::links::{Joined, Way};
@@ -10,7 +10,7 @@ use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Coarse, Planned, Planner, Refusal, Route, RouteRefiner};
+use slicewalk::reach::{Coarse, Obstruction, Planned, Planner, Refusal, Route, RouteRefiner};
 use slicewalk::store::Snapshot;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -123,7 +123,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "found": found.is_ok(),
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
-            "blocked": stop.map(Blocked::to_json),
+            "blocked": stop.as_ref().map(blocked::to_json),
             "from": end_json(ends[0].0, ends[0].1),
             "to": end_json(ends[1].0, ends[1].1),
             "way_s": found.as_ref().ok().map(|way| tidy(way.seconds)),
@@ -160,7 +160,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
                     format!("the pawn cannot stand at --to ({})", arguments.walks.nowhere_near())
                 }
                 Refusal::NotConnected => match stop {
-                    Some(stop) => stop.text(),
+                    Some(stop) => blocked::text(&stop),
                     None => "no way leads there for this pawn; try a lower --pawn or a higher --climb".to_owned(),
                 },
                 other => other.name().to_owned(),
@@ -184,7 +184,7 @@ fn find(
     arguments: &Arguments,
     archive: Archive,
     ends: &mut Ends,
-    stop: &mut Option<Blocked>,
+    stop: &mut Option<Obstruction>,
     bytes: &mut usize,
 ) -> Result<Found, Failure> {
     let loader = arguments.walks.loader(archive, &arguments.archive)?;
@@ -236,7 +236,7 @@ fn by_links(
     archive: Archive,
     links: &[Link],
     ends: &mut Ends,
-    stop: &mut Option<Blocked>,
+    stop: &mut Option<Obstruction>,
     bytes: &mut usize,
 ) -> Result<Result<Way, Refusal>, Failure> {
     let loader = arguments.walks.loader(archive, &arguments.archive)?;

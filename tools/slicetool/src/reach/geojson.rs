@@ -5,12 +5,13 @@ use super::Reach;
 use super::features::{Ground, Ramp};
 use super::files::Out;
 use crate::Failure;
-use crate::blocked::Blocked;
+use crate::blocked::needs;
 use crate::ground::{Loader, tidy};
 use crate::links::Way;
 use crate::outline::{Area, Corner};
 use nalgebra::Point3;
 use serde_json::{Value, json};
+use slicewalk::reach::Obstruction;
 use std::io::Write;
 
 pub(super) fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failure> {
@@ -83,8 +84,8 @@ fn point(at: Point3<f64>) -> Value {
 }
 
 /// A place where a way stops.
-pub fn blocked_feature(blocked: &Blocked) -> Value {
-    let properties = json!({ "what": "blocked", "reason": blocked.reason, "needs": blocked.needs });
+pub fn blocked_feature(blocked: &Obstruction) -> Value {
+    let properties = json!({ "what": "blocked", "reason": blocked.reason.name(), "needs": needs(blocked) });
     feature(point(blocked.at), properties)
 }
 
