@@ -35,6 +35,11 @@ enum {
     SW_STOP_NONE = 0, SW_STOP_WALL = 1, SW_STOP_STEEP = 2, SW_STOP_HEADROOM = 3, SW_STOP_CORNER = 4,
     SW_STOP_INSIDE = 5, SW_STOP_LEDGE = 6, SW_STOP_VOID = 7
 };
+// Reasons why a pawn does not get to its goal.
+enum {
+    SW_OBSTRUCTION_NONE = 0, SW_OBSTRUCTION_WIDTH = 1, SW_OBSTRUCTION_LENGTH = 2, SW_OBSTRUCTION_HEADROOM = 3,
+    SW_OBSTRUCTION_STEP = 4, SW_OBSTRUCTION_SLOPE = 5, SW_OBSTRUCTION_GAP = 6, SW_OBSTRUCTION_UNSEEN = 7
+};
 
 
 // Version of this interface. A program runs with a library of the same number as the header that it was compiled with.
@@ -210,6 +215,20 @@ typedef struct sw_step {
   // Speed downwards (m/s).
   double falling;
 } sw_step;
+
+// What keeps a pawn from its goal, and what would pass.
+typedef struct sw_obstruction {
+  // `sizeof(sw_obstruction)`, set by the caller.
+  uint32_t size;
+  // What is in the way: `SW_OBSTRUCTION_NONE` to `SW_OBSTRUCTION_UNSEEN`.
+  uint32_t reason;
+  // The last place that the pawn reaches (m).
+  double at[3];
+  // The width along the shorter side, the length or the height of the largest pawn that passes with its other measures
+  // as they are, or the climb height that passes (m); the grade that passes (rise over run); or the distance to the
+  // ground that leads to the goal (m).
+  double needs;
+} sw_obstruction;
 
 #ifdef __cplusplus
 extern "C" {
@@ -404,6 +423,16 @@ sw_status sw_route_plan(const struct sw_pages *pages,
                         const double *to,
                         struct sw_route **route);
 
+// Finds what is in the way where `sw_route_plan` with the same arguments returned `SW_ERROR_NO_ROUTE`. The reason is the
+// smallest change, relative to the pawn's own measure, that opens a way of at most twice the straight distance plus
+// 30 m. It is `SW_OBSTRUCTION_NONE` if the pawn gets to the goal, cannot stand at one of the places, or if nothing was
+// found; the numbers are NaN then. Takes up to about 25 times as long as finding all places within that distance.
+sw_status sw_route_blocked(const struct sw_pages *pages,
+                           const struct sw_pawn *pawn,
+                           const double *from,
+                           const double *to,
+                           struct sw_obstruction *obstruction);
+
 // Writes the length of a route (m) and the number of its points. Either pointer may be NULL.
 sw_status sw_route_size(const struct sw_route *route, double *length, size_t *points);
 
@@ -454,6 +483,15 @@ sw_status sw_route_plan_seen(const struct sw_pages *pages,
                              const double *from,
                              const double *to,
                              struct sw_route **route);
+
+// Finds what is in the way like `sw_route_blocked`, where `sw_route_plan_seen` returned `SW_ERROR_NO_ROUTE`. If the pawn
+// gets to the goal over ground where it was not seen, the reason is `SW_OBSTRUCTION_UNSEEN`.
+sw_status sw_route_blocked_seen(const struct sw_pages *pages,
+                                const struct sw_seen *seen,
+                                const struct sw_pawn *pawn,
+                                const double *from,
+                                const double *to,
+                                struct sw_obstruction *obstruction);
 
 // Closes seen space. NULL is allowed.
 sw_status sw_seen_close(struct sw_seen *seen);

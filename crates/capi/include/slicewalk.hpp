@@ -237,6 +237,22 @@ public:
         check(sw_route_plan_seen(pages.get(), seen.get(), &pawn, from.data(), to.data(), &route));
         return Route(route);
     }
+    // What keeps the pawn from its goal where `plan` throws `SW_ERROR_NO_ROUTE`; nothing if nothing was found.
+    static std::optional<sw_obstruction> blocked(const Pages &pages, const std::array<double, 3> &from,
+                                                 const std::array<double, 3> &to,
+                                                 const sw_pawn &pawn = default_pawn()) {
+        sw_obstruction found = sized();
+        check(sw_route_blocked(pages.get(), &pawn, from.data(), to.data(), &found));
+        return some(found);
+    }
+    // In seen space.
+    static std::optional<sw_obstruction> blocked(const Pages &pages, const SeenSpace &seen,
+                                                 const std::array<double, 3> &from, const std::array<double, 3> &to,
+                                                 const sw_pawn &pawn = default_pawn()) {
+        sw_obstruction found = sized();
+        check(sw_route_blocked_seen(pages.get(), seen.get(), &pawn, from.data(), to.data(), &found));
+        return some(found);
+    }
     double length() const {
         double length = 0;
         check(sw_route_size(get(), &length, nullptr));
@@ -252,6 +268,16 @@ public:
 
 private:
     using Owned::Owned;
+
+    static sw_obstruction sized() {
+        sw_obstruction found{};
+        found.size = sizeof found;
+        return found;
+    }
+    static std::optional<sw_obstruction> some(const sw_obstruction &found) {
+        if (found.reason == SW_OBSTRUCTION_NONE) return std::nullopt;
+        return found;
+    }
 };
 
 } // namespace slicewalk

@@ -198,10 +198,9 @@ pub unsafe trait Sized32: Copy {
 /// # Safety
 /// The pointer is null or points to as many initialised bytes as its first field says.
 pub unsafe fn record<T: Sized32>(pointer: *const T) -> Outcome<T> {
-    check(pointer, 1, T::NAME)?;
-    // SAFETY: not null and aligned; the first field is a `u32` by the contract of `Sized32`.
-    check_size::<T>(unsafe { pointer.cast::<u32>().read() })?;
-    // SAFETY: as above, and it has the size of `T` and thus all fields, whose every bit pattern is a value.
+    // SAFETY: guaranteed by the caller.
+    unsafe { sized(pointer) }?;
+    // SAFETY: not null, aligned, and of the size of `T`, thus with all fields, whose every bit pattern is a value.
     Ok(unsafe { pointer.read() })
 }
 
@@ -211,15 +210,21 @@ pub unsafe fn record<T: Sized32>(pointer: *const T) -> Outcome<T> {
 /// The pointer is null or points to an initialised size and as many bytes as it states; no other code uses them during
 /// the call.
 pub unsafe fn fill<T: Sized32>(pointer: *mut T, value: T) -> Outcome {
-    check(pointer, 1, T::NAME)?;
-    // SAFETY: as in `record`.
-    check_size::<T>(unsafe { pointer.cast::<u32>().read() })?;
+    // SAFETY: guaranteed by the caller.
+    unsafe { sized(pointer) }?;
     // SAFETY: not null, aligned, and of the size of `T`.
     unsafe { pointer.write(value) };
     Ok(())
 }
 
-fn check_size<T: Sized32>(size: u32) -> Outcome {
+/// Checks a struct that will be filled in, before work that takes long.
+///
+/// # Safety
+/// The pointer is null or points to an initialised size.
+pub unsafe fn sized<T: Sized32>(pointer: *const T) -> Outcome {
+    check(pointer, 1, T::NAME)?;
+    // SAFETY: not null and aligned; the first field is a `u32` by the contract of `Sized32`.
+    let size = unsafe { pointer.cast::<u32>().read() };
     if size as usize == size_of::<T>() {
         return Ok(());
     }

@@ -1,13 +1,15 @@
 //! Routes.
 
-use crate::border::{Failure, Handle, Outcome, close, give, guard, held, output, place, record, sw_status};
+use crate::border::{
+    Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, output, place, record, sized, sw_status,
+};
 use crate::pages::sw_pages;
 use crate::stream::numbers;
 use crate::walker::sw_pawn;
 use engine::NoMonitor;
-use engine::reach::{Pawn, Planned, Planner, Route};
+use engine::reach::{Obstruction, ObstructionSearch, Pawn, Planned, Planner, Reason, Route, Sought};
 use engine::seen::SeenSpace;
-use engine::store::Snapshot;
+use engine::store::{Missing, Snapshot};
 use std::sync::Arc;
 
 /// A route that a walker can follow. Any number of threads may use it at once.
@@ -31,10 +33,68 @@ pub fn plan(set: &Snapshot, seen: Option<Arc<SeenSpace>>, pawn: Pawn, [from, to]
                 let text = format!("no route: {}", refusal.name());
                 return Err(Failure(sw_status::SW_ERROR_NO_ROUTE, text));
             }
-            Planned::NotLoaded(missing) => {
-                let text = format!("{} pages of the route are not in memory; load them, or all pages", missing.count());
-                return Err(Failure(sw_status::SW_ERROR_NOT_LOADED, text));
-            }
+            Planned::NotLoaded(missing) => return Err(not_loaded(&missing)),
+            _ => {}
+        }
+    }
+}
+
+fn not_loaded(missing: &Missing) -> Failure {
+    let text = format!("{} pages of the route are not in memory; load them, or all pages", missing.count());
+    Failure(sw_status::SW_ERROR_NOT_LOADED, text)
+}
+
+/// What keeps a pawn from its goal, and what would pass.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct sw_obstruction {
+    /// `sizeof(sw_obstruction)`, set by the caller.
+    pub size: u32,
+    /// What is in the way: `SW_OBSTRUCTION_NONE` to `SW_OBSTRUCTION_UNSEEN`.
+    pub reason: u32,
+    /// The last place that the pawn reaches (m).
+    pub at: [f64; 3],
+    /// The width along the shorter side, the length or the height of the largest pawn that passes with its other measures
+    /// as they are, or the climb height that passes (m); the grade that passes (rise over run); or the distance to the
+    /// ground that leads to the goal (m).
+    pub needs: f64,
+}
+
+// SAFETY: `repr(C)`, the size first, and numbers only.
+unsafe impl Sized32 for sw_obstruction {
+    const NAME: &'static str = "sw_obstruction";
+}
+
+impl sw_obstruction {
+    fn of(found: Option<Obstruction>) -> Outcome<Self> {
+        let size = size_of::<Self>() as u32;
+        let Some(found) = found else { return Ok(Self { size, reason: 0, at: [f64::NAN; 3], needs: f64::NAN }) };
+        let reason = match found.reason {
+            Reason::Width => 1,
+            Reason::Length => 2,
+            Reason::Headroom => 3,
+            Reason::Step => 4,
+            Reason::Slope => 5,
+            Reason::Gap => 6,
+            Reason::Unseen => 7,
+            other => return Err(Failure(sw_status::SW_ERROR_INTERNAL, format!("no number of {}", other.name()))),
+        };
+        Ok(Self { size, reason, at: found.at.into(), needs: found.needs })
+    }
+}
+
+/// Finds what keeps the pawn, which may be bound to `seen` space, from its goal.
+pub fn blocked(
+    set: &Snapshot,
+    seen: Option<Arc<SeenSpace>>,
+    pawn: Pawn,
+    [from, to]: [[f64; 3]; 2],
+) -> Outcome<sw_obstruction> {
+    let mut search = ObstructionSearch::new(set, pawn, from.into(), to.into(), &NoMonitor)?.within_seen(seen);
+    loop {
+        match search.advance(set)? {
+            Sought::Done(found) => return sw_obstruction::of(found),
+            Sought::NotLoaded(missing) => return Err(not_loaded(&missing)),
             _ => {}
         }
     }
@@ -67,6 +127,29 @@ pub unsafe extern "C" fn sw_route_plan(
         let (pages, (pawn, ends)) = unsafe { (held(pages)?, ends(pawn, from, to)?) };
         // SAFETY: as the header demands of `route`.
         unsafe { give(route, || plan(pages, None, pawn, ends)) }
+    })
+}
+
+/// Finds what is in the way where `sw_route_plan` with the same arguments returned `SW_ERROR_NO_ROUTE`. The reason is the
+/// smallest change, relative to the pawn's own measure, that opens a way of at most twice the straight distance plus
+/// 30 m. It is `SW_OBSTRUCTION_NONE` if the pawn gets to the goal, cannot stand at one of the places, or if nothing was
+/// found; the numbers are NaN then. Takes up to about 25 times as long as finding all places within that distance.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sw_route_blocked(
+    pages: *const sw_pages,
+    pawn: *const sw_pawn,
+    from: *const f64,
+    to: *const f64,
+    obstruction: *mut sw_obstruction,
+) -> sw_status {
+    guard(|| {
+        // SAFETY: as the header demands of structs.
+        unsafe { sized(obstruction) }?;
+        // SAFETY: as the header demands of handles, structs and arrays.
+        let (pages, (pawn, ends)) = unsafe { (held(pages)?, ends(pawn, from, to)?) };
+        let found = blocked(pages, None, pawn, ends)?;
+        // SAFETY: as the header demands of structs.
+        unsafe { fill(obstruction, found) }
     })
 }
 

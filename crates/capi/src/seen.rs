@@ -1,9 +1,9 @@
 //! Space that the scanners saw.
 
 use crate::archive::sw_archive;
-use crate::border::{Handle, close, give, guard, held, place, sw_status};
+use crate::border::{Handle, close, fill, give, guard, held, place, sized, sw_status};
 use crate::pages::{aabb, batch, sw_pages};
-use crate::route::{ends, plan, sw_route};
+use crate::route::{blocked, ends, plan, sw_obstruction, sw_route};
 use crate::walker::sw_pawn;
 use engine::Error;
 use engine::query::Ray;
@@ -133,6 +133,28 @@ pub unsafe extern "C" fn sw_route_plan_seen(
         let (pages, space, (pawn, ends)) = unsafe { (held(pages)?, held(seen)?, ends(pawn, from, to)?) };
         // SAFETY: as the header demands of `route`.
         unsafe { give(route, || plan(pages, Some(space.clone()), pawn, ends)) }
+    })
+}
+
+/// Finds what is in the way like `sw_route_blocked`, where `sw_route_plan_seen` returned `SW_ERROR_NO_ROUTE`. If the pawn
+/// gets to the goal over ground where it was not seen, the reason is `SW_OBSTRUCTION_UNSEEN`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sw_route_blocked_seen(
+    pages: *const sw_pages,
+    seen: *const sw_seen,
+    pawn: *const sw_pawn,
+    from: *const f64,
+    to: *const f64,
+    obstruction: *mut sw_obstruction,
+) -> sw_status {
+    guard(|| {
+        // SAFETY: as the header demands of structs.
+        unsafe { sized(obstruction) }?;
+        // SAFETY: as the header demands of handles, structs and arrays.
+        let (pages, space, (pawn, ends)) = unsafe { (held(pages)?, held(seen)?, ends(pawn, from, to)?) };
+        let found = blocked(pages, Some(space.clone()), pawn, ends)?;
+        // SAFETY: as the header demands of structs.
+        unsafe { fill(obstruction, found) }
     })
 }
 

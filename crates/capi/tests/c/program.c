@@ -184,6 +184,30 @@ int main(int argc, char **argv) {
     CHECK(sw_route_plan(nothing, &pawn, from, to, &none) == SW_ERROR_NOT_LOADED && none == NULL);
     double sky[3] = {to[0] + 1e5, to[1], to[2]};
     CHECK(sw_route_plan(pages, &pawn, from, sky, &none) == SW_ERROR_NO_ROUTE && strstr(sw_last_error(), "not_standing_to"));
+
+    // What is in the way: nothing, or steps of 0.17 m.
+    sw_obstruction obstruction = {.size = sizeof obstruction};
+    OK(sw_route_blocked(pages, &pawn, from, to, &obstruction));
+    CHECK(obstruction.reason == SW_OBSTRUCTION_NONE && isnan(obstruction.needs) && isnan(obstruction.at[0]));
+    OK(sw_route_blocked(pages, &pawn, from, sky, &obstruction));
+    CHECK(obstruction.reason == SW_OBSTRUCTION_NONE);
+    sw_pawn lame = pawn;
+    lame.climb = 0.1;
+    CHECK(sw_route_plan(pages, &lame, from, to, &none) == SW_ERROR_NO_ROUTE && strstr(sw_last_error(), "not_connected"));
+    OK(sw_route_blocked(pages, &lame, from, to, &obstruction));
+    CHECK(obstruction.reason == SW_OBSTRUCTION_STEP && fabs(obstruction.needs - 0.17) < 0.02);
+    CHECK(fabs(obstruction.at[2] - from[2]) < 0.2 && obstruction.at[0] > from[0] - 0.5 && obstruction.at[0] < to[0]);
+    lame.climb = obstruction.needs;
+    OK(sw_route_plan(pages, &lame, from, to, &none));
+    OK(sw_route_close(none));
+    CHECK(sw_route_blocked(nothing, &lame, from, to, &obstruction) == SW_ERROR_NOT_LOADED);
+    REFUSED(sw_route_blocked(NULL, &lame, from, to, &obstruction), "sw_pages");
+    REFUSED(sw_route_blocked(pages, &lame, from, to, NULL), "sw_obstruction");
+    obstruction.size = 4;
+    REFUSED(sw_route_blocked(pages, &lame, from, to, &obstruction), "sizeof(sw_obstruction)");
+    lame.climb = 5;
+    obstruction.size = sizeof obstruction;
+    REFUSED(sw_route_blocked(pages, &lame, from, to, &obstruction), "climb");
     lazy.budget = 1;
     sw_stream *tight = NULL;
     CHECK(sw_stream_open(archive, &lazy, &tight) == SW_ERROR_ARGUMENT && tight == NULL);

@@ -59,6 +59,10 @@ int main(int argc, char **argv) {
     for (auto &thread : threads) thread.join();
 
     const Route route = Route::plan(pages, from, to);
+    sw_pawn lame = default_pawn();
+    lame.climb = 0.1;
+    CHECK(!Route::blocked(pages, from, to));
+    CHECK(Route::blocked(pages, from, to, lame).value().reason == SW_OBSTRUCTION_STEP);
     const std::vector<double> xyz = route.points();
     CHECK(route.length() > 0 && xyz.size() >= 6);
     Stream stream = Stream::open(archive, 64 << 20);

@@ -71,6 +71,9 @@ int main(int argc, char **argv) {
     OK(sw_route_close(route));
     CHECK(sw_route_plan_seen(pages, seen, &pawn, from, hall, &route) == SW_ERROR_NO_ROUTE);
     CHECK(route == NULL && strstr(sw_last_error(), "not_standing_to"));
+    sw_obstruction obstruction = {.size = sizeof obstruction};
+    OK(sw_route_blocked_seen(pages, seen, &pawn, from, hall, &obstruction));
+    CHECK(obstruction.reason == SW_OBSTRUCTION_NONE);
     OK(sw_route_plan(pages, &pawn, from, hall, &route));
     OK(sw_route_close(route));
 
@@ -96,6 +99,7 @@ int main(int argc, char **argv) {
     REFUSED(sw_seen_places(NULL, from, 3, answers, 1), "sw_seen");
     REFUSED(sw_seen_places((sw_seen *)pages, from, 3, answers, 1), "open sw_seen");
     REFUSED(sw_route_plan_seen(pages, NULL, &pawn, from, near, &route), "sw_seen");
+    REFUSED(sw_route_blocked_seen(pages, NULL, &pawn, from, near, &obstruction), "sw_seen");
     REFUSED(sw_seen_load(archive, 1, NULL), "NULL");
     REFUSED(sw_seen_cells(seen, NULL), "NULL");
 
