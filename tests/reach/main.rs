@@ -1,5 +1,6 @@
 //! Standing places and walking, compared with brute force, closed forms, exact routes and the walker itself.
 
+mod blocked;
 mod brute;
 mod coarse;
 #[path = "../common/mod.rs"]
