@@ -9,7 +9,10 @@ use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use slicewalk::nalgebra::Point3;
-use slicewalk::reach::{Flood, LeakSearch, Pawn, Place, Refusal, Region, Route, Search, StandingPlaces};
+use slicewalk::reach::{
+    Flood, LeakSearch, Obstruction, ObstructionSearch, Pawn, Place, Refusal, Region, Route, Search, Sought,
+    StandingPlaces,
+};
 use slicewalk::seen::SeenSpace;
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
@@ -101,20 +104,28 @@ pub fn reach<'py>(
     )
 }
 
-/// Returns the route, as `slicewalk.Route`.
+/// Returns the route, as `slicewalk.Route`; with what is in the way if there is none, and `explain`.
 pub fn route<'py>(
     pages: &Pages,
     ends: [&Bound<'py, PyAny>; 2],
     pawn: &Pawn,
     seen: Seen,
+    explain: bool,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = ends[0].py();
     let [from, to] = [numbers::<3>(ends[0], "start")?, numbers::<3>(ends[1], "goal")?].map(Point3::from);
     let audience = Audience { progress, ..Audience::default() };
-    let found = {
+    let (found, blocked) = {
         let set = pages.set.pages(py)?;
-        attended(py, &audience, pages.name(), |monitor| find(set, *pawn, seen, [from, to], monitor))?
+        attended(py, &audience, pages.name(), |monitor| {
+            let found = find(set, *pawn, seen.clone(), [from, to], monitor)?;
+            let blocked = match found {
+                Err(Refusal::NotConnected) if explain => obstruction(set, *pawn, seen, [from, to], monitor)?,
+                _ => None,
+            };
+            Ok((found, blocked))
+        })?
     };
     let (length, points, reason) = match found {
         Ok(route) => (Some(route.length_m), route.points, None),
@@ -123,7 +134,10 @@ pub fn route<'py>(
     let count = points.len();
     let points: Vec<f64> = points.iter().flat_map(|point| [point.x, point.y, point.z]).collect();
     let points = points.into_pyarray(py).reshape([count, 3])?;
-    py.import("slicewalk._results")?.getattr("Route")?.call1((reason.is_none(), length, reason, points))
+    let results = py.import("slicewalk._results")?;
+    let blocked = blocked.map(|found| ((found.at.x, found.at.y, found.at.z), found.reason.name(), found.needs));
+    let blocked = blocked.map(|found| results.getattr("Obstruction")?.call1(found)).transpose()?;
+    results.getattr("Route")?.call1((reason.is_none(), length, reason, points, blocked))
 }
 
 fn find(
@@ -150,6 +164,25 @@ fn find(
             Some(route) => length = route.length_m,
             None if flood.is_whole() => return Ok(Err(Refusal::NotConnected)),
             None => length *= 2.0,
+        }
+    }
+}
+
+/// Finds what keeps the pawn from the goal.
+fn obstruction(
+    set: &Snapshot,
+    pawn: Pawn,
+    seen: Seen,
+    [from, to]: [Point3<f64>; 2],
+    monitor: &dyn Monitor,
+) -> Result<Option<Obstruction>, Failure> {
+    monitor.stage("obstruction", 0, "places");
+    let mut search = ObstructionSearch::new(set, pawn, from, to, monitor)?.within_seen(seen);
+    loop {
+        match search.advance(set)? {
+            Sought::Done(found) => return Ok(found),
+            Sought::NotLoaded(missing) => return Err(missing.into()),
+            _ => {}
         }
     }
 }

@@ -38,7 +38,19 @@ except ImportError as _error:
 
 from slicewalk._bridges import OccupancyGrid, from_numpy, to_occupancy_grid, to_octomap, to_open3d
 from slicewalk._options import ConvertOptions, PlanOptions, WriterOptions
-from slicewalk._results import Extreme, Leak, Passage, Path, Reach, Region, Route, StepReport, Storey, SurfacePoints
+from slicewalk._results import (
+    Extreme,
+    Leak,
+    Obstruction,
+    Passage,
+    Path,
+    Reach,
+    Region,
+    Route,
+    StepReport,
+    Storey,
+    SurfacePoints,
+)
 from slicewalk.errors import (
     CancelledError,
     Error,
@@ -81,6 +93,7 @@ __all__ = [
     "MissingFileError",
     "NotDurableError",
     "NotLoadedError",
+    "Obstruction",
     "OccupancyGrid",
     "OutputError",
     "Page",

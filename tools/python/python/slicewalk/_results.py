@@ -191,6 +191,23 @@ class Reach:
         )
 
 
+class Obstruction(NamedTuple):
+    """What keeps a pawn from its goal, and what would pass.
+
+    The best way stops at `at`. Of the changes that open a way, `reason` is the smallest one relative to the pawn:
+
+    - ``"width"``, ``"headroom"``: `needs` is the width along its shorter side, or the height, of the largest pawn that
+      passes with all else as it is (m)
+    - ``"step"``: `needs` is the `climb` that passes (m)
+    - ``"gap"``, ``"unseen"``: the ground between is deeper, or was not scanned, or with ``seen=True`` the pawn was not
+      seen on it; `needs` is the distance to the ground that leads to the goal (m)
+    """
+
+    at: _Place
+    reason: str
+    needs: float
+
+
 @dataclass(frozen=True, eq=False)
 class Route:
     """A route; see :meth:`Pages.route`.
@@ -199,9 +216,9 @@ class Route:
         found: whether there is a route
         length: length of the lines between its points, including heights (m); None without a route
         reason: why there is no route: ``"not_standing_from"``, ``"not_standing_to"``, ``"not_connected"``. With
-            ``seen=True``, ground on which the pawn was not seen counts as none, so the same route without it tells
-            whether that is the reason
+            ``seen=True``, ground on which the pawn was not seen counts as none
         points: float64 of shape (N, 3): places to reach in turn (m)
+        blocked: with ``explain=True``, what is in the way if the two places are not connected; otherwise None
 
     """
 
@@ -209,6 +226,7 @@ class Route:
     length: float | None
     reason: str | None
     points: NDArray[np.float64]
+    blocked: Obstruction | None = None
 
     def __bool__(self) -> bool:
         """Return whether there is a route."""
@@ -217,7 +235,8 @@ class Route:
     def __repr__(self) -> str:
         """Return the length, or why there is no route."""
         if self.length is None:
-            return f"<slicewalk.Route: none, {self.reason}>"
+            why = f" ({self.blocked.reason})" if self.blocked else ""
+            return f"<slicewalk.Route: none, {self.reason}{why}>"
         return f"<slicewalk.Route: {self.length:.2f} m, {len(self.points)} points>"
 
 

@@ -106,6 +106,7 @@ class Pages:
         climb: float = 0.35,
         max_drop: float | None = None,
         seen: bool = False,
+        explain: bool = False,
         progress: _Progress = None,
     ) -> Route: ...
 
