@@ -188,7 +188,7 @@ impl<'a> ObstructionSearch<'a> {
     }
 
     /// Searches for a pawn drawn out to `length` (m); see [`LongSearch`]. Call it before anything else. An unfit length is
-    /// an error of the search.
+    /// an error of the search if the round pawn gets through.
     #[must_use]
     pub fn drawn_out(self, length: Option<f64>) -> Self {
         Self { ways: Ways { length, ..self.ways }, ..self }
