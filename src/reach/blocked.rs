@@ -152,11 +152,13 @@ pub enum Sought {
 /// ```
 pub struct ObstructionSearch<'a> {
     ways: Ways<'a>,
-    /// The search itself is plain code that asks one question after the other. It is a future only so that it can stop
-    /// within a question for which pages are missing, and go on from there: it never waits for anything else, and only
-    /// [`advance`](Self::advance) polls it.
-    running: Option<Pin<Box<dyn Future<Output = Result<Option<Obstruction>>> + Send + 'a>>>,
+    running: Option<Running<'a>>,
 }
+
+/// A search that has begun. It is plain code that asks one question after the other, and a future only so that it can stop
+/// within a question for which pages are missing, and go on from there: it waits for nothing else, and only
+/// [`ObstructionSearch::advance`] polls it.
+type Running<'a> = Pin<Box<dyn Future<Output = Result<Option<Obstruction>>> + Send + 'a>>;
 
 impl std::fmt::Debug for ObstructionSearch<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
