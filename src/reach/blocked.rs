@@ -1,7 +1,7 @@
 //! Why no route connects two places: where the best way stops, and what would pass.
 //!
-//! The pawn is changed in one respect at a time (narrower, lower, a higher step, a steeper grade), by bisection to the
-//! least change with which the end is reached. The least of these changes, as a share of the pawn's own measure, is the
+//! The pawn is changed in one respect at a time (narrower, lower, a higher step, a steeper grade, a longer ramp), by
+//! bisection to the least change with which the end is reached. The least of these changes, as a share of the pawn's own measure, is the
 //! reason; the place is where the way of the changed pawn leaves what the pawn itself reaches. If no single change helps,
 //! a narrow pawn that is also low, or climbs high, finds a way; the reason is then the least change that leads past the
 //! first place where this way leaves what the pawn reaches, or the width that passes there once the other measure does
@@ -38,8 +38,11 @@ const ABOVE_CLIMB_M: f64 = 0.05;
 const STEEPEST: f64 = 2.0;
 /// Highest step that is tried (m).
 const HIGHEST_STEP_M: f64 = 3.0;
-/// Precision of steps and headroom (m).
+/// Longest ramp that is tried (m).
+const LONGEST_RAMP_M: f64 = 1000.0;
+/// Precision of steps and headroom, and of ramps (m).
 const PRECISION_M: f64 = 0.01;
+const RAMP_PRECISION_M: f64 = 0.1;
 /// How far a changed pawn may be moved to stand at an end (m).
 const SNAP_M: f64 = 0.5;
 /// Cell in which the nearest ground is looked for (m).
@@ -59,6 +62,8 @@ pub enum Reason {
     Step,
     /// The ground is steeper than it walks.
     Slope,
+    /// A ramp is longer than it goes without a landing.
+    Ramp,
     /// The ground between is deeper than it steps down.
     Gap,
     /// The ground between was not scanned, or no scanner saw the pawn there and it must stay in seen space.
@@ -74,6 +79,7 @@ impl Reason {
             Self::Headroom => "headroom",
             Self::Step => "step",
             Self::Slope => "slope",
+            Self::Ramp => "ramp",
             Self::Gap => "gap",
             Self::Unseen => "unseen",
         }
@@ -89,8 +95,8 @@ pub struct Obstruction {
     /// What is in the way.
     pub reason: Reason,
     /// With the pawn's other measures as they are: the width along its shorter side, the length or the height of the
-    /// largest pawn that passes, or the height of the step to climb (m), all found by bisection and known to pass; the
-    /// [steepest grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
+    /// largest pawn that passes, the height of the step to climb or the length of a ramp without a landing (m), all
+    /// found by bisection and known to pass; the [steepest grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
     pub needs: f64,
 }
 
@@ -255,10 +261,11 @@ enum Change {
     Headroom,
     Step,
     Slope,
+    Ramp,
 }
 
 impl Change {
-    const ALL: [Self; 4] = [Self::Width, Self::Headroom, Self::Step, Self::Slope];
+    const ALL: [Self; 5] = [Self::Width, Self::Headroom, Self::Step, Self::Slope, Self::Ramp];
 
     /// The measure of the pawn, and the value furthest from it that is tried.
     fn range(self, pawn: &Pawn, pixel_m: f64) -> [f64; 2] {
@@ -268,7 +275,8 @@ impl Change {
             Self::Headroom => [pawn.body.height(), (pawn.climb + ABOVE_CLIMB_M).max(LOWEST_M)],
             Self::Step => [pawn.climb, (pawn.body.height() - ABOVE_CLIMB_M).min(HIGHEST_STEP_M)],
             Self::Slope if pawn.max_grade.is_finite() => [pawn.max_grade, STEEPEST],
-            Self::Slope => [0.0; 2],
+            Self::Ramp if pawn.max_ramp.is_finite() => [pawn.max_ramp, LONGEST_RAMP_M],
+            Self::Slope | Self::Ramp => [0.0; 2],
         }
     }
 
@@ -280,11 +288,12 @@ impl Change {
             (Self::Width, Body::Cylinder { radius, height }) => Body::Cylinder { radius: radius * share, height },
             (Self::Headroom, Body::Box { x, y, .. }) => Body::Box { x, y, height: value },
             (Self::Headroom, Body::Cylinder { radius, .. }) => Body::Cylinder { radius, height: value },
-            (Self::Step | Self::Slope, body) => body,
+            (Self::Step | Self::Slope | Self::Ramp, body) => body,
         };
         match self {
             Self::Step => Pawn { body, climb: value, max_drop: pawn.max_drop.max(value), ..*pawn },
             Self::Slope => Pawn { max_grade: value, ..*pawn },
+            Self::Ramp => Pawn { max_ramp: value, ..*pawn },
             _ => Pawn { body, ..*pawn },
         }
     }
@@ -295,6 +304,7 @@ impl Change {
             Self::Headroom => Reason::Headroom,
             Self::Step => Reason::Step,
             Self::Slope => Reason::Slope,
+            Self::Ramp => Reason::Ramp,
         }
     }
 
@@ -358,7 +368,12 @@ impl Ways<'_> {
             let needs = (beyond.unwrap_or(&ends[1]) - route[stop]).norm();
             return Ok(Some(Obstruction { at: route[stop], reason: Reason::Unseen, needs }));
         }
-        if let Some((change, needs, passing)) = self.least_change(&pawn, ends[1]).await?
+        let mut least = self.least_change(&pawn, ends[1]).await?;
+        if least.is_none() && pawn.max_ramp.is_finite() {
+            // A steep ramp may be long, too: the grade is the reason.
+            least = self.least_change(&Pawn { max_ramp: f64::INFINITY, ..pawn }, ends[1]).await?;
+        }
+        if let Some((change, needs, passing)) = least
             && let Some(route) = self.route(&passing, ends[1]).await?
             && let Some(stop) = own.leaves(&route)
         {
@@ -426,7 +441,7 @@ impl Ways<'_> {
         let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(false) };
         let end = self.known(|set| reached.standing.snapped(set, to, SNAP_M)).await?;
         let Some(end) = end else { return Ok(false) };
-        if pawn.max_grade.is_infinite() {
+        if pawn.max_grade.is_infinite() && pawn.max_ramp.is_infinite() {
             return Ok(reached.flood.holds(&reached.standing, &end.spot));
         }
         Ok(reached.region().stands_at(&end.spot))
@@ -455,6 +470,7 @@ impl Ways<'_> {
             Change::Width => self.pixel_m / 2.0,
             Change::Headroom | Change::Step => PRECISION_M,
             Change::Slope => PRECISION_M / 10.0,
+            Change::Ramp => RAMP_PRECISION_M,
         };
         if (furthest - own).abs() < precision || !self.connects(&change.apply(pawn, furthest), to).await? {
             return Ok(None);

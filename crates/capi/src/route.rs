@@ -77,6 +77,7 @@ impl sw_obstruction {
             Reason::Slope => 5,
             Reason::Gap => 6,
             Reason::Unseen => 7,
+            Reason::Ramp => 8,
             other => return Err(Failure(sw_status::SW_ERROR_INTERNAL, format!("no number of {}", other.name()))),
         };
         Ok(Self { size, reason, at: found.at.into(), needs: found.needs })

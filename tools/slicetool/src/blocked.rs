@@ -28,6 +28,7 @@ pub fn text(found: &Obstruction) -> String {
         Reason::Headroom => format!("too low at {at}; a pawn {needs:.2} m high passes"),
         Reason::Step => format!("a step too high at {at}; --climb {needs:.2} passes"),
         Reason::Slope => format!("too steep at {at}; --max-grade {needs:.1} passes"),
+        Reason::Ramp => format!("a ramp too long without a landing at {at}; --max-ramp {needs:.1} passes"),
         Reason::Gap => format!("the ground ends at {at}, {needs:.2} m before what leads to the end"),
         _ => format!("nothing was scanned beyond {at}; the ground that leads to the end begins {needs:.2} m off"),
     }

@@ -103,6 +103,22 @@ fn a_ramp_too_steep_for_a_wheelchair_is_named() {
         route(ramp(0.04), ["1,1.5,0.1", "11,1.5,0.3"], &["--profile", "wheelchair"])["found"],
         Value::from(true)
     );
+    // Longer than six metres without a landing, and besides too steep.
+    let long = |grade: f64| {
+        floor([0.0, 14.0], [0.0, 3.0], 0.0).map(move |[x, y, _]| [x, y, (x - 3.0).clamp(0.0, 8.0) * grade]).collect()
+    };
+    let far = |grade: f64| ["1,1.5,0.1".into(), format!("13,1.5,{}", 8.0 * grade + 0.1)];
+    let blocked = |grade: f64| {
+        let ends = far(grade);
+        route(long(grade), [&ends[0], &ends[1]], &["--profile", "wheelchair"])
+    };
+    // It gets half of the way that needs a landing.
+    let found = blocked(0.055)["blocked"].clone();
+    let number = |key: &str| found[key].as_f64().unwrap();
+    assert_eq!(found["reason"], Value::from("ramp"));
+    assert!((number("needs") - 8.0).abs() < 0.4 && (5.0..6.1).contains(&number("x")), "{found}");
+    check(&blocked(0.09), "slope", 9.0, 0.4, None);
+    assert_eq!(blocked(0.028)["found"], Value::from(true));
     assert_eq!(route(ramp(0.09), steep, &["--profile", "stroller"])["found"], Value::from(true));
     assert_eq!(route(ramp(0.09), steep, &[])["found"], Value::from(true));
     for options in
