@@ -75,9 +75,9 @@ impl sw_obstruction {
             Reason::Headroom => 3,
             Reason::Step => 4,
             Reason::Slope => 5,
-            Reason::Gap => 6,
-            Reason::Unseen => 7,
-            Reason::Ramp => 8,
+            Reason::Ramp => 6,
+            Reason::Gap => 7,
+            Reason::Unseen => 8,
             other => return Err(Failure(sw_status::SW_ERROR_INTERNAL, format!("no number of {}", other.name()))),
         };
         Ok(Self { size, reason, at: found.at.into(), needs: found.needs })
