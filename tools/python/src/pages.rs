@@ -5,7 +5,8 @@ use crate::arrays::{self, batch, batch_of_rows, refused};
 use crate::errors::Failure;
 use crate::options::refuse;
 use crate::page::{Column, Page, octomap, region};
-use crate::{reach, seen};
+use crate::reach::{self, Ability};
+use crate::seen;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -440,6 +441,11 @@ impl Pages {
     ///     climb: highest step that the pawn climbs (m)
     ///     max_drop: deepest drop that the pawn takes (m); by default the climb height, so that every route also works
     ///         in reverse
+    ///     max_grade: steepest ground that the pawn walks on, as rise over run, over a metre; any by default
+    ///     max_ramp: longest ramp without a landing (m): ground steeper than 3 % that is farther than half of this from a
+    ///         landing is left out; any by default
+    ///     length: length of a pawn that is longer than wide (m): a cylinder drawn out to this length, which drives along
+    ///         its heading and turns on the spot
     ///     seen: whether the pawn must stay in seen space (see :meth:`Archive.seen_space`): a place counts only if
     ///         the line through its middle was seen, up to the head, from the climb height or three slices above the
     ///         floor, whichever is more
@@ -455,18 +461,23 @@ impl Pages {
     /// >>> reach = slicewalk.open("room.slices").reach((4, 3, 0.1))
     /// >>> round(reach.area), len(reach.storeys), reach.places.shape[1]
     /// (40, 1, 4)
-    #[pyo3(signature = (start, *, pawn=None, climb=0.35, max_drop=None, seen=false, progress=None))]
+    #[expect(clippy::too_many_arguments, reason = "one for each argument in Python")]
+    #[pyo3(signature = (start, *, pawn=None, climb=0.35, max_drop=None, max_grade=None, max_ramp=None, length=None, seen=false, progress=None))]
     fn reach<'py>(
         &self,
         start: &Bound<'py, PyAny>,
         pawn: Option<&Bound<'py, PyAny>>,
         climb: f64,
         max_drop: Option<f64>,
+        max_grade: Option<f64>,
+        max_ramp: Option<f64>,
+        length: Option<f64>,
         seen: bool,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let seen = self.seen(start.py(), seen)?;
-        reach::reach(self, start, &reach::pawn(pawn, climb, max_drop)?, seen, progress)
+        let pawn = reach::pawn(pawn, &Ability { climb, max_drop, max_grade, max_ramp })?;
+        reach::reach(self, start, &pawn, length, seen, progress)
     }
 
     /// Finds a route of a pawn between two places, at most 5 % longer than the shortest.
@@ -477,6 +488,7 @@ impl Pages {
     ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
     ///     climb: highest step that the pawn climbs (m)
     ///     max_drop: deepest drop that the pawn takes (m); the climb height by default
+    ///     max_grade, max_ramp, length: as for :meth:`reach`
     ///     seen: whether the pawn must stay in seen space, as for :meth:`reach`
     ///     explain: whether to find what is in the way if no route connects the two, as ``blocked`` of the result. Takes
     ///         up to about 25 times as long as finding all places within twice the straight distance plus 30 m
@@ -494,7 +506,7 @@ impl Pages {
     /// >>> route.found, round(route.length, 1)
     /// (True, 7.2)
     #[expect(clippy::too_many_arguments, reason = "one for each argument in Python")]
-    #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, seen=false, explain=false, progress=None))]
+    #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, max_grade=None, max_ramp=None, length=None, seen=false, explain=false, progress=None))]
     fn route<'py>(
         &self,
         start: &Bound<'py, PyAny>,
@@ -502,12 +514,16 @@ impl Pages {
         pawn: Option<&Bound<'py, PyAny>>,
         climb: f64,
         max_drop: Option<f64>,
+        max_grade: Option<f64>,
+        max_ramp: Option<f64>,
+        length: Option<f64>,
         seen: bool,
         explain: bool,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let seen = self.seen(start.py(), seen)?;
-        reach::route(self, [start, goal], &reach::pawn(pawn, climb, max_drop)?, seen, explain, progress)
+        let pawn = reach::pawn(pawn, &Ability { climb, max_drop, max_grade, max_ramp })?;
+        reach::route(self, [start, goal], &pawn, length, seen, explain, progress)
     }
 
     fn __repr__(&self) -> String {

@@ -10,8 +10,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 use slicewalk::nalgebra::Point3;
 use slicewalk::reach::{
-    Flood, LeakSearch, Obstruction, ObstructionSearch, Pawn, Place, Refusal, Region, Route, Search, Sought,
-    StandingPlaces,
+    Flood, LeakSearch, LongSearch, Obstruction, ObstructionSearch, Pawn, Place, Planned, Planner, Refusal, Region,
+    Route, Sought, StandingPlaces,
 };
 use slicewalk::seen::SeenSpace;
 use slicewalk::store::Snapshot;
@@ -29,9 +29,24 @@ pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
     Err(refuse("pawn", reason))
 }
 
+/// What a pawn can do, as `reach` and `route` are told.
+pub struct Ability {
+    pub climb: f64,
+    pub max_drop: Option<f64>,
+    pub max_grade: Option<f64>,
+    pub max_ramp: Option<f64>,
+}
+
 /// Makes the pawn for a search.
-pub fn pawn(given: Option<&Bound<'_, PyAny>>, climb: f64, max_drop: Option<f64>) -> PyResult<Pawn> {
-    Ok(Pawn { climb, max_drop: max_drop.unwrap_or(climb), ..Pawn::new(body(given)?) })
+pub fn pawn(given: Option<&Bound<'_, PyAny>>, ability: &Ability) -> PyResult<Pawn> {
+    let Ability { climb, max_drop, max_grade, max_ramp } = *ability;
+    Ok(Pawn {
+        climb,
+        max_drop: max_drop.unwrap_or(climb),
+        max_grade: max_grade.unwrap_or(f64::INFINITY),
+        max_ramp: max_ramp.unwrap_or(f64::INFINITY),
+        ..Pawn::new(body(given)?)
+    })
 }
 
 /// Space in which a pawn must stay, if it must.
@@ -45,7 +60,14 @@ struct Found {
     leaks: Vec<([f64; 3], f64, Option<f64>, &'static str)>,
 }
 
-fn survey(set: &Snapshot, pawn: Pawn, seen: Seen, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
+fn survey(
+    set: &Snapshot,
+    pawn: Pawn,
+    length: Option<f64>,
+    seen: Seen,
+    start: [f64; 3],
+    monitor: &dyn Monitor,
+) -> Result<Found, Failure> {
     let must_be_seen = if seen.is_some() { ", all of it seen" } else { "" };
     let mut standing = StandingPlaces::new(set, pawn)?.within_seen(seen);
     let Some(spot) = needs(standing.spot(set, start.into())?)? else {
@@ -59,7 +81,12 @@ fn survey(set: &Snapshot, pawn: Pawn, seen: Seen, start: [f64; 3], monitor: &dyn
     let mut flood = Flood::from(spot);
     monitor.stage("reach", 0, "places");
     needs(flood.grow(&mut standing, set, monitor)?)?;
-    let region = flood.region(&standing);
+    let mut region = flood.region(&standing);
+    region.keep_linked(&[spot]);
+    if let Some(length) = length {
+        let reached = LongSearch::new(&region, length)?.reached(&[spot], monitor)?;
+        region.keep_reached(&standing, &reached);
+    }
     let leaks = needs(LeakSearch::new(&region).find(&mut standing, set)?)?;
     Ok(Found {
         storeys: region.storeys().all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
@@ -74,6 +101,7 @@ pub fn reach<'py>(
     pages: &Pages,
     start: &Bound<'py, PyAny>,
     pawn: &Pawn,
+    length: Option<f64>,
     seen: Seen,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
@@ -82,7 +110,7 @@ pub fn reach<'py>(
     let audience = Audience { progress, ..Audience::default() };
     let found = {
         let set = pages.set.pages(py)?;
-        attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, seen, at, monitor))?
+        attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, length, seen, at, monitor))?
     };
     let places: Vec<f64> = py.detach(|| {
         let row = |place: Place| [place.feet.x, place.feet.y, place.feet.z, place.clearance];
@@ -109,6 +137,7 @@ pub fn route<'py>(
     pages: &Pages,
     ends: [&Bound<'py, PyAny>; 2],
     pawn: &Pawn,
+    length: Option<f64>,
     seen: Seen,
     explain: bool,
     progress: Option<&Bound<'py, PyAny>>,
@@ -119,51 +148,43 @@ pub fn route<'py>(
     let (found, blocked) = {
         let set = pages.set.pages(py)?;
         attended(py, &audience, pages.name(), |monitor| {
-            let found = find(set, *pawn, seen.clone(), [from, to], monitor)?;
+            let found = find(set, *pawn, length, seen.clone(), [from, to], monitor)?;
             let blocked = match found {
-                Err(Refusal::NotConnected) if explain => obstruction(set, *pawn, seen, [from, to], monitor)?,
+                Err(Refusal::NotConnected) if explain => obstruction(set, *pawn, length, seen, [from, to], monitor)?,
                 _ => None,
             };
             Ok((found, blocked))
         })?
     };
-    let (length, points, reason) = match found {
-        Ok(route) => (Some(route.length_m), route.points, None),
-        Err(refusal) => (None, Vec::new(), Some(refusal.name())),
+    let (metres, points, headings, reason) = match found {
+        Ok(route) => (Some(route.length_m), route.points, route.headings, None),
+        Err(refusal) => (None, Vec::new(), Vec::new(), Some(refusal.name())),
     };
+    let headings = length.map(|_| headings.into_pyarray(py));
     let count = points.len();
     let points: Vec<f64> = points.iter().flat_map(|point| [point.x, point.y, point.z]).collect();
     let points = points.into_pyarray(py).reshape([count, 3])?;
     let results = py.import("slicewalk._results")?;
     let blocked = blocked.map(|found| ((found.at.x, found.at.y, found.at.z), found.reason.name(), found.needs));
     let blocked = blocked.map(|found| results.getattr("Obstruction")?.call1(found)).transpose()?;
-    results.getattr("Route")?.call1((reason.is_none(), length, reason, points, blocked))
+    results.getattr("Route")?.call1((reason.is_none(), metres, reason, points, blocked, headings))
 }
 
 fn find(
     set: &Snapshot,
     pawn: Pawn,
+    length: Option<f64>,
     seen: Seen,
-    ends: [Point3<f64>; 2],
+    [from, to]: [Point3<f64>; 2],
     monitor: &dyn Monitor,
 ) -> Result<Result<Route, Refusal>, Failure> {
-    let mut standing = StandingPlaces::new(set, pawn)?.within_seen(seen);
-    let Some(from) = needs(standing.spot(set, ends[0])?)? else { return Ok(Err(Refusal::NotStandingFrom)) };
-    let Some(to) = needs(standing.spot(set, ends[1])?)? else { return Ok(Err(Refusal::NotStandingTo)) };
-    let (mut flood, mut search) = (Flood::from(from), Search::new());
-    let places = ends.map(|end| end.xy());
-    // Bounds of everything that a route of this length can touch; a shorter route lies entirely within.
-    let mut length = 1.5 * (places[1] - places[0]).norm() + 10.0;
     monitor.stage("route", 0, "places");
+    let mut planner = Planner::new(set, pawn, from, to)?.within_seen(seen).drawn_out(length);
     loop {
-        flood.within(places, length);
-        needs(flood.grow(&mut standing, set, monitor)?)?;
-        let region = flood.region(&standing);
-        match needs(search.route(set, &region, &from, &to, monitor)?)? {
-            Some(route) if route.length_m <= length || flood.is_whole() => return Ok(Ok(route)),
-            Some(route) => length = route.length_m,
-            None if flood.is_whole() => return Ok(Err(Refusal::NotConnected)),
-            None => length *= 2.0,
+        match planner.advance(set, usize::MAX, monitor)? {
+            Planned::Done(found) => return Ok(found),
+            Planned::NotLoaded(missing) => return Err(missing.into()),
+            _ => {}
         }
     }
 }
@@ -172,12 +193,13 @@ fn find(
 fn obstruction(
     set: &Snapshot,
     pawn: Pawn,
+    length: Option<f64>,
     seen: Seen,
     [from, to]: [Point3<f64>; 2],
     monitor: &dyn Monitor,
 ) -> Result<Option<Obstruction>, Failure> {
     monitor.stage("obstruction", 0, "places");
-    let mut search = ObstructionSearch::new(set, pawn, from, to, monitor)?.within_seen(seen);
+    let mut search = ObstructionSearch::new(set, pawn, from, to, monitor)?.within_seen(seen).drawn_out(length);
     loop {
         match search.advance(set)? {
             Sought::Done(found) => return Ok(found),

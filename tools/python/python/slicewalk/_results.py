@@ -196,9 +196,9 @@ class Obstruction(NamedTuple):
 
     The best way stops at `at`. Of the changes that open a way, `reason` is the smallest one relative to the pawn:
 
-    - ``"width"``, ``"headroom"``: `needs` is the width along its shorter side, or the height, of the largest pawn that
-      passes with all else as it is (m)
-    - ``"step"``: `needs` is the `climb` that passes (m)
+    - ``"width"``, ``"length"``, ``"headroom"``: `needs` is the width along its shorter side, the length or the height
+      of the largest pawn that passes with all else as it is (m)
+    - ``"step"``, ``"slope"``, ``"ramp"``: `needs` is the `climb` (m), the `max_grade` or the `max_ramp` (m) that passes
     - ``"gap"``, ``"unseen"``: the ground between is deeper, or was not scanned, or with ``seen=True`` the pawn was not
       seen on it; `needs` is the distance to the ground that leads to the goal (m)
     """
@@ -219,6 +219,8 @@ class Route:
             ``seen=True``, ground on which the pawn was not seen counts as none
         points: float64 of shape (N, 3): places to reach in turn (m)
         blocked: with ``explain=True``, what is in the way if the two places are not connected; otherwise None
+        headings: of a pawn with a `length`, float64 of shape (N,): its heading at each point (degrees clockwise from
+            +y, 0 to 360); two points at one place are a turn. Otherwise None
 
     """
 
@@ -227,6 +229,7 @@ class Route:
     reason: str | None
     points: NDArray[np.float64]
     blocked: Obstruction | None = None
+    headings: NDArray[np.float64] | None = None
 
     def __bool__(self) -> bool:
         """Return whether there is a route."""
