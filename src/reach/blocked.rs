@@ -162,7 +162,7 @@ pub struct ObstructionSearch<'a> {
 }
 
 /// A search that has begun. It is plain code that asks one question after the other, and a future only so that it can stop
-/// within a question for which pages are missing, and go on from there: it waits for nothing else, and only
+/// within a question for which pages are missing, and continue from there: it waits for nothing else, and only
 /// [`ObstructionSearch::advance`] polls it.
 type Running<'a> = Pin<Box<dyn Future<Output = Result<Option<Obstruction>>> + Send + 'a>>;
 
@@ -204,7 +204,7 @@ impl<'a> ObstructionSearch<'a> {
     }
 
     /// Continues to the end of one question, such as a flood or a route, or until pages are missing: load them and call
-    /// again. After the end or an error, the next call begins anew. Fails if the monitor asks to stop, or if a tile holds
+    /// again. After the end or an error, the next call starts again from the beginning. Fails if the monitor asks to stop, or if a tile holds
     /// more spans than any scan has ([`Error::Limit`](crate::Error::Limit)).
     pub fn advance(&mut self, set: &Snapshot) -> Result<Sought> {
         *lock(&self.ways.exchange) = Exchange { set: Some(set.clone()), missing: None };
@@ -385,7 +385,7 @@ impl Ways<'_> {
             let beyond = self.stands_beyond(&pawn, &route[stop..], &own).await?.unwrap_or(ends[1]);
             let found = match self.least_change(&pawn, beyond).await? {
                 Some((change, value, _)) => Some((change, value)),
-                // Both measures are too large: the width that passes once the other one does not matter.
+                // Both measures are too large: the width that passes once the other one is free.
                 None => {
                     let eased = other.apply(&pawn, other.range(&pawn, self.pixel_m)[1]);
                     self.bisect(&eased, Change::Width, beyond, None).await?.map(|value| (Change::Width, value))

@@ -1,4 +1,4 @@
-//! What keeps pawns from their goals, in scenes with known obstructions, with all pages in memory and with few.
+//! Obstructions of pawns, in scenes with known obstructions, with all pages in memory and with few.
 
 use super::flat::{Columns, layers};
 use crate::common::part::Part;
@@ -23,7 +23,7 @@ fn quanta(metres: f64) -> i64 {
     (metres / SIGMA * SLICE_QUANTA as f64).round() as i64
 }
 
-/// What stands over a pixel: nothing, a floor of this height (m), a wall, or a floor at 0 m below a beam of this height
+/// Scene over a pixel: nothing, a floor of this height (m), a wall, or a floor at 0 m below a beam of this height
 /// (m).
 #[derive(Clone, Copy)]
 enum Over {

@@ -217,11 +217,11 @@ typedef struct sw_step {
   double falling;
 } sw_step;
 
-// What keeps a pawn from its goal, and what would pass.
+// Obstruction of a pawn: where its best way stops, and the measure that would pass.
 typedef struct sw_obstruction {
   // `sizeof(sw_obstruction)`, set by the caller.
   uint32_t size;
-  // What is in the way: `SW_OBSTRUCTION_NONE` to `SW_OBSTRUCTION_UNSEEN`.
+  // Reason: `SW_OBSTRUCTION_NONE` to `SW_OBSTRUCTION_UNSEEN`.
   uint32_t reason;
   // The last place that the pawn reaches (m).
   double at[3];

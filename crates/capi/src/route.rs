@@ -44,13 +44,13 @@ fn not_loaded(missing: &Missing) -> Failure {
     Failure(sw_status::SW_ERROR_NOT_LOADED, text)
 }
 
-/// What keeps a pawn from its goal, and what would pass.
+/// Obstruction of a pawn: where its best way stops, and the measure that would pass.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct sw_obstruction {
     /// `sizeof(sw_obstruction)`, set by the caller.
     pub size: u32,
-    /// What is in the way: `SW_OBSTRUCTION_NONE` to `SW_OBSTRUCTION_UNSEEN`.
+    /// Reason: `SW_OBSTRUCTION_NONE` to `SW_OBSTRUCTION_UNSEEN`.
     pub reason: u32,
     /// The last place that the pawn reaches (m).
     pub at: [f64; 3],

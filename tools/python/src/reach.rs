@@ -29,7 +29,7 @@ pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
     Err(refuse("pawn", reason))
 }
 
-/// What a pawn can do, as `reach` and `route` are told.
+/// Limits of a pawn: arguments of `reach` and `route`.
 pub struct Ability {
     pub climb: f64,
     pub max_drop: Option<f64>,
@@ -132,7 +132,7 @@ pub fn reach<'py>(
     )
 }
 
-/// Returns the route, as `slicewalk.Route`; with what is in the way if there is none, and `explain`.
+/// Returns the route, as `slicewalk.Route`; if there is none and with `explain`, with the obstruction.
 pub fn route<'py>(
     pages: &Pages,
     ends: [&Bound<'py, PyAny>; 2],

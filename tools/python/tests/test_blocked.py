@@ -1,4 +1,4 @@
-"""What keeps a pawn from its goal: in scenes with known obstructions, and against slicetool."""
+"""Obstructions of pawns: in scenes with known obstructions, and against slicetool."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_reasons_places_and_needs(scene):
     with slicewalk.Stream(archive, "64MiB") as stream:
         stream.load([[*archive.bounds[0], *archive.bounds[1]]])
         assert stream.view().route(START, goal, explain=True, **pawn).blocked == route.blocked
-    # What it needs is enough.
+    # The named change is enough.
     change = {
         "width": {"pawn": f"box:{route.blocked.needs}x{route.blocked.needs}x1.8"},
         "headroom": {"pawn": f"box:0.5x0.5x{route.blocked.needs}"},
@@ -119,7 +119,7 @@ def test_unseen_ground_is_the_reason_in_seen_space(halls):
     assert halls.route(start, goal, pawn=pawn)
     route = halls.route(start, goal, pawn=pawn, seen=True, explain=True)
     assert (route.reason, route.blocked.reason) == ("not_connected", "unseen")
-    # What the stations saw at body height ends about 2 m from the middle.
+    # Seen space at body height ends about 2 m from the middle.
     assert 3 < route.blocked.needs < 5
     if PROGRAMS is not None:
         check_same(route.blocked, of_slicetool(halls, start, goal, f"--pawn={pawn}", "--seen"))

@@ -13,7 +13,7 @@ pub fn to_json(found: &Obstruction) -> serde_json::Value {
     serde_json::json!({ "x": x, "y": y, "z": z, "reason": found.reason.name(), "needs": tidy(needs(found)) })
 }
 
-/// What passes, as options take it: metres, or percent.
+/// The value that passes, in the unit of the option: metres, or percent.
 pub fn needs(found: &Obstruction) -> f64 {
     if found.reason == Reason::Slope { found.needs * 100.0 } else { found.needs }
 }

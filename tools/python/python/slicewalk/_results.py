@@ -192,7 +192,7 @@ class Reach:
 
 
 class Obstruction(NamedTuple):
-    """What keeps a pawn from its goal, and what would pass.
+    """Obstruction of a pawn: where its best way stops, and the measure that would pass.
 
     The best way stops at `at`. Of the changes that open a way, `reason` is the smallest one relative to the pawn:
 
