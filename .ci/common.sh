@@ -11,8 +11,7 @@ step() {
     echo "== $name: $((SECONDS - start)) s"
 }
 
-# install PACKAGE...: installs packages of Debian, one call after the other.
+# install PACKAGE...: installs packages of Debian.
 install() {
-    mkdir -p "$target"
-    flock "$target/.install" bash -c 'apt-get update -qq && apt-get install --yes --quiet "$@"' install "$@" >&2
+    { apt-get update -qq && apt-get install --yes --quiet "$@"; } >&2
 }

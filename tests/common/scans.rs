@@ -63,6 +63,20 @@ pub fn command(folder: &Path) -> Command {
     command
 }
 
+/// Returns the peak resident memory of a running program (KiB); 0 if the system does not report it.
+///
+/// Until a process has become its program, its memory is that of this one.
+pub fn peak_memory_kib(process: u32) -> u64 {
+    let is_program = fs::read_link(format!("/proc/{process}/exe")).is_ok_and(|exe| exe.ends_with("sliceconv"));
+    let status = if is_program {
+        fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default()
+    } else {
+        String::new()
+    };
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+}
+
 /// Checks that the program converts; returns its standard error.
 pub fn converts(folder: &Path, arguments: &[&str]) -> String {
     let out = sliceconv(folder, arguments);

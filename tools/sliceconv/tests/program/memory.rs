@@ -36,13 +36,10 @@ fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: us
         .stdout(fs::File::create(&report).unwrap())
         .spawn()
         .unwrap();
-    let status = format!("/proc/{}/status", child.id());
     let mut peak = 0;
     let ended = loop {
         // The high-water mark never falls, so the last read before the end is close to the maximum.
-        let text = fs::read_to_string(&status).unwrap_or_default();
-        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        peak = peak.max(line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0));
+        peak = peak.max(scans::peak_memory_kib(child.id()));
         if let Some(ended) = child.try_wait().unwrap() {
             break ended;
         }

@@ -5,7 +5,7 @@
 
 use crate::scans;
 
-use scans::{Random, command, data, points, text, verifies, write};
+use scans::{Random, command, data, peak_memory_kib, points, text, verifies, write};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -51,13 +51,6 @@ fn tried(folder: &Path, input: &Path, arguments: &[&str]) -> bool {
     assert!(lines.len() == 1 && lines[0].starts_with("sliceconv: "), "{}: {said}", input.display());
     assert!(!output.exists());
     false
-}
-
-/// Returns the peak resident memory of a running process; 0 if the system does not report it.
-fn peak_memory_kib(process: u32) -> u64 {
-    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }
 
 fn scans_in(folder: &Path) -> Vec<PathBuf> {
