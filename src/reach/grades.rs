@@ -54,7 +54,8 @@ impl Sums {
     /// Returns the slope of the plane that fits best (quanta for each pixel). Where the places are narrower than `narrow`
     /// (pixels), only the slope along them.
     fn slope(&self, narrow: f64) -> f64 {
-        let covariance = |product: i64, a: i64, b: i64| (self.count * product - a * b) as f64;
+        // Products of sums may exceed 64 bits in scans of extreme height.
+        let covariance = |product: i64, a: i64, b: i64| self.count as f64 * product as f64 - a as f64 * b as f64;
         let [xx, xy, yy] = [
             covariance(self.xx, self.x, self.x),
             covariance(self.xy, self.x, self.y),
