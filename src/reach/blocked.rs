@@ -244,7 +244,7 @@ impl Reached {
     /// The places with their steps, without ground that is too steep and what lies beyond it.
     fn region(&self) -> Region {
         let mut region = self.flood.region(&self.standing);
-        region.keep_linked(&[self.start.spot]);
+        region.keep_linked(&self.standing, &[self.start.spot]);
         region
     }
 }

@@ -284,12 +284,6 @@ impl Flood {
                 let column = own.column(pixel);
                 for place in (0..column.len()).filter(|place| numbers[tile][first + place] != NO_PLACE) {
                     let own = numbers[tile][first + place];
-                    if let Some(next) = column.get(place + 1).filter(|_| region.standing[own as usize]) {
-                        let room = next.bottom - column[place].top;
-                        if region.lowest_headroom.is_none_or(|lowest| (room, own) < lowest) {
-                            region.lowest_headroom = Some((room, own));
-                        }
-                    }
                     let links = [0, 1, 2, 3].map(|number| {
                         let way = WAYS[number];
                         let to = [pixel[0] + way[0], pixel[1] + way[1]];
@@ -311,12 +305,6 @@ impl Flood {
                         ends.push(End { place: own, offset, is_open });
                         NO_PLACE
                     });
-                    for link in links.iter().filter(|link| **link != NO_PLACE) {
-                        let rise = region.tops[*link as usize] - column[place].top;
-                        if rise > 0 && region.highest_step.is_none_or(|(highest, _)| rise > highest) {
-                            region.highest_step = Some((rise, own));
-                        }
-                    }
                     region.links.push(links);
                 }
             }
@@ -329,6 +317,7 @@ impl Flood {
             region.leave_out(&region.far_from_landings(), &mut ends);
         }
         region.clearances = clearances(&standing.grid, &region.links, &ends);
+        region.measure(standing);
         region
     }
 }
@@ -454,9 +443,9 @@ impl Region {
         }
     }
 
-    /// Leaves out the places that no steps lead to from any of `starts`. Only a pawn with a steepest grade or a longest ramp leaves
-    /// such places in the region of a [`Flood`] from them.
-    pub fn keep_linked(&mut self, starts: &[PlaceId]) {
+    /// Leaves out the places that no steps lead to from any of `starts`. Only a pawn with a steepest grade or a longest
+    /// ramp leaves such places in the region of a [`Flood`] from them. `standing` are the standing places of the region.
+    pub fn keep_linked(&mut self, standing: &StandingPlaces, starts: &[PlaceId]) {
         let mut seen = vec![false; self.len()];
         let mut open: Vec<u32> = starts.iter().filter_map(|start| self.number(start)).collect();
         open.iter().for_each(|place| seen[*place as usize] = true);
@@ -468,21 +457,25 @@ impl Region {
             }
         }
         self.standing.iter_mut().zip(seen).for_each(|(standing, seen)| *standing &= seen);
+        self.measure(standing);
     }
 
-    /// Finds the lowest headroom of the standing places, and the highest step beside one of them.
+    /// Finds the lowest headroom of the standing places, and the highest step that begins or ends at one of them.
     pub(super) fn measure(&mut self, standing: &StandingPlaces) {
         (self.lowest_headroom, self.highest_step) = (None, None);
-        for place in (0..self.len()).filter(|place| self.standing[*place]) {
-            let (pixel, top) = (self.pixels[place], self.tops[place]);
-            let column = standing.known(pixel).map_or(&[][..], |tile| standing.tiles[tile].column(pixel));
-            let above = column.iter().find(|block| block.top > top).map(|block| block.bottom - top);
-            if let Some(room) = above.filter(|room| self.lowest_headroom.is_none_or(|lowest| *room < lowest.0)) {
-                self.lowest_headroom = Some((room, place as u32));
+        for place in 0..self.len() {
+            let (pixel, top, stands) = (self.pixels[place], self.tops[place], self.standing[place]);
+            if stands && let Some(tile) = standing.known(pixel) {
+                let above = standing.tiles[tile].column(pixel).iter().find(|block| block.top > top);
+                let room = above.map(|block| block.bottom - top);
+                if let Some(room) = room.filter(|room| self.lowest_headroom.is_none_or(|lowest| *room < lowest.0)) {
+                    self.lowest_headroom = Some((room, place as u32));
+                }
             }
             for &link in self.links[place].iter().filter(|link| **link != NO_PLACE) {
                 let rise = self.tops[link as usize] - top;
-                if rise > 0 && self.highest_step.is_none_or(|(highest, _)| rise > highest) {
+                let is_highest = rise > 0 && self.highest_step.is_none_or(|(highest, _)| rise > highest);
+                if is_highest && (stands || self.standing[link as usize]) {
                     self.highest_step = Some((rise, place as u32));
                 }
             }

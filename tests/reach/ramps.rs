@@ -37,7 +37,7 @@ fn connects(stretches: &[(f64, f64)], direction: f64, max_ramp: f64) -> bool {
     let (mut standing, mut region) = reached(&store, pawn, end(-10.0));
     let start = known(standing.spot(&store, end(-10.0).into()).unwrap()).unwrap();
     let goal = known(standing.spot(&store, end(10.0).into()).unwrap()).unwrap();
-    region.keep_linked(&[start]);
+    region.keep_linked(&standing, &[start]);
     region.stands_at(&goal)
 }
 
@@ -71,4 +71,32 @@ fn the_grade_of_a_plane_is_exact_beside_the_end_of_the_region_too() {
         let off = inner.map(|(_, grade)| (grade - 0.055).abs()).fold(0.0, f64::max);
         assert!(off < 0.006, "{direction}°: {off}");
     }
+}
+
+#[test]
+fn headroom_and_steps_beyond_steep_ground_do_not_count() {
+    let height = |along: f64| match along {
+        ..0.0 => 0.0,
+        ..4.0 => 0.2 * along,
+        ..6.0 => 0.8,
+        // A step that the pawn climbs.
+        _ => 0.9,
+    };
+    let store = floors(|x, y| {
+        let ceiling = if x < 0.0 { 2.4 } else { height(x) + 1.8 };
+        if x.abs() < 9.0 && y.abs() < 1.5 { vec![height(x), ceiling] } else { Vec::new() }
+    });
+    let measures = |max_grade: f64| {
+        let pawn = Pawn { max_grade, climb: 0.15, max_drop: 0.15, ..wheelchair() };
+        let from = [-5.0, 0.0, LIFT + 0.1];
+        let (mut standing, mut region) = reached(&store, pawn, from);
+        let start = known(standing.spot(&store, from.into()).unwrap()).unwrap();
+        region.keep_linked(&standing, &[start]);
+        let (headroom, step) = (region.lowest_headroom().unwrap(), region.highest_step());
+        (headroom.1, headroom.0.feet.x, step.map(|step| step.1))
+    };
+    let (low, x, step) = measures(f64::INFINITY);
+    assert!(low < 2.0 && x > 0.0 && step.is_some_and(|step| (0.08..0.12).contains(&step)), "{low} {x} {step:?}");
+    let (low, x, step) = measures(0.06);
+    assert!(low > 2.0 && x < 0.0 && step.is_none_or(|step| step < 0.08), "{low} {x} {step:?}");
 }

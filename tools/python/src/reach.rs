@@ -82,7 +82,7 @@ fn survey(
     monitor.stage("reach", 0, "places");
     needs(flood.grow(&mut standing, set, monitor)?)?;
     let mut region = flood.region(&standing);
-    region.keep_linked(&[spot]);
+    region.keep_linked(&standing, &[spot]);
     if let Some(length) = length {
         let reached = LongSearch::new(&region, length)?.reached(&[spot], monitor)?;
         region.keep_reached(&standing, &reached);

@@ -95,7 +95,7 @@ impl Joined {
         loop {
             loader.known(|view| flood.grow(standing, view, &NoMonitor))?;
             let mut region = flood.region(standing);
-            region.keep_linked(&seeds);
+            region.keep_linked(standing, &seeds);
             if let Some(length) = length {
                 let reached = LongSearch::new(&region, length)?.reached(&seeds, &NoMonitor)?;
                 region.keep_reached(standing, &reached);
