@@ -8,8 +8,6 @@
 use super::pawn::{Grid, WAYS, gap};
 use super::region::NO_PLACE;
 use nalgebra::Point2;
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
 
 /// A step from a place that leads nowhere.
 pub struct End {
@@ -21,12 +19,17 @@ pub struct End {
 
 struct Spread<'a> {
     links: &'a [[u32; 4]],
+    /// A bit for each link that leads in both directions.
+    both: Vec<u8>,
     offsets: Vec<[i16; 2]>,
-    queue: BinaryHeap<(Reverse<u64>, u32)>,
+    /// Places by distance, the nearest last: there are far fewer distances than places.
+    queue: Vec<(u64, Vec<u32>)>,
     /// The last open end that was spread over each place.
     seen: Vec<u32>,
     /// True for places with a step that is stopped by something solid.
     stopped: Vec<bool>,
+    /// Places over which an open end is still to be spread.
+    around: Vec<(u32, [i32; 2])>,
 }
 
 impl Spread<'_> {
@@ -37,23 +40,26 @@ impl Spread<'_> {
         let own = &mut self.offsets[place as usize];
         if key(offset) < key(*own) {
             *own = offset;
-            self.queue.push((Reverse(key(offset).0), place));
+            let distance = key(offset).0;
+            match self.queue.binary_search_by(|(other, _)| distance.cmp(other)) {
+                Ok(at) => self.queue[at].1.push(place),
+                Err(at) => self.queue.insert(at, (distance, vec![place])),
+            }
         }
     }
 
     /// Returns the neighbours that are linked with a place in both directions, with the offset from them to it.
     fn beside(&self, place: u32) -> impl Iterator<Item = (u32, [i32; 2])> + use<> {
-        let beside = self.links[place as usize];
-        let leads =
-            [0, 1, 2, 3].map(|way| beside[way] != NO_PLACE && self.links[beside[way] as usize][(way + 2) & 3] == place);
-        (0..4).filter(move |way| leads[*way]).map(move |way| (beside[way], WAYS[(way + 2) & 3]))
+        let (beside, both) = (self.links[place as usize], self.both[place as usize]);
+        (0..4).filter(move |way| both >> way & 1 == 1).map(move |way| (beside[way], WAYS[(way + 2) & 3]))
     }
 
     /// Offers the nearest pixel of a footprint without ground to the places whose gap to it is at most `reach`. Returns
     /// whether something solid stops a step from one of them.
     fn open(&mut self, grid: &Grid, number: u32, end: &End, reach: u64) -> bool {
         let mut is_stopped = false;
-        let mut places = vec![(end.place, end.offset.map(i32::from))];
+        let mut places = std::mem::take(&mut self.around);
+        places.push((end.place, end.offset.map(i32::from)));
         self.seen[end.place as usize] = number;
         while let Some((place, to)) = places.pop() {
             let beyond = |rect: &[i32; 2]| [0, 1].map(|axis| to[axis] - to[axis].clamp(-rect[axis], rect[axis]));
@@ -67,6 +73,7 @@ impl Spread<'_> {
                 }
             }
         }
+        self.around = places;
         is_stopped
     }
 }
@@ -74,12 +81,27 @@ impl Spread<'_> {
 /// Returns the distance from the middle of each place to the nearest end (m).
 pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
     let count = links.len();
+    // Distances also spread backwards over links that lead one way only.
+    let mut one_way: Vec<(u32, u32, [i32; 2])> = Vec::new();
+    let mut both = vec![0; count];
+    for (place, own) in (0..).zip(links) {
+        for (way, &link) in own.iter().enumerate().filter(|(_, link)| **link != NO_PLACE) {
+            if links[link as usize][(way + 2) & 3] == place {
+                both[place as usize] |= 1 << way;
+            } else {
+                one_way.push((link, place, WAYS[way]));
+            }
+        }
+    }
+    one_way.sort_unstable();
     let mut spread = Spread {
         links,
+        both,
         offsets: vec![[i16::MAX; 2]; count],
-        queue: BinaryHeap::new(),
+        queue: Vec::new(),
         seen: vec![u32::MAX; count],
         stopped: vec![false; count],
+        around: Vec::new(),
     };
     for end in ends.iter().filter(|end| !end.is_open) {
         spread.offer(end.place, end.offset);
@@ -92,26 +114,18 @@ pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
             spread.open(grid, 2 * number + 1, end, 4 * grid.corner);
         }
     }
-    // Distances also spread backwards over links that lead one way only.
-    let mut one_way: Vec<(u32, u32, [i32; 2])> = Vec::new();
-    for (place, own) in (0..).zip(links) {
-        for (way, &link) in own.iter().enumerate().filter(|(_, link)| **link != NO_PLACE) {
-            if links[link as usize][(way + 2) & 3] != place {
-                one_way.push((link, place, WAYS[way]));
+    while let Some((key, places)) = spread.queue.pop() {
+        // All of one distance pass on what they have at first, so that their order does not count.
+        let own = |place: u32| (place, spread.offsets[place as usize].map(i32::from));
+        let nearest: Vec<(u32, [i32; 2])> =
+            places.into_iter().map(own).filter(|(_, offset)| gap(*offset) == key).collect();
+        for (place, [x, y]) in nearest {
+            let first = one_way.partition_point(|(to, ..)| *to < place);
+            let from = one_way[first..].iter().take_while(|(to, ..)| *to == place).map(|(_, from, way)| (*from, *way));
+            for (next, way) in spread.beside(place).chain(from) {
+                let far = i32::from(i16::MAX);
+                spread.offer(next, [x + way[0], y + way[1]].map(|by| by.clamp(-far, far) as i16));
             }
-        }
-    }
-    one_way.sort_unstable();
-    while let Some((Reverse(key), place)) = spread.queue.pop() {
-        let [x, y] = spread.offsets[place as usize].map(i32::from);
-        if key > gap([x, y]) {
-            continue;
-        }
-        let first = one_way.partition_point(|(to, ..)| *to < place);
-        let from = one_way[first..].iter().take_while(|(to, ..)| *to == place).map(|(_, from, way)| (*from, *way));
-        for (next, way) in spread.beside(place).chain(from) {
-            let far = i32::from(i16::MAX);
-            spread.offer(next, [x + way[0], y + way[1]].map(|by| by.clamp(-far, far) as i16));
         }
     }
     let metres = |offset: &[i16; 2]| match offset.map(i32::from) {

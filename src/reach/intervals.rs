@@ -42,6 +42,10 @@ impl Lists {
         self.items.is_empty()
     }
 
+    fn is_empty_row(&self, y: usize) -> bool {
+        self.starts[y * self.width] == self.starts[(y + 1) * self.width]
+    }
+
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> &[Interval] {
         let cell = y * self.width + x;
@@ -96,6 +100,10 @@ impl Lists {
             let (width, height) = (lists.width - dx, lists.height - dy);
             let mut wider = Self::with_room(width, height, lists.items.len());
             for y in 0..height {
+                if lists.is_empty_row(y) && lists.is_empty_row(y + dy) {
+                    wider.starts.extend(std::iter::repeat_n(wider.items.len() as u32, width));
+                    continue;
+                }
                 for x in 0..width {
                     join(lists.at(x, y), lists.at(x + dx, y + dy), least, &mut wider.items);
                     wider.end_cell();
@@ -116,6 +124,9 @@ impl Lists {
         for &[x, y] in rects {
             let (kx, ky) = (x as usize, y as usize);
             let rect = self.windows(2 * kx + 1, 0, least).windows(2 * ky + 1, 1, least);
+            if rects.len() == 1 && [x, y] == half {
+                return rect;
+            }
             let mut sum = Self::with_room(width, height, rect.items.len());
             for y in 0..height {
                 for x in 0..width {
