@@ -110,7 +110,7 @@ mod random;
 pub use nalgebra;
 pub use slicewalk_base::{Error, Monitor, NoMonitor, Parameter, Result, Warning};
 pub use slicewalk_base::{bytes, colour, error, frame, monitor, plan, unit};
-use slicewalk_base::{disk, output, raster, text};
+use slicewalk_base::{disk, output, raster, sort, text};
 
 /// Compiles the examples in Markdown pages.
 #[cfg(doctest)]

@@ -7,6 +7,7 @@
 
 use super::pawn::{Grid, WAYS, gap};
 use super::region::NO_PLACE;
+use crate::sort::sort;
 use nalgebra::Point2;
 
 /// A step from a place that leads nowhere.
@@ -93,7 +94,7 @@ pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
             }
         }
     }
-    one_way.sort_unstable();
+    sort(&mut one_way);
     let mut spread = Spread {
         links,
         both,

@@ -1,6 +1,7 @@
 //! A pawn on a grid: its dimensions in pixels and quanta.
 
 use crate::frame::{Frame, PAGE_QUANTA};
+use crate::sort::sort_by_key;
 use crate::store::Snapshot;
 use crate::walk::{Body, FLOOR_NEAR_M, pixels_beside};
 use crate::{Error, Parameter, Result};
@@ -196,7 +197,7 @@ fn around(rects: &[[i32; 2]], widest: [i32; 2], corner: u64) -> Vec<[i16; 2]> {
         .flat_map(|x| (-widest[1]..=widest[1]).map(move |y| [x, y]))
         .filter(|by| gap(*by) <= corner && beside(*by))
         .collect();
-    around.sort_unstable_by_key(|by| (gap(*by), *by));
+    sort_by_key(&mut around, |by| (gap(*by), *by));
     around.into_iter().map(|by| by.map(|by| by as i16)).collect()
 }
 

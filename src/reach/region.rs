@@ -6,6 +6,7 @@ use super::route::LANDMARKS;
 use super::standing::{Kind, PlaceId, StandingPlaces, Step};
 use super::{Needs, answer};
 use crate::query::Answer;
+use crate::sort::sort_by_key;
 use crate::store::Snapshot;
 use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
@@ -243,7 +244,7 @@ impl Flood {
     /// Returns all reached places as a graph.
     pub fn region(&self, standing: &StandingPlaces) -> Region {
         let mut order: Vec<usize> = (0..self.reached.len()).filter(|tile| !self.reached[*tile].is_empty()).collect();
-        order.sort_unstable_by_key(|tile| [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]);
+        sort_by_key(&mut order, |tile| [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]);
         let mut region = Region {
             grid: standing.grid.clone(),
             pixels: Vec::new(),

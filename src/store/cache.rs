@@ -14,6 +14,7 @@ use super::snapshot::{Edited, Held, Slots, Snapshot};
 use crate::archive::{PageDecoder, PageEntry, Storage, joined};
 use crate::frame::PageKey;
 use crate::page::Page;
+use crate::sort::{sort, sort_by, sort_by_key};
 use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -50,7 +51,7 @@ impl Order {
     /// Creates the order of all hints: by time, then by key.
     pub fn hinted(times: HashMap<u32, f32>, focus: Vec<PageKey>) -> Self {
         let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
-        pages.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        sort_by(&mut pages, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         Self { pages, times, done: 0, again: None, explicit: false, focus }
     }
 
@@ -58,7 +59,7 @@ impl Order {
     pub fn explicit(index: &Index, keys: &[PageKey], around: PageKey) -> Self {
         let times: HashMap<u32, f32> = keys.iter().filter_map(|key| Some((index.find(*key)?, 0.0))).collect();
         let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
-        pages.sort_unstable_by_key(|&(_, page)| (distance(index.key(page), &[around]), page));
+        sort_by_key(&mut pages, |&(_, page)| (distance(index.key(page), &[around]), page));
         Self { pages, times, done: 0, again: None, explicit: true, focus: vec![around] }
     }
 
@@ -106,7 +107,7 @@ impl Snapshots {
             motion_hint.wants(&self.index, 0.0, &mut times);
         }
         let mut keys: Vec<_> = times.keys().map(|&page| self.index.key(page)).collect();
-        keys.sort_unstable();
+        sort(&mut keys);
         keys
     }
 }
@@ -374,7 +375,7 @@ impl Cache {
             (time, apart, content)
         };
         let mut ranked: Vec<_> = self.resident.iter().map(rank).filter(|(time, ..)| *time > 0.0).collect();
-        ranked.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        sort_by(&mut ranked, |a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
         ranked.into_iter().map(|(time, _, content)| (time, content)).collect()
     }
 

@@ -16,6 +16,7 @@ use super::snapshot::Snapshot;
 use crate::archive::{Catalog, ColourEntry, ColourTable, joined};
 use crate::frame::PageKey;
 use crate::page::{Colours, Page};
+use crate::sort::sort_by_key;
 use crate::{Error, Result};
 use std::collections::{HashSet, VecDeque};
 use std::ops::Range;
@@ -200,7 +201,7 @@ impl ColourQueue {
         };
         let middle = block(self.wanted.last()?)?;
         let mut near: Vec<_> = self.wanted.iter().rev().skip(1).take(NEAR).filter_map(block).collect();
-        near.sort_by_key(|other| other.1.offset.abs_diff(middle.1.offset));
+        sort_by_key(&mut near, |other| (other.1.offset.abs_diff(middle.1.offset), other.0));
         let free = self.room.bytes().saturating_sub(self.leaf_bytes());
         let (mut run, mut range, mut colours, mut most, mut bytes) = (Vec::new(), middle.1.range(), 0, 0, 0);
         for (key, entry, voxels) in std::iter::once(middle).chain(near) {

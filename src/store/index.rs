@@ -4,6 +4,7 @@ use super::snapshot::{PageSlot, Slots};
 use super::table::PageTable;
 use crate::archive::{PageEntry, Storage};
 use crate::frame::{Frame, PageKey};
+use crate::sort::sort_by_key;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -24,7 +25,7 @@ impl Index {
         size_of::<PageEntry>() + size_of::<PageKey>() + size_of::<u32>() + size_of::<PageSlot>();
 
     pub fn new(frame: Frame, mut entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
-        entries.sort_unstable_by_key(|entry| entry.key);
+        sort_by_key(&mut entries, |entry| entry.key);
         let contents = contents(&entries);
         let table = Arc::new(PageTable::new(frame, entries.iter().map(|entry| entry.key).collect()));
         Self { table, entries: entries.into(), contents, ignores_inferred }

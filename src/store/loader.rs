@@ -16,6 +16,7 @@ use super::snapshot::Snapshot;
 use crate::archive::Catalog;
 use crate::frame::PageKey;
 use crate::page::Colours;
+use crate::sort::sort;
 use crate::{Error, Result};
 use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
@@ -378,7 +379,7 @@ impl Loader {
             let missing = body.missing.iter().flatten().flat_map(|missing| missing.keys());
             times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));
         }
-        focus.sort_unstable();
+        sort(&mut focus);
         focus.dedup();
         let hinted = Request::hinted(Order::hinted(times, focus));
         cache.replan(&hinted.order, &mut self.counters);

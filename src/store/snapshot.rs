@@ -14,6 +14,7 @@ use crate::archive::{Archive, PageEntry, edited_pages};
 use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
 use crate::page::Page;
+use crate::sort::sort_by_key;
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -185,7 +186,7 @@ impl Snapshot {
     pub fn from_pages(frame: Frame, pages: impl IntoIterator<Item = (PageKey, Page)>) -> Self {
         let slot = |(key, page): (PageKey, Page)| (key, PageSlot::of(key.layer, Held { page, room: None }));
         let mut slots: Vec<_> = pages.into_iter().map(slot).collect();
-        slots.sort_unstable_by_key(|(key, _)| *key);
+        sort_by_key(&mut slots, |(key, _)| *key);
         Self::of_slots(frame, slots)
     }
 

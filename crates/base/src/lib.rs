@@ -13,6 +13,7 @@ pub mod output;
 pub mod placement;
 pub mod plan;
 pub mod raster;
+pub mod sort;
 pub mod text;
 pub mod unit;
 

@@ -1,6 +1,7 @@
 //! Unions of a block's spans: the heights that its pixels cover together, floor and obstacle apart.
 
 use crate::page::Span;
+use crate::sort::sort_by_key;
 
 /// Finds the unions of a block's spans; reusable.
 #[derive(Debug)]
@@ -95,7 +96,7 @@ impl UnionFinder {
         for obstacle in [false, true] {
             sorted.clear();
             sorted.extend(spans.iter().filter(|span| span.is_obstacle() == obstacle));
-            sorted.sort_unstable_by_key(|span| span.bottom());
+            sort_by_key(sorted, |span| (span.bottom(), span.top()));
             let mut run: Option<(u32, u32)> = None;
             for span in sorted.iter() {
                 run = match run {
@@ -115,7 +116,7 @@ impl UnionFinder {
     fn merge_kinds(&mut self) {
         let is_one_kind = |ends: (&Span, &Span)| ends.0.is_obstacle() == ends.1.is_obstacle();
         if !self.unions.first().zip(self.unions.last()).is_none_or(is_one_kind) {
-            self.unions.sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
+            sort_by_key(&mut self.unions, |span| (span.bottom(), span.is_obstacle()));
         }
     }
 }

@@ -25,6 +25,7 @@ mod settle;
 
 use super::waypoints::REACH_M;
 use super::{BLOCKED_BELOW, Ground, MOST_TICKS, Motion, MoveInput, State, Walker};
+use crate::sort::{sort, sort_by};
 use crate::store::Missing;
 use crate::store::Snapshot;
 use crate::{Error, Result};
@@ -203,7 +204,7 @@ impl Crowd {
             let (first, hops) = self.rank(n);
             self.order.push((first, hops, n as u32));
         }
-        self.order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        sort_by(&mut self.order, |a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
         for place in 0..self.order.len() {
             let n = self.order[place].2 as usize;
             if !self.done[n] {
@@ -243,11 +244,11 @@ impl Crowd {
         for n in 0..self.walkers.len() {
             self.grid.push((self.cell_of(self.before[n]), n as u32));
         }
-        self.grid.sort_unstable();
+        sort(&mut self.grid);
         self.wanted.clear();
         let wanted = self.walkers.iter().zip(&self.aims);
         self.wanted.extend(wanted.map(|(walker, aim)| (key_of(aim.place), walker.config.body.area())));
-        self.wanted.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        sort_by(&mut self.wanted, |a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     }
 
     /// Returns the pawns that may touch pawn `n` in this tick.

@@ -9,6 +9,7 @@ use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::page::Page;
 use slicewalk::store::{MotionHint, Snapshot};
+use slicewalk_base::sort::sort_by;
 use std::collections::HashMap;
 
 /// Time that a loader looks ahead (s).
@@ -306,7 +307,7 @@ impl Scene {
         let missing = self.drawn.iter().filter(|(_, drawn)| drawn.painted > drawn.coarseness && drawn.triangles > 0);
         let mut keys: Vec<(f64, PageKey)> =
             missing.map(|(key, _)| (self.frame.map_or(0.0, |frame| distance(&frame, *key, &self.at)), *key)).collect();
-        keys.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        sort_by(&mut keys, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         keys.into_iter().take(most).map(|(_, key)| key).collect()
     }
 
