@@ -436,7 +436,7 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
         .into();
     assert_eq!((parts[2].start, parts[2].end, parts[1].end), (start + 64, parts[1].start, parts[0].start));
     let all = start..parts[0].end;
-    for at in all.clone().step_by(((all.end - all.start) / 24) as usize).chain((start..start + 64).step_by(9)) {
+    for at in all.clone().step_by(((all.end - all.start) / 12) as usize).chain((start..start + 64).step_by(15)) {
         let mut damaged = bytes.clone();
         damaged[at as usize] ^= 1 << (at % 8);
         let archive = Archive::from_bytes(damaged).unwrap();
