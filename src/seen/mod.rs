@@ -106,6 +106,20 @@ impl SeenSpace {
         })
     }
 
+    /// Iterates over seen cells above one another, in archive order: the first pixel of the cells ([`CELL_PIXELS`] long)
+    /// along x and y, the first slice and the one after the last. Runs end with their page.
+    pub fn runs(&self) -> impl Iterator<Item = ([i64; 2], [i64; 2])> + '_ {
+        self.pages().flat_map(|(key, page)| {
+            let cells = (0..CELLS_PER_ROW).flat_map(|y| (0..CELLS_PER_ROW).map(move |x| [x, y]));
+            cells.flat_map(move |cell| {
+                let pixel =
+                    [0, 1].map(|axis| i64::from([key.tx, key.ty][axis]) * TILE_PIXELS + cell[axis] * CELL_PIXELS);
+                let base = i64::from(key.layer) * PAGE_SLICES;
+                page.runs(cell.map(|at| at as usize)).map(move |run| (pixel, run.map(|slice| base + slice)))
+            })
+        })
+    }
+
     /// Returns whether all of the closed box between these corners (m) was seen.
     pub fn is_box_seen(&self, min: Point3<f64>, max: Point3<f64>) -> bool {
         let [first, last] = [min, max].map(|corner| self.cell_of(corner));

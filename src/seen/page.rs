@@ -43,6 +43,18 @@ impl SeenPage {
         copy.words(ranges, |word, mask| *word & mask == mask)
     }
 
+    /// Returns the runs of seen cells in one column: the first slice and the one after the last.
+    pub(super) fn runs(&self, [x, y]: [usize; 2]) -> impl Iterator<Item = [i64; 2]> + use<> {
+        let is_seen = |slice: &[u64; WORDS]| slice[y / 4] >> (16 * (y % 4) + x) & 1;
+        let mut bits = (0..).zip(&self.slices).fold(0, |bits, (slice, words)| bits | is_seen(words) << slice);
+        std::iter::from_fn(move || {
+            let first = (bits != 0).then(|| bits.trailing_zeros())?;
+            let end = first + (bits >> first).trailing_ones();
+            bits &= u64::MAX.checked_shl(end).unwrap_or(0);
+            Some([first, end].map(i64::from))
+        })
+    }
+
     /// Passes the words of a box of cells, with the bits of its cells, to `take`, until that returns `false`.
     #[inline]
     fn words(&mut self, [x, y, z]: [[usize; 2]; 3], mut take: impl FnMut(&mut u64, u64) -> bool) -> bool {

@@ -8,6 +8,7 @@
 //! Sources: OctoMap 1.9, `writeBinary` of `OccupancyOcTreeBase` and `writeData` of `OcTreeBaseImpl`; PlayCanvas, page
 //! "Voxel format" of the user manual of splat-transform, version 1.1.
 
+mod free_cubes;
 mod octomap;
 mod octomap_tree;
 mod recognise;
@@ -22,6 +23,7 @@ use slicewalk_base::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+pub use free_cubes::FreeCubes;
 pub use octomap_tree::{Octomap, OctomapTree};
 pub use recognise::{CubeFormat, recognise};
 pub use span_cubes::SpanCubes;

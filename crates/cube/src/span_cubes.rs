@@ -4,6 +4,8 @@ use slicewalk_base::frame::{Frame, SLICE_QUANTA};
 
 /// Ratios of slice height to pixel size up to this are recognised as whole numbers.
 const MOST_RATIO: f64 = 1e6;
+/// Differences of heights that count as rounding (cubes).
+const ROUNDING: f64 = 1e-6;
 
 /// Conversion of heights to cubes along z.
 #[derive(Debug, Clone, Copy)]
@@ -36,5 +38,13 @@ impl SpanCubes {
             }
         };
         (first, end.max(first + 1))
+    }
+
+    /// Returns the first cube that lies in the slices from `first` up to `end`, and the one after the last.
+    pub fn within_slices(&self, first: i64, end: i64) -> (i64, i64) {
+        let size = self.frame.pixel_m();
+        // A cube that ends with the slice may seem to end above it, by rounding.
+        let [bottom, top] = [first, end].map(|slice| self.frame.bottom_of_slice(slice) / size);
+        ((bottom - ROUNDING).ceil() as i64, (top + ROUNDING).floor() as i64)
     }
 }

@@ -12,8 +12,9 @@ use pyo3::types::PyBytes;
 use slicewalk::Error;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::page::Span;
+use slicewalk::seen::{CELL_PIXELS, SeenSpace};
 use slicewalk::store::Snapshot;
-use slicewalk_cube::{OctomapTree, SpanCubes};
+use slicewalk_cube::{FreeCubes, OctomapTree, SpanCubes};
 use std::time::{Duration, Instant};
 
 /// Most voxels of a region.
@@ -263,18 +264,28 @@ fn fill(arrays: &mut [ArrayViewMut3<'_, u8>; 3], [first, last]: Extent, [i, j]: 
     }
 }
 
-/// Returns the voxels that the box `bounds` meets as a tree of OctoMap: the number of its cubes, and the file.
+/// Returns the voxels that the box `bounds` meets as a tree of OctoMap, and its seen space as free cubes: the numbers of
+/// occupied and free cubes, and the file.
 pub fn octomap<'py>(
     py: Python<'py>,
     set: &Snapshot,
+    seen: Option<&SeenSpace>,
     name: Option<&str>,
     bounds: &Bound<'py, PyAny>,
-) -> PyResult<(u64, Bound<'py, PyBytes>)> {
+) -> PyResult<(u64, u64, Bound<'py, PyBytes>)> {
     let wrong = |error: Error| Failure::from(error).raise(py, name);
     let [first, last] = extent(set.frame(), bounds, wrong)?;
     let made = py.detach(|| {
         let (mut tree, cubes) = (OctomapTree::new(), SpanCubes::of(set.frame()));
+        let within = [first, last].map(|[z, y, x]| [x, y, z]);
+        let runs = seen.into_iter().flat_map(SeenSpace::runs);
+        let mut free = FreeCubes::new(set.frame(), CELL_PIXELS, runs, Some(within));
+        let mut tile = None;
         each_span(set, [first, last], |pixel, base, span| {
+            let own = pixel.map(|at| at.div_euclid(TILE_PIXELS));
+            if let Some(last) = tile.replace(own).filter(|last| *last != own) {
+                free.add(&mut tree, last);
+            }
             let (lowest, highest) = span.slices();
             if base + i64::from(highest) < first[0] || base + i64::from(lowest) > last[0] {
                 return;
@@ -284,16 +295,20 @@ pub fn octomap<'py>(
             let ends = (first[0] * SLICE_QUANTA, (last[0] + 1) * SLICE_QUANTA);
             tree.occupy(pixel, cubes.of_span(bottom.max(ends.0), top.min(ends.1)));
         })?;
+        if let Some(last) = tile {
+            free.add(&mut tree, last);
+        }
+        free.add_rest(&mut tree);
         let tree = tree.finish(set.frame().pixel_m()).ok_or_else(|| {
             let most = OctomapTree::MOST_CUBES;
             Error::limit("cubes along an axis of an OctoMap tree (take a smaller region)", format!("over {most}"), most)
         })?;
         let mut file = Vec::new();
         tree.write(&mut file).map_err(|error| Failure::Raised(error.into()))?;
-        Ok::<_, Failure>((tree.occupied, file))
+        Ok::<_, Failure>((tree.occupied, tree.free, file))
     });
-    let (count, file) = made.map_err(|failure| failure.raise(py, name))?;
-    Ok((count, PyBytes::new(py, &file)))
+    let (occupied, free, file) = made.map_err(|failure| failure.raise(py, name))?;
+    Ok((occupied, free, PyBytes::new(py, &file)))
 }
 
 /// Calls `give` with pixel, first slice of the page, and span of everything in the pixels of an extent, tile by tile.

@@ -422,9 +422,10 @@ impl Pages {
 
     /// Returns a region as a tree of OctoMap; see :func:`to_octomap`.
     #[pyo3(name = "_octomap")]
-    fn octomap<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<(u64, Bound<'py, PyBytes>)> {
+    fn octomap<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<(u64, u64, Bound<'py, PyBytes>)> {
         let pages = self.set.pages(py)?;
-        octomap(py, pages, self.name(), bounds)
+        let seen = self.opened().seen_space(py, MOST_SEEN_BYTES)?;
+        octomap(py, pages, seen.as_deref(), self.name(), bounds)
     }
 
     /// Returns the seen space of the archive, also for a view; see :meth:`Archive.seen_space`.

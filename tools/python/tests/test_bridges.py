@@ -15,8 +15,11 @@ import slicewalk
 PROGRAMS = os.environ.get("SLICEWALK_PROGRAMS")
 
 
-def leaves(path):
-    """Occupied leaves of a ``.bt`` by the format's description: corners and edges in cubes, and the resolution."""
+FREE, OCCUPIED = 1, 2
+
+
+def leaves(path, kind=OCCUPIED):
+    """Leaves of a ``.bt`` by the format's description: corners and edges in cubes, and the resolution."""
     head, data = path.read_bytes().split(b"\ndata\n", 1)
     assert head.startswith(b"# Octomap OcTree binary file\n")
     fields = dict(line.split(" ", 1) for line in head.decode().splitlines() if not line.startswith("#"))
@@ -30,7 +33,7 @@ def leaves(path):
             bits, half = children >> 2 * child & 3, edge // 2
             below = tuple(corner[axis] + half * (child >> axis & 1) for axis in range(3))
             nodes += bits != 0
-            if bits == 2:
+            if bits == kind:
                 found.append((below, half))
             elif bits == 3:
                 visit(below, half)
@@ -104,11 +107,38 @@ def test_octrees_far_from_the_origin_are_moved_and_come_back(tmp_path):
 
 
 @pytest.mark.skipif(PROGRAMS is None, reason="SLICEWALK_PROGRAMS names no folder with slicetool")
-def test_octrees_are_those_of_slicetool(folder, tmp_path):
-    slicewalk.to_octomap(slicewalk.open(folder / "room.slices"), tmp_path / "a.bt")
-    command = [f"{PROGRAMS}/slicetool", "export", folder / "room.slices", "-o", tmp_path / "b.bt"]
+@pytest.mark.parametrize("name", ["room.slices", "seen.slices"])
+def test_octrees_are_those_of_slicetool(folder, tmp_path, name):
+    slicewalk.to_octomap(slicewalk.open(folder / name), tmp_path / "a.bt")
+    command = [f"{PROGRAMS}/slicetool", "export", folder / name, "-o", tmp_path / "b.bt"]
     subprocess.run(command, check=True, capture_output=True)
     assert (tmp_path / "a.bt").read_bytes() == (tmp_path / "b.bt").read_bytes()
+
+
+@pytest.mark.parametrize("bounds", [None, (1.03, 1.25, 0.4, 5.93, 4.17, 1.67)])
+def test_cubes_in_seen_space_are_free(folder, tmp_path, bounds):
+    archive = slicewalk.open(folder / "seen.slices")
+    space, path = archive.seen_space(), tmp_path / "a.bt"
+    assert slicewalk.to_octomap(archive, path, bounds=bounds) == len(cells(leaves(path)[0]))
+    occupied, free = cells(leaves(path)[0]), cells(leaves(path, FREE)[0])
+    assert len(free) > 1000
+    assert not occupied & free
+    # All cubes of the region, and whether they lie in seen space: a little smaller, as they are closed there.
+    size = np.array([archive.pixel_size, archive.pixel_size, archive.slice_height])
+    low, high = np.reshape(archive.bounds if bounds is None else bounds, (2, 3))
+    first, last = np.floor(low / size), np.floor(high / size)
+    edge = archive.pixel_size
+    ends = np.array([first, last + 1]) * size / edge
+    ends = np.array([np.ceil(ends[0] - 1e-6), np.floor(ends[1] + 1e-6)]).astype(int)
+    axes = [np.arange(a, b) for a, b in ends.T]
+    cubes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.hstack([cubes * edge + 1e-4, (cubes + 1) * edge - 1e-4])
+    expected = {tuple(cube) for cube in cubes[space.boxes(inside)].tolist()} - occupied
+    # A cube across the border of two pages is in neither.
+    border = archive.slice_height * 64
+    missed = {cube for cube in expected - free if cube[2] * edge % border < border - edge + 1e-6}
+    assert not free - expected
+    assert not missed
 
 
 def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):

@@ -129,14 +129,14 @@ def to_occupancy_grid(
 
 
 def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike | None = None) -> int:
-    """Write the solid of a region as an octree of OctoMap (``.bt``), and return the number of its cubes.
+    """Write a region as an octree of OctoMap (``.bt``), and return the number of its occupied cubes.
 
-    Cubes have the edge of a pixel and are occupied if a span reaches into them, as in ``slicetool export``, which also
-    writes seen space as free cubes. A tree has 65,536 cubes along each axis around the origin; a region beyond is moved
-    by whole tiles, which a comment in the file states and :func:`convert` undoes. Memory: the tree.
+    Cubes have the edge of a pixel and are occupied if a span reaches into them. All others that lie in seen space (see
+    :meth:`Archive.seen_space`) are free. A tree has 65,536 cubes along each axis around the origin; a region beyond is
+    moved by whole tiles, which a comment in the file states and :func:`convert` undoes. Memory: the tree.
 
     Raises:
-        ValueError: the region holds nothing
+        ValueError: the region holds nothing solid, and nothing of it was seen
         LimitError: the region is larger than a tree
 
     >>> slicewalk.to_octomap(slicewalk.open("room.slices"), "room.bt") > 10_000
@@ -145,12 +145,12 @@ def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike 
     True
 
     """
-    count, data = pages._octomap(_box(pages, bounds))
-    if count == 0:
+    occupied, free, data = pages._octomap(_box(pages, bounds))
+    if occupied == free == 0:
         message = "bounds: expected a region with solid, found none; give other bounds"
         raise ValueError(message)
     _write(Path(path), data)
-    return count
+    return occupied
 
 
 def to_open3d(pages: Pages, *, bounds: ArrayLike | None = None) -> Any:
