@@ -1,4 +1,5 @@
 // C99: seen space of the archive argv[1], of argv[2], which has none, and the answers that the table argv[3] expects.
+// From where the pawn was seen, it gets to the place argv[4], argv[5], argv[6] over places where it was not.
 #include "slicewalk.h"
 
 #include <math.h>
@@ -21,7 +22,7 @@ static double table[MOST][COLUMNS], places[MOST][3], boxes[MOST][6], rays[MOST][
 static uint8_t answers[MOST];
 
 int main(int argc, char **argv) {
-    CHECK(argc == 4);
+    CHECK(argc == 7);
     sw_archive *archive = NULL, *plain = NULL;
     OK(sw_open_file(argv[1], &archive));
     OK(sw_open_file(argv[2], &plain));
@@ -75,6 +76,12 @@ int main(int argc, char **argv) {
     OK(sw_route_blocked_seen(pages, seen, &pawn, from, hall, &obstruction));
     CHECK(obstruction.reason == SW_OBSTRUCTION_NONE);
     OK(sw_route_plan(pages, &pawn, from, hall, &route));
+    OK(sw_route_close(route));
+    double beyond[3] = {strtod(argv[4], NULL), strtod(argv[5], NULL), strtod(argv[6], NULL) + 0.1};
+    CHECK(sw_route_plan_seen(pages, seen, &pawn, from, beyond, &route) == SW_ERROR_NO_ROUTE && route == NULL);
+    OK(sw_route_blocked_seen(pages, seen, &pawn, from, beyond, &obstruction));
+    CHECK(obstruction.reason == SW_OBSTRUCTION_UNSEEN);
+    OK(sw_route_plan(pages, &pawn, from, beyond, &route));
     OK(sw_route_close(route));
 
     // Endless boxes and rays, and refusals.

@@ -1,4 +1,5 @@
 // C++17: seen space of the archive argv[1], of argv[2], which has none, and the answers that the table argv[3] expects.
+// From where the pawn was seen, it gets to the place argv[4], argv[5], argv[6] over places where it was not.
 #include "slicewalk.hpp"
 
 #include <cstdio>
@@ -16,7 +17,7 @@
 
 int main(int argc, char **argv) {
     using namespace slicewalk;
-    CHECK(argc == 4);
+    CHECK(argc == 7);
     const Archive archive = Archive::file(argv[1]);
     CHECK(!SeenSpace::load(Archive::file(argv[2]), 0));
     const auto seen = SeenSpace::load(archive, 1 << 30);
@@ -47,5 +48,8 @@ int main(int argc, char **argv) {
     } catch (const Error &error) {
         CHECK(error.status() == SW_ERROR_NO_ROUTE);
     }
+    const std::array<double, 3> from{1.5, 3.5, 0.5}, beyond{std::stod(argv[4]), std::stod(argv[5]), std::stod(argv[6]) + 0.1};
+    const auto found = Route::blocked(pages, *seen, from, beyond);
+    CHECK(found && found->reason == SW_OBSTRUCTION_UNSEEN);
     std::printf("%d rows are the same\n", static_cast<int>(expected[0].size()));
 }
