@@ -1,6 +1,6 @@
 //! Seen space as free cubes.
 
-use crate::{OctomapTree, SpanCubes};
+use crate::SpanCubes;
 use slicewalk_base::frame::{Frame, TILE_PIXELS};
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ struct Run {
     cubes: (i64, i64),
 }
 
-/// Cubes that lie in seen cells, by tile, for a tree to which the cubes of spans are added tile by tile.
+/// Cubes that lie in seen cells, by tile: the free cubes of an [`OctomapTree`](crate::OctomapTree).
 #[derive(Debug, Default)]
 pub struct FreeCubes {
     tiles: BTreeMap<[i64; 2], Vec<Run>>,
@@ -47,19 +47,16 @@ impl FreeCubes {
         free
     }
 
-    /// Moves the cubes of a tile to the tree.
-    pub fn add(&mut self, tree: &mut OctomapTree, tile: [i64; 2]) {
-        for Run { pixels: [first, end], cubes } in self.tiles.remove(&tile).into_iter().flatten() {
-            for (x, y) in (first[1]..end[1]).flat_map(|y| (first[0]..end[0]).map(move |x| (x, y))) {
-                tree.free([x, y], cubes);
-            }
-        }
+    /// Removes the cubes of a tile, and returns them by columns.
+    pub(crate) fn take(&mut self, tile: [i64; 2]) -> impl Iterator<Item = ([i64; 2], (i64, i64))> + use<> {
+        self.tiles.remove(&tile).into_iter().flatten().flat_map(|Run { pixels: [first, end], cubes }| {
+            let pixels = (first[1]..end[1]).flat_map(move |y| (first[0]..end[0]).map(move |x| [x, y]));
+            pixels.map(move |pixel| (pixel, cubes))
+        })
     }
 
-    /// Moves the cubes of all tiles that are left to the tree.
-    pub fn add_rest(&mut self, tree: &mut OctomapTree) {
-        while let Some(tile) = self.tiles.keys().next().copied() {
-            self.add(tree, tile);
-        }
+    /// Returns the first tile that is left.
+    pub(crate) fn first_tile(&self) -> Option<[i64; 2]> {
+        self.tiles.keys().next().copied()
     }
 }

@@ -4,6 +4,7 @@
 //! depth-first order two bits for each of its eight children, x fastest (0 unknown, 1 free, 2 occupied, 3 inner node).
 //! Eight occupied or eight free children are one leaf of the next larger size.
 
+use super::free_cubes::FreeCubes;
 use super::octomap::{FREE, INNER, LEVELS, OCCUPIED};
 use super::recognise::BINARY;
 use slicewalk_base::text::number;
@@ -46,7 +47,8 @@ impl Block {
 pub struct OctomapTree {
     /// Blocks of the tile by their place along z.
     blocks: BTreeMap<i64, Block>,
-    tile: [i64; 2],
+    tile: Option<[i64; 2]>,
+    seen: FreeCubes,
     nodes: Vec<([i64; 3], Node)>,
     counts: [u64; 2],
 }
@@ -72,21 +74,27 @@ impl OctomapTree {
         Self::default()
     }
 
+    /// Makes these cubes free, except those that are occupied.
+    #[must_use]
+    pub fn with_free(self, cubes: FreeCubes) -> Self {
+        Self { seen: cubes, ..self }
+    }
+
     /// Makes the cubes from `first` up to `end` along z in the column at `x`, `y` occupied.
     pub fn occupy(&mut self, [x, y]: [i64; 2], cubes: (i64, i64)) {
         self.add([x, y], cubes, |block, at, bits| block.occupied[at] |= bits);
     }
 
     /// Makes cubes free, like [`occupy`](Self::occupy), except those that are occupied.
-    pub fn free(&mut self, [x, y]: [i64; 2], cubes: (i64, i64)) {
+    pub(crate) fn free(&mut self, [x, y]: [i64; 2], cubes: (i64, i64)) {
         self.add([x, y], cubes, |block, at, bits| block.free[at] |= bits);
     }
 
     fn add(&mut self, [x, y]: [i64; 2], (first, end): (i64, i64), set: impl Fn(&mut Block, usize, u64)) {
         let tile = [x.div_euclid(EDGE), y.div_euclid(EDGE)];
-        if tile != self.tile {
+        if self.tile != Some(tile) {
             self.finish_tile();
-            self.tile = tile;
+            self.tile = Some(tile);
         }
         let column = (y.rem_euclid(EDGE) * EDGE + x.rem_euclid(EDGE)) as usize;
         let mut at = first;
@@ -101,7 +109,10 @@ impl OctomapTree {
 
     /// Encodes the blocks of the tile.
     fn finish_tile(&mut self) {
-        let [x, y] = self.tile;
+        let Some([x, y]) = self.tile else { return };
+        for (pixel, cubes) in self.seen.take([x, y]) {
+            self.free(pixel, cubes);
+        }
         for (z, mut block) in mem::take(&mut self.blocks) {
             for (free, occupied) in block.free.iter_mut().zip(block.occupied.iter()) {
                 *free &= !occupied;
@@ -127,6 +138,10 @@ impl OctomapTree {
     /// The columns of a tile were not added one after another.
     pub fn finish(mut self, size: f64) -> Option<Octomap> {
         self.finish_tile();
+        while let Some(tile) = self.seen.first_tile() {
+            self.tile = Some(tile);
+            self.finish_tile();
+        }
         let Self { mut nodes, counts: [occupied, free], .. } = self;
         let by = shift(&nodes)?;
         nodes.iter_mut().for_each(|(at, _)| *at = [0, 1, 2].map(|axis| at[axis] - by[axis] + BLOCKS / 2));

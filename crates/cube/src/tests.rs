@@ -274,6 +274,21 @@ fn tiles_in_two_turns_are_a_mistake() {
 }
 
 #[test]
+fn free_cubes_of_any_tile_are_added_once() {
+    let frame = Frame::new(0.1, 0.1).unwrap();
+    // Tiles before, at, between and after those with occupied cubes, in an order of their own.
+    let cells = [[128, 0], [-64, 60], [0, 0], [64, 64], [0, 64]];
+    let free = FreeCubes::new(&frame, 4, cells.map(|cell| (cell, [3, 7])), Some([[-62, 0, 5], [200, 200, 200]]));
+    let mut tree = OctomapTree::new().with_free(free);
+    for at in [[64, 0], [65, 2], [0, 0], [64, 64]] {
+        tree.occupy(at, (5, 6));
+    }
+    let octomap = tree.finish(0.1).unwrap();
+    // Five cells of 4 × 4 × 2, one of them cut to half, and two of their cubes are occupied.
+    assert_eq!((octomap.occupied, octomap.free), (4, 5 * 32 - 16 - 2));
+}
+
+#[test]
 fn spans_reach_at_least_one_cube() {
     let frame = Frame::new(0.1, 0.3).unwrap();
     let cubes = SpanCubes::of(&frame);

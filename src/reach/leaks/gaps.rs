@@ -47,7 +47,7 @@ pub struct GapPixel {
     pub depth: Option<i32>,
 }
 
-/// What is known of the gaps of a search.
+/// Gaps of a search, and the pixels that their floods visited.
 #[derive(Debug, Default)]
 pub struct Gaps {
     /// By height.

@@ -276,16 +276,11 @@ pub fn octomap<'py>(
     let wrong = |error: Error| Failure::from(error).raise(py, name);
     let [first, last] = extent(set.frame(), bounds, wrong)?;
     let made = py.detach(|| {
-        let (mut tree, cubes) = (OctomapTree::new(), SpanCubes::of(set.frame()));
         let within = [first, last].map(|[z, y, x]| [x, y, z]);
         let runs = seen.into_iter().flat_map(SeenSpace::runs);
-        let mut free = FreeCubes::new(set.frame(), CELL_PIXELS, runs, Some(within));
-        let mut tile = None;
+        let free = FreeCubes::new(set.frame(), CELL_PIXELS, runs, Some(within));
+        let (mut tree, cubes) = (OctomapTree::new().with_free(free), SpanCubes::of(set.frame()));
         each_span(set, [first, last], |pixel, base, span| {
-            let own = pixel.map(|at| at.div_euclid(TILE_PIXELS));
-            if let Some(last) = tile.replace(own).filter(|last| *last != own) {
-                free.add(&mut tree, last);
-            }
             let (lowest, highest) = span.slices();
             if base + i64::from(highest) < first[0] || base + i64::from(lowest) > last[0] {
                 return;
@@ -295,10 +290,6 @@ pub fn octomap<'py>(
             let ends = (first[0] * SLICE_QUANTA, (last[0] + 1) * SLICE_QUANTA);
             tree.occupy(pixel, cubes.of_span(bottom.max(ends.0), top.min(ends.1)));
         })?;
-        if let Some(last) = tile {
-            free.add(&mut tree, last);
-        }
-        free.add_rest(&mut tree);
         let tree = tree.finish(set.frame().pixel_m()).ok_or_else(|| {
             let most = OctomapTree::MOST_CUBES;
             Error::limit("cubes along an axis of an OctoMap tree (take a smaller region)", format!("over {most}"), most)

@@ -22,18 +22,10 @@ const MOST_SEEN_BYTES: u64 = 4 << 30;
 
 /// Writes the tree; returns a message about it. Memory: the tree, and the blocks of a tile column (64 KiB each).
 pub fn bt(archive: &Archive, path: &Path, to: Output) -> Result<String, Failure> {
-    let (mut tree, mut column) = (OctomapTree::new(), None);
     let seen = archive.seen_space(MOST_SEEN_BYTES).map_err(|error| crate::broken(path, &error))?;
-    let mut free = FreeCubes::new(archive.frame(), CELL_PIXELS, seen.iter().flat_map(SeenSpace::runs), None);
-    each_span(archive, path, |tile, pixel, cubes| {
-        if column != Some(tile)
-            && let Some(last) = column.replace(tile)
-        {
-            free.add(&mut tree, last);
-        }
-        tree.occupy(pixel, cubes);
-    })?;
-    free.add_rest(&mut tree);
+    let free = FreeCubes::new(archive.frame(), CELL_PIXELS, seen.iter().flat_map(SeenSpace::runs), None);
+    let mut tree = OctomapTree::new().with_free(free);
+    each_span(archive, path, |_, pixel, cubes| tree.occupy(pixel, cubes))?;
     let size = archive.frame().pixel_m();
     let tree = tree.finish(size).ok_or_else(|| {
         let reason = format!("larger than the {} cubes of an OctoMap tree along an axis", OctomapTree::MOST_CUBES);
