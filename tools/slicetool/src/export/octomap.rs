@@ -25,7 +25,7 @@ pub fn bt(archive: &Archive, path: &Path, to: Output) -> Result<String, Failure>
     let seen = archive.seen_space(MOST_SEEN_BYTES).map_err(|error| crate::broken(path, &error))?;
     let free = FreeCubes::new(archive.frame(), CELL_PIXELS, seen.iter().flat_map(SeenSpace::runs), None);
     let mut tree = OctomapTree::new().with_free(free);
-    each_span(archive, path, |_, pixel, cubes| tree.occupy(pixel, cubes))?;
+    each_span(archive, path, |pixel, cubes| tree.occupy(pixel, cubes))?;
     let size = archive.frame().pixel_m();
     let tree = tree.finish(size).ok_or_else(|| {
         let reason = format!("larger than the {} cubes of an OctoMap tree along an axis", OctomapTree::MOST_CUBES);

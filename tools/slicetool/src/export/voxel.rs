@@ -51,7 +51,7 @@ pub fn write(archive: &Archive, path: &Path, [header, binary]: [Output; 2]) -> R
     let size = archive.frame().pixel_m();
     let (mut blocks, mut cubes) = (HashMap::<[i64; 3], u64>::new(), 0u64);
     let (mut low, mut high) = ([i64::MAX; 3], [i64::MIN; 3]);
-    each_span(archive, path, |_, [i, j], (first, end)| {
+    each_span(archive, path, |[i, j], (first, end)| {
         let [x, z] = [i, -j - 1];
         for (axis, (from, to)) in [(x, x), (first, end - 1), (z, z)].into_iter().enumerate() {
             (low[axis], high[axis]) = (low[axis].min(from), high[axis].max(to));
