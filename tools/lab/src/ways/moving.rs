@@ -22,6 +22,8 @@ use std::process::Command;
 const PIXEL_M: f64 = 0.05;
 const NOISE_M: f64 = 0.003;
 const SEED: u64 = 1;
+/// Edge of the cells that connect points on people (m).
+const PART_CELL_M: f64 = 0.1;
 /// Rays of each station in the tables of accuracy.
 const RAYS: usize = 300_000;
 /// All points of the large scan.
@@ -158,6 +160,7 @@ pub fn page(effort: &Effort) -> Result<String> {
         "people: share",
         "hidden: share",
         "removed of all that could be seen through",
+        "removed if by whole parts",
     ]);
     let hall_door = [7.9, 4.25, 0.2, 8.25, 4.75, 1.9];
     let house_door = [4.9, 4.75, 0.2, 5.3, 5.25, 1.9];
@@ -199,7 +202,10 @@ pub fn page(effort: &Effort) -> Result<String> {
             let [people_points, surfaces] =
                 [Kind::Moving, Kind::Surface].map(|kind| share(kind, &|_, sample| is_gone(sample)));
             sights.row(
-                [name.to_owned(), people.to_string()].into_iter().chain(by_sight(&scene, &eyes, &samples, &is_gone)),
+                [name.to_owned(), people.to_string()]
+                    .into_iter()
+                    .chain(by_sight(&scene, &eyes, &samples, &is_gone))
+                    .chain([percent(by_parts(&samples, &is_gone).value())]),
             );
             let peer = dufomap(&scene, folder.path(), &samples)?;
             let peers = [Kind::Moving, Kind::Surface].map(|kind| {
@@ -227,6 +233,37 @@ pub fn page(effort: &Effort) -> Result<String> {
         include_str!("sight.head.md"),
         sights.markdown()
     ))
+}
+
+/// Share of the points on people if the removal of one took along all points of its connected part: those of the same
+/// station in cells that touch, without the surfaces on which people stand.
+fn by_parts(samples: &[Sample], is_gone: &dyn Fn(&Sample) -> bool) -> Share {
+    let mut cells: BTreeMap<[i64; 4], Share> = BTreeMap::new();
+    for sample in samples.iter().filter(|sample| sample.kind == Kind::Moving) {
+        let [x, y, z] = sample.position.map(|v| (v / PART_CELL_M).floor() as i64);
+        cells.entry([i64::from(sample.station), x, y, z]).or_default().add(is_gone(sample));
+    }
+    let mut sum = Share::default();
+    while let Some((first, share)) = cells.pop_first() {
+        let (mut part, mut open) = (share, vec![first]);
+        while let Some([station, x, y, z]) = open.pop() {
+            for [dx, dy, dz] in neighbours() {
+                let next = [station, x + dx, y + dy, z + dz];
+                if let Some(share) = cells.remove(&next) {
+                    part.merge(share);
+                    open.push(next);
+                }
+            }
+        }
+        let gone = if part.yes > 0 { part.all } else { 0 };
+        sum.merge(Share { all: part.all, yes: gone });
+    }
+    sum
+}
+
+/// Steps to the cells that touch a cell, and to itself.
+fn neighbours() -> impl Iterator<Item = [i64; 3]> {
+    (-1..=1).flat_map(|x| (-1..=1).flat_map(move |y| (-1..=1).map(move |z| [x, y, z])))
 }
 
 /// The stations, and the people that their scans met.
