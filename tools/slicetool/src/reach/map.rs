@@ -1,7 +1,7 @@
 //! Map of a region: a panel for each storey, the highest on top, north up.
 //!
 //! Standing places are coloured by height, from blue (lowest of the region) through green to yellow (highest). Pixels
-//! with solid at the height of the body are grey, leaks are red dots, passages orange dots, and the requested route is
+//! with solid at the height of the body are grey, leaks are red dots of their width, passages orange dots, and the requested route is
 //! a black line. Each panel shows its height; the bar at the bottom shows a length.
 
 use super::Reach;
@@ -57,9 +57,10 @@ pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failur
         let far = |storey: &usize| (reach.storeys.all[*storey].z - at.z).abs();
         (0..reach.storeys.all.len()).min_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or(0)
     };
-    let dots = reach.passages.iter().map(|passage| (passage.at, PASSAGE));
-    for (at, colour) in dots.chain(reach.leaks.iter().map(|leak| (leak.at, LEAK))) {
-        map.dot(storey_of(at), [frame.pixel_of(at.x), frame.pixel_of(at.y)], colour);
+    let leaks = reach.leaks.iter().map(|leak| (leak.at, leak.width, LEAK));
+    for (at, width, colour) in leaks.chain(reach.passages.iter().map(|passage| (passage.at, f64::INFINITY, PASSAGE))) {
+        let pixel = [frame.pixel_of(at.x), frame.pixel_of(at.y)];
+        map.dot(storey_of(at), pixel, width / 2.0 / frame.pixel_m(), colour);
     }
     let ways = reach.way.iter().flat_map(|way| way.points.windows(2));
     for pair in ways {
@@ -187,17 +188,19 @@ impl Map {
         }
     }
 
-    fn dot(&mut self, storey: usize, at: [i64; 2], colour: [u8; 3]) {
+    /// Draws a round dot in a pixel of the scan, as large as `radius` (pixels of the scan) but always to be seen.
+    fn dot(&mut self, storey: usize, at: [i64; 2], radius: f64, colour: [u8; 3]) {
         let Some([x, y]) = self.place(storey, at) else { return };
         let half = self.enlarge / 2;
+        let radius = (radius * self.enlarge as f64 / self.reduce as f64).clamp(2.3, 5.5);
         for (dx, dy) in (-6i64..=6).flat_map(|dx| (-6i64..=6).map(move |dy| (dx, dy))) {
-            if dx * dx + dy * dy <= 30 {
+            if (dx * dx + dy * dy) as f64 <= radius * radius {
                 self.set([x + half + dx, y + half + dy], colour);
             }
         }
     }
 
-    /// Draws a round dot at a place (pixels of the scan).
+    /// Draws a piece of a line at a place (pixels of the scan).
     fn pen(&mut self, storey: usize, at: [f64; 2]) {
         let Some(corner) = self.place(storey, at.map(|v| v.floor() as i64)) else { return };
         let within = at.map(|v| (v - v.floor()) * self.enlarge as f64);
