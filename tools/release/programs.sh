@@ -14,6 +14,18 @@ page_for_programs() {
     echo "$tools/page"
 }
 
+# nameless TRIPLE [FLAG...]: exports the compiler's flags for a target, those given and some by which programs do not name folders of
+# the machine that builds them: the same commit gives the same bytes everywhere.
+nameless() {
+    local triple=$1 folder
+    shift
+    cargo fetch --quiet
+    for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/ "$tools/rust/root/" "$target/"; do
+        set -- "$@" "--remap-path-prefix=$folder="
+    done
+    export "CARGO_TARGET_$(tr a-z- A-Z_ <<<"$triple")_RUSTFLAGS=$*"
+}
+
 # static TRIPLE: builds static programs with musl, by zig's C compiler. If rustup has not installed the target, the standard library
 # is built from source.
 static() {
@@ -27,7 +39,9 @@ static() {
             eval "$("$root/tools/rust-source.sh" "$tools/rust")"
             flags=(-Z build-std=std,panic_abort)
             # The source comes without musl's start files, which zig has.
-            export "CARGO_TARGET_$(tr a-z- A-Z_ <<<"$triple")_RUSTFLAGS=-Clink-self-contained=no"
+            nameless "$triple" -Clink-self-contained=no
+        else
+            nameless "$triple"
         fi
         cargo zigbuild --quiet --target "$triple" --target-dir "$target/release-programs" "${flags[@]}" "${programs[@]}"
     )
@@ -121,6 +135,7 @@ make_windows() {
     (
         eval "$variables"
         export SLICEWALK_PAGE=$page
+        nameless "$triple"
         # shellcheck disable=SC2086
         cargo build --quiet --target "$triple" --target-dir "$target/release-programs" $WINDOWS_FLAGS "${programs[@]}"
     )

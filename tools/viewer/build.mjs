@@ -10,12 +10,14 @@
 
 import { execFileSync, spawn, spawnSync } from "node:child_process";
 import { once } from "node:events";
-import { copyFileSync, existsSync, mkdirSync, readFileSync, rmSync } from "node:fs";
-import { dirname, join } from "node:path";
+import { copyFileSync, existsSync, mkdirSync, readdirSync, readFileSync, rmSync } from "node:fs";
+import { homedir } from "node:os";
+import { dirname, join, sep } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 
 const TARGET = "wasm32-unknown-unknown";
+const FLAGS = "CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS";
 const viewer = dirname(fileURLToPath(import.meta.url));
 const root = join(viewer, "../..");
 const target = process.env.CARGO_TARGET_DIR ?? join(root, "target");
@@ -71,6 +73,17 @@ function toolchain() {
   return { variables, words: (variables.WASM_FLAGS ?? "").split(" ").filter(Boolean) };
 }
 
+/** Adds the compiler's flags by which modules do not name folders of this machine: the same sources give the same bytes everywhere. */
+async function nameless(variables) {
+  const fetch = ["fetch", "--quiet", "--target", TARGET];
+  await run(root, "cargo", fetch, variables);
+  await run(join(viewer, "convert"), "cargo", fetch, variables);
+  const sources = join(process.env.CARGO_HOME ?? join(homedir(), ".cargo"), "registry/src");
+  const folders = readdirSync(sources).map((name) => join(sources, name) + sep);
+  const flags = [variables[FLAGS] ?? process.env[FLAGS] ?? "", ...folders.map((folder) => `--remap-path-prefix=${folder}=`)];
+  return { ...variables, [FLAGS]: flags.join(" ").trim() };
+}
+
 async function npmPackage(name) {
   await run(join(viewer, name), "npm", ["ci", "--no-audit", "--no-fund", "--loglevel=error"]);
   if (name !== "bindgen") await run(join(viewer, name), "npm", ["run", "--silent", "build"]);
@@ -103,7 +116,8 @@ const [major, minor] = process.versions.node.split(".").map(Number);
 if (major < 20 || (major === 20 && minor < 19)) fail(`Node.js ${process.versions.node} is too old; install 20.19 or newer`);
 if (answer("cargo", ["--version"]) === null) fail("cargo is not installed; https://rustup.rs has it");
 
-const { variables, words } = toolchain();
+const { variables: found, words } = toolchain();
+const variables = await nameless(found);
 const wasm = join(viewer, "package/src/wasm");
 const builds = join(target, "wasm");
 const engine = ["build", "--quiet", "-p", "slicewalk-engine", "--lib", "--profile", "wasm", "--target", TARGET];
