@@ -167,6 +167,9 @@ fn join(
         writer.set_shard(shard);
         writer.set_read(all_read(parts.iter().flat_map(|part| &part.read))?);
     }
+    if monitor.cancelled_at_last() {
+        return Err(Error::Interrupted);
+    }
     let (header, written) = writer.finish_or_keep(totals)?;
     let (crs, units) = (first.crs.clone(), first.units.clone());
     Ok(Merged { header, crs, units, written, copies, dropped })

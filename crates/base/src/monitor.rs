@@ -17,6 +17,12 @@ pub trait Monitor: Sync {
     fn cancelled(&self) -> bool {
         false
     }
+
+    /// Like [`cancelled`](Self::cancelled), asked once when nothing is left to do but to put the output in place. May
+    /// wait until whoever follows the work knows of everything reported before.
+    fn cancelled_at_last(&self) -> bool {
+        self.cancelled()
+    }
 }
 
 /// Warning to the user while the work continues. Its text is one line without a newline at its end.

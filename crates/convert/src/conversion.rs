@@ -318,6 +318,9 @@ impl Conversion<'_> {
         own.kept -= left_out.moving;
         own.left_out.read += left_out.moving;
         let crs = scans.crs().unwrap_or_default().to_owned();
+        if monitor.cancelled_at_last() {
+            return Err(Error::Interrupted);
+        }
         let header = writer.finish(Totals { noise: self.noise, ..own.totals(&crs, self.units) })?;
         if reads_all(scope) && header.points_read > 0 && header.voxels.occupied == 0 {
             monitor.warn(&nothing_kept(&header, left_out.voxels, left_out.moving).into());

@@ -165,6 +165,9 @@ impl PointWriter {
         let accumulator = accumulator.as_deref();
         let writing = Writing { memory_bytes, threads, columns: None, views: None, temp_dir, accumulator };
         let left_out = write_archive(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
+        if monitor.cancelled_at_last() {
+            return Err(Error::Interrupted);
+        }
         let units = vec![LengthUnit::METRE];
         Ok(Report {
             header: self.output.finish(own.totals(&self.crs, &units))?,

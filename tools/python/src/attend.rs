@@ -1,7 +1,7 @@
 //! Runs long work on its own thread, while the calling thread checks for Ctrl-C and passes on progress and warnings.
 //!
-//! Callbacks and warnings run only on the calling thread, so no other thread waits for the interpreter. An exception
-//! that they raise ends the work.
+//! Callbacks and warnings run only on the calling thread, so no other thread waits for the interpreter, but once: before
+//! work puts its output in place, it waits until all is told. So an exception that they raise leaves no output behind.
 
 use crate::errors::{Failure, in_python, suggestion};
 use pyo3::prelude::*;
@@ -12,18 +12,21 @@ use std::collections::VecDeque;
 use std::ffi::CString;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::Thread;
 use std::time::Duration;
 
 /// Interval between two checks.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Progress and warnings that the work passes to the calling thread.
-#[derive(Default)]
 struct News {
     stages: Mutex<VecDeque<Stage>>,
     warnings: Mutex<Vec<String>>,
     done: AtomicU64,
     stop: Arc<AtomicBool>,
+    /// The thread that waits until everything is told, before it puts its output in place.
+    waiting: Mutex<Option<Thread>>,
+    caller: Thread,
 }
 
 #[derive(Clone, PartialEq)]
@@ -33,6 +36,20 @@ struct Stage {
     unit: String,
     /// Final amount of a stage that has ended.
     done: Option<u64>,
+}
+
+impl News {
+    /// For work that the calling thread follows.
+    fn new() -> Self {
+        Self {
+            stages: Mutex::default(),
+            warnings: Mutex::default(),
+            done: AtomicU64::new(0),
+            stop: Arc::default(),
+            waiting: Mutex::default(),
+            caller: std::thread::current(),
+        }
+    }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -59,6 +76,15 @@ impl Monitor for News {
 
     fn cancelled(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
+    }
+
+    fn cancelled_at_last(&self) -> bool {
+        *lock(&self.waiting) = Some(std::thread::current());
+        self.caller.unpark();
+        while lock(&self.waiting).is_some() {
+            std::thread::park_timeout(LOOK);
+        }
+        self.cancelled()
     }
 }
 
@@ -116,20 +142,25 @@ pub fn attended<T: Send>(
     path: Option<&str>,
     work: impl FnOnce(&dyn Monitor) -> Result<T, Failure> + Send,
 ) -> PyResult<T> {
-    let (news, ended, caller) = (News::default(), AtomicBool::new(false), std::thread::current());
+    let (news, ended) = (News::new(), AtomicBool::new(false));
     let (mut told, mut raised) = (None, None);
     let result = std::thread::scope(|scope| {
         let worker = scope.spawn(|| {
             // Reports the end also after a panic.
-            let _end = End(&ended, caller);
+            let _end = End(&ended, &news.caller);
             let stop = news.stop.clone();
             interruptible(Some(Arc::new(move || stop.load(Ordering::Relaxed))), || work(&news))
         });
         while !ended.load(Ordering::Acquire) {
             py.detach(|| std::thread::park_timeout(LOOK));
+            let waiting = lock(&news.waiting).clone();
             if raised.is_none() {
                 raised = audience.tell(py, &news, &mut told).err();
                 news.stop.store(raised.is_some(), Ordering::Relaxed);
+            }
+            if let Some(waiting) = waiting {
+                *lock(&news.waiting) = None;
+                waiting.unpark();
             }
         }
         py.detach(|| worker.join()).unwrap_or_else(|panic| std::panic::resume_unwind(panic))
@@ -143,7 +174,7 @@ pub fn attended<T: Send>(
     }
 }
 
-struct End<'a>(&'a AtomicBool, std::thread::Thread);
+struct End<'a>(&'a AtomicBool, &'a Thread);
 
 impl Drop for End<'_> {
     fn drop(&mut self) {
