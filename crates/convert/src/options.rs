@@ -262,7 +262,7 @@ impl ConvertOptions {
     }
 
     /// Returns whether the positions of scanners change the archive.
-    pub(crate) fn needs_stations(&self) -> bool {
+    pub fn needs_stations(&self) -> bool {
         self.plan.remove_moving || self.sections.free_space
     }
 

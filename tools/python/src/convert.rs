@@ -115,7 +115,8 @@ pub fn convert<'py>(
 ///     inputs: as for :func:`convert`
 ///     path: the plan to write (JSON)
 ///     progress: as for :func:`convert`
-///     options: those of :func:`convert` except ``plan``, ``shard`` and ``resume``
+///     options: those of :func:`convert` except ``plan``, ``shard``, ``resume`` and ``removed``. Parts need
+///         ``stations`` again
 ///
 /// Returns:
 ///     the plan as a dict, with the number of inputs as ``inputs``: there may be hundreds of thousands, which only the
@@ -133,7 +134,7 @@ pub fn write_plan<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
-    Asked::refuse(options, |name| !matches!(name, "plan" | "shard" | "resume"))?;
+    Asked::refuse(options, |name| !matches!(name, "plan" | "shard" | "resume" | "removed"))?;
     let asked = Asked::new(paths("inputs", inputs)?, PathBuf::new(), options)?;
     asked.check_code()?;
     let audience = Audience { progress, quiet: asked.quiet, ..Audience::default() };
@@ -143,6 +144,9 @@ pub fn write_plan<'py>(
         let file = PlanFile::new(&asked.options, monitor)?;
         let mut facts = file.facts();
         facts["inputs"] = file.inputs.len().into();
+        if monitor.cancelled_at_last() {
+            return Err(slicewalk::Error::Interrupted.into());
+        }
         file.write_to(output)?;
         Ok::<_, Failure>(facts)
     })?;

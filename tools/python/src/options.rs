@@ -234,12 +234,6 @@ impl Asked {
         if is_named("scale_from") && is_named("units") {
             return Err(refuse("scale_from", "is the unit, which is given too; leave one of them out"));
         }
-        if is_named("stations") && !(options.plan.remove_moving || options.sections.free_space) {
-            return Err(refuse("stations", "is for remove_moving=True and free_space=True; give one of these, too"));
-        }
-        if is_named("removed") && !options.plan.remove_moving {
-            return Err(refuse("removed", "is for remove_moving=True; give both, or none"));
-        }
         // With the interpreter released: a plan may lie in an object store.
         let read = |path: PathBuf| match given {
             Some(given) => given.py().detach(|| PlanFile::read(&path)),
@@ -252,6 +246,12 @@ impl Asked {
                 return Err(refuse(name, "contradicts the plan; leave it out, or write another plan"));
             }
             file.apply_to(&mut options);
+        }
+        if is_named("stations") && !options.needs_stations() {
+            return Err(refuse("stations", "is for remove_moving=True and free_space=True; give one of these, too"));
+        }
+        if is_named("removed") && !options.plan.remove_moving {
+            return Err(refuse("removed", "is for remove_moving=True; give both, or none"));
         }
         options.plan_file = plan_file;
         options.shard = shard.map(|(index, count)| ShardOptions { index, count });

@@ -129,11 +129,42 @@ def test_what_a_callback_raises_ends_the_work(las, tmp_path):
 
     with pytest.raises(KeyError, match="enough"):
         slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m", progress=progress)
-    # The conversion may have finished by then; its output is either complete or absent.
-    left = set(os.listdir(tmp_path)) - {"scan.las"}
-    assert left <= {"a.slices"}
-    for name in left:
-        assert slicewalk.open(tmp_path / name).verify() == []
+    assert os.listdir(tmp_path) == ["scan.las"]
+
+    def at_the_end(stage, *_):
+        if stage == "writing slices":
+            raise KeyError(stage)
+
+    slicewalk.convert(las, tmp_path / "a.slices", pixel=0.5, units="m")
+    before = (tmp_path / "a.slices").read_bytes()
+    with pytest.raises(KeyError, match="writing slices"):
+        slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m", force=True, progress=at_the_end)
+    assert (tmp_path / "a.slices").read_bytes() == before
+    writer = slicewalk.Writer(tmp_path / "b.slices", pixel=0.2)
+    writer.write([[0.0, 0.0, 0.0]])
+    with pytest.raises(KeyError, match="enough"):
+        writer.finish(progress=progress)
+    assert sorted(os.listdir(tmp_path)) == ["a.slices", "scan.las"]
+
+
+def test_a_plan_carries_which_sections_are_stored(las, tmp_path):
+    (tmp_path / "stations.csv").write_text("file,x,y,z\nscan.las,0,0,1.5\n")
+    stations = tmp_path / "stations.csv"
+    options = {"pixel": 0.2, "units": "m"}
+    slicewalk.convert(las, tmp_path / "whole.slices", free_space=True, stations=stations, **options)
+    plan = tmp_path / "plan.json"
+    slicewalk.write_plan(las, plan, free_space=True, **options)
+    parts = [tmp_path / f"{number}.slices" for number in (1, 2)]
+    for number, part in enumerate(parts, 1):
+        with pytest.raises(slicewalk.ParameterError, match="stations"):
+            slicewalk.convert(las, part, plan=plan, shard=(number, 2))
+        slicewalk.convert(las, part, plan=plan, shard=(number, 2), stations=stations)
+    slicewalk.merge(parts, tmp_path / "merged.slices")
+    assert (tmp_path / "merged.slices").read_bytes() == (tmp_path / "whole.slices").read_bytes()
+    with pytest.raises(slicewalk.ParameterError, match="free_space"):
+        slicewalk.convert(las, parts[0], plan=plan, shard=(1, 2), free_space=False, force=True)
+    with pytest.raises(TypeError, match="removed"):
+        slicewalk.write_plan(las, plan, removed=tmp_path / "removed.las", force=True, **options)
 
 
 def test_keyboard_interrupt(tmp_path):

@@ -39,8 +39,8 @@ use std::time::Instant;
     version,
     max_term_width = 110,
     override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]",
-    // Options that use the positions of scanners.
-    group = clap::ArgGroup::new("visibility").args(["remove_moving", "free_space"]).multiple(true)
+    // What uses the positions of scanners; a plan tells itself.
+    group = clap::ArgGroup::new("visibility").args(["remove_moving", "free_space", "plan"]).multiple(true)
 )]
 struct Arguments {
     /// Scans, meshes, splats, and octrees of solid cubes (OctoMap .bt and .ot, .voxel.json): files, folders of scans, or
@@ -445,6 +445,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     if let Some(file) = &plan_file {
         refuse_contradictions(given, &options, file)?;
         file.apply_to(&mut options);
+        if options.stations.is_some() && !options.needs_stations() {
+            let text = "--stations: the plan neither removes what moved nor stores seen space; leave it out";
+            return Err(Failure::Usage(text.into()));
+        }
     }
     options.plan_file = plan_file;
     options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count });

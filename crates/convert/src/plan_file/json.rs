@@ -56,6 +56,7 @@ struct PlanText<'a> {
     /// `"exact"`, `"sampled"`, or the distance of points.
     mesh: Value,
     levels: bool,
+    free_space: bool,
     colour: Option<ColourText>,
     point_spacing: Option<f64>,
     placement: Option<[f64; 16]>,
@@ -209,6 +210,7 @@ impl<'a> PlanText<'a> {
                 MeshMode::Sampled { step_m: Some(step_m) } => step_m.into(),
             },
             levels: file.levels,
+            free_space: file.free_space,
             colour: file.colour.map(|ColourPlan { scale: ColourScale { source, low, high }, error_milli }| {
                 ColourText { source, range: [low, high], error: f64::from(error_milli) / 1000.0 }
             }),
@@ -302,6 +304,7 @@ impl<'a> PlanText<'a> {
             plan,
             reading,
             levels: self.levels,
+            free_space: self.free_space,
             colour: self.colour.map(ColourText::into_plan).transpose()?,
             spacing_m: self.point_spacing,
             up: self.up_auto.map(|UpText { direction, sure, floor_m2, next_m2, .. }| UpFound {
@@ -492,6 +495,7 @@ mod tests {
                 plan,
                 reading,
                 levels: rule % 2 == 0,
+                free_space: flags.1,
                 colour,
                 spacing_m,
                 up,

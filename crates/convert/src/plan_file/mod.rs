@@ -45,6 +45,8 @@ pub struct PlanFile {
     pub reading: ReadingOptions,
     /// True if the parts and the whole get overview levels.
     pub levels: bool,
+    /// True if the parts and the whole hold which space was seen; else the options of each part decide.
+    pub free_space: bool,
     /// Colour plan for all points of the inputs; `None` without colours.
     pub colour: Option<ColourPlan>,
     /// Measured point spacing, if the pixel size follows from it (m).
@@ -99,6 +101,7 @@ impl PlanFile {
             plan,
             reading: ReadingOptions { turn: Turn::None, ..options.reading.clone() },
             levels: options.sections.levels,
+            free_space: options.sections.free_space,
             colour: None,
             spacing_m: None,
             up: None,
@@ -163,6 +166,7 @@ impl PlanFile {
         options.plan = self.plan.options.clone();
         options.reading = self.reading.clone();
         options.sections.levels = self.levels;
+        options.sections.free_space |= self.free_space;
         options.sections.colour = self.colour_mode();
         if let Some(plan) = self.colour {
             options.sections.colour_error = f64::from(plan.error_milli) / 1000.0;
@@ -209,6 +213,7 @@ impl PlanFile {
             "columns" => given.columns != reading.columns,
             "mesh" => given.mesh != reading.mesh,
             "levels" => wanted.sections.levels != self.levels,
+            "free_space" => self.free_space && !wanted.sections.free_space,
             // The plan holds the source that `auto` found.
             "colour" if wanted.sections.colour == ColourMode::Auto => false,
             "colour" => wanted.sections.colour != self.colour_mode(),

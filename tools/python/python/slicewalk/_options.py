@@ -59,14 +59,15 @@ class ClusterOptions(_ArchiveOptions, total=False):
 class PlanOptions(ClusterOptions, _WorkOptions, total=False):
     """Options of `write_plan`."""
 
+    remove_moving: bool
+    free_space: bool
+    stations: StrPath | None
+
 
 class ConvertOptions(PlanOptions, total=False):
     """Options of `convert`."""
 
     plan: StrPath | None
-    remove_moving: bool
-    free_space: bool
-    stations: StrPath | None
     removed: StrPath | None
     resume: bool
     shard: str | tuple[int, int] | None

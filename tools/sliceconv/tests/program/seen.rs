@@ -214,18 +214,27 @@ fn order_threads_memory_and_parts_change_no_byte_and_other_sections_stay() {
     converts(at, &[&turned[..], &OPTIONS, &["--memory", "100MiB"]].concat());
     assert!(fs::read(at.join("turned.slices")).unwrap() == whole);
     let names = ["0.las", "1.las", "2.las"];
-    converts(at, &[&names[..], &["--pixel", "0.05", "--units", "m", "--quiet", "--write-plan", "plan.json"]].concat());
-    let part = |number: u32, options: &[&str]| {
+    let planned = |name: &str, options: &[&str]| {
+        let plan = ["--pixel", "0.05", "--units", "m", "--quiet", "--write-plan", name];
+        converts(at, &[&names[..], &plan, options].concat());
+    };
+    planned("plain.json", &[]);
+    planned("plan.json", &["--free-space"]);
+    let part = |number: u32, plan: &str, options: &[&str]| {
         let (shard, out) = (format!("{number}/3"), format!("{number}.slices"));
-        let of_part = ["--plan", "plan.json", "--shard", &shard, "-o", &out, "--quiet", "--force"];
+        let of_part = ["--plan", plan, "--shard", &shard, "-o", &out, "--quiet", "--force"];
         converts(at, &[&names[..], &of_part, options].concat());
         verifies(&at.join(&out));
         at.join(out)
     };
-    let seeing = ["--free-space", "--stations", "stations.csv"];
-    let parts: Vec<PathBuf> = (1..=3).map(|number| part(number, &seeing)).collect();
+    let stations = ["--stations", "stations.csv"];
+    let parts: Vec<PathBuf> = (1..=3).map(|number| part(number, "plan.json", &stations)).collect();
     merges_to(&parts, &at.join("out.slices"));
-    part(2, &[]);
+    part(2, "plain.json", &["--free-space", stations[0], stations[1]]);
+    merges_to(&parts, &at.join("out.slices"));
+    let useless = [&names[..], &["--plan", "plain.json", "-o", "x.slices"], &stations].concat();
+    assert!(refuses(at, &useless, 2).contains("--stations: the plan neither"));
+    part(2, "plain.json", &[]);
     let error = slicewalk::archive::merge(&parts, &at.join("x.slices"), false, &NoMonitor).unwrap_err().to_string();
     assert!(error.contains("part 2 of 3"), "{error}");
     // All other sections are those of an archive without seen space.
