@@ -495,6 +495,14 @@ pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom
     }
     let decimal_comma = table.decimal_comma(&places)?;
     let units = places.axes.map(|column| named.get(column).and_then(|name| unit_of(name)));
+    if columns.is_none()
+        && let Some(axis) = units.iter().position(|unit| *unit == Some(NameUnit::Unknown))
+    {
+        let name = shown(named[places.axes[axis]].as_bytes());
+        return Err(Refusal::of_header(format!(
+            "the unit in {name} is not known; expected m, mm, ft, us-ft or the like"
+        )));
+    }
     if units[0] != units[1] && columns.is_none() {
         return Err(Refusal::of_header("x and y state different units"));
     }
@@ -638,6 +646,7 @@ mod tests {
             ("# y x z\n1 2 3 4", "it names 3 columns, the rows have 4"),
             ("id x y z note\nP1 1 2.5 -3 4 5", "it names 5 columns, the rows have 6"),
             ("X (mm),Y (m),Z (m)\n1,2,3", "different units"),
+            ("x [m],y [m],z [10^-3 m]\n1,2,3", "the unit in \"z [10^-3 m]\" is not known"),
             ("name,x,y,z\n1,P0,2,3,\n", "found \"P0\""),
         ] {
             let Err(refusal) = decided(text, None) else { panic!("{text} is decided") };

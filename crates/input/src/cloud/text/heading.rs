@@ -30,8 +30,8 @@ const HEIGHTS: [&[&str]; 6] = [
 const ELEVATION: usize = 2;
 /// Names of angles that accompany an elevation angle.
 const ANGLES: [&str; 5] = ["azimuth", "azi", "bearing", "zenith", "inclination"];
-/// Words that do not change the meaning of an axis name.
-const NEUTRAL: [&str; 43] = [
+/// Words that do not change the meaning of an axis name; units are such words, too.
+const NEUTRAL: [&str; 32] = [
     "coord",
     "coords",
     "coordinate",
@@ -45,18 +45,7 @@ const NEUTRAL: [&str; 43] = [
     "value",
     "val",
     "axis",
-    "m",
-    "mm",
-    "cm",
-    "km",
-    "ft",
     "us",
-    "feet",
-    "foot",
-    "meter",
-    "meters",
-    "metre",
-    "metres",
     "local",
     "global",
     "world",
@@ -85,6 +74,8 @@ const SYSTEMS: [&str; 9] = ["utm", "etrs", "wgs", "lv", "epsg", "navd", "dhhn", 
 pub(super) enum NameUnit {
     Metres(f64),
     Angle,
+    /// Brackets hold a unit that is none of those known here.
+    Unknown,
 }
 
 /// Reason why names give no axes.
@@ -96,23 +87,72 @@ pub(super) enum NoAxes {
     Unclear(String),
 }
 
-/// A name split into lower-case words, and the unit in its brackets.
+/// A name split into lower-case words, and the lower-case text in its brackets.
 struct Name {
     words: Vec<String>,
-    bracket: Option<String>,
+    bracket: Option<Bracket>,
+}
+
+struct Bracket {
+    text: String,
+    /// True for `[]` and `{}`, which rarely hold anything but units.
+    is_square: bool,
+}
+
+/// Returns the metres of a unit of length by its name, without blanks and marks.
+fn length(word: &str) -> Option<f64> {
+    Some(match word {
+        "m" | "meter" | "meters" | "metre" | "metres" => 1.0,
+        "km" | "kilometer" | "kilometers" | "kilometre" | "kilometres" => 1000.0,
+        "dm" | "decimeter" | "decimeters" | "decimetre" | "decimetres" => 0.1,
+        "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => 0.01,
+        "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => 0.001,
+        "um" | "µm" | "μm" | "micrometer" | "micrometers" | "micrometre" | "micrometres" | "micron" | "microns" => {
+            1e-6
+        }
+        "in" | "inch" | "inches" => FOOT_M / 12.0,
+        "ft" | "feet" | "foot" | "intft" | "ftint" | "ifeet" | "ift" | "internationalft" | "internationalfeet"
+        | "internationalfoot" | "intfeet" | "intfoot" => FOOT_M,
+        "yd" | "yard" | "yards" => 3.0 * FOOT_M,
+        "usft" | "ftus" | "usfeet" | "usfoot" | "ussurveyft" | "ussurveyfeet" | "ussurveyfoot" | "sft" | "surveyft"
+        | "surveyfeet" | "surveyfoot" => US_SURVEY_FOOT_M,
+        _ => return None,
+    })
+}
+
+impl Bracket {
+    fn unit(&self) -> Option<NameUnit> {
+        let whole: String = self.text.chars().filter(|c| c.is_alphanumeric() || *c == '°').collect();
+        let mut words = self.text.split(|c: char| !c.is_alphabetic()).filter(|word| !word.is_empty());
+        match &whole[..] {
+            "" => None,
+            "deg" | "degree" | "degrees" | "°" | "rad" | "radian" | "radians" | "gon" | "grad" => {
+                Some(NameUnit::Angle)
+            }
+            _ if let Some(metres) = length(&whole) => Some(NameUnit::Metres(metres)),
+            _ if is_neutral_word(&whole) => None,
+            // A number of metres, or a kind of feet.
+            _ if self.is_square || words.any(|word| length(word).is_some()) => Some(NameUnit::Unknown),
+            _ => None,
+        }
+    }
 }
 
 impl Name {
     fn of(text: &str) -> Self {
-        let (mut words, mut word, mut bracket, mut depth) = (Vec::new(), String::new(), String::new(), 0);
+        let (mut words, mut word, mut depth) = (Vec::new(), String::new(), 0);
+        let (mut bracket, mut is_square) = (String::new(), false);
         let mut before = ' ';
         let text: Vec<char> = text.chars().collect();
         for (at, &c) in text.iter().enumerate() {
             let next_is_lower = text.get(at + 1).is_some_and(|next| next.is_lowercase());
             match c {
-                '(' | '[' | '{' => depth += 1,
+                '(' | '[' | '{' => {
+                    depth += 1;
+                    is_square |= c != '(';
+                }
                 ')' | ']' | '}' => depth -= 1,
-                c if depth > 0 => bracket.extend(c.to_lowercase().filter(|c| c.is_alphanumeric() || *c == '°')),
+                c if depth > 0 => bracket.extend(c.to_lowercase()),
                 c if c.is_alphanumeric() => {
                     // Splits PointX and XCoord, but keeps POINT whole.
                     let begins = c.is_uppercase() && (before.is_lowercase() || before.is_uppercase() && next_is_lower);
@@ -129,7 +169,8 @@ impl Name {
             before = c;
         }
         words.extend(Some(word).filter(|word| !word.is_empty()));
-        Self { words, bracket: Some(bracket).filter(|bracket| !bracket.is_empty()) }
+        let bracket = Some(Bracket { text: bracket, is_square }).filter(|bracket| !bracket.text.is_empty());
+        Self { words, bracket }
     }
 
     /// Returns whether the name has further words, or `None` if it is not in `wanted`.
@@ -142,25 +183,11 @@ impl Name {
     }
 
     fn unit(&self) -> Option<NameUnit> {
-        let last = || self.words.last().filter(|_| self.words.len() > 1);
-        let length = |word: &str| {
-            Some(match word {
-                "m" | "meter" | "meters" | "metre" | "metres" => 1.0,
-                "mm" => 0.001,
-                "cm" => 0.01,
-                "km" => 1000.0,
-                "in" | "inch" => FOOT_M / 12.0,
-                "ft" | "feet" | "foot" => FOOT_M,
-                "usft" | "ftus" | "usfeet" | "ussurveyfeet" | "ussurveyfoot" => US_SURVEY_FOOT_M,
-                _ => return None,
-            })
-        };
-        match self.bracket.as_deref() {
-            Some("deg" | "degree" | "degrees" | "°" | "rad" | "radian" | "radians" | "gon" | "grad") => {
-                Some(NameUnit::Angle)
+        match &self.bracket {
+            Some(bracket) => bracket.unit(),
+            None => {
+                self.words.last().filter(|_| self.words.len() > 1).and_then(|unit| length(unit)).map(NameUnit::Metres)
             }
-            Some(unit) => length(unit).map(NameUnit::Metres),
-            None => last().and_then(|unit| length(unit)).map(NameUnit::Metres),
         }
     }
 }
@@ -179,7 +206,7 @@ pub(super) fn is_neutral(word: &str) -> bool {
 /// Returns whether a word says nothing about the content of a column; systems may have numbers, as in `utm32`.
 fn is_neutral_word(word: &str) -> bool {
     let system = word.trim_end_matches(|c: char| c.is_ascii_digit());
-    NEUTRAL.contains(&word) || system.len() < word.len() && SYSTEMS.contains(&system)
+    NEUTRAL.contains(&word) || length(word).is_some() || system.len() < word.len() && SYSTEMS.contains(&system)
 }
 
 /// Returns the column with one of the names `wanted`, or `None`; fails if two columns qualify equally.
@@ -308,6 +335,15 @@ mod tests {
             ("Y (US ft)", Some(NameUnit::Metres(US_SURVEY_FOOT_M))),
             ("Z [°]", Some(NameUnit::Angle)),
             ("Z (NAVD88)", None),
+            ("Z [NAVD88]", None),
+            ("Z [millimeters]", Some(NameUnit::Metres(0.001))),
+            ("z_dm", Some(NameUnit::Metres(0.1))),
+            ("Elevation (international feet)", Some(NameUnit::Metres(FOOT_M))),
+            ("Northing (survey ft)", Some(NameUnit::Metres(US_SURVEY_FOOT_M))),
+            ("y (North)", None),
+            ("z [10^-3 m]", Some(NameUnit::Unknown)),
+            ("z (tenths of feet)", Some(NameUnit::Unknown)),
+            ("z [fathoms]", Some(NameUnit::Unknown)),
             ("m", None),
         ] {
             assert_eq!(unit_of(name), unit, "{name}");
