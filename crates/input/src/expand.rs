@@ -263,6 +263,11 @@ mod tests {
         assert_eq!(names(&["?.*"]).unwrap(), ["a.LAZ", "b.las"]);
         assert_eq!(names(&["**/*.PLY", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
         assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
+        let texts = ["a.xyz", "b.XYZN", "c.xyzrgb", "d.xyzn.gz", "e.xyzrgb.zst"];
+        fs::create_dir(dir.path().join("texts")).unwrap();
+        texts.iter().for_each(|name| fs::write(dir.path().join("texts").join(name), "1 2 3\n").unwrap());
+        assert_eq!(names(&["texts"]).unwrap(), texts);
+        assert_eq!(names(&["texts/*"]).unwrap(), texts);
         assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no scan"));
         let missing = names(&["none.las"]).unwrap_err().to_string();
         assert!(

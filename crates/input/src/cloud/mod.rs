@@ -163,8 +163,8 @@ pub(super) fn is_found(path: &Path) -> bool {
         unpacked_name(path).extension().is_some_and(|e| endings.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
     };
     match path == unpacked_name(path) {
-        true => ending(&["e57", "pcd", "pts", "ptx", "xyz"]),
-        false => ending(&["pts", "ptx", "xyz"]),
+        true => ending(&["e57", "pcd", "pts", "ptx", "xyz", "xyzn", "xyzrgb"]),
+        false => ending(&["pts", "ptx", "xyz", "xyzn", "xyzrgb"]),
     }
 }
 
