@@ -43,6 +43,8 @@ impl Packing {
         Ok(match &magic[..got] {
             [0x1F, 0x8B, ..] => Self::Gzip,
             [0x28, 0xB5, 0x2F, 0xFD] => Self::Zstd,
+            // A skippable frame (RFC 8878, section 3.1.2), which other frames follow.
+            [0x50..=0x5F, 0x2A, 0x4D, 0x18] => Self::Zstd,
             _ => Self::Plain,
         })
     }
@@ -446,7 +448,10 @@ mod tests {
             .collect();
         let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
         gzip.write_all(text.as_bytes()).unwrap();
-        let packed = [text.clone().into_bytes(), gzip.finish().unwrap(), zstd::encode_all(text.as_bytes(), 3).unwrap()];
+        let frame = zstd::encode_all(text.as_bytes(), 3).unwrap();
+        let skipped = |magic: u8| [&[magic, 0x2A, 0x4D, 0x18, 2, 0, 0, 0, 7, 7], &frame[..]].concat();
+        let packed =
+            [text.clone().into_bytes(), gzip.finish().unwrap(), skipped(0x50), skipped(0x5F), frame.clone()];
         for bytes in packed {
             let (_file, source) = source(&bytes);
             let packing = Packing::of(&source).unwrap();
