@@ -443,7 +443,11 @@ fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
         word.ends_with(b",")
             && inner.is_some_and(|at| is_digit(word.get(at + 1)) && at > 0 && is_digit(word.get(at - 1)))
     };
-    let both = |row: &&Vec<u8>| row.split(u8::is_ascii_whitespace).any(is_both);
+    // Empty cells at the end do not count.
+    let filled = |row: &Vec<u8>| row.iter().rposition(|byte| *byte != b',' && !byte.is_ascii_whitespace());
+    let both = |row: &&Vec<u8>| {
+        row[..filled(row).map_or(0, |last| last + 1)].split(u8::is_ascii_whitespace).any(is_both)
+    };
     if 2 * rows.iter().filter(both).count() > rows.len() {
         let reason =
             "commas stand both within numbers and between them; write decimal points, or semicolons between columns";
@@ -596,6 +600,10 @@ mod tests {
         ] {
             assert_eq!(point(text, None), [1.0, 2.5, -3.0], "{text}");
         }
+        // Whole numbers with empty cells at the end, whether the header names these or not.
+        for text in ["1,2,3,", "1,2,3,,", "1,2,3, ,\t", "x,y,z\n1,2,3,", "x,y,z,\n1,2,3,", "x,y,z,i,\n1,2,3,100,"] {
+            assert_eq!(point(text, None), [1.0, 2.0, 3.0], "{text}");
+        }
         for (columns, text) in [
             ("x,y,z", "1 2.5 -3 4 5"),
             ("-,x,y,z", "P0,1,2.5,-3"),
@@ -630,6 +638,7 @@ mod tests {
     fn what_is_not_clear_is_refused() {
         for (text, words) in [
             ("1,5, 2,5, 3,5", "commas stand both"),
+            ("1,5, 2,5, 3,5,", "commas stand both"),
             ("1,5 2.5 3", "both decimal points and decimal commas"),
             ("P0,1,2.5,-3", "the first column is text: \"P0\""),
             ("\"7\" 1 2.5 -3", "the first column is text"),
