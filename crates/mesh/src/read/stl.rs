@@ -1,26 +1,44 @@
 //! STL: the binary form (80 bytes, a count, 50 bytes per triangle) and the text form.
 //!
 //! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" like the
-//! text form; so a file is binary if its length matches its count or its first bytes are not text. Keywords of the text
-//! form may be in upper case, names of solids in any encoding.
+//! text form; so a file is binary if its length matches its count or its first bytes are not text. The text form is a
+//! sequence of words, whatever separates them; only the name of a solid ends with its line. Keywords may be in upper
+//! case, names in any encoding.
 
-use super::text::{BYTE_ORDER_MARK, Lines, only_padding};
+use super::text::{BYTE_ORDER_MARK, Words, only_padding};
 use super::watch::{Digest, MeshSource, Watch};
 use super::{MeshBatch, Triangles};
 use crate::paint::Paint;
 use crate::text::{counted, shown};
 use crate::{Error, Result};
-use std::io::{BufReader, Read, Seek};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 const HEAD_BYTES: u64 = 84;
 const TRIANGLE_BYTES: usize = 50;
-/// Triangles, or lines, read for one batch.
+/// Triangles read for one batch, or keywords.
 const BATCH: u64 = 512;
+/// Keywords of the text form.
+const KEYWORDS: [&str; 9] = ["vertex", "endloop", "facet", "normal", "outer", "loop", "endfacet", "solid", "endsolid"];
 
 pub(super) enum StlReader {
     Binary { reader: BufReader<MeshSource>, path: PathBuf, left: u64, all: u64 },
-    Text { lines: Lines, corners: Vec<[f64; 3]>, open: bool },
+    Text { words: Words, corners: Vec<[f64; 3]>, open: bool, place: Place },
+}
+
+/// What the last words of the text form leave to be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Place {
+    /// Any keyword.
+    Keyword,
+    /// The name behind `solid` or `endsolid`, to the end of the line; whether its last word is `facet`.
+    Name(bool),
+    /// `normal`, behind `facet`.
+    Facet,
+    /// At most so many numbers of a normal.
+    Normal(u8),
+    /// `loop`, behind `outer`.
+    Outer,
 }
 
 impl StlReader {
@@ -38,8 +56,10 @@ impl StlReader {
         let is_text = start.iter().all(|byte| !byte.is_ascii_control() || byte.is_ascii_whitespace());
         let begins = start.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
         if begins && is_text && expected != Some(bytes) {
-            reader.rewind().map_err(io("read the header"))?;
-            return Ok(Self::Text { lines: Lines::new(reader, path, false), corners: Vec::new(), open: false });
+            let mark = (head.len() - start.len()) as u64;
+            reader.seek(SeekFrom::Start(mark)).map_err(io("read the header"))?;
+            let (words, corners) = (Words::new(reader, path), Vec::new());
+            return Ok(Self::Text { words, corners, open: false, place: Place::Keyword });
         }
         match (count, expected) {
             (Some(count), Some(expected)) if expected <= bytes => {
@@ -86,37 +106,68 @@ impl Triangles for StlReader {
                 }
                 Ok(false)
             }
-            Self::Text { lines, corners, open } => {
+            Self::Text { words, corners, open, place } => {
+                const CUT: &str = "the file ends before \"endsolid\": it is cut; fetch it again";
                 for _ in 0..BATCH {
-                    if !lines.next()? {
+                    if !words.next()? {
                         if *open {
-                            watch
-                                .lose(1, lines.error("the file ends before \"endsolid\": it is cut; fetch it again"))?;
+                            watch.lose(1, words.error(CUT))?;
                         }
                         return Ok(false);
                     }
-                    let mut words = lines.words();
-                    match words.next().map(<[u8]>::to_ascii_lowercase).as_deref() {
-                        Some(b"vertex") => corners.push(lines.corner(&mut words)?),
-                        Some(b"endloop") => {
+                    let keyword = KEYWORDS.into_iter().find(|name| name.as_bytes().eq_ignore_ascii_case(words.word()));
+                    *place = match (keyword, *place) {
+                        // A solid on one line has its facets, or its end, behind its name.
+                        (Some("normal" | "outer"), Place::Name(true)) if !words.is_first() => Place::Facet,
+                        (Some("endsolid"), Place::Name(_)) => Place::Keyword,
+                        (_, Place::Name(_)) if !words.is_first() => {
+                            *place = Place::Name(keyword == Some("facet"));
+                            continue;
+                        }
+                        (_, place) => place,
+                    };
+                    *place = match (keyword, *place) {
+                        (Some("facet"), _) => Place::Facet,
+                        (Some("normal"), Place::Facet) => Place::Normal(3),
+                        (Some("outer"), _) => Place::Outer,
+                        (Some("loop"), Place::Outer) => Place::Keyword,
+                        (Some("solid" | "endsolid"), _) => Place::Name(false),
+                        (Some("vertex" | "endloop" | "endfacet"), _) => Place::Keyword,
+                        (None, Place::Normal(left @ 1..)) => Place::Normal(left - 1),
+                        _ => {
+                            let found = shown(words.word());
+                            return Err(
+                                words.error(format!("expected a keyword of STL, found {found}; write the file again"))
+                            );
+                        }
+                    };
+                    *open = keyword != Some("endsolid");
+                    match keyword {
+                        Some("vertex") => match words.corner()? {
+                            Some(corner) => corners.push(corner),
+                            None => {
+                                watch.lose(1, words.error(CUT))?;
+                                return Ok(false);
+                            }
+                        },
+                        Some("endloop") => {
                             match corners[..] {
                                 [a, b, c] => out.push([a, b, c], Paint::None),
                                 _ => {
                                     let found = corners.len();
-                                    watch.lose(1, lines.error(format!("a loop has {found} corners; expected 3")))?;
+                                    watch.lose(1, words.error(format!("a loop has {found} corners; expected 3")))?;
                                 }
                             }
                             corners.clear();
                         }
-                        Some(b"solid") => *open = true,
-                        Some(b"endsolid") => *open = false,
-                        Some(b"facet" | b"outer" | b"endfacet") | None => {}
-                        Some(other) => {
-                            return Err(lines.error(format!("expected a line of an STL file, found {}", shown(other))));
+                        _ if !corners.is_empty() => {
+                            watch.lose(1, words.error("a loop ends without \"endloop\""))?;
+                            corners.clear();
                         }
+                        _ => {}
                     }
                     if corners.len() > 3 {
-                        watch.lose(1, lines.error("a loop has more than 3 corners"))?;
+                        watch.lose(1, words.error("a loop has more than 3 corners"))?;
                         corners.clear();
                     }
                 }

@@ -23,6 +23,88 @@ pub(super) fn only_padding(reader: &mut impl BufRead) -> io::Result<bool> {
     }
 }
 
+/// Reads a file word by word and keeps the line number. Lines end with LF, CR LF or CR.
+pub(super) struct Words {
+    reader: BufReader<MeshSource>,
+    path: PathBuf,
+    /// Number of the line of the word.
+    number: u64,
+    word: Vec<u8>,
+    is_first: bool,
+    /// True if the last byte read is a CR, so that a LF ends no other line.
+    is_behind_return: bool,
+}
+
+impl Words {
+    pub(super) fn new(reader: BufReader<MeshSource>, path: &Path) -> Self {
+        let path = path.to_path_buf();
+        Self { reader, path, number: 1, word: Vec::new(), is_first: false, is_behind_return: false }
+    }
+
+    /// Advances to the next word; returns false at the end of the file.
+    pub(super) fn next(&mut self) -> Result<bool> {
+        self.word.clear();
+        self.is_first = false;
+        loop {
+            let bytes = self.reader.fill_buf();
+            let bytes = bytes.map_err(|e| Error::io(&self.path, format!("read line {}", self.number), e))?;
+            if bytes.is_empty() {
+                return Ok(!self.word.is_empty());
+            }
+            let is_begun = !self.word.is_empty();
+            let begin = bytes.iter().position(|byte| is_begun || !byte.is_ascii_whitespace()).unwrap_or(bytes.len());
+            let (blanks, rest) = bytes.split_at(begin);
+            for &byte in blanks {
+                let ends_line = byte == b'\r' || byte == b'\n' && !self.is_behind_return;
+                self.number += u64::from(ends_line);
+                self.is_first |= ends_line;
+                self.is_behind_return = byte == b'\r';
+            }
+            let len = rest.iter().position(u8::is_ascii_whitespace);
+            let part = &rest[..len.unwrap_or(rest.len())];
+            if (self.word.len() + part.len()) as u64 > MOST_BYTES {
+                return Err(self
+                    .error(format!("a word of more than {MOST_BYTES} bytes: the file is not text, or it is damaged")));
+            }
+            self.word.extend_from_slice(part);
+            self.is_behind_return &= self.word.is_empty();
+            let read = begin + part.len();
+            self.reader.consume(read);
+            if len.is_some() {
+                return Ok(true);
+            }
+        }
+    }
+
+    /// Returns the word.
+    pub(super) fn word(&self) -> &[u8] {
+        &self.word
+    }
+
+    /// Returns whether a line ended before the word.
+    pub(super) fn is_first(&self) -> bool {
+        self.is_first
+    }
+
+    /// Parses the next three words as a position; `None` if the file ends before.
+    pub(super) fn corner(&mut self) -> Result<Option<[f64; 3]>> {
+        let mut corner = [0.0; 3];
+        for value in &mut corner {
+            if !self.next()? {
+                return Ok(None);
+            }
+            let unclear = || self.error(format!("expected a number, found {}", shown(&self.word)));
+            *value = decimal(&self.word, false).ok_or_else(unclear)?;
+        }
+        Ok(Some(corner))
+    }
+
+    /// Returns an error at the line of the word.
+    pub(super) fn error(&self, reason: impl Into<String>) -> Error {
+        Error::input(&self.path, format!("line {}", self.number), reason)
+    }
+}
+
 /// Reads a file line by line and keeps the line number.
 pub(super) struct Lines {
     reader: BufReader<MeshSource>,

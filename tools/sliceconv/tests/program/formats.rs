@@ -504,6 +504,54 @@ fn text_stl_is_text_in_any_case_and_with_any_name() {
     assert!(mesh(&path).unwrap_err().contains("states 2 triangles of 50 bytes"));
 }
 
+#[test]
+fn text_stl_is_words_whatever_separates_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.stl");
+    let facet = |x: usize| {
+        format!(
+            "facet normal 0 0 1\nouter loop\nvertex {x} 0 0\nvertex {} 0 0\nvertex {x} 1 0\nendloop\nendfacet\n",
+            x + 1
+        )
+    };
+    let triangle = |x: f64| [[x, 0.0, 0.0], [x + 1.0, 0.0, 0.0], [x, 1.0, 0.0]];
+    let flat = |text: String| text.replace('\n', " ");
+    let good = format!("solid a\n{}{}endsolid a\n", facet(0), facet(1));
+    for text in [
+        good.replace('\n', "\r"),
+        good.replace('\n', "\r\n"),
+        good.replace('\n', "\n\n").replace(' ', " \t "),
+        flat(good.clone()),
+        good.trim_end().into(),
+        format!("solid {}{}endsolid", flat(facet(0)), flat(facet(1))),
+        format!("solid a facet {}\n{}endsolid a", flat(facet(0)), facet(1)),
+        format!("solid a\n{}{}\nendsolid a", facet(0), flat(facet(1))),
+        format!("solid a\n{}{}endsolid a", facet(0), flat(facet(1))),
+        // The names of solids end with their lines, and may hold keywords.
+        format!("solid solid facet\n{}endsolid my solid\nsolid vertex 1 2\n{}endsolid facet", facet(0), facet(1)),
+        format!("solid a {}endsolid a solid b {}endsolid b", flat(facet(0)), flat(facet(1))),
+        format!("solid a endsolid a\nsolid b\n{}{}endsolid b", facet(0), facet(1)),
+        good.replace("normal 0 0 1", "normal nan -nan(ind) 0,5").replacen("normal nan -nan(ind) 0,5", "", 1),
+    ] {
+        fs::write(&path, &text).unwrap();
+        assert_eq!(mesh(&path), Ok(vec![triangle(0.0), triangle(1.0)]), "{text}");
+    }
+    for (text, words) in [
+        (good.replace("1 1 0\n", "1 1 0 7\n"), "line 13: expected a keyword of STL, found \"7\""),
+        (good.replace("2 0 0\n", "2 0\n"), "line 13: expected a number, found \"vertex\""),
+        (good.replace("0 0 1", "0 0 1 0"), "line 2: expected a keyword of STL, found \"0\""),
+        (good.replacen("endloop\n", "", 1), "line 7: a loop ends without \"endloop\""),
+        (good.replace("endsolid a\n", ""), "ends before \"endsolid\""),
+        (good[..good.rfind(" 1 0\n").unwrap() + 2].into(), "line 13: the file ends before \"endsolid\""),
+        (flat(good[..good.len() - 12].into()), "ends before \"endsolid\""),
+        (format!("{good}{}", facet(2)), "ends before \"endsolid\""),
+    ] {
+        fs::write(&path, &text).unwrap();
+        let said = mesh(&path).unwrap_err();
+        assert!(said.contains(words), "{words}: {said}");
+    }
+}
+
 /// A structure with this in place of its first accessor, and with these extensions.
 fn gltf(accessor: &str, views: &str, bytes: usize, node: &str, extensions: &str) -> String {
     format!(

@@ -445,9 +445,8 @@ fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
     };
     // Empty cells at the end do not count.
     let filled = |row: &Vec<u8>| row.iter().rposition(|byte| *byte != b',' && !byte.is_ascii_whitespace());
-    let both = |row: &&Vec<u8>| {
-        row[..filled(row).map_or(0, |last| last + 1)].split(u8::is_ascii_whitespace).any(is_both)
-    };
+    let both =
+        |row: &&Vec<u8>| row[..filled(row).map_or(0, |last| last + 1)].split(u8::is_ascii_whitespace).any(is_both);
     if 2 * rows.iter().filter(both).count() > rows.len() {
         let reason =
             "commas stand both within numbers and between them; write decimal points, or semicolons between columns";

@@ -450,8 +450,7 @@ mod tests {
         gzip.write_all(text.as_bytes()).unwrap();
         let frame = zstd::encode_all(text.as_bytes(), 3).unwrap();
         let skipped = |magic: u8| [&[magic, 0x2A, 0x4D, 0x18, 2, 0, 0, 0, 7, 7], &frame[..]].concat();
-        let packed =
-            [text.clone().into_bytes(), gzip.finish().unwrap(), skipped(0x50), skipped(0x5F), frame.clone()];
+        let packed = [text.clone().into_bytes(), gzip.finish().unwrap(), skipped(0x50), skipped(0x5F), frame.clone()];
         for bytes in packed {
             let (_file, source) = source(&bytes);
             let packing = Packing::of(&source).unwrap();
