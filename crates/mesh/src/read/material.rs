@@ -116,7 +116,7 @@ impl Materials {
 
     fn parse(&mut self, text: &[u8]) -> Result<(), String> {
         let mut current = None;
-        for line in text.split(|&byte| byte == b'\n') {
+        for line in text.split(|byte| matches!(byte, b'\n' | b'\r')) {
             let line = line.trim_ascii();
             let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
             let (key, rest) = (&line[..end], line[end..].trim_ascii());

@@ -5,7 +5,7 @@ use crate::input::number::decimal;
 pub(super) use crate::input::ply_header::BYTE_ORDER_MARK;
 use crate::text::shown;
 use crate::{Error, Result};
-use std::io::{self, BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 /// Longest line (bytes).
@@ -105,7 +105,7 @@ impl Words {
     }
 }
 
-/// Reads a file line by line and keeps the line number.
+/// Reads a file line by line and keeps the line number. Lines end with LF, CR LF or CR.
 pub(super) struct Lines {
     reader: BufReader<MeshSource>,
     path: PathBuf,
@@ -115,6 +115,8 @@ pub(super) struct Lines {
     at: usize,
     /// True if a backslash at the end of a line continues it on the next.
     continued: bool,
+    /// True if the first line ends with CR alone. Then a LF belongs to no CR before it, and may begin a binary body.
+    returns: bool,
 }
 
 impl Lines {
@@ -123,7 +125,7 @@ impl Lines {
     }
 
     pub(super) fn new(reader: BufReader<MeshSource>, path: &Path, continued: bool) -> Self {
-        Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), at: 0, continued }
+        Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), at: 0, continued, returns: false }
     }
 
     /// Returns the reader, positioned after the last line read.
@@ -137,28 +139,43 @@ impl Lines {
         self.at = 0;
         loop {
             self.number += 1;
-            let left = MOST_BYTES.saturating_sub(self.line.len() as u64);
-            let read = Read::by_ref(&mut self.reader)
-                .take(left)
-                .read_until(b'\n', &mut self.line)
-                .map_err(|e| Error::io(&self.path, format!("read line {}", self.number), e))?;
-            if read as u64 == left && self.line.last() != Some(&b'\n') {
-                return Err(self
-                    .error(format!("a line of more than {MOST_BYTES} bytes: the file is not text, or it is damaged")));
-            }
-            if read == 0 {
+            let (begin, is_ended) = (self.line.len(), self.read_line()?);
+            if !is_ended && self.line.len() == begin {
                 return Ok(!self.line.is_empty());
             }
             if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
                 self.line.drain(..BYTE_ORDER_MARK.len());
             }
-            while self.line.last().is_some_and(|byte| matches!(byte, b'\n' | b'\r')) {
-                self.line.pop();
-            }
             if !self.continued || self.line.last() != Some(&b'\\') {
                 return Ok(true);
             }
             *self.line.last_mut().unwrap_or(&mut 0) = b' ';
+        }
+    }
+
+    /// Appends the bytes up to the end of a line; returns false if the file ends first.
+    fn read_line(&mut self) -> Result<bool> {
+        let Self { reader, path, number, line, returns, .. } = self;
+        let io = |e| Error::io(&*path, format!("read line {number}"), e);
+        loop {
+            let bytes = reader.fill_buf().map_err(io)?;
+            let end = memchr::memchr2(b'\n', b'\r', bytes);
+            let len = end.unwrap_or(bytes.len());
+            if (line.len() + len) as u64 > MOST_BYTES {
+                return Err(self
+                    .error(format!("a line of more than {MOST_BYTES} bytes: the file is not text, or it is damaged")));
+            }
+            line.extend_from_slice(&bytes[..len]);
+            let is_return = end.is_some_and(|end| bytes[end] == b'\r');
+            reader.consume(len + usize::from(end.is_some()));
+            if is_return {
+                let is_pair = reader.fill_buf().map_err(io)?.first() == Some(&b'\n');
+                *returns |= *number == 1 && !is_pair;
+                reader.consume(usize::from(is_pair && !*returns));
+            }
+            if end.is_some() || len == 0 {
+                return Ok(end.is_some());
+            }
         }
     }
 
@@ -184,7 +201,7 @@ impl Lines {
     }
 
     /// Returns the words of the line.
-    pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> {
+    pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> + Clone {
         self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
     }
 

@@ -505,6 +505,40 @@ fn text_stl_is_text_in_any_case_and_with_any_name() {
 }
 
 #[test]
+fn lines_of_obj_and_ply_may_end_with_returns() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let triangles = Ok(vec![[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]);
+    let obj = "# a\nv 0 0 0\nv 1 0 0\n\nv 0 1 0 \\\n 1\nf 1 2 3\n";
+    let head =
+        |format: &str, faces: &str| format!("ply\nformat {format} 1.0\nelement vertex 3\n{XYZ}{faces}end_header\n");
+    let faces = "element face 1\nproperty list uchar int vertex_indices\n";
+    let corners = "0 0 0\n1 0 0\n0 1 0\n";
+    for end in ["\r", "\r\n", "\n"] {
+        let put = |name: &str, text: &str, binary: &[u8]| {
+            fs::write(at(name), [text.replace('\n', end).as_bytes(), binary].concat()).unwrap();
+        };
+        put("a.obj", obj, &[]);
+        assert_eq!(mesh(&at("a.obj")), triangles, "{end:?}");
+        put("a.ply", &(head("ascii", faces) + corners + "3 0 1 2\n"), &[]);
+        assert_eq!(mesh(&at("a.ply")), triangles, "{end:?}");
+        put("b.ply", &(head("ascii", "") + corners), &[]);
+        assert_eq!(read(&at("b.ply")).unwrap()[1], [1.0, 0.0, 0.0], "{end:?}");
+        // The first byte of the body is that of a line feed.
+        let x = f32::from_le_bytes([b'\n', 0, 0, 0x40]);
+        let bytes: Vec<u8> = [x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+        put("b.ply", &head("binary_little_endian", ""), &bytes);
+        assert_eq!(read(&at("b.ply")).unwrap()[0], [x.into(), 0.0, 0.0], "{end:?}");
+        put(
+            "a.ply",
+            &head("binary_little_endian", faces),
+            &[&bytes[..], &[3, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0]].concat(),
+        );
+        assert_eq!(mesh(&at("a.ply")).unwrap()[0][0], [x.into(), 0.0, 0.0], "{end:?}");
+    }
+}
+
+#[test]
 fn text_stl_is_words_whatever_separates_them() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.stl");
