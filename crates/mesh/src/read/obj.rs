@@ -1,5 +1,6 @@
 //! Wavefront OBJ: `v` and `f` of the text format; for colours also `vt`, `mtllib`, `usemtl` and the colours that many
-//! programs write after the coordinates of `v`. The rest is skipped.
+//! programs write after the coordinates of `v`. The rest of the format is skipped; a line of no keyword may be a damaged
+//! corner, without which later corners would have other numbers, and is refused.
 //!
 //! Reads the file twice: faces may refer to vertices that come later, while negative indices count back from the
 //! current line. Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
@@ -16,6 +17,10 @@ use crate::paint::{Paint, WHITE};
 use crate::text::shown;
 use std::path::{Path, PathBuf};
 
+/// Keywords of the format besides `v`, `f` and `fo`; the last line has obsolete ones.
+const OTHERS: &str = "vt vn vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con g s mg o bevel \
+                      c_interp d_interp lod usemap usemtl mtllib maplib shadow_obj trace_obj ctech stech call csh \
+                      bsp bzp cdc cdp res";
 /// Lines read for one batch of triangles.
 const LINES: usize = 512;
 
@@ -45,6 +50,22 @@ struct ObjColours {
     material: Option<Material>,
     /// Corners of the current face.
     of_face: Vec<CornerColour>,
+}
+
+/// Parses the corner behind `v`, and checks what follows its coordinates: a weight, a colour, or both.
+fn corner_of<'a>(lines: &Lines, words: &mut (impl Iterator<Item = &'a [u8]> + Clone)) -> Result<[f64; 3]> {
+    let corner = lines.corner(words)?;
+    let mut count = 3;
+    for word in words.clone().take_while(|word| !word.starts_with(b"#")) {
+        lines.number(Some(word))?;
+        count += 1;
+    }
+    match count {
+        3 | 4 | 6 | 7 => Ok(corner),
+        _ => {
+            Err(lines.error(format!("expected 3, 4, 6 or 7 numbers of a corner, found {count}; write the file again")))
+        }
+    }
 }
 
 impl ObjColours {
@@ -110,9 +131,9 @@ impl ObjReader {
             watch.step()?;
             let mut words = lines.words();
             match (words.next(), &mut colours) {
-                (Some(b"v"), None) => vertices.push(lines.corner(&mut words)?)?,
+                (Some(b"v"), None) => vertices.push(corner_of(&lines, &mut words)?)?,
                 (Some(b"v"), Some(colours)) => {
-                    vertices.push(lines.corner(&mut words)?)?;
+                    vertices.push(corner_of(&lines, &mut words)?)?;
                     colours.corners.push(ObjColours::of_corner(&lines, &mut words))?;
                 }
                 (Some(b"vt"), Some(colours)) => {
@@ -121,7 +142,16 @@ impl ObjReader {
                     let (u, v) = (next(), 1.0 - next());
                     colours.places.push([u, v, 0.0])?;
                 }
-                _ => {}
+                (None | Some(b"f" | b"fo" | b"vt" | b"vn" | [b'#', ..]), _) => {}
+                (Some(word), _) if OTHERS.split(' ').any(|name| name.as_bytes() == word) => {}
+                (Some(word), _) => {
+                    let reason = format!(
+                        "expected a keyword of OBJ, such as v or f, found {}; write the file again, or the line as a \
+                         comment",
+                        shown(word)
+                    );
+                    return Err(lines.error(reason));
+                }
             }
         }
         vertices.flush()?;

@@ -539,6 +539,34 @@ fn lines_of_obj_and_ply_may_end_with_returns() {
 }
 
 #[test]
+fn no_corner_of_an_obj_is_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.obj");
+    let good = "o a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    let of = |line: &str| good.replacen("v 1 0 0", line, 1);
+    let keywords =
+        "vn 0 0 1\nvt 0 0\nvp 1\ng a b\ns off\nusemtl a\nbevel on\nd_interp off\nlod 3\nl 1 2\np 1\n#v 4 5\n \t\n";
+    for text in [of("v 1 0 0 1"), of("v 1 0 0 0.5 0.5 1"), of("v 1 0 0 1 255 0 9 # v"), format!("{keywords}{good}")] {
+        fs::write(&path, &text).unwrap();
+        assert_eq!(mesh(&path), Ok(vec![[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), "{text}");
+    }
+    for (line, words) in [
+        ("v 1 0 0 v 4 5 6", "line 3: expected a number, found \"v\""),
+        ("v 1 0 0 foo", "line 3: expected a number, found \"foo\""),
+        ("v 1 0 0 4 5", "line 3: expected 3, 4, 6 or 7 numbers of a corner, found 5"),
+        ("v 1 0", "line 3: expected a number, found the end of the line"),
+        ("w 1 0 0", "line 3: expected a keyword of OBJ, such as v or f, found \"w\""),
+        ("V 1 0 0", "line 3: expected a keyword of OBJ, such as v or f, found \"V\""),
+    ] {
+        fs::write(&path, of(line)).unwrap();
+        for allow_incomplete in [false, true] {
+            let said = mesh_with(&path, allow_incomplete).unwrap_err();
+            assert!(said.contains(words), "{words}: {said}");
+        }
+    }
+}
+
+#[test]
 fn text_stl_is_words_whatever_separates_them() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.stl");
