@@ -678,6 +678,47 @@ fn extensions_of_gltf_that_move_nothing_are_no_hindrance_and_others_are_refused_
 }
 
 #[test]
+fn lengths_and_matrices_of_gltf_must_agree_with_themselves() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let values = buffer(&[[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]]);
+    let accessor = r#"{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}"#;
+    let glb = |view: usize, buffer: usize, node: &str, padding: usize| {
+        let view = format!(r#"{{"buffer":0,"byteLength":{view}}}"#);
+        write_glb(&path, &gltf(accessor, &view, buffer, node, ""), &[&values[..], &vec![0; padding]].concat());
+        fs::read(&path).unwrap()
+    };
+    let good = glb(36, 36, "", 0);
+    let stating = |more: i32| {
+        let whole = (good.len() as i32 + more).to_le_bytes();
+        [&good[..8], &whole, &good[12..]].concat()
+    };
+    let matrix = |last: &str| glb(36, 36, &format!(r#","matrix":[1,0,0,0,0,1,0,0,0,0,1,0,{last}]"#), 0);
+    for bytes in [good.clone(), glb(36, 36, "", 3), [&good[..], &[0; 9]].concat(), matrix("0,0,0,1")] {
+        fs::write(&path, bytes).unwrap();
+        assert_eq!(mesh(&path), Ok(vec![[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0]]]));
+    }
+    for (bytes, words) in [
+        (glb(36, 20, "", 0), "buffer 0: it states 20 bytes, and the binary part of the file that holds it states 36"),
+        (glb(40, 36, "", 3), "accessor 0: its view 0 reaches to byte 40 of buffer 0, which states 36 bytes"),
+        (glb(36, 36, "", 4), "buffer 0: it states 36 bytes"),
+        (stating(-4), "and its binary part reaches to byte"),
+        (stating(4), "it is cut or damaged"),
+        ([&good[..], b"more"].concat(), "bytes, and 4 bytes follow"),
+        (matrix("10,20,30,2"), "node 0: expected a matrix with the last row 0 0 0 1, found 0 0 0 2"),
+        (matrix("10,20,30,0"), "node 0: expected a matrix with the last row 0 0 0 1, found 0 0 0 0"),
+        (
+            glb(36, 36, r#","matrix":[1,0,0,10,0,1,0,20,0,0,1,30,0,0,0,1]"#, 0),
+            "expected a matrix with the last row 0 0 0 1, found 10 20 30 1; write it column by column",
+        ),
+    ] {
+        fs::write(&path, bytes).unwrap();
+        let said = mesh(&path).unwrap_err();
+        assert!(said.contains(words), "{words}: {said}");
+    }
+}
+
+#[test]
 fn quantized_sparse_and_repeated_parts_of_gltf_lie_where_they_should() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.glb");

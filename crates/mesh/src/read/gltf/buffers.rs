@@ -22,6 +22,17 @@ enum Data {
 }
 
 impl Data {
+    /// Leaves out what lies behind the first `len` bytes.
+    fn cut_at(self, len: u64) -> Self {
+        match self {
+            Self::File { file, start, .. } => Self::File { file, start, len },
+            Self::Memory(mut bytes) => {
+                bytes.truncate(len as usize);
+                Self::Memory(bytes)
+            }
+        }
+    }
+
     fn len(&self) -> u64 {
         match self {
             Self::File { len, .. } => *len,
@@ -61,7 +72,15 @@ impl Buffers {
                 let reason = format!("it should have {stated} bytes and has {there}: it is cut");
                 return Err(error(path, number, reason));
             }
-            found.all.push(data);
+            // The chunk is padded to a multiple of four bytes; a file beside it may hold more than the buffer.
+            if buffer.uri.is_none() && there - stated > 3 {
+                let reason = format!(
+                    "it states {stated} bytes, and the binary part of the file that holds it states {there}; write the \
+                     file again"
+                );
+                return Err(error(path, number, reason));
+            }
+            found.all.push(data.cut_at(stated));
         }
         Ok(found)
     }

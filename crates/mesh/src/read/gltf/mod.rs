@@ -14,17 +14,18 @@ mod structure;
 use self::buffers::{BinaryPart, Buffers};
 use self::materials::{Coat, Materials};
 use self::structure::{Accessor, AccessorShape, Instances, NodeTransform, Primitive, SPLATS, Sparse, Structure};
-use super::text::BYTE_ORDER_MARK;
+use super::text::{BYTE_ORDER_MARK, only_padding};
 use super::texture::Textures;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
 use crate::colour::{from_linear, multiplied};
 use crate::paint::{Paint, WHITE};
+use crate::text::counted;
 use crate::{Error, Parameter, Result};
 use bitvec::vec::BitVec;
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
 use std::cmp::Ordering;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Least memory granted to the structure of a file (bytes), once as text and again as parsed.
@@ -157,7 +158,7 @@ impl GltfReader {
     pub(super) fn open(path: &Path, options: &MeshOptions, wants: Wants<'_>, watch: &mut Watch) -> Result<Self> {
         let digest = wants.digest;
         let most_bytes = options.memory_bytes.max(LEAST_JSON_BYTES);
-        let (json, binary) = read_structure(path, most_bytes, digest)?;
+        let (json, binary) = read_structure(path, most_bytes, digest, watch)?;
         watch.check_cancelled()?;
         let text = json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json);
         let structure = Structure::parse(text, most_bytes, wants.colours.is_some()).map_err(|e| {
@@ -233,6 +234,16 @@ impl Checked {
             // A node has at most one parent, so a node met twice is damage, and might be a cycle.
             if met.replace(number as usize, true) {
                 return Err(self.error(format!("node {number}"), "it has two parents, or is its own"));
+            }
+            if let Some(NodeTransform::Matrix(matrix)) = node.transform().map(|of| self.structure.transforms[of])
+                && [3, 7, 11, 15].map(|at| matrix[at]) != [0.0, 0.0, 0.0, 1.0]
+            {
+                let [a, b, c, d] = [3, 7, 11, 15].map(|at| matrix[at]);
+                let reason = format!(
+                    "expected a matrix with the last row 0 0 0 1, found {a} {b} {c} {d}; write it column by column and \
+                     without perspective"
+                );
+                return Err(self.error(format!("node {number}"), reason));
             }
             if let Some(mesh) = node.mesh() {
                 let primitives = self.structure.mesh(mesh).ok_or_else(|| self.missing("mesh", mesh))?;
@@ -328,19 +339,26 @@ impl Checked {
     /// Returns where `count` values of `whole` bytes each lie, checked to be within their view and their buffer.
     fn place(&self, view: u32, offset: u64, count: u64, whole: u64) -> Result<ValuePlace, String> {
         let of_number = self.structure.views.get(view as usize);
-        let view = of_number.ok_or_else(|| format!("there is no view {view}"))?;
+        let number = view;
+        let view = of_number.ok_or_else(|| format!("there is no view {number}"))?;
         let buffer = view.buffer as usize;
         let bytes = self.buffers.len(buffer).ok_or_else(|| format!("there is no buffer {buffer}"))?;
+        let view_end = view.byte_offset.saturating_add(view.byte_length);
+        if view_end > bytes {
+            return Err(format!(
+                "its view {number} reaches to byte {view_end} of buffer {buffer}, which states {bytes} bytes; write the \
+                 file again"
+            ));
+        }
         // A stride of zero means tightly packed.
         let stride = view.byte_stride.map_or(0, u64::from);
         let stride = if stride == 0 { whole } else { stride };
         let start = view.byte_offset.checked_add(offset);
         let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(whole));
         let end = start.zip(needed).and_then(|(start, needed)| start.checked_add(needed));
-        let limit = view.byte_offset.saturating_add(view.byte_length).min(bytes);
         match (start, end) {
-            (Some(start), Some(end)) if end <= limit => Ok(ValuePlace { buffer, start, stride }),
-            _ => Err(format!("its {count} values reach beyond the {limit} bytes that hold them")),
+            (Some(start), Some(end)) if end <= view_end => Ok(ValuePlace { buffer, start, stride }),
+            _ => Err(format!("its {count} values reach beyond the {view_end} bytes that hold them")),
         }
     }
 
@@ -611,7 +629,12 @@ impl Triangles for GltfReader {
 }
 
 /// Reads the structure (JSON) of a file, and locates the binary chunk of a `.glb`.
-fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<u8>, Option<BinaryPart>)> {
+fn read_structure(
+    path: &Path,
+    most_bytes: u64,
+    digest: &Digest,
+    watch: &mut Watch,
+) -> Result<(Vec<u8>, Option<BinaryPart>)> {
     let io = |e| Error::io(path, "read the structure", e);
     let mut file = MeshSource::open(path, digest)?;
     let bytes = file.len();
@@ -639,9 +662,26 @@ fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<
     let mut json = Vec::with_capacity(len as usize);
     file.seek(SeekFrom::Start(start)).map_err(io)?;
     Read::by_ref(&mut file).take(len).read_to_end(&mut json).map_err(io)?;
+    if !binary {
+        return Ok((json, None));
+    }
     let mut next = [0; 8];
-    let chunk = binary && file.read_exact(&mut next).is_ok() && next[4..] == *b"BIN\0";
+    let chunk = file.read_exact(&mut next).is_ok() && next[4..] == *b"BIN\0";
     let stated = u64::from(u32::from_le_bytes([next[0], next[1], next[2], next[3]]));
-    let at = start + len + 8;
+    let (whole, at) = (word(8), start + len + 8);
+    if chunk && at + stated > whole {
+        let reason = format!(
+            "it states {whole} bytes, and its binary part reaches to byte {}: one of them is damaged; write it again",
+            at + stated
+        );
+        watch.lose(0, Error::input(path, "header, byte 8", reason))?;
+    }
+    // Not hashed: what follows is no part of the model.
+    let mut behind = BufReader::new(MeshSource::open(path, &Digest::new(false))?);
+    behind.seek(SeekFrom::Start(whole)).map_err(io)?;
+    if !only_padding(&mut behind).map_err(io)? {
+        let reason = format!("it states {whole} bytes, and {} follow; write it again", counted(bytes - whole, "byte"));
+        watch.lose(0, Error::input(path, "header, byte 8", reason))?;
+    }
     Ok((json, chunk.then(|| (at, stated.min(bytes.saturating_sub(at))))))
 }
