@@ -34,11 +34,6 @@ impl Transform {
         std::array::from_fn(|axis| self.axis(axis, raw(record, axis)))
     }
 
-    /// Returns the point of a record (m, z up).
-    pub(super) fn point(&self, record: &[u8]) -> [f64; 3] {
-        self.placed(self.up.turn(self.place(record)))
-    }
-
     /// Returns whether every raw value yields a coordinate within [`FARTHEST_M`].
     fn always_near(&self) -> bool {
         [i32::MIN, i32::MAX].iter().all(|&raw| (0..3).all(|a| self.axis(a, raw).abs() <= FARTHEST_M))

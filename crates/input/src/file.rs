@@ -172,13 +172,8 @@ impl ScanFile {
         if file.points_expected() == 0 && file.points_stated == 0 {
             findings.note("it holds no points");
         }
-        if let Content::Plain { points } = file.content
-            && let Some(record) = las::record_after(&source, &header, bytes, points)?
-            && file.is_plausible(&record)
-        {
-            findings.lose(format!(
-                "the header states {points} points, but more records with points inside its bounds follow"
-            ))?;
+        if let Content::Plain { points } = file.content {
+            las::check_end(&source, &header, bytes, points, findings, monitor)?;
         }
         Ok((file, reference))
     }
@@ -217,14 +212,6 @@ impl ScanFile {
             text: text.map(Box::new),
         };
         Ok((file, reference))
-    }
-
-    /// Returns whether a record holds a point that matches the header.
-    fn is_plausible(&self, record: &[u8]) -> bool {
-        let at = self.transform.point(record);
-        let inside =
-            |bounds: StatedBounds| (0..3).all(|axis| bounds.min[axis] <= at[axis] && at[axis] <= bounds.max[axis]);
-        record.iter().any(|&byte| byte != 0) && self.bounds_with_slack().is_some_and(inside)
     }
 
     /// Converts a position in the file's own coordinates to metres, z up; `None` if the result is not finite.

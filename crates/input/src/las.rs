@@ -6,7 +6,10 @@
 use super::diagnostics::Findings;
 use super::header::LasHeader;
 use super::source::Source;
-use crate::{Error, Result};
+use crate::{Error, Monitor, Result};
+
+/// Bytes examined at once after the points.
+const LOOK_BYTES: usize = 1 << 16;
 
 /// Returns the number of readable points: the stated count, or fewer if the file is too short.
 pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findings: &mut Findings) -> Result<u64> {
@@ -30,21 +33,45 @@ pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findi
     Ok(stated.min(room))
 }
 
-/// Returns the record that follows the stated `points`, if one fits before the next part of the file.
-pub(super) fn record_after(
+/// Checks that no whole record fits between the stated `points` and the next part of the file. Zeros there are padding.
+pub(super) fn check_end(
     source: &Source,
     header: &LasHeader,
     file_bytes: u64,
     points: u64,
-) -> Result<Option<Vec<u8>>> {
+    findings: &mut Findings,
+    monitor: &dyn Monitor,
+) -> Result<()> {
     let len = u64::from(header.record_bytes);
     let at = header.points_at.saturating_add(points.saturating_mul(len));
-    let others = [header.first_extended, header.waveforms_at].into_iter().filter(|&other| other >= header.points_at);
+    let extended_at = if header.extended > 0 { header.first_extended } else { 0 };
+    let others = [extended_at, header.waveforms_at].into_iter().filter(|&other| other >= header.points_at);
     let end = others.fold(file_bytes, u64::min);
-    if points == 0 || end.saturating_sub(at) < len {
-        return Ok(None);
+    let room = end.saturating_sub(at) / len;
+    if points == 0 || room == 0 {
+        return Ok(());
     }
-    source.bytes_at(at, header.record_bytes.into())
+    let mut block = [0; LOOK_BYTES];
+    let mut next = at;
+    while next < end {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let want = (end - next).min(LOOK_BYTES as u64) as usize;
+        let got = source.read_at(&mut block[..want], next)?;
+        if got == 0 {
+            break; // the file was truncated since it was opened
+        }
+        if block[..got].iter().any(|&byte| byte != 0) {
+            let most = points.saturating_add(room);
+            return findings.lose(format!(
+                "the header states {points} points, but its records have room for {most}, up to byte {end}"
+            ));
+        }
+        next += got as u64;
+    }
+    findings.note(format!("the header states {points} points; {} zeros after them are padding", end - at));
+    Ok(())
 }
 
 /// Reads `count` records of `record_bytes` from byte `start` on in slabs; returns the number read.

@@ -58,15 +58,23 @@ fn cut_and_damaged_scans() {
     fs::write(at.join("cut.las"), &las[..las.len() / 2]).unwrap();
     is_incomplete(at, &["cut.las"], "cut.las: ", 1494);
     is_incomplete(at, &["cut.las", "scan.las"], "the header states 3000 points, the file holds 1494 whole ones", 4494);
-    // The header counts too few points: others follow.
+    // The header counts too few points: others follow, whether or not they lie in its bounds.
     let mut few = las.clone();
     few[107..111].copy_from_slice(&1000u32.to_le_bytes());
+    fs::write(at.join("few.las"), &few).unwrap();
+    is_incomplete(at, &["few.las"], "the header states 1000 points, but its records have room for 3000", 1000);
+    few[107..111].copy_from_slice(&2999u32.to_le_bytes());
+    few[179..227].fill(0);
     fs::write(at.join("few.las"), few).unwrap();
-    is_incomplete(at, &["few.las"], "the header states 1000 points, but more records", 1000);
-    // Bytes that are not points may follow: padding, or other records.
+    is_incomplete(at, &["few.las"], "the header states 2999 points, but its records have room for 3000", 2999);
+    let appended: Vec<u8> = las.iter().copied().chain([7; 34]).collect();
+    fs::write(at.join("appended.las"), appended).unwrap();
+    is_incomplete(at, &["appended.las"], "the header states 3000 points, but its records have room for 3001", 3000);
+    // Zeros may follow as padding.
     let padded: Vec<u8> = las.iter().copied().chain([0; 4096]).collect();
     fs::write(at.join("padded.las"), padded).unwrap();
-    converts(at, &[&["padded.las"], &OPTIONS[..], &["--force"]].concat());
+    let said = converts(at, &[&["padded.las"], &OPTIONS[..], &["--force"]].concat());
+    assert!(said.contains("warning: padded.las: the header states 3000 points; 4096 zeros after them"), "{said}");
     assert_eq!(points_kept(at), 3000);
     let mut laz = fs::read(at.join("scan.laz")).unwrap();
     let middle = laz.len() * 2 / 3;
