@@ -286,6 +286,8 @@ fn a_cloud_that_cannot_be_read_does_not_take_the_others_with_it() {
         ("<z type=\"Float\">1</z>", "<z type=\"Float\">x</z>", "expected a finite number in z", 1, 800, 100),
         ("cartesianX", "cartesianU", "neither cartesian nor spherical", 2, 600, 300),
         ("recordCount=\"300\"", "recordCount=\"900\"", "its packets hold 300 whole ones", 1, 900, 600),
+        ("recordCount=\"300\"", "recordCount=\"299\"", "it states 299 points, its packets hold 300 whole", 1, 899, 0),
+        ("recordCount=\"300\"", "recordCount=\"000\"", "it states 0 points, its packets hold 300 whole", 1, 600, 0),
     ];
     for (from, to, words, times, left, missing) in cases {
         with(&content, from, to, times);
@@ -306,6 +308,22 @@ fn a_cloud_that_cannot_be_read_does_not_take_the_others_with_it() {
     e57(&at("a.e57"), &[cloud(&all, false)], None);
     let whole = fs::read(at("a.e57")).unwrap();
     let content: Vec<u8> = whole.chunks(1024).flat_map(|page| &page[..1020]).copied().collect();
+    // Lengths that a file states must be those that it has.
+    let long = |at: usize| u64::from_le_bytes(content[at..at + 8].try_into().unwrap());
+    for (place, value, words) in [
+        (16, long(16) - 1024, "bytes, the file has"),
+        (56, 32, "its section states 32 bytes, expected more than"),
+        (56, long(56) - 4, "its section should end at byte"),
+        (56, long(56) + 64, "its section should end at byte"),
+    ] {
+        let mut other = content.clone();
+        other[place..place + 8].copy_from_slice(&u64::to_le_bytes(value));
+        with(&other, "cartesianX", "cartesianX", 1);
+        let said = refuses(folder.path(), &["b.e57", "-o", "y.slices", "--pixel", "0.5"], 1);
+        assert!(said.contains(words) && said.contains("--allow-incomplete"), "{said}");
+        let (found, _, said) = read_with(&at("b.e57"), true).unwrap();
+        assert!(found == all && said.contains(words), "{} {said}", found.len());
+    }
     with(&content, "cartesianX", "cartesianU", 2);
     assert!(read_with(&at("b.e57"), true).unwrap_err().to_string().contains("neither cartesian"));
 }

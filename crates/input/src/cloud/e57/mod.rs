@@ -22,7 +22,7 @@ use crate::crs::Georeference;
 use crate::diagnostics::without_path;
 use crate::text::counted;
 use crate::{Error, Parameter, Result};
-use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Undescribed, Wrong};
+use description::{CHANNELS, Column, Contents, Description, Kind, Limits, MOST_BYTES, Undescribed, Wrong};
 use pages::{PAGE, Pages, logical, physical};
 
 /// Points per piece.
@@ -131,6 +131,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         let reason = format!("the header states {length} bytes, the file has {bytes}: it is cut; fetch it again");
         return Err(opening.error("header, byte 16", reason));
     }
+    check_length(opening, length)?;
     if xml_len > MOST_BYTES {
         return Err(Error::limit(format!("bytes of the XML of {}", path.display()), xml_len, MOST_BYTES));
     }
@@ -188,6 +189,27 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     Ok(Opened { georeference, ..Opened::new(E57 { scans, stated, depth: Depth::Sixteen }) })
 }
 
+/// Checks that nothing but zeros follows the `length` bytes that the header states; 0: not filled in.
+fn check_length(opening: &mut Opening<'_, '_>, length: u64) -> Result<()> {
+    let mut block = [0; 4096];
+    let mut at = if length == 0 { opening.bytes } else { length };
+    while at < opening.bytes {
+        if opening.monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let got = opening.source.read_at(&mut block, at)?;
+        if block[..got].iter().any(|&byte| byte != 0) {
+            let text = format!("the header states {length} bytes, the file has {}", opening.bytes);
+            return opening.findings.lose(text);
+        }
+        if got == 0 {
+            break;
+        }
+        at += got as u64;
+    }
+    Ok(())
+}
+
 fn unsupported(path: &std::path::Path, what: String) -> Error {
     Error::Unsupported {
         what: format!("{}: {what}", path.display()),
@@ -230,6 +252,7 @@ impl Scan {
             marks: Vec::new(),
         };
         if records == 0 {
+            scan.check_empty(at, columns, pages, opening)?;
             return Ok(scan);
         }
         let Some((axes, state)) = cartesian.or_else(spherical) else {
@@ -297,10 +320,17 @@ impl Scan {
             return Err(self.error(source, section, reason));
         };
         // Some writers do not fill in the length of the section.
-        let end = match u64_at(&head, 8) {
-            0..=32 => pages.len(),
-            len => section.saturating_add(len).clamp(data, pages.len()),
-        };
+        let stated = u64_at(&head, 8);
+        let stated_end = Some(section.saturating_add(stated)).filter(|&end| data < end && end <= pages.len());
+        if stated > 0 && stated_end.is_none() {
+            let (least, most) = (data - section, pages.len() - section);
+            let reason = format!(
+                "{}: its section states {stated} bytes, expected more than {least} and at most {most}",
+                self.name
+            );
+            opening.findings.lose(reason)?;
+        }
+        let end = stated_end.unwrap_or(pages.len());
         // In a sound file, the columns of the same points are at most this far apart.
         let apart = (PIECE_POINTS * per_point / 8 + (4 << 20)) * 2;
         let (mut packet, mut before) = (data, [0u64; ALL]);
@@ -357,6 +387,13 @@ impl Scan {
             }
             packet += len;
         }
+        if held == records
+            && let Some(end) = stated_end
+        {
+            let needed = self.needed[..self.of_place].iter().zip(before);
+            let mut columns: Vec<_> = needed.map(|(column, bytes)| (column.number, column.bits, bytes)).collect();
+            self.check_rest((packet, end), records, &mut columns, pages, opening)?;
+        }
         if held < records {
             let text = format!("{}: it states {records} points, its packets hold {held} whole ones{damage}", self.name);
             opening.findings.lose_points(records - held, text)?;
@@ -375,6 +412,80 @@ impl Scan {
         self.intensity = self.intensity.filter(|_| intensity.is_none());
         self.marks.truncate(held.div_ceil(PIECE_POINTS) as usize);
         self.marks.shrink_to_fit();
+        Ok(())
+    }
+
+    /// Checks that a cloud of 0 points has no packets with points.
+    fn check_empty(
+        &self,
+        at: u64,
+        columns: &[Column],
+        pages: &mut Pages<'_>,
+        opening: &mut Opening<'_, '_>,
+    ) -> Result<()> {
+        // Writers of empty clouds leave offsets and lengths unset.
+        let Some(section) = logical(at).filter(|&section| section + 32 < pages.len()) else { return Ok(()) };
+        let mut head = [0; 32];
+        pages.read(&mut head, section, false)?;
+        let end = section.saturating_add(u64_at(&head, 8));
+        let data = logical(u64_at(&head, 16)).filter(|&data| data >= section && data < end && end <= pages.len());
+        let (1, Some(data)) = (head[0], data) else { return Ok(()) };
+        match self.head(pages, opening.source, data, &mut Vec::new()) {
+            Err(Error::Input { .. }) => return Ok(()),
+            first => first?,
+        };
+        let bits = columns.iter().map(|column| u64::from(column.kind.bits()));
+        let mut columns: Vec<_> = bits.enumerate().map(|(number, bits)| (number, bits, 0)).collect();
+        self.check_rest((data, end), 0, &mut columns, pages, opening)
+    }
+
+    /// Visits the packets behind the last needed one: they must end where the section does, and all packets together
+    /// must hold no more than `records` points. `columns`: number, bits per point and bytes so far.
+    fn check_rest(
+        &self,
+        (mut packet, end): (u64, u64),
+        records: u64,
+        columns: &mut [(usize, u64, u64)],
+        pages: &mut Pages<'_>,
+        opening: &mut Opening<'_, '_>,
+    ) -> Result<()> {
+        let (mut lens, mut number, mut damage) = (Vec::new(), 0u64, None);
+        while packet < end {
+            if number.is_multiple_of(1024) && opening.monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            number += 1;
+            match self.head(pages, opening.source, packet, &mut lens) {
+                Ok(Packet { len, is_data }) => {
+                    if is_data {
+                        columns.iter_mut().for_each(|(number, _, bytes)| *bytes += u64::from(lens[*number]));
+                    }
+                    packet += len;
+                }
+                Err(error @ Error::Input { .. }) => {
+                    damage = Some(error);
+                    break;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        // Writers fill the last word of a column, of up to 64 bits, with zeros.
+        let surplus = |&(_, bits, bytes): &(usize, u64, u64)| {
+            let word = [1, 2, 4].into_iter().find(|word| bits <= 8 * word).unwrap_or(8);
+            let most = (u128::from(records) * u128::from(bits)).div_ceil(8).next_multiple_of(word.into());
+            (bits > 0 && u128::from(bytes) > most).then(|| u128::from(bytes) * 8 / u128::from(bits))
+        };
+        if let Some(held) = columns.iter().filter_map(surplus).min() {
+            let text = format!("{}: it states {records} points, its packets hold {held} whole ones", self.name);
+            return opening.findings.lose(text);
+        }
+        if packet != end {
+            let (end, found) = (physical(end), physical(packet));
+            let damage = damage.map(|error| format!("; {}", without_path(error))).unwrap_or_default();
+            let text =
+                format!("{}: its section should end at byte {end}, its packets end at byte {found}{damage}", self.name);
+            return opening.findings.lose(text);
+        }
         Ok(())
     }
 
