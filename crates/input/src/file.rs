@@ -7,7 +7,7 @@ use super::convert::{Field, Layout, TagField, Transform};
 use super::crs;
 use super::diagnostics::Findings;
 use super::header::LasHeader;
-use super::laz::{Chunk, Chunking, Packing};
+use super::laz::{Chunk, ChunkMemory, Chunking, Packing};
 use super::records::Records;
 use super::scenes::Scene;
 use super::source::Source;
@@ -61,12 +61,18 @@ pub(super) struct Common {
     packings: Mutex<HashMap<Vec<u8>, Arc<Packing>>>,
     /// Number of chunks that may still be listed.
     chunks_left: AtomicU64,
+    /// Memory of decoders while files are opened: one at a time.
+    memory: ChunkMemory,
 }
 
 impl Common {
     /// Shares a limit of `memory_bytes` among all chunk tables.
     pub fn new(memory_bytes: u64) -> Self {
-        Self { packings: Mutex::default(), chunks_left: (memory_bytes / size_of::<Chunk>() as u64).into() }
+        Self {
+            packings: Mutex::default(),
+            chunks_left: (memory_bytes / size_of::<Chunk>() as u64).into(),
+            memory: ChunkMemory::new(memory_bytes, usize::MAX),
+        }
     }
 
     fn packing(&self, source: &Source, body: &[u8], memory_bytes: u64) -> Result<Arc<Packing>> {
@@ -142,6 +148,7 @@ impl ScanFile {
                     let less = |left: u64| Some(left.saturating_sub(chunks.len() as u64));
                     let _ = common.chunks_left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
                 }
+                packing.check_returns(&source, &header, &body, &common.memory, findings, monitor)?;
                 Content::Packed { packing, body }
             }
             (None, false) => Content::Plain { points: las::points(&source, &header, bytes, findings)? },

@@ -33,6 +33,8 @@ pub(super) struct LasHeader {
     pub record_bytes: u16,
     /// Point count stated by the header; only a hint.
     pub points_stated: u64,
+    /// Sum of the point counts by return; 0 if absent.
+    pub points_by_return: u64,
     pub scale: [f64; 3],
     pub offset: [f64; 3],
     /// Minimum and maximum corner stated by the header, in file units.
@@ -106,6 +108,13 @@ impl LasHeader {
                 count
             }
         };
+        let sum = |counts: &[u64]| counts.iter().fold(0, |sum: u64, &count| sum.saturating_add(count));
+        let old_by_return: [u64; 5] = std::array::from_fn(|number| u32_at(&block, 111 + 4 * number).into());
+        let by_return: [u64; 15] = std::array::from_fn(|number| u64_at(&block, 255 + 8 * number));
+        let points_by_return = match if long { sum(&by_return) } else { 0 } {
+            0 => sum(&old_by_return),
+            count => count,
+        };
         let triple = |at: usize| [f64_at(&block, at), f64_at(&block, at + 8), f64_at(&block, at + 16)];
         let header = Self {
             version,
@@ -117,6 +126,7 @@ impl LasHeader {
             compressed: block[104] & 0x80 != 0,
             record_bytes,
             points_stated,
+            points_by_return,
             scale: triple(131),
             offset: triple(155),
             bounds: [

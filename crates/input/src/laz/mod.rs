@@ -38,7 +38,7 @@ use super::diagnostics::Findings;
 use super::header::LasHeader;
 use super::is_of_input;
 use super::source::Source;
-use crate::{Error, Parameter, Result};
+use crate::{Error, Monitor, Parameter, Result};
 
 pub(super) use self::chunking::{Chunk, Chunking};
 pub(super) use self::memory::ChunkMemory;
@@ -133,6 +133,49 @@ impl Packing {
         }
     }
 
+    /// Checks the number of points against the sum of those by return: on very regular data the decoder ends soundly
+    /// after other numbers, too. Cost: decodes the last chunk again if the two differ.
+    pub(super) fn check_returns(
+        &self,
+        source: &Source,
+        header: &LasHeader,
+        body: &Chunking,
+        memory: &ChunkMemory,
+        findings: &mut Findings,
+        monitor: &dyn Monitor,
+    ) -> Result<()> {
+        let (stated, by_return) = (header.points_stated, header.points_by_return);
+        if self.layered || by_return == 0 || by_return == stated {
+            return Ok(());
+        }
+        let (start, len, points, stream) = match body {
+            Chunking::Stream { start, len, points: 1.., table_at } => (*start, *len, by_return, Some(*table_at)),
+            Chunking::Chunks { start, chunks } if self.record.chunk_points != LaszipRecord::VARIABLE => {
+                let Some(last) = chunks.iter().rposition(|chunk| chunk.points > 0) else { return Ok(()) };
+                let sum =
+                    |part: fn(&Chunk) -> u32| chunks[..last].iter().map(|chunk| u64::from(part(chunk))).sum::<u64>();
+                let rest = by_return.saturating_sub(sum(|chunk| chunk.points));
+                if rest == 0 || rest > u64::from(self.record.chunk_points) {
+                    return Ok(());
+                }
+                (start + sum(|chunk| chunk.bytes), chunks[last].bytes.into(), rest, None)
+            }
+            Chunking::Stream { .. } | Chunking::Chunks { .. } => return Ok(()),
+        };
+        let wanted = Wanted { classes: false, intensity: false, rgb: false, source_ids: false, times: false };
+        let name = "LAZ points".into();
+        let packed = PackedPoints { source, packing: self, start, len, points, stream, wanted, memory, name };
+        let mut slab = vec![0; self.record_bytes * CHECKED_POINTS];
+        let mut sink = |_: &[u8]| if monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) };
+        match packed.decode(false, &mut slab, &mut sink) {
+            Ok(()) => findings.lose(format!(
+                "the header states {stated} points, but {by_return} by return, after which the data end soundly"
+            )),
+            Err(error) if is_of_input(&error) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
     /// Returns the bytes of a decoded record. In layered records, the fields after the point's own are decoded only for
     /// RGB.
     pub(super) fn decoded_bytes(&self, rgb: bool) -> usize {
@@ -147,6 +190,9 @@ fn too_much(source: &Source, what: &str, found: u64, most: u64) -> Error {
 
 /// Bytes that the arithmetic coder writes for zero symbols.
 const EMPTY_CODE_BYTES: u64 = 4;
+
+/// Points decoded at once to check their number.
+const CHECKED_POINTS: usize = 1 << 6;
 
 /// Fields needed besides coordinates and flags.
 #[derive(Debug, Clone, Copy)]

@@ -264,6 +264,45 @@ fn counts_that_lie_are_survived() {
     }
 }
 
+/// On a straight line, points cost no bits: the numbers by return tell how many there are.
+#[test]
+fn a_count_other_than_that_by_return_is_refused_where_the_data_end_soundly_after_both() {
+    let folder = Folder::new();
+    for (format, chunk) in [(0, 700), (1, 50_000)] {
+        let mut scan = Scan::new(2, format, 1000);
+        for (i, record) in (0i32..).zip(&mut scan.records) {
+            record[..12].copy_from_slice(&[i * 10, 7, 7].map(i32::to_le_bytes).concat());
+            record[15] = 2;
+        }
+        let stating = |count: u32, by_return: u32| {
+            let mut bytes = scan.laz(chunk);
+            bytes[107..111].copy_from_slice(&count.to_le_bytes());
+            bytes[111..115].copy_from_slice(&by_return.to_le_bytes());
+            folder.file("line.laz", &bytes)
+        };
+        for count in [999, 1001] {
+            let path = stating(count, 1000);
+            let words = format!("the header states {count} points, but 1000 by return");
+            let said = refusal(&path);
+            assert!(said.contains(&words), "{said}");
+            let found = read_one(&path).unwrap();
+            assert!(found.points.len() <= count as usize && found.warnings.contains(&words), "{}", found.warnings);
+        }
+        assert_eq!(read_one(&stating(1000, 1000)).unwrap().points, scan.expected());
+        // Numbers by return that the data contradict, or none.
+        for by_return in [0, 12, 60_000] {
+            let found = read_strictly(&[stating(1000, by_return)], InputOptions::default());
+            assert_eq!(found.unwrap().points, scan.expected(), "{by_return}");
+        }
+    }
+    // Returns that the header does not count.
+    let scan = Scan::new(2, 1, 1000);
+    let mut bytes = scan.laz(50_000);
+    bytes[111..115].copy_from_slice(&990u32.to_le_bytes());
+    let found = read_strictly(&[folder.file("many.laz", &bytes)], InputOptions::default());
+    assert_eq!(found.unwrap().points, scan.expected());
+}
+
 /// The count in the head of the last chunk is not trusted if the header contradicts it.
 #[test]
 fn a_count_in_a_layered_chunk_that_lies_is_refused() {
