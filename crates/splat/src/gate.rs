@@ -27,9 +27,16 @@ pub struct SplatSummary {
     pub opacity: u64,
     /// Splats that the file states and does not hold.
     pub missing: u64,
+    /// True if the file holds more than it states, or is damaged behind its splats.
+    pub contradicts: bool,
 }
 
 impl SplatSummary {
+    /// Returns whether the file holds exactly the splats that it states, all of them usable.
+    pub fn is_complete(&self) -> bool {
+        self.lost() == 0 && !self.contradicts
+    }
+
     /// Returns the number of splats that were lost.
     pub fn lost(&self) -> u64 {
         self.not_finite + self.no_rotation + self.negative + self.opacity + self.missing
@@ -150,10 +157,11 @@ impl<'a> Gate<'a> {
     }
 
     /// Fails with `error`, or warns of it if incomplete input is allowed.
-    pub fn refuse(&self, error: Error) -> Result<()> {
+    pub fn refuse(&mut self, error: Error) -> Result<()> {
         if !self.work.options.allow_incomplete {
             return Err(error.with_suggestion(slicewalk_base::Parameter::Incomplete));
         }
+        self.summary.contradicts = true;
         self.work.monitor.warn(&error.to_string().into());
         Ok(())
     }

@@ -6,10 +6,10 @@
 
 use super::columns::{Column, read_error};
 use super::gate::{Gate, Raw};
-use super::{Body, Work, refuse};
+use super::{Body, Work, is_all, refuse};
+use slicewalk_base::Result;
 use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::grouped;
-use slicewalk_base::{Error, Result};
 use slicewalk_input::number::Number;
 use std::io::Read;
 use std::path::Path;
@@ -84,8 +84,8 @@ impl Ksplat {
         Ok(found)
     }
 
-    /// Checks the sections in turn, and passes those with splats to `act`.
-    fn each(&self, path: &Path, act: &mut dyn FnMut(Section) -> Result<()>) -> Result<()> {
+    /// Checks the sections in turn, and passes those with splats to `act`; returns where the last one ends.
+    fn each(&self, path: &Path, act: &mut dyn FnMut(Section) -> Result<()>) -> Result<u64> {
         let mut headers = Column::new(&self.source, HEADER_BYTES, self.sections * SECTION_BYTES);
         let mut bytes = vec![0; SECTION_BYTES as usize];
         let mut at = HEADER_BYTES + self.sections * SECTION_BYTES;
@@ -144,7 +144,7 @@ impl Ksplat {
             }
             at = rows_at + row * most;
         }
-        Ok(())
+        Ok(at)
     }
 
     fn read_section(&self, section: &Section, path: &Path, gate: &mut Gate<'_>) -> Result<()> {
@@ -206,9 +206,12 @@ impl Body for Ksplat {
     }
 
     fn read(&mut self, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {
-        self.each(work.path, &mut |section| match self.read_section(&section, work.path, gate) {
-            Err(error @ Error::Input { .. }) => Err(error),
-            other => other,
-        })
+        let end = self.each(work.path, &mut |section| self.read_section(&section, work.path, gate))?;
+        if is_all(Column::rest(&self.source, end), |byte| *byte == 0, work)? {
+            return Ok(());
+        }
+        let [expected, found] = [end, self.source.len()].map(grouped);
+        let reason = format!("expected {expected} bytes for all sections, found {found}; fetch or write it again");
+        gate.refuse(refuse(work.path, "length", reason))
     }
 }

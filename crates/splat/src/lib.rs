@@ -25,6 +25,7 @@ mod zip;
 
 use slicewalk_base::bytes::{ByteSource, open_named};
 use slicewalk_base::{Error, Monitor, Parameter, Result};
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -214,6 +215,24 @@ impl SplatReader {
 /// Returns an error about the file.
 fn refuse(path: &Path, at: impl Into<String>, reason: impl Into<String>) -> Error {
     Error::input(path, at, reason)
+}
+
+/// Returns whether all bytes of `rest` are such.
+fn is_all(mut rest: columns::Column, is_such: impl Fn(&u8) -> bool, work: &Work<'_>) -> Result<bool> {
+    loop {
+        if work.monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let block = rest.fill_buf().map_err(|e| columns::read_error(work.path, "behind the splats", e))?;
+        if block.is_empty() {
+            return Ok(true);
+        }
+        if !block.iter().all(&is_such) {
+            return Ok(false);
+        }
+        let len = block.len();
+        rest.consume(len);
+    }
 }
 
 /// Error for an image or window that needs more memory than allowed.

@@ -3,7 +3,7 @@
 
 use super::columns::{Column, read_error};
 use super::gate::{Gate, Raw, colour_of, sigmoid, smallest_three};
-use super::{Body, Work, refuse};
+use super::{Body, Work, is_all, refuse};
 use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::{grouped, shown};
 use slicewalk_base::{Error, Result};
@@ -98,20 +98,53 @@ impl File {
         }
     }
 
-    /// Refuses a binary file that is shorter than its elements, also those that hold no splats. A list has no stated
-    /// length: what follows it is not checked.
-    fn check_end(&self, path: &Path) -> Result<()> {
+    /// Refuses a file that is shorter or longer than its elements, also those that hold no splats. Zeros and blanks at
+    /// the end of a binary file are padding. A list in it has no stated length: what follows is not checked. `rows` has
+    /// read the rows of `table`.
+    fn check_end(&self, table: &Table, rows: &mut RowReader, work: &Work<'_>) -> Result<()> {
+        let path = work.path;
+        if self.encoding == Encoding::Text {
+            return self.check_lines(table, rows, work);
+        }
         let fixed = self.elements.iter().take_while(|element| element.properties.iter().all(|p| p.list.is_none()));
         let width = |element: &Element| element.properties.iter().map(|p| p.number.bytes() as u64).sum::<u64>();
         let rows = fixed.fold(0u64, |sum, element| sum.saturating_add(element.count.saturating_mul(width(element))));
         let (expected, found) = (self.body.saturating_add(rows), self.source.len());
-        if self.encoding == Encoding::Text || found >= expected {
+        let is_fixed = self.elements.iter().all(|element| element.properties.iter().all(|p| p.list.is_none()));
+        if found > expected && is_fixed {
+            let is_padding = |byte: &u8| *byte == 0 || byte.is_ascii_whitespace();
+            if is_all(Column::rest(&self.source, expected), is_padding, work)? {
+                return Ok(());
+            }
+            let [expected, found] = [expected, found].map(grouped);
+            let reason = format!("expected {expected} bytes for all elements, found {found}; fetch or write it again");
+            return Err(refuse(path, "length", reason));
+        }
+        if found >= expected {
             return Ok(());
         }
         let [expected, found] = [expected, found].map(grouped);
         let reason =
             format!("expected {expected} bytes for all elements, found {found}: the file is cut; fetch it again");
         Err(refuse(path, "length", reason))
+    }
+
+    /// Refuses a text with more lines than its elements have rows.
+    fn check_lines(&self, table: &Table, rows: &mut RowReader, work: &Work<'_>) -> Result<()> {
+        let stated = self.elements.iter().fold(0u64, |sum, element| sum.saturating_add(element.count));
+        let mut lines = table.lines_before.saturating_add(table.count);
+        while next_line(&mut rows.column, &mut rows.row, lines, work.path)? {
+            lines += 1;
+            if lines.is_multiple_of(1 << 12) && work.monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+        }
+        if lines <= stated {
+            return Ok(());
+        }
+        let [expected, found] = [stated, lines].map(grouped);
+        let reason = format!("expected {expected} rows of all elements, found {found}; fetch or write it again");
+        Err(refuse(work.path, "length", reason))
     }
 
     fn reader(&self, table: &Table, path: &Path) -> Result<RowReader> {
@@ -308,7 +341,7 @@ impl Body for Rows {
             let (mean, rotation) = (self.mean.map(get), self.rotation.map(get));
             gate.push(Raw { mean, scale, rotation, opacity: sigmoid(get(self.opacity)), colour })?;
         }
-        self.file.check_end(work.path).or_else(|error| broken(gate, error))
+        self.file.check_end(&self.table, &mut rows, work).or_else(|error| broken(gate, error))
     }
 }
 
@@ -404,7 +437,7 @@ impl Body for Packed {
                 colour: between(colour, tint),
             })?;
         }
-        self.file.check_end(work.path).or_else(|error| broken(gate, error))
+        self.file.check_end(&self.table, &mut rows, work).or_else(|error| broken(gate, error))
     }
 }
 

@@ -7,9 +7,10 @@
 use super::columns::{Column, Part, read_error};
 use super::gate::{Gate, Raw, colour_of, smallest_three};
 use super::store::Store;
-use super::{Body, Work, refuse};
+use super::{Body, Work, is_all, refuse};
 use flate2::bufread::GzDecoder;
 use slicewalk_base::bytes::ByteSource;
+use slicewalk_base::text::counted;
 use slicewalk_base::{Error, Result};
 use slicewalk_input::number::Number;
 use slicewalk_input::unzstd::unzstd;
@@ -188,7 +189,7 @@ impl Spz {
         let mut store = Store::new(work, work.memory / 2);
         let mut gzip = GzDecoder::new(Column::rest(&self.source, 0));
         let mut block = vec![0; 1 << 16];
-        let mut extra = false;
+        let mut extra = 0;
         loop {
             if work.monitor.cancelled() {
                 return Err(Error::Interrupted);
@@ -205,15 +206,21 @@ impl Spz {
             let kept = len.min(rest);
             store.append(&block[..kept as usize])?;
             rest -= kept;
-            extra |= len - kept > behind;
+            extra += (len - kept).saturating_sub(behind);
             behind = behind.saturating_sub(len - kept);
         }
         if rest + behind > 0 {
             let reason = format!("the data end {} bytes before their stated length; fetch it again", rest + behind);
             return Ok((store, Some(refuse(work.path, "SPZ data", reason))));
         }
-        if extra && self.header.flags & FLAG_EXTENSIONS == 0 {
-            warn_behind(work);
+        let behind = gzip.into_inner();
+        if extra > 0 && self.header.flags & FLAG_EXTENSIONS == 0 {
+            let reason = format!("{} follow the last column; fetch or write it again", counted(extra, "byte"));
+            return Ok((store, Some(refuse(work.path, "SPZ data", reason))));
+        }
+        if !is_all(behind, |byte| *byte == 0, work)? {
+            let reason = "other data follow the gzip stream; fetch or write the file again";
+            return Ok((store, Some(refuse(work.path, "gzip stream", reason))));
         }
         Ok((store, None))
     }
@@ -266,10 +273,6 @@ impl Spz {
     }
 }
 
-fn warn_behind(work: &Work<'_>) {
-    work.monitor.warn(&format!("{}: bytes behind the last column were skipped", work.path.display()).into());
-}
-
 impl Body for Spz {
     fn count(&self) -> u64 {
         self.header.count
@@ -286,7 +289,13 @@ impl Body for Spz {
                         let reason = format!("expected {expected} bytes, found {len}: the file is cut; fetch it again");
                         return gate.break_off(refuse(work.path, "length", reason));
                     }
-                    len if len > whole + harmonics && self.header.flags & FLAG_EXTENSIONS == 0 => warn_behind(work),
+                    len if len > whole + harmonics && self.header.flags & FLAG_EXTENSIONS == 0 => {
+                        let end = whole + harmonics;
+                        if !is_all(Column::rest(&self.source, end), |byte| *byte == 0, work)? {
+                            let reason = format!("expected {end} bytes, found {len}; fetch or write it again");
+                            gate.refuse(refuse(work.path, "length", reason))?;
+                        }
+                    }
                     _ => {}
                 }
                 self.pass_bare(&self.source.clone(), work.path, gate)
@@ -298,14 +307,19 @@ impl Body for Spz {
                 match damage {
                     None => self.packing = Packing::Gzip { columns: Some(store.clone()) },
                     Some(error) if !work.options.allow_incomplete => return gate.break_off(error),
-                    Some(error) => work.monitor.warn(&error.to_string().into()),
+                    Some(error) => gate.refuse(error)?,
                 }
                 self.pass_bare(&store, work.path, gate)
             }
             Packing::Zstd(_) if self.header.count == 0 => Ok(()),
             Packing::Zstd(streams) => {
-                if self.behind > 0 {
-                    warn_behind(work);
+                let end = self.source.len() - self.behind;
+                if self.header.flags & FLAG_EXTENSIONS == 0
+                    && !is_all(Column::rest(&self.source, end), |byte| *byte == 0, work)?
+                {
+                    let found = self.source.len();
+                    let reason = format!("expected {end} bytes, found {found}; fetch or write it again");
+                    gate.refuse(refuse(work.path, "length", reason))?;
                 }
                 let mut columns = Vec::with_capacity(COLUMNS);
                 for (number, &(start, len)) in streams.iter().enumerate() {

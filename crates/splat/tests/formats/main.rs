@@ -236,6 +236,64 @@ fn unusable_splats_are_counted_or_refused() {
     assert_eq!(read(&glb, "a.glb", true).unwrap().2.opacity, 1);
 }
 
+/// A count, a length and an end that a file states must agree.
+#[test]
+fn files_that_hold_more_than_they_state_are_refused() {
+    let splats = write::random_splats(300, 12);
+    let replaced = |bytes: &[u8], from: &str, to: &str| {
+        let place = bytes.windows(from.len()).position(|bytes| bytes == from.as_bytes()).unwrap();
+        [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
+    };
+    let gzip = |bytes: &[u8]| {
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        std::io::Write::write_all(&mut gzip, bytes).unwrap();
+        gzip.finish().unwrap()
+    };
+    let counting = |mut bytes: Vec<u8>, count: u32| {
+        bytes[8..12].copy_from_slice(&count.to_le_bytes());
+        bytes
+    };
+    let fewer = |bytes: &[u8]| replaced(bytes, "element vertex 300", "element vertex 299");
+    let text = write::ply(&splats, Kind::Text, "float", 9);
+    let little = write::ply(&splats, Kind::Little, "float", 0);
+    let packed = write::packed_ply(&splats, true, 0);
+    let [bare, spz] = [false, true].map(|packed| write::spz(&splats, 3, 1, packed));
+    let ksplat = write::ksplat(&splats, 0, 0);
+    let v4 = write::spz(&splats, 4, 0, true);
+    let more = |bytes: &[u8], extra: &[u8]| [bytes, extra].concat();
+    let cases = [
+        ("a.ply", fewer(&text), "expected 299 rows of all elements, found 300", 299),
+        ("b.ply", fewer(&little), "for all elements, found", 299),
+        ("c.ply", more(&little, &[1; 7]), "for all elements, found", 300),
+        ("d.compressed.ply", fewer(&packed), "for all elements, found", 299),
+        ("e.compressed.ply", more(&packed, &[7; 16]), "for all elements, found", 300),
+        ("f.ksplat", more(&ksplat, &[b'x'; 44]), "for all sections, found", 300),
+        ("g.spz", counting(bare.clone(), 299), "bytes, found", 299),
+        ("h.spz", gzip(&counting(bare.clone(), 299)), "29 bytes follow the last column", 299),
+        ("i.spz", gzip(&counting(bare.clone(), 0)), "8,700 bytes follow the last column", 0),
+        ("j.spz", more(&spz, b"abc"), "other data follow the gzip stream", 300),
+        ("k.spz", more(&spz, &gzip(b"abc")), "other data follow the gzip stream", 300),
+        ("l.spz", more(&v4, b"abc"), "bytes, found", 300),
+    ];
+    for (name, bytes, words, left) in cases {
+        let error = read(&bytes, name, false).map(drop).unwrap_err();
+        assert!(error.to_string().contains(words) && is_one_line(&error), "{name}: {error}");
+        let (_, found, summary) = read(&bytes, name, true).unwrap();
+        assert_eq!((found.len(), summary.lost(), summary.is_complete()), (left, 0, false), "{name}");
+    }
+    // Padding, and extensions of SPZ.
+    let mut extended = counting(more(&bare, &[5; 40]), 300);
+    extended[14] = 2;
+    let blank = more(&text, b"\n \r\n");
+    for (name, bytes) in [("a.ply", blank), ("b.ply", more(&little, &[0; 9])), ("c.spz", gzip(&extended))]
+        .into_iter()
+        .chain([("d.spz", more(&spz, &[0; 3])), ("e.ksplat", more(&ksplat, &[0; 512])), ("f.spz", extended.clone())])
+    {
+        let (_, found, summary) = read(&bytes, name, false).unwrap();
+        assert_eq!((found.len(), summary.is_complete()), (300, true), "{name}");
+    }
+}
+
 fn is_sound(splat: &Splat) -> bool {
     let length: f32 = splat.rotation.iter().map(|v| v * v).sum();
     splat.mean.iter().all(|v| v.abs() <= 1e12)
