@@ -407,7 +407,7 @@ impl Conversion<'_> {
             splat_counts: of_splats.counts,
             cubes,
             points_not_finite,
-            points_missing: scans.points_missing().saturating_add(missing),
+            points_missing: scans.points_missing().saturating_add(missing).saturating_add(of_splats.counts.missing),
             complete,
         })
     }

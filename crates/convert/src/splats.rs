@@ -15,7 +15,7 @@ use crate::voxel::ellipsoids::EllipsoidBuilder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Parameter, Result};
 use slicewalk_splat::ellipsoid::{DEFAULT_OPACITY, Ellipsoid};
-use slicewalk_splat::{HEAD_BYTES, Splat, SplatFormat, SplatOptions, SplatReader, recognise};
+use slicewalk_splat::{HEAD_BYTES, Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, recognise};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -68,6 +68,8 @@ pub struct SplatCounts {
     pub large: u64,
     /// Left out because a parameter is unusable; 0 unless incomplete input is allowed.
     pub unusable: u64,
+    /// Stated by the file and not there, so not among those read; 0 unless incomplete input is allowed.
+    pub missing: u64,
 }
 
 impl SplatCounts {
@@ -82,6 +84,15 @@ impl SplatCounts {
         self.faint += other.faint;
         self.large += other.large;
         self.unusable += other.unusable;
+        self.missing += other.missing;
+    }
+
+    /// Adds the splats that a reader did not pass on.
+    fn lose(&mut self, summary: &SplatSummary) {
+        let unusable = summary.lost() - summary.missing;
+        self.read += unusable;
+        self.unusable += unusable;
+        self.missing += summary.missing;
     }
 }
 
@@ -244,8 +255,7 @@ impl SplatSet {
                     batch.iter().filter_map(|splat| placing.solid(splat, &mut counts)).for_each(|solid| give(&solid));
                     Ok(())
                 })?;
-            counts.read += summary.lost();
-            counts.unusable += summary.lost();
+            counts.lose(&summary);
         }
         Ok(counts)
     }
@@ -450,9 +460,8 @@ pub(super) fn read_splats<'a>(
             of_file.merge(&read);
             counted.add(&counts);
         }
-        counted.read += summary.lost();
-        counted.unusable += summary.lost();
-        all.complete &= summary.lost() == 0;
+        counted.lose(&summary);
+        all.complete &= summary.is_complete();
         if of_file.min[0] <= of_file.max[0] {
             all.scenes.push(Scene { path, min: of_file.min, max: of_file.max });
         }

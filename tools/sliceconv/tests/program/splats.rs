@@ -90,6 +90,24 @@ fn options_leave_out_what_they_say() {
     assert!(large > 100);
 }
 
+/// Splats that a file states and does not hold are missing, not read.
+#[test]
+fn cut_files_count_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    write(&path, &scene(100));
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() - 3 * 56]).unwrap();
+    let fixed = ["a.ply", "-o", "out.slices", "--pixel", "0.1", "--units", "m"];
+    let said = refuses(folder.path(), &fixed, 1);
+    assert!(said.contains("splat 0: 3 splats missing"), "{said}");
+    let mut sliceconv = Command::new(env!("CARGO_BIN_EXE_sliceconv"));
+    let out = sliceconv.current_dir(folder.path()).args(fixed).args(["--json", "--allow-incomplete"]).output().unwrap();
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let counts = ["splats_read", "points_missing", "splats_unusable"].map(|key| facts[key].as_u64());
+    assert_eq!((counts, &facts["complete"]), ([Some(97), Some(3), Some(0)], &false.into()));
+}
+
 /// Balls of the same solid part, of these opacities, each far from the others.
 fn balls(opacities: &[f64]) -> Vec<Splat> {
     let ball = |(number, &opacity): (usize, &f64)| {
