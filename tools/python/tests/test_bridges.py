@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import subprocess
 
@@ -156,7 +157,7 @@ def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
     assert (grid.data[wall] == 100).all()
     grid.save(tmp_path / "room.yaml")
     text = (tmp_path / "room.yaml").read_text()
-    assert "image: room.pgm" in text
+    assert 'image: "room.pgm"' in text
     assert "resolution: 0.1" in text
     image = (tmp_path / "room.pgm").read_bytes()
     assert image.startswith(f"P5\n{columns} {rows}\n255\n".encode())
@@ -174,6 +175,20 @@ def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
         with pytest.raises(ValueError, match="bounds"):
             slicewalk.to_occupancy_grid(stream.view(), 0.0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["room.pgm", "room.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [("a", "a"), ("a.yaml", "a"), ("a.pgm", "a"), ("storey_1.0", "storey_1.0"), ("b.v1.yaml", "b.v1")]
+    + [(name, name) for name in ("a: b", "a #b", 'a "b"', "- ü")],
+)
+def test_a_grid_is_saved_as_two_files_of_its_name(tmp_path, given, name):
+    grid = slicewalk.OccupancyGrid(np.zeros((1, 2), np.int8), 0.1, (0.0, 0.0))
+    grid.save(tmp_path / given)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.pgm", f"{name}.yaml"]
+    assert (tmp_path / f"{name}.pgm").read_bytes().startswith(b"P5\n2 1\n")
+    head, _, quoted = (tmp_path / f"{name}.yaml").read_text(encoding="utf-8").splitlines()[0].partition(" ")
+    assert (head, json.loads(quoted)) == ("image:", f"{name}.pgm")
 
 
 def test_arrays_become_archives_and_points_again(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import tempfile
 from dataclasses import dataclass
@@ -56,18 +57,27 @@ class OccupancyGrid:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``NAME.yaml`` and ``NAME.pgm`` for the map server of Nav2.
 
+        Args:
+            path: ``NAME``, or one of the two files
+
         >>> grid = slicewalk.to_occupancy_grid(slicewalk.open("room.slices"), 0.0)
         >>> grid.save("room.yaml")
+
         """
         path = Path(path)
-        image = path.with_suffix(".pgm")
+        # A name may hold other dots: `storey_1.5` is no `storey_1` with an ending.
+        name = path.stem if path.suffix in {".yaml", ".pgm"} else path.name
+        image = path.with_name(f"{name}.pgm")
+        x, y = self.origin
+        # JSON's strings are YAML's, too.
+        quoted = json.dumps(image.name, ensure_ascii=False)
+        text = f"image: {quoted}\nmode: trinary\nresolution: {self.resolution!r}\norigin: [{x!r}, {y!r}, 0.0]\n"
+        text += "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
         grey: NDArray[np.uint8] = np.full(self.data.shape, 205, np.uint8)
         grey[self.data == FREE], grey[self.data == OCCUPIED] = 254, 0
         rows, columns = grey.shape
         _write(image, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
-        x, y = self.origin
-        text = f"image: {image.name}\nmode: trinary\nresolution: {self.resolution!r}\norigin: [{x!r}, {y!r}, 0.0]\n"
-        _write(path, (text + "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n").encode())
+        _write(path.with_name(f"{name}.yaml"), text.encode(errors="surrogateescape"))
 
 
 def _box(pages: Pages, bounds: ArrayLike | None) -> NDArray[np.float64]:
