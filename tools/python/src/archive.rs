@@ -4,11 +4,10 @@ use crate::arrays::{key, short};
 use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
 use crate::errors::Failure;
-use crate::options::{refuse, size};
+use crate::options::{argument, refuse, size, wrong_type};
 use crate::pages::{MOST_SEEN_BYTES, Pages, Set};
 use crate::seen::SeenSpace;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
-use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyByteArray, PyBytes, PyDict, PyTuple};
@@ -218,9 +217,9 @@ fn public(url: &str) -> String {
 #[pyo3(signature = (source, *, timeout=10.0, retries=8, settings=None))]
 pub fn open<'py>(
     source: &Bound<'py, PyAny>,
-    timeout: f64,
-    retries: usize,
-    settings: Option<HashMap<String, String>>,
+    #[pyo3(from_py_with = argument::timeout)] timeout: f64,
+    #[pyo3(from_py_with = argument::retries)] retries: usize,
+    #[pyo3(from_py_with = argument::settings)] settings: Option<HashMap<String, String>>,
 ) -> PyResult<Bound<'py, Archive>> {
     let py = source.py();
     let wrong = || refuse("timeout", format!("expected seconds above 0, found {timeout}"));
@@ -246,7 +245,7 @@ pub fn open<'py>(
         let bytes =
             py.import("builtins")?.call_method1("memoryview", (&source,)).and_then(|view| view.call_method0("tobytes"));
         source = bytes.map_err(|_| {
-            PyTypeError::new_err(format!("source: expected a path, an address or bytes, found {}", short(&source)))
+            wrong_type(py, "source", &format!("expected a path, an address or bytes, found {}", short(&source)))
         })?;
         (None, Arc::new(Held(source.extract()?)))
     };
@@ -360,7 +359,11 @@ impl Archive {
     /// >>> slicewalk.open("room.slices").load() > 1000
     /// True
     #[pyo3(signature = (progress=None))]
-    fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<usize> {
+    fn load(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<usize> {
         let store = self.opened.load(py, progress)?;
         Ok(store.weight_bytes() + store.table_bytes())
     }
@@ -376,7 +379,7 @@ impl Archive {
     ///
     /// Raises:
     ///     ParameterError: the archive has no such level
-    fn level(&self, py: Python<'_>, number: u32) -> PyResult<Pages> {
+    fn level(&self, py: Python<'_>, #[pyo3(from_py_with = argument::number)] number: u32) -> PyResult<Pages> {
         let of_level = self.opened.read(py, |opened| opened.level(number))?;
         Ok(Pages { set: Set::All(Arc::new(of_level)) })
     }
@@ -424,7 +427,7 @@ impl Archive {
         &self,
         py: Python<'py>,
         key: &Bound<'py, PyAny>,
-        level: u32,
+        #[pyo3(from_py_with = argument::level)] level: u32,
     ) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
         let key = self::key(key)?;
         let colours = self.opened.read(py, |opened| {
@@ -451,7 +454,11 @@ impl Archive {
     /// >>> slicewalk.open("room.slices").verify()
     /// []
     #[pyo3(signature = (progress=None))]
-    fn verify(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<PyErr>> {
+    fn verify(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Vec<PyErr>> {
         let name = self.opened.name.as_deref();
         let audience = Audience { progress, ..Audience::default() };
         let findings = attended(py, &audience, name, |monitor| {

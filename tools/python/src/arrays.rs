@@ -5,8 +5,9 @@
 //! interpreter released, and the next block follows. A block fits the cache, so the copy costs about 5 ns a row.
 
 use crate::errors::{Failure, of_row};
+use crate::options::{refuse, wrong_type};
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::Result;
@@ -31,14 +32,20 @@ impl<'py, const N: usize> Rows<'py, N> {
     pub fn of(given: &Bound<'py, PyAny>, what: &'static str) -> PyResult<Self> {
         let py = given.py();
         let numpy = py.import("numpy")?;
-        let found = numpy.call_method1("asarray", (given,))?;
+        let found = numpy.call_method1("asarray", (given,)).map_err(|error| {
+            if !error.is_instance_of::<PyValueError>(py) {
+                return error;
+            }
+            let refused = refuse(what, format!("expected rows of {N} numbers, found {}", short(given)));
+            refused.set_cause(py, Some(error));
+            refused
+        })?;
         let untyped = found.cast::<PyUntypedArray>()?;
         let lossless: bool = numpy.call_method1("can_cast", (untyped.dtype(), "f8", "safe"))?.extract()?;
         if !lossless && untyped.len() > 0 {
             let dtype = untyped.dtype();
-            let text =
-                format!("{what}: expected numbers (float64), found {dtype}; convert with numpy.asarray(..., float)");
-            return Err(PyTypeError::new_err(text));
+            let reason = format!("expected numbers (float64), found {dtype}; convert with numpy.asarray(..., float)");
+            return Err(wrong_type(py, what, &reason));
         }
         let corners = N == 6 && matches!(untyped.shape(), [_, 2, 3]);
         let found = if corners { found.call_method1("reshape", ((-1, 6),))? } else { found.clone() };
@@ -51,7 +58,7 @@ impl<'py, const N: usize> Rows<'py, N> {
                 _ => String::new(),
             };
             let shape = untyped.getattr("shape")?.str()?;
-            return Err(PyValueError::new_err(format!("{what}: expected shape (N, {N}), found {shape}{suggestion}")));
+            return Err(refuse(what, format!("expected shape (N, {N}), found {shape}{suggestion}")));
         }
         // Rust reads only aligned memory; numpy returns an aligned array unchanged.
         let options = PyDict::new(py);
@@ -190,7 +197,7 @@ pub fn numbers<const N: usize>(given: &Bound<'_, PyAny>, what: &str) -> PyResult
     {
         return Ok(values);
     }
-    Err(PyValueError::new_err(format!("{what}: expected {N} finite numbers, found {}", short(given))))
+    Err(refuse(what, format!("expected {N} finite numbers, found {}", short(given))))
 }
 
 /// Appends the numbers of a sequence, or of its two sequences if `nested`; `None` if it holds anything else or more
@@ -220,7 +227,7 @@ pub fn key(given: &Bound<'_, PyAny>) -> PyResult<PageKey> {
         .and_then(|items| items.take(4).map(|item| item?.extract::<i32>()).collect::<PyResult<Vec<_>>>());
     match parts.as_deref() {
         Ok(&[tx, ty, layer]) => Ok(PageKey { tx, ty, layer }),
-        _ => Err(PyTypeError::new_err(format!("key: expected tx, ty, layer of a page, found {}", short(given)))),
+        _ => Err(wrong_type(given.py(), "key", &format!("expected tx, ty, layer of a page, found {}", short(given)))),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
-use crate::options::{Asked, part_of, paths};
+use crate::options::{Asked, argument, part_of, paths};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::Value;
@@ -93,8 +93,8 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 #[pyo3(signature = (inputs, output, *, progress=None, **options))]
 pub fn convert<'py>(
     inputs: &Bound<'py, PyAny>,
-    output: PathBuf,
-    progress: Option<&Bound<'py, PyAny>>,
+    #[pyo3(from_py_with = argument::output)] output: PathBuf,
+    #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'py, PyAny>>,
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
@@ -129,8 +129,8 @@ pub fn convert<'py>(
 #[pyo3(signature = (inputs, path, *, progress=None, **options))]
 pub fn write_plan<'py>(
     inputs: &Bound<'py, PyAny>,
-    path: PathBuf,
-    progress: Option<&Bound<'py, PyAny>>,
+    #[pyo3(from_py_with = argument::path)] path: PathBuf,
+    #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'py, PyAny>>,
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
@@ -182,10 +182,10 @@ pub fn write_plan<'py>(
 #[pyo3(signature = (parts, output, *, part=None, progress=None, force=false))]
 pub fn merge<'py>(
     parts: &Bound<'py, PyAny>,
-    output: PathBuf,
+    #[pyo3(from_py_with = argument::output)] output: PathBuf,
     part: Option<&Bound<'py, PyAny>>,
-    progress: Option<&Bound<'py, PyAny>>,
-    force: bool,
+    #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'py, PyAny>>,
+    #[pyo3(from_py_with = argument::force)] force: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = parts.py();
     let (parts, part) = (paths("parts", parts)?, part.map(|part| part_of("part", part)).transpose()?);

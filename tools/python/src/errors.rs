@@ -57,6 +57,18 @@ pub fn suggestion(parameter: &Parameter) -> Option<&'static str> {
     })
 }
 
+/// Makes an exception of `slicewalk.errors` that has no other facts.
+pub fn plain(class: &str, text: &str) -> PyErr {
+    Python::attach(|py| made(py, class, text, &PyDict::new(py)).unwrap_or_else(|error| error))
+}
+
+/// Makes the exception `class` for a parameter whose value cannot be converted.
+pub fn of_parameter(py: Python<'_>, class: &str, name: &str, reason: &str) -> PyErr {
+    let facts = PyDict::new(py);
+    let set = facts.set_item("at", name).and_then(|()| facts.set_item("reason", reason));
+    set.and_then(|()| made(py, class, &format!("{name}: {reason}"), &facts)).unwrap_or_else(|error| error)
+}
+
 /// Makes the exception for row `row` of the array `what`.
 pub fn of_row(py: Python<'_>, what: &str, row: usize, error: Error) -> PyErr {
     exception(py, error.into(), None, Some((what, row))).unwrap_or_else(|error| error)

@@ -1,11 +1,11 @@
 //! Converts options from Python to the library's types.
 
 use crate::arrays::short;
-use crate::errors::Failure;
+use crate::errors::{Failure, of_parameter};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString};
+use pyo3::types::{PyByteArray, PyBytes, PyDict, PyString};
 use slicewalk::plan::{ClassSet, Classifier};
 use slicewalk::{Error, Parameter};
 use slicewalk_convert::size::parse_size;
@@ -28,16 +28,92 @@ fn take<'py, T: FromPyObjectOwned<'py>>(name: &str, expected: &str, given: &Boun
     given.extract::<T>().map_err(|error| wrong(name, expected, given, &Into::<PyErr>::into(error)))
 }
 
-/// Makes Python's error for such a value, with the option's name.
+/// Makes the error for a value that cannot be converted. It is also the error that Python raised.
 fn wrong(name: &str, expected: &str, given: &Bound<'_, PyAny>, error: &PyErr) -> PyErr {
     let py = given.py();
     let reason = format!("expected {expected}, found {}", short(given));
     if error.is_instance_of::<PyTypeError>(py) {
-        PyTypeError::new_err(format!("{name}: {reason}"))
+        wrong_type(py, name, &reason)
     } else if error.is_instance_of::<PyOverflowError>(py) {
-        PyOverflowError::new_err(format!("{name}: {reason}"))
+        of_parameter(py, "ParameterRangeError", name, &reason)
     } else {
         refuse(name, reason)
+    }
+}
+
+/// Makes the error for a value of the wrong type.
+pub fn wrong_type(py: Python<'_>, name: &str, reason: &str) -> PyErr {
+    of_parameter(py, "ParameterTypeError", name, reason)
+}
+
+/// Readers of arguments, for `from_py_with`. Their errors name the argument, which those of PyO3 do not.
+pub mod argument {
+    use super::{YES_OR_NO, take, wrong_type};
+    use crate::archive::Archive;
+    use crate::arrays::short;
+    use pyo3::prelude::*;
+    use pyo3::types::PyString;
+    use std::collections::HashMap;
+    use std::num::NonZeroUsize;
+    use std::path::PathBuf;
+
+    macro_rules! arguments {
+        ($($name:ident: $type:ty = $expected:expr;)*) => {
+            $(pub fn $name(given: &Bound<'_, PyAny>) -> PyResult<$type> {
+                take(stringify!($name), $expected, given)
+            })*
+        };
+    }
+
+    arguments! {
+        climb: f64 = "metres";
+        dt: f64 = "seconds";
+        explain: bool = YES_OR_NO;
+        force: bool = YES_OR_NO;
+        gravity: f64 = "m/s²";
+        hz: f64 = "frames per second";
+        length: Option<f64> = "metres, or None";
+        level: u32 = "0 or the number of an overview level";
+        max_drop: Option<f64> = "metres, or None";
+        max_grade: Option<f64> = "rise over run, or None";
+        max_ramp: Option<f64> = "metres, or None";
+        max_seconds: f64 = "seconds";
+        number: u32 = "the number of an overview level";
+        output: PathBuf = "a path";
+        path: PathBuf = "a path";
+        prefetch: bool = YES_OR_NO;
+        retries: usize = "a whole number, 0 or more";
+        seconds: f64 = "seconds";
+        seen: bool = YES_OR_NO;
+        speed: f64 = "metres per second";
+        threads: Option<NonZeroUsize> = "a number of threads from 1 up, or None";
+        timeout: f64 = "seconds";
+        within: f64 = "metres";
+        x: f64 = "metres";
+        y: f64 = "metres";
+    }
+
+    pub fn archive<'a, 'py>(given: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Archive>> {
+        let wrong = || wrong_type(given.py(), "archive", &format!("expected an Archive, found {}", short(given)));
+        given.cast().map_err(|_| wrong())
+    }
+
+    pub fn progress<'a, 'py>(given: &'a Bound<'py, PyAny>) -> PyResult<Option<&'a Bound<'py, PyAny>>> {
+        if !given.is_none() && !given.is_callable() {
+            let reason = format!("expected a function, or None, found {}", short(given));
+            return Err(wrong_type(given.py(), "progress", &reason));
+        }
+        Ok(Some(given).filter(|given| !given.is_none()))
+    }
+
+    pub fn response<'a>(given: &'a Bound<'_, PyAny>) -> PyResult<&'a str> {
+        let wrong = || format!("expected slide, thesis or thesis-mean, found {}", short(given));
+        given.cast::<PyString>().map_err(|_| wrong_type(given.py(), "response", &wrong()))?.to_str()
+    }
+
+    pub fn settings(given: &Bound<'_, PyAny>) -> PyResult<Option<HashMap<String, String>>> {
+        // Without the settings, which may be secrets.
+        given.extract().map_err(|_| wrong_type(given.py(), "settings", "expected a dict of texts by name, or None"))
     }
 }
 
@@ -81,6 +157,9 @@ pub fn paths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
         return Ok(vec![path]);
     }
     let expected = "a path, or several";
+    if given.is_instance_of::<PyBytes>() || given.is_instance_of::<PyByteArray>() {
+        return Err(wrong_type(given.py(), name, &format!("expected {expected}, found {}", short(given))));
+    }
     let items = given.try_iter().map_err(|error| wrong(name, expected, given, &error))?;
     let mut paths = Vec::new();
     for item in items {

@@ -3,12 +3,11 @@
 use crate::archive::Opened;
 use crate::arrays::{self, batch, batch_of_rows, refused};
 use crate::errors::Failure;
-use crate::options::refuse;
+use crate::options::{argument, refuse};
 use crate::page::{Column, Page, octomap, region};
 use crate::reach::{self, Ability};
 use crate::seen;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use slicewalk::Result;
@@ -167,14 +166,18 @@ impl Pages {
     /// by a pixel in x and y and by a slice in z.
     ///
     /// Raises:
-    ///     ValueError: the shape is wrong, or a row is not a valid box (``row`` of the error has its index)
-    ///     TypeError: the array does not hold numbers
+    ///     ParameterError: the shape is wrong, or a row is not a valid box (``row`` of the error has its index)
+    ///     ParameterTypeError: the array does not hold numbers
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> archive.overlaps([[3, 2, 0.5, 3.5, 2.5, 1.8], [-0.1, 2, 0.5, 0.2, 2.5, 1.8]])
     /// array([0, 1], dtype=uint8)
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn overlaps<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, u8> {
+    fn overlaps<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, u8> {
         let pages = self.set.pages(boxes.py())?;
         batch(boxes, "boxes", threads, |row| Ok(code(overlaps(pages, &aabb(row)?))))
     }
@@ -188,7 +191,11 @@ impl Pages {
     /// >>> slicewalk.open("room.slices").overlaps_cylinders([[4, 3, 0.1, 0.25, 1.8], [4, 0.2, 0.1, 0.25, 1.8]])
     /// array([0, 1], dtype=uint8)
     #[pyo3(signature = (cylinders, *, threads=None))]
-    fn overlaps_cylinders<'py>(&self, cylinders: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, u8> {
+    fn overlaps_cylinders<'py>(
+        &self,
+        cylinders: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, u8> {
         let pages = self.set.pages(cylinders.py())?;
         batch(cylinders, "cylinders", threads, |&[x, y, z, radius, height]: &[f64; 5]| {
             Ok(code(overlaps(pages, &Cylinder::new([x, y, z].into(), radius, height)?)))
@@ -204,7 +211,11 @@ impl Pages {
     /// >>> slicewalk.open("room.slices").overlaps_spheres([[4, 3, 1.2, 0.5], [4, 3, 0.2, 0.5]])
     /// array([0, 1], dtype=uint8)
     #[pyo3(signature = (spheres, *, threads=None))]
-    fn overlaps_spheres<'py>(&self, spheres: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, u8> {
+    fn overlaps_spheres<'py>(
+        &self,
+        spheres: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, u8> {
         let pages = self.set.pages(spheres.py())?;
         batch(spheres, "spheres", threads, |&[x, y, z, radius]: &[f64; 4]| {
             Ok(code(overlaps(pages, &Sphere::new([x, y, z].into(), radius)?)))
@@ -226,7 +237,11 @@ impl Pages {
     /// >>> archive.floor([[3, 2, -1, 3.5, 2.5, 2], [30, 2, -1, 31, 3, 2]]).round(2)
     /// array([  0., -inf])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn floor<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+    fn floor<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, f64> {
         let pages = self.set.pages(boxes.py())?;
         let ends = heights(pages);
         batch(boxes, "boxes", threads, |row| Ok(floor_in(pages, &aabb(row)?, row[2], row[5], ends)))
@@ -246,7 +261,11 @@ impl Pages {
     /// >>> slicewalk.open("room.slices").ceiling([[3, 2, 1, 3.5, 2.5, 9], [3, 2, 3, 3.5, 2.5, 9]]).round(2)
     /// array([2.5, inf])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn ceiling<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+    fn ceiling<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, f64> {
         let pages = self.set.pages(boxes.py())?;
         let ends = heights(pages);
         batch(boxes, "boxes", threads, |row| Ok(ceiling_in(pages, &aabb(row)?, row[2], row[5], ends)))
@@ -266,7 +285,11 @@ impl Pages {
     /// >>> archive.sweep([[3, 2, 0.5, 3.5, 2.5, 1.8, 0, 1, 0], [3, 2, 0.5, 3.5, 2.5, 1.8, 9, 0, 0]]).round(2)
     /// array([1.  , 0.49])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn sweep<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+    fn sweep<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, f64> {
         let pages = self.set.pages(boxes.py())?;
         batch(boxes, "boxes", threads, |&[x0, y0, z0, x1, y1, z1, dx, dy, dz]: &[f64; 9]| {
             let motion = Vector3::new(dx, dy, dz);
@@ -293,7 +316,11 @@ impl Pages {
     /// >>> archive.cast([[4, 3, 1.2, 0, 0, -1, 10], [4, 3, 1.2, 1, 0, 0, 2]]).round(2)
     /// array([1.2, inf])
     #[pyo3(signature = (rays, *, threads=None))]
-    fn cast<'py>(&self, rays: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py, f64> {
+    fn cast<'py>(
+        &self,
+        rays: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py, f64> {
         let pages = self.set.pages(rays.py())?;
         batch(rays, "rays", threads, |&[x, y, z, dx, dy, dz, max]: &[f64; 7]| {
             let ray = Ray::new(Point3::new(x, y, z), Vector3::new(dx, dy, dz), max)?;
@@ -323,12 +350,11 @@ impl Pages {
     fn nearest_surfaces<'py>(
         &self,
         places: &Bound<'py, PyAny>,
-        within: f64,
-        threads: Threads,
+        #[pyo3(from_py_with = argument::within)] within: f64,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
     ) -> PyResult<Bound<'py, PyAny>> {
         if within.is_nan() || within < 0.0 {
-            let text = format!("within: expected a distance of at least 0, found {within}");
-            return Err(PyValueError::new_err(text));
+            return Err(refuse("within", format!("expected a distance of at least 0, found {within}")));
         }
         let py = places.py();
         let pages = self.set.pages(py)?;
@@ -357,7 +383,12 @@ impl Pages {
     /// >>> column = slicewalk.open("room.slices").column(4.05, 3.05)
     /// >>> column.tops.round(2), column.obstacle
     /// (array([0. , 2.5]), array([False, False]))
-    fn column(&self, py: Python<'_>, x: f64, y: f64) -> PyResult<Column> {
+    fn column(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = argument::x)] x: f64,
+        #[pyo3(from_py_with = argument::y)] y: f64,
+    ) -> PyResult<Column> {
         let pages = self.set.pages(py)?;
         Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name()))
     }
@@ -468,13 +499,13 @@ impl Pages {
         &self,
         start: &Bound<'py, PyAny>,
         pawn: Option<&Bound<'py, PyAny>>,
-        climb: f64,
-        max_drop: Option<f64>,
-        max_grade: Option<f64>,
-        max_ramp: Option<f64>,
-        length: Option<f64>,
-        seen: bool,
-        progress: Option<&Bound<'py, PyAny>>,
+        #[pyo3(from_py_with = argument::climb)] climb: f64,
+        #[pyo3(from_py_with = argument::max_drop)] max_drop: Option<f64>,
+        #[pyo3(from_py_with = argument::max_grade)] max_grade: Option<f64>,
+        #[pyo3(from_py_with = argument::max_ramp)] max_ramp: Option<f64>,
+        #[pyo3(from_py_with = argument::length)] length: Option<f64>,
+        #[pyo3(from_py_with = argument::seen)] seen: bool,
+        #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let seen = self.seen(start.py(), seen)?;
         let pawn = reach::pawn(pawn, &Ability { climb, max_drop, max_grade, max_ramp })?;
@@ -513,14 +544,14 @@ impl Pages {
         start: &Bound<'py, PyAny>,
         goal: &Bound<'py, PyAny>,
         pawn: Option<&Bound<'py, PyAny>>,
-        climb: f64,
-        max_drop: Option<f64>,
-        max_grade: Option<f64>,
-        max_ramp: Option<f64>,
-        length: Option<f64>,
-        seen: bool,
-        explain: bool,
-        progress: Option<&Bound<'py, PyAny>>,
+        #[pyo3(from_py_with = argument::climb)] climb: f64,
+        #[pyo3(from_py_with = argument::max_drop)] max_drop: Option<f64>,
+        #[pyo3(from_py_with = argument::max_grade)] max_grade: Option<f64>,
+        #[pyo3(from_py_with = argument::max_ramp)] max_ramp: Option<f64>,
+        #[pyo3(from_py_with = argument::length)] length: Option<f64>,
+        #[pyo3(from_py_with = argument::seen)] seen: bool,
+        #[pyo3(from_py_with = argument::explain)] explain: bool,
+        #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let seen = self.seen(start.py(), seen)?;
         let pawn = reach::pawn(pawn, &Ability { climb, max_drop, max_grade, max_ramp })?;

@@ -1,8 +1,8 @@
 //! `SeenSpace`: which places, boxes and rays the scanners saw.
 
 use crate::arrays::{Rows, batch, refused};
+use crate::options::{argument, refuse};
 use numpy::{PyArray1, PyUntypedArray, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use slicewalk::query::{Aabb, Ray};
 use slicewalk::seen::{CELL_PIXELS, SeenSpace as Space};
@@ -59,13 +59,17 @@ impl SeenSpace {
     ///     bool of shape (N,)
     ///
     /// Raises:
-    ///     ValueError: the shape is wrong, or a number is not finite (``row`` of the error has its index)
-    ///     TypeError: the array does not hold numbers
+    ///     ParameterError: the shape is wrong, or a number is not finite (``row`` of the error has its index)
+    ///     ParameterTypeError: the array does not hold numbers
     ///
     /// >>> slicewalk.open("seen.slices").seen_space().places([[3, 2, 1.2], [3, 2, -0.5]])
     /// array([ True, False])
     #[pyo3(signature = (places, *, threads=None))]
-    fn places<'py>(&self, places: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py> {
+    fn places<'py>(
+        &self,
+        places: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py> {
         batch(places, "places", threads, |&place: &[f64; 3]| match place.iter().all(|v| v.is_finite()) {
             true => Ok(self.space.is_seen(place.into())),
             false => refused("place", "its numbers must be finite"),
@@ -83,13 +87,17 @@ impl SeenSpace {
     ///     seen
     ///
     /// Raises:
-    ///     ValueError: the shape is wrong, or a row is not a valid box (``row`` of the error has its index)
-    ///     TypeError: the array does not hold numbers
+    ///     ParameterError: the shape is wrong, or a row is not a valid box (``row`` of the error has its index)
+    ///     ParameterTypeError: the array does not hold numbers
     ///
     /// >>> slicewalk.open("seen.slices").seen_space().boxes([[1, 2, 0.9, 3, 4, 1.4], [1, 2, 0.9, 3, 40, 1.4]])
     /// array([ True, False])
     #[pyo3(signature = (boxes, *, threads=None))]
-    fn boxes<'py>(&self, boxes: &Bound<'py, PyAny>, threads: Threads) -> Answers<'py> {
+    fn boxes<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
+    ) -> Answers<'py> {
         batch(boxes, "boxes", threads, |&[x0, y0, z0, x1, y1, z1]: &[f64; 6]| {
             let shape = Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())?;
             Ok(self.space.is_box_seen(shape.min(), shape.max()))
@@ -117,8 +125,8 @@ impl SeenSpace {
     ///     near to a surface. False where the distance is nan (not loaded), and for an endless ray without a hit
     ///
     /// Raises:
-    ///     ValueError: the shape is wrong, or a row is not a valid ray or distance (``row`` of the error has its index)
-    ///     TypeError: the arrays do not hold numbers
+    ///     ParameterError: the shape is wrong, or a row is not a valid ray or distance (``row`` of the error has its index)
+    ///     ParameterTypeError: the arrays do not hold numbers
     ///
     /// >>> archive = slicewalk.open("seen.slices")
     /// >>> rays = [[4, 2, 1.2, -1, 0, 0, 9], [4, 2, 1.2, -1, 0, 0, 0.5], [30, 2, 1.2, 1, 0, 0, 9]]
@@ -129,7 +137,7 @@ impl SeenSpace {
         &self,
         rays: &Bound<'py, PyAny>,
         distances: Option<&Bound<'py, PyAny>>,
-        threads: Threads,
+        #[pyo3(from_py_with = argument::threads)] threads: Threads,
     ) -> Answers<'py> {
         let numpy = rays.py().import("numpy")?;
         let rows = Rows::<7>::of(rays, "rays")?;
@@ -141,7 +149,7 @@ impl SeenSpace {
         let untyped = distances.cast::<PyUntypedArray>()?;
         if untyped.ndim() > 0 && untyped.shape() != [count] {
             let found = untyped.getattr("shape")?.str()?;
-            return Err(PyValueError::new_err(format!("distances: expected shape ({count},), found {found}")));
+            return Err(refuse("distances", format!("expected shape ({count},), found {found}")));
         }
         let distances = numpy.call_method1("broadcast_to", (&distances, (count,)))?;
         let both = numpy.call_method1("column_stack", ((rows.array(), distances),))?;

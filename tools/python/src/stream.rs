@@ -3,10 +3,9 @@
 use crate::archive::{Archive, Opened};
 use crate::arrays::{BLOCK, Rows, numbers};
 use crate::attend::{Audience, attended};
-use crate::errors::{Failure, of_row};
-use crate::options::{refuse, size};
+use crate::errors::{Failure, of_row, plain};
+use crate::options::{argument, refuse, size};
 use crate::pages::{Pages, Set};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::nalgebra::{Point3, Vector3};
@@ -56,7 +55,7 @@ impl Hints {
 }
 
 fn closed() -> PyErr {
-    PyValueError::new_err("the stream is closed: open another one")
+    plain("ClosedError", "the stream is closed: open another one")
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -95,7 +94,11 @@ impl Stream {
 impl Stream {
     #[new]
     #[pyo3(signature = (archive, budget, *, prefetch=true))]
-    fn new(archive: &Bound<'_, Archive>, budget: &Bound<'_, PyAny>, prefetch: bool) -> PyResult<Self> {
+    fn new(
+        #[pyo3(from_py_with = argument::archive)] archive: &Bound<'_, Archive>,
+        budget: &Bound<'_, PyAny>,
+        #[pyo3(from_py_with = argument::prefetch)] prefetch: bool,
+    ) -> PyResult<Self> {
         let opened = archive.get().opened.clone();
         let budget = usize::try_from(size("budget", budget)?).unwrap_or(usize::MAX);
         let prefetch = if prefetch { Prefetch::Thread } else { Prefetch::Off };
@@ -169,7 +172,7 @@ impl Stream {
     ///
     /// Returns:
     ///     whether that happened within the time
-    fn settle(&self, py: Python<'_>, seconds: f64) -> PyResult<bool> {
+    fn settle(&self, py: Python<'_>, #[pyo3(from_py_with = argument::seconds)] seconds: f64) -> PyResult<bool> {
         let stream = self.inner()?;
         let wrong = |_| refuse("seconds", format!("expected seconds, 0 or more, found {seconds}"));
         let most = Duration::try_from_secs_f64(seconds).map_err(wrong)?;

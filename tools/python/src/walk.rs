@@ -3,12 +3,11 @@
 use crate::arrays::{BLOCK, Rows, numbers, reserve, short};
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
-use crate::options::refuse;
+use crate::options::{argument, refuse, wrong_type};
 use crate::pages::Pages;
 use crate::reach::body;
 use crate::stream::{Hints, Stream};
 use numpy::{IntoPyArray, PyArrayMethods};
-use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use slicewalk::nalgebra::{Point2, Vector2};
 use slicewalk::store::{MotionHint, Snapshot, Stream as Inner};
@@ -34,7 +33,8 @@ impl<'py> Ground<'py> {
             return Ok(Self::Pages(pages.clone()));
         }
         let stream = given.cast::<Stream>().map_err(|_| {
-            PyTypeError::new_err(format!("pages: expected an Archive, a View or a Stream, found {}", short(given)))
+            let reason = format!("expected an Archive, a View or a Stream, found {}", short(given));
+            wrong_type(given.py(), "pages", &reason)
         })?;
         Ok(Self::Stream(stream.clone()))
     }
@@ -108,11 +108,11 @@ impl Walker {
     fn new(
         feet: &Bound<'_, PyAny>,
         pawn: Option<&Bound<'_, PyAny>>,
-        speed: f64,
-        climb: f64,
-        gravity: f64,
-        max_drop: Option<f64>,
-        response: &str,
+        #[pyo3(from_py_with = argument::speed)] speed: f64,
+        #[pyo3(from_py_with = argument::climb)] climb: f64,
+        #[pyo3(from_py_with = argument::gravity)] gravity: f64,
+        #[pyo3(from_py_with = argument::max_drop)] max_drop: Option<f64>,
+        #[pyo3(from_py_with = argument::response)] response: &str,
     ) -> PyResult<Self> {
         let response = self::response(response)?;
         let config = Config { speed, climb, gravity, max_drop, response, ..Config::new(body(pawn)?) };
@@ -161,7 +161,7 @@ impl Walker {
         &mut self,
         py: Python<'py>,
         pages: &Bound<'py, PyAny>,
-        dt: f64,
+        #[pyo3(from_py_with = argument::dt)] dt: f64,
         direction: Option<&Bound<'py, PyAny>>,
         toward: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
@@ -173,7 +173,7 @@ impl Walker {
             (None, None) => MoveInput::Stay,
             (Some(way), None) => MoveInput::Direction(Vector2::from(numbers::<2>(way, "direction")?)),
             (None, Some(place)) => MoveInput::Toward(Point2::from(numbers::<2>(place, "toward")?)),
-            _ => return Err(PyTypeError::new_err("direction and toward exclude each other: give one of them")),
+            _ => return Err(wrong_type(py, "toward", "it and direction exclude each other; give one of them")),
         };
         let done = match &pages {
             Ground::Pages(pages) => {
@@ -220,8 +220,8 @@ impl Walker {
         py: Python<'py>,
         pages: &Bound<'py, PyAny>,
         waypoints: &Bound<'py, PyAny>,
-        hz: f64,
-        max_seconds: f64,
+        #[pyo3(from_py_with = argument::hz)] hz: f64,
+        #[pyo3(from_py_with = argument::max_seconds)] max_seconds: f64,
     ) -> PyResult<Bound<'py, PyAny>> {
         let pages = Ground::of(pages)?;
         let fits = (0.1..=1e5).contains(&hz) && max_seconds > 0.0 && max_seconds <= 1e6;

@@ -3,9 +3,8 @@
 use crate::arrays::{BLOCK, Rows};
 use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
-use crate::errors::Failure;
-use crate::options::Asked;
-use pyo3::exceptions::PyValueError;
+use crate::errors::{Failure, plain};
+use crate::options::{Asked, argument};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk_convert::PointWriter;
@@ -79,7 +78,7 @@ impl Writer {
 }
 
 fn ended() -> PyErr {
-    PyValueError::new_err("the writer has ended: write to another one")
+    plain("ClosedError", "the writer has ended: write to another one")
 }
 
 #[pymethods]
@@ -88,7 +87,7 @@ impl Writer {
     #[pyo3(signature = (output, *, pixel, **options))]
     fn new(
         py: Python<'_>,
-        output: PathBuf,
+        #[pyo3(from_py_with = argument::output)] output: PathBuf,
         pixel: &Bound<'_, PyAny>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
@@ -135,7 +134,11 @@ impl Writer {
     /// Returns:
     ///     the dict that ``sliceconv --json`` prints; ``report`` returns it from then on
     #[pyo3(signature = (progress=None))]
-    fn finish<'py>(&self, py: Python<'py>, progress: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+    fn finish<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = argument::progress)] progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let writer = py.detach(|| self.take()).ok_or_else(ended)?;
         let audience = Audience { progress, ..Audience::default() };
         let report = attended(py, &audience, None, |monitor| Ok(writer.finish(monitor)?))?;

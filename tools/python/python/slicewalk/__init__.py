@@ -53,6 +53,7 @@ from slicewalk._results import (
 )
 from slicewalk.errors import (
     CancelledError,
+    ClosedError,
     Error,
     FileError,
     FormatError,
@@ -63,6 +64,8 @@ from slicewalk.errors import (
     NotLoadedError,
     OutputError,
     ParameterError,
+    ParameterRangeError,
+    ParameterTypeError,
     SlicewalkWarning,
     UnsupportedError,
 )
@@ -81,6 +84,7 @@ __all__ = [
     "Archive",
     "Body",
     "CancelledError",
+    "ClosedError",
     "Column",
     "ConvertOptions",
     "Error",
@@ -99,6 +103,8 @@ __all__ = [
     "Page",
     "Pages",
     "ParameterError",
+    "ParameterRangeError",
+    "ParameterTypeError",
     "Passage",
     "Path",
     "PlanOptions",

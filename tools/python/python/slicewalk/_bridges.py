@@ -14,6 +14,7 @@ import numpy as np
 
 from slicewalk._slicewalk import Writer
 from slicewalk._slicewalk import open as open_archive
+from slicewalk.errors import FileError, MissingFileError, ParameterError, ParameterTypeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -26,17 +27,30 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 _HIT, _NOT_LOADED = 1, 2
 
 
+def _path(given: str | os.PathLike[str]) -> Path:
+    try:
+        return Path(given)
+    except TypeError:
+        raise ParameterTypeError(f"path: expected a path, found {given!r}", at="path") from None
+
+
 def _write(path: Path, data: bytes) -> None:
     """Write a file all or nothing: beside its target, then renamed."""
-    handle, made = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        Path(made).chmod(0o644)
-        Path(made).replace(path)
-    except BaseException:
-        Path(made).unlink(missing_ok=True)
-        raise
+        handle, made = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            Path(made).chmod(0o644)
+            Path(made).replace(path)
+        except BaseException:
+            Path(made).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        kind = MissingFileError if isinstance(error, FileNotFoundError) else FileError
+        facts = {"path": str(path), "errno": error.errno, "strerror": error.strerror, "action": "write"}
+        # Without the error of the system, which names the temporary file.
+        raise kind(f"{path}: cannot write: {error.strerror}", **facts) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +78,7 @@ class OccupancyGrid:
         >>> grid.save("room.yaml")
 
         """
-        path = Path(path)
+        path = _path(path)
         # A name may hold other dots: `storey_1.5` is no `storey_1` with an ending.
         name = path.stem if path.suffix in {".yaml", ".pgm"} else path.name
         image = path.with_name(f"{name}.pgm")
@@ -85,7 +99,7 @@ def _box(pages: Pages, bounds: ArrayLike | None) -> NDArray[np.float64]:
     given = getattr(pages, "bounds", None) if bounds is None else bounds
     if given is None:
         message = "bounds: expected xmin, ymin, zmin, xmax, ymax, zmax; a view and an empty archive have none"
-        raise ValueError(message)
+        raise ParameterError(message, at="bounds")
     return np.asarray(given, np.float64).reshape(2, 3)
 
 
@@ -146,8 +160,9 @@ def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike 
     moved by whole tiles, which a comment in the file states and :func:`convert` undoes. Memory: the tree.
 
     Raises:
-        ValueError: the region holds nothing solid, and nothing of it was seen
+        ParameterError: the region holds nothing solid, and nothing of it was seen
         LimitError: the region is larger than a tree
+        FileError: the file cannot be written; MissingFileError without its folder
 
     >>> slicewalk.to_octomap(slicewalk.open("room.slices"), "room.bt") > 10_000
     True
@@ -155,11 +170,12 @@ def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike 
     True
 
     """
+    target = _path(path)
     occupied, free, data = pages._octomap(_box(pages, bounds))
     if occupied == free == 0:
         message = "bounds: expected a region with solid, found none; give other bounds"
-        raise ValueError(message)
-    _write(Path(path), data)
+        raise ParameterError(message, at="bounds")
+    _write(target, data)
     return occupied
 
 

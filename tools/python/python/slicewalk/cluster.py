@@ -41,7 +41,15 @@ from typing import TYPE_CHECKING, Any, TypeGuard, Unpack
 
 import slicewalk
 from slicewalk import _slicewalk
-from slicewalk.errors import CancelledError, Error, LimitError, OutputError, ParameterError, SlicewalkWarning
+from slicewalk.errors import (
+    CancelledError,
+    Error,
+    LimitError,
+    OutputError,
+    ParameterError,
+    ParameterTypeError,
+    SlicewalkWarning,
+)
 
 if TYPE_CHECKING:
     from slicewalk._options import ClusterOptions, StrPath
@@ -270,7 +278,7 @@ def _paths(inputs: StrPath | Iterable[StrPath]) -> list[str]:
         given = [path if _is_address(path) else os.path.abspath(path) for path in inputs]
     except TypeError as error:
         message = f"inputs: expected a path, or several ({error})"
-        raise TypeError(message) from None
+        raise ParameterTypeError(message, at="inputs") from None
     if not given:
         raise ParameterError("inputs: expected a path, or several, found none", at="inputs")
     return given

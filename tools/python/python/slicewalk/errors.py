@@ -94,6 +94,18 @@ class ParameterError(Error, ValueError):
     """A parameter, named by `at`, is invalid."""
 
 
+class ParameterTypeError(ParameterError, TypeError):
+    """A parameter has a value of the wrong type."""
+
+
+class ParameterRangeError(ParameterError, OverflowError):
+    """A parameter, a whole number, is negative or too large."""
+
+
+class ClosedError(Error, ValueError):
+    """The stream is closed, or the writer has ended."""
+
+
 class OutputError(_SystemError):
     """A file must not be written under this name. Nothing was replaced."""
 

@@ -1,0 +1,140 @@
+"""Every error is one of slicewalk, names the argument, and is the error of Python that fits."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import slicewalk
+
+BOX, NAN = [[3, 2, 0.5, 3.5, 2.5, 1.8]], float("nan")
+START = (1, 1, 0.1)
+
+
+@pytest.fixture(scope="module")
+def room(folder):
+    return slicewalk.open(folder / "room.slices")
+
+
+def streamed(call):
+    def run(room):
+        with slicewalk.Stream(room, "16MiB") as stream:
+            call(stream)
+
+    return run
+
+
+def ended(call):
+    def run(room):
+        with slicewalk.Stream(room, "16MiB") as stream:
+            body = stream.body()
+        call(room, stream, body)
+
+    return run
+
+
+VALUES = {
+    "boxes": lambda room: room.overlaps([[1, 2]]),
+    "boxes ragged": lambda room: room.overlaps([[1], [1, 2]]),
+    "threads": lambda room: room.overlaps(BOX, threads=0),
+    "within": lambda room: room.nearest_surfaces([[0, 0, 0]], -1),
+    "bounds": lambda room: room.region([NAN] * 6),
+    "start": lambda room: room.reach((NAN, 0, 0)),
+    "goal": lambda room: room.route(START, (1, 2)),
+    "feet": lambda _: slicewalk.Walker((NAN, 0, 0)),
+    "direction": lambda room: slicewalk.Walker(START).step(room, 0.1, direction=(1,)),
+    "box": streamed(lambda stream: stream.body().hint([NAN] * 6, (0, 0, 0))),
+}
+TYPES = {
+    "boxes": lambda room: room.overlaps([["a"] * 6]),
+    "key": lambda room: room.page("a"),
+    "threads": lambda room: room.overlaps(BOX, threads=1.5),
+    "within": lambda room: room.nearest_surfaces([[0, 0, 0]], "1"),
+    "x": lambda room: room.column("1", 0),
+    "climb": lambda room: room.route(START, START, climb="high"),
+    "max_drop": lambda room: room.reach(START, max_drop="deep"),
+    "seen": lambda room: room.reach(START, seen=1),
+    "explain": lambda room: room.route(START, START, explain=None),
+    "progress": lambda room: room.verify(3),
+    "number": lambda room: room.level("1"),
+    "level": lambda room: room.colours((0, 0, 0), level=None),
+    "response": lambda _: slicewalk.Walker(START, response=None),
+    "speed": lambda _: slicewalk.Walker(START, speed="fast"),
+    "pages": lambda _: slicewalk.Walker(START).step(None, 0.1),
+    "dt": lambda room: slicewalk.Walker(START).step(room, None),
+    "hz": lambda room: slicewalk.Walker(START).path(room, [(1, 2)], hz="60"),
+    "archive": lambda _: slicewalk.Stream("room.slices", "16MiB"),
+    "prefetch": lambda room: slicewalk.Stream(room, "16MiB", prefetch=1),
+    "seconds": streamed(lambda stream: stream.settle("1")),
+    "source": lambda _: slicewalk.open(5),
+    "timeout": lambda _: slicewalk.open("http://localhost/a", timeout="1"),
+    "settings": lambda _: slicewalk.open("s3://bucket/a", settings={"secret": 1}),
+    "inputs": lambda _: slicewalk.convert(b"room.las", "a.slices"),
+    "output": lambda _: slicewalk.convert("room.las", None),
+    "force": lambda _: slicewalk.merge(["a"], "b", force=1),
+    "path": lambda room: slicewalk.to_octomap(room, None),
+}
+RANGES = {
+    "threads": lambda room: room.overlaps(BOX, threads=-1),
+    "threads large": lambda room: room.overlaps(BOX, threads=1 << 70),
+    "number": lambda room: room.level(-1),
+    "retries": lambda _: slicewalk.open("http://localhost/a", retries=-1),
+}
+KINDS = [
+    (VALUES, slicewalk.ParameterError, ValueError),
+    (TYPES, slicewalk.ParameterTypeError, TypeError),
+    (RANGES, slicewalk.ParameterRangeError, OverflowError),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "call", "kind", "base"),
+    [
+        pytest.param(*case, *kinds, id=f"{kinds[0].__name__} {case[0]}")
+        for cases, *kinds in KINDS
+        for case in cases.items()
+    ],
+)
+def test_invalid_arguments_are_named(room, name, call, kind, base):
+    with pytest.raises(base) as raised:
+        call(room)
+    error, name = raised.value, name.split(" ")[0]
+    assert type(error) is kind
+    assert error.at.startswith(name)
+    assert str(error).startswith(name + ":")
+    assert "secret" not in str(error)
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), again.at) == (kind, str(error), error.at)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        ended(lambda _room, stream, _body: stream.view()),
+        ended(lambda _room, stream, _body: stream.settle(1)),
+        ended(lambda _room, _stream, body: body.hint(BOX[0], (0, 0, 0))),
+        ended(lambda room, stream, _body: slicewalk.Walker(START).path(stream, [(1, 2)])),
+    ],
+)
+def test_what_is_closed_says_so(room, call):
+    with pytest.raises(slicewalk.ClosedError, match="the stream is closed") as raised:
+        call(room)
+    assert isinstance(raised.value, ValueError)
+
+
+def test_a_file_that_cannot_be_written_is_named(room, tmp_path):
+    with pytest.raises(FileNotFoundError) as raised:
+        slicewalk.to_octomap(room, tmp_path / "none" / "a.bt")
+    assert type(raised.value) is slicewalk.MissingFileError
+    assert raised.value.path == raised.value.filename == str(tmp_path / "none" / "a.bt")
+    (tmp_path / "a.bt").mkdir()
+    with pytest.raises(OSError, match=r"a\.bt: cannot write: ") as raised:
+        slicewalk.to_octomap(room, tmp_path / "a.bt")
+    assert type(raised.value) is slicewalk.FileError
+    assert raised.value.errno
+    grid = slicewalk.OccupancyGrid(np.zeros((1, 1), np.int8), 0.1, (0.0, 0.0))
+    with pytest.raises(slicewalk.MissingFileError):
+        grid.save(tmp_path / "none" / "a")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.bt"]
