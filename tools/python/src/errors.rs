@@ -57,6 +57,37 @@ pub fn suggestion(parameter: &Parameter) -> Option<&'static str> {
     })
 }
 
+/// Returns the name in Python of a parameter that the library calls otherwise.
+fn argument(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::PixelSize | Parameter::AutomaticPixelSize => "pixel",
+        Parameter::SliceHeight => "slice",
+        Parameter::MaxSlope => "max_slope",
+        Parameter::MinPoints => "min_points",
+        Parameter::FillHoles => "fill_holes",
+        Parameter::ColourError => "colour_error",
+        Parameter::Memory => "memory",
+        Parameter::Threads => "threads",
+        Parameter::TempDir => "temp_dir",
+        Parameter::Cache => "budget",
+        Parameter::Incomplete => "allow_incomplete",
+        Parameter::Overwrite => "force",
+        Parameter::Units => "units",
+        Parameter::Resume => "resume",
+        Parameter::Columns => "columns",
+        Parameter::Input => "inputs",
+        Parameter::Pawn("climb height") => "climb",
+        Parameter::Pawn("deepest drop") => "max_drop",
+        Parameter::Pawn("steepest grade") => "max_grade",
+        Parameter::Pawn("longest ramp") => "max_ramp",
+        Parameter::Pawn("start") => "feet",
+        Parameter::Pawn("size" | "pawn's width" | "pawn's height") => "pawn",
+        Parameter::Splats("least opacity") => "min_opacity",
+        Parameter::Splats("greatest size") => "max_size",
+        _ => return None,
+    })
+}
+
 /// Makes an exception of `slicewalk.errors` that has no other facts.
 pub fn plain(class: &str, text: &str) -> PyErr {
     Python::attach(|py| made(py, class, text, &PyDict::new(py)).unwrap_or_else(|error| error))
@@ -78,6 +109,10 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
     let facts = PyDict::new(py);
     facts.set_item("path", path)?;
     let error = match failure {
+        Failure::Error(Error::Parameter { what, reason }) => {
+            let what = argument(&what).map_or(what, |name| Parameter::Other(name.to_owned()));
+            Error::Parameter { what, reason }
+        }
         Failure::Error(error) => error,
         Failure::Raised(error) => return Ok(error),
         Failure::NotLoaded(keys) => {
