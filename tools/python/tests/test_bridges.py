@@ -178,6 +178,48 @@ def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("z", np.nan),
+        ("z", "0"),
+        ("pawn", "cylinder:.1x1"),
+        ("pawn", (-1, 1)),
+        ("pawn", (0.1, 0)),
+        ("climb", 1.8),
+        ("climb", -0.1),
+        ("climb", True),
+        ("bounds", [np.nan] * 6),
+        ("bounds", [1, 2, 3, 4, 5]),
+        ("bounds", [1, 1, 1, 0, 0, 0]),
+        ("bounds", [[0, 0, 0], [1, 1]]),
+        ("bounds", [[0, 1], [0, 1], [0, 1]]),
+    ],
+)
+def test_grids_refuse_arguments_that_make_no_sense(folder, name, value):
+    archive = slicewalk.open(folder / "room.slices")
+    with pytest.raises(slicewalk.ParameterError, match=f"^{name}: ") as raised:
+        slicewalk.to_occupancy_grid(archive, **{"z": 0, name: value})
+    assert raised.value.at == name
+    if name == "bounds":
+        with pytest.raises(slicewalk.ParameterError, match=r"^bounds: "):
+            slicewalk.to_octomap(archive, folder / "none.bt", bounds=value)
+
+
+@pytest.mark.parametrize("far", [1e7, 1e300, 1e308])
+def test_grids_are_of_a_sensible_size(folder, far):
+    archive = slicewalk.open(folder / "room.slices")
+    with pytest.raises(slicewalk.LimitError, match="smaller bounds"):
+        slicewalk.to_occupancy_grid(archive, 0.0, bounds=(-far, -far, 0, far, far, 1))
+
+
+def test_grids_are_decided_block_by_block(folder, monkeypatch):
+    archive = slicewalk.open(folder / "seen.slices")
+    whole = slicewalk.to_occupancy_grid(archive, 0.0)
+    monkeypatch.setattr("slicewalk._bridges._BLOCK", 1000)
+    assert np.array_equal(slicewalk.to_occupancy_grid(archive, 0.0).data, whole.data)
+
+
+@pytest.mark.parametrize(
     ("given", "name"),
     [("a", "a"), ("a.yaml", "a"), ("a.pgm", "a"), ("storey_1.0", "storey_1.0"), ("b.v1.yaml", "b.v1")]
     + [(name, name) for name in ("a: b", "a #b", 'a "b"', "- ü")],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import reprlib
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slicewalk._slicewalk import Writer
+from slicewalk._slicewalk import Pages, Writer
 from slicewalk._slicewalk import open as open_archive
-from slicewalk.errors import FileError, MissingFileError, ParameterError, ParameterTypeError
+from slicewalk.errors import FileError, LimitError, MissingFileError, ParameterError, ParameterTypeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from typing_extensions import Unpack
 
     from slicewalk._options import WriterOptions
-    from slicewalk._slicewalk import Archive, Pages
+    from slicewalk._slicewalk import Archive
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 _HIT, _NOT_LOADED = 1, 2
+# Most pixels of a grid, as in `slicetool export`, and pixels decided at a time.
+_MOST_PIXELS = 1 << 26
+_BLOCK = 1 << 18
 
 
 def _path(given: str | os.PathLike[str]) -> Path:
@@ -94,13 +98,32 @@ class OccupancyGrid:
         _write(path.with_name(f"{name}.yaml"), text.encode(errors="surrogateescape"))
 
 
+def _numbers(name: str, given: Any, count: int, expected: str) -> NDArray[np.float64]:
+    """Return finite numbers, or raise an error that names the argument."""
+    try:
+        array = np.asarray(given)
+        # Texts would be parsed, and truth values would count as numbers.
+        numbers = array.astype(np.float64) if array.dtype.kind in "iufO" else np.empty(0)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.size != count or not np.isfinite(numbers).all():
+        raise ParameterError(f"{name}: expected {expected}, found {reprlib.repr(given)}", at=name)
+    return numbers.ravel()
+
+
 def _box(pages: Pages, bounds: ArrayLike | None) -> NDArray[np.float64]:
     """Return the bounds, or those of the archive, as two corners."""
+    if not isinstance(pages, Pages):
+        raise ParameterTypeError(f"pages: expected an Archive or a View, found {reprlib.repr(pages)}", at="pages")
+    expected = "xmin, ymin, zmin, xmax, ymax, zmax in order"
     given = getattr(pages, "bounds", None) if bounds is None else bounds
     if given is None:
-        message = "bounds: expected xmin, ymin, zmin, xmax, ymax, zmax; a view and an empty archive have none"
+        message = f"bounds: expected {expected}; a view, an overview level and an archive without points have no bounds"
         raise ParameterError(message, at="bounds")
-    return np.asarray(given, np.float64).reshape(2, 3)
+    box = _numbers("bounds", given, 6, "6 finite numbers").reshape(2, 3)
+    if np.shape(given) not in {(6,), (2, 3)} or (box[0] > box[1]).any():
+        raise ParameterError(f"bounds: expected {expected}, found {reprlib.repr(given)}", at="bounds")
+    return box
 
 
 def to_occupancy_grid(
@@ -122,8 +145,12 @@ def to_occupancy_grid(
         pages: an archive or a view
         z: height of the floor (m)
         pawn: radius and height (m)
-        climb: highest step (m)
+        climb: highest step (m), less than the pawn's height
         bounds: region; all of an archive by default
+
+    Raises:
+        ParameterError: an argument is invalid
+        LimitError: the grid has more than 67,108,864 pixels
 
     >>> grid = slicewalk.to_occupancy_grid(slicewalk.open("room.slices"), 0.0)
     >>> grid.data.shape, int((grid.data == 0).sum()), int((grid.data == 100).sum())
@@ -131,25 +158,47 @@ def to_occupancy_grid(
 
     """
     low, high = _box(pages, bounds)
-    pixel, (radius, height) = pages.pixel_size, pawn
-    first = np.floor(low[:2] / pixel).astype(np.int64)
-    columns, rows = (np.floor(high[:2] / pixel).astype(np.int64) - first + 1).tolist()
-    x, y = np.meshgrid(*((np.arange(n) + k + 0.5) * pixel for n, k in zip((columns, rows), first, strict=True)))
-    middle = np.column_stack([x.ravel(), y.ravel()])
-    ends = np.full((len(middle), 1), z)
+    (floor,) = _numbers("z", z, 1, "a height (m)")
+    radius, height = _numbers("pawn", pawn, 2, "radius and height (m)")
+    if radius < 0 or height <= 0:
+        raise ParameterError(f"pawn: expected a radius of 0 or more and a height above 0, found {pawn}", at="pawn")
+    (step,) = _numbers("climb", climb, 1, "a height (m)")
+    if not 0 <= step < height:
+        raise ParameterError(f"climb: expected 0 to less than the pawn's height, {height} m, found {climb}", at="climb")
+    pixel = pages.pixel_size
+    with np.errstate(over="ignore", invalid="ignore"):
+        first, last = np.floor(low[:2] / pixel), np.floor(high[:2] / pixel)
+        size = last - first + 1
+        count = float(size[0] * size[1])
+    if not count <= _MOST_PIXELS:
+        message = f"pixels of a grid (give smaller bounds): {count:.0f} is beyond the limit of {_MOST_PIXELS}"
+        raise LimitError(message, found=f"{count:.0f}", expected=str(_MOST_PIXELS))
+    columns, rows = size.astype(np.int64).tolist()
+    data = np.empty(rows * columns, np.int8)
+    for start in range(0, len(data), _BLOCK):
+        row, column = np.divmod(np.arange(start, min(start + _BLOCK, len(data))), columns)
+        middle = (np.column_stack([column, row]) + first + 0.5) * pixel
+        data[start : start + _BLOCK] = _states(pages, middle, float(floor), (radius, height), step)
+    origin = (float(first[0] * pixel), float(first[1] * pixel))
+    return OccupancyGrid(data.reshape(rows, columns), pixel, origin)
+
+
+def _states(
+    pages: Pages, middle: NDArray[np.float64], z: float, pawn: tuple[float, float], climb: float
+) -> NDArray[np.int8]:
+    """Return the states of the pixels around these middles."""
+    radius, height = pawn
+    ends, ones = np.full((len(middle), 1), z), np.ones(len(middle))
     floor = pages.floor(np.hstack([middle, ends - climb, middle, ends + climb]))
     unloaded, has_floor = np.isnan(floor), floor > -np.inf
     ground = np.where(has_floor, floor, z)
-    feet = ground + climb
-    rest = [np.full(len(middle), radius), np.full(len(middle), max(height - climb, 0.05))]
-    met = pages.overlaps_cylinders(np.column_stack([middle, feet, *rest]))
+    met = pages.overlaps_cylinders(np.column_stack([middle, ground + climb, radius * ones, (height - climb) * ones]))
     seen = pages._seen_space()
-    pawns = np.column_stack([middle, ground, np.full(len(middle), climb), climb + rest[1]])
-    is_free = has_floor if seen is None else has_floor & seen._pawns(pawns)
+    is_free = has_floor
+    if seen is not None:
+        is_free = has_floor & seen._pawns(np.column_stack([middle, ground, climb * ones, height * ones]))
     choices = {UNKNOWN: unloaded | (met == _NOT_LOADED), OCCUPIED: met == _HIT, FREE: is_free}
-    data = np.select(list(choices.values()), list(choices), UNKNOWN).astype(np.int8)
-    origin = (float(first[0] * pixel), float(first[1] * pixel))
-    return OccupancyGrid(data.reshape(rows, columns), pixel, origin)
+    return np.select(list(choices.values()), list(choices), UNKNOWN).astype(np.int8)
 
 
 def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike | None = None) -> int:
