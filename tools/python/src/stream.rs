@@ -131,9 +131,8 @@ impl Stream {
         let stream = self.inner()?;
         for first in (0..rows.len()).step_by(BLOCK) {
             rows.copy(first, BLOCK.min(rows.len() - first), &mut block)?;
-            if let Some(wrong) = block.iter().position(|row| !resting(row).is_valid()) {
-                let error = Error::parameter("box", "expected finite numbers, and minima up to maxima");
-                return Err(of_row(py, "boxes", first + wrong, error));
+            for (row, r#box) in block.iter().enumerate() {
+                valid(resting(r#box)).map_err(|error| of_row(py, "boxes", first + row, error))?;
             }
             attended(py, &Audience::default(), self.name(), |monitor| {
                 for row in &block {
@@ -294,6 +293,17 @@ impl Body {
 }
 
 fn motion([x0, y0, z0, x1, y1, z1]: [f64; 6], velocity: [f64; 3]) -> Result<MotionHint> {
-    let motion = MotionHint::walking([x0, y0, z0].into(), [x1, y1, z1].into(), velocity.into());
-    if motion.is_valid() { Ok(motion) } else { Err(Error::parameter("box", "its corners must be in order")) }
+    valid(MotionHint::walking([x0, y0, z0].into(), [x1, y1, z1].into(), velocity.into()))
+}
+
+/// Returns a motion hint unless its box or velocity is invalid.
+fn valid(hint: MotionHint) -> Result<MotionHint> {
+    if hint.is_valid() {
+        return Ok(hint);
+    }
+    let at_rest = MotionHint { velocity: Vector3::zeros(), agility: 0.0, ..hint };
+    Err(match at_rest.is_valid() {
+        true => Error::parameter("velocity", "expected numbers within ±1e9 m/s"),
+        false => Error::parameter("box", "expected numbers within ±1e9 m, and minima up to maxima"),
+    })
 }

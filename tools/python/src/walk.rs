@@ -201,8 +201,8 @@ impl Walker {
     /// Args:
     ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which loads missing pages during the walk
     ///     waypoints: N × 2 or N × 3, each ``x, y`` (m) of a place to reach; z is ignored
-    ///     hz: frames per second
-    ///     max_seconds: longest time (s)
+    ///     hz: frames per second, 0.1 to 100000
+    ///     max_seconds: longest time (s), more than 0, at most 1000000
     ///
     /// Returns:
     ///     :class:`Path`: time, feet and state for each frame
@@ -224,9 +224,11 @@ impl Walker {
         #[pyo3(from_py_with = argument::max_seconds)] max_seconds: f64,
     ) -> PyResult<Bound<'py, PyAny>> {
         let pages = Ground::of(pages)?;
-        let fits = (0.1..=1e5).contains(&hz) && max_seconds > 0.0 && max_seconds <= 1e6;
-        if !fits {
-            return Err(refuse("hz, max_seconds", "expected 0.1 to 100000 frames per second, and up to 1000000 s"));
+        if !(0.1..=1e5).contains(&hz) {
+            return Err(refuse("hz", format!("expected 0.1 to 100000 frames per second, found {hz}")));
+        }
+        if !(max_seconds > 0.0 && max_seconds <= 1e6) {
+            return Err(refuse("max_seconds", format!("expected more than 0 s, at most 1000000, found {max_seconds}")));
         }
         let mut route = Waypoints::new(places(waypoints)?).map_err(Failure::from)?;
         let most = (max_seconds * hz).ceil().max(1.0) as u64;

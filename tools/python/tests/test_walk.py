@@ -119,6 +119,18 @@ def test_streams_that_make_no_sense(room):
             stream.body().hint((1, 0, 0, 0, 1, 1), (0, 0, 0))
         with pytest.raises(ValueError):
             stream.settle(-1)
+        # The number at fault is named, not another one.
+        with pytest.raises(slicewalk.ParameterError, match=r"^velocity: .* within ±1e9 m/s"):
+            stream.body().hint((0, 0, 0, 1, 1, 1), (1e300, 0, 0))
+        with pytest.raises(slicewalk.ParameterError, match=r"box: .* within ±1e9 m"):
+            stream.load([[1e300] * 6])
+
+
+@pytest.mark.parametrize(("option", "value"), [("hz", 0), ("max_seconds", 0), ("max_seconds", -1)])
+def test_paths_name_the_option_that_makes_no_sense(room, option, value):
+    with pytest.raises(slicewalk.ParameterError, match=f"^{option}: .* found {value}$") as raised:
+        slicewalk.Walker((1, 1, 0)).path(room, [(2, 1)], **{option: value})
+    assert raised.value.at == option
 
 
 def test_reach(room):
