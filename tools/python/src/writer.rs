@@ -4,10 +4,10 @@ use crate::arrays::{BLOCK, Rows};
 use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
 use crate::errors::{Failure, plain};
-use crate::options::{Asked, argument};
+use crate::options::{Asked, argument, refuse};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slicewalk_convert::PointWriter;
+use slicewalk_convert::{PointWriter, Turn};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -23,7 +23,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 ///     pixel: edge of a pixel (m)
 ///     crs: coordinate reference system of the points (WKT, or any other text)
 ///     options: ``slice, max_slope, tolerance, classifier, memory, threads, temp_dir, min_points, drop_isolated, drop_floaters, fill_holes, up, levels, force``
-///         as for :func:`convert`
+///         as for :func:`convert`, but `up` is ``"z"`` or ``"y"``, and `tolerance` and `fill_holes` are in metres
 ///
 /// Raises:
 ///     OutputError: the archive exists already (``force=True`` replaces it)
@@ -95,6 +95,10 @@ impl Writer {
         let options = options.map_or_else(|| Ok(PyDict::new(py)), |options| options.copy())?;
         options.set_item("pixel", pixel)?;
         let asked = Asked::new(Vec::new(), output.clone(), Some(&options))?;
+        if asked.options.reading.turn != Turn::None {
+            let reason = "expected \"z\" or \"y\": a writer does not turn points; turn them before they are written";
+            return Err(refuse("up", reason));
+        }
         let writer = py.detach(|| PointWriter::create(&asked.options, &asked.crs)).map_err(Failure::from)?;
         Ok(Self { writer: Mutex::new(Some(writer)), report: Mutex::default(), output, points: AtomicU64::new(0) })
     }

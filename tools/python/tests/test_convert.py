@@ -457,6 +457,13 @@ def test_inputs_come_in_any_iterable(las, tmp_path):
         slicewalk.merge(iter([]), tmp_path / "c.slices")
 
 
+@pytest.mark.parametrize("up", ["auto", "x", "-x", "-y", "-z"])
+def test_a_writer_turns_no_points(tmp_path, up):
+    with pytest.raises(slicewalk.ParameterError, match=r"^up: expected .z. or .y.") as raised:
+        slicewalk.Writer(tmp_path / "a.slices", pixel=0.1, up=up)
+    assert "placement" not in str(raised.value)
+
+
 def test_a_writer_refuses_options_of_files_and_keeps_its_count(tmp_path):
     for name in ("removed", "colour_error", "columns", "colour", "stations", "remove_moving", "exclude_class", "wide"):
         with pytest.raises(TypeError, match=name):

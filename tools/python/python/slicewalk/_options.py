@@ -13,13 +13,10 @@ Place = tuple[float, float, float]
 class _ArchiveOptions(TypedDict, total=False):
     slice: float | None
     max_slope: float
-    tolerance: float | Literal["auto"]
     classifier: Literal["plane", "span", "thesis"]
     min_points: int
     drop_isolated: bool
     drop_floaters: int
-    fill_holes: float | Literal["auto"] | None
-    up: Literal["auto", "z", "y", "x", "-z", "-y", "-x"]
     levels: bool | Literal["on", "off"]
 
 
@@ -31,8 +28,11 @@ class _WorkOptions(TypedDict, total=False):
 
 
 class WriterOptions(_ArchiveOptions, _WorkOptions, total=False):
-    """Options of a `Writer`."""
+    """Options of a `Writer`, which knows neither the floor nor the spacing of the points."""
 
+    tolerance: float
+    fill_holes: float | None
+    up: Literal["z", "y"]
     crs: str
 
 
@@ -40,6 +40,9 @@ class ClusterOptions(_ArchiveOptions, total=False):
     """Options of `cluster.convert`."""
 
     pixel: float | Literal["auto"]
+    tolerance: float | Literal["auto"]
+    fill_holes: float | Literal["auto"] | None
+    up: Literal["auto", "z", "y", "x", "-z", "-y", "-x"]
     exclude_class: str | int | Iterable[int]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     scale_from: tuple[Place, Place, float]
