@@ -444,8 +444,7 @@ impl Coarse {
             points.push(all[near]);
             at = near;
         }
-        let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        Route { points, length_m, headings: Vec::new() }
+        Route::along(points, Vec::new())
     }
 
     /// Returns whether the straight line between two nodes has no doubt.

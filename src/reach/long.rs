@@ -550,13 +550,12 @@ impl<R: Borrow<Region>> LongSearch<R> {
             headings.resize(points.len(), heading);
             profile.clear();
         }
-        let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
         let flip = if forwards < 0.0 { HEADINGS } else { 0 };
         let degrees = |heading: usize| {
             let ahead = ahead((heading + flip) % (2 * HEADINGS));
             ahead.x.atan2(ahead.y).to_degrees().rem_euclid(360.0)
         };
-        Route { points, length_m, headings: headings.into_iter().map(degrees).collect() }
+        Route::along(points, headings.into_iter().map(degrees).collect())
     }
 }
 

@@ -107,8 +107,7 @@ impl RouteRefiner {
                     self.widenings = 0;
                     if self.keep(&route, piece.is_last) {
                         let points = std::mem::take(&mut self.points);
-                        let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-                        return Ok(Answer::Known(Ok(Route { points, length_m, headings: Vec::new() })));
+                        return Ok(Answer::Known(Ok(Route::along(points, Vec::new()))));
                     }
                     if self.done < before + LEAST_PROGRESS_M {
                         return Ok(Answer::Known(Err(Refusal::NotConnected)));

@@ -91,6 +91,15 @@ pub struct Route {
     pub headings: Vec<f64>,
 }
 
+impl Route {
+    /// Returns the route along `points`.
+    pub(super) fn along(points: Vec<Point3<f64>>, headings: Vec<f64>) -> Self {
+        // The sum of no lengths is -0.
+        let length_m = 0.0 + points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>();
+        Self { points, length_m, headings }
+    }
+}
+
 /// Search for routes; reuses its memory from one to the next.
 #[derive(Debug, Default)]
 pub struct Search {
@@ -618,8 +627,7 @@ impl Trial {
             }
         }
         let points = std::mem::take(&mut self.points);
-        let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        ControlFlow::Continue(Ok(Route { points, length_m, headings: Vec::new() }))
+        ControlFlow::Continue(Ok(Route::along(points, Vec::new())))
     }
 }
 

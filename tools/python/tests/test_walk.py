@@ -162,6 +162,11 @@ def test_routes(room):
     assert room.route((1, 1, 0.1), (1, 1, 2.6)).reason == "not_connected"
 
 
+def test_a_route_to_its_own_start_has_no_length(room):
+    route = room.route((1, 1, 0.1), (1, 1, 0.1))
+    assert str(route.length) == "0.0"
+
+
 def test_real_stairs(real):
     _, archive = real("indoor_two_storey_zup.laz", 0.05)
     low, high = archive.bounds
