@@ -111,7 +111,8 @@ impl Column {
 /// The spans of pixel ``(x, y)`` are those from ``starts[64 * y + x]`` to ``starts[64 * y + x + 1]``, lowest first.
 /// Heights are in quanta (``height_quantum``) above the page's floor: ``origin[2] + tops * height_quantum`` (m). All
 /// arrays are read-only views of the page's own memory: reading them copies nothing, and they stay valid after the
-/// archive is gone.
+/// archive is gone. Solid that continues into the page above or below is cut at the border into one span in each page;
+/// :meth:`Pages.column` joins them.
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Page {
     key: PageKey,

@@ -139,9 +139,14 @@ impl Walker {
         self.walker.falling()
     }
 
-    /// Moves the pawn to another place, at rest.
+    /// Moves the pawn to another place, within ±10⁹ m, at rest.
     fn place(&mut self, feet: &Bound<'_, PyAny>) -> PyResult<()> {
-        self.walker.place(numbers::<3>(feet, "feet")?.into());
+        let place = numbers::<3>(feet, "feet")?;
+        self.walker.place(place.into());
+        // The walker ignores other places.
+        if self.walker.feet() != place.into() {
+            return Err(refuse("feet", format!("expected numbers within ±1e9 m, found {}", short(feet))));
+        }
         Ok(())
     }
 
@@ -150,7 +155,7 @@ impl Walker {
     /// Args:
     ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which also receives hints where the pawn
     ///         is heading
-    ///     dt: time (s), 0 or more
+    ///     dt: time (s), 0 or more. A step takes at most 256 ticks of 1/240 s; ``report.unspent`` has the time left over
     ///     direction: ``dx, dy``: direction to walk in; a length below 1 means slower
     ///     toward: ``x, y``: place to walk to (m). Without `direction` and `toward` the pawn stands
     ///

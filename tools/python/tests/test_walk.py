@@ -167,6 +167,13 @@ def test_a_route_to_its_own_start_has_no_length(room):
     assert str(route.length) == "0.0"
 
 
+def test_a_walker_refuses_places_that_are_too_far(room):
+    walker = slicewalk.Walker((1, 1, 0))
+    with pytest.raises(slicewalk.ParameterError, match=r"^feet: .* within ±1e9 m"):
+        walker.place((1e300, 0, 0))
+    assert walker.feet == (1, 1, 0)
+
+
 def test_real_stairs(real):
     _, archive = real("indoor_two_storey_zup.laz", 0.05)
     low, high = archive.bounds
