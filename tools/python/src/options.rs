@@ -25,6 +25,10 @@ pub fn refuse(name: &str, reason: impl Into<String>) -> PyErr {
 
 /// Converts an option's value to the type it needs; `expected` describes that type.
 fn take<'py, T: FromPyObjectOwned<'py>>(name: &str, expected: &str, given: &Bound<'py, PyAny>) -> PyResult<T> {
+    // Python would take True for 1.
+    if expected != YES_OR_NO && given.extract::<bool>().is_ok() {
+        return Err(wrong_type(given.py(), name, &format!("expected {expected}, found {}", short(given))));
+    }
     given.extract::<T>().map_err(|error| wrong(name, expected, given, &Into::<PyErr>::into(error)))
 }
 

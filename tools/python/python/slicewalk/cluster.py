@@ -182,7 +182,7 @@ def convert(  # noqa: PLR0913
         ("fan_in", fan_in, 2),
         ("failures", failures, 0),
     ):
-        if value is not None and (not isinstance(value, int) or value < least):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
             raise ParameterError(f"{name}: expected a whole number, {least} or more, found {value!r}", at=name)
     budget = None if memory is None else _bytes(memory)
     target = _checked_target(output, force)
