@@ -226,21 +226,22 @@ pub fn open<'py>(
     let time = Duration::try_from_secs_f64(timeout).ok().filter(|time| !time.is_zero()).ok_or_else(wrong)?;
     // A longer time-out means none; anything above would overflow the clock.
     let timeout = time.min(Duration::from_secs(1 << 30));
-    let mut source = source.clone();
+    let (mut source, mut file) = (source.clone(), None);
     let url = source.extract::<String>().ok().filter(|text| text.contains("://"));
     let (name, given): (Option<String>, _) = if let Some(url) = &url {
         let mut settings: Vec<_> = settings.unwrap_or_default().into_iter().collect();
         settings.sort();
         let options = RemoteOptions { timeout, patience: timeout, retries, settings };
         let opened = attended(py, &Audience::default(), Some(&public(url)), |_| Ok(Opened::remote(url, &options)?))?;
-        return Archive::bound(py, opened, source.unbind());
+        return Archive::bound(py, opened, source.unbind(), None);
     } else if source.is_instance_of::<PyBytes>() || source.is_instance_of::<PyByteArray>() {
         (None, Arc::new(Held(source.extract()?)) as Arc<dyn ByteSource>)
     } else if let Ok(path) = source.extract::<PathBuf>() {
         let name = path.to_string_lossy().into_owned();
-        let file =
+        let opened =
             py.detach(|| FileSource::open(&path)).map_err(|error| Failure::from(error).raise(py, Some(&name)))?;
-        (Some(name), Arc::new(file))
+        file = Some(std::path::absolute(&path)?.into_os_string());
+        (Some(name), Arc::new(opened))
     } else {
         let bytes =
             py.import("builtins")?.call_method1("memoryview", (&source,)).and_then(|view| view.call_method0("tobytes"));
@@ -251,26 +252,29 @@ pub fn open<'py>(
     };
     let opened = py.detach(|| Opened::new(given, name.clone(), None));
     let opened = opened.map_err(|error| Failure::from(error).raise(py, name.as_deref()))?;
-    Archive::bound(py, opened, source.unbind())
+    Archive::bound(py, opened, source.unbind(), file)
 }
 
 /// An open slice archive; see :func:`open`.
 ///
 /// Attributes hold the main metadata, ``info()`` all of it. The first query loads all pages, as :meth:`load` does; to
 /// query an archive larger than memory, use the :class:`View` of a :class:`Stream`. An archive can be used from many
-/// threads at once. It can be pickled: unpickling opens the same file with the same options, and fails if the file has
-/// become another archive. The pickle contains ``settings``, secrets included; keep secrets in the environment instead.
+/// threads at once. It can be pickled: unpickling opens the same file with the same options, from any working folder,
+/// and fails if the file has become another archive. The pickle contains ``settings``, secrets included; keep secrets in
+/// the environment instead.
 #[pyclass(frozen, extends = Pages, module = "slicewalk")]
 pub struct Archive {
     pub opened: Arc<Opened>,
     given: Py<PyAny>,
+    /// Absolute path of a file, as of opening.
+    file: Option<OsString>,
 }
 
 impl Archive {
-    fn bound(py: Python<'_>, opened: Opened, given: Py<PyAny>) -> PyResult<Bound<'_, Self>> {
+    fn bound(py: Python<'_>, opened: Opened, given: Py<PyAny>, file: Option<OsString>) -> PyResult<Bound<'_, Self>> {
         let opened = Arc::new(opened);
         let pages = PyClassInitializer::from(Pages { set: Set::All(opened.clone()) });
-        Bound::new(py, pages.add_subclass(Self { opened, given }))
+        Bound::new(py, pages.add_subclass(Self { opened, given, file }))
     }
 }
 
@@ -486,7 +490,11 @@ impl Archive {
             options.set_item("retries", retries)?;
             options.set_item("settings", settings.iter().cloned().collect::<HashMap<_, _>>())?;
         }
-        Ok((again, (&self.given, identity, options).into_pyobject(py)?))
+        let source = match &self.file {
+            Some(file) => file.into_pyobject(py)?.into_any(),
+            None => self.given.bind(py).clone(),
+        };
+        Ok((again, (source, identity, options).into_pyobject(py)?))
     }
 
     #[getter]

@@ -177,6 +177,17 @@ def test_pickled_archives(folder, tmp_path):
         pickle.loads(pickled)
 
 
+@pytest.mark.parametrize("kind", [str, pathlib.Path])
+def test_pickled_archives_are_found_from_any_folder(folder, tmp_path, monkeypatch, kind):
+    (tmp_path / "a.slices").write_bytes((folder / "room.slices").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    archive = slicewalk.open(kind("a.slices"))
+    assert archive.path == "a.slices"
+    monkeypatch.chdir(folder)
+    again = pickle.loads(pickle.dumps(archive))
+    assert (again.path, again.voxels) == (str(tmp_path / "a.slices"), archive.voxels)
+
+
 def resident_bytes():
     return int(pathlib.Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
