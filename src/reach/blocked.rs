@@ -21,7 +21,7 @@ use crate::seen::SeenSpace;
 use crate::store::{Missing, Snapshot};
 use crate::walk::Body;
 use crate::{Monitor, Result};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use std::collections::HashMap;
 use std::future::poll_fn;
 use std::pin::Pin;
@@ -46,7 +46,7 @@ const RAMP_PRECISION_M: f64 = 0.1;
 /// How far a changed pawn may be moved to stand at an end (m).
 const SNAP_M: f64 = 0.5;
 /// Cell in which the nearest ground is looked for (m).
-const CELL_M: f64 = 2.0;
+const CELL_M: f64 = 1.0;
 
 /// Reason why a pawn does not get to its goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -575,7 +575,28 @@ struct Ground {
     pixel_m: f64,
     climb: f64,
     pixels: HashMap<[i64; 2], Vec<f64>>,
-    cells: HashMap<[i64; 2], Vec<Point3<f64>>>,
+    cells: HashMap<[i64; 2], Cell>,
+}
+
+/// Places in a square of the plan, and the lowest and highest of their coordinates.
+#[derive(Default)]
+struct Cell {
+    places: Vec<Point3<f64>>,
+    bounds: Option<[Point3<f64>; 2]>,
+}
+
+impl Cell {
+    fn add(&mut self, place: Point3<f64>) {
+        self.places.push(place);
+        let [low, high] = self.bounds.unwrap_or([place; 2]);
+        self.bounds = Some([low.inf(&place), high.sup(&place)]);
+    }
+
+    /// Returns a distance that no place of this cell falls below to one of the `other` (m).
+    fn least_distance(&self, other: &Self) -> f64 {
+        let (Some([low, high]), Some([from, to])) = (self.bounds, other.bounds) else { return f64::INFINITY };
+        (low - to).sup(&(from - high)).sup(&Vector3::zeros()).norm()
+    }
 }
 
 impl Ground {
@@ -585,7 +606,7 @@ impl Ground {
         for place in region.places() {
             let at = ground.pixel(place.feet.x, place.feet.y);
             ground.pixels.entry(at).or_default().push(place.feet.z);
-            ground.cells.entry(cell(&place.feet)).or_default().push(place.feet);
+            ground.cells.entry(cell(&place.feet)).or_default().add(place.feet);
         }
         ground
     }
@@ -612,8 +633,8 @@ impl Ground {
         (last + 1 < way.len()).then_some(last)
     }
 
-    /// The place of this ground that is nearest to another ground in plan, and the distance between them (m); of several
-    /// pairs the first by the cells.
+    /// The place of this ground that is nearest to another ground, and the distance between them (m); of several pairs
+    /// the first by the cells.
     fn nearest(&self, other: &Self) -> Option<(Point3<f64>, f64)> {
         let mut cells: Vec<&[i64; 2]> = self.cells.keys().collect();
         cells.sort_unstable();
@@ -633,8 +654,12 @@ impl Ground {
                         return best;
                     }
                     let Some(beyond) = other.cells.get(&[own[0] + x, own[1] + y]) else { continue };
-                    for (a, b) in self.cells[*own].iter().flat_map(|a| beyond.iter().map(move |b| (a, b))) {
-                        let distance = (a - b).xy().norm();
+                    let own = &self.cells[*own];
+                    if best.is_some_and(|(_, distance)| distance <= own.least_distance(beyond)) {
+                        continue;
+                    }
+                    for (a, b) in own.places.iter().flat_map(|a| beyond.places.iter().map(move |b| (a, b))) {
+                        let distance = (a - b).norm();
                         if best.is_none_or(|(_, best)| distance < best) {
                             best = Some((*a, distance));
                         }

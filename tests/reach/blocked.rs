@@ -23,14 +23,15 @@ fn quanta(metres: f64) -> i64 {
     (metres / SIGMA * SLICE_QUANTA as f64).round() as i64
 }
 
-/// Scene over a pixel: nothing, a floor of this height (m), a wall, or a floor at 0 m below a beam of this height
-/// (m).
+/// Scene over a pixel: nothing, a floor of this height (m), a wall, or a floor at 0 m below a beam or another floor of
+/// this height (m).
 #[derive(Clone, Copy)]
 enum Over {
     Nothing,
     Floor(f64),
     Wall,
     Beam(f64),
+    Deck(f64),
 }
 
 fn scene([width, depth]: [i64; 2], over: impl Fn(i64, i64) -> Over) -> Snapshot {
@@ -44,6 +45,7 @@ fn scene([width, depth]: [i64; 2], over: impl Fn(i64, i64) -> Over) -> Snapshot 
             Over::Floor(z) => vec![floor(z)],
             Over::Wall => vec![(FLOOR - 3, FLOOR + 9 * SLICE_QUANTA, true)],
             Over::Beam(z) => vec![floor(0.0), above(z)],
+            Over::Deck(z) => vec![floor(0.0), floor(z)],
         };
         columns.insert((i, j), spans);
     }
@@ -97,6 +99,8 @@ fn cases() -> Vec<Case> {
         },
         case(pit(Over::Floor(-2.0)), 0.0, Reason::Gap, 1.5, 0.4),
         case(pit(Over::Nothing), 0.0, Reason::Unseen, 1.5, 0.4),
+        // Another storey is as far as it is high.
+        case(scene(HALL, |_, _| Over::Deck(3.4)), 3.4, Reason::Unseen, 3.4, 0.01),
         Case {
             pawn: Pawn { climb: 0.02, max_drop: 0.02, ..Pawn::new(cylinder) },
             length: Some(1.3),
