@@ -14,9 +14,11 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Length over which grades count, and height by which the feet may deviate from the ground (m).
+/// Length over which grades count, height by which the feet may deviate from the ground, and least distance between
+/// two places that count (m).
 const GRADE_M: f64 = 1.0;
 const GRADE_SLACK_M: f64 = 0.02;
+const GRADE_STEP_M: f64 = 0.01;
 /// Longest time that a pawn may stay blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
 
@@ -247,7 +249,8 @@ fn protected(arguments: &Arguments) -> Vec<&Path> {
     arguments.variant.edits().path().into_iter().chain([arguments.waypoints.as_path()]).collect()
 }
 
-/// Rise of the way over the last metre.
+/// Grade of the line that fits the last metre of the way best (least squares), as that of the ground is the slope of a
+/// plane.
 struct Grade {
     /// Steepest allowed grade, as rise over run.
     most: f64,
@@ -269,15 +272,28 @@ impl Grade {
             *self = Self::new(self.most, feet);
             return false;
         }
-        let far = self.places.back().map_or(0.0, |place| place.0) + (feet - self.last).xy().norm();
+        let step = (feet - self.last).xy().norm();
+        if step < GRADE_STEP_M && !self.places.is_empty() {
+            return self.is_exceeded;
+        }
+        let far = self.places.back().map_or(0.0, |place| place.0) + step;
         self.last = feet;
         self.places.push_back((far, feet.z));
         while self.places.get(1).is_some_and(|second| far - second.0 >= GRADE_M) {
             self.places.pop_front();
         }
-        let (first, z) = self.places[0];
-        self.is_exceeded = far - first >= GRADE_M && (feet.z - z).abs() > self.most * (far - first) + GRADE_SLACK_M;
+        let length = far - self.places[0].0;
+        self.is_exceeded = length >= GRADE_M && self.slope().abs() * length > self.most * length + GRADE_SLACK_M;
         self.is_exceeded
+    }
+
+    fn slope(&self) -> f64 {
+        let count = self.places.len() as f64;
+        let mean = |of: fn(&(f64, f64)) -> f64| self.places.iter().map(of).sum::<f64>() / count;
+        let (far, z) = (mean(|place| place.0), mean(|place| place.1));
+        let sum =
+            |of: &dyn Fn(f64, f64) -> f64| self.places.iter().map(|place| of(place.0 - far, place.1 - z)).sum::<f64>();
+        sum(&|x, z| x * z) / sum(&|x, _| x * x)
     }
 }
 
