@@ -25,9 +25,9 @@
 //! footprint enters are joined, and gaps lower than the body are closed: the top of each joined interval is a place
 //! where the whole body fits. Such a place
 //!
-//! - has **floor** if a floor span ends at most 5 cm below the feet inside the footprint, or otherwise at most 5 cm
-//!   below or above them within 25 cm of the footprint's bounds ([`BESIDE_M`](crate::walk::BESIDE_M)): the edge of a
-//!   step is an obstacle, and its tread lies beside it;
+//! - has **floor** if a floor span ends at most 5 cm below the feet inside the footprint, or otherwise within 25 cm of
+//!   the footprint's bounds ([`BESIDE_M`](crate::walk::BESIDE_M)), at most 5 cm below them or else above them: the edge
+//!   of a step is an obstacle, and its tread lies beside it;
 //! - is **standing** if it has floor and some span under the middle of the feet (within a pixel if the footprint has
 //!   three pixels or more) ends at most the climb height below them;
 //! - is a **bridge** if it has floor but the middle of the feet hangs over a gap, or if the floor lies beside it, more

@@ -376,7 +376,8 @@ fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot
             let size = grid.half.map(|half| 2 * (half + grid.ahead) as usize + 1);
             let highest = grid.up.max(grid.near).min(i32::from(i16::MAX));
             floors
-                .highest(at, size, [top - grid.near, top + grid.near])
+                .highest(at, size, [top - grid.near, top])
+                .or_else(|| floors.highest(at, size, [top, top + grid.near]))
                 .or_else(|| floors.lowest(at, size, [top + grid.near, top + highest]))
         }
     };

@@ -80,14 +80,19 @@ impl Attempt<'_> {
     }
 
     /// Returns the height of the floor that a pawn with its feet at `feet` stands on: the highest one under the
-    /// footprint at most [`FLOOR_NEAR_M`] below the feet, else the highest one beside it as near above or below them,
-    /// because the edge of a step is an obstacle.
+    /// footprint at most [`FLOOR_NEAR_M`] below the feet; else, because the edge of a step is an obstacle, the highest one
+    /// beside it as near below them, or above them if there is none.
     fn floor_at(&self, feet: Point3<f64>) -> Needs<Option<f64>> {
         let under = self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M + LEVEL_M);
-        match known(under)? {
-            Some(floor) => ControlFlow::Continue(Some(floor)),
-            None => self.floor_beside(feet, feet.z + FLOOR_NEAR_M + LEVEL_M),
+        if let floor @ Some(_) = known(under)? {
+            return ControlFlow::Continue(floor);
         }
+        for from in [LEVEL_M, FLOOR_NEAR_M + LEVEL_M] {
+            if let floor @ Some(_) = self.floor_beside(feet, feet.z + from)? {
+                return ControlFlow::Continue(floor);
+            }
+        }
+        ControlFlow::Continue(None)
     }
 
     /// Returns the highest floor within [`BESIDE_M`](super::BESIDE_M) of the footprint, from `from` down to

@@ -12,6 +12,7 @@ use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet};
+use std::ops::RangeInclusive;
 
 const QUANTUM: f64 = SIGMA / SLICE_QUANTA as f64;
 /// Farthest that a body or the floor that it looks for reaches beyond the scene (pixels).
@@ -143,9 +144,10 @@ impl<'a> Truth<'a> {
             let around = (-y..=y).flat_map(|dy| (-x..=x).map(move |dx| (dx, dy)));
             let around = around.flat_map(|by| self.spans.get(&plus(at, by)).into_iter().flatten());
             let floors: Vec<i64> = around.filter(|span| !span.2).map(|span| span.1 - top).collect();
-            let beside = floors.iter().copied().filter(|floor| floor.abs() <= near).max();
+            let beside =
+                |heights: RangeInclusive<i64>| floors.iter().copied().filter(|floor| heights.contains(floor)).max();
             let above = floors.iter().copied().filter(|floor| (near..=self.up.max(near)).contains(floor)).min();
-            let floor = under.map(|span| span.1 - top).max().or(beside).or(above);
+            let floor = under.map(|span| span.1 - top).max().or(beside(-near..=0)).or(beside(0..=near)).or(above);
             let foot = widest[0].min(widest[1]).min(1);
             let middle = (-foot..=foot).flat_map(|dy| (-foot..=foot).map(move |dx| (dx, dy)));
             let mut middle = middle.flat_map(|by| self.spans.get(&plus(at, by)).into_iter().flatten());

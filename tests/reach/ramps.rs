@@ -1,7 +1,9 @@
-//! Ramps with and without landings.
+//! Ramps with and without landings, and steps.
 
 use super::storeys::{LIFT, floors};
-use super::{known, reached};
+use super::{flat, known, reached};
+use slicewalk::frame::Frame;
+use slicewalk::page::Span;
 use slicewalk::reach::Pawn;
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
@@ -99,4 +101,27 @@ fn headroom_and_steps_beyond_steep_ground_do_not_count() {
     assert!(low < 2.0 && x > 0.0 && step.is_some_and(|step| (0.08..0.12).contains(&step)), "{low} {x} {step:?}");
     let (low, x, step) = measures(0.06);
     assert!(low > 2.0 && x < 0.0 && step.is_none_or(|step| step < 0.08), "{low} {x} {step:?}");
+}
+
+#[test]
+fn a_step_with_points_above_its_tread_is_climbed() {
+    let quanta = |z: f64| (2550.0 + z / 0.3 * 255.0).round() as u32;
+    let columns = (0..50).flat_map(|i| (0..20).map(move |j| (i, j))).map(|(i, j)| {
+        // The face of a step of 0.17 m at 20, and points of the next face that count as floor, 0.05 m above the tread, at 22.
+        let (top, is_obstacle) = match i {
+            ..20 => (0.0, false),
+            20 => (0.17, true),
+            22 => (0.215, false),
+            _ => (0.168, false),
+        };
+        ((i, j), vec![Span::new(2547, quanta(top), is_obstacle).unwrap()])
+    });
+    let store = flat::store(Frame::new(flat::T, 0.3).unwrap(), columns);
+    let pawn = Pawn { climb: 0.2, max_drop: 0.2, ..Pawn::new(Body::Box { x: 0.3, y: 0.3, height: 1.0 }) };
+    let ends = [[1.05, 1.05, 3.1], [4.05, 1.05, 3.3]];
+    for [from, to] in [ends, [ends[1], ends[0]]] {
+        let (mut standing, region) = reached(&store, pawn, from);
+        let to = known(standing.spot(&store, to.into()).unwrap()).unwrap();
+        assert!(region.stands_at(&to), "{from:?}");
+    }
 }

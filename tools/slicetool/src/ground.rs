@@ -83,7 +83,7 @@ pub struct Pawns {
     /// from ground that rises by at most 3 % over 1.5 m [default: of the profile, 6 of a wheelchair]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_ramp: Option<f64>,
-    /// Deepest drop the pawn takes (m) [default: the climb height, so that every route also works in reverse]
+    /// Deepest drop the pawn takes (m) [default: the climb height, so that the pawn gets back]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     #[command(flatten)]
