@@ -471,8 +471,7 @@ impl Pages {
     ///     start: ``x, y, z`` of the feet (m); the pawn starts on the first floor below
     ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
     ///     climb: highest step that the pawn climbs (m)
-    ///     max_drop: deepest drop that the pawn takes (m); by default the climb height, so that every route also works
-    ///         in reverse
+    ///     max_drop: deepest drop that the pawn takes (m); by default the climb height, so that the pawn gets back
     ///     max_grade: steepest ground that the pawn walks on, as rise over run, over a metre; any by default
     ///     max_ramp: longest ramp without a landing (m): ground steeper than 3 % that is farther than half of this from a
     ///         landing is left out; any by default
