@@ -80,8 +80,8 @@ impl Attempt<'_> {
     }
 
     /// Returns the height of the floor that a pawn with its feet at `feet` stands on: the highest one under the
-    /// footprint at most [`FLOOR_NEAR_M`] below the feet; else, because the edge of a step is an obstacle, the highest one
-    /// beside it as near below them, or above them if there is none.
+    /// footprint at most [`FLOOR_NEAR_M`] below the feet. Otherwise, because the edge of a step is an obstacle, the highest
+    /// one beside the footprint within the same distance below the feet, or else above them.
     fn floor_at(&self, feet: Point3<f64>) -> Needs<Option<f64>> {
         let under = self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M + LEVEL_M);
         if let floor @ Some(_) = known(under)? {

@@ -18,8 +18,8 @@ pub trait Monitor: Sync {
         false
     }
 
-    /// Like [`cancelled`](Self::cancelled), asked once when nothing is left to do but to put the output in place. May
-    /// wait until whoever follows the work knows of everything reported before.
+    /// Like [`cancelled`](Self::cancelled), asked once, just before the output is put in place. May wait until
+    /// all progress and warnings so far have been handled.
     fn cancelled_at_last(&self) -> bool {
         self.cancelled()
     }

@@ -1,7 +1,7 @@
 //! Runs long work on its own thread, while the calling thread checks for Ctrl-C and passes on progress and warnings.
 //!
 //! Callbacks and warnings run only on the calling thread, so no other thread waits for the interpreter, but once: before
-//! work puts its output in place, it waits until all is told. So an exception that they raise leaves no output behind.
+//! work puts its output in place, it waits until they have run. An exception that they raise leaves no output behind.
 
 use crate::errors::{Failure, in_python, suggestion};
 use pyo3::prelude::*;
@@ -24,7 +24,7 @@ struct News {
     warnings: Mutex<Vec<String>>,
     done: AtomicU64,
     stop: Arc<AtomicBool>,
-    /// The thread that waits until everything is told, before it puts its output in place.
+    /// The working thread while it waits for the callbacks, before it puts its output in place.
     waiting: Mutex<Option<Thread>>,
     caller: Thread,
 }

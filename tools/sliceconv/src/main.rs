@@ -39,7 +39,7 @@ use std::time::Instant;
     version,
     max_term_width = 110,
     override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]",
-    // What uses the positions of scanners; a plan tells itself.
+    // Options that use the positions of scanners, and a plan, which may.
     group = clap::ArgGroup::new("visibility").args(["remove_moving", "free_space", "plan"]).multiple(true)
 )]
 struct Arguments {

@@ -26,7 +26,7 @@ pub(super) enum StlReader {
     Text { words: Words, corners: Vec<[f64; 3]>, open: bool, place: Place },
 }
 
-/// What the last words of the text form leave to be read.
+/// Position in the text form: the words that may follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Place {
     /// Any keyword.
@@ -35,7 +35,7 @@ pub(super) enum Place {
     Name(bool),
     /// `normal`, behind `facet`.
     Facet,
-    /// At most so many numbers of a normal.
+    /// At most this many more numbers of a normal.
     Normal(u8),
     /// `loop`, behind `outer`.
     Outer,

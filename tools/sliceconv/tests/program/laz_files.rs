@@ -264,7 +264,7 @@ fn counts_that_lie_are_survived() {
     }
 }
 
-/// On a straight line, points cost no bits: the numbers by return tell how many there are.
+/// On a straight line, points cost no bits: only the numbers by return show how many there are.
 #[test]
 fn a_count_other_than_that_by_return_is_refused_where_the_data_end_soundly_after_both() {
     let folder = Folder::new();

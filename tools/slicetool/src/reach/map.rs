@@ -200,7 +200,7 @@ impl Map {
         }
     }
 
-    /// Draws a piece of a line at a place (pixels of the scan).
+    /// Draws a dot of a line at a position (pixels of the scan).
     fn pen(&mut self, storey: usize, at: [f64; 2]) {
         let Some(corner) = self.place(storey, at.map(|v| v.floor() as i64)) else { return };
         let within = at.map(|v| (v - v.floor()) * self.enlarge as f64);

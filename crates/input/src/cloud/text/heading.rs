@@ -74,7 +74,7 @@ const SYSTEMS: [&str; 9] = ["utm", "etrs", "wgs", "lv", "epsg", "navd", "dhhn", 
 pub(super) enum NameUnit {
     Metres(f64),
     Angle,
-    /// Brackets hold a unit that is none of those known here.
+    /// A unit in brackets that is not known here.
     Unknown,
 }
 
