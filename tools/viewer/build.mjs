@@ -12,7 +12,7 @@ import { execFileSync, spawn, spawnSync } from "node:child_process";
 import { once } from "node:events";
 import { copyFileSync, existsSync, mkdirSync, readdirSync, readFileSync, rmSync } from "node:fs";
 import { homedir } from "node:os";
-import { dirname, join, sep } from "node:path";
+import { dirname, join, resolve, sep } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 
@@ -79,7 +79,8 @@ async function nameless(variables) {
   await run(root, "cargo", fetch, variables);
   await run(join(viewer, "convert"), "cargo", fetch, variables);
   const sources = join(process.env.CARGO_HOME ?? join(homedir(), ".cargo"), "registry/src");
-  const folders = readdirSync(sources).map((name) => join(sources, name) + sep);
+  // The conversion is no part of the workspace, so crates of the workspace have whole paths in it.
+  const folders = [...readdirSync(sources).map((name) => join(sources, name)), resolve(root)].map((name) => name + sep);
   const flags = [variables[FLAGS] ?? process.env[FLAGS] ?? "", ...folders.map((folder) => `--remap-path-prefix=${folder}=`)];
   return { ...variables, [FLAGS]: flags.join(" ").trim() };
 }
