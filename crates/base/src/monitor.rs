@@ -19,7 +19,7 @@ pub trait Monitor: Sync {
     }
 
     /// Like [`cancelled`](Self::cancelled), asked once, just before the output is put in place. May wait until
-    /// all progress and warnings so far have been handled.
+    /// all earlier progress and warnings are handled.
     fn cancelled_at_last(&self) -> bool {
         self.cancelled()
     }

@@ -440,7 +440,7 @@ impl Scan {
     }
 
     /// Visits the packets behind the last needed one: they must end where the section does, and all packets together
-    /// must hold no more than `records` points. `columns`: number, bits per point and bytes so far.
+    /// must hold at most `records` points. `columns`: number, bits per point and bytes in the packets before.
     fn check_rest(
         &self,
         (mut packet, end): (u64, u64),
