@@ -458,3 +458,21 @@ fn waypoints(path: &Path) -> Result<(Vec<Point2<f64>>, Option<f64>), Failure> {
     }
     Ok((places, last_z))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether a way of 5 m with these heights, a centimetre and a half from place to place, is too steep for 10 %.
+    fn is_steep(height: impl Fn(f64) -> f64) -> bool {
+        let place = |n: i32| (f64::from(n) * 0.015, height(f64::from(n) * 0.015));
+        let mut grade = Grade::new(0.1, Point3::new(0.0, 0.0, height(0.0)));
+        (0..333).map(place).any(|(x, z)| grade.exceeds(Point3::new(x, 0.0, z), State::Walking))
+    }
+
+    #[test]
+    fn a_single_place_makes_no_grade() {
+        assert!(!is_steep(|x| 0.08 * x) && is_steep(|x| 0.13 * x) && is_steep(|x| -0.13 * x));
+        assert!(!is_steep(|x| 0.05 * x + if (2.0..2.02).contains(&x) { 0.15 } else { 0.0 }));
+    }
+}
