@@ -181,8 +181,8 @@ class Encoder:
 
 
 class StepGrid:
-    def __init__(self, step=ONE, phase=0):
-        self.step, self.phase = step, phase
+    def __init__(self, step=ONE, phase=0, rounded=0):
+        self.step, self.phase, self.rounded = step, phase, rounded
         self.is_quanta = step == ONE
 
     @classmethod
@@ -201,7 +201,7 @@ class StepGrid:
 
         step, phase = number(given.step), number(given.phase)
         need(2 * ONE <= step <= SLICE * ONE and phase < step, "P7", f"steps of {step} and phase {phase}")
-        return cls(step, phase)
+        return cls(step, phase, coder.raw(1, given.rounded))
 
     def nominal(self, end, i):
         return (self.phase + i * self.step >> 32) + (0 if self.is_quanta else end)
@@ -211,7 +211,7 @@ class StepGrid:
 
     def code_of(self, end, height):
         """The step that codes a height, and how far it lies off the nominal one; None if no step does."""
-        for offset in (0, 1, -1):
+        for offset in (0, 1, -1) if self.rounded else (0,):
             i = height if self.is_quanta else self.next(height - offset - end)
             if i < STEPS and self.nominal(end, i) + offset == height:
                 return i, offset
@@ -282,7 +282,7 @@ class Walk:
         self.surprise = Bits("surprise", [1024] * 16)
         self.kind = Bits("kind", map(kind_ones, range(50)))
         self.last = {}, {}
-        self.expected = 0, 0
+        self.expected = None
         self.code_pixels()
         self.columns = [[] for _ in range(SIDE * SIDE)]
         for pixel in range(SIDE * SIDE):
@@ -335,10 +335,21 @@ class Walk:
             number += more
         need(number <= 64, "P7", f"{number} spans in pixel ({px}, {py})")
         column = self.columns[SIDE * py + px]
+        self.expected = self.expected_without_candidates(px, py)
         for at in range(number):
             column.append(self.code_span(near, column[-1] if column else None, given[at] if given else None))
-        # For the first span of the next pixel, if it has no candidates.
-        self.expected = column[-1].low, column[-1].thick()
+
+    def expected_without_candidates(self, px, py):
+        """Step and thickness of the lowest span of the nearest of four pixels."""
+        nearest = None
+        west = range(px - 1, -1, -1), (py,)
+        for columns, rows in [west] + [((x,), range(py - 1, -1, -1)) for x in (px - 1, px, px + 1) if 0 <= x < SIDE]:
+            found = next(((x, y) for y in rows for x in columns if self.columns[SIDE * y + x]), None)
+            if found:
+                distance = abs(found[0] - px) + py - found[1]
+                if nearest is None or distance < nearest[0]:
+                    nearest = distance, self.columns[SIDE * found[1] + found[0]][0]
+        return (nearest[1].low, nearest[1].thick()) if nearest else (0, 0)
 
     def code_span(self, near, before, given):
         top = before.top if before else -1
@@ -362,7 +373,7 @@ class Walk:
         span.inferred = False
         span.bottom, span.low = self.height(0, codes[0], both & ((1 << extra[0]) - 1), e)
         span.top, span.high = self.height(1, codes[1], both >> extra[0], span.low + thick)
-        if not self.grid.is_quanta:
+        if self.grid.rounded:
             self.code_offsets(span, codes, offsets)
         h = int(span.top > span.bottom + 63)
         span.obstacle = self.coder.bit(0, self.kind, 2 * (5 * o + m) + h, given[2] if given else 0)
@@ -458,8 +469,9 @@ class Page:
 
         spans = [span for column in self.columns for span in column]
         heights = [(end, height) for span in spans for end, height in enumerate((span.bottom, span.top))]
+        boundaries = [(end, height) for end, height in heights if height % SLICE == 0]
         heights = [(end, height) for end, height in heights if height % SLICE]
-        grid = level_grid(heights) if of_level else find_grid(heights, slice_height, moved)
+        grid = level_grid(heights) if of_level else find_grid(heights, boundaries, slice_height, moved)
         encoder = Encoder()
         StepGrid.coded(encoder, grid)
         Walk(encoder, grid, [[(span.bottom, span.top, span.obstacle) for span in column] for column in self.columns])
@@ -486,11 +498,11 @@ def read_runs(data):
 
 def level_grid(heights):
     """The grid of a page of a level, by its heights between slices."""
-    return StepGrid((THIRD if heights else SLICE) * ONE)
+    return StepGrid((THIRD if heights else SLICE) * ONE, 0, 1)
 
 
-def find_grid(heights, slice_height, moved):
-    """The grid of a page of an archive, by its heights between slices and the tolerance in quanta."""
+def find_grid(heights, boundaries, slice_height, moved):
+    """The grid of a page of an archive, by its heights between slices, others, and the tolerance in quanta."""
     if len(heights) < 32:
         return StepGrid()
     foot, us_foot = 0.3048, 1200
@@ -499,9 +511,14 @@ def find_grid(heights, slice_height, moved):
     scanned = [int(unit * 255 / slice_height * ONE + 0.5) for unit in units]
     for step in [SLICE * ONE] + coarse_steps(scanned, moved) + scanned:
         if 2 * ONE <= step <= SLICE * ONE:
-            phase = phase_of(heights, step)
+            phase = phase_of(heights, step, 0, -1)
             if phase is not None:
-                return StepGrid(step, phase)
+                near = StepGrid(step, phase, 1)
+                if all((near.code_of(end, height) or (0, 0))[1] == 0 for end, height in boundaries):
+                    return StepGrid(step, phase)
+            phase = phase_of(heights, step, 1 << 14, 1 << 14)
+            if phase is not None:
+                return StepGrid(step, phase, 1)
     return StepGrid()
 
 
@@ -518,11 +535,11 @@ def coarse_steps(scanned, moved):
     return steps + [min((moved + 1) // parts, SLICE) * ONE for parts in (1, 2)]
 
 
-def phase_of(heights, step):
+def phase_of(heights, step, below, above):
     """The phase that puts all heights on steps; None if no phase does."""
-    slack, first = 1 << 14, None
+    first = None
     for end, height in heights:
-        start, stop = max((height - end) * ONE - slack, 0), (height - end + 1) * ONE + slack
+        start, stop = max((height - end) * ONE - below, 0), (height - end + 1) * ONE + above
         if first is None:
             first, low, high = start, start, stop
         back = (start - first + step // 2) // step * step

@@ -103,9 +103,9 @@ impl Lossy {
             if self.is_cut {
                 // The encoder may find other steps in the heights than those they were chosen on.
                 let page = self.built(&self.tried, builder);
-                telling_heights(&page, &mut self.heights);
-                let grid = StepGrid::find_short(of, steps, &self.heights).unwrap_or(StepGrid::QUANTA);
-                length = length_on(grid, &page, scratch);
+                let boundaries = telling_heights(&page, &mut self.heights);
+                let grid = StepGrid::find_short(of, steps, &self.heights, boundaries);
+                length = length_on(grid.unwrap_or(StepGrid::QUANTA), &page, scratch);
             }
             if shortest.is_none_or(|shortest| length < shortest.0) {
                 shortest = Some((length, costs));

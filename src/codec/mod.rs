@@ -125,9 +125,9 @@ impl Encoder {
     /// Appends the encoding of a page with inferred spans; otherwise like [`encode`](Self::encode).
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         put_marks(page, inferred, out);
-        telling_heights(page, &mut self.heights);
-        let grid = StepGrid::find_short(&self.of, &self.steps, &self.heights).unwrap_or(StepGrid::QUANTA);
-        page::encode(grid, page, self.scratch.get_or_insert_default(), out);
+        let boundaries = telling_heights(page, &mut self.heights);
+        let grid = StepGrid::find_short(&self.of, &self.steps, &self.heights, boundaries);
+        page::encode(grid.unwrap_or(StepGrid::QUANTA), page, self.scratch.get_or_insert_default(), out);
     }
 
     /// Returns whether `page` has an encoding: heights of a level's page must lie on the steps of the level.

@@ -1,6 +1,6 @@
 //! Pixels of a page row by row, as the codec visits them, and folded differences.
 
-use super::step_grid::End;
+use super::step_grid::{Boundaries, End};
 use crate::frame::SLICE_QUANTA;
 use crate::page::{BLOCK_PIXELS, Page, Span};
 
@@ -59,14 +59,15 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Collects the heights of `page` that reveal its steps.
-pub(super) fn telling_heights(page: &Page, heights: &mut Vec<(u32, End)>) {
+/// Collects the heights of `page` that reveal its steps, and returns the others.
+pub(super) fn telling_heights(page: &Page, heights: &mut Vec<(u32, End)>) -> Boundaries {
+    let mut boundaries = Boundaries::default();
     heights.clear();
     for spans in page.spans_of_blocks() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
     }
-    // Heights on slice boundaries may be cuts, so they reveal no steps.
-    heights.retain(|(height, _)| height % SLICE != 0);
+    heights.retain(|&(height, end)| !boundaries.add(height, end));
+    boundaries
 }
 
 #[cfg(test)]

@@ -62,6 +62,8 @@ pub struct StepGrid {
     pub step: u64,
     /// Height of step 0 (1/2³² quantum), below `step`.
     pub phase: u64,
+    /// Whether heights may lie one quantum off the [`usual`](Self::usual) ones, because coordinates were rounded.
+    pub is_rounded: bool,
 }
 
 /// End of a span; ends are rounded outwards to quanta.
@@ -73,14 +75,45 @@ pub enum End {
     Top,
 }
 
+/// Slice boundaries at which spans of a page begin or end. They may be cuts, so they reveal no steps.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Boundaries {
+    /// Numbers of the slices above, as bits, by end.
+    slices: [u128; 2],
+}
+
+impl Boundaries {
+    /// Adds `height`, and returns `true`, if it is a boundary.
+    #[inline]
+    pub fn add(&mut self, height: u32, end: End) -> bool {
+        let is_boundary = height.is_multiple_of(SLICE_QUANTA as u32);
+        self.slices[end as usize] |= u128::from(is_boundary) << (height / SLICE_QUANTA as u32 & 127);
+        is_boundary
+    }
+
+    /// Returns whether one of them lies beside a step of `grid`.
+    fn any_is_off(&self, grid: &StepGrid) -> bool {
+        let rounded = StepGrid { is_rounded: true, ..*grid };
+        let is_off = |slice: u32, end: End| {
+            let step = rounded.index(slice * SLICE_QUANTA as u32, end);
+            self.slices[end as usize] >> slice & 1 == 1 && step.is_some_and(|(_, off)| off != 0)
+        };
+        (0..=64).any(|slice| is_off(slice, End::Bottom) || is_off(slice, End::Top))
+    }
+}
+
 impl StepGrid {
     /// Grid on which every quantum is a step.
-    pub const QUANTA: Self = Self { step: ONE as u64, phase: 0 };
+    pub const QUANTA: Self = Self { step: ONE as u64, phase: 0, is_rounded: false };
 
-    /// Returns the grid of `step` and `phase`; `None` unless the step is 2 to 255 quanta and larger than the phase.
+    /// Returns the grid of `step` and `phase` with rounded heights; `None` unless the step is 2 to 255 quanta and larger
+    /// than the phase.
     pub fn new(step: u64, phase: u64) -> Option<Self> {
-        ((2 * ONE as u64..=SLICE_QUANTA as u64 * ONE as u64).contains(&step) && phase < step)
-            .then_some(Self { step, phase })
+        ((2 * ONE as u64..=SLICE_QUANTA as u64 * ONE as u64).contains(&step) && phase < step).then_some(Self {
+            step,
+            phase,
+            is_rounded: true,
+        })
     }
 
     /// Returns whether the steps are the quanta themselves.
@@ -110,15 +143,16 @@ impl StepGrid {
         self.floor(index) + (end == End::Top && !self.is_quanta()) as i32
     }
 
-    /// Returns the step of `height` (quanta) as a span's `end`, and its offset from the [`usual`](Self::usual) height
-    /// (−1..=1); `None` if the height lies on no step.
+    /// Returns the step of `height` (quanta) as a span's `end`, and its offset from the [`usual`](Self::usual) height:
+    /// −1..=1 if heights are rounded, else 0. `None` if the height lies on no step.
     #[inline]
     pub fn index(&self, height: u32, end: End) -> Option<(u32, i32)> {
         if self.is_quanta() {
             return Some((height, 0));
         }
         let near = self.at_or_above(height.saturating_sub(2));
-        [0, 1, -1].iter().find_map(|&off| {
+        let offs = if self.is_rounded { &[0, 1, -1][..] } else { &[0] };
+        offs.iter().find_map(|&off| {
             let hit = |index: &u32| self.usual(*index, end) + off == height as i32;
             (near..near + 3).find(hit).map(|index| (index, off))
         })
@@ -128,12 +162,13 @@ impl StepGrid {
     /// (1/2³² quantum) that they lie on, or of the coarsest of the usual steps of scans. For an overview level, returns
     /// the level's grid, on which all heights lie that it [admits](HeightsOf::admits).
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
-        Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
+        Self::find_with(of, steps, heights, Boundaries::default(), |_, low, high| low + (high - low) / 2)
     }
 
-    /// Like [`find`](Self::find), but takes the phase with the most trailing zeros among all that fit.
-    pub fn find_short(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
-        Self::find_with(of, steps, heights, |step, low, high| {
+    /// Like [`find`](Self::find), but takes the phase with the most trailing zeros among all that fit. Heights are rounded
+    /// if one of `boundaries` needs it.
+    pub fn find_short(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)], boundaries: Boundaries) -> Option<Self> {
+        Self::find_with(of, steps, heights, boundaries, |step, low, high| {
             let whole = low.div_euclid(step) * step;
             let (low, high) = (low - whole, high - whole);
             // Highest bit in which the last phase differs from the one before the first.
@@ -147,6 +182,7 @@ impl StepGrid {
         of: &HeightsOf,
         steps: &[u64],
         heights: &[(u32, End)],
+        boundaries: Boundaries,
         phase: impl Fn(i64, i64, i64) -> i64,
     ) -> Option<Self> {
         let HeightsOf::Scan(frame) = of else {
@@ -158,9 +194,16 @@ impl StepGrid {
         }
         let with_step = |step: u64| {
             let grid = Self::new(step, 0)?;
-            let (low, high) = grid.phases_of(heights)?;
-            let step = grid.step as i64;
-            Some(Self { phase: phase(step, low, high).rem_euclid(step) as u64, ..grid })
+            let with_phase = |(low, high): (i64, i64), is_rounded: bool| {
+                let step = grid.step as i64;
+                Self { phase: phase(step, low, high).rem_euclid(step) as u64, is_rounded, ..grid }
+            };
+            // Most grids have a phase at which no height is off; then offsets need not be coded.
+            let exact = grid.phases_of(heights, (0, -1)).map(|phases| with_phase(phases, false));
+            exact.filter(|exact| !boundaries.any_is_off(exact)).or_else(|| {
+                let phases = grid.phases_of(heights, (SLACK, SLACK))?;
+                Some(with_phase(phases, true))
+            })
         };
         // Centres of voxels have one height in each slice.
         let slice = SLICE_QUANTA as u64 * ONE as u64;
@@ -174,13 +217,14 @@ impl StepGrid {
         STEPS_M.iter().map(move |step_m| (step_m * SLICE_QUANTA as f64 / slice_m * ONE as f64 + 0.5).floor() as u64)
     }
 
-    /// Returns the first and last phase at which all heights lie on steps.
-    fn phases_of(&self, heights: &[(u32, End)]) -> Option<(i64, i64)> {
-        // Range of the point of a height: within the quantum that was rounded away, but not below the floor of the
-        // page. There are no steps there, so a top of one quantum would have none.
+    /// Returns the first and last phase at which all heights lie on steps, which are up to `below` and `above`
+    /// (1/2³² quantum) outside the quantum that was rounded away.
+    fn phases_of(&self, heights: &[(u32, End)], (below, above): (i64, i64)) -> Option<(i64, i64)> {
+        // Range of the point of a height, not below the floor of the page. There are no steps there, so a top of one
+        // quantum would have none.
         let point = |(height, end): (u32, End)| {
             let low = (height as i64 - (end == End::Top) as i64) * ONE;
-            ((low - SLACK).max(0), low + ONE + SLACK)
+            ((low - below).max(0), low + ONE + above)
         };
         let step = self.step as i64;
         let (first, (mut low, mut high)) = heights.first().map(|&height| (point(height).0, point(height)))?;

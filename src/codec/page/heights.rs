@@ -73,8 +73,8 @@ impl Given {
     }
 }
 
-/// Codes a bit that is 1 if there is a grid, then its step and phase: the number of trailing zeros, and the rest of its
-/// 40 bits. Returns `None` if what is decoded is not a grid.
+/// Codes a bit that is 1 if there is a grid, then its step and phase, of each the number of trailing zeros and the rest of
+/// its 40 bits, and a bit that is 1 if heights are rounded. Returns `None` if what is decoded is not a grid.
 pub fn code_grid(coder: &mut impl Strands, given: StepGrid) -> Option<StepGrid> {
     if coder.raw(1, u32::from(!given.is_quanta())) == 0 {
         return Some(StepGrid::QUANTA);
@@ -88,7 +88,8 @@ pub fn code_grid(coder: &mut impl Strands, given: StepGrid) -> Option<StepGrid> 
         let high_part = coder.raw(high, (given >> low) as u32);
         Some((u64::from(high_part) << low | u64::from(low_part)).checked_shl(zeros).unwrap_or(0))
     };
-    StepGrid::new(number(given.step)?, number(given.phase)?)
+    let grid = StepGrid::new(number(given.step)?, number(given.phase)?)?;
+    Some(StepGrid { is_rounded: coder.raw(1, given.is_rounded.into()) == 1, ..grid })
 }
 
 #[cfg(test)]

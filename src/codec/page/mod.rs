@@ -53,6 +53,38 @@ impl Row {
     const EMPTY: Self = Self { lowest: [Seen::NONE; 66], kinds: [0; 66], places: [0; 66] };
 }
 
+/// Lowest spans of the pixels coded last, from which a pixel without neighbours is predicted.
+struct Nearest {
+    /// [Step and thickness](pack) of the last occupied pixel of each column, with one more column on each side, and its
+    /// row.
+    columns: [(u32, i32); 66],
+    /// Column of the last occupied pixel of the current row; before the first, one that is far away.
+    west: i32,
+}
+
+impl Nearest {
+    /// Farther than all pixels of a page.
+    const FAR: i32 = -1 << 16;
+    const NONE: Self = Self { columns: [(0, Self::FAR); 66], west: Self::FAR };
+
+    /// Returns step and thickness of the lowest span of the nearest among the pixels coded last in this row and in the
+    /// columns in the west, here and in the east; of the first of these if several are as near.
+    #[inline(always)]
+    fn of(&self, px: usize, py: usize) -> u32 {
+        let (west, [a, b, c]) =
+            (self.columns[(self.west.max(-1) + 1) as usize], [0, 1, 2].map(|at| self.columns[px + at]));
+        let rows = [px as i32 - self.west, py as i32 - a.1 + 1, py as i32 - b.1, py as i32 - c.1 + 1];
+        let nearest = rows.iter().zip(0..).fold(i32::MAX, |least, (&distance, at)| least.min(distance << 2 | at));
+        [west.0, a.0, b.0, c.0][nearest as usize & 3]
+    }
+
+    #[inline(always)]
+    fn set(&mut self, px: usize, py: usize, lowest: Seen) {
+        self.columns[px + 1] = (lowest.packed(), py as i32);
+        self.west = px as i32;
+    }
+}
+
 /// State of the walk; reused from page to page.
 #[derive(Debug)]
 pub struct Scratch {
@@ -141,7 +173,7 @@ struct Walk<'a, C> {
     models: &'a mut Models,
     last_off: &'a mut [[u8; STEPS]; 2],
     /// [Step and thickness](pack) predicted without candidates.
-    last: u32,
+    without: u32,
 }
 
 impl<C: Strands> Walk<'_, C> {
@@ -161,13 +193,13 @@ impl<C: Strands> Walk<'_, C> {
         }
     }
 
-    /// Codes the next span of a pixel; `is_last` if no other follows. `kinds` is the kind context of its candidates,
-    /// `near`. Takes three symbols, or refills.
+    /// Codes the next span of a pixel. `kinds` is the kind context of its candidates, `near`. Takes three symbols, or
+    /// refills.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
-    fn span(&mut self, near: [Seen; 4], kinds: u8, is_last: bool, given: Option<&Span>) -> Coded {
+    fn span(&mut self, near: [Seen; 4], kinds: u8, given: Option<&Span>) -> Coded {
         let Self { coder, grid, alphabet, models, last_off, .. } = self;
-        let expected = expected(near, self.last);
+        let expected = expected(near, self.without);
         // Values to write, if encoding.
         let [mut bottom_given, mut top_given] = [Given::default(); 2];
         let (mut bottom_symbol, mut top_symbol) = ((0, 0), (0, 0));
@@ -206,7 +238,7 @@ impl<C: Strands> Walk<'_, C> {
                 top = grid.usual(top_step as u32, End::Top);
                 top_place = top_step as usize & 0x3FFF;
             }
-            if !self.is_quanta {
+            if grid.is_rounded {
                 let [off_bottoms, off_tops] = &mut **last_off;
                 let (last_bottom, last_top) = (off_bottoms[bottom_place], off_tops[top_place]);
                 let mut off = (off_of(last_bottom), off_of(last_top));
@@ -225,9 +257,8 @@ impl<C: Strands> Walk<'_, C> {
             }
         }
         let thick = top_step - bottom_step;
-        // A pixel's next span lies above this one; a new pixel's first span probably lies at the same height as this
-        // one.
-        self.last = pack(if is_last { bottom_step } else { top_step }, thick);
+        // A pixel's next span lies above this one.
+        self.without = pack(top_step, thick);
         let is_thick = top - bottom > SLICE as i32 / 4;
         let model = &mut models.kind[usize::from(kinds + u8::from(is_thick)) & 63];
         let obstacle = coder.bit::<0>(model, given.is_some_and(|span| span.is_obstacle()));
@@ -247,18 +278,21 @@ fn walk<C: Strands>(
     let Scratch { models, fresh, seen, kinds, rows: row_pair, last_off, .. } = scratch;
     let steps = usize::from(!grid.is_quanta());
     (**models).clone_from(&fresh[steps]);
-    if steps > 0 {
+    if grid.is_rounded {
         last_off.iter_mut().for_each(|end| end.fill(0));
     }
     let rows = pixels::occupancy(&mut coder, models, page)?;
     taker.begin(&rows);
     let mut given = page.map(Rows::of);
-    let mut walk = Walk { coder, grid, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
+    let mut walk =
+        Walk { coder, grid, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, without: 0 };
+    let mut nearest = Nearest::NONE;
     **row_pair = [Row::EMPTY; 2];
     for (py, &row) in rows.iter().enumerate() {
         let [even, odd] = &mut **row_pair;
         let (own, north) = if py % 2 == 0 { (even, &*odd) } else { (odd, &*even) };
         *own = Row::EMPTY;
+        nearest.west = Nearest::FAR;
         let mut next = 1 + py % 2 * ROW;
         let mut pixels = row;
         while pixels != 0 {
@@ -273,7 +307,11 @@ fn walk<C: Strands>(
             own.places[px + 1] = next as u32 | count.min(3) << 16;
             let near = [own.lowest[px], north.lowest[px], north.lowest[px + 1], north.lowest[px + 2]];
             let candidates = own.kinds[px] + north.kinds[px] + north.kinds[px + 1] + north.kinds[px + 2];
-            let coded = walk.span(near, candidates, count == 1, spans.first());
+            if candidates == 0 {
+                walk.without = nearest.of(px, py);
+            }
+            let coded = walk.span(near, candidates, spans.first());
+            nearest.set(px, py, coded.seen);
             (seen[next], kinds[next]) = (coded.seen, coded.kind());
             (own.lowest[px + 1], own.kinds[px + 1]) = (coded.seen, coded.kind());
             next += 1;
@@ -293,7 +331,7 @@ fn walk<C: Strands>(
                     let candidates = places.iter().map(|&place| kinds[place]).sum();
                     walk.coder.refill();
                     let near = places.map(|place| seen[place]);
-                    let coded = walk.span(near, candidates, index + 1 == count, spans.get(index as usize));
+                    let coded = walk.span(near, candidates, spans.get(index as usize));
                     (seen[next], kinds[next]) = (coded.seen, coded.kind());
                     next += 1;
                     below = coded.span(Some(below))?;

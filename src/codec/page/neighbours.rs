@@ -16,6 +16,12 @@ impl Seen {
         Self(1 << 48 | (bottom as u64 & 0xFFFF) << 32 | u64::from(pack(step, thick)))
     }
 
+    /// Returns step and thickness, [packed](pack).
+    #[inline(always)]
+    pub fn packed(self) -> u32 {
+        self.0 as u32
+    }
+
     /// Returns the bottom (quanta).
     #[inline(always)]
     pub fn bottom(self) -> i32 {
@@ -37,12 +43,13 @@ pub struct Expected {
     pub thick_context: usize,
 }
 
-/// Returns the prediction for a span with the candidates `near`; without candidates, the one [packed](pack) in `last`.
+/// Returns the prediction for a span with the candidates `near`; without candidates, the one [packed](pack) in
+/// `without`.
 #[inline(always)]
-pub fn expected(near: [Seen; 4], last: u32) -> Expected {
+pub fn expected(near: [Seen; 4], without: u32) -> Expected {
     let Weighed { least, second, spread, count } = weigh(near);
     let (one, count) = (if count > 2 { second } else { least }, count as usize & 7);
-    let one = if count == 0 { last } else { one };
+    let one = if count == 0 { without } else { one };
     let (low, thick) = (i32::from(one as i16), one as i32 >> 16);
     let [of_bottoms, of_spreads] = &CONTEXTS;
     Expected {
