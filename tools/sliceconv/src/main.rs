@@ -5,7 +5,6 @@ mod report;
 
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
-use signal_hook::{consts, flag};
 use slicewalk::plan::Classifier;
 use slicewalk::{Error, Monitor, Parameter};
 use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
@@ -16,12 +15,12 @@ use slicewalk_convert::{ColourMode, ConvertOptions, HoleWidth, PixelSize, Previe
 use slicewalk_convert::{PlanFile, SectionOptions, ShardOptions, Tolerance};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
-use slicewalk_terminal::{Terminal, say};
+use slicewalk_terminal::{Terminal, listen, say};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 /// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF) and Gaussian splats (PLY,
@@ -278,24 +277,6 @@ fn describe_program(arguments: &Arguments) -> Option<ExitCode> {
     // A reader may close the pipe early.
     let _ = std::io::Write::write_all(&mut std::io::stdout(), &text);
     Some(ExitCode::SUCCESS)
-}
-
-/// Records the signals that ask to stop. A second signal ends the process at once: temporary data vanish with it or are
-/// removed by the next run.
-fn listen(signal: &Arc<AtomicUsize>) -> std::io::Result<()> {
-    let again = Arc::new(AtomicBool::new(false));
-    let asking = [
-        consts::SIGINT,
-        consts::SIGTERM,
-        #[cfg(unix)]
-        consts::SIGHUP,
-    ];
-    for number in asking {
-        flag::register_conditional_shutdown(number, 128 + number, again.clone())?;
-        flag::register(number, again.clone())?;
-        flag::register_usize(number, signal.clone(), number as usize)?;
-    }
-    Ok(())
 }
 
 /// Reason why nothing was done.

@@ -1,9 +1,8 @@
 //! Why no route connects two places, as JSON and in words.
 
-use crate::Failure;
 use crate::ground::{Loader, tidy};
+use crate::{Failure, Quiet};
 use nalgebra::Point3;
-use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Obstruction, ObstructionSearch, Pawn, Reason, Sought};
 
@@ -41,7 +40,7 @@ pub fn blocked(
     length: Option<f64>,
     [from, to]: [Point3<f64>; 2],
 ) -> Result<Option<Obstruction>, Failure> {
-    let mut search = ObstructionSearch::new(&loader.snapshot(), *pawn, from, to, &NoMonitor)?
+    let mut search = ObstructionSearch::new(&loader.snapshot(), *pawn, from, to, &Quiet)?
         .within_seen(loader.seen().cloned())
         .drawn_out(length);
     // Each question by itself: over all of them, the pages of a place may be loaded many times.

@@ -1,9 +1,8 @@
 //! `slicetool demo`: runs the main job from end to end on a generated scan and prints the true value beside every
 //! answer.
 
-use crate::{Failure, Outcome, show};
+use crate::{Failure, Outcome, Quiet, show};
 use scangen::{Scene, Truth};
-use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Snapshot;
@@ -93,13 +92,13 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::say("verifying every byte");
     let archive = Archive::open(&output)?;
     let mut findings = Vec::new();
-    archive.verify(&NoMonitor, &mut |finding| findings.push(finding.to_string()))?;
+    archive.verify(&Quiet, &mut |finding| findings.push(finding.to_string()))?;
     if let Some(finding) = findings.first() {
         return Err(Failure::Text(format!("{}: {finding}", output.display())));
     }
     table.row("verified", "every byte, no finding".into());
 
-    let store = Snapshot::resident(&archive, &NoMonitor)?;
+    let store = Snapshot::resident(&archive, &Quiet)?;
     table.row(
         "in memory",
         format!(

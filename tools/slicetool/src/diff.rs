@@ -1,6 +1,6 @@
 //! `slicetool diff`: compares the contents of two archives, not their encoding.
 
-use crate::{Failure, Outcome, changes};
+use crate::{Failure, Outcome, changes, entries};
 use serde_json::json;
 use slicewalk::archive::{Archive, ColourReader, PageEntry, PageReader};
 use slicewalk::colour::{LabTable, difference as lab_difference};
@@ -254,11 +254,6 @@ fn compare_colours((a, path_a): Named<'_>, (b, path_b): Named<'_>) -> Result<Opt
         }
     }
     Ok(Some(found))
-}
-
-/// Iterates over the entries of an archive; errors name the file.
-fn entries<'a>(archive: &'a Archive, path: &'a Path) -> impl Iterator<Item = Result<PageEntry, Failure>> + 'a {
-    archive.entries().map(move |entry| entry.map_err(|error| crate::broken(path, &error)))
 }
 
 impl Difference {

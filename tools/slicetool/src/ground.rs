@@ -1,10 +1,9 @@
 //! Pawn options and page loading, shared by `reach`, `route` and `export`.
 
-use crate::Failure;
 use crate::edits::EditOption;
 use crate::nearest::nearest;
+use crate::{Failure, Quiet};
 use nalgebra::Point3;
-use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
@@ -219,7 +218,7 @@ impl Walks {
     ) -> Result<Option<Snapped>, Failure> {
         let mut flood = Flood::from(near.spot);
         flood.within([at.xy(); 2], 2.0 * (self.snap.metres + length + AROUND_M));
-        loader.known(|view| flood.grow(standing, view, &NoMonitor))?;
+        loader.known(|view| flood.grow(standing, view, &Quiet))?;
         let region = flood.region(standing);
         let mut search = LongSearch::new(&region, length)?;
         if search.stands_at(&near.spot) {
@@ -339,6 +338,7 @@ impl Loader {
     pub fn known<T>(&self, mut ask: impl FnMut(&Snapshot) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
         let mut place = None;
         loop {
+            crate::go_on()?;
             match ask(&self.stream.snapshot()).map_err(|error| self.broken(&error))? {
                 Answer::Known(known) => return Ok(known),
                 Answer::NotLoaded(missing) => self.load(&missing, &mut place)?,

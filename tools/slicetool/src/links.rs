@@ -1,10 +1,9 @@
 //! Lifts and stairs of `--edits`: regions that they join, and routes that use them.
 
-use crate::Failure;
 use crate::edits::Link;
 use crate::ground::{Loader, Walks};
+use crate::{Failure, Quiet};
 use nalgebra::Point3;
-use slicewalk::NoMonitor;
 use slicewalk::reach::{Flood, LongSearch, PlaceId, Region, Route, Search, Snapped, StandingPlaces};
 
 /// Speed at which the time of a way counts (m/s).
@@ -93,11 +92,11 @@ impl Joined {
         }
         let (mut flood, mut seeds) = (Flood::from(start.spot), vec![start.spot]);
         loop {
-            loader.known(|view| flood.grow(standing, view, &NoMonitor))?;
+            loader.known(|view| flood.grow(standing, view, &Quiet))?;
             let mut region = flood.region(standing);
             region.keep_linked(standing, &seeds);
             if let Some(length) = length {
-                let reached = LongSearch::new(&region, length)?.reached(&seeds, &NoMonitor)?;
+                let reached = LongSearch::new(&region, length)?.reached(&seeds, &Quiet)?;
                 region.keep_reached(standing, &reached);
             }
             let more: Vec<PlaceId> = doors
@@ -132,8 +131,8 @@ impl Joined {
                 return Ok(Some(Way::at_end()));
             }
             let route = loader.known(|view| match &mut long {
-                Some(long) => long.route(view, from, to, &NoMonitor),
-                None => search.route(view, &self.region, from, to, &NoMonitor),
+                Some(long) => long.route(view, from, to, &Quiet),
+                None => search.route(view, &self.region, from, to, &Quiet),
             })?;
             Ok(route.map(Way::on_foot))
         };

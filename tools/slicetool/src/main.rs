@@ -1,5 +1,5 @@
 //! Inspects and queries slice archives. Results go to standard output, diagnostics to standard error. Exit codes: 0
-//! success, 1 failure (one line: what, where, what to do), 2 usage.
+//! success, 1 failure (one line: what, where, what to do), 2 usage, 128 and the number of the signal if one interrupted it.
 
 mod blocked;
 mod changes;
@@ -30,15 +30,17 @@ mod walk;
 mod web;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use slicewalk::Parameter;
-use slicewalk::archive::Archive;
+use slicewalk::archive::{Archive, PageEntry};
 use slicewalk::edit::Edits;
+use slicewalk::{Monitor, Parameter};
 use slicewalk_base::output::{Output, OutputKind, Protected};
 use slicewalk_base::text::lines;
 use slicewalk_terminal::Terminal;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock};
 
 /// Reason why a command ends early.
 #[derive(Clone)]
@@ -75,6 +77,9 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
 
 /// Converts an error of the library, with command-line options in place of its parameters.
 fn of_library(error: &slicewalk::Error) -> Failure {
+    if matches!(error, slicewalk::Error::Interrupted) {
+        return Failure::Interrupted(128 + signal().load(Ordering::Relaxed) as u8);
+    }
     if let slicewalk::Error::Parameter { what, reason } = error
         && let Some(option) = option_of(what)
     {
@@ -247,6 +252,14 @@ impl Variant {
     }
 }
 
+/// Iterates over the pages of an archive at `path`, until a signal asks to stop.
+pub fn entries<'a>(archive: &'a Archive, path: &'a Path) -> impl Iterator<Item = Result<PageEntry, Failure>> + 'a {
+    archive.entries().map(move |entry| {
+        go_on()?;
+        entry.map_err(|error| broken(path, &error))
+    })
+}
+
 /// A failure to read the archive at `path`: the library's errors name the damaged part but not the file.
 pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
     match error {
@@ -262,8 +275,9 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
 }
 
 /// Begins a picture, table or export at `path`. It must not replace `archive` or the files `also`, which the command
-/// reads.
+/// reads. From now on signals only ask to stop, so that it is removed.
 pub fn output(path: &Path, archive: &Archive, also: &[&Path]) -> Result<Output, Failure> {
+    go_on()?;
     let mut protected: Protected = also.iter().collect();
     protected.add_source(archive.source());
     Ok(Output::create(path, OutputKind::Result, protected)?)
@@ -283,15 +297,46 @@ pub fn say(line: &str) {
     slicewalk_terminal::say(&format!("slicetool: {line}"));
 }
 
-/// Monitor that shows progress on the terminal.
+/// Number of the signal that asks to stop, or 0. From the first call on, a signal no longer ends the program: the work has
+/// to ask.
+pub fn signal() -> &'static Arc<AtomicUsize> {
+    static SIGNAL: LazyLock<Arc<AtomicUsize>> = LazyLock::new(|| {
+        let signal = Arc::default();
+        if let Err(error) = slicewalk_terminal::listen(&signal) {
+            say(&format!("warning: cannot listen for Ctrl-C: {error}"));
+        }
+        signal
+    });
+    &SIGNAL
+}
+
+/// Fails once a signal asks to stop.
+pub fn go_on() -> slicewalk::Result<()> {
+    if Quiet.cancelled() { Err(slicewalk::Error::Interrupted) } else { Ok(()) }
+}
+
+/// Monitor that shows progress on the terminal, and ends the work at a signal.
 pub fn terminal() -> Terminal {
-    Terminal::new("slicetool", false, suggestion, Default::default())
+    Terminal::new("slicetool", false, suggestion, signal().clone())
+}
+
+/// Monitor that only ends the work at a signal.
+pub struct Quiet;
+
+impl Monitor for Quiet {
+    fn cancelled(&self) -> bool {
+        signal().load(Ordering::Relaxed) != 0
+    }
 }
 
 fn main() -> ExitCode {
     let given = Arguments::command().get_matches();
     let arguments = Arguments::from_arg_matches(&given).unwrap_or_else(|error| error.exit());
     let given = given.subcommand().map(|(_, given)| given.clone()).unwrap_or_default();
+    #[cfg(feature = "serve")]
+    let is_server = matches!(arguments.command, Command::Serve(_));
+    #[cfg(not(feature = "serve"))]
+    let is_server = false;
     let outcome = match arguments.command {
         Command::Info { archives, json } => info::run(&archives, json),
         Command::Verify { archive, json } => verify::run(&archive, json),
@@ -318,7 +363,13 @@ fn main() -> ExitCode {
     let (text, code) = match outcome {
         Ok(text) => (text, ExitCode::SUCCESS),
         Err(Failure::Result(text)) => (text, ExitCode::FAILURE),
-        Err(Failure::Interrupted(code)) => return ExitCode::from(code),
+        Err(Failure::Interrupted(code)) => {
+            // A server ends in no other way.
+            if !is_server {
+                say("interrupted");
+            }
+            return ExitCode::from(code);
+        }
         Err(Failure::Text(text)) => {
             say(&text);
             return ExitCode::FAILURE;

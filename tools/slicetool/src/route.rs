@@ -5,9 +5,8 @@ use crate::edits::Link;
 use crate::ground::{Loader, Walks, end_json, tidy};
 use crate::links::{Joined, Way};
 use crate::reach::geojson;
-use crate::{Failure, Outcome};
+use crate::{Failure, Outcome, Quiet};
 use nalgebra::Point3;
-use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Coarse, Obstruction, Planned, Planner, Refusal, Route, RouteRefiner};
@@ -279,7 +278,7 @@ fn ellipse_m2(straight: f64, length: f64) -> f64 {
 
 fn planned(planner: &mut Planner, view: &Snapshot) -> slicewalk::Result<Answer<Found>> {
     loop {
-        match planner.advance(view, usize::MAX, &NoMonitor)? {
+        match planner.advance(view, usize::MAX, &Quiet)? {
             Planned::Done(found) => return Ok(Answer::Known(found)),
             Planned::NotLoaded(missing) => return Ok(Answer::NotLoaded(missing)),
             _ => {}
@@ -367,7 +366,7 @@ fn coarse(
 
 /// Result of a planner on a level; `None` if it looks at more than `most` spans.
 fn guessed(planner: &mut Coarse, view: &Snapshot, most: usize) -> slicewalk::Result<Answer<Option<Found>>> {
-    Ok(match planner.advance(view, most.saturating_sub(planner.looked_at()), &NoMonitor)? {
+    Ok(match planner.advance(view, most.saturating_sub(planner.looked_at()), &Quiet)? {
         Planned::Done(found) => Answer::Known(Some(found)),
         Planned::NotLoaded(missing) => Answer::NotLoaded(missing),
         _ => Answer::Known(None),
@@ -410,7 +409,7 @@ fn refined(
         guide = best.unwrap_or(guide);
     }
     let mut along = RouteRefiner::new(pawn, from, to, &guide.route, beside(guide.level));
-    let found = loader.known(|view| along.advance(view, &NoMonitor))?;
+    let found = loader.known(|view| along.advance(view, &Quiet))?;
     *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
     Ok(found.ok())
 }

@@ -168,8 +168,8 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
     let layer = slice.div_euclid(PAGE_SLICES) as i32;
     let in_page = slice.rem_euclid(PAGE_SLICES) as u32;
     let mut entries: Vec<PageEntry> = Vec::new();
-    for entry in archive.entries() {
-        let entry = entry.map_err(broken)?;
+    for entry in crate::entries(archive, path) {
+        let entry = entry?;
         if entry.key.layer == layer && entry.slices >> in_page & 1 == 1 {
             entries.push(entry);
         }
@@ -194,6 +194,7 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
         let (row, others) = rest.split_at(count);
         rest = others;
         for entry in row {
+            crate::go_on()?;
             let page = archive.page_with(entry, &mut decoder).map_err(broken)?;
             let colours = colours.as_mut().map(|colours| colours.colours(entry)).transpose().map_err(broken)?;
             for (px, py, spans) in page.columns() {

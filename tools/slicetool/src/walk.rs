@@ -163,6 +163,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut grade = Grade::new(pawn.max_grade, start);
     let mut pawn = stream.pawn();
     for frame in 1..=most {
+        crate::go_on()?;
         if arguments.prefetch == Switch::On {
             let motion_hint = walker.motion_hint(stream.archive().frame());
             pawn.hint(&motion_hint);

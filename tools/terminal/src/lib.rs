@@ -1,15 +1,34 @@
-//! Terminal output of long work: progress, warnings, messages.
+//! Terminal output of long work: progress, warnings, messages; and the signals that stop it.
 
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+use signal_hook::{consts, flag};
 use slicewalk_base::text::{grouped, one_line};
 use slicewalk_base::{Monitor, Parameter, Warning};
 use std::io::Write as _;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Prints a line on standard error. Unlike `eprintln!`, it does not panic if the reader is gone.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{}", one_line(line));
+}
+
+/// Records in `signal` the signals that ask to stop. A second signal ends the process at once: temporary data vanish with
+/// it or are removed by the next run.
+pub fn listen(signal: &Arc<AtomicUsize>) -> std::io::Result<()> {
+    let again = Arc::new(AtomicBool::new(false));
+    let asking = [
+        consts::SIGINT,
+        consts::SIGTERM,
+        #[cfg(unix)]
+        consts::SIGHUP,
+    ];
+    for number in asking {
+        flag::register_conditional_shutdown(number, 128 + number, again.clone())?;
+        flag::register(number, again.clone())?;
+        flag::register_usize(number, signal.clone(), number as usize)?;
+    }
+    Ok(())
 }
 
 /// Monitor that shows progress if standard error is a terminal, and always prints warnings there. The progress display

@@ -11,8 +11,8 @@ use std::path::Path;
 pub fn each_span(archive: &Archive, path: &Path, mut give: impl FnMut([i64; 2], (i64, i64))) -> Result<(), Failure> {
     let cubes = SpanCubes::of(archive.frame());
     let mut pages = PageReader::new(archive);
-    for entry in archive.entries() {
-        let entry = entry.map_err(|error| crate::broken(path, &error))?;
+    for entry in crate::entries(archive, path) {
+        let entry = entry?;
         let tile = [i64::from(entry.key.tx), i64::from(entry.key.ty)];
         let base = i64::from(entry.key.layer) * PAGE_QUANTA;
         for (px, py, spans) in pages.page(&entry).map_err(|error| crate::broken(path, &error))?.columns() {

@@ -37,8 +37,8 @@ pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>
     let (lowest, highest) = show::slices(archive, path)?;
     let mut floors: BTreeMap<i64, u64> = BTreeMap::new();
     let mut pages = PageReader::new(archive);
-    for entry in archive.entries() {
-        let entry = entry.map_err(|error| crate::broken(path, &error))?;
+    for entry in crate::entries(archive, path) {
+        let entry = entry?;
         let page = pages.page(&entry).map_err(|error| crate::broken(path, &error))?;
         for span in page.columns().flat_map(|(_, _, spans)| spans).filter(|span| !span.is_obstacle()) {
             *floors.entry(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(span.slices().1)).or_default() += 1;
@@ -68,8 +68,8 @@ impl<'a> Plan<'a> {
         let (layer, in_page) = (slice.div_euclid(PAGE_SLICES) as i32, slice.rem_euclid(PAGE_SLICES) as u32);
         let mut areas: [Area; 2] = Default::default();
         let mut pages = PageReader::new(archive);
-        for entry in archive.entries() {
-            let entry = entry.map_err(broken)?;
+        for entry in crate::entries(archive, path) {
+            let entry = entry?;
             if entry.key.layer != layer || entry.slices >> in_page & 1 == 0 {
                 continue;
             }

@@ -71,8 +71,8 @@ fn storey_tiles(ground: &Ground, loader: &Loader, output: &Path, storey: usize) 
     let broken = |error| crate::broken(loader.path(), &error);
     let mut tops: Vec<Option<i64>> = vec![None; (width * height) as usize];
     let mut pages = PageReader::new(archive);
-    for entry in archive.entries() {
-        let entry = entry.map_err(broken)?;
+    for entry in crate::entries(archive, loader.path()) {
+        let entry = entry?;
         let base = i64::from(entry.key.layer) * PAGE_QUANTA;
         for (px, py, spans) in pages.page(&entry).map_err(broken)?.columns() {
             let at = |tile: i32, pixel: u32, first: i64| i64::from(tile) * TILE_PIXELS + i64::from(pixel) - first;

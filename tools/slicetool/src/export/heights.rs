@@ -89,7 +89,7 @@ pub fn tif(
     let broken = |error| crate::broken(path, &error);
     let Layers { layers, figures, highest } = layers;
     let highest = highest.map_or(i64::MAX, |z| frame.quantum_floor(z));
-    let mut entries: Vec<PageEntry> = archive.entries().collect::<Result<_, _>>().map_err(broken)?;
+    let mut entries: Vec<PageEntry> = crate::entries(archive, path).collect::<Result<_, _>>()?;
     // Highest row of tiles first; within a column the lowest page first, so that higher floors come last.
     entries.sort_unstable_by_key(|entry| (Reverse(entry.key.ty), entry.key.tx, entry.key.layer));
     let ends = |of: fn(&PageEntry) -> i32| {
@@ -121,6 +121,7 @@ pub fn tif(
         let (own, others) = rest.split_at(count);
         rest = others;
         for entry in own {
+            crate::go_on()?;
             let base = i64::from(entry.key.layer) * PAGE_QUANTA;
             if base > highest && !has_ceilings {
                 continue;

@@ -6,11 +6,10 @@
 //! where no scanner saw the middle of the pawn above its climb height are unknown, not free. Format: the page on the map server in the
 //! documentation of Nav2, trinary mode; its thresholds are those at which the three grey values differ.
 
-use crate::Failure;
 use crate::ground::{Loader, Pawns, tidy};
+use crate::{Failure, Quiet};
 use nalgebra::{Point3, Vector3};
 use serde_json::{Value, json};
-use slicewalk::NoMonitor;
 use slicewalk::frame::{Frame, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Cylinder, Overlap, overlaps};
 use slicewalk::reach::{Flood, Pawn, Region, StandingPlaces, Storey, Storeys};
@@ -88,10 +87,9 @@ impl<'a> Ground<'a> {
     /// Finds where the pawn can stand.
     pub fn of(loader: &'a Loader, pawn: Pawn) -> Result<Self, Failure> {
         let archive = loader.archive();
-        let broken = |error| crate::broken(loader.path(), &error);
         let (mut low, mut high) = ([i64::MAX; 2], [i64::MIN; 2]);
-        for entry in archive.entries() {
-            let key = entry.map_err(broken)?.key;
+        for entry in crate::entries(archive, loader.path()) {
+            let key = entry?.key;
             for (axis, tile) in [key.tx, key.ty].into_iter().enumerate() {
                 low[axis] = low[axis].min(i64::from(tile) * TILE_PIXELS);
                 high[axis] = high[axis].max(i64::from(tile + 1) * TILE_PIXELS);
@@ -104,7 +102,7 @@ impl<'a> Ground<'a> {
         }
         let mut standing = StandingPlaces::new(&loader.snapshot(), pawn)?;
         let mut flood = loader.known(|view| Flood::everywhere(&mut standing, view))?;
-        loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
+        loader.known(|view| flood.grow(&mut standing, view, &Quiet))?;
         let region = flood.region(&standing);
         Ok(Self { loader, pawn, storeys: region.storeys(), region, first: low, size })
     }

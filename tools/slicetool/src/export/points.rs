@@ -65,8 +65,8 @@ fn each_voxel(
     let broken = |error| crate::broken(path, &error);
     let mut pages = PageReader::new(archive);
     let mut colours = ColourReader::new(archive).map_err(broken)?;
-    for entry in archive.entries() {
-        let entry = entry.map_err(broken)?;
+    for entry in crate::entries(archive, path) {
+        let entry = entry?;
         let (page, inferred) = pages.page_and_inferred(&entry).map_err(broken)?;
         let colours = colours.as_mut().map(|colours| colours.colours(&entry)).transpose().map_err(broken)?;
         for (px, py, spans) in page.columns() {
@@ -307,8 +307,8 @@ impl Seek for Lent {
 fn transforms(archive: &Archive, path: &Path) -> Result<[las::Transform; 3], Failure> {
     let frame = archive.frame();
     let mut range = [(i64::MAX, i64::MIN); 3];
-    for entry in archive.entries() {
-        let entry = entry.map_err(|error| crate::broken(path, &error))?;
+    for entry in crate::entries(archive, path) {
+        let entry = entry?;
         let tile = |at: i32| (i64::from(at) * TILE_PIXELS, (i64::from(at) + 1) * TILE_PIXELS);
         let (low, high) = entry.slice_range();
         for (range, (low, high)) in range.iter_mut().zip([tile(entry.key.tx), tile(entry.key.ty), (low, high + 1)]) {

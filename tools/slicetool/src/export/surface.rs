@@ -59,8 +59,8 @@ fn columns(archive: &Archive, path: &Path) -> Result<Option<Columns>, Failure> {
     let broken = |error| crate::broken(path, &error);
     let mut columns = Columns::new();
     let (mut pages, mut count) = (PageReader::new(archive), 0);
-    for entry in archive.entries() {
-        let entry = entry.map_err(broken)?;
+    for entry in crate::entries(archive, path) {
+        let entry = entry?;
         let base = i64::from(entry.key.layer) * PAGE_QUANTA;
         let pixel = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
         for (px, py, spans) in pages.page(&entry).map_err(broken)?.columns() {

@@ -94,8 +94,8 @@ fn matter(map: &mut Map, reach: &Reach, loader: &Loader) -> Result<(), Failure> 
         .map(|storey| [frame.quantum_floor(storey.z + pawn.climb), frame.quantum_floor(storey.z + pawn.body.height())])
         .collect();
     let broken = |error| crate::broken(loader.path(), &error);
-    for entry in archive.entries() {
-        let entry = entry.map_err(broken)?;
+    for entry in crate::entries(archive, loader.path()) {
+        let entry = entry?;
         let base = i64::from(entry.key.layer) * PAGE_QUANTA;
         let corner = [i64::from(entry.key.tx) * TILE_PIXELS, i64::from(entry.key.ty) * TILE_PIXELS];
         let is_near = bands.iter().any(|band| band[0] <= base + PAGE_QUANTA && band[1] >= base);

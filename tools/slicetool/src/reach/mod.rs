@@ -89,7 +89,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     let own = standing.memory_bytes() + joined.memory_bytes();
     let region = joined.region;
-    let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, way, region, from, to };
+    crate::go_on()?;
+    let storeys = region.storeys();
+    crate::go_on()?;
+    let passages = region.passages();
+    crate::go_on()?;
+    let reach = Reach { storeys, passages, leaks, way, region, from, to };
     if let (Some(write), Some(output)) = (write, output) {
         let mut out = BufWriter::new(output);
         write(&reach, &loader, &mut out)?;

@@ -131,8 +131,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    pub fn new() -> Self {
-        let signal = Arc::new(AtomicUsize::new(0));
+    /// Begins; `signal` is to get the number of the signal that asks to stop.
+    pub fn new(signal: Arc<AtomicUsize>) -> Self {
         let terminal = Terminal::new("slicetool", false, suggestion, signal.clone());
         Self { terminal: Mutex::new(Some(terminal)), signal, stage: Mutex::new(None), done: AtomicU64::new(0) }
     }

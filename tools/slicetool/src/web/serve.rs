@@ -127,7 +127,11 @@ struct Converting {
 impl Converting {
     /// Begins `conversion`, which is given back at the end.
     fn begin(conversion: Conversion) -> std::io::Result<(Arc<Self>, std::thread::JoinHandle<Conversion>)> {
-        let all = Arc::new(Self { progress: Progress::new(), result: OnceLock::new(), told: AtomicBool::new(false) });
+        let all = Arc::new(Self {
+            progress: Progress::new(Arc::default()),
+            result: OnceLock::new(),
+            told: AtomicBool::new(false),
+        });
         let own = all.clone();
         let work = move || {
             let _ = own.result.set(conversion.run(&own.progress));

@@ -27,8 +27,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Outcome {
     let (show, folder) = (Show::new(&arguments.show)?, &arguments.output);
     if let Some(conversion) = &show.conversion {
-        let progress = Progress::new();
-        listen(&progress).map_err(|error| Failure::Text(format!("cannot listen for Ctrl-C: {error}")))?;
+        let progress = Progress::new(crate::signal().clone());
         conversion.run(&progress)?;
     }
     let shown = show.files.iter().map(|file| file.path.as_path());
@@ -60,24 +59,6 @@ pub fn run(arguments: &Arguments) -> Outcome {
         conversion.remove();
     }
     Ok(format!("{}: put this folder on any web host that answers range requests\n", folder.display()))
-}
-
-/// Records the signals that ask to stop; a second one ends the process at once.
-fn listen(progress: &Progress) -> std::io::Result<()> {
-    use signal_hook::{consts, flag};
-    let again = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let asking = [
-        consts::SIGINT,
-        consts::SIGTERM,
-        #[cfg(unix)]
-        consts::SIGHUP,
-    ];
-    for number in asking {
-        flag::register_conditional_shutdown(number, 128 + number, again.clone())?;
-        flag::register(number, again.clone())?;
-        flag::register_usize(number, progress.signal.clone(), number as usize)?;
-    }
-    Ok(())
 }
 
 fn create(folder: &Path) -> Result<(), Failure> {

@@ -22,6 +22,8 @@ mod exports;
 mod fields;
 mod heightfields;
 mod house;
+#[cfg(unix)]
+mod interrupts;
 mod long;
 mod outputs;
 mod reach;

@@ -152,8 +152,8 @@ impl<'a> Mesh<'a> {
         cross(side(b), side(c))
     }
 
-    /// Collapses edges as long as any can be.
-    pub fn simplify(&mut self) {
+    /// Collapses edges as long as any can be. Fails once a signal asks to stop.
+    pub fn simplify(&mut self) -> slicewalk::Result<()> {
         for _ in 0..PASSES {
             let mut open = BinaryHeap::new();
             for number in 0..self.triangles.len() {
@@ -170,6 +170,7 @@ impl<'a> Mesh<'a> {
             let mut collapsed = 0usize;
             let edges = open.len();
             while let Some(Candidate { ends, versions, .. }) = open.pop() {
+                crate::go_on()?;
                 let is_current = [0, 1].iter().all(|&n| self.versions[ends[n] as usize] == versions[n]);
                 if !is_current || !self.collapse(ends) {
                     continue;
@@ -183,6 +184,7 @@ impl<'a> Mesh<'a> {
                 break;
             }
         }
+        Ok(())
     }
 
     fn candidate(&self, ends: [u32; 2]) -> Candidate {

@@ -18,6 +18,7 @@ mod write;
 pub use write::{glb, obj};
 
 use crate::Failure;
+use slicewalk::Monitor;
 use slicewalk::archive::{Archive, PageEntry};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
 use slicewalk_base::text::{counted, grouped, number};
@@ -60,8 +61,7 @@ pub struct Collider {
 impl Collider {
     /// Makes the collider of an archive at `path`. Memory: its triangles, and a tile for each thread.
     pub fn new(archive: &Archive, path: &Path, bound: Bound) -> Result<Self, Failure> {
-        let entries: Vec<PageEntry> =
-            archive.entries().collect::<Result<_, _>>().map_err(|error| crate::broken(path, &error))?;
+        let entries: Vec<PageEntry> = crate::entries(archive, path).collect::<Result<_, _>>()?;
         let scene = Scene { archive, path, entries };
         match bound {
             Bound::Error(error_m) => {
@@ -135,7 +135,8 @@ impl Scene<'_> {
 
     /// Makes the surfaces for an error; `None` if they have more than `most` triangles.
     fn pieces(&self, error_m: f64, most: u64) -> Result<Option<Vec<Piece>>, Failure> {
-        let tiles = self.tiles(error_m);
+        let (tiles, monitor) = (self.tiles(error_m), crate::terminal());
+        monitor.stage(&format!("collider within {} m", number(error_m)), self.entries.len() as u64, "pages");
         let (next, triangles, failed) = (AtomicUsize::new(0), AtomicU64::new(0), AtomicBool::new(false));
         let made: Mutex<Vec<(usize, Result<Piece, Failure>)>> = Mutex::default();
         let work = || {
@@ -145,6 +146,7 @@ impl Scene<'_> {
                 let piece = tile::piece(self.archive, self.path, tile, error_m);
                 match &piece {
                     Ok(piece) => {
+                        monitor.advance(tile.entries.len() as u64);
                         triangles.fetch_add(piece.triangles.len() as u64, Ordering::Relaxed);
                     }
                     Err(_) => failed.store(true, Ordering::Relaxed),

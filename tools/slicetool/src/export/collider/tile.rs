@@ -44,7 +44,7 @@ pub fn piece(archive: &Archive, path: &Path, tile: &Tile, error_m: f64) -> Resul
     for attempt in 0..ATTEMPTS {
         let Some(grid) = Grid::new(archive.frame(), error_m, 1 << attempt) else { break };
         let solid = Solid::load(archive, path, tile, grid)?;
-        if let Some(piece) = solid.simplified(archive, &tile.name) {
+        if let Some(piece) = solid.simplified(archive, &tile.name)? {
             return Ok(piece);
         }
     }
@@ -85,15 +85,16 @@ impl Solid {
     }
 
     /// Returns the checked surface; `None` if it cannot be had on this grid.
-    fn simplified(&self, archive: &Archive, name: &str) -> Option<Piece> {
+    fn simplified(&self, archive: &Archive, name: &str) -> slicewalk::Result<Option<Piece>> {
         let grid = &self.grid;
         let reach = within_reach(&self.columns, grid);
         let scale = [grid.cell_m / STEPS as f64, grid.cell_m / STEPS as f64, grid.unit_m];
-        let (mut corners, triangles) = Cover::of(&self.columns, grid)?.surface();
+        let Some(cover) = Cover::of(&self.columns, grid) else { return Ok(None) };
+        let (mut corners, triangles) = cover.surface();
         corners.iter_mut().for_each(|corner| (corner[0], corner[1]) = (corner[0] * STEPS, corner[1] * STEPS));
         let shell = Shell::new(&self.columns, &reach, 1, 1.0);
-        let mut mesh = Mesh::new(&shell, scale, corners, triangles)?;
-        mesh.simplify();
+        let Some(mut mesh) = Mesh::new(&shell, scale, corners, triangles) else { return Ok(None) };
+        mesh.simplify()?;
         let (places, triangles) = mesh.finish();
         let frame = archive.frame();
         let [x, y] = self.first.map(|cell| (cell * grid.group) as f64 / grid.parts as f64 * frame.pixel_m());
@@ -104,7 +105,7 @@ impl Solid {
             corners: corners.collect(),
             triangles,
         };
-        self.is_sound(&reach, &piece, scale).then_some(piece)
+        Ok(self.is_sound(&reach, &piece, scale).then_some(piece))
     }
 
     /// Returns whether the surface, with its corners as they will be written, lies outside of the solid and within
