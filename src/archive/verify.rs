@@ -139,7 +139,7 @@ impl Archive {
 /// Most findings of one rule that a verification lists; the rest are only counted.
 pub const LISTED: u64 = 1000;
 /// Pages between checks for cancellation.
-const STRIDE: u64 = 1 << 12;
+const STRIDE: u64 = 1 << 6;
 /// Pixels of a page.
 const PIXELS: u64 = (TILE_PIXELS * TILE_PIXELS) as u64;
 
