@@ -86,6 +86,25 @@ impl<'a> OpenShard<'a> {
         (self.header.plan_hash, self.shard.plan_file, self.shard.count)
     }
 
+    /// Says what of the heads keeps this part from being merged with `other`, and what to do.
+    fn difference(&self, other: &Self) -> Option<String> {
+        let name = other.path.display();
+        let colours = |part: &Self| part.header.colours.map(|colours| colours.plan);
+        Some(if self.header.levels.is_some() != other.header.levels.is_some() {
+            format!("only one of it and {name} has overview levels; convert both with the same --levels")
+        } else if has_seen(&self.header) != has_seen(&other.header) {
+            format!("only one of it and {name} has seen space; convert both with --free-space, or none")
+        } else if colours(self) != colours(other) {
+            format!("its colours were not made as those of {name}; convert both by one plan, with the same --colour")
+        } else if self.crs != other.crs {
+            format!("its reference system is not that of {name}")
+        } else if self.units != other.units {
+            format!("the units of its inputs are not those of {name}")
+        } else {
+            return None;
+        })
+    }
+
     fn refuse<T>(&self, reason: String) -> Result<T> {
         Err(Error::input(self.path, format!("{}", self.shard), reason))
     }
@@ -221,18 +240,22 @@ fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>
     // With several families, report a part outside the largest one.
     let common = families.into_iter().max_by_key(|&(_, members)| members).map(|(family, _)| family);
     let Some(common) = common else { return Ok((parts, Vec::new())) };
+    if let Some(foreign) = parts.iter().find(|part| part.family() != common) {
+        let (plan, plan_file, _) = foreign.family();
+        let relative = parts.iter().find(|part| part.family() == common);
+        let what = match (plan == common.0, plan_file == common.1) {
+            (false, _) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
+            (_, false) => match relative.and_then(|relative| foreign.difference(relative)) {
+                Some(difference) => return foreign.refuse(difference),
+                None => "it was converted from other inputs than the other parts".to_owned(),
+            },
+            _ => format!("the other parts are of {}", common.2),
+        };
+        return foreign.refuse(format!("{what}; leave it out, or convert it again with their plan"));
+    }
     let mut ordered: BTreeMap<u32, OpenShard<'_>> = BTreeMap::new();
     let mut copies = Vec::new();
     for part in parts {
-        if part.family() != common {
-            let (plan, plan_file, _) = part.family();
-            let what = match (plan == common.0, plan_file == common.1) {
-                (false, _) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
-                (_, false) => "it was converted from other inputs than the other parts".to_owned(),
-                _ => format!("the other parts are of {}", common.2),
-            };
-            return part.refuse(format!("{what}; leave it out, or convert it again with their plan"));
-        }
         match ordered.get(&part.shard.index) {
             Some(same) if same_bytes(same, &part)? => copies.push(part.path.to_path_buf()),
             Some(other) => {
@@ -261,24 +284,8 @@ fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>
         if pair[0].shard.last.checked_add(1) != Some(pair[1].shard.first) {
             return pair[1].refuse(format!("its columns do not follow those of {}", pair[0].path.display()));
         }
-        if pair[0].header.levels.is_some() != pair[1].header.levels.is_some() {
-            let reason = format!("only one of it and {} has overview levels", pair[0].path.display());
-            return pair[1].refuse(format!("{reason}; convert both with the same --levels"));
-        }
-        if has_seen(&pair[0].header) != has_seen(&pair[1].header) {
-            let reason = format!("only one of it and {} has seen space", pair[0].path.display());
-            return pair[1].refuse(format!("{reason}; convert both with --free-space, or none"));
-        }
-        let colours = |part: &OpenShard<'_>| part.header.colours.map(|colours| colours.plan);
-        if colours(&pair[0]) != colours(&pair[1]) {
-            let reason = format!("its colours were not made as those of {}", pair[0].path.display());
-            return pair[1].refuse(format!("{reason}; convert both by one plan, with the same --colour"));
-        }
-        if pair[0].crs != pair[1].crs {
-            return pair[1].refuse(format!("its reference system is not that of {}", pair[0].path.display()));
-        }
-        if pair[0].units != pair[1].units {
-            return pair[1].refuse(format!("the units of its inputs are not those of {}", pair[0].path.display()));
+        if let Some(difference) = pair[1].difference(&pair[0]) {
+            return pair[1].refuse(difference);
         }
     }
     same_inputs(&ordered)?;

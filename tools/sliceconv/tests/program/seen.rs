@@ -236,7 +236,7 @@ fn order_threads_memory_and_parts_change_no_byte_and_other_sections_stay() {
     assert!(refuses(at, &useless, 2).contains("--stations: the plan neither"));
     part(2, "plain.json", &[]);
     let error = slicewalk::archive::merge(&parts, &at.join("x.slices"), false, &NoMonitor).unwrap_err().to_string();
-    assert!(error.contains("part 2 of 3"), "{error}");
+    assert!(error.contains("part 2 of 3: only one of it and") && error.contains("has seen space; convert"), "{error}");
     // All other sections are those of an archive without seen space.
     let plain = [&names[..], &["--pixel", "0.05", "--units", "m", "--quiet", "-o", "plain.slices"]].concat();
     converts(at, &plain);
