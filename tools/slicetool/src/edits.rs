@@ -3,11 +3,15 @@
 use crate::Failure;
 use nalgebra::{Point2, Point3};
 use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use slicewalk::edit::{Edits, Prism};
+use slicewalk_base::output::is_standard;
 use slicewalk_base::text::counted;
 use std::collections::HashSet;
+use std::fmt;
 use std::fs::File;
 use std::io::Read;
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 /// Largest file (bytes).
@@ -20,23 +24,92 @@ const LONGEST_S: f64 = 86_400.0;
 const LONGEST_NAME: usize = 200;
 
 /// The file as it is written.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Default)]
 struct Written {
-    #[serde(default)]
-    remove: Vec<Shape>,
-    #[serde(default)]
-    add: Vec<Shape>,
-    #[serde(default)]
-    doors: Vec<Shape>,
-    #[serde(default)]
-    links: Vec<WrittenLink>,
-    #[serde(default)]
-    no_go: Vec<Shape>,
+    remove: Option<Vec<Shape>>,
+    add: Option<Vec<Shape>>,
+    doors: Option<Vec<Shape>>,
+    links: Option<Vec<WrittenLink>>,
+    no_go: Option<Vec<Shape>>,
+}
+
+/// Names of the lists.
+const LISTS: &[&str] = &["remove", "add", "doors", "links", "no_go"];
+
+// Not derived, because errors are to name the list and the entry.
+impl<'de> Deserialize<'de> for Written {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Lists;
+        impl<'de> Visitor<'de> for Lists {
+            type Value = Written;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Written, A::Error> {
+                let mut written = Written::default();
+                while let Some(key) = map.next_key::<String>()? {
+                    let is_second = match &key[..] {
+                        "remove" => written.remove.replace(map.next_value_seed(List::of("remove"))?).is_some(),
+                        "add" => written.add.replace(map.next_value_seed(List::of("add"))?).is_some(),
+                        "doors" => written.doors.replace(map.next_value_seed(List::of("doors"))?).is_some(),
+                        "links" => written.links.replace(map.next_value_seed(List::of("links"))?).is_some(),
+                        "no_go" => written.no_go.replace(map.next_value_seed(List::of("no_go"))?).is_some(),
+                        _ => return Err(A::Error::unknown_field(&key, LISTS)),
+                    };
+                    if is_second {
+                        return Err(A::Error::custom(format!("{key}: expected one such list, found two")));
+                    }
+                }
+                Ok(written)
+            }
+        }
+        deserializer.deserialize_map(Lists)
+    }
+}
+
+/// Reads the list of this name; errors name the entry.
+struct List<T>(&'static str, PhantomData<T>);
+
+impl<T> List<T> {
+    fn of(name: &'static str) -> Self {
+        Self(name, PhantomData)
+    }
+}
+
+impl<'de, T: Deserialize<'de>> DeserializeSeed<'de> for List<T> {
+    type Value = Vec<T>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Vec<T>, D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for List<T> {
+    type Value = Vec<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a list {:?}", self.0)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Vec<T>, A::Error> {
+        let mut entries = Vec::new();
+        loop {
+            // The error keeps its line and column, which are at its end.
+            let entry = list
+                .next_element()
+                .map_err(|error| A::Error::custom(format!("{}[{}]: {error}", self.0, entries.len())))?;
+            match entry {
+                Some(entry) => entries.push(entry),
+                None => return Ok(entries),
+            }
+        }
+    }
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "an object")]
 struct Shape {
     name: Option<String>,
     #[serde(rename = "box")]
@@ -50,7 +123,7 @@ struct Shape {
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "an object")]
 struct WrittenLink {
     name: String,
     from: [f64; 3],
@@ -85,6 +158,10 @@ pub struct EditFile {
 impl EditFile {
     /// Reads and checks a file.
     pub fn read(path: &Path) -> Result<Self, Failure> {
+        if is_standard(path) {
+            let text = "--edits -: edits are read more than once, not from standard input; name a file";
+            return Err(Failure::Usage(text.into()));
+        }
         let failed = |reason: String| Failure::Text(format!("{}: {reason}", path.display()));
         let file = File::open(path).map_err(|error| failed(format!("cannot read: {error}")))?;
         let mut bytes = Vec::new();
@@ -105,7 +182,7 @@ impl EditFile {
         let mut names = HashSet::new();
         let lists = [("remove", written.remove), ("add", written.add), ("doors", written.doors)];
         for (list, shapes) in lists {
-            for (number, shape) in shapes.into_iter().enumerate() {
+            for (number, shape) in shapes.into_iter().flatten().enumerate() {
                 let at = format!("{list}[{number}]");
                 let prism = shape.prism(&at)?;
                 let done = match list {
@@ -124,15 +201,16 @@ impl EditFile {
             }
         }
         let mut with_no_go = solids.clone();
-        for (number, shape) in written.no_go.into_iter().enumerate() {
+        for (number, shape) in written.no_go.into_iter().flatten().enumerate() {
             let at = format!("no_go[{number}]");
             with_no_go.add(shape.prism(&at)?, false).map_err(|error| format!("{at}: {error}"))?;
         }
-        if written.links.len() > MOST_LINKS {
-            return Err(format!("links: expected at most {MOST_LINKS}, found {}", written.links.len()));
+        let written_links = written.links.unwrap_or_default();
+        if written_links.len() > MOST_LINKS {
+            return Err(format!("links: expected at most {MOST_LINKS}, found {}", written_links.len()));
         }
         let mut links = Vec::new();
-        for (number, link) in written.links.into_iter().enumerate() {
+        for (number, link) in written_links.into_iter().enumerate() {
             let at = format!("links[{number}]");
             named(&mut names, &at, &link.name)?;
             if !(0.0..=LONGEST_S).contains(&link.seconds) {
@@ -254,7 +332,21 @@ mod tests {
             ("", "EOF"),
             ("[]", "invalid"),
             (r#"{"walls": []}"#, "unknown field `walls`"),
-            (r#"{"remove": [{"box": [0, 0, 0, 1, 1]}]}"#, "invalid length 5"),
+            (r#"{"remove": {}}"#, r#"invalid type: map, expected a list "remove" at line 1 column 11"#),
+            (r#"{"remove": [], "remove": []}"#, "remove: expected one such list, found two"),
+            (r#"{"remove": [{"box": [0, 0, 0, 1, 1]}]}"#, "edits: remove[0]: invalid length 5"),
+            (
+                "{\"add\": [{\"box\": [0, 0, 0, 1, 1, 1]},\n{\"colour\": 1}]}",
+                "edits: add[1]: unknown field `colour`, expected one of `name`, `box`, `outline`, `z`, `floor`, `open` at \
+                 line 2 column 9",
+            ),
+            (r#"{"doors": [{"name": 1}]}"#, "edits: doors[0]: invalid type: integer `1`, expected a string at line 1"),
+            (r#"{"links": [{"name": "a"}]}"#, "edits: links[0]: missing field `from` at line 1"),
+            (
+                r#"{"no_go": [{"box": [0, 0, 0, 1, 1, 1]}, 5"#,
+                "edits: no_go[1]: invalid type: integer `5`, expected an object at",
+            ),
+            (r#"{"no_go": [{"box": [0, 0, 0, 1, 1, 1]}, {"#, "edits: no_go[1]: EOF while parsing"),
             (r#"{"remove": [{"box": [0, 0, 0, 1, 1, 0]}]}"#, "remove[0]: prism: expected a bottom below the top"),
             (r#"{"remove": [{"box": [0, 0, 0, 0, 1, 1]}]}"#, "remove[0]: box: expected minima below maxima"),
             (r#"{"remove": [{"name": "a"}]}"#, r#"remove[0]: expected "box", or "outline" and "z""#),

@@ -201,6 +201,7 @@ fn bad_edits_are_refused_in_one_line() {
         said
     };
     assert!(refused(&["--edits", "none.json"], 1).contains("none.json: cannot read"));
+    assert!(refused(&["--edits", "-"], 2).contains("name a file"));
     for (text, says) in [
         ("{", "e.json: edits: EOF"),
         (r#"{"wall": []}"#, "unknown field `wall`, expected one of `remove`, `add`, `doors`, `links`, `no_go`"),
