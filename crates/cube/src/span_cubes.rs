@@ -23,7 +23,8 @@ impl SpanCubes {
         Self { frame: *frame, ratio: is_whole.then_some(ratio.round() as i64) }
     }
 
-    /// Returns the first cube that a span from `bottom` to `top` (quanta) reaches, and the one after the last.
+    /// Returns the first cube that a span from `bottom` to `top` (quanta) reaches, and the one after the last. A flat span
+    /// on the boundary of two cubes makes the upper one solid, which has its lower face there.
     pub fn of_span(&self, bottom: i64, top: i64) -> (i64, i64) {
         let (first, end) = match self.ratio {
             Some(ratio) => {

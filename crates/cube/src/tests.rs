@@ -294,6 +294,7 @@ fn spans_reach_at_least_one_cube() {
     let cubes = SpanCubes::of(&frame);
     // A cube is 85 quanta.
     assert_eq!(cubes.of_span(0, 0), (0, 1));
+    assert_eq!([84, 85, 86].map(|height| cubes.of_span(height, height)), [(0, 1), (1, 2), (1, 2)]);
     assert_eq!(cubes.of_span(-1, 85), (-1, 1));
     assert_eq!(cubes.of_span(84, 86), (0, 2));
     let frame = Frame::new(0.1, 0.17).unwrap();
