@@ -179,11 +179,11 @@ impl Walks {
             Body::Cylinder { radius, .. } if length >= 2.0 * radius => Ok(Some(length)),
             Body::Cylinder { radius, .. } => {
                 let text = format!("--length {length}: the pawn is {} m wide; give at least that", 2.0 * radius);
-                Err(Failure::Text(text))
+                Err(Failure::Usage(text))
             }
             Body::Box { .. } => {
                 let text = "only a cylinder can be drawn out; give --pawn cylinder:RADIUSxHEIGHT or a --profile";
-                Err(Failure::Text(format!("--length {length}: {text}")))
+                Err(Failure::Usage(format!("--length {length}: {text}")))
             }
         }
     }

@@ -14,7 +14,7 @@ pub struct Arguments {
     #[arg(required = true, value_name = "SHARD")]
     shards: Vec<PathBuf>,
     /// Merge only neighbouring parts, into part I of N of a coarser cut, to be merged with its other parts later
-    #[arg(long, value_name = "I/N", value_parser = part)]
+    #[arg(long, value_name = "I/N", value_parser = slicewalk_convert::values::part)]
     part: Option<(u32, u32)>,
     /// Archive to write, a file or an address in an object store; left alone if it already has the right bytes
     #[arg(short, long, value_name = "OUT.slices")]
@@ -30,6 +30,7 @@ pub struct Arguments {
 /// Merges the parts; refuses missing, foreign and damaged ones by name.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { shards, part, output, force, json } = arguments;
+    shards.iter().try_for_each(|shard| crate::standard::refuse_archive(shard))?;
     let merged = match part {
         Some(part) => merge_run(shards, *part, output, *force, &crate::terminal())?,
         None => merge(shards, output, *force, &crate::terminal())?,
@@ -55,9 +56,4 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let name = output.to_string_lossy();
     writeln!(text, "{}: {state}, {parts}, {}", one_line(&name), file_size(merged.header.file_len))?;
     Ok(text)
-}
-
-fn part(text: &str) -> Result<(u32, u32), String> {
-    let part = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
-    part.ok_or_else(|| "expected a part and their number, such as 2/8".into())
 }

@@ -30,6 +30,7 @@ pub struct Arguments {
 /// Writes the sound pages. Losses are reported; they are a failure only if nothing can be written.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { archive, output, plan, force, json } = arguments;
+    crate::standard::refuse_archive(archive)?;
     let plan = plan.as_deref().map(PlanFile::read).transpose()?.map(|file| file.plan);
     let recovered = recover(archive, plan.as_ref(), output, *force, &crate::terminal())?;
     if *json {

@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let is_long = arguments.walks.length()?.is_some() && !arguments.coarse;
     if arguments.coarse && arguments.walks.has_length() {
         let text = "--coarse: the overview levels do not have headings; leave out --coarse or --length";
-        return Err(Failure::Text(text.into()));
+        return Err(Failure::Usage(text.into()));
     }
     let archive = arguments.walks.open(&arguments.archive)?;
     let edits = arguments.walks.edits().path();

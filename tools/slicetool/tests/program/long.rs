@@ -125,9 +125,9 @@ fn lengths_that_no_pawn_can_have_are_refused_in_one_line() {
     let folder = archive_of(bend(1.6));
     let ends = ["a.slices", "--from", "0.55,4.5,0.1", "--to", "4.5,0.55,0.1"];
     for (options, code, text) in [
-        (&["--length", "1.2"][..], 1, "--length 1.2: only a cylinder can be drawn out"),
-        (&["--length", "0.5", "--profile", "wheelchair"], 1, "--length 0.5: the pawn is 0.8 m wide"),
-        (&["--length", "1.2", "--profile", "wheelchair", "--coarse"], 1, "leave out --coarse or --length"),
+        (&["--length", "1.2"][..], 2, "--length 1.2: only a cylinder can be drawn out"),
+        (&["--length", "0.5", "--profile", "wheelchair"], 2, "--length 0.5: the pawn is 0.8 m wide"),
+        (&["--length", "1.2", "--profile", "wheelchair", "--coarse"], 2, "leave out --coarse or --length"),
         (&["--length", "500", "--profile", "wheelchair"], 2, "--length: 500 m is not allowed"),
         (&["--length", "x"], 2, "--length"),
     ] {

@@ -158,7 +158,8 @@ fn tables_come_from_standard_input_and_results_go_to_standard_output() {
 fn what_no_stream_can_be_is_refused_in_a_clear_line() {
     let folder = folder();
     let at = folder.path();
-    for command in [&["info", "-"][..], &["verify", "-"], &["query", "-", "--boxes", "w.csv"]] {
+    let (recover, merge) = (["recover", "-", "-o", "r.slices"], ["merge", "a.slices", "-", "-o", "m.slices"]);
+    for command in [&["info", "-"][..], &["verify", "-"], &["query", "-", "--boxes", "w.csv"], &recover, &merge] {
         assert!(refused(slicetool(at, command), 2).contains("not read from standard input; name a file"));
     }
     let said = refused(slicetool(at, &["extract", "a.slices", "-o", "-", "--bounds=-21,0,0,-20,1,1"]), 1);

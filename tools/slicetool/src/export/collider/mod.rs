@@ -18,6 +18,7 @@ mod write;
 pub use write::{glb, obj};
 
 use crate::Failure;
+use crate::ground::tidy;
 use slicewalk::Monitor;
 use slicewalk::archive::{Archive, PageEntry};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
@@ -190,7 +191,7 @@ impl Scene<'_> {
         }
         let Some(mut found) = found else {
             let reason =
-                format!("more than {} triangles even at {} m beyond the solid", grouped(most), number(error_m));
+                format!("more than {} triangles even at {} m beyond the solid", grouped(most), number(tidy(error_m)));
             return Err(Failure::Text(format!("{}: {reason}; give more --triangles", self.path.display())));
         };
         let mut step = 0.5f64;
