@@ -17,6 +17,7 @@ pub use placing::Placing;
 use serde::Deserialize;
 use slicewalk_base::bytes::{ByteSource, MemorySource, open_named};
 use slicewalk_base::colour::from_linear;
+use slicewalk_base::text::{counted, grouped};
 use slicewalk_base::{Error, Result};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -113,6 +114,8 @@ pub struct Gltf {
     /// Meshes and where they are placed, in the order of the nodes.
     instances: Vec<(usize, Placing)>,
     count: u64,
+    /// Splats of meshes that the scene does not show.
+    elsewhere: u64,
 }
 
 fn wrong(path: &Path, at: impl Into<String>, reason: impl std::fmt::Display) -> Error {
@@ -137,7 +140,15 @@ impl Gltf {
         if parts.is_empty() {
             return Err(refuse(path, "meshes", "expected Gaussian splats, found none; convert it as a mesh"));
         }
-        Ok(Self { path: path.to_path_buf(), parts, instances, count })
+        let is_placed = |mesh: usize| instances.iter().any(|(placed, _)| *placed == mesh);
+        let elsewhere = (0..by_mesh.len()).filter(|mesh| !is_placed(*mesh)).map(|mesh| by_mesh[mesh]);
+        let elsewhere = elsewhere.fold(0u64, u64::saturating_add);
+        if count == 0 && elsewhere > 0 {
+            let reason =
+                format!("no node of the scene has a mesh of splats, of which there are {}", grouped(elsewhere));
+            return Err(wrong(path, "scene", reason));
+        }
+        Ok(Self { path: path.to_path_buf(), parts, instances, count, elsewhere })
     }
 }
 
@@ -147,6 +158,10 @@ impl Body for Gltf {
     }
 
     fn read(&mut self, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {
+        if self.elsewhere > 0 {
+            let (name, splats) = (self.path.display(), counted(self.elsewhere, "splat"));
+            work.monitor.warn(&format!("{name}: {splats} of meshes that the scene does not show were left out").into());
+        }
         for (mesh, placing) in &self.instances {
             for (_, part) in self.parts.iter_mut().filter(|(number, _)| number == mesh) {
                 gate.place(Some(*placing));
@@ -324,19 +339,19 @@ impl Loader<'_> {
             }
             return Ok(Some(Content::Spz(spz)));
         }
-        let mut find = |names: &[&str], components: usize| -> Result<Option<Values>> {
+        let mut find = |names: &[&str], components: usize, are_shares: bool| -> Result<Option<Values>> {
             let number = names.iter().find_map(|name| primitive.attributes.get(*name)).copied();
-            number.map(|number| self.values(number, components)).transpose()
+            number.map(|number| self.values(number, components, are_shares)).transpose()
         };
         let name = |end: &str| format!("{EXTENSION}:{end}");
         let [scale, rotation, opacity, wave] = ["SCALE", "ROTATION", "OPACITY", "SH_DEGREE_0_COEF_0"].map(name);
         let found = (
-            find(&["POSITION"], 3)?,
-            find(&[&rotation, "_ROTATION"], 4)?,
-            find(&[&scale, "_SCALE"], 3)?,
-            find(&[&opacity, "_OPACITY"], 1)?,
-            find(&[&wave], 3)?,
-            find(&["COLOR_0"], 3)?,
+            find(&["POSITION"], 3, false)?,
+            find(&[&rotation, "_ROTATION"], 4, false)?,
+            find(&[&scale, "_SCALE"], 3, false)?,
+            find(&[&opacity, "_OPACITY"], 1, true)?,
+            find(&[&wave], 3, false)?,
+            find(&["COLOR_0"], 3, true)?,
         );
         let (Some(mean), Some(rotation), Some(scale_values), opacity, harmonics, colour) = found else {
             return Err(wrong(self.path, at, "expected positions, rotations and sizes of splats, found fewer"));
@@ -401,14 +416,14 @@ impl Loader<'_> {
         Ok(source)
     }
 
-    fn values(&mut self, number: usize, components: usize) -> Result<Values> {
+    fn values(&mut self, number: usize, components: usize, are_shares: bool) -> Result<Values> {
         let at = || format!("accessor {number}");
         let accessors = &self.document.accessors;
         let accessor = accessors.get(number).ok_or_else(|| wrong(self.path, at(), "there is no such accessor"))?;
         accessor.check(components).map_err(|reason| wrong(self.path, at(), reason))?;
         let view = accessor.view().ok_or_else(|| wrong(self.path, at(), "expected a buffer view, found none"))?;
         let (part, stride) = self.view(view)?;
-        accessor.values(Arc::new(part), stride).map_err(|reason| wrong(self.path, at(), reason))
+        accessor.values(Arc::new(part), stride, are_shares).map_err(|reason| wrong(self.path, at(), reason))
     }
 }
 

@@ -78,6 +78,13 @@ impl File {
                 let name = shown(element.name.as_bytes());
                 return Err(wrong(format!("expected no list in or before the splats, found one in element {name}")));
             }
+            let is_twice = |at: usize| element.properties[..at].iter().any(|p| p.name == element.properties[at].name);
+            if let Some(at) = (0..element.properties.len()).filter(|_| found).find(|at| is_twice(*at)) {
+                let [element, property] = [name, &element.properties[at].name].map(|name| shown(name.as_bytes()));
+                return Err(wrong(format!(
+                    "the element {element} has the property {property} more than once; write it once"
+                )));
+            }
             let width: usize = element.properties.iter().map(|p| p.number.bytes()).sum();
             if found {
                 let (columns, count) = (element.properties.len(), element.count);

@@ -22,6 +22,10 @@ use std::sync::Arc;
 const PIXEL: usize = 4;
 /// Images that are read: centres (low and high bytes), quaternions, sizes, colours.
 const IMAGES: usize = 5;
+/// Place of the quaternions among them.
+const QUATERNIONS: usize = 2;
+/// Least alpha of a quaternion: the place of its largest component.
+const TAG: u8 = 252;
 /// Pixels read at once.
 const ROWS: u64 = 1 << 13;
 
@@ -95,9 +99,16 @@ impl Sog {
     pub fn open_zip(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
         let zip = Zip::open(source, path)?;
         let is_meta = |name: &str| name == "meta.json" || name.ends_with("/meta.json");
-        let Some(entry) = zip.entries.iter().filter(|e| is_meta(&e.name)).min_by_key(|e| e.name.len()).cloned() else {
+        let mut metas = zip.entries.iter().filter(|entry| is_meta(&entry.name));
+        let Some(entry) = metas.next().cloned() else {
             return Err(refuse(path, "zip", "expected meta.json, found none: this is no SOG; fetch or write it again"));
         };
+        if metas.next().is_some() {
+            let found = 2 + metas.count();
+            let reason =
+                format!("expected one meta.json, found {found}; unpack it, and convert its folders or lod-meta.json");
+            return Err(refuse(path, "zip", reason));
+        }
         let options = super::SplatOptions::default();
         let monitor = &slicewalk_base::NoMonitor;
         let work = Work { path, options: &options, memory: 0, monitor };
@@ -141,8 +152,8 @@ impl Sog {
         Ok(Self { path: path.to_path_buf(), files, count, means, scales: sizes, colours, opacity, names })
     }
 
-    /// Decodes an image; returns its first pixels, one for each splat.
-    fn image(&self, name: &str, work: &Work<'_>) -> Result<Arc<dyn ByteSource>> {
+    /// Decodes an image; returns its first pixels, one for each splat, and whether those behind them are splats, too.
+    fn image(&self, name: &str, work: &Work<'_>) -> Result<(Arc<dyn ByteSource>, bool)> {
         let (source, path): (Arc<dyn ByteSource>, _) = match &self.files {
             Files::Folder => {
                 let path = beside(&self.path, name)?;
@@ -150,7 +161,7 @@ impl Sog {
             }
             Files::Zip(zip, folder) => {
                 let whole = format!("{folder}{name}");
-                let Some(entry) = zip.find(&whole) else {
+                let Some(entry) = zip.find(&whole, &self.path)? else {
                     let name = one_line(&whole);
                     return Err(refuse(
                         &self.path,
@@ -192,14 +203,16 @@ impl Sog {
         decoder.read_image(&mut bytes).map_err(failed)?;
         let mut store = Store::new(work, if needed * IMAGES as u64 > work.memory { 0 } else { work.memory / 2 });
         let mut block = Vec::with_capacity(ROWS as usize * PIXEL);
-        for pixels in bytes[..self.count as usize * channels].chunks(ROWS as usize * channels) {
+        let (own, rest) = bytes.split_at(self.count as usize * channels);
+        let is_more = name == self.names[QUATERNIONS] && are_splats(rest, channels);
+        for pixels in own.chunks(ROWS as usize * channels) {
             block.clear();
             pixels.chunks_exact(channels).for_each(|pixel| {
                 block.extend_from_slice(&[pixel[0], pixel[1], pixel[2], pixel.get(3).copied().unwrap_or(255)]);
             });
             store.append(&block)?;
         }
-        Ok(Arc::new(store))
+        Ok((Arc::new(store), is_more))
     }
 
     /// Passes on the splats of these ranges, which are in order and do not overlap.
@@ -207,7 +220,13 @@ impl Sog {
         let mut images = Vec::with_capacity(IMAGES);
         for name in &self.names {
             match self.image(name, work) {
-                Ok(image) => images.push(image),
+                Ok((image, false)) => images.push(image),
+                Ok((image, true)) => {
+                    let reason =
+                        format!("expected {} splats, found more; fetch or write it again", grouped(self.count));
+                    gate.refuse(refuse(&self.path, one_line(name), reason))?;
+                    images.push(image);
+                }
                 Err(error @ Error::Input { .. }) => {
                     gate.refuse(error)?;
                     return gate.miss(ranges.iter().map(|(start, end)| end - start).sum());
@@ -244,7 +263,7 @@ impl Sog {
         });
         let small = [0, 1, 2].map(|at| (f64::from(quaternion[at]) / 127.5 - 1.0) * std::f64::consts::FRAC_1_SQRT_2);
         // Another tag than that of w, x, y or z marks a splat without a rotation.
-        let rotation = match quaternion[3].checked_sub(252) {
+        let rotation = match quaternion[3].checked_sub(TAG) {
             Some(largest) => smallest_three(small, usize::from(largest)),
             None => [1.0, 0.0, 0.0, 0.0],
         };
@@ -260,6 +279,13 @@ impl Sog {
             colour: [0, 1, 2].map(|at| colour_of(self.colours.get(at, colour[at]))),
         }
     }
+}
+
+/// Returns whether pixels of quaternions are splats; equal ones are padding, whatever their value.
+fn are_splats(pixels: &[u8], channels: usize) -> bool {
+    let mut pixels = pixels.chunks_exact(channels);
+    let is_tagged = |pixel: &[u8]| pixel.get(3).is_some_and(|tag| *tag >= TAG);
+    pixels.clone().any(is_tagged) && pixels.next().is_some_and(|first| pixels.any(|pixel| pixel != first))
 }
 
 impl Body for Sog {
@@ -319,7 +345,7 @@ impl Levels {
         while let Some(node) = nodes.pop() {
             nodes.extend(&node.children);
             // A place may have no more than a coarse level.
-            let Some((level, range)) = node.lods.first_key_value().filter(|(_, range)| range.count > 0) else {
+            let Some((level, range)) = node.lods.iter().find(|(_, range)| range.count > 0) else {
                 continue;
             };
             let end = range.offset.checked_add(range.count).filter(|_| range.file < names.len());

@@ -335,10 +335,15 @@ impl Body for Spz {
                 let Ok(mut columns) = <[Box<dyn Read>; COLUMNS]>::try_from(columns) else { return Ok(()) };
                 self.pass(&mut columns, self.header.count, work.path, gate)?;
                 for column in &mut columns {
-                    let more = column.read(&mut [0]).map_err(|e| read_error(work.path, "SPZ streams", e))?;
-                    if more > 0 {
-                        let reason = "a stream holds more bytes than it states; fetch or write it again";
-                        return Err(refuse(work.path, "SPZ streams", reason));
+                    // The checksum of a stream stands at its end.
+                    match column.read(&mut [0]).map_err(|e| read_error(work.path, "SPZ streams", e)) {
+                        Ok(0) => {}
+                        Ok(_) => {
+                            let reason = "a stream holds more bytes than it states; fetch or write it again";
+                            gate.refuse(refuse(work.path, "SPZ streams", reason))?;
+                        }
+                        Err(error @ Error::Input { .. }) => gate.refuse(error)?,
+                        Err(error) => return Err(error),
                     }
                 }
                 Ok(())

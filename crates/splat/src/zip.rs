@@ -109,9 +109,16 @@ impl Zip {
         fields.number(8).zip(fields.number(8)).filter(|_| end.starts_with(LONG_END)).ok_or_else(broken)
     }
 
-    /// Returns the entry of this name.
-    pub fn find(&self, name: &str) -> Option<&Entry> {
-        self.entries.iter().find(|entry| entry.name == name)
+    /// Returns the only entry of this name, if there is one.
+    pub fn find(&self, name: &str, path: &Path) -> Result<Option<&Entry>> {
+        let mut found = self.entries.iter().filter(|entry| entry.name == name);
+        match (found.next(), found.count()) {
+            (entry, 0) => Ok(entry),
+            (_, more) => {
+                let name = shown(name.as_bytes());
+                Err(wrong(path, format!("expected one entry {name}, found {}", more + 1)))
+            }
+        }
     }
 
     /// Returns the bytes of an entry, checked against their length and checksum. They take `memory` bytes of memory, and

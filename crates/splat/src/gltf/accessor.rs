@@ -60,8 +60,8 @@ impl Accessor {
         self.buffer_view
     }
 
-    /// Returns its values in `view`.
-    pub fn values(&self, view: Arc<dyn ByteSource>, stride: Option<u64>) -> Result<Values, String> {
+    /// Returns its values in `view`. `are_shares` if they are from 0 to 1.
+    pub fn values(&self, view: Arc<dyn ByteSource>, stride: Option<u64>, are_shares: bool) -> Result<Values, String> {
         let number = self.number().ok_or("expected a component type of glTF")?;
         let components = self.components();
         let width = (components * number.bytes()) as u64;
@@ -76,8 +76,8 @@ impl Accessor {
         }
         let divisor = match number {
             // Colours and opacities in whole numbers are shares, even where a draft does not say so.
-            Number::U8 => 255.0,
-            Number::U16 => 65_535.0,
+            Number::U8 if self.normalized || are_shares => 255.0,
+            Number::U16 if self.normalized || are_shares => 65_535.0,
             Number::I8 if self.normalized => 127.0,
             Number::I16 if self.normalized => 32_767.0,
             _ => 1.0,

@@ -155,17 +155,18 @@ fn folders_of_sog_and_their_levels_are_read() {
     assert_eq!(reader.format(), SplatFormat::SogFolder);
     let error = [6e-4, 0.013, 0.02, 0.01, 2.0];
     compare("folder", &splats[20..], &collect(&mut reader).unwrap().1, error, [0.0; 3]);
-    let set = r#"{"version":1,"lodLevels":2,"counts":[45,10],"environment":"sky/meta.json",
+    let set = r#"{"version":1,"lodLevels":2,"counts":[43,12],"environment":"sky/meta.json",
         "filenames":["fine_0/meta.json","fine_1/meta.json","coarse/meta.json"],
         "tree":{"bound":{},"children":[
             {"lods":{"0":{"file":1,"offset":5,"count":25},"1":{"file":2,"offset":0,"count":10}}},
-            {"lods":{"0":{"file":0,"offset":0,"count":20}}}]}}"#;
+            {"lods":{"0":{"file":0,"offset":0,"count":18}}},
+            {"lods":{"0":{"file":0,"offset":0,"count":0},"1":{"file":0,"offset":18,"count":2}}}]}}"#;
     testing::hold("scene/lod-meta.json", set.as_bytes());
     let mut reader = SplatReader::open("scene/lod-meta.json", &options).unwrap();
     assert_eq!((reader.format(), reader.count()), (SplatFormat::SogLevels, 45));
     let expected = [&splats[..20], &splats[25..]].concat();
     compare("levels", &expected, &collect(&mut reader).unwrap().1, error, [0.0; 3]);
-    let wrong = set.replace("\"count\":25", "\"count\":26").replace("[45,10]", "[46,10]");
+    let wrong = set.replace("\"count\":25", "\"count\":26").replace("[43,12]", "[44,12]");
     testing::hold("scene/lod-meta.json", wrong.as_bytes());
     let reader = SplatReader::open("scene/lod-meta.json", &options);
     assert!(reader.and_then(|mut reader| collect(&mut reader)).unwrap_err().to_string().contains("at least 31 splats"));
@@ -261,6 +262,12 @@ fn files_that_hold_more_than_they_state_are_refused() {
     let ksplat = write::ksplat(&splats, 0, 0);
     let v4 = write::spz(&splats, 4, 0, true);
     let more = |bytes: &[u8], extra: &[u8]| [bytes, extra].concat();
+    let mut shorter = counting(v4.clone(), 299);
+    for (entry, width) in [9u64, 1, 3, 3, 4].into_iter().enumerate() {
+        shorter[40 + 16 * entry..48 + 16 * entry].copy_from_slice(&(299 * width).to_le_bytes());
+    }
+    let mut sog = write::sog(&splats, 2);
+    sog[0].1 = replaced(&sog[0].1, "\"count\":300", "\"count\":299");
     let cases = [
         ("a.ply", fewer(&text), "expected 299 rows of all elements, found 300", 299),
         ("b.ply", fewer(&little), "for all elements, found", 299),
@@ -274,6 +281,8 @@ fn files_that_hold_more_than_they_state_are_refused() {
         ("j.spz", more(&spz, b"abc"), "other data follow the gzip stream", 300),
         ("k.spz", more(&spz, &gzip(b"abc")), "other data follow the gzip stream", 300),
         ("l.spz", more(&v4, b"abc"), "bytes, found", 300),
+        ("m.spz", shorter, "a stream holds more bytes than it states", 299),
+        ("n.sog", write::zip(&sog, true), "q.webp: expected 299 splats, found more", 299),
     ];
     for (name, bytes, words, left) in cases {
         let error = read(&bytes, name, false).map(drop).unwrap_err();
@@ -291,6 +300,58 @@ fn files_that_hold_more_than_they_state_are_refused() {
     {
         let (_, found, summary) = read(&bytes, name, false).unwrap();
         assert_eq!((found.len(), summary.is_complete()), (300, true), "{name}");
+    }
+}
+
+/// What could be read in two ways is refused, and so is what no scene shows.
+#[test]
+fn ambiguous_files_are_refused() {
+    let splats = write::random_splats(30, 13);
+    let files = write::sog(&splats, 2);
+    let twice = |name: &str| {
+        let again = files.iter().filter(|file| file.0 == name).cloned();
+        write::zip(&files.iter().cloned().chain(again).collect::<Vec<_>>(), false)
+    };
+    let folders: Vec<_> = ["a/", "b/"]
+        .iter()
+        .flat_map(|at| files.iter().map(move |file| (format!("{at}{}", file.0), file.1.clone())))
+        .collect();
+    let text = String::from_utf8(write::ply(&splats, Kind::Text, "float", 9)).unwrap();
+    let glb = write::gltf(&splats);
+    let mesh = glb.windows(8).position(|bytes| bytes == b"\"mesh\":0").unwrap();
+    let hidden = [&glb[..mesh], b"\"mash\":0", &glb[mesh + 8..]].concat();
+    for (name, bytes, words) in [
+        ("a.sog", twice("l.webp"), "expected one entry \"l.webp\", found 2"),
+        ("b.sog", twice("meta.json"), "expected one meta.json, found 2"),
+        ("c.sog", write::zip(&folders, false), "expected one meta.json, found 2; unpack it"),
+        ("d.ply", text.replace("f_rest_3", "opacity").into(), "has the property \"opacity\" more than once"),
+        ("e.glb", hidden, "no node of the scene has a mesh of splats, of which there are 30"),
+    ] {
+        let error = read(&bytes, name, false).map(drop).unwrap_err();
+        assert!(error.to_string().contains(words) && is_one_line(&error), "{name}: {error}");
+    }
+}
+
+/// Meshes that are quantized have centres in whole numbers.
+#[test]
+fn whole_numbers_are_shares_only_where_the_file_says_so() {
+    let floats = [0.0f32, 0.0, 0.0, 1.0, -1.0, -1.0, -1.0].map(f32::to_le_bytes);
+    let binary = [&[1, 0, 2, 0, 3, 1, 0, 0][..], floats.as_flattened()].concat();
+    let name = "KHR_gaussian_splatting";
+    for (normalized, scale) in [(false, 1.0), (true, 1.0 / 65_535.0)] {
+        let json = format!(
+            "{{\"extensionsUsed\":[\"{name}\"],\"buffers\":[{{\"byteLength\":36}}],\"bufferViews\":[\
+             {{\"buffer\":0,\"byteLength\":8}},{{\"buffer\":0,\"byteOffset\":8,\"byteLength\":16}},\
+             {{\"buffer\":0,\"byteOffset\":24,\"byteLength\":12}}],\"accessors\":[\
+             {{\"bufferView\":0,\"componentType\":5123,\"normalized\":{normalized},\"count\":1,\"type\":\"VEC3\"}},\
+             {{\"bufferView\":1,\"componentType\":5126,\"count\":1,\"type\":\"VEC4\"}},\
+             {{\"bufferView\":2,\"componentType\":5126,\"count\":1,\"type\":\"VEC3\"}}],\"nodes\":[{{\"mesh\":0}}],\
+             \"meshes\":[{{\"primitives\":[{{\"mode\":0,\"attributes\":{{\"POSITION\":0,\"{name}:ROTATION\":1,\
+             \"{name}:SCALE\":2}},\"extensions\":{{\"{name}\":{{}}}}}}]}}]}}"
+        );
+        let (_, found, _) = read(&write::glb(&json, binary.clone()), "a.glb", false).unwrap();
+        let near = |(value, expected): (&f64, f64)| (value - expected * scale).abs() < 1e-9;
+        assert!(found[0].mean.iter().zip([1.0, 2.0, 259.0]).all(near), "{found:?}");
     }
 }
 

@@ -404,7 +404,7 @@ pub fn zip(files: &[(String, Vec<u8>)], deflated: bool) -> Vec<u8> {
     out
 }
 
-fn glb(json: &str, mut binary: Vec<u8>) -> Vec<u8> {
+pub fn glb(json: &str, mut binary: Vec<u8>) -> Vec<u8> {
     let mut json = json.as_bytes().to_vec();
     json.resize(json.len().next_multiple_of(4), b' ');
     binary.resize(binary.len().next_multiple_of(4), 0);
