@@ -24,6 +24,7 @@ mod epsg;
 mod epsg_table;
 mod expand;
 mod file;
+pub mod gltf_extensions;
 mod header;
 mod las;
 mod laz;

@@ -1,5 +1,5 @@
 //! glTF and GLB with `KHR_gaussian_splatting`: splats as points of primitives, moved by their nodes, or SPZ in a buffer
-//! view (`KHR_gaussian_splatting_compression_spz` and its drafts). Primitives without splats are skipped.
+//! view (`KHR_gaussian_splatting_compression_spz` and its drafts). Other primitives make the input incomplete.
 //!
 //! The extension stores sizes as logarithms and opacities as they are; its first drafts (`_SCALE`, `_ROTATION`) store
 //! sizes as they are, and opacities and colours in `COLOR_0`.
@@ -17,8 +17,9 @@ pub use placing::Placing;
 use serde::Deserialize;
 use slicewalk_base::bytes::{ByteSource, MemorySource, open_named};
 use slicewalk_base::colour::from_linear;
-use slicewalk_base::text::{counted, grouped};
+use slicewalk_base::text::{counted, grouped, shown};
 use slicewalk_base::{Error, Result};
+use slicewalk_input::gltf_extensions::{is_harmless, moves};
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -37,6 +38,8 @@ struct Document {
     accessors: Vec<Accessor>,
     buffer_views: Vec<View>,
     buffers: Vec<Buffer>,
+    extensions_required: Vec<String>,
+    extensions_used: Vec<String>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -54,6 +57,7 @@ struct Node {
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
+    extensions: BTreeMap<String, serde::de::IgnoredAny>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -116,6 +120,8 @@ pub struct Gltf {
     count: u64,
     /// Splats of meshes that the scene does not show.
     elsewhere: u64,
+    /// A mesh of the scene with primitives that are no splats.
+    other: Option<usize>,
 }
 
 fn wrong(path: &Path, at: impl Into<String>, reason: impl std::fmt::Display) -> Error {
@@ -128,11 +134,15 @@ impl Gltf {
         let mut loader = Loader { path, document: &document, binary, buffers: BTreeMap::new() };
         let instances = instances(&document, path)?;
         let (mut parts, mut by_mesh) = (Vec::new(), vec![0u64; document.meshes.len()]);
+        let mut others = Vec::new();
         for (number, mesh) in document.meshes.iter().enumerate() {
             for primitive in &mesh.primitives {
-                if let Some(part) = loader.primitive(primitive, number)? {
-                    by_mesh[number] = by_mesh[number].saturating_add(part.count());
-                    parts.push((number, part));
+                match loader.primitive(primitive, number)? {
+                    Some(part) => {
+                        by_mesh[number] = by_mesh[number].saturating_add(part.count());
+                        parts.push((number, part));
+                    }
+                    None => others.push(number),
                 }
             }
         }
@@ -148,7 +158,31 @@ impl Gltf {
                 format!("no node of the scene has a mesh of splats, of which there are {}", grouped(elsewhere));
             return Err(wrong(path, "scene", reason));
         }
-        Ok(Self { path: path.to_path_buf(), parts, instances, count, elsewhere })
+        document.check_extensions(&by_mesh, path)?;
+        let other = others.into_iter().find(|mesh| is_placed(*mesh));
+        Ok(Self { path: path.to_path_buf(), parts, instances, count, elsewhere, other })
+    }
+}
+
+impl Document {
+    /// Refuses extensions that add splats or move them and are not read.
+    fn check_extensions(&self, splats: &[u64], path: &Path) -> Result<()> {
+        let is_own = |name: &str| name.starts_with(EXTENSION) || name.contains("spz");
+        let required = self.extensions_required.iter().filter(|name| !is_own(name) && !is_harmless(name));
+        let mut unread = required.chain(self.extensions_used.iter().filter(|name| moves(name)));
+        if let Some(name) = unread.next() {
+            let reason = format!("it needs {}, which is not read; export it without", shown(name.as_bytes()));
+            return Err(refuse(path, "extensions", reason));
+        }
+        let has_splats = |node: &Node| node.mesh.is_some_and(|mesh| splats.get(mesh).is_some_and(|count| *count > 0));
+        let repeats = |node: &Node| node.extensions.contains_key("EXT_mesh_gpu_instancing");
+        match self.nodes.iter().position(|node| has_splats(node) && repeats(node)) {
+            None => Ok(()),
+            Some(node) => {
+                let reason = "EXT_mesh_gpu_instancing of splats is not read; export a node for each instance";
+                Err(refuse(path, format!("node {node}"), reason))
+            }
+        }
     }
 }
 
@@ -161,6 +195,10 @@ impl Body for Gltf {
         if self.elsewhere > 0 {
             let (name, splats) = (self.path.display(), counted(self.elsewhere, "splat"));
             work.monitor.warn(&format!("{name}: {splats} of meshes that the scene does not show were left out").into());
+        }
+        if let Some(mesh) = self.other {
+            let reason = "it has triangles, lines or points that are no splats; export them to a file of their own";
+            gate.refuse(refuse(&self.path, format!("mesh {mesh}"), reason))?;
         }
         for (mesh, placing) in &self.instances {
             for (_, part) in self.parts.iter_mut().filter(|(number, _)| number == mesh) {

@@ -320,11 +320,26 @@ fn ambiguous_files_are_refused() {
     let glb = write::gltf(&splats);
     let mesh = glb.windows(8).position(|bytes| bytes == b"\"mesh\":0").unwrap();
     let hidden = [&glb[..mesh], b"\"mash\":0", &glb[mesh + 8..]].concat();
+    let edited = |from: &str, to: &str| {
+        let json_len = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+        let json = std::str::from_utf8(&glb[20..20 + json_len]).unwrap().replace(from, to);
+        write::glb(&json, glb[28 + json_len..].to_vec())
+    };
+    let instances = "\"mesh\":0,\"extensions\":{\"EXT_mesh_gpu_instancing\":{\"attributes\":{\"TRANSLATION\":0}}},";
+    let triangles = "\"primitives\":[{\"attributes\":{\"POSITION\":0}},";
+    let has_more = edited("\"primitives\":[", triangles);
+    assert_eq!(read(&has_more, "a.glb", true).unwrap().1.len(), 30);
+    let required =
+        |name: &str| edited("\"extensionsUsed\"", &format!("\"extensionsRequired\":[\"{name}\"],\"extensionsUsed\""));
+    assert_eq!(read(&required("KHR_materials_unlit"), "a.glb", false).unwrap().1.len(), 30);
     for (name, bytes, words) in [
         ("a.sog", twice("l.webp"), "expected one entry \"l.webp\", found 2"),
         ("b.sog", twice("meta.json"), "expected one meta.json, found 2"),
         ("c.sog", write::zip(&folders, false), "expected one meta.json, found 2; unpack it"),
         ("d.ply", text.replace("f_rest_3", "opacity").into(), "has the property \"opacity\" more than once"),
+        ("f.glb", edited("\"mesh\":0,", instances), "node 0: EXT_mesh_gpu_instancing of splats is not read"),
+        ("g.glb", has_more, "mesh 0: it has triangles, lines or points that are no splats"),
+        ("h.glb", required("ABC_moves"), "it needs \"ABC_moves\", which is not read"),
         ("e.glb", hidden, "no node of the scene has a mesh of splats, of which there are 30"),
     ] {
         let error = read(&bytes, name, false).map(drop).unwrap_err();

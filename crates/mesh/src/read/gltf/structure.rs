@@ -1,6 +1,7 @@
 //! Structure of a glTF file: the part of its JSON that triangles need, in a few bytes per item, because files may hold
 //! millions of empty ones. References are checked where they are used.
 
+use crate::input::gltf_extensions;
 use crate::read::placing::Placing;
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -8,33 +9,6 @@ use std::borrow::Cow;
 use std::cell::Cell;
 use std::marker::PhantomData;
 
-/// Extensions that a file may require: those that are read, and those that neither move nor add triangles (appearance,
-/// lights, metadata, animations, which rest, and coarser copies). A name that ends in `_` is a prefix.
-const HARMLESS: [&str; 20] = [
-    "KHR_mesh_quantization",
-    "EXT_mesh_gpu_instancing",
-    "KHR_materials_",
-    "EXT_materials_",
-    "ADOBE_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_dds",
-    "KHR_lights_",
-    "EXT_lights_",
-    "KHR_xmp",
-    "KHR_xmp_json_ld",
-    "KHR_animation_pointer",
-    "KHR_node_hoverability",
-    "KHR_node_selectability",
-    "EXT_mesh_features",
-    "EXT_instance_features",
-    "EXT_structural_metadata",
-    "CESIUM_primitive_outline",
-    "MSFT_lod",
-];
-/// Extensions that move triangles and are not supported: files that use them are refused, whether they require them or
-/// not.
-const MOVING: [&str; 1] = ["CESIUM_RTC"];
 /// Marks an absent number.
 const NONE: u32 = u32::MAX;
 /// Substring of the names of extensions for Gaussian splats.
@@ -649,11 +623,8 @@ impl<'de> Visitor<'de> for Root<'_> {
             }
         }
         all.version = version.ok_or_else(|| A::Error::missing_field("asset"))?;
-        let is_harmless = |name: &Cow<str>| {
-            HARMLESS.iter().any(|of| if of.ends_with('_') { name.starts_with(of) } else { name == of })
-        };
-        required.retain(|name| !is_harmless(name));
-        required.extend(used.into_iter().filter(|name| MOVING.contains(&&**name)));
+        required.retain(|name| !gltf_extensions::is_harmless(name));
+        required.extend(used.into_iter().filter(|name| gltf_extensions::moves(name)));
         let splats = required.iter().position(|name| name.contains(SPLATS));
         all.extension_needed = required.into_iter().nth(splats.unwrap_or(0));
         Ok(all)
