@@ -3,7 +3,8 @@
 //!
 //! In: a file of any size. Out: batches of [`Cube`]s with z up, as whole numbers of the file's resolution. Free leaves
 //! of OctoMap are skipped. The bytes are untrusted: a damaged file gives a one-line [`Error::Input`], every node is
-//! visited once, and no number in the file sizes an allocation. Memory: 64 KiB for each level of a tree.
+//! visited once, and no number in the file sizes an allocation. Memory: 64 KiB for each level of a tree, and at
+//! most 2 MiB.
 //!
 //! Sources: OctoMap 1.9, `writeBinary` of `OccupancyOcTreeBase` and `writeData` of `OcTreeBaseImpl`; PlayCanvas, page
 //! "Voxel format" of the user manual of splat-transform, version 1.1.

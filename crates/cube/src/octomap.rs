@@ -44,6 +44,10 @@ fn header(source: &dyn ByteSource, path: &Path) -> Result<Header> {
         return Err(refuse(path, "byte 0", "expected \"# Octomap OcTree\" as the first line, found another format"));
     }
     let (mut id, mut nodes, mut size, mut moved, mut at) = (None, None, None, None, 0);
+    let once = |is_second: bool, key: &str| match is_second {
+        true => Err(damaged(&format!("expected one line {key}, found two"))),
+        false => Ok(()),
+    };
     loop {
         let Some(end) = head[at..].iter().position(|byte| *byte == b'\n') else {
             return Err(damaged("expected a line \"data\", found none"));
@@ -56,13 +60,21 @@ fn header(source: &dyn ByteSource, path: &Path) -> Result<Header> {
         let value = words.next().unwrap_or_default();
         match key {
             "data" => break,
-            "id" => id = Some(value.to_owned()),
-            "size" => nodes = Some(value.parse::<u64>().map_err(|_| damaged("expected a number of nodes as size"))?),
+            "id" => once(id.replace(value.to_owned()).is_some(), "id")?,
+            "size" => {
+                let parsed = value.parse::<u64>().map_err(|_| damaged("expected a number of nodes as size"))?;
+                once(nodes.replace(parsed).is_some(), "size")?;
+            }
             "res" => {
                 let parsed = value.parse().ok().filter(|size: &f64| *size > 0.0 && size.is_finite());
-                size = Some(parsed.ok_or_else(|| damaged("expected a length above 0 as res"))?);
+                let parsed = parsed.ok_or_else(|| damaged("expected a length above 0 as res"))?;
+                once(size.replace(parsed).is_some(), "res")?;
             }
-            "#" => moved = moved.or_else(|| shift(line)),
+            "#" => {
+                if let Some(shift) = shift(line) {
+                    once(moved.replace(shift).is_some(), "\"# moved by\"")?;
+                }
+            }
             _ => {}
         }
     }

@@ -357,6 +357,16 @@ fn damaged_trees_of_octomap_are_refused_in_one_line() {
     let deep: Vec<u8> = [0, 0, 0, 0, 1].repeat(40);
     let text = read(&octomap(FULL, "OcTree", 41, &deep)).unwrap_err().to_string();
     assert!(text.contains("deeper than the 16 levels"), "{text}");
+    // A header that says something twice could be meant either way.
+    let good = String::from_utf8(octomap(BINARY, "OcTree", 0, &[])).unwrap();
+    for line in ["id OcTree", "size 0", "res 0.1"] {
+        let text = read(good.replace("data", &format!("{line}\ndata")).as_bytes()).unwrap_err().to_string();
+        assert!(text.contains("found two"), "{text}");
+    }
+    let moved = "# moved by 1 0 0 m\n";
+    assert!(read(good.replace("data", &format!("{moved}data")).as_bytes()).is_ok());
+    let text = read(good.replace("data", &format!("{moved}{moved}data")).as_bytes()).unwrap_err().to_string();
+    assert!(text.contains("expected one line \"# moved by\", found two"), "{text}");
     for (kind, expected) in [("OcTreeStamped", "OcTreeStamped"), ("", "found")] {
         let text = read(&octomap(BINARY, kind, 1, &[0, 0])).unwrap_err().to_string();
         assert!(text.contains(expected), "{text}");
@@ -410,6 +420,13 @@ fn damaged_octrees_are_refused_in_one_line() {
     let (head, words) = octree();
     assert!(damage(&words, |words| read_octree(head.as_bytes(), words)) > words.len());
     assert!(damage(head.as_bytes(), |head| read_octree(head, &words)) > head.len());
+    // Each mixed block belongs to one node: one that no node names would be lost.
+    let twice = [&words[..4 * 6], &0u32.to_le_bytes(), &words[4 * 7..]].concat();
+    let text = read_octree(head.as_bytes(), &twice).unwrap_err().to_string();
+    assert!(text.contains("node 6: it names the block of another node"), "{text}");
+    let swapped = head.replace("\"min\":[-0.4", "\"min\":[2.8");
+    let text = read_octree(swapped.as_bytes(), &words).unwrap_err().to_string();
+    assert!(text.contains("gridBounds has a max below its min"), "{text}");
     // Both children of one node name the same blocks again: read by every path, a small file would take for ever.
     let shared: Vec<u8> = [0x0300_0001u32, 0x0300_0003, 0x0300_0003, 0xFF00_0000, 0xFF00_0000]
         .iter()

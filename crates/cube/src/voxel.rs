@@ -16,6 +16,8 @@ use std::sync::Arc;
 
 /// Most bytes of the header.
 const MOST_HEADER: u64 = 1 << 20;
+/// Most blocks that nodes can name.
+const MOST_BLOCKS: u64 = 1 << 24;
 /// Edge of a block (cubes).
 const BLOCK: i64 = 4;
 /// Most levels of blocks.
@@ -45,6 +47,7 @@ struct Header {
 #[derive(Deserialize)]
 struct Bounds {
     min: [f64; 3],
+    max: Option<[f64; 3]>,
 }
 
 /// Opens the octree with this header, and the file of its words beside it.
@@ -76,6 +79,9 @@ pub fn of_sources([source, words]: [Arc<dyn ByteSource>; 2], path: &Path, binary
     }
     if !min.iter().all(|v| v.is_finite()) {
         return Err(wrong("gridBounds is not finite".into()));
+    }
+    if head.grid_bounds.max.is_some_and(|max| (0..3).any(|axis| max[axis] < min[axis])) {
+        return Err(wrong("gridBounds has a max below its min".into()));
     }
     if head.leaf_size != BLOCK {
         return Err(wrong(format!("expected a leafSize of {BLOCK}, found {}", head.leaf_size)));
@@ -112,6 +118,7 @@ pub fn of_sources([source, words]: [Arc<dyn ByteSource>; 2], path: &Path, binary
     let levels = (0..=head.tree_depth).map(|_| Level { window: Window::new(words.clone()), free: 0 }).collect();
     let tree = Tree {
         binary,
+        is_read: vec![0; head.num_mixed_leaves.min(MOST_BLOCKS).div_ceil(64) as usize],
         leaves: Window::new(words),
         levels,
         base,
@@ -155,6 +162,8 @@ struct Tree {
     binary: PathBuf,
     head: Header,
     leaves: Window,
+    /// A bit for each mixed block that a node has named.
+    is_read: Vec<u64>,
     levels: Vec<Level>,
     /// Corner of the grid (cubes, axes of the file).
     base: [i64; 3],
@@ -200,6 +209,10 @@ impl Tree {
                 false => None,
             };
             let Some(bits) = bits else { return Err(self.damaged(node, "it names a block beyond the last")) };
+            let (word, bit) = (&mut self.is_read[(index / 64) as usize], 1 << (index % 64));
+            if std::mem::replace(word, *word | bit) & bit != 0 {
+                return Err(self.damaged(node, "it names the block of another node"));
+            }
             self.block = Some((corner, u64::from_le_bytes(bits)));
             return Ok(None);
         }
