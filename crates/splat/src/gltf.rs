@@ -1,8 +1,9 @@
 //! glTF and GLB with `KHR_gaussian_splatting`: splats as points of primitives, moved by their nodes, or SPZ in a buffer
 //! view (`KHR_gaussian_splatting_compression_spz` and its drafts). Other primitives make the input incomplete.
 //!
-//! The extension stores sizes as logarithms and opacities as they are; its first drafts (`_SCALE`, `_ROTATION`) store
-//! sizes as they are, and opacities and colours in `COLOR_0`.
+//! The extension stores sizes and opacities as they are. Its late drafts stored logarithms of sizes under the same name: a
+//! negative size, which the extension forbids, tells. Its first drafts (`_SCALE`, `_ROTATION`) store sizes as they are, and
+//! opacities and colours in `COLOR_0`.
 
 mod accessor;
 mod placing;
@@ -102,8 +103,8 @@ struct Attributes {
     mean: Values,
     rotation: Values,
     scale: Values,
-    /// Whether sizes are logarithms.
-    is_log: bool,
+    /// Whether sizes may be logarithms.
+    may_be_log: bool,
     opacity: Option<Values>,
     harmonics: Option<Values>,
     colour: Option<Values>,
@@ -205,7 +206,7 @@ impl Body for Gltf {
                 gate.place(Some(*placing));
                 match part {
                     Content::Spz(spz) => spz.read(work, gate)?,
-                    Content::Attributes(attributes) => attributes.read(&self.path, gate)?,
+                    Content::Attributes(attributes) => attributes.read(&self.path, work, gate)?,
                 }
                 gate.place(None);
             }
@@ -224,7 +225,25 @@ impl Content {
 }
 
 impl Attributes {
-    fn read(&self, path: &Path, gate: &mut Gate<'_>) -> Result<()> {
+    /// Returns whether sizes are logarithms: one is negative.
+    fn is_log(&self, path: &Path, work: &Work<'_>) -> Result<bool> {
+        let mut sizes = self.scale.reader();
+        for number in 0..if self.may_be_log { self.count } else { 0 } {
+            if number.is_multiple_of(1 << 16) && work.monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            let size = sizes.step().map_err(|e| read_error(path, format!("splat {number}"), e))?;
+            if size[..3].iter().any(|v| *v < 0.0) {
+                let text = "sizes below 0 are taken for logarithms, which drafts of KHR_gaussian_splatting stored";
+                work.monitor.warn(&format!("{}: {text}", path.display()).into());
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    fn read(&self, path: &Path, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {
+        let is_log = self.is_log(path, work)?;
         let open = |values: &Values| values.reader();
         let (mut mean, mut rotation, mut scale) = (open(&self.mean), open(&self.rotation), open(&self.scale));
         let [mut opacity, mut harmonics, mut colour] =
@@ -246,7 +265,7 @@ impl Attributes {
             };
             gate.push(Raw {
                 mean: [px, py, pz],
-                scale: [a, b, c].map(|v| if self.is_log { libm::exp(v) } else { v }),
+                scale: [a, b, c].map(|v| if is_log { libm::exp(v) } else { v }),
                 rotation: [w, x, y, z],
                 opacity: stated.map_or(tint.map_or(1.0, |tint| tint[3]), |stated| stated[0]),
                 colour,
@@ -402,9 +421,9 @@ impl Loader<'_> {
         }
         let space = own.and_then(|own| own.get("colorSpace")).and_then(|space| space.as_str());
         let is_linear = space.is_some_and(|space| space.starts_with("lin_"));
-        let is_log = primitive.attributes.contains_key(&scale);
+        let may_be_log = primitive.attributes.contains_key(&scale);
         let (mean, scale) = (mean, scale_values);
-        let all = Attributes { count, mean, rotation, scale, is_log, opacity, harmonics, colour, is_linear };
+        let all = Attributes { count, mean, rotation, scale, may_be_log, opacity, harmonics, colour, is_linear };
         Ok(Some(Content::Attributes(Box::new(all))))
     }
 

@@ -71,3 +71,16 @@ fn minimal_files_hold_the_same_splats() {
         }
     }
 }
+
+#[test]
+fn splats_have_the_same_sizes_as_gltf_and_as_ply() {
+    let Some(folder) = folder() else { return };
+    for (ply, glb) in [("train-1000.ply", "../made/train-1000.glb"), ("../made/room.ply", "../made/room.glb")] {
+        let sizes = |name: &str| read(&folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}")).2;
+        let (ply, glb) = (sizes(ply), sizes(glb));
+        assert_eq!(ply.len(), glb.len());
+        for (a, b) in ply.iter().zip(&glb) {
+            assert!((0..3).all(|axis| (a.scale[axis] / b.scale[axis] - 1.0).abs() < 1e-4), "{a:?} {b:?}");
+        }
+    }
+}

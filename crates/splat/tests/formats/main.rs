@@ -347,6 +347,29 @@ fn ambiguous_files_are_refused() {
     }
 }
 
+/// The extension has sizes as they are; its late drafts had their logarithms.
+#[test]
+fn sizes_of_gltf_are_those_of_the_extension_or_its_drafts() {
+    let splats = write::random_splats(40, 14);
+    let mut glb = write::gltf(&splats);
+    assert!(splats.iter().any(|splat| splat.scale.iter().any(|size| *size < 1.0)));
+    let sizes = |glb: &[u8]| -> Vec<[f32; 3]> {
+        read(glb, "a.glb", false).unwrap().1.iter().map(|splat| splat.scale).collect()
+    };
+    let of_draft = sizes(&glb);
+    let json_len = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    // Behind the centres and the quaternions.
+    let at = 28 + json_len + splats.len() * (12 + 16);
+    for (place, size) in glb[at..].chunks_exact_mut(4).zip(splats.iter().flat_map(|splat| splat.scale)) {
+        place.copy_from_slice(&size.to_le_bytes());
+    }
+    let linear = sizes(&glb);
+    for ((a, b), splat) in linear.iter().zip(&of_draft).zip(&splats) {
+        assert_eq!(*a, splat.scale);
+        assert!(a.iter().zip(b).all(|(a, b)| (a / b - 1.0).abs() < 1e-5), "{a:?} {b:?}");
+    }
+}
+
 /// Meshes that are quantized have centres in whole numbers.
 #[test]
 fn whole_numbers_are_shares_only_where_the_file_says_so() {
