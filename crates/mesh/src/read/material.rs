@@ -87,6 +87,7 @@ impl Materials {
         match parsed {
             Ok(()) => {}
             Err(Fault::Unusable(reason)) => self.textures.warn(watch, &format!("materials: {reason}")),
+            Err(Fault::Failed(error)) => return Err(error),
             Err(Fault::Memory(bytes)) => {
                 let text =
                     format!("materials: {} has {bytes} bytes; expected at most {}", shown(name), self.bytes_left);

@@ -32,6 +32,8 @@ pub(super) enum Fault {
     Unusable(String),
     /// It needs this many bytes, which exceeds the limit.
     Memory(u64),
+    /// The mesh file itself could not be read.
+    Failed(Error),
 }
 
 impl From<String> for Fault {
@@ -101,6 +103,7 @@ impl<K: Eq + Hash> Textures<K> {
                 self.warn(watch, &format!("texture {name}: {reason}; its triangles get the colour of their material"));
                 None
             }
+            Err(Fault::Failed(error)) => return Err(error),
             Err(Fault::Memory(bytes)) => {
                 let what = format!("{}: textures up to {name} (bytes)", self.path.display());
                 let needed = self.held.saturating_add(bytes);

@@ -5,12 +5,12 @@
 
 use super::buffers::{Buffers, ELSEWHERE, decode_percent};
 use super::structure::{BufferView, Material, Structure};
-use crate::Result;
 use crate::colour::from_linear;
 use crate::paint::{Texture, Wrap};
 use crate::read::placing::Placing;
 use crate::read::texture::{Fault, Textures, read_beside};
 use crate::read::watch::Watch;
+use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -118,6 +118,9 @@ fn of_view(view: Option<BufferView>, buffers: &mut Buffers, most_bytes: u64) -> 
         return Err(Fault::Memory(byte_length));
     }
     let mut bytes = vec![0; byte_length as usize];
-    buffers.read(buffer as usize, byte_offset, &mut bytes).map_err(|error| Fault::Unusable(error.to_string()))?;
+    buffers.read(buffer as usize, byte_offset, &mut bytes).map_err(|error| match error {
+        Error::Input { .. } => Fault::Unusable(error.to_string()),
+        failed => Fault::Failed(failed),
+    })?;
     Ok(bytes)
 }

@@ -665,9 +665,10 @@ fn read_structure(
     if !binary {
         return Ok((json, None));
     }
-    let mut next = [0; 8];
-    let chunk = file.read_exact(&mut next).is_ok() && next[4..] == *b"BIN\0";
-    let stated = u64::from(u32::from_le_bytes([next[0], next[1], next[2], next[3]]));
+    let mut next = Vec::new();
+    file.take(8).read_to_end(&mut next).map_err(io)?;
+    let chunk = next.get(4..) == Some(b"BIN\0");
+    let stated = next.first_chunk().map_or(0, |bytes| u64::from(u32::from_le_bytes(*bytes)));
     let (whole, at) = (word(8), start + len + 8);
     if chunk && at + stated > whole {
         let reason = format!(
