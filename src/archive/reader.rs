@@ -336,7 +336,7 @@ impl<'a> PageReader<'a> {
 }
 
 /// Reads the bytes of `range`, whose length a rule of the format bounds.
-fn read(source: &dyn ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
+pub(super) fn read(source: &dyn ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
     let mut bytes = vec![0; (range.end - range.start) as usize];
     source.read_at(range.start, &mut bytes)?;
     Ok(bytes)

@@ -13,7 +13,7 @@ use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{Pages, Tiles, Voxels};
 use super::levels::{CoarseColour, CoarseSpan, LevelCheck, coarse, coarse_colours};
 use super::page_coding::{PageDecoder, PageEncoder, check_entry, check_key, check_leader};
-use super::reader::Archive;
+use super::reader::{Archive, read};
 use super::seen::{SeenReader, SeenTable};
 use super::shard::Shard;
 use super::solid_bounds::Matter;
@@ -219,12 +219,17 @@ impl Pass<'_> {
     fn colour_table(&mut self) {
         let header = self.archive.header();
         // Colours of levels come first; their table is checked with the levels.
-        let start = header.level_colours().map_or(Some(header.colours_offset()), |place| {
-            let range = place.table();
-            let mut table = vec![0; (range.end - range.start) as usize];
-            self.archive.source().read_at(range.start, &mut table).ok()?;
-            Some(place.decode(&table).ok()?.first()?.range.end)
-        });
+        let start = match header.level_colours() {
+            None => Some(header.colours_offset()),
+            Some(place) => match read(self.archive.source(), place.table()) {
+                // A table that breaks a rule is found with the levels.
+                Ok(table) => place.decode(&table).ok().and_then(|places| Some(places.first()?.range.end)),
+                Err(error) => {
+                    self.error(error, "table of the colours of levels", place.table().start);
+                    None
+                }
+            },
+        };
         match ColourCheck::new(self.archive, start) {
             Ok(check) => self.colours = check,
             Err(error) => self.error(error, "table of colours", header.colours_offset()),
