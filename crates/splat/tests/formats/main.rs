@@ -1,5 +1,6 @@
 //! Splats of every format, written here and read back; then cut at every byte, and changed at random.
 
+mod odd;
 mod write;
 
 use slicewalk_base::bytes::{MemorySource, testing};
@@ -7,7 +8,7 @@ use slicewalk_base::{Error, NoMonitor, Result};
 use slicewalk_splat::{Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, recognise};
 use std::path::Path;
 use std::sync::Arc;
-use write::{Kind, Random};
+use write::{Kind, Random, gzip, with};
 
 /// Name and bytes of a file, and how far its numbers are from those that were written.
 struct Case {
@@ -179,17 +180,7 @@ fn nodes_move_ellipsoids_exactly() {
     let plain = write::gltf(&splats);
     let m = [[2.0, 0.5, 0.0], [0.0, -1.0, 0.25], [0.0, 0.0, 0.1]];
     let matrix = "[2,0.5,0,0,0,-1,0.25,0,0,0,0.1,0,5,6,7,1]";
-    let json_len = u32::from_le_bytes(plain[12..16].try_into().unwrap()) as usize;
-    let json = std::str::from_utf8(&plain[20..20 + json_len]).unwrap().trim_end();
-    let mut json = json.replace("\"translation\":[1,2,3]", &format!("\"matrix\":{matrix}")).into_bytes();
-    json.resize(json.len().next_multiple_of(4), b' ');
-    let mut bytes = plain[..12].to_vec();
-    bytes.extend((json.len() as u32).to_le_bytes());
-    bytes.extend(b"JSON");
-    bytes.extend(&json);
-    bytes.extend(&plain[20 + json_len..]);
-    let len = bytes.len() as u32;
-    bytes[8..12].copy_from_slice(&len.to_le_bytes());
+    let bytes = write::glb_with(&plain, "\"translation\":[1,2,3]", &format!("\"matrix\":{matrix}"));
     let (_, found, _) = read(&bytes, "moved.glb", false).unwrap();
     for (a, b) in splats.iter().zip(&found) {
         let mean = [0, 1, 2].map(|r| (0..3).map(|c| m[c][r] * a.mean[c]).sum::<f64>() + [5.0, 6.0, 7.0][r]);
@@ -241,20 +232,11 @@ fn unusable_splats_are_counted_or_refused() {
 #[test]
 fn files_that_hold_more_than_they_state_are_refused() {
     let splats = write::random_splats(300, 12);
-    let replaced = |bytes: &[u8], from: &str, to: &str| {
-        let place = bytes.windows(from.len()).position(|bytes| bytes == from.as_bytes()).unwrap();
-        [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
-    };
-    let gzip = |bytes: &[u8]| {
-        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        std::io::Write::write_all(&mut gzip, bytes).unwrap();
-        gzip.finish().unwrap()
-    };
     let counting = |mut bytes: Vec<u8>, count: u32| {
         bytes[8..12].copy_from_slice(&count.to_le_bytes());
         bytes
     };
-    let fewer = |bytes: &[u8]| replaced(bytes, "element vertex 300", "element vertex 299");
+    let fewer = |bytes: &[u8]| with(bytes, "element vertex 300", "element vertex 299");
     let text = write::ply(&splats, Kind::Text, "float", 9);
     let little = write::ply(&splats, Kind::Little, "float", 0);
     let packed = write::packed_ply(&splats, true, 0);

@@ -228,9 +228,7 @@ pub fn spz(splats: &[Splat], version: u32, degree: u8, packed: bool) -> Vec<u8> 
     if !packed {
         return out;
     }
-    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    gzip.write_all(&out).unwrap();
-    gzip.finish().unwrap()
+    gzip(&out)
 }
 
 pub fn splat(splats: &[Splat]) -> Vec<u8> {
@@ -295,13 +293,23 @@ pub fn ksplat(splats: &[Splat], level: u16, degree: u16) -> Vec<u8> {
     out
 }
 
-fn webp(pixels: &[[u8; 4]]) -> Vec<u8> {
-    let width = pixels.len().isqrt().max(1);
-    let height = pixels.len().div_ceil(width).max(1);
-    let mut bytes = pixels.concat();
-    bytes.resize(width * height * 4, 0);
+pub fn webp(pixels: &[[u8; 4]]) -> Vec<u8> {
+    image(pixels.as_flattened(), 4, ColorType::Rgba8)
+}
+
+/// An image without alpha.
+pub fn webp_rgb(pixels: &[[u8; 3]]) -> Vec<u8> {
+    image(pixels.as_flattened(), 3, ColorType::Rgb8)
+}
+
+fn image(pixels: &[u8], channels: usize, kind: ColorType) -> Vec<u8> {
+    let count = pixels.len() / channels;
+    let width = count.isqrt().max(1);
+    let height = count.div_ceil(width).max(1);
+    let mut bytes = pixels.to_vec();
+    bytes.resize(width * height * channels, 0);
     let mut out = Vec::new();
-    WebPEncoder::new(&mut out).encode(&bytes, width as u32, height as u32, ColorType::Rgba8).unwrap();
+    WebPEncoder::new(&mut out).encode(&bytes, width as u32, height as u32, kind).unwrap();
     out
 }
 
@@ -464,4 +472,32 @@ pub fn gltf_spz(splats: &[Splat], version: u32) -> Vec<u8> {
          \"extensions\":{{\"{name}\":{{\"extensions\":{{\"{name}_compression_spz\":{{\"bufferView\":0}}}}}}}}}}]}}]}}"
     );
     glb(&json, binary)
+}
+
+/// `bytes` with the first `from` replaced.
+pub fn with(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+    let at = bytes.windows(from.len()).position(|bytes| bytes == from.as_bytes());
+    let at = at.unwrap_or_else(|| panic!("no {from}"));
+    [&bytes[..at], to.as_bytes(), &bytes[at + from.len()..]].concat()
+}
+
+/// `bytes` with others from `at` on.
+pub fn put(bytes: &[u8], at: usize, new: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    bytes[at..at + new.len()].copy_from_slice(new);
+    bytes
+}
+
+/// A GLB with the first `from` of its JSON replaced.
+pub fn glb_with(old: &[u8], from: &str, to: &str) -> Vec<u8> {
+    let len = u32::from_le_bytes(old[12..16].try_into().unwrap()) as usize;
+    let json = String::from_utf8(with(&old[20..20 + len], from, to)).unwrap();
+    let binary = old[28 + len..].to_vec();
+    glb(json.trim_end(), binary)
+}
+
+pub fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    gzip.write_all(bytes).unwrap();
+    gzip.finish().unwrap()
 }
