@@ -10,3 +10,4 @@ mod levels;
 mod parts;
 mod replace;
 mod samples;
+mod strikes;

@@ -1,7 +1,7 @@
-//! Byte sources for tests: they count, delay, fail, or wait at a gate. Also inputs in memory.
+//! Byte sources for tests: they count, delay, fail, or wait at a gate. Also inputs in memory, and a monitor that stops.
 
 use super::ByteSource;
-use crate::{Error, Result};
+use crate::{Error, Monitor, Result};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -13,6 +13,68 @@ use std::time::Duration;
 /// of inputs would otherwise spend their time in the file system.
 pub fn hold(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) {
     super::hold_source(path, super::MemorySource::new(bytes));
+}
+
+/// One call among many, by number: what a test lets go wrong.
+#[derive(Debug)]
+pub struct Strike {
+    number: u64,
+    calls: AtomicU64,
+}
+
+impl Strike {
+    /// Error text of what fails.
+    pub const REASON: &str = "struck by the test";
+
+    /// Chooses call `number`, counted from 0.
+    pub fn at(number: u64) -> Arc<Self> {
+        Arc::new(Self { number, calls: AtomicU64::new(0) })
+    }
+
+    /// Counts a call; returns whether it is the chosen one.
+    pub fn hits(&self) -> bool {
+        self.calls.fetch_add(1, Relaxed) == self.number
+    }
+
+    /// Returns whether the chosen call took place.
+    pub fn fell(&self) -> bool {
+        self.calls.load(Relaxed) > self.number
+    }
+}
+
+/// As a monitor it cancels from the chosen question on.
+impl Monitor for Strike {
+    fn cancelled(&self) -> bool {
+        self.hits() || self.fell()
+    }
+}
+
+/// Source of which one read fails.
+#[derive(Debug)]
+pub struct StruckSource<S> {
+    source: S,
+    strike: Arc<Strike>,
+}
+
+impl<S> StruckSource<S> {
+    /// Wraps `source`.
+    pub fn new(source: S, strike: &Arc<Strike>) -> Self {
+        Self { source, strike: strike.clone() }
+    }
+}
+
+impl<S: ByteSource> ByteSource for StruckSource<S> {
+    fn len(&self) -> u64 {
+        self.source.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        if self.strike.hits() {
+            let action = format!("read {} bytes at {offset}", buf.len());
+            return Err(Error::io("struck source", action, std::io::Error::other(Strike::REASON)));
+        }
+        self.source.read_at(offset, buf)
+    }
 }
 
 /// Source that counts reads and bytes, and sleeps before each read.
