@@ -12,6 +12,7 @@ mod power;
 mod random;
 mod resume;
 mod stories;
+mod strikes;
 
 use super::conversion::{Limits, convert_within};
 use super::*;
