@@ -115,13 +115,16 @@ fn seeds(folder: &str) -> impl Iterator<Item = (String, Arc<[u8]>)> {
 #[test]
 fn no_failure_is_lost_and_none_is_taken_for_damage() {
     for &(folder, ending, read) in READERS {
-        let path = PathBuf::from(format!("/no folder/a.{ending}"));
         let (mut sound, mut struck) = (0, [0; 3]);
         // Where several leaves cannot be read at once, each is read alone.
         let repeats = ending == "slices";
         // A PLY whose kind cannot be read is left to the reader of meshes, which reports why.
         let first = if folder == "points" { 2 } else { 0 };
-        for (name, bytes) in seeds(folder) {
+        // Larger ones have no other parts.
+        for (name, bytes) in seeds(folder).filter(|(_, bytes)| bytes.len() < 5600) {
+            // Seeds of splats end with the name of their format.
+            let ending = if folder == "splats" { name.rsplit('-').next().unwrap_or(ending) } else { ending };
+            let path = PathBuf::from(format!("/no folder/a.{ending}"));
             let source = || MemorySource::new(bytes.clone());
             let never = Strike::at(u64::MAX);
             hold_source(&path, source());
@@ -153,7 +156,7 @@ fn a_verification_finds_every_byte_that_cannot_be_read() {
             let verified = archive?.verify(&NoMonitor, &mut |finding| unread += u64::from(finding.rule == "S1"))?;
             Ok::<_, Error>((verified.findings == 0, unread))
         };
-        if bytes.len() > 10_000 || !is_sound(Archive::from_bytes(bytes.to_vec())).is_ok_and(|(sound, _)| sound) {
+        if bytes.len() > 3000 || !is_sound(Archive::from_bytes(bytes.to_vec())).is_ok_and(|(sound, _)| sound) {
             continue;
         }
         checked += 1;
