@@ -87,7 +87,7 @@ impl Boundaries {
     #[inline]
     pub fn add(&mut self, height: u32, end: End) -> bool {
         let is_boundary = height.is_multiple_of(SLICE_QUANTA as u32);
-        self.slices[end as usize] |= u128::from(is_boundary) << (height / SLICE_QUANTA as u32 & 127);
+        self.slices[end as usize] |= u128::from(is_boundary) << ((height / SLICE_QUANTA as u32) & 127);
         is_boundary
     }
 
