@@ -249,7 +249,7 @@ fn files_that_hold_more_than_they_state_are_refused() {
         shorter[40 + 16 * entry..48 + 16 * entry].copy_from_slice(&(299 * width).to_le_bytes());
     }
     let mut sog = write::sog(&splats, 2);
-    sog[0].1 = replaced(&sog[0].1, "\"count\":300", "\"count\":299");
+    sog[0].1 = with(&sog[0].1, "\"count\":300", "\"count\":299");
     let cases = [
         ("a.ply", fewer(&text), "expected 299 rows of all elements, found 300", 299),
         ("b.ply", fewer(&little), "for all elements, found", 299),
