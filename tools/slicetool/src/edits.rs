@@ -3,15 +3,12 @@
 use crate::Failure;
 use nalgebra::{Point2, Point3};
 use serde::Deserialize;
-use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use slicewalk::edit::{Edits, Prism};
 use slicewalk_base::output::is_standard;
 use slicewalk_base::text::counted;
 use std::collections::HashSet;
-use std::fmt;
 use std::fs::File;
 use std::io::Read;
-use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 /// Largest file (bytes).
@@ -24,88 +21,34 @@ const LONGEST_S: f64 = 86_400.0;
 const LONGEST_NAME: usize = 200;
 
 /// The file as it is written.
-#[derive(Default)]
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, expecting = "an object")]
 struct Written {
-    remove: Option<Vec<Shape>>,
-    add: Option<Vec<Shape>>,
-    doors: Option<Vec<Shape>>,
-    links: Option<Vec<WrittenLink>>,
-    no_go: Option<Vec<Shape>>,
+    #[serde(default)]
+    remove: Vec<Shape>,
+    #[serde(default)]
+    add: Vec<Shape>,
+    #[serde(default)]
+    doors: Vec<Shape>,
+    #[serde(default)]
+    links: Vec<WrittenLink>,
+    #[serde(default)]
+    no_go: Vec<Shape>,
 }
 
-/// Names of the lists.
-const LISTS: &[&str] = &["remove", "add", "doors", "links", "no_go"];
-
-// Not derived, because errors are to name the list and the entry.
-impl<'de> Deserialize<'de> for Written {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Lists;
-        impl<'de> Visitor<'de> for Lists {
-            type Value = Written;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an object")
-            }
-
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Written, A::Error> {
-                let mut written = Written::default();
-                while let Some(key) = map.next_key::<String>()? {
-                    let is_second = match &key[..] {
-                        "remove" => written.remove.replace(map.next_value_seed(List::of("remove"))?).is_some(),
-                        "add" => written.add.replace(map.next_value_seed(List::of("add"))?).is_some(),
-                        "doors" => written.doors.replace(map.next_value_seed(List::of("doors"))?).is_some(),
-                        "links" => written.links.replace(map.next_value_seed(List::of("links"))?).is_some(),
-                        "no_go" => written.no_go.replace(map.next_value_seed(List::of("no_go"))?).is_some(),
-                        _ => return Err(A::Error::unknown_field(&key, LISTS)),
-                    };
-                    if is_second {
-                        return Err(A::Error::custom(format!("{key}: expected one such list, found two")));
-                    }
-                }
-                Ok(written)
-            }
+/// Reads the lists; an error names the place of the entry.
+fn parse(bytes: &[u8]) -> Result<Written, String> {
+    let mut json = serde_json::Deserializer::from_slice(bytes);
+    let written = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+        let (place, error) = (error.path().to_string(), error.into_inner());
+        // Where the text ends inside an entry, the field is unknown.
+        match place.trim_end_matches(".?") {
+            "." | "?" => format!("edits: {error}"),
+            place => format!("edits: {place}: {error}"),
         }
-        deserializer.deserialize_map(Lists)
-    }
-}
-
-/// Reads the list of this name; errors name the entry.
-struct List<T>(&'static str, PhantomData<T>);
-
-impl<T> List<T> {
-    fn of(name: &'static str) -> Self {
-        Self(name, PhantomData)
-    }
-}
-
-impl<'de, T: Deserialize<'de>> DeserializeSeed<'de> for List<T> {
-    type Value = Vec<T>;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Vec<T>, D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de, T: Deserialize<'de>> Visitor<'de> for List<T> {
-    type Value = Vec<T>;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "a list {:?}", self.0)
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Vec<T>, A::Error> {
-        let mut entries = Vec::new();
-        loop {
-            // The error keeps its line and column, which are at its end.
-            let entry = list
-                .next_element()
-                .map_err(|error| A::Error::custom(format!("{}[{}]: {error}", self.0, entries.len())))?;
-            match entry {
-                Some(entry) => entries.push(entry),
-                None => return Ok(entries),
-            }
-        }
-    }
+    })?;
+    json.end().map_err(|error| format!("edits: {error}"))?;
+    Ok(written)
 }
 
 #[derive(Deserialize)]
@@ -173,7 +116,7 @@ impl EditFile {
         if bytes.trim_ascii_start().first() == Some(&b'[') {
             return Err(failed("edits: invalid: expected an object, found a list".into()));
         }
-        let written: Written = serde_json::from_slice(&bytes).map_err(|error| failed(format!("edits: {error}")))?;
+        let written = parse(&bytes).map_err(failed)?;
         Self::of(written).map_err(failed)
     }
 
@@ -182,7 +125,7 @@ impl EditFile {
         let mut names = HashSet::new();
         let lists = [("remove", written.remove), ("add", written.add), ("doors", written.doors)];
         for (list, shapes) in lists {
-            for (number, shape) in shapes.into_iter().flatten().enumerate() {
+            for (number, shape) in shapes.into_iter().enumerate() {
                 let at = format!("{list}[{number}]");
                 let prism = shape.prism(&at)?;
                 let done = match list {
@@ -201,16 +144,15 @@ impl EditFile {
             }
         }
         let mut with_no_go = solids.clone();
-        for (number, shape) in written.no_go.into_iter().flatten().enumerate() {
+        for (number, shape) in written.no_go.into_iter().enumerate() {
             let at = format!("no_go[{number}]");
             with_no_go.add(shape.prism(&at)?, false).map_err(|error| format!("{at}: {error}"))?;
         }
-        let written_links = written.links.unwrap_or_default();
-        if written_links.len() > MOST_LINKS {
-            return Err(format!("links: expected at most {MOST_LINKS}, found {}", written_links.len()));
+        if written.links.len() > MOST_LINKS {
+            return Err(format!("links: expected at most {MOST_LINKS}, found {}", written.links.len()));
         }
         let mut links = Vec::new();
-        for (number, link) in written_links.into_iter().enumerate() {
+        for (number, link) in written.links.into_iter().enumerate() {
             let at = format!("links[{number}]");
             named(&mut names, &at, &link.name)?;
             if !(0.0..=LONGEST_S).contains(&link.seconds) {
@@ -332,15 +274,18 @@ mod tests {
             ("", "EOF"),
             ("[]", "invalid"),
             (r#"{"walls": []}"#, "unknown field `walls`"),
-            (r#"{"remove": {}}"#, r#"invalid type: map, expected a list "remove" at line 1 column 11"#),
-            (r#"{"remove": [], "remove": []}"#, "remove: expected one such list, found two"),
-            (r#"{"remove": [{"box": [0, 0, 0, 1, 1]}]}"#, "edits: remove[0]: invalid length 5"),
+            (r#"{"remove": {}}"#, "edits: remove: invalid type: map, expected a sequence at line 1 column 11"),
+            (r#"{"remove": [], "remove": []}"#, "duplicate field `remove`"),
+            (r#"{"remove": [{"box": [0, 0, 0, 1, 1]}]}"#, "edits: remove[0].box: invalid length 5"),
             (
                 "{\"add\": [{\"box\": [0, 0, 0, 1, 1, 1]},\n{\"colour\": 1}]}",
-                "edits: add[1]: unknown field `colour`, expected one of `name`, `box`, `outline`, `z`, `floor`, `open` at \
+                "edits: add[1].colour: unknown field `colour`, expected one of `name`, `box`, `outline`, `z`, `floor`, `open` at \
                  line 2 column 9",
             ),
-            (r#"{"doors": [{"name": 1}]}"#, "edits: doors[0]: invalid type: integer `1`, expected a string at line 1"),
+            (
+                r#"{"doors": [{"name": 1}]}"#,
+                "edits: doors[0].name: invalid type: integer `1`, expected a string at line 1",
+            ),
             (r#"{"links": [{"name": "a"}]}"#, "edits: links[0]: missing field `from` at line 1"),
             (
                 r#"{"no_go": [{"box": [0, 0, 0, 1, 1, 1]}, 5"#,
