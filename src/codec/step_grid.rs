@@ -320,6 +320,29 @@ mod tests {
             let points: Vec<f64> = (0..60).map(|k| (f64::from(k * 7 % 64) + 0.5) * slice_m).collect();
             let grid = StepGrid::find(&HeightsOf::Scan(frame), &[], &heights(&frame, &points, 0)).unwrap();
             assert_eq!(grid.step, 255 << FRACTION_BITS, "slices of {slice_m} m");
+            assert!(!grid.is_rounded, "slices of {slice_m} m");
+        }
+    }
+
+    #[test]
+    fn a_boundary_beside_a_step_is_rounded() {
+        let of = HeightsOf::Scan(Frame::new(0.05, 0.15).unwrap());
+        let heights: Vec<_> = (0..60).map(|k| (1 + 17 * k, End::Bottom)).collect();
+        // Step 15 lies at 256.
+        for (boundary, is_rounded) in [(None, false), (Some(255), true), (Some(2 * 255), true), (Some(64 * 255), true)]
+        {
+            let mut boundaries = Boundaries::default();
+            assert!(boundary.is_none_or(|height| boundaries.add(height, End::Bottom)));
+            let grid = StepGrid::find_short(&of, &[17 << FRACTION_BITS], &heights, boundaries).unwrap();
+            assert_eq!((grid.step, grid.is_rounded), (17 << FRACTION_BITS, is_rounded), "{boundary:?}");
+        }
+        // A boundary on no step, or on one of its own, changes nothing.
+        let (mut far, mut own) = (Boundaries::default(), Boundaries::default());
+        assert!(far.add(255, End::Bottom) && own.add(255, End::Top) && !own.add(256, End::Bottom));
+        let farther: Vec<_> = heights.iter().map(|&(height, end)| (height + 7, end)).collect();
+        for (heights, boundaries) in [(&farther, far), (&heights, own)] {
+            let grid = StepGrid::find_short(&of, &[17 << FRACTION_BITS], heights, boundaries).unwrap();
+            assert!(!grid.is_rounded, "{boundaries:?}");
         }
     }
 
