@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use strikes::{is_stop, says_the_reason, sweep};
 
-/// Reads everything in the input at a path. Asks the monitor, and tells the strike of each batch.
+/// Reads everything in the input at a path. Asks the monitor, and reports each batch to the strike.
 type Reader = fn(&Path, &dyn Monitor, &Strike) -> Result<u64>;
 
 /// Folder of seeds, ending by which the reader knows the format, and the reader.
@@ -146,7 +146,7 @@ fn no_failure_is_lost_and_none_is_taken_for_damage() {
     }
 }
 
-/// Verification goes on behind bytes that cannot be read, and says which they are.
+/// Verification continues behind bytes that cannot be read, and says which they are.
 #[test]
 fn a_verification_finds_every_byte_that_cannot_be_read() {
     let mut checked = 0;

@@ -179,9 +179,9 @@ fn calls_of_the_disk(name: &str, whole: &[u8], folder: &Path, output: &Path, wor
             Err(Error::NotDurable { .. }) => assert!(left.is_some() && call != Some(Call::Write), "{name}: {call:?}"),
             Err(error) => assert!(says_the_reason(error), "{name}: {call:?}: {error}"),
         }
-        // What bears on the bytes may never fail unnoticed.
+        // A failure that could change the bytes must be reported.
         let bears = matches!(call, Some(Call::Create | Call::Write | Call::Read | Call::Sync));
-        assert!(!bears || done.is_err(), "{name}: {call:?} failed, and nobody is told");
+        assert!(!bears || done.is_err(), "{name}: {call:?} failed, and no error says so");
         for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
             let is_kept = entry == *output || fs::read(&entry).unwrap() == whole || call == Some(Call::Remove);
             assert!(is_kept, "{name}: {} is left behind after {call:?}", entry.display());

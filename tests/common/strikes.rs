@@ -4,9 +4,9 @@ use slicewalk::bytes::testing::Strike;
 use slicewalk::{Error, Result};
 use std::sync::Arc;
 
-/// Lets each call from number `first` on that `run` tells its strike of fail in turn, fewer of the later ones of many,
-/// until none is left; then the result must be `whole`. A failure that is made good, as `repeats` says it may be, is
-/// none. Returns the number of calls.
+/// Lets each call that `run` reports to its strike fail in turn, from number `first` on, until all have; of many calls,
+/// fewer of the later ones. A run without a failed call must return `whole`, as must one that `repeats` failed calls; all
+/// others must end with an error. Returns the number of calls.
 pub fn sweep<T: PartialEq + std::fmt::Debug>(
     name: &str,
     first: u64,

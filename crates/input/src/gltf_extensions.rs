@@ -1,4 +1,4 @@
-//! Extensions of glTF that change nothing for whoever reads shapes, and those that move them.
+//! Extensions of glTF that shapes can be read without, and those that move shapes.
 
 /// Extensions that a file may require: those that are read, and those that neither move nor add triangles (appearance,
 /// lights, metadata, animations, which rest, and coarser copies). A name that ends in `_` is a prefix.

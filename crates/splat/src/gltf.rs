@@ -2,7 +2,7 @@
 //! view (`KHR_gaussian_splatting_compression_spz` and its drafts). Other primitives make the input incomplete.
 //!
 //! The extension stores sizes and opacities as they are. Its late drafts stored logarithms of sizes under the same name: a
-//! negative size, which the extension forbids, tells. Its first drafts (`_SCALE`, `_ROTATION`) store sizes as they are, and
+//! negative size, which the extension forbids, marks such a draft. Its first drafts (`_SCALE`, `_ROTATION`) store sizes as they are, and
 //! opacities and colours in `COLOR_0`.
 
 mod accessor;
@@ -121,7 +121,7 @@ pub struct Gltf {
     count: u64,
     /// Splats of meshes that the scene does not show.
     elsewhere: u64,
-    /// A mesh of the scene with primitives that are no splats.
+    /// A mesh of the scene with primitives other than splats.
     other: Option<usize>,
 }
 
@@ -198,7 +198,7 @@ impl Body for Gltf {
             work.monitor.warn(&format!("{name}: {splats} of meshes that the scene does not show were left out").into());
         }
         if let Some(mesh) = self.other {
-            let reason = "it has triangles, lines or points that are no splats; export them to a file of their own";
+            let reason = "it has triangles, lines or points that are not splats; export them to a file of their own";
             gate.refuse(refuse(&self.path, format!("mesh {mesh}"), reason))?;
         }
         for (mesh, placing) in &self.instances {

@@ -172,7 +172,7 @@ fn whichever_step_of_any_conversion_fails_it_says_so() {
             let call = *call.lock().unwrap();
             let what = format!("{name}: call {number} of the disk, {call:?}");
             check(&what, &done, &model.content(), &options.output, &whole);
-            // What bears on the bytes may not fail unnoticed.
+            // A failure that could change the bytes must be reported.
             let bears = matches!(call, Some(Call::Write | Call::Sync | Call::Rename));
             assert!(!bears || done.is_err(), "{what}");
             !strike.fell()

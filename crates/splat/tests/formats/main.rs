@@ -285,7 +285,7 @@ fn files_that_hold_more_than_they_state_are_refused() {
     }
 }
 
-/// What could be read in two ways is refused, and so is what no scene shows.
+/// Files that could be read in two ways are refused, and so are splats that no scene shows.
 #[test]
 fn ambiguous_files_are_refused() {
     let splats = write::random_splats(30, 13);
@@ -320,7 +320,7 @@ fn ambiguous_files_are_refused() {
         ("c.sog", write::zip(&folders, false), "expected one meta.json, found 2; unpack it"),
         ("d.ply", text.replace("f_rest_3", "opacity").into(), "has the property \"opacity\" more than once"),
         ("f.glb", edited("\"mesh\":0,", instances), "node 0: EXT_mesh_gpu_instancing of splats is not read"),
-        ("g.glb", has_more, "mesh 0: it has triangles, lines or points that are no splats"),
+        ("g.glb", has_more, "mesh 0: it has triangles, lines or points that are not splats"),
         ("h.glb", required("ABC_moves"), "it needs \"ABC_moves\", which is not read"),
         ("e.glb", hidden, "no node of the scene has a mesh of splats, of which there are 30"),
     ] {

@@ -574,7 +574,7 @@ fn drafts_of_gltf_and_their_types_are_read() {
     // Opacity of its own, before that of the colour.
     let found = pass(&format!("{draft},\"COLOR_0\":3,\"{name}:OPACITY\":4"), "{}");
     assert_eq!(found.iter().map(|splat| splat.opacity).collect::<Vec<_>>(), [0.5, 0.25]);
-    // The same harmonics in linear light are brighter in sRGB.
+    // Harmonics in linear light are brighter than equal ones in sRGB.
     let waves = |space: &str| {
         pass(&format!("{draft},\"{name}:SH_DEGREE_0_COEF_0\":2"), &format!("{{\"colorSpace\":\"{space}\"}}"))
     };
