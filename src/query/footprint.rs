@@ -1,8 +1,10 @@
 //! Traversal shared by all footprint queries: tile columns under a shape, and their pages.
 
-use super::blocks::{self, Kinds, PageUnder};
+use super::blocks::{self, Kinds, MATTER, PageUnder};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Rect};
+use super::scan;
+use super::simd::Window;
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::page::Page;
 use crate::store::{Missing, note};
@@ -110,6 +112,40 @@ pub(super) fn layers(slots: &[PageSlot], heights: Heights) -> impl DoubleEndedIt
         end = slots.partition_point(|slot| !above(slot)).max(first);
     }
     slots[first..end].iter().filter(move |slot| !below(slot) & !above(slot))
+}
+
+/// Returns whether pixel (`i`, `j`) holds solid at `heights`: a box in one pixel, or a point, needs neither masks nor
+/// unions.
+pub(super) fn touches_in_pixel(
+    set: &Snapshot,
+    (i, j): (i64, i64),
+    heights: Heights,
+    missing: &mut Option<Missing>,
+) -> bool {
+    let (Ok(tx), Ok(ty)) = (i32::try_from(i >> 6), i32::try_from(j >> 6)) else { return false };
+    let (px, py) = ((i & 63) as u32, (j & 63) as u32);
+    for slot in layers(set.column(tx, ty), heights) {
+        let base = floor_of(slot.layer());
+        let (low, high) = (blocks::local(heights.low, base), blocks::local(heights.high, base));
+        match slot.page() {
+            Some(page) => {
+                let block = page.block(px >> 3, py >> 3);
+                let (x, y) = (px & 7, py & 7);
+                // One branch, which is seldom taken.
+                let (first, more) = block.union_quads();
+                let unions = scan::meeting(std::slice::from_ref(first), u32::from(!more.is_empty()), low, high);
+                let may = u64::from(unions) & block.pixels() >> (8 * y + x) & 1;
+                if may != 0 && Window::new([x, x], low, high).kinds(block.rows(y, y), MATTER) != 0 {
+                    return true;
+                }
+            }
+            None if slot.slices() & blocks::slices_between(low, high) != 0 => {
+                note(missing, PageKey { tx, ty, layer: slot.layer() });
+            }
+            None => {}
+        }
+    }
+    false
 }
 
 /// Collects the classes that a shape touches.

@@ -62,6 +62,13 @@ pub(super) mod sealed {
         /// Returns the heights over the whole footprint.
         fn heights(&self) -> Heights;
 
+        /// Returns the pixel that is the whole footprint, if the shape is upright and has no other.
+        #[inline]
+        fn pixel(&self) -> Option<(i64, i64)> {
+            let rect = self.rect();
+            (Self::UPRIGHT && rect.i0 == rect.i1 && rect.j0 == rect.j1).then_some((rect.i0, rect.j0))
+        }
+
         /// Returns whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may
         /// return `false` for a block that does.
         fn holds(&self, i: i64, j: i64) -> bool;

@@ -66,7 +66,7 @@ pub use sweep::{
 
 use crate::store::Snapshot;
 use blocks::MATTER;
-use footprint::{Touch, for_each_column};
+use footprint::{Touch, for_each_column, touches_in_pixel};
 use grid::sealed::OnPixels;
 
 /// Returns whether `shape` touches anything solid. Ends at the first hit.
@@ -76,11 +76,17 @@ use grid::sealed::OnPixels;
 #[inline]
 pub fn overlaps<H: Shape>(set: &Snapshot, shape: &H) -> Overlap {
     let shape = shape.on_grid(set.frame());
-    let mut touch = Touch::new(&shape, MATTER);
     let mut missing = None;
-    for_each_column(set, shape.rect(), |tile, slots| touch.column(&shape, tile, slots, &mut missing));
+    let hit = match shape.pixel() {
+        Some(pixel) => touches_in_pixel(set, pixel, shape.heights(), &mut missing),
+        None => {
+            let mut touch = Touch::new(&shape, MATTER);
+            for_each_column(set, shape.rect(), |tile, slots| touch.column(&shape, tile, slots, &mut missing));
+            touch.done()
+        }
+    };
     match missing {
-        _ if touch.done() => Overlap::Hit,
+        _ if hit => Overlap::Hit,
         Some(missing) => Overlap::NotLoaded(missing),
         None => Overlap::Clear,
     }
