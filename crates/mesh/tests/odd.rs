@@ -109,6 +109,19 @@ fn without_a_usable_texture_the_triangles_stay() {
     }
 }
 
+/// A program that hands files over, such as the page, knows their names and not their folders.
+#[test]
+fn files_that_are_handed_over_belong_to_the_mesh_beside_them() {
+    hold("odd/walls.mtl", *b"newmtl wall\nmap_Kd textures\\wall.png\n");
+    hold("odd/wall.png", *b"no picture");
+    let (triangles, notes) =
+        read("a.obj", "mtllib walls.mtl\nusemtl wall\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    assert!(triangles.len() == 1 && notes.iter().any(|note| note.contains("neither PNG nor JPEG")), "{notes:?}");
+    let (_, notes) =
+        read("a.gltf", gltf().replacen(r#"{"bufferView":0}]"#, r#"{"uri":"textures/wall.png"}]"#, 1)).unwrap();
+    assert!(notes.iter().any(|note| note.contains("neither PNG nor JPEG")), "{notes:?}");
+}
+
 #[test]
 fn odd_stls_are_refused() {
     let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n\

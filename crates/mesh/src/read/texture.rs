@@ -4,7 +4,7 @@
 //! memory limit is an error, because the contents of an archive must not depend on the memory.
 
 use super::watch::{Digest, Watch};
-use crate::bytes::open_regular;
+use crate::bytes::{Regular, held};
 use crate::paint::{Image, Texture, Wrap};
 use crate::text::shown;
 use crate::{Error, Parameter, Result};
@@ -119,7 +119,7 @@ impl<K: Eq + Hash> Textures<K> {
 pub(super) fn read_beside(of: &Path, name: &str, most_bytes: u64) -> Result<Vec<u8>, Fault> {
     let path = path_beside(of, name)?;
     let refused = |e: std::io::Error| format!("cannot read {}: {e}", path.display());
-    let (file, about) = open_regular(&path).map_err(refused)?;
+    let (file, about) = Regular::open(&path).map_err(refused)?;
     if about.len() > most_bytes {
         return Err(Fault::Memory(about.len()));
     }
@@ -138,7 +138,10 @@ pub(super) fn path_beside(of: &Path, name: &str) -> Result<PathBuf, String> {
         let name = shown(name.as_bytes());
         return Err(format!("{name} leads out of the folder of the file; put it there and name it so"));
     }
-    Ok(of.with_file_name(below))
+    let path = of.with_file_name(&below);
+    // A browser hands files over without their folders.
+    let bare = below.file_name().map(|name| of.with_file_name(name));
+    Ok(bare.filter(|bare| held(&path).is_none() && held(bare).is_some()).unwrap_or(path))
 }
 
 /// Decodes an image; returns it with the bytes that it takes. Takes at most `most_bytes`, both during decoding and
