@@ -3,7 +3,7 @@
 use super::ConvertOptions;
 use super::points::{Own, Read, out_of_reach};
 use super::work::{FirstPass, SourceRead, StopFlag};
-use crate::bytes::open_named;
+use crate::bytes::{is_file_at, open_named};
 use crate::disk::Files;
 use crate::input::Units;
 use crate::input::scenes::Scene;
@@ -34,7 +34,7 @@ pub(crate) struct CubeSet {
 fn format_of(path: &Path) -> Option<CubeFormat> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let may_be = ["bt", "ot", "json"].contains(&&ending[..]) && crate::bytes::address(path).is_none();
-    if !may_be || !path.is_file() {
+    if !may_be || !is_file_at(path) {
         return None;
     }
     let source = open_named(path).ok()?;

@@ -11,11 +11,19 @@ use std::time::SystemTime;
 /// Opens the file at `path` for reading; refuses pipes, devices and folders.
 pub fn open_regular(path: &Path) -> io::Result<(File, Metadata)> {
     // Check by name first: opening a pipe without a writer would block.
-    check(&std::fs::metadata(path)?)?;
+    check(&std::fs::metadata(path).map_err(missing)?)?;
     let file = File::open(path)?;
     let about = file.metadata()?;
     check(&about)?;
     Ok((file, about))
+}
+
+/// Without a file system there are only the files that the program provides.
+fn missing(error: io::Error) -> io::Error {
+    match error.kind() {
+        io::ErrorKind::Unsupported => io::Error::new(io::ErrorKind::NotFound, "it is not among the files given"),
+        _ => error,
+    }
 }
 
 fn check(about: &Metadata) -> io::Result<()> {
