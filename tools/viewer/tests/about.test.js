@@ -196,6 +196,21 @@ describe("wrong files and addresses", () => {
     await until(page, "ready", ({ ready, error }) => ready && error === null);
   });
 
+  it("keeps the name of a file as it is, and saves it under that name", async () => {
+    await walkIn(page, address(server, { at: WAY.start }));
+    await drop(page, "house #1 50%?.slices", readFileSync(house()));
+    await page.getByRole("heading", { name: "house #1 50%?.slices", level: 1 }).waitFor();
+    const saving = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Save archive" }).click();
+    assert.match((await saving).suggestedFilename(), /^house #1 50%.\.slices$/);
+  });
+
+  it("looks ahead where an address names a direction that is none", async () => {
+    await page.goto(address(server, { at: WAY.start, look: [-90, 1000] }));
+    const { look } = await until(page, "ready", ({ ready }) => ready);
+    assert.deepEqual(look, [270, 89]);
+  });
+
   it("names an address that is none", async () => {
     await page.goto(`${server.address}?archive=http://`);
     const { error } = await until(page, "an error", (now) => now.error !== null);

@@ -6,7 +6,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, describe } from "node:test";
-import { it, pages, state, until, walkIn } from "./browser.js";
+import { drop, it, pages, state, until, walkIn } from "./browser.js";
 import { BIN, DIST, house, program, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 
@@ -20,6 +20,8 @@ before(async () => {
   program("scangen", "demo", "--format", "7", "--colour", "4", "-o", scan);
   program("scangen", "corridor", "--density", "400", "-o", splats);
   writeFileSync(join(folder, "wrong.laz"), "this is no scan");
+  writeFileSync(join(folder, "wall.obj"), "mtllib wall.mtl\nusemtl wall\nv 0 0 0\nv 4 0 0\nv 0 0 3\nf 1 2 3\n");
+  writeFileSync(join(folder, "wall.mtl"), "newmtl wall\nKd 0.8 0.2 0.1\n");
   writeFileSync(join(folder, "cut.laz"), readFileSync(scan).subarray(0, 200_000));
   writeFileSync(join(folder, "route.csv"), "x,y,z\n1.5,2,0\n3.8,5,0\n6.4,5,0\n");
   const settings = {
@@ -58,6 +60,20 @@ async function saved(page) {
   return Buffer.from(base64, "base64");
 }
 
+/** Whether a click in the middle of what is found reaches it. */
+const isReached = (locator) =>
+  locator.evaluate((element) => {
+    const { left, top, width, height } = element.getBoundingClientRect();
+    return element.contains(document.elementFromPoint(left + width / 2, top + height / 2));
+  });
+
+/** Converts what the page asks about, as it proposes. */
+async function agree(page, name) {
+  const dialog = page.getByRole("dialog", { name: `Convert ${name}` });
+  await dialog.getByRole("button", { name: "Convert and walk in" }).click();
+  await page.getByRole("button", { name: "Save as .slices" }).waitFor();
+}
+
 const choose = (page, ...names) => page.locator("#open-file").setInputFiles(names.map((name) => join(folder, name)));
 
 describe("scans on the page", () => {
@@ -75,8 +91,99 @@ describe("scans on the page", () => {
     await until(page, "the walk", ({ ready }) => ready);
     assert.ok((await saved(page)).equals(natively(OPTIONS)));
     await page.getByRole("button", { name: "Save as .slices" }).waitFor();
+    for (const name of ["Walk in", "Save as .slices", "×"]) {
+      assert.ok(await isReached(page.getByRole("button", { name, exact: true })), name);
+    }
     const { converting, error } = await state(page);
     assert.deepEqual([converting, error], [null, null]);
+  });
+
+  it("splats and models of the same ending are told apart, wherever they are dropped", async () => {
+    const { page } = tests;
+    await page.goto(server.address);
+    await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
+    const corner = (x, y) => `${x} ${y} 0\n`;
+    const rows = [corner(0, 0), corner(4, 0), corner(4, 3), corner(0, 3)].join("");
+    const head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n";
+    const faces = "element face 2\nproperty list uchar int vertex_indices\nend_header\n";
+    const model = Buffer.from(`${head}${faces}${rows}3 0 1 2\n3 0 2 3\n`);
+    await drop(page, "splats.ply", readFileSync(splats));
+    await agree(page, "splats.ply");
+    assert.ok(await isReached(page.getByRole("button", { name: "Walk in" })));
+    await drop(page, "model.ply", model);
+    await agree(page, "model.ply");
+    await page.getByRole("heading", { name: "model.slices", level: 1 }).waitFor();
+  });
+
+  it("a model is converted with the materials that are dropped beside it, and says what it did without", async () => {
+    const { page } = tests;
+    await page.goto(server.address);
+    await choose(page, "wall.obj", "wall.mtl");
+    await agree(page, "wall.obj");
+    assert.equal(await page.getByText("What was left out or assumed").isVisible(), false);
+    assert.ok((await saved(page)).equals(natively({ units: "m" }, join(folder, "wall.obj"))));
+    await choose(page, "wall.obj");
+    await page.getByText("What was left out or assumed").waitFor({ state: "hidden" });
+    await agree(page, "wall.obj");
+    await page.getByText("What was left out or assumed").click();
+    await page.getByText("wall.obj: materials: cannot read wall.mtl: it is not among the files given").waitFor();
+  });
+
+  it("the form asks for the unit that a file does not state, and takes a scan by its address", async () => {
+    const { page } = tests;
+    const corners = new Float32Array([0, 0, 0, 4, 0, 0, 0, 3, 0]);
+    const uri = `data:;base64,${Buffer.from(corners.buffer).toString("base64")}`;
+    const model = {
+      asset: { version: "2.0" },
+      buffers: [{ uri, byteLength: 36 }],
+      bufferViews: [{ buffer: 0, byteLength: 36 }],
+      accessors: [{ bufferView: 0, componentType: 5126, count: 3, type: "VEC3" }],
+      meshes: [{ primitives: [{ attributes: { POSITION: 0 } }] }],
+      nodes: [{ mesh: 0 }],
+    };
+    server.files["/stated.gltf"] = join(folder, "stated.gltf");
+    writeFileSync(server.files["/stated.gltf"], JSON.stringify(model));
+    await page.goto(server.address);
+    await page.getByLabel("Address of an archive").fill("stated.gltf");
+    await page.getByRole("button", { name: "Open", exact: true }).click();
+    await page.getByRole("dialog", { name: "Convert stated.gltf" }).getByText("as stated (m)").waitFor({ state: "attached" });
+    await page.getByRole("button", { name: "Cancel" }).click();
+    await choose(page, "splats.ply");
+    const dialog = page.getByRole("dialog", { name: "Convert splats.ply" });
+    await dialog.getByText("not stated: metres").waitFor({ state: "attached" });
+  });
+
+  it("a refusal offers what would help: to take what can be read, or to ask again", async () => {
+    const { page } = tests;
+    writeFileSync(join(folder, "point.xyz"), "1 2 3\n");
+    const short = join(folder, "short.las");
+    program("scangen", "house", "--param", "storeys=1", "--density", "100", "-o", short);
+    const whole = readFileSync(short);
+    writeFileSync(short, whole.subarray(0, whole.length - 50));
+    await page.goto(server.address);
+    await choose(page, "short.las");
+    await page.getByRole("button", { name: "Take what can be read" }).click();
+    await agree(page, "short.las");
+    await page.getByText("What was left out or assumed").waitFor();
+    await choose(page, "point.xyz");
+    const start = page.getByRole("button", { name: "Convert and walk in" });
+    await start.click();
+    await page.getByRole("button", { name: "Change the options" }).click();
+    await page.getByLabel("Edge of a pixel (m)").fill("0.1");
+    await start.click();
+    await page.getByRole("heading", { name: "point.slices", level: 1 }).waitFor();
+  });
+
+  it("names a folder that is dropped", async () => {
+    const { page } = tests;
+    await page.goto(server.address);
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+    const session = await page.context().newCDPSession(page);
+    for (const type of ["dragEnter", "dragOver", "drop"]) {
+      const data = { items: [], files: [folder], dragOperationsMask: 1 };
+      await session.send("Input.dispatchDragEvent", { type, x: 400, y: 250, data });
+    }
+    await page.getByText("cannot be read. It is a folder, or it was moved or changed.").waitFor();
   });
 
   it("a program opens a scan by its address and hears of its progress", async () => {
@@ -181,6 +288,17 @@ describe("kiosk", () => {
     assert.equal(await page.getByRole("button", { name: "Von außen" }).count(), 0);
     const back = await until(page, "the start", ({ kiosk }) => kiosk.touring);
     assert.ok(Math.hypot(back.at[0] - 1.5, back.at[1] - 2) < 1, JSON.stringify(back.at));
+  });
+
+  it("runs with settings that make no sense", async () => {
+    const { page } = tests;
+    for (const stops of ["[null, 3, {}]", "{}"]) {
+      writeFileSync(join(folder, "odd.json"), `{"title": 5, "start": "here", "modes": {}, "stops": ${stops}}`);
+      server.files["/odd.json"] = join(folder, "odd.json");
+      await page.goto(`${server.address}?archive=house.slices&kiosk=4&settings=odd.json&lang=en`);
+      await until(page, "ready", ({ ready, kiosk }) => ready && kiosk?.idle > 0.5);
+      assert.ok(await isReached(page.getByRole("button", { name: "Walk in" })));
+    }
   });
 
   it("shows the captions of stops", async () => {

@@ -2,7 +2,7 @@
 
 use slicewalk_base::bytes::{ByteSource, FileId};
 use slicewalk_base::disk::{About, Access, Disk, DiskFile, DiskFolder, FileKind};
-use slicewalk_base::{Error, Monitor, Result, Warning};
+use slicewalk_base::{Error, Monitor, Parameter, Result, Warning};
 use std::cell::Cell;
 use std::collections::HashMap;
 use std::ffi::{OsStr, OsString};
@@ -241,6 +241,8 @@ impl Disk for HostDisk {
 pub struct HostMonitor {
     amount: Cell<u64>,
     step: Cell<u64>,
+    /// Whether the unit of an input is assumed, because it states none.
+    pub assumed_unit: Cell<bool>,
 }
 
 // SAFETY: the module has one thread.
@@ -262,6 +264,9 @@ impl Monitor for HostMonitor {
     }
 
     fn warn(&self, warning: &Warning) {
+        if warning.suggestion() == Some(&Parameter::Units) {
+            self.assumed_unit.set(true);
+        }
         let text = warning.to_string();
         warn(text.as_ptr(), text.len());
     }

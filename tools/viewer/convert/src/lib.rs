@@ -9,7 +9,7 @@
 //! ```
 //!
 //! `file` is the number by which the host reads an input. `"task": "preview"` answers what `sliceconv --dry-run --json`
-//! prints, without passing over the points. The answer to `convert` has the `report` that `sliceconv --json` prints, and
+//! prints, without passing over the points, and whether the input says its unit (`unit_stated`). The answer to `convert` has the `report` that `sliceconv --json` prints, and
 //! the number and length of the host's `file` that holds the archive; or an `error`, with the `parameter` that helps.
 //!
 //! One thread, memory by the option `memory`; the archive has the bytes that `sliceconv` writes with the same options.
@@ -95,8 +95,9 @@ fn answer_to(request: &Value) -> Result<Value> {
             options.grid.pixel = PixelSize::Metres(1.0);
         }
         options.grid.tolerance_auto = false;
-        let preview = disk::with(files, || preview(&options, &monitor))?;
-        return Ok(json!({ "preview": preview.info() }));
+        let mut facts = disk::with(files, || preview(&options, &monitor))?.info();
+        facts["unit_stated"] = (!monitor.assumed_unit.get()).into();
+        return Ok(json!({ "preview": facts }));
     }
     let report = disk::with(files.clone(), || convert(&options, &monitor))?;
     let (file, length) = files.take(Path::new(OUTPUT)).unwrap_or_default();
@@ -106,7 +107,7 @@ fn answer_to(request: &Value) -> Result<Value> {
 fn error_info(error: &Error) -> Value {
     let parameter = match error {
         Error::Parameter { what, .. } => Some(what),
-        _ => None,
+        _ => error.suggestion(),
     };
     // The page has fields for these, and no command line.
     let field = |parameter: &Parameter| match parameter {

@@ -2,7 +2,7 @@
 // Gaussian splats to draw over the archive: &splats=URL&align=X,Y,Z,TURN,SCALE&up=z
 
 import type { Vec3 } from "slicewalk";
-import type { Look } from "./geometry";
+import { clamp, wrap, type Look } from "./geometry";
 import { ALIGNED, isUp, type Alignment } from "./scene/alignment";
 
 export type Mode = "walk" | "orbit" | "plan";
@@ -30,7 +30,7 @@ export function parseAddress(search: string): Place {
   return {
     archive: fields.get("archive") || null,
     at: at as Vec3 | null,
-    look: look && { heading: look[0] ?? 0, pitch: look[1] ?? 0 },
+    look: look && { heading: wrap(look[0] ?? 0), pitch: clamp(look[1] ?? 0, -89, 89) },
     mode: view === "orbit" || view === "plan" || view === "walk" ? view : null,
     splats: splats === null ? null : { url: splats, alignment: alignment(fields) },
   };

@@ -26,7 +26,7 @@ import { Goal } from "./scene/goal";
 import type { World } from "./scene/world";
 import { hasHeadset } from "./scene/headset";
 import { Shading } from "./scene/material";
-import { Conversions, type Opener } from "./conversions";
+import { Conversions, fetchScan, type Opener } from "./conversions";
 import type { Driven, Kiosk } from "./kiosk";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, QUALITIES, saveSettings, THEMES, walkerSettings, type Settings } from "./settings";
@@ -171,7 +171,7 @@ export class App implements Stage {
       },
       refused: () => this.shell.messages.say(texts.news.refused),
     });
-    this.conversions = new Conversions(parent, this.#opener(), () => this.shell.welcome.show());
+    this.conversions = new Conversions(parent, this.shell.foot, this.#opener(), () => this.shell.welcome.show());
     this.#watchTasks();
     let last = performance.now();
     this.canvas.loop((now) => {
@@ -219,6 +219,13 @@ export class App implements Stage {
     let source: Source;
     try {
       source = fromAddress(url);
+      this.shell.messages.wait(texts.loading.opening(source.name));
+      const scan = await fetchScan(source);
+      this.shell.messages.wait(null);
+      if (scan !== null) {
+        await this.conversions.take([scan]);
+        return;
+      }
     } catch (error) {
       if (this.session === null) this.#fail(error);
       else this.#refuse(error);

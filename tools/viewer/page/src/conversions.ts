@@ -35,6 +35,8 @@ export interface Opener {
 }
 
 type Units = "m" | "ft" | "us-ft" | "cm" | "mm";
+/** What the form asks for, as errors of the conversion name it. */
+const ASKED = ["PixelSize", "AutomaticPixelSize", "Units"];
 const FACTORS: Readonly<Partial<Record<Units, number>>> = { cm: 0.01, mm: 0.001 };
 
 /** Stated facts of the files, as `sliceconv --dry-run --json` names them. */
@@ -43,6 +45,8 @@ interface Facts {
   extent?: readonly number[] | null;
   crs?: string | null;
   unit?: { name: string } | null;
+  /** False where the unit is assumed. */
+  unit_stated?: boolean;
   inputs?: readonly { points_stated: number | null }[];
 }
 
@@ -64,6 +68,7 @@ export class Conversions {
 
   constructor(
     parent: HTMLElement,
+    foot: HTMLElement,
     readonly opener: Opener,
     readonly chooseOther: () => void,
   ) {
@@ -71,7 +76,8 @@ export class Conversions {
     const cancel = h("button", { type: "button", class: "plain", onclick: () => this.cancel() }, convert.cancel);
     const quiet = h("small", { class: "quiet" }, convert.privacy);
     this.#working = h("div", { class: "converting", hidden: true }, this.#words, this.#bar, quiet, cancel);
-    parent.append(this.#working, this.#dialog, this.#made);
+    parent.append(this.#dialog);
+    foot.prepend(this.#working, this.#made);
   }
 
   /** What a conversion does now; null if there is none. */
@@ -83,7 +89,14 @@ export class Conversions {
   async take(files: readonly File[]): Promise<void> {
     const [first] = files;
     if (first === undefined) return;
-    if (await isArchive(first)) {
+    let takesArchive: boolean;
+    try {
+      takesArchive = await isArchive(first);
+    } catch {
+      this.#trouble(this.#texts.convert.failed, this.#texts.convert.unreadable(first.name), null);
+      return;
+    }
+    if (takesArchive) {
       await this.#opened({ archive: first, link: null, name: first.name });
       return;
     }
@@ -127,7 +140,7 @@ export class Conversions {
       return;
     }
     try {
-      saveAs(await this.save(), source.name.split(/[?#]/)[0]?.split("/").at(-1) || "scan.slices");
+      saveAs(await this.save(), source.name);
     } catch (error) {
       this.opener.say(error instanceof Error ? error.message : String(error));
     }
@@ -167,7 +180,7 @@ export class Conversions {
   // Conversion -------------------------------------------------------------------------------------------------------------------
 
   async #convert(files: readonly File[], options: ConversionOptions): Promise<void> {
-    if (this.#running !== null) throw new SlicewalkError("invalid", "another conversion runs; cancel it first");
+    if (this.#running !== null) throw new ConversionError("invalid", "another conversion runs; cancel it first");
     const converter = new Converter(files);
     this.#running = converter;
     let converted: Converted;
@@ -193,7 +206,9 @@ export class Conversions {
     const { convert } = this.#texts;
     const save = h("button", { type: "button", class: "primary", onclick: () => void this.download() }, convert.save);
     const hide = h("button", { type: "button", class: "plain", "aria-label": "×", onclick: () => this.#hide() }, "×");
-    this.#made.replaceChildren(h("span", {}, `${convert.done(archive.name)} ${convert.privacy}`), save, hide);
+    const lines = converted.warnings.map((warning) => h("li", {}, warning));
+    const warnings = h("details", { hidden: lines.length === 0 }, h("summary", {}, convert.warnings), h("ul", {}, ...lines));
+    this.#made.replaceChildren(h("span", {}, `${convert.done(archive.name)} ${convert.privacy}`), warnings, save, hide);
     this.#made.hidden = false;
   }
 
@@ -245,12 +260,13 @@ export class Conversions {
       facts = await converter.preview(options);
     } catch (error) {
       if (error instanceof SlicewalkError && error.kind === "aborted") return;
-      this.#refused(error);
+      this.#refused(error, this.#remedy(error, files, options, []));
       return;
     }
     if (!this.#dialog.open) return;
     const unit = h("select", { id: "conversion-unit" });
-    const stated = facts.unit ? convert.unitAuto(facts.unit.name) : convert.unitUnknown;
+    const isStated = facts.unit_stated === true && facts.unit != null;
+    const stated = isStated ? convert.unitAuto(facts.unit?.name ?? "") : convert.unitUnknown;
     for (const [value, words] of [["auto", stated], ...Object.entries(convert.units)] as [string, string][]) {
       unit.append(h("option", { value }, words));
     }
@@ -289,10 +305,12 @@ export class Conversions {
         const edge = Number(pixel.value.replace(",", "."));
         const chosen: Record<string, unknown> = { ...options, up: up.value };
         if (unit.value !== "auto") chosen["units"] = FACTORS[unit.value as Units] ?? unit.value;
-        else if (!facts.unit) chosen["units"] = "m";
+        else if (!isStated) chosen["units"] = "m";
         if (edge > 0) chosen["pixel"] = edge;
         this.#dialog.close();
-        this.#convert(files, chosen).catch((error: unknown) => this.#refused(error));
+        this.#convert(files, chosen).catch((error: unknown) =>
+          this.#refused(error, this.#remedy(error, files, options, ASKED)),
+        );
       },
     });
     const start = h("button", { class: "primary" }, convert.start);
@@ -301,8 +319,18 @@ export class Conversions {
     start.focus();
   }
 
-  /** Says why files were not converted; the open scene stays. */
-  #refused(error: unknown): void {
+  /** A button that asks about the files again, if another answer would help. */
+  #remedy(error: unknown, files: readonly File[], options: ConversionOptions, asked: readonly string[]): HTMLElement | null {
+    const parameter = error instanceof ConversionError ? (error.parameter ?? "") : "";
+    const { change, partly } = this.#texts.convert;
+    const again = (words: string, other: ConversionOptions): HTMLElement =>
+      h("button", { type: "button", class: "primary", onclick: () => void this.#ask(files, other) }, words);
+    if (parameter === "Incomplete") return again(partly, { ...options, allow_incomplete: true });
+    return asked.includes(parameter) ? again(change, options) : null;
+  }
+
+  /** Says why files were not converted, and offers the remedy; the open scene stays. */
+  #refused(error: unknown, remedy: HTMLElement | null): void {
     const { convert } = this.#texts;
     if (error instanceof SlicewalkError && error.kind === "aborted") {
       this.opener.say(convert.cancelled);
@@ -312,20 +340,20 @@ export class Conversions {
     if (!(error instanceof ConversionError) && this.opener.error !== null) return;
     const message = error instanceof Error ? error.message : String(error);
     const isFull = /space|storage full|no storage/i.test(message);
-    this.#trouble(convert.failed, message, isFull ? convert.full : null);
+    this.#trouble(convert.failed, message, isFull ? convert.full : null, remedy);
   }
 
-  #trouble(title: string, detail: string, wayOut: string | null): void {
+  #trouble(title: string, detail: string, wayOut: string | null, remedy: HTMLElement | null = null): void {
     const { convert } = this.#texts;
     const other = (): void => {
       this.#dialog.close();
       this.chooseOther();
     };
     const close = h("button", { type: "button", class: "plain", onclick: () => this.#dialog.close() }, convert.cancel);
-    const again = h("button", { type: "button", class: "primary", onclick: other }, convert.again);
+    const again = h("button", { type: "button", class: remedy ? "plain" : "primary", onclick: other }, convert.again);
     const detailText = h("p", { class: "detail" }, detail);
     const more = wayOut === null ? [] : [h("p", {}, wayOut)];
-    this.#fill(title, detailText, ...more, h("div", { class: "actions" }, again, close));
+    this.#fill(title, detailText, ...more, h("div", { class: "actions" }, ...(remedy ? [remedy] : []), again, close));
   }
 
   #fill(title: string, ...content: readonly Node[]): void {
@@ -345,7 +373,7 @@ function hasMagic(bytes: Uint8Array): boolean {
 }
 
 /** The scan at an address as a file; null for an archive, which is read by ranges. */
-async function fetchScan(source: Source): Promise<File | null> {
+export async function fetchScan(source: Source): Promise<File | null> {
   const url = String(source.archive);
   if (/\.slices$/i.test(new URL(url).pathname)) return null;
   const stop = new AbortController();
@@ -362,6 +390,5 @@ async function fetchScan(source: Source): Promise<File | null> {
   if (hasMagic(first)) return null;
   const whole = await fetch(url);
   if (!whole.ok) throw new SlicewalkError("network", `${url}: the host answered ${whole.status}`);
-  const name = decodeURIComponent(new URL(url).pathname.split("/").at(-1) ?? "") || "scan";
-  return new File([await whole.blob()], name);
+  return new File([await whole.blob()], source.name);
 }

@@ -49,6 +49,8 @@ export interface KioskOptions {
   readonly settings: PlaceSettings;
 }
 
+const isObject = (value: unknown): value is object => typeof value === "object" && value !== null;
+
 const triple = (numbers: unknown): Vec3 | null =>
   Array.isArray(numbers) && numbers.length === 3 && numbers.every((number) => Number.isFinite(number))
     ? (numbers as unknown as Vec3)
@@ -78,7 +80,9 @@ async function readSettings(url: string | null): Promise<PlaceSettings> {
   try {
     const answer = await fetch(url);
     const settings: unknown = answer.ok ? await answer.json() : {};
-    return typeof settings === "object" && settings !== null ? settings : {};
+    if (!isObject(settings)) return {};
+    const { stops } = settings as PlaceSettings;
+    return { ...settings, stops: Array.isArray(stops) ? stops.filter(isObject) : [] };
   } catch {
     return {};
   }

@@ -7,6 +7,7 @@ import { contentBounds } from "./scene/framing";
 import { World } from "./scene/world";
 import { walkerSettings, type Settings } from "./settings";
 import { findStart, viewFrom } from "./start";
+import { shortName } from "./ui/names";
 import { crsName } from "./ui/status";
 
 /** Distance around a pawn that must be loaded before a place counts as loaded (m). */
@@ -23,13 +24,14 @@ export interface Source {
   readonly archive: string | Blob;
   /** Part of a link; null for a local file. */
   readonly link: string | null;
+  /** As people read it. */
   readonly name: string;
 }
 
 /** The archive at an address relative to the page. */
 export function fromAddress(url: string): Source {
   try {
-    return { archive: new URL(url, location.href).href, link: url, name: url };
+    return { archive: new URL(url, location.href).href, link: url, name: shortName(url) };
   } catch (cause) {
     throw new SlicewalkError("invalid", `${url} is no address`, { cause });
   }

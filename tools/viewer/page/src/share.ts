@@ -5,7 +5,6 @@ import type { Stage } from "./modes/mode";
 import { draw } from "./plan/drawing";
 import { svg } from "./plan/svg";
 import { texts } from "./texts.en";
-import { shortName } from "./ui/names";
 
 /** Most cells along an edge of a plan that is saved. */
 const SHEET_CELLS = 4096;
@@ -45,8 +44,8 @@ export async function savePlan({ session, shell }: Stage): Promise<void> {
   try {
     const wanted = { area: [min[0], min[1], max[0], max[1]], floor: pawn.at[2], cells: SHEET_CELLS, load: true } as const;
     const drawing = await draw(archive, wanted, new AbortController().signal);
-    const name = `${shortName(source.name).replace(/\.slices$/, "")}-${texts.plan.name}.svg`;
-    saveAs(new Blob([svg(drawing, { name: shortName(source.name), crs })], { type: "image/svg+xml" }), name);
+    const name = `${source.name.replace(/\.slices$/, "")}-${texts.plan.name}.svg`;
+    saveAs(new Blob([svg(drawing, { name: source.name, crs })], { type: "image/svg+xml" }), name);
     shell.messages.say(texts.news.saved(name));
   } catch {
     // A closed or failed archive is reported elsewhere.

@@ -21,5 +21,12 @@ export const ALIGNED: Alignment = { at: [0, 0, 0], turn: 0, scale: 1, up: "z" };
 
 export const isUp = (text: string | null): text is Up => UPS.some((up) => up === text);
 
-/** Returns whether a file of this name contains splats. */
-export const namesSplats = (name: string): boolean => /\.(ply|splat|ksplat|spz|sog)$/i.test(name);
+/** First bytes of a PLY among which its header names what it holds. */
+const HEAD_BYTES = 16384;
+
+/** Whether a file holds splats: by its name, and a PLY by its header, as there are scans and models of this name. */
+export async function isSplats(file: File): Promise<boolean> {
+  if (!/\.ply$/i.test(file.name)) return /\.(splat|ksplat|spz|sog)$/i.test(file.name);
+  const [head = ""] = (await file.slice(0, HEAD_BYTES).text()).split("end_header");
+  return /\s(packed_position|rot_0|f_dc_0)\s/.test(head);
+}

@@ -3,7 +3,6 @@
 import type { Bounds } from "slicewalk";
 import { texts } from "../texts.en";
 import { h, picture, icons, write } from "./dom";
-import { shortName } from "./names";
 
 export class FirstCard {
   readonly element = h("section", { class: "first", "aria-label": texts.first.label, hidden: true });
@@ -18,7 +17,7 @@ export class FirstCard {
   }
 
   show(name: string, { min, max }: Bounds): void {
-    write(this.#name, shortName(name));
+    write(this.#name, name);
     const size = [0, 1, 2].map((axis) => (max[axis] ?? 0) - (min[axis] ?? 0));
     const digits = Math.max(...size) < 100 ? 1 : 0;
     write(this.#size, texts.first.size(size.map((metres) => metres.toFixed(digits)).join(" × ")));

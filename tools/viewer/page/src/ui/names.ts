@@ -1,8 +1,8 @@
 // Names of archives as people read them.
 
-/** The last part of an address or a path; names need not be valid addresses. */
-export function shortName(name: string): string {
-  const last = name.split(/[?#]/)[0]?.split("/").at(-1) || name;
+/** The last part of an address; it need not be a valid one. Names of files are read as they are. */
+export function shortName(url: string): string {
+  const last = url.split(/[?#]/)[0]?.split("/").at(-1) || url;
   try {
     return decodeURIComponent(last);
   } catch {

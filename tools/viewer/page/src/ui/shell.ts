@@ -10,7 +10,6 @@ import { FirstCard } from "./first";
 import { MeasurePanel } from "./measure";
 import { Messages } from "./messages";
 import type { Minimap } from "./minimap";
-import { shortName } from "./names";
 import { OverlayFields, type OverlayEvents } from "./overlays";
 import { PlanBar } from "./plan";
 import { SectionPanel } from "./section";
@@ -35,6 +34,7 @@ export class Shell {
   /** Why the pawn does not get on. */
   readonly stop = h("div", { class: "stop", role: "status", hidden: true });
   readonly first: FirstCard;
+  readonly foot: HTMLElement;
   readonly messages = new Messages();
   readonly status = new StatusPanel();
   readonly plan: PlanBar;
@@ -62,6 +62,7 @@ export class Shell {
     this.overlays = new OverlayFields(events);
     this.colours = new ColoursPanel(events.colouring, events.blocks, this.overlays.element);
     this.first = new FirstCard(events.walkIn);
+    this.foot = h("div", { class: "foot" }, this.messages.news, this.first.element);
     this.slices = new SlicesPanel(events.slices);
     this.plan = new PlanBar(events.plan);
     this.welcome = new Welcome(events);
@@ -87,9 +88,8 @@ export class Shell {
       panels,
       this.#left,
       this.#map,
-      this.first.element,
+      this.foot,
       this.messages.progress,
-      this.messages.news,
     );
     // After a mouse click the keys walk on; a person who reached a button by keyboard stays there.
     main.addEventListener("click", ({ detail, target }) => {
@@ -100,11 +100,10 @@ export class Shell {
   }
 
   opened(name: string, info: ArchiveInfo, content: Bounds, minimap: Minimap): void {
-    const short = shortName(name);
-    this.#name.textContent = short;
+    this.#name.textContent = name;
     this.#name.title = name;
-    document.title = `${short} – ${texts.title}`;
-    this.canvas.setAttribute("aria-label", texts.viewOf(short));
+    document.title = `${name} – ${texts.title}`;
+    this.canvas.setAttribute("aria-label", texts.viewOf(name));
     this.slices.open(info);
     this.section.open(content);
     this.#map.replaceChildren(minimap.element);

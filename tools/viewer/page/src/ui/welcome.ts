@@ -1,6 +1,6 @@
 // Shown while no archive is open: drop one, choose one, or enter its address. Files may be dropped at any time.
 
-import { namesSplats } from "../scene/alignment";
+import { isSplats } from "../scene/alignment";
 import { texts } from "../texts.en";
 import { h } from "./dom";
 
@@ -87,6 +87,14 @@ export class Welcome {
     act();
   }
 
+  async #drop(files: readonly File[]): Promise<void> {
+    const [file] = files;
+    if (file === undefined) return;
+    // What cannot be read is no splats, and is refused like any other file.
+    const splats = files.length === 1 && (await isSplats(file).catch(() => false));
+    this.#take(() => (splats ? this.events.splatsFile(file) : this.events.files(files)));
+  }
+
   #listen(): void {
     const carriesFile = (event: DragEvent): boolean => event.dataTransfer?.types.includes("Files") === true;
     window.addEventListener("dragover", (event) => {
@@ -101,10 +109,7 @@ export class Welcome {
       if (!carriesFile(event)) return;
       event.preventDefault();
       this.curtain.hidden = true;
-      const files = [...(event.dataTransfer?.files ?? [])];
-      const [file] = files;
-      if (file && files.length === 1 && namesSplats(file.name)) this.events.splatsFile(file);
-      else if (file) this.#take(() => this.events.files(files));
+      void this.#drop([...(event.dataTransfer?.files ?? [])]);
     });
   }
 }
