@@ -127,7 +127,18 @@ describe("odd devices", () => {
       await walkIn(phone, address(server, { at: WAY.start, view: "plan" }));
       await phone.getByText("Save as SVG").waitFor();
       const crossing = await phone.evaluate(() => {
-        const shown = [".name", ".modes", ".tools", ".plan-bar", ".status", ".storeys", ".map", ".jump"]
+        const shown = [
+          ".name",
+          ".modes",
+          ".tools",
+          ".plan-bar",
+          ".status",
+          ".storeys",
+          ".map",
+          ".jump",
+          ".stick.left",
+          ".stick.right",
+        ]
           .map((selector) => [selector, document.querySelector(selector)])
           .filter(([, element]) => element !== null && element.offsetParent !== null)
           .map(([selector, element]) => [selector, element.getBoundingClientRect()]);
@@ -209,6 +220,11 @@ describe("wrong files and addresses", () => {
     await page.goto(address(server, { at: WAY.start, look: [-90, 1000] }));
     const { look } = await until(page, "ready", ({ ready }) => ready);
     assert.deepEqual(look, [270, 89]);
+  });
+
+  it("finds a place to stand where an address names one outside the scan", async () => {
+    await walkIn(page, address(server, { at: [500, 500, 2] }));
+    await until(page, "on a floor", ({ ground, at }) => ground === "walking" && at[0] < 14 && at[1] < 10, { timeout: 60_000 });
   });
 
   it("names an address that is none", async () => {

@@ -4,6 +4,7 @@ import type { Vec3 } from "slicewalk";
 import { distance, type Look, type Ray } from "./geometry";
 import { pick } from "./measure";
 import type { Stage } from "./modes/mode";
+import { findStart } from "./start";
 import { texts } from "./texts.en";
 
 const FLOOR_NORMAL = 0.5;
@@ -51,8 +52,20 @@ export class Places {
     const bottom = archive.info.bounds?.min[2] ?? -Infinity;
     if (ground === "falling" && pawn.at[2] < bottom - LOST_M && !this.#returning) {
       this.stage.shell.messages.say(texts.news.fell);
-      void this.back();
+      void (this.#safe.length === 0 ? this.#beginAnew() : this.back());
     }
+  }
+
+  /** Finds a place to stand where the walk began without one, as addresses may name any. */
+  async #beginAnew(): Promise<void> {
+    const { session, settings } = this.stage;
+    if (session === null) return;
+    this.#returning = true;
+    const { archive, content, pawn } = session;
+    const at = await findStart(archive, settings, content, new AbortController().signal).catch(() => null);
+    if (session !== this.stage.session) return;
+    if (at !== null) this.start = { at, look: { ...pawn.look } };
+    await this.home();
   }
 
   /** Returns to the last safe place; again, to the one before. */
