@@ -372,16 +372,19 @@ fn short_name(text: &str) -> String {
     name.chars().take(60).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// Finds a unit in a citation such as "NAD83 / Texas Central (ftUS)": the last resort.
+/// Finds a unit in a citation such as "NAD83 / Texas Central (ftUS)": the last resort. The "Feet" of a state plane of
+/// ESRI (`..._FIPS_4203_Feet`) are those of the US survey, unless they are "Intl".
 fn unit_in_words(text: &str) -> Option<f64> {
     let text = text.to_ascii_lowercase();
-    let any = |words: &[&str]| words.iter().any(|w| text.contains(w));
-    if any(&["ftus", "us survey f", "us-ft", "us_survey_f", "foot_us", "usft"]) {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
+    let words = format!(" {} ", words.collect::<Vec<_>>().join(" "));
+    let any = |runs: &[&str]| runs.iter().any(|run| words.contains(run));
+    let is_foot = text.contains("(ft)") || any(&[" foot ", " feet ", " ft intl ", " international ft "]);
+    let of_survey = &[" ftus ", " usft ", " us ft ", " ft us ", " footus ", " foot us ", " us foot ", " us feet "];
+    if any(of_survey) || any(&[" survey f"]) || is_foot && any(&[" fips "]) && !any(&[" intl ", " international "]) {
         Some(US_SURVEY_FOOT)
-    } else if any(&["(ft)", "international f", "foot", "feet"]) {
-        Some(FOOT)
     } else {
-        None
+        is_foot.then_some(FOOT)
     }
 }
 
@@ -675,6 +678,23 @@ mod tests {
 
     fn keys(entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Georeference {
         Georeference::read(&key_records(entries, text, doubles), false)
+    }
+
+    #[test]
+    fn names_give_a_unit_by_whole_words() {
+        for (name, expected) in [
+            ("NAD_1983_StatePlane_Oregon_North_FIPS_3601_Feet_Intl", Some(FOOT)),
+            ("NAD_1983_StatePlane_Oregon_North_FIPS_3601_Feet", Some(US_SURVEY_FOOT)),
+            ("NAD 1983 StatePlane Michigan South FIPS 2113 Ft Intl", Some(FOOT)),
+            ("Texas Central, U.S. survey feet", Some(US_SURVEY_FOOT)),
+            ("Site in us-ft", Some(US_SURVEY_FOOT)),
+            ("Site, international feet", Some(FOOT)),
+            ("Footprints of Barefoot Bay", None),
+            ("Foothills of International Falls", None),
+            ("Ft Worth", None),
+        ] {
+            assert_eq!(unit_in_words(name), expected, "{name}");
+        }
     }
 
     #[test]
