@@ -74,7 +74,8 @@ impl Records {
         let Some(head) = source.bytes_at(at, head_bytes as usize)? else { return Ok(None) };
         let length = if head_bytes == 54 { u64::from(u16_at(&head, 20)) } else { u64_at(&head, 20) };
         let Some(next) = body_at.checked_add(length).filter(|&n| n <= end) else { return Ok(None) };
-        let user: &[u8] = head[2..18].split(|&b| b == 0).next().unwrap_or_default();
+        // Some programs fill the user's name with blanks.
+        let user = head[2..18].split(|&b| b == 0).next().unwrap_or_default().trim_ascii_end();
         let id = u16_at(&head, 18);
         let projection = user == b"LASF_Projection" && [WKT, GEO_KEYS, GEO_DOUBLES, GEO_TEXT].contains(&id);
         let laszip = user == b"laszip encoded" && id == LASZIP;

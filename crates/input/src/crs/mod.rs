@@ -317,7 +317,7 @@ fn codes(text: &str) -> Vec<u32> {
 fn clean_text(bytes: &[u8]) -> Option<String> {
     let text = bytes.split(|&b| b == 0).find(|text| !text.trim_ascii().is_empty())?;
     let text = String::from_utf8_lossy(text);
-    let text = text.trim().trim_end_matches('|').trim();
+    let text = text.trim().trim_start_matches('\u{feff}').trim_end_matches('|').trim();
     (!text.is_empty()).then(|| text.to_string())
 }
 
@@ -540,6 +540,10 @@ mod tests {
         let joined =
             r#"COMPD_CS["C",PROJCS["P",UNIT["metre",1]],VERT_CS["V",VERT_DATUM["D",2005]],AUTHORITY["EPSG","8720"]]"#;
         assert_eq!(units(joined).1, epsg::system(8720).and_then(|system| system.up));
+        let text = r#"PROJCS["P",UNIT["Foot_US",0.3048006096012192]]"#;
+        for before in ["\u{feff}", "ESRI PE String = "] {
+            assert_eq!(units(&format!("{before}{text}")).0, Some(US_SURVEY_FOOT), "{before}");
+        }
         // All quotes doubled, with quotes in the name; then all escaped by a backslash.
         let text = r#"PROJCS["P ""[old]"" one",UNIT["Foot_US",0.3048006096012192]]"#;
         assert_eq!(units(text).0, Some(US_SURVEY_FOOT));

@@ -103,7 +103,10 @@ impl Node {
                     }
                 }
                 '[' | '(' => {
-                    let word = std::mem::take(&mut token).to_ascii_uppercase();
+                    // A byte order mark, or a label as in `ESRI PE String = PROJCS[...`, may stand before a keyword.
+                    let token = std::mem::take(&mut token).to_ascii_uppercase();
+                    let is_other = |c: char| !c.is_ascii_alphanumeric() && c != '_';
+                    let word = token.rsplit(is_other).next().unwrap_or_default().to_owned();
                     while open.last().is_some_and(|parent| !parent.may_hold(&word)) {
                         close(&mut open, &mut roots);
                     }
