@@ -33,8 +33,17 @@ pub(super) struct Georeference {
 /// Plausible units (m): scans use units from the millimetre to the mile. Anything beyond 10 km is damage that would
 /// collapse the scene to a point or inflate it.
 const BELIEVED_M: std::ops::RangeInclusive<f64> = 1e-3..=1e4;
+/// Relative difference of two statements of one unit: written with few digits, it is smaller than that of the two feet.
+const ROUNDING: f64 = 1e-6;
+/// Names of axes in messages.
+const GROUND_AXES: &str = "x and y";
+const HEIGHTS: &str = "heights";
 /// Warning about a system whose axes start at the centre of the Earth.
 const GEOCENTRIC: &str = "its reference system is geocentric: its z axis does not point up";
+/// Warning about coordinates of another kind than the system's.
+const LENGTHS_FOR_ANGLES: &str = "its coordinates are lengths, but its reference system has longitude and latitude";
+/// Warning about text that cannot be read to its end.
+const DAMAGED: &str = "the well-known text of its reference system is damaged";
 /// Warning about a system of depths.
 const DOWNWARD: &str = "its reference system counts depths, downwards; z is taken as height";
 
@@ -75,18 +84,51 @@ impl Georeference {
     fn take_code(&mut self, code: u32) {
         let Some(system) = epsg::system(code) else { return };
         match system.ground {
-            Ground::Length(unit) => self.horizontal = self.horizontal.or(Some(unit)),
-            Ground::Angles => self.degrees |= self.horizontal.is_none(),
+            Ground::Length(unit) => {
+                self.note_other(self.horizontal, Some(unit), GROUND_AXES);
+                self.horizontal = self.horizontal.or(Some(unit));
+            }
+            Ground::Angles if self.horizontal.is_some() => self.note(LENGTHS_FOR_ANGLES),
+            Ground::Angles => self.degrees = true,
             Ground::Geocentric => {
                 self.horizontal = self.horizontal.or(Some(1.0));
                 self.note(GEOCENTRIC);
             }
             Ground::None => {}
         }
-        if system.up.is_some_and(|unit| unit < 0.0) {
+        self.take_up(system.up);
+    }
+
+    /// Takes metres as the unit, whatever the system states, as E57 demands.
+    pub(super) fn take_metres(&mut self) {
+        let units = [self.horizontal, self.vertical];
+        if self.degrees || units.into_iter().flatten().any(|unit| unit != 1.0) {
+            // Warnings about units that count elsewhere mean nothing here.
+            self.notes.retain(|note| [DAMAGED, DOWNWARD].contains(&note.as_str()));
+            self.note(
+                "its reference system is not in metres, but coordinates in E57 are, by its standard: metres are taken",
+            );
+        }
+        (self.horizontal, self.vertical, self.degrees) = (Some(1.0), None, false);
+    }
+
+    /// Adds the unit of a vertical axis of a system that is named by code, negative if it points down.
+    fn take_up(&mut self, up: Option<f64>) {
+        if up.is_some_and(|unit| unit < 0.0) {
             self.note(DOWNWARD);
         }
-        self.vertical = self.vertical.or(system.up.map(f64::abs));
+        self.note_other(self.vertical, up.map(f64::abs), HEIGHTS);
+        self.vertical = self.vertical.or(up.map(f64::abs));
+    }
+
+    /// Notes that the file also states another unit than the one that counts.
+    fn note_other(&mut self, counts: Option<f64>, other: Option<f64>, axes: &str) {
+        if let (Some(counts), Some(other)) = (counts, other)
+            && (counts - other).abs() > ROUNDING * other
+        {
+            let (counts, other) = (number(counts), number(other));
+            self.note(&format!("it states two units for {axes}: {counts} m, which counts, and {other} m"));
+        }
     }
 
     fn note(&mut self, text: &str) {
@@ -109,16 +151,8 @@ impl Georeference {
 
     /// Fills in what `self` does not state from `other`; notes units that differ.
     fn or(mut self, other: Self) -> Self {
-        let mut differ = |counts: Option<f64>, other: Option<f64>, axes: &str| {
-            if let (Some(counts), Some(other)) = (counts, other)
-                && counts != other
-            {
-                let (counts, other) = (number(counts), number(other));
-                self.notes.push(format!("it states two units for {axes}: {counts} m, which counts, and {other} m"));
-            }
-        };
-        differ(self.horizontal, other.horizontal, "x and y");
-        differ(self.vertical, other.vertical, "heights");
+        self.note_other(self.horizontal, other.horizontal, GROUND_AXES);
+        self.note_other(self.vertical, other.vertical, HEIGHTS);
         if !self.degrees && self.horizontal.is_none() {
             (self.degrees, self.horizontal) = (other.degrees, other.horizontal);
         }
@@ -152,7 +186,7 @@ impl Georeference {
         // Codes supply what the text does not state. Reversed, since the vertical system comes last.
         found.codes.clone().into_iter().rev().for_each(|code| found.take_code(code));
         if !is_whole || roots.is_empty() {
-            found.note("the well-known text of its reference system is damaged");
+            found.note(DAMAGED);
         }
         found.text = Some(text);
         found
@@ -204,11 +238,14 @@ impl Georeference {
         let mut found = Self::default();
         let text = records.projection(GEO_TEXT).unwrap_or_default();
         let doubles = records.projection(GEO_DOUBLES).unwrap_or_default();
-        let entries: Vec<[u16; 4]> = keys
-            .chunks_exact(8)
-            .skip(1) // skips the head of the directory
-            .map(|e| [u16_at(e, 0), u16_at(e, 2), u16_at(e, 4), u16_at(e, 6)])
-            .collect();
+        let mut rows = keys.chunks_exact(8).map(|e| [u16_at(e, 0), u16_at(e, 2), u16_at(e, 4), u16_at(e, 6)]);
+        let stated = rows.next().map_or(0, |head| usize::from(head[3]));
+        let mut entries: Vec<[u16; 4]> = rows.collect();
+        let held = entries.len();
+        if stated > held || entries[stated..].iter().any(|entry| *entry != [0; 4]) {
+            found.notes.push(format!("its GeoTIFF directory states {stated} keys and has room for {held}"));
+        }
+        entries.truncate(stated);
         let entry = |id: u16| entries.iter().find(|e| e[0] == id);
         let code = |id| entry(id).filter(|e| e[1] == 0).map(|e| e[3]);
         let double = |id| {
@@ -230,13 +267,25 @@ impl Georeference {
         found.degrees = model == Some(2)
             || misplaced.is_some()
             || model.is_none() && code(3072).is_none() && code(3076).is_none() && geographic.is_some();
-        let named = if found.degrees { misplaced.or(geographic).or(projected) } else { projected.or(geographic) }
-            .map(u32::from);
+        // A projection of the file's own has a geographic system as its base, which does not name it.
+        let named = match found.degrees {
+            true => misplaced.or(geographic).or(projected),
+            false => projected.or(geographic.filter(|_| model == Some(GEOCENTRIC_MODEL))),
+        };
+        let named = named.map(u32::from);
         found.codes.extend(named);
         let cited = citation(3073).or_else(|| citation(1026));
         found.text = named.map(|n| format!("EPSG:{n}")).or_else(|| cited.clone());
-        let mut stated = |id, size: Option<u16>| match code(id) {
-            Some(USER_DEFINED) => size.and_then(double),
+        let mut stated = |id, size: Option<u16>, axes: &str| match code(id) {
+            Some(USER_DEFINED) => {
+                let length = size.and_then(double);
+                if length.is_none() {
+                    found
+                        .notes
+                        .push(format!("its GeoTIFF keys state a unit of their own for {axes}, but not its length"));
+                }
+                length
+            }
             Some(0) | None => None,
             Some(unit) => {
                 let length = epsg::unit(unit);
@@ -246,10 +295,10 @@ impl Georeference {
                 length
             }
         };
-        let (horizontal, vertical) = (stated(3076, Some(3077)), stated(4099, None));
+        let (horizontal, vertical) = (stated(3076, Some(3077), GROUND_AXES), stated(4099, None, HEIGHTS));
         if !found.degrees {
             found.horizontal = horizontal;
-            if model == Some(3) {
+            if model == Some(GEOCENTRIC_MODEL) {
                 found.note(GEOCENTRIC);
             }
         }
@@ -260,15 +309,14 @@ impl Georeference {
                 epsg::system(code.into())
         {
             found.codes.push(code.into());
-            found.vertical = found.vertical.or(Some(up.abs()));
-            if up < 0.0 {
-                found.note(DOWNWARD);
-            }
+            found.take_up(Some(up));
         }
-        if !found.degrees {
-            projected.into_iter().for_each(|code| found.take_code(code.into()));
-        } else if let Some(code) = named {
-            found.take_code(code);
+        named.into_iter().for_each(|code| found.take_code(code));
+        if let Some(code) = code(4096).filter(is_code)
+            && (ground(code), found.vertical) == (None, None)
+            && found.horizontal.is_some_and(|unit| unit != 1.0)
+        {
+            found.note(&format!("the unit of its vertical system {code} is unknown; that of x and y is taken"));
         }
         // Last resort: names such as "NAD83 / Texas Central (ftUS) + NAVD88 height (ftUS)".
         let (on_ground, above) =
@@ -282,6 +330,8 @@ impl Georeference {
     }
 }
 
+/// GeoTIFF model type of geocentric systems.
+const GEOCENTRIC_MODEL: u16 = 3;
 /// GeoTIFF value for "user-defined".
 const USER_DEFINED: u16 = 32767;
 
@@ -670,7 +720,11 @@ mod tests {
     }
 
     fn key_records(entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Records {
-        let mut directory = vec![1u16, 1, 0, entries.len() as u16];
+        counted_records(entries.len() as u16, entries, text, doubles)
+    }
+
+    fn counted_records(stated: u16, entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Records {
+        let mut directory = vec![1u16, 1, 0, stated];
         directory.extend(entries.iter().flatten());
         let bytes = |words: Vec<u16>| words.iter().flat_map(|w| w.to_le_bytes()).collect::<Vec<u8>>();
         let mut records = Records::default();
@@ -682,6 +736,68 @@ mod tests {
 
     fn keys(entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Georeference {
         Georeference::read(&key_records(entries, text, doubles), false)
+    }
+
+    #[test]
+    fn a_projection_of_the_files_own_is_not_named_by_the_geographic_system_below_it() {
+        let base = [[1024, 0, 1, 1], [2048, 0, 1, 4269], [3072, 0, 1, USER_DEFINED], [3076, 0, 1, 9002]];
+        let mut own = keys(&base, "", &[]);
+        assert_eq!((own.text.as_deref(), own.codes.as_slice(), own.horizontal), (None, [].as_slice(), Some(FOOT)));
+        assert_eq!(own.complete(2992), Ok(None));
+        let cited = [base.as_slice(), &[[3073, GEO_TEXT, 9, 0]]].concat();
+        assert_eq!(keys(&cited, "Our grid|", &[]).text.as_deref(), Some("Our grid"));
+        let geocentric = keys(&[[1024, 0, 1, GEOCENTRIC_MODEL], [2048, 0, 1, 4978]], "", &[]);
+        assert_eq!((geocentric.text.as_deref(), geocentric.horizontal), (Some("EPSG:4978"), Some(1.0)));
+    }
+
+    #[test]
+    fn statements_that_contradict_each_other_are_noted() {
+        let two =
+            |axes, counts, other| format!("it states two units for {axes}: {counts} m, which counts, and {other} m");
+        let metres = [[3072, 0, 1, 2992], [3076, 0, 1, 9001], [4096, 0, 1, 6360], [4099, 0, 1, 9001]];
+        let found = keys(&metres, "", &[]);
+        assert_eq!((found.horizontal, found.vertical), (Some(1.0), Some(1.0)));
+        assert_eq!(found.notes, [two("heights", "1", "0.3048006096012192"), two("x and y", "1", "0.3048")]);
+        let found = wkt(r#"PROJCS["P",UNIT["metre",1],AUTHORITY["EPSG","2992"]]"#);
+        assert_eq!((found.horizontal, found.notes), (Some(1.0), vec![two("x and y", "1", "0.3048")]));
+        let mut given = keys(&[[3076, 0, 1, 9001]], "", &[]);
+        assert_eq!(given.complete(2229), Ok(None));
+        assert_eq!(given.notes, [two("x and y", "1", "0.3048006096012192")]);
+        let mut given = keys(&[[3076, 0, 1, 9001]], "", &[]);
+        assert_eq!((given.complete(4326), given.degrees), (Ok(None), false));
+        assert_eq!(given.notes, [LENGTHS_FOR_ANGLES]);
+        for sound in [&[[3072, 0, 1, 2992], [3076, 0, 1, 9002]][..], &[[3072, 0, 1, 2155], [4096, 0, 1, 5703]]] {
+            assert_eq!(keys(sound, "", &[]).notes, [""; 0]);
+        }
+        for (unit, counts) in [
+            (r#"UNIT["metre",0.3048]"#, FOOT),
+            (r#"UNIT["US survey foot",3.28083333333333]"#, US_SURVEY_FOOT),
+            (r#"UNIT["foot",3.28084]"#, FOOT),
+        ] {
+            let found = wkt(&format!(r#"PROJCS["P",{unit}]"#));
+            assert_eq!((found.horizontal, found.notes.len()), (Some(counts), 1), "{unit}: {:?}", found.notes);
+        }
+        for sound in [r#"UNIT["foot",0.3048006096]"#, r#"UNIT["Foot_US",0.304801]"#, r#"UNIT["metre",1.0000135965]"#] {
+            assert_eq!(wkt(&format!(r#"PROJCS["P",{sound}]"#)).notes, [""; 0], "{sound}");
+        }
+    }
+
+    #[test]
+    fn keys_that_are_missing_or_surplus_or_refer_to_nothing_are_noted() {
+        let entries = [[1024, 0, 1, 1], [3076, 0, 1, 9002]];
+        let counted = |stated| Georeference::read(&counted_records(stated, &entries, "", &[]), false);
+        assert_eq!((counted(2).horizontal, counted(2).notes), (Some(FOOT), vec![]));
+        assert_eq!(counted(1).horizontal, None);
+        assert_eq!(counted(1).notes, ["its GeoTIFF directory states 1 keys and has room for 2"]);
+        assert_eq!(counted(9).notes[0], "its GeoTIFF directory states 9 keys and has room for 2");
+        let padded = [entries[0], [0; 4]];
+        assert_eq!(Georeference::read(&counted_records(1, &padded, "", &[]), false).notes, [""; 0]);
+        let past = keys(&[[3072, 0, 1, 26910], [3076, 0, 1, USER_DEFINED], [3077, GEO_DOUBLES, 1, 7]], "", &[0.5]);
+        assert_eq!(past.notes, ["its GeoTIFF keys state a unit of their own for x and y, but not its length"]);
+        let heights = keys(&[[3072, 0, 1, 2992], [4099, 0, 1, USER_DEFINED]], "", &[]);
+        assert_eq!(heights.notes, ["its GeoTIFF keys state a unit of their own for heights, but not its length"]);
+        let unknown = keys(&[[3072, 0, 1, 2992], [4096, 0, 1, 5103]], "", &[]);
+        assert_eq!(unknown.notes, ["the unit of its vertical system 5103 is unknown; that of x and y is taken"]);
     }
 
     #[test]

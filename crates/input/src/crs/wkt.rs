@@ -63,6 +63,8 @@ pub struct Node {
     pub children: Vec<Node>,
 }
 
+/// Relative difference of the feet that surveys use: a name does not tell them apart, a factor does.
+const BETWEEN_FEET: f64 = 1e-4;
 /// Maximum number of bytes kept of a quoted text.
 const LONGEST_NAME: usize = 64;
 /// Maximum nesting depth; real texts have about eight levels.
@@ -204,13 +206,17 @@ impl Node {
         }
         let coded = || unit.epsg_code().and_then(|code| epsg::unit(code.try_into().ok()?));
         let meant = unit_named(name).or_else(coded);
+        let near = |factor: f64, meant: f64| (factor - meant).abs() <= BETWEEN_FEET * meant;
         match (unit.numbers.first().map(|&factor| epsg::exact(factor)), meant) {
-            (Some(1.0), Some(meant)) if meant != 1.0 => {
+            (Some(factor), Some(meant)) if !near(factor, meant) => {
+                // Some programs write 1, or units per metre; another factor overrules the name, as the standard says.
+                let counts = if factor == 1.0 || near(factor, 1.0 / meant) { meant } else { factor };
                 notes.push(format!(
-                    "its reference system states 1 m as length of the unit {name}; {} m counts",
-                    number(meant)
+                    "its reference system states {} m as length of the unit {name}; {} m counts",
+                    number(factor),
+                    number(counts)
                 ));
-                Some(meant)
+                Some(counts)
             }
             (factor, meant) => factor.or(meant),
         }

@@ -179,13 +179,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         return Err(error);
     }
     let mut georeference = contents.system.map(Georeference::of_text).unwrap_or_default();
-    let units = [georeference.horizontal, georeference.vertical];
-    if georeference.degrees || units.into_iter().flatten().any(|unit| unit != 1.0) {
-        let text =
-            "its reference system is not in metres, but coordinates in E57 are, by its standard: metres are taken";
-        georeference.notes.push(text.into());
-    }
-    (georeference.horizontal, georeference.vertical, georeference.degrees) = (Some(1.0), None, false);
+    georeference.take_metres();
     Ok(Opened { georeference, ..Opened::new(E57 { scans, stated, depth: Depth::Sixteen }) })
 }
 
