@@ -59,7 +59,7 @@ use slicewalk_base::{Error, Monitor, Parameter, Result, Warning, bytes, colour, 
 pub use self::cloud::{Depth, Standpoint};
 pub use self::columns::{Columns, TextColumn, TextLayout};
 pub use self::convert::FARTHEST_M;
-pub use self::crs::projected_epsg;
+pub use self::crs::{is_in_metres, projected_epsg};
 pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
 pub use self::source::{ReadLog, Reads};

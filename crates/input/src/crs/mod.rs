@@ -354,6 +354,17 @@ pub fn projected_epsg(text: &str) -> Option<u16> {
     code.filter(is_projected).and_then(|code| u16::try_from(code).ok()).filter(|code| (1..USER_DEFINED).contains(code))
 }
 
+/// Returns whether the reference system of an archive (a code, well-known text or a name) states no unit but the metre.
+pub fn is_in_metres(text: &str) -> bool {
+    let found = Georeference::of_text(text.into());
+    let systems = found.codes.iter().filter_map(|&code| epsg::system(code));
+    let by_code = systems.flat_map(|system| match system.ground {
+        Ground::Length(unit) => [Some(unit), system.up],
+        _ => [None, system.up],
+    });
+    [found.horizontal, found.vertical].into_iter().chain(by_code).flatten().all(|unit| unit.abs() == 1.0)
+}
+
 /// Returns the codes in `EPSG:n`, `EPSG:n+m` or `urn:ogc:def:crs:EPSG::n`; none for other text.
 fn codes(text: &str) -> Vec<u32> {
     let text = text.trim().to_ascii_uppercase();
@@ -798,6 +809,18 @@ mod tests {
         assert_eq!(heights.notes, ["its GeoTIFF keys state a unit of their own for heights, but not its length"]);
         let unknown = keys(&[[3072, 0, 1, 2992], [4096, 0, 1, 5103]], "", &[]);
         assert_eq!(unknown.notes, ["the unit of its vertical system 5103 is unknown; that of x and y is taken"]);
+    }
+
+    #[test]
+    fn a_system_is_in_metres_if_neither_its_text_nor_its_codes_state_another_unit() {
+        let of = |unit: &str, code: u32| format!(r#"PROJCS["P",{unit},AUTHORITY["EPSG","{code}"]]"#);
+        for metres in ["EPSG:25832", "EPSG:25832+5783", "EPSG:4326", "a site", &of(r#"UNIT["metre",1]"#, 25832)] {
+            assert!(is_in_metres(metres), "{metres}");
+        }
+        let feet = r#"UNIT["foot",0.3048]"#;
+        for other in ["EPSG:2992", "EPSG:25832+6360", &of(feet, 2992), &of(feet, 1), &of(r#"UNIT["metre",1]"#, 2992)] {
+            assert!(!is_in_metres(other), "{other}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::Failure;
 use slicewalk::archive::Archive;
 use slicewalk::unit::LengthUnit;
 use slicewalk_base::text::one_line;
-use slicewalk_input::projected_epsg;
+use slicewalk_input::{is_in_metres, projected_epsg};
 use std::path::Path;
 
 /// Keys of the GeoTIFF 1.0 specification, section 6.
@@ -35,8 +35,8 @@ pub struct GeoKeys {
 }
 
 impl Crs {
-    /// Returns the reference system of an archive. If the scan's unit was not the metre, its system does not apply to
-    /// metres: the function then warns and returns `None`.
+    /// Returns the reference system of an archive. If the unit of the scan or of its system is not the metre, the system
+    /// does not apply to metres: the function then warns and returns `None`.
     pub fn of(archive: &Archive, path: &Path) -> Result<Option<Self>, Failure> {
         let broken = |error| crate::broken(path, &error);
         let text = archive.crs().map_err(broken)?;
@@ -44,7 +44,8 @@ impl Crs {
             return Ok(None);
         }
         let units = archive.units().map_err(broken)?;
-        if units.iter().any(|unit| *unit != LengthUnit::METRE) {
+        // The unit of a scan may be another one than that of its system, by its own statement or by `--units`.
+        if units.iter().any(|unit| *unit != LengthUnit::METRE) || !is_in_metres(&text) {
             let short: String = text.chars().take(60).collect();
             let name = one_line(&short);
             crate::say(&format!(

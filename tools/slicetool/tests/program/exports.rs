@@ -7,6 +7,7 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::page::Span;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
+use slicewalk_input::Units;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -369,8 +370,8 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
     assert_eq!(fs::read_dir(at).unwrap().count(), 1);
 }
 
-/// Writes an archive of a scan that states this text as its system.
-fn stated(folder: &Path, wkt: &str) {
+/// Writes an archive of a scan that states this text as its system, in a unit.
+fn stated(folder: &Path, wkt: &str, units: Units) {
     let mut head = las::Builder::from((1, 4)).into_header().unwrap();
     head.set_wkt_crs(wkt.as_bytes().to_vec()).unwrap();
     let mut writer = las::Writer::from_path(folder.join("w.las"), head).unwrap();
@@ -381,6 +382,7 @@ fn stated(folder: &Path, wkt: &str) {
     let mut options = ConvertOptions::new(vec![folder.join("w.las")], folder.join("a.slices"));
     options.grid.pixel = PixelSize::Metres(PIXEL_M);
     options.overwrite = true;
+    options.reading.units = units;
     convert(&options, &NoMonitor).unwrap();
 }
 
@@ -390,14 +392,18 @@ fn well_known_text_goes_on_and_a_system_in_feet_does_not() {
     let at = folder.path();
     let system = |unit: &str| format!(r#"PROJCS["P",GEOGCS["G",UNIT["degree",0.0174532925199433]],UNIT[{unit}]]"#);
     let metres = system(r#""metre",1"#);
-    stated(at, &metres);
+    stated(at, &metres, Units::Auto);
     done(at, &["-o", "m.las"]);
     let reader = las::Reader::from_path(at.join("m.las")).unwrap();
     let text = String::from_utf8_lossy(reader.header().get_wkt_crs_bytes().unwrap()).into_owned();
     assert_eq!(text.trim_end_matches('\0'), metres);
-    stated(at, &system(r#""foot",0.3048"#));
-    let out = export(at, &["-o", "f.las"]);
-    let said = String::from_utf8(out.stderr).unwrap();
-    assert!(out.status.success() && said.contains("states no reference system") && said.lines().count() == 1, "{said}");
-    assert!(!las::Reader::from_path(at.join("f.las")).unwrap().header().has_crs_vlrs());
+    // Coordinates in metres do not make the system one of metres.
+    for units in [Units::Auto, Units::Factor(1.0)] {
+        stated(at, &system(r#""foot",0.3048"#), units);
+        let out = export(at, &["-o", "f.las"]);
+        let said = String::from_utf8(out.stderr).unwrap();
+        let is_said = said.contains("states no reference system") && said.lines().count() == 1;
+        assert!(out.status.success() && is_said, "{units:?}: {said}");
+        assert!(!las::Reader::from_path(at.join("f.las")).unwrap().header().has_crs_vlrs());
+    }
 }
