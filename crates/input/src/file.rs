@@ -14,6 +14,7 @@ use super::source::Source;
 use super::{InputOptions, StatedBounds, Tag, TextLayout, Units, las};
 use crate::bytes::Stamp;
 use crate::colour::ColourSource;
+use crate::text::number;
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -91,6 +92,8 @@ impl Common {
 pub(super) struct Reference {
     /// WKT, else `EPSG:n`, else the citation of the GeoTIFF keys.
     pub crs: Option<String>,
+    /// EPSG codes of the system and its components, as far as stated.
+    pub codes: Vec<u32>,
     pub no_unit: bool,
     pub degrees: bool,
     /// Warning about a guess that the user should check.
@@ -463,11 +466,16 @@ fn settle(
         let note = georeference.complete(code).map_err(|reason| Error::input(path, "reference system", reason))?;
         findings.notes.extend(note);
     }
-    let mut reference = Reference { crs: georeference.text.take(), ..Reference::default() };
+    let mut reference = Reference {
+        crs: georeference.text.take(),
+        codes: std::mem::take(&mut georeference.codes),
+        ..Reference::default()
+    };
     let unit = match options.units {
         Units::Factor(factor) => [factor; 3],
         Units::Auto => {
             if let Some(unit) = georeference.absurd_unit() {
+                let unit = number(unit);
                 let reason =
                     format!("it states a unit of {unit} m, which scans do not have (expected 0.001 to 10000 m)");
                 return Err(Error::input(path, "reference system", reason).with_suggestion(Parameter::Units));

@@ -404,7 +404,7 @@ impl InputSet {
             }
             match opened {
                 Ok((file, reference)) => {
-                    systems.add(files.len(), reference.crs);
+                    systems.add(files.len(), reference.crs, reference.codes);
                     no_unit.add(files.len(), reference.no_unit);
                     degrees.add(files.len(), reference.degrees);
                     reference.odd.into_iter().for_each(|text| odd.entry(text).or_default().add(files.len(), true));

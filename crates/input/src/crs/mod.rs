@@ -385,26 +385,37 @@ fn clean_text(bytes: &[u8]) -> Option<String> {
 /// Reference systems of a set of files, collected file by file. Texts may be long and many, so only two are held.
 #[derive(Default)]
 pub(super) struct Systems {
-    /// The text that sorts first, and the files that state it.
-    least: Option<(String, Those)>,
+    /// The system whose text sorts first.
+    least: Option<Stated>,
     /// Short name of one of the others, and the files that state any of them.
     other: Option<(String, Those)>,
 }
 
+/// A system, and the files that state it: in the same words or by the same codes.
+struct Stated {
+    text: String,
+    codes: Vec<u32>,
+    files: Those,
+}
+
 impl Systems {
-    /// Adds the text that file `file` states; files come in ascending order.
-    pub(super) fn add(&mut self, file: usize, text: Option<String>) {
+    /// Adds the text and the codes that file `file` states; files come in ascending order.
+    pub(super) fn add(&mut self, file: usize, text: Option<String>, codes: Vec<u32>) {
         let Some(text) = text else { return };
-        let mut here = Those::default();
-        here.add(file, true);
+        let mut files = Those::default();
+        files.add(file, true);
+        let here = Stated { text, codes, files };
         match &mut self.least {
-            None => self.least = Some((text, here)),
-            Some((least, files)) if *least == text => files.add(file, true),
+            None => self.least = Some(here),
+            Some(least) if least.text == here.text || !here.codes.is_empty() && least.codes == here.codes => {
+                least.files.add(file, true);
+                least.text = std::mem::take(&mut least.text).min(here.text);
+            }
             Some(least) => {
-                let (name, files) = if text < least.0 { std::mem::replace(least, (text, here)) } else { (text, here) };
+                let more = if here.text < least.text { std::mem::replace(least, here) } else { here };
                 match &mut self.other {
-                    Some((_, others)) => others.count += files.count,
-                    none => *none = Some((short_name(&name), files)),
+                    Some((_, others)) => others.count += more.files.count,
+                    none => *none = Some((short_name(&more.text), more.files)),
                 }
             }
         }
@@ -412,7 +423,7 @@ impl Systems {
 
     /// Returns the text that sorts first; warns `monitor` if there are others.
     pub(super) fn common(self, files: &[ScanFile], monitor: &dyn Monitor) -> Option<String> {
-        let (text, those) = self.least?;
+        let Stated { text, files: those, .. } = self.least?;
         if let Some((name, others)) = &self.other {
             let named = |those: &Those, name: &str| format!("{} ({name})", those.names(files).unwrap_or_default());
             let text = format!(
@@ -821,6 +832,23 @@ mod tests {
         for other in ["EPSG:2992", "EPSG:25832+6360", &of(feet, 2992), &of(feet, 1), &of(r#"UNIT["metre",1]"#, 2992)] {
             assert!(!is_in_metres(other), "{other}");
         }
+    }
+
+    #[test]
+    fn one_system_in_two_forms_is_one() {
+        let forms = ["EPSG:26910", r#"PROJCS["P",UNIT["metre",1],AUTHORITY["EPSG","26910"]]"#];
+        let of = |texts: &[&str]| {
+            let mut systems = Systems::default();
+            for (file, text) in texts.iter().enumerate() {
+                systems.add(file, Some((*text).into()), Georeference::of_text((*text).into()).codes);
+            }
+            (systems.least.map(|least| (least.text, least.files.count)), systems.other.map(|(name, _)| name))
+        };
+        for [a, b] in [[0, 1], [1, 0]] {
+            assert_eq!(of(&[forms[a], forms[b]]), (Some((forms[0].into(), 2)), None));
+        }
+        assert_eq!(of(&[forms[1], "EPSG:26911"]), (Some(("EPSG:26911".into(), 1)), Some("P".into())));
+        assert_eq!(of(&["a site", "another"]), (Some(("a site".into(), 1)), Some("another".into())));
     }
 
     #[test]
