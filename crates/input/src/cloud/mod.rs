@@ -392,6 +392,16 @@ impl Pose {
         if has_nan(moved) && !has_nan(at) { [f64::INFINITY; 3] } else { moved }
     }
 
+    /// Returns whether all places have images in one plane.
+    fn is_flat(&self) -> bool {
+        let [x, y, z, _] = self.0;
+        let length = |v: [f64; 3]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let volume = x[0] * (y[1] * z[2] - y[2] * z[1])
+            + x[1] * (y[2] * z[0] - y[0] * z[2])
+            + x[2] * (y[0] * z[1] - y[1] * z[0]);
+        volume.abs() <= 1e-12 * length(x) * length(y) * length(z)
+    }
+
     fn is_finite(&self) -> bool {
         self.0.as_flattened().iter().all(|v| v.is_finite())
     }

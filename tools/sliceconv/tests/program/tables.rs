@@ -367,6 +367,7 @@ fn a_bad_cloud_of_a_ptx_leaves_the_others() {
     for (from, to, words) in [
         ("0 0 1 0\n", "0 0 1 5\n", "last column 0 0 0 1"),
         ("1 0 0 0\n", "1 0 nan 0\n", "not finite"),
+        ("1 0 0 0\n", "0 0 0 0\n", "the matrix is singular"),
         ("0 1 0 0\n", "0 1\n", "numbers of the header"),
         ("50\n1\n", "fifty\n1\n", "the number of columns of a cloud"),
         ("50\n1\n", "50\none\n", "the number of rows of a cloud"),

@@ -226,6 +226,11 @@ impl<'a> Table<'a> {
         self.mostly(column, |cell| !is_number(cell))
     }
 
+    /// Returns whether no row has anything in the column.
+    fn is_empty(&self, column: usize) -> bool {
+        self.rows.iter().all(|row| row.get(column).is_none_or(|cell| cell.is_empty()))
+    }
+
     /// Returns whether the column holds dates and the next one times, separated by a blank.
     fn is_time(&self, column: usize) -> bool {
         let has =
@@ -482,7 +487,11 @@ pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom
             if table.numbers_points() {
                 return Err(Refusal::of_rows("the first column counts up and may number the points"));
             }
-            (custom.places(table.least), Some(table.least))
+            let places = custom.places(table.least);
+            if let Some(column) = places.axes.into_iter().find(|&column| table.is_empty(column)) {
+                return Err(Refusal::of_rows(format!("column {} is empty", column + 1)));
+            }
+            (places, Some(table.least))
         }
         None => {
             let found = axes(&named).map_err(|_| Refusal::of_header("expected columns named x, y and z"))?;
@@ -656,6 +665,8 @@ mod tests {
             ("X (mm),Y (m),Z (m)\n1,2,3", "different units"),
             ("x [m],y [m],z [10^-3 m]\n1,2,3", "the unit in \"z [10^-3 m]\" is not known"),
             ("name,x,y,z\n1,P0,2,3,\n", "found \"P0\""),
+            (";1.5;2.5;3.5\n;4.5;5.5;6.5", "column 1 is empty"),
+            ("1.5,,2.5,3.5\n4.5,,5.5,6.5", "column 2 is empty"),
         ] {
             let Err(refusal) = decided(text, None) else { panic!("{text} is decided") };
             assert!(refusal.reason.contains(words), "{text}: {}", refusal.reason);

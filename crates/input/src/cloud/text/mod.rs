@@ -648,8 +648,12 @@ fn ptx_head(lines: &mut Lines<'_>, [columns, rows]: [u64; 2]) -> Result<PtxHead>
     if !pose.is_finite() {
         return Err(lines.error("the matrix has numbers that are not finite"));
     }
+    let points = columns.saturating_mul(rows);
+    if points > 0 && pose.is_flat() {
+        return Err(lines.error("the matrix is singular: it puts all points in one plane, on one line or at one place"));
+    }
     let station = station(&position, &pose);
-    Ok(PtxHead { points: columns.saturating_mul(rows), pose, station, decimal_comma })
+    Ok(PtxHead { points, pose, station, decimal_comma })
 }
 
 /// Opens PTX: clouds with a header of ten lines each.
