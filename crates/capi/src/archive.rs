@@ -98,10 +98,8 @@ impl Drop for Callbacks {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_open_file(path: *const c_char, archive: *mut *mut sw_archive) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of `path`.
-        let path = unsafe { text(path, "path") }?;
-        // SAFETY: as the header demands of `archive`.
-        unsafe { give(archive, || Opened::new(Arc::new(FileSource::open(path)?))) }
+        // SAFETY: as the header demands of `path` and `archive`.
+        unsafe { give(archive, || Opened::new(Arc::new(FileSource::open(text(path, "path")?)?))) }
     })
 }
 
@@ -109,10 +107,8 @@ pub unsafe extern "C" fn sw_open_file(path: *const c_char, archive: *mut *mut sw
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_open_memory(bytes: *const u8, len: usize, archive: *mut *mut sw_archive) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of `bytes` and `len`.
-        let bytes = unsafe { input(bytes, len, "bytes") }?;
-        // SAFETY: as the header demands of `archive`.
-        unsafe { give(archive, || Opened::new(Arc::new(MemorySource::new(bytes)))) }
+        // SAFETY: as the header demands of `bytes`, `len` and `archive`.
+        unsafe { give(archive, || Opened::new(Arc::new(MemorySource::new(input(bytes, len, "bytes")?)))) }
     })
 }
 
@@ -121,12 +117,16 @@ pub unsafe extern "C" fn sw_open_memory(bytes: *const u8, len: usize, archive: *
 pub unsafe extern "C" fn sw_open_source(source: *const sw_source, archive: *mut *mut sw_archive) -> sw_status {
     guard(|| {
         // SAFETY: as the header demands of `source`.
-        let source = Callbacks(unsafe { record(source) }?);
-        if source.0.read.is_none() {
-            return Err(Failure::argument("sw_source.read: expected a function, found NULL"));
-        }
+        let source = unsafe { record(source) }.map(Callbacks);
+        let made = || {
+            let source = source?;
+            if source.0.read.is_none() {
+                return Err(Failure::argument("sw_source.read: expected a function, found NULL"));
+            }
+            Opened::new(Arc::new(source))
+        };
         // SAFETY: as the header demands of `archive`.
-        unsafe { give(archive, || Opened::new(Arc::new(source))) }
+        unsafe { give(archive, made) }
     })
 }
 

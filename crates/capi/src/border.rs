@@ -251,7 +251,8 @@ struct Held {
 /// Mark of an open handle: an arbitrary number.
 const OPEN: u64 = 0x51D3_C0DE_AB1E_0001;
 
-/// Creates a handle. `make` runs after the place for it has been checked; on failure the place holds NULL.
+/// Creates a handle. `make` runs after the place for it has been checked, and checks the other arguments: on failure the
+/// place holds NULL.
 ///
 /// # Safety
 /// The conditions of [`place`] hold for `at`.

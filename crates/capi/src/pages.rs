@@ -22,10 +22,8 @@ impl Handle for sw_pages {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_pages_load(archive: *const sw_archive, pages: *mut *mut sw_pages) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of handles.
-        let opened = unsafe { held(archive) }?;
-        // SAFETY: as the header demands of `pages`.
-        unsafe { give(pages, || Ok(Snapshot::resident(&opened.archive, &NoMonitor)?)) }
+        // SAFETY: as the header demands of handles and `pages`.
+        unsafe { give(pages, || Ok(Snapshot::resident(&held(archive)?.archive, &NoMonitor)?)) }
     })
 }
 

@@ -124,10 +124,13 @@ pub unsafe extern "C" fn sw_route_plan(
     route: *mut *mut sw_route,
 ) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of handles, structs and arrays.
-        let (pages, (pawn, ends)) = unsafe { (held(pages)?, ends(pawn, from, to)?) };
+        let made = || {
+            // SAFETY: as the header demands of handles, structs and arrays.
+            let (pages, (pawn, ends)) = unsafe { (held(pages)?, ends(pawn, from, to)?) };
+            plan(pages, None, pawn, ends)
+        };
         // SAFETY: as the header demands of `route`.
-        unsafe { give(route, || plan(pages, None, pawn, ends)) }
+        unsafe { give(route, made) }
     })
 }
 

@@ -129,10 +129,13 @@ pub unsafe extern "C" fn sw_route_plan_seen(
     route: *mut *mut sw_route,
 ) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of handles, structs and arrays.
-        let (pages, space, (pawn, ends)) = unsafe { (held(pages)?, held(seen)?, ends(pawn, from, to)?) };
+        let made = || {
+            // SAFETY: as the header demands of handles, structs and arrays.
+            let (pages, space, (pawn, ends)) = unsafe { (held(pages)?, held(seen)?, ends(pawn, from, to)?) };
+            plan(pages, Some(space.clone()), pawn, ends)
+        };
         // SAFETY: as the header demands of `route`.
-        unsafe { give(route, || plan(pages, Some(space.clone()), pawn, ends)) }
+        unsafe { give(route, made) }
     })
 }
 

@@ -88,19 +88,23 @@ pub unsafe extern "C" fn sw_stream_open(
     stream: *mut *mut sw_stream,
 ) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of handles and structs.
-        let (opened, options) = unsafe { (held(archive)?, record(options)?) };
-        let prefetch = match options.prefetch {
-            0 => Prefetch::Off,
-            1 => Prefetch::Thread,
-            other => {
-                return Err(Failure::argument(format!("sw_stream_options.prefetch: expected 0 or 1, found {other}")));
-            }
+        let made = || {
+            // SAFETY: as the header demands of handles and structs.
+            let (opened, options) = unsafe { (held(archive)?, record(options)?) };
+            let prefetch = match options.prefetch {
+                0 => Prefetch::Off,
+                1 => Prefetch::Thread,
+                other => {
+                    let text = format!("sw_stream_options.prefetch: expected 0 or 1, found {other}");
+                    return Err(Failure::argument(text));
+                }
+            };
+            let budget = usize::try_from(options.budget).unwrap_or(usize::MAX);
+            let options = StreamOptions { prefetch, ..StreamOptions::new(budget) };
+            Ok(Arc::new(Stream::open(opened.again()?, options)?))
         };
-        let budget = usize::try_from(options.budget).unwrap_or(usize::MAX);
-        let options = StreamOptions { prefetch, ..StreamOptions::new(budget) };
         // SAFETY: as the header demands of `stream`.
-        unsafe { give(stream, || Ok(Arc::new(Stream::open(opened.again()?, options)?))) }
+        unsafe { give(stream, made) }
     })
 }
 
@@ -109,10 +113,8 @@ pub unsafe extern "C" fn sw_stream_open(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_stream_view(stream: *const sw_stream, pages: *mut *mut sw_pages) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of handles.
-        let stream = unsafe { held(stream) }?;
-        // SAFETY: as the header demands of `pages`.
-        unsafe { give(pages, || Ok(stream.snapshot())) }
+        // SAFETY: as the header demands of handles and `pages`.
+        unsafe { give(pages, || Ok(held(stream)?.snapshot())) }
     })
 }
 
@@ -208,10 +210,8 @@ pub unsafe extern "C" fn sw_stream_close(stream: *mut sw_stream) -> sw_status {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_body_open(stream: *const sw_stream, body: *mut *mut sw_body) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of handles.
-        let stream = unsafe { held(stream) }?;
-        // SAFETY: as the header demands of `body`.
-        unsafe { give(body, || Ok(Mutex::new(stream.pawn()))) }
+        // SAFETY: as the header demands of handles and `body`.
+        unsafe { give(body, || Ok(Mutex::new(held(stream)?.pawn()))) }
     })
 }
 

@@ -164,9 +164,9 @@ pub unsafe extern "C" fn sw_walker_open(
     walker: *mut *mut sw_walker,
 ) -> sw_status {
     guard(|| {
-        // SAFETY: as the header demands of structs and arrays.
-        let (pawn, feet) = unsafe { (record(pawn)?, numbers::<3>(feet, "feet")?) };
         let made = || {
+            // SAFETY: as the header demands of structs and arrays.
+            let (pawn, feet) = unsafe { (record(pawn)?, numbers::<3>(feet, "feet")?) };
             let walker = Walker::new(pawn.config()?, feet.into())?;
             Ok(Mutex::new(Pawn { walker, missing: None, hints: None }))
         };

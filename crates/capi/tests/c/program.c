@@ -16,6 +16,13 @@
 #define OK(call) CHECK((call) == SW_OK)
 // The call is refused, and the text says why.
 #define REFUSED(call, words) CHECK((call) == SW_ERROR_ARGUMENT && strstr(sw_last_error(), words))
+// The call is refused, and leaves NULL in the place of its new handle, `made`.
+#define LEAVES_NULL(type, call) \
+    do { \
+        type *made = (type *)archive; \
+        REFUSED(call, ""); \
+        CHECK(made == NULL); \
+    } while (0)
 
 struct file {
     FILE *file;
@@ -250,6 +257,19 @@ int main(int argc, char **argv) {
     sw_source broken = {sizeof broken, &failing, 1000, read_nothing, release};
     CHECK(sw_open_source(&broken, &missing) == SW_ERROR_IO && strstr(sw_last_error(), "returned 7"));
     CHECK(failing.released == 1);
+    REFUSED(sw_open_source(&broken, NULL), "NULL");
+    CHECK(failing.released == 2);
+    LEAVES_NULL(sw_archive, sw_open_file(NULL, &made));
+    LEAVES_NULL(sw_archive, sw_open_memory(NULL, 10, &made));
+    LEAVES_NULL(sw_archive, sw_open_source(NULL, &made));
+    LEAVES_NULL(sw_pages, sw_pages_load(NULL, &made));
+    LEAVES_NULL(sw_stream, sw_stream_open(NULL, &lazy, &made));
+    LEAVES_NULL(sw_pages, sw_stream_view(NULL, &made));
+    LEAVES_NULL(sw_body, sw_body_open(NULL, &made));
+    LEAVES_NULL(sw_walker, sw_walker_open(NULL, to, &made));
+    LEAVES_NULL(sw_route, sw_route_plan(NULL, &pawn, to, to, &made));
+    LEAVES_NULL(sw_seen, sw_seen_load(NULL, 0, &made));
+    LEAVES_NULL(sw_route, sw_route_plan_seen(pages, NULL, &pawn, to, to, &made));
 
     OK(sw_body_close(body));
     OK(sw_pages_close(view));
