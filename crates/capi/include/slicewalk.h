@@ -381,8 +381,8 @@ sw_status sw_pawn_default(struct sw_pawn *pawn);
 sw_status sw_walker_open(const struct sw_pawn *pawn, const double *feet, struct sw_walker **walker);
 
 // Advances the walker by `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of
-// the direction or the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts
-// them.
+// the direction or the place (NULL for `SW_STAY`). The state is `SW_ARRIVED` if it is on its feet at that place. If
+// pages are missing, the pawn waits in place and `report` counts them.
 sw_status sw_walker_step(const struct sw_walker *walker,
                          const struct sw_pages *pages,
                          double dt,

@@ -102,8 +102,15 @@ unsafe impl Sized32 for sw_step {
     const NAME: &'static str = "sw_step";
 }
 
+/// Distance along x and y within which a pawn is at the place that it walks toward (m): it gets there but for rounding.
+const THERE_M: f64 = 1e-6;
+
 impl sw_step {
-    fn of(report: &StepReport, walker: &Walker) -> Self {
+    fn of(report: &StepReport, walker: &Walker, wish: MoveInput) -> Self {
+        let is_there = match wish {
+            MoveInput::Toward(place) => (place - walker.feet().xy()).amax() <= THERE_M,
+            _ => false,
+        };
         let stop = report.stop.map_or(0, |stop| match stop {
             Stop::Wall => 1,
             Stop::Steep => 2,
@@ -116,6 +123,7 @@ impl sw_step {
         Self {
             size: size_of::<Self>() as u32,
             state: match report.state {
+                State::Walking if is_there => 3,
                 State::Walking => 0,
                 State::Falling => 1,
                 State::Blocked => 2,
@@ -199,8 +207,8 @@ unsafe fn wish(wish: u32, to: *const f64, dt: f64) -> Outcome<MoveInput> {
 }
 
 /// Advances the walker by `dt` seconds. `wish` is `SW_STAY`, `SW_DIRECTION` or `SW_TOWARD`, and `to` the two numbers of
-/// the direction or the place (NULL for `SW_STAY`). If pages are missing, the pawn waits in place and `report` counts
-/// them.
+/// the direction or the place (NULL for `SW_STAY`). The state is `SW_ARRIVED` if it is on its feet at that place. If
+/// pages are missing, the pawn waits in place and `report` counts them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sw_walker_step(
     walker: *const sw_walker,
@@ -216,7 +224,7 @@ pub unsafe extern "C" fn sw_walker_step(
         let done = pawn.walker.step(pages, dt, wish);
         pawn.missing = done.missing;
         // SAFETY: as the header demands of `report`.
-        unsafe { fill(report, sw_step::of(&done, &pawn.walker)) }
+        unsafe { fill(report, sw_step::of(&done, &pawn.walker, wish)) }
     })
 }
 
@@ -245,7 +253,7 @@ pub unsafe extern "C" fn sw_walker_step_stream(
         pawn.hints = Some((own, hints));
         pawn.missing = done.missing;
         // SAFETY: as the header demands of `report`.
-        unsafe { fill(report, sw_step::of(&done, &pawn.walker)) }
+        unsafe { fill(report, sw_step::of(&done, &pawn.walker, wish)) }
     })
 }
 

@@ -155,6 +155,12 @@ int main(int argc, char **argv) {
             if (hypot(step.feet[0] - xyz[3 * next], step.feet[1] - xyz[3 * next + 1]) < 0.02) next++;
         }
         CHECK(waited == streaming);
+        for (int frames = 0; step.state != SW_ARRIVED; frames++) {
+            CHECK(frames < 10 && step.state == SW_WALKING);
+            OK(sw_walker_step(walker, pages, 1 / 60.0, SW_TOWARD, xyz + 3 * (count - 1), &step));
+        }
+        OK(sw_walker_step(walker, pages, 1 / 60.0, SW_STAY, NULL, &step));
+        CHECK(step.state == SW_WALKING);
         OK(sw_walker_feet(walker, ends[streaming]));
         CHECK(hypot(ends[streaming][0] - to[0], ends[streaming][1] - to[1]) < 0.1);
         OK(sw_walker_place(walker, from));
