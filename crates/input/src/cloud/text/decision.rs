@@ -226,6 +226,16 @@ impl<'a> Table<'a> {
         self.mostly(column, |cell| !is_number(cell))
     }
 
+    /// Returns whether commas between whole numbers separate decimals from them, too: some have leading zeros.
+    fn has_split_decimals(&self) -> bool {
+        let is_whole = |cell: &&[u8]| cell.iter().all(|byte| byte.is_ascii_digit() || matches!(byte, b'-' | b'+'));
+        let is_decimals = |cell: Option<&&[u8]>| cell.is_some_and(|cell| cell.len() > 1 && cell[0] == b'0');
+        self.separator == Separator::Byte(b',')
+            && self.least >= 6
+            && self.rows.iter().all(|row| row.iter().take(6).all(is_whole))
+            && self.rows.iter().any(|row| [1, 3, 5].iter().any(|&column| is_decimals(row.get(column))))
+    }
+
     /// Returns whether no row has anything in the column.
     fn is_empty(&self, column: usize) -> bool {
         self.rows.iter().all(|row| row.get(column).is_none_or(|cell| cell.is_empty()))
@@ -436,6 +446,9 @@ fn joined_between(words: &[String], width: usize) -> Option<Vec<String>> {
     Some(names)
 }
 
+const BOTH_COMMAS: &str =
+    "commas stand both within numbers and between them; write decimal points, or semicolons between columns";
+
 /// Refuses rows with commas both within numbers and between them.
 fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
     let has = |byte: u8| rows.iter().any(|row| row.contains(&byte));
@@ -453,9 +466,7 @@ fn refuse_both_commas(rows: &[Vec<u8>]) -> Result<()> {
     let both =
         |row: &&Vec<u8>| row[..filled(row).map_or(0, |last| last + 1)].split(u8::is_ascii_whitespace).any(is_both);
     if 2 * rows.iter().filter(both).count() > rows.len() {
-        let reason =
-            "commas stand both within numbers and between them; write decimal points, or semicolons between columns";
-        return Err(Refusal::of_rows(reason));
+        return Err(Refusal::of_rows(BOTH_COMMAS));
     }
     Ok(())
 }
@@ -483,6 +494,9 @@ pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom
             if table.is_quoted(0) || table.is_text(0) {
                 let cell = table.rows.first().and_then(|row| row.first()).map_or(&[][..], |cell| cell);
                 return Err(Refusal::of_rows(format!("the first column is text: {}", shown(cell))));
+            }
+            if table.has_split_decimals() {
+                return Err(Refusal::of_rows(BOTH_COMMAS));
             }
             if table.numbers_points() {
                 return Err(Refusal::of_rows("the first column counts up and may number the points"));
@@ -647,6 +661,7 @@ mod tests {
         for (text, words) in [
             ("1,5, 2,5, 3,5", "commas stand both"),
             ("1,5, 2,5, 3,5,", "commas stand both"),
+            ("1,25,2,50,3,75\n1,25,2,05,-3,75", "commas stand both"),
             ("1,5 2.5 3", "both decimal points and decimal commas"),
             ("P0,1,2.5,-3", "the first column is text: \"P0\""),
             ("\"7\" 1 2.5 -3", "the first column is text"),
