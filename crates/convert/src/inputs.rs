@@ -4,6 +4,7 @@ use crate::cubes::CubeSet;
 use crate::input::{InputOptions, InputSet, ScanFile, Units};
 use crate::mesh::{MeshOptions, MeshSet};
 use crate::placement::Similarity;
+use crate::plan::Up;
 use crate::shard_inputs::Chosen;
 use crate::splats::{Divided, SplatSet};
 use crate::unit::LengthUnit;
@@ -144,12 +145,17 @@ fn place(
         _ => None,
     };
     let placement = options.placement_with(up.as_ref());
-    if options.reading.placement.is_some()
+    let moved = match options.plan.up {
+        _ if options.reading.placement.is_some() => Some("the matrix moves its points"),
+        Up::Y => Some("its y axis is turned upwards"),
+        Up::Z => None,
+    };
+    if let Some(moved) = moved
         && options.plan_file.is_none()
         && options.reading.epsg.is_none()
         && scans.crs().is_some()
     {
-        let text = "a scan states a reference system; the matrix moves its points, and the archive keeps the system";
+        let text = format!("a scan states a reference system; {moved}, and the archive keeps the system");
         monitor.warn(&text.into());
     }
     scans.set_placement(placement);

@@ -138,6 +138,8 @@ fn different_systems_and_scenes_far_apart_are_warned_of_by_name() {
     fs::write(at.join("local.obj"), "v 9e5 0 0\nv 900001 0 0\nv 9e5 1 0\nf 1 2 3\n").unwrap();
     let said = |inputs: &[&str], more: &[&str]| converts(at, &[inputs, more, &OPTIONS, &["a.slices"]].concat());
     assert!(!said(&["a.las", "b.las"], &[]).contains("warning"));
+    let turned = said(&["a.las"], &["--up", "y"]);
+    assert!(turned.contains("its y axis is turned upwards, and the archive keeps the system"), "{turned}");
     let systems = said(&["a.las", "b.las", "feet.las"], &[]);
     assert!(systems.contains("feet.las (Texas Central) and a.las and 1 more (UTM 33N) state different"), "{systems}");
     let far = said(&["a.las", "b.las", "far.las"], &[]);
