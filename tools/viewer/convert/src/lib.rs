@@ -9,8 +9,9 @@
 //! ```
 //!
 //! `file` is the number by which the host reads an input. `"task": "preview"` answers what `sliceconv --dry-run --json`
-//! prints, without passing over the points, and whether the input says its unit (`unit_stated`). The answer to `convert` has the `report` that `sliceconv --json` prints, and
-//! the number and length of the host's `file` that holds the archive; or an `error`, with the `parameter` that helps.
+//! prints, without passing over the points, and whether the input says its unit (`unit_stated`). The answer to
+//! `convert` has the `report` that `sliceconv --json` prints, and the number and length of the host's `file` that holds
+//! the archive; or an `error`, with the `parameter` that helps.
 //!
 //! One thread, memory by the option `memory`; the archive has the bytes that `sliceconv` writes with the same options.
 
