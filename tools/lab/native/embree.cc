@@ -6,14 +6,68 @@
 
 #include "peer.h"
 
-#include <embree3/rtcore.h>
+#include <sys/types.h>
 
 #include <atomic>
+#include <cstdio>
 #include <limits>
 #include <memory>
 #include <new>
 #include <string>
 #include <vector>
+
+// The part of Embree 4's interface that is used here, by the API reference of its manual: the package `embreex` has the
+// library without its headers.
+extern "C" {
+
+using RTCDevice = struct RTCDeviceTy*;
+using RTCScene = struct RTCSceneTy*;
+using RTCGeometry = struct RTCGeometryTy*;
+
+constexpr int RTC_ERROR_NONE = 0;
+constexpr int RTC_DEVICE_PROPERTY_VERSION = 0;
+constexpr int RTC_BUILD_QUALITY_HIGH = 2;
+constexpr int RTC_SCENE_FLAG_ROBUST = 1 << 2;
+constexpr int RTC_GEOMETRY_TYPE_TRIANGLE = 0;
+constexpr int RTC_BUFFER_TYPE_INDEX = 0;
+constexpr int RTC_BUFFER_TYPE_VERTEX = 1;
+constexpr int RTC_FORMAT_UINT3 = 0x5003;
+constexpr int RTC_FORMAT_FLOAT3 = 0x9003;
+constexpr unsigned RTC_INVALID_GEOMETRY_ID = ~0u;
+
+struct alignas(16) RTCRay {
+  float org_x, org_y, org_z, tnear, dir_x, dir_y, dir_z, time, tfar;
+  unsigned mask, id, flags;
+};
+// With room for instances, of which builds have one level or more.
+struct alignas(16) RTCHit {
+  float Ng_x, Ng_y, Ng_z, u, v;
+  unsigned primID, geomID, instID[9];
+};
+struct RTCRayHit {
+  RTCRay ray;
+  RTCHit hit;
+};
+
+RTCDevice rtcNewDevice(const char*);
+void rtcReleaseDevice(RTCDevice);
+int rtcGetDeviceError(RTCDevice);
+ssize_t rtcGetDeviceProperty(RTCDevice, int);
+void rtcSetDeviceMemoryMonitorFunction(RTCDevice, bool (*)(void*, ssize_t, bool), void*);
+RTCScene rtcNewScene(RTCDevice);
+void rtcReleaseScene(RTCScene);
+void rtcSetSceneBuildQuality(RTCScene, int);
+void rtcSetSceneFlags(RTCScene, int);
+unsigned rtcAttachGeometry(RTCScene, RTCGeometry);
+void rtcCommitScene(RTCScene);
+RTCGeometry rtcNewGeometry(RTCDevice, int);
+void rtcReleaseGeometry(RTCGeometry);
+void rtcSetGeometryBuildQuality(RTCGeometry, int);
+void* rtcSetNewGeometryBuffer(RTCGeometry, int, unsigned, int, size_t, size_t);
+void rtcCommitGeometry(RTCGeometry);
+void rtcIntersect1(RTCScene, RTCRayHit*, void*);
+
+}  // extern "C"
 
 namespace {
 
@@ -72,8 +126,6 @@ void peer_free(void* peer) { delete static_cast<Scene*>(peer); }
 int peer_ask(const void* peer, int kind, const double* questions, size_t count, double* answers) {
   if (kind != RAYS) return 0;
   RTCScene scene = static_cast<const Scene*>(peer)->scene;
-  RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
   for (size_t n = 0; n < count; ++n) {
     const double* q = questions + 7 * n;
     RTCRayHit ray{};
@@ -87,13 +139,23 @@ int peer_ask(const void* peer, int kind, const double* questions, size_t count, 
     ray.ray.mask = ~0u;
     ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     ray.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    rtcIntersect1(scene, &context, &ray);
+    rtcIntersect1(scene, &ray, nullptr);
     answers[n] = ray.hit.geomID == RTC_INVALID_GEOMETRY_ID ? std::numeric_limits<double>::infinity() : ray.ray.tfar;
   }
   return 1;
 }
 
-const char* peer_version() { return RTC_VERSION_STRING; }
+const char* peer_version() {
+  static const std::string version = [] {
+    RTCDevice device = rtcNewDevice(nullptr);
+    const long number = static_cast<long>(rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_VERSION));
+    rtcReleaseDevice(device);
+    char text[32];
+    std::snprintf(text, sizeof text, "%ld.%ld.%ld", number / 10000, number / 100 % 100, number % 100);
+    return std::string(text);
+  }();
+  return version.c_str();
+}
 
 size_t peer_file_bytes(const void*, int) { return 0; }
 

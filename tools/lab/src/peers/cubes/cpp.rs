@@ -55,14 +55,21 @@ pub struct Native {
 impl Native {
     /// Embree, for rays.
     pub fn embree() -> Result<Self> {
+        let library = embree_library()?;
+        let folder = library.parent().unwrap_or(&library).display();
         let recipe = Recipe {
             name: "embree.cc",
             source: include_str!("../../../native/embree.cc"),
             beside: &[("peer.h", HEADER)],
-            probe: "#include <embree3/rtcore.h>\n",
-            missing: "libembree-dev (version 3) is not installed",
+            probe: "",
+            missing: "",
             options: &[],
-            libraries: &["-lembree3".into()],
+            libraries: &[
+                library.display().to_string(),
+                format!("-Wl,-rpath,{folder}"),
+                // For the library that Embree's threads come from.
+                format!("-Wl,-rpath-link,{folder}"),
+            ],
         };
         Ok(Self { has_mesh: true, ..Self::load("Embree", &recipe, [None; 2])? })
     }
@@ -187,16 +194,22 @@ impl Native {
     }
 }
 
-/// Where the package `coal` of a virtual environment has its headers and libraries.
+/// Embree's library in the package `embreex` of the virtual environment.
+fn embree_library() -> Result<PathBuf> {
+    let is_library =
+        |path: &PathBuf| path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"libembree4"));
+    crate::venv::find("embreex", |packages| {
+        let files = std::fs::read_dir(packages.join("embreex.libs")).ok()?;
+        files.filter_map(|file| Some(file.ok()?.path())).find(is_library)
+    })
+}
+
+/// Where the package `coal` of the virtual environment has its headers and libraries.
 fn coal_prefix() -> Result<PathBuf> {
-    let venv = crate::venv::folder()?;
-    let missing = || format!("the package coal is not in {}", venv.display());
-    let versions = std::fs::read_dir(venv.join("lib")).map_err(|_| missing())?;
-    let prefix = |version: std::io::Result<std::fs::DirEntry>| {
-        let prefix = version.ok()?.path().join("site-packages/cmeel.prefix");
+    crate::venv::find("coal", |packages| {
+        let prefix = packages.join("cmeel.prefix");
         prefix.join("include/coal/octree.h").is_file().then_some(prefix)
-    };
-    Ok(versions.into_iter().find_map(prefix).ok_or_else(missing)?)
+    })
 }
 
 /// World built by a library, and the questions as plain numbers.

@@ -182,14 +182,14 @@ pub struct Obvhs {
 impl Obvhs {
     /// Of a mesh, and of the cubes where boxes are to be asked, too.
     pub fn new(matter: Option<&Matter>, mesh: &Mesh, questions: Rc<Questions>) -> Self {
-        let corner = |n: u32| glam::Vec3A::from(mesh.vertices[n as usize]);
+        let corner = |n: u32| mesh.vertices[n as usize].into();
         let of = |t: &[u32; 3]| Triangle { v0: corner(t[0]), v1: corner(t[1]), v2: corner(t[2]) };
         let triangles: Vec<Triangle> = mesh.triangles.iter().map(of).collect();
         let mut took = Duration::ZERO;
         let rays = build_cwbvh_from_tris(&triangles, BvhBuildParams::slow_build(), &mut took);
         let triangles = rays.primitive_indices.iter().map(|&n| RtTriangle::from(&triangles[n as usize])).collect();
         let boxes = matter.map(|matter| {
-            let all: Vec<Bounds> = matter.runs().map(|[low, high]| Bounds::new(single(&low), single(&high))).collect();
+            let all: Vec<Bounds> = matter.runs().map(|[low, high]| bounds(&low, &high)).collect();
             let boxes = build_bvh2(&all, BvhBuildParams::slow_build(), &mut took);
             let runs = boxes.primitive_indices.iter().map(|&n| all[n as usize]).collect();
             (boxes, runs)
@@ -198,7 +198,7 @@ impl Obvhs {
     }
 
     fn hits((boxes, runs): &(Bvh2, Vec<Bounds>), asked: &Aabb) -> f64 {
-        let asked = Bounds::new(single(&asked.min()), single(&asked.max()));
+        let asked = bounds(&asked.min(), &asked.max());
         let mut hit = false;
         boxes.aabb_traverse(asked, |tree, node| {
             let node = &tree.nodes[node as usize];
@@ -210,7 +210,7 @@ impl Obvhs {
     }
 
     fn cast(&self, ray: &Ray) -> f64 {
-        let [from, way] = [ray.origin().coords, ray.direction()].map(|v| single(&v.into()));
+        let [from, way] = [ray.origin().coords, ray.direction()].map(|v| single(&v.into()).into());
         let mut hit = RayHit::none();
         let ray = obvhs::ray::Ray::new(from, way, 0.0, ray.max() as f32);
         if self.rays.ray_traverse(ray, &mut hit, |ray, n| self.triangles[n].intersect(ray)) {
@@ -221,8 +221,12 @@ impl Obvhs {
     }
 }
 
-fn single(p: &Point3<f64>) -> glam::Vec3A {
-    glam::Vec3A::new(p.x as f32, p.y as f32, p.z as f32)
+fn single(p: &Point3<f64>) -> [f32; 3] {
+    p.coords.map(|v| v as f32).into()
+}
+
+fn bounds(low: &Point3<f64>, high: &Point3<f64>) -> Bounds {
+    Bounds::new(single(low).into(), single(high).into())
 }
 
 impl Peer for Obvhs {
