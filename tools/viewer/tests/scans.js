@@ -5,7 +5,7 @@
 
 import { execFileSync } from "node:child_process";
 import { existsSync, mkdirSync, readFileSync, renameSync, rmSync, statSync } from "node:fs";
-import { dirname, join } from "node:path";
+import { basename, dirname, extname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
 const root = join(dirname(fileURLToPath(import.meta.url)), "../../..");
@@ -128,13 +128,17 @@ export function twoStoreys() {
 }
 
 /** A real scan of this name with its colours, from the folder SLICEWALK_DATA. */
-export function scanned(name, ...conversion) {
+export const scanned = (name, ...conversion) => scannedFile(`${name}.laz`, ...conversion);
+
+/** A real scan in this file of that folder. */
+export function scannedFile(file, ...conversion) {
+  const name = basename(file, extname(file));
   const path = join(kept, `${name}.slices`);
   if (existsSync(path)) return path;
   const data = process.env.SLICEWALK_DATA;
-  if (data === undefined) throw new Error(`set SLICEWALK_DATA to the folder of ${name}.laz`);
+  if (data === undefined) throw new Error(`set SLICEWALK_DATA to the folder of ${file}`);
   mkdirSync(kept, { recursive: true });
-  program("sliceconv", join(data, `${name}.laz`), "-o", path, "--quiet", "--colour", "auto", ...conversion);
+  program("sliceconv", join(data, file), "-o", path, "--quiet", "--colour", "auto", ...conversion);
   return path;
 }
 

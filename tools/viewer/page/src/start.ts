@@ -22,9 +22,10 @@ const LOADED_STEP = 30;
 const LOADED_M = 25;
 /**
  * Pages with fewer voxels are sparse: bare rays slip between points that are drawn as a surface, so wide ones are swept as
- * well, this wide and this far.
+ * well, this wide (in pixels and at most) and this far.
  */
 const SPARSE = 900;
+const WIDE_PIXELS = 4;
 const WIDE_M = 0.8;
 const SWEPT_M = 60;
 /** Share of what only wide rays hit that a picture shows. */
@@ -171,7 +172,8 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
   const shown = distances.map((far) => (far < Infinity ? 1 : 0));
   const { voxels, pages } = archive.info;
   if (voxels.occupied < SPARSE * pages) {
-    const box = flat(standing([from[0], from[1], from[2] - WIDE_M / 2], WIDE_M, WIDE_M));
+    const wide = Math.min(WIDE_M, WIDE_PIXELS * archive.info.pixelSize);
+    const box = flat(standing([from[0], from[1], from[2] - wide / 2], wide, wide));
     const ways = headings.flatMap((heading) => RAY_PITCHES.map((pitch) => direction({ heading, pitch })));
     const swept = await archive.sweep(new Float64Array(ways.flatMap((way) => [...box, ...way.map((v) => v * SWEPT_M)])), {
       signal,
