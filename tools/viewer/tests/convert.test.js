@@ -20,6 +20,7 @@ before(async () => {
   program("scangen", "demo", "--format", "7", "--colour", "4", "-o", scan);
   program("scangen", "corridor", "--density", "400", "-o", splats);
   writeFileSync(join(folder, "wrong.laz"), "this is no scan");
+  writeFileSync(join(folder, "alone.png"), "this is no scan");
   writeFileSync(join(folder, "wall.obj"), "mtllib wall.mtl\nusemtl wall\nv 0 0 0\nv 4 0 0\nv 0 0 3\nf 1 2 3\n");
   writeFileSync(join(folder, "wall.mtl"), "newmtl wall\nKd 0.8 0.2 0.1\n");
   writeFileSync(join(folder, "cut.laz"), readFileSync(scan).subarray(0, 200_000));
@@ -216,7 +217,7 @@ describe("scans on the page", () => {
   it("wrong, damaged and cancelled scans leave the open scene", async () => {
     const { page } = tests;
     await walkIn(page, `${server.address}?archive=house.slices&at=${WAY.start}`);
-    for (const name of ["wrong.laz", "cut.laz"]) {
+    for (const name of ["wrong.laz", "cut.laz", "alone.png"]) {
       await choose(page, name);
       await page.getByRole("heading", { name: "This file cannot be converted" }).waitFor();
       await page.getByText(name).first().waitFor();

@@ -189,7 +189,9 @@ export class Converter {
       const [first] = this.files;
       const name = `${(first?.name ?? "scan").replace(/(\.copc)?\.[^.]*$/i, "") || "scan"}.slices`;
       const isBeside = (file: File): boolean => /\.(mtl|bin|prj|wkt|png|jpe?g|webp|bmp|gif|tga|tiff?)$/i.test(file.name);
-      const inputs = this.files.map((blob) => ({ name: blob.name, blob, beside: isBeside(blob) }));
+      // Alone, such files are refused by their names.
+      const isAlone = this.files.every(isBeside);
+      const inputs = this.files.map((blob) => ({ name: blob.name, blob, beside: !isAlone && isBeside(blob) }));
       worker.postMessage({ task, inputs, options, wasm: this.#wasm, folder, name } satisfies ToConverter);
     });
   }
