@@ -18,7 +18,8 @@ before(async () => {
   if (data) {
     files["/indoor.slices"] = twoStoreys();
     files["/sparse.slices"] = scannedFile("formats/made/pump_three_stations_poses.e57", "--units", "m", "--levels", "on");
-    for (const name of ["pump_room", "delft_city_block_ahn3"]) files[`/${name}.slices`] = scanned(name);
+    for (const name of ["pump_room", "delft_city_block_ahn3", "corridor_three_stations"])
+      files[`/${name}.slices`] = scanned(name);
   }
   server = await new StaticServer(DIST, files).start();
 });
@@ -72,6 +73,12 @@ describe("the first view", () => {
   for (const archive of ["indoor", "pump_room", "delft_city_block_ahn3"]) {
     it(`shows enough of ${archive}`, { skip: data ? false : "SLICEWALK_DATA is not set" }, () => covers(`${archive}.slices`));
   }
+
+  it("begins within a corridor, not beside it or on it", { skip: data ? false : "SLICEWALK_DATA is not set" }, async () => {
+    await covers("corridor_three_stations.slices");
+    const { at } = await state(page);
+    assert.ok(at[2] < 0.5, `it stands at ${at}, the floor is at -0.6 m and the roof at 2 m`);
+  });
 
   it(
     "begins in a small sparse scan where its points are, not where wide rays meet any",

@@ -37,6 +37,8 @@ const HALF_Y = 34;
 /** Share of a view that should show the scan, and how much a pitch costs per degree. */
 const ENOUGH = 0.72;
 const PITCH_COST = 0.005;
+/** How much a place gains with all around it seen. */
+const WITHIN = 0.3;
 /** An eighth of the scan, between these, is as far as anything need be to be worth seeing (m). */
 const LEAST_LIMIT_M = 10;
 const MOST_LIMIT_M = 100;
@@ -185,6 +187,14 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
       shown[n] = Math.max(shown[n] ?? 0, SWEPT_SHOWN);
     });
   }
+  // Within a place there is something to see all around; beside it, in one direction only.
+  let [everywhere, around] = [0, 0];
+  shown.forEach((share, n) => {
+    const weight = Math.cos(((RAY_PITCHES[n % RAY_PITCHES.length] ?? 0) * Math.PI) / 180);
+    everywhere += weight;
+    around += weight * share;
+  });
+  const within = WITHIN * (around / everywhere);
   let best: Start = { at, look: { heading: 0, pitch: 0 }, covered: 0, rating: -1 };
   for (const heading of headings) {
     for (const pitch of PITCHES) {
@@ -202,7 +212,7 @@ export async function viewFrom(archive: Archive, at: Vec3, eye: number, signal: 
         });
       }
       const covered = hits / all;
-      const rating = (worth / all) * Math.min(1, covered / ENOUGH) ** 2 + PITCH_COST * pitch;
+      const rating = (worth / all) * Math.min(1, covered / ENOUGH) ** 2 + PITCH_COST * pitch + within;
       if (rating > best.rating) best = { at, look: { heading, pitch }, covered, rating };
     }
   }
