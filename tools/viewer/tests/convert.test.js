@@ -285,7 +285,7 @@ describe("kiosk", () => {
     assert.equal((await state(page)).kiosk.touring, false);
     const { width, height } = await forward.boundingBox();
     assert.ok(width >= 88 && height >= 88, `${width} × ${height}`);
-    assert.equal(await page.getByRole("button", { name: "Settings" }).isVisible(), false);
+    assert.equal(await page.getByRole("button", { name: "Einstellungen" }).isVisible(), false);
     assert.equal(await page.getByRole("button", { name: "Von außen" }).count(), 0);
     const back = await until(page, "the start", ({ kiosk }) => kiosk.touring);
     assert.ok(Math.hypot(back.at[0] - 1.5, back.at[1] - 2) < 1, JSON.stringify(back.at));

@@ -74,6 +74,15 @@ describe("the first view", () => {
     it(`shows enough of ${archive}`, { skip: data ? false : "SLICEWALK_DATA is not set" }, () => covers(`${archive}.slices`));
   }
 
+  const ways = { de: "Hineingehen", fr: "Entrer", es: "Entrar", pt: "Entrar" };
+  for (const [language, way] of Object.entries(ways)) {
+    it(`speaks ${language}`, async () => {
+      await page.goto(`${server.address}?archive=house.slices&lang=${language}`);
+      await page.getByRole("button", { name: way }).waitFor();
+      assert.equal(await page.locator("html").getAttribute("lang"), language);
+    });
+  }
+
   it("begins within a corridor, not beside it or on it", { skip: data ? false : "SLICEWALK_DATA is not set" }, async () => {
     await covers("corridor_three_stations.slices");
     const { at } = await state(page);

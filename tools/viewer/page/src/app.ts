@@ -35,7 +35,7 @@ import { Sheet } from "./plan/sheet";
 import { copyLink, savePicture, savePlan, toggleFullscreen } from "./share";
 import { Sight } from "./sight";
 import type { Table } from "./table";
-import { texts } from "./texts.en";
+import { texts } from "./languages";
 import { Minimap } from "./ui/minimap";
 import { Shell } from "./ui/shell";
 import { Stops } from "./ui/stops";

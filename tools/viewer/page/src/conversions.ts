@@ -3,7 +3,7 @@
 
 import { SlicewalkError } from "slicewalk";
 import { ConversionError, Converter, type ConversionOptions, type Converted } from "slicewalk/convert";
-import { chosenLanguage, languageTexts } from "./languages";
+import { chosenLanguage, texts } from "./languages";
 import { fromAddress, type Source } from "./session";
 import { saveAs } from "./share";
 import { h } from "./ui/dom";
@@ -55,7 +55,6 @@ const size = (bytes: number): string => (bytes < 1e6 ? `${Math.ceil(bytes / 1e3)
 const named = (files: readonly File[]): string => files[0]?.name ?? "";
 
 export class Conversions {
-  readonly #texts = languageTexts();
   readonly #bar = h("progress", { max: 1 });
   readonly #words = h("span", { role: "status", "aria-live": "polite" });
   readonly #working: HTMLElement;
@@ -72,7 +71,7 @@ export class Conversions {
     readonly opener: Opener,
     readonly chooseOther: () => void,
   ) {
-    const { convert } = this.#texts;
+    const { convert } = texts;
     const cancel = h("button", { type: "button", class: "plain", onclick: () => this.cancel() }, convert.cancel);
     const quiet = h("small", { class: "quiet" }, convert.privacy);
     this.#working = h("div", { class: "converting", hidden: true }, this.#words, this.#bar, quiet, cancel);
@@ -93,7 +92,7 @@ export class Conversions {
     try {
       takesArchive = await isArchive(first);
     } catch {
-      this.#trouble(this.#texts.convert.failed, this.#texts.convert.unreadable(first.name), null);
+      this.#trouble(texts.convert.failed, texts.convert.unreadable(first.name), null);
       return;
     }
     if (takesArchive) {
@@ -136,7 +135,7 @@ export class Conversions {
   async download(): Promise<void> {
     const source = this.opener.source;
     if (source === null) {
-      this.opener.say(this.#texts.convert.nothing);
+      this.opener.say(texts.convert.nothing);
       return;
     }
     try {
@@ -161,7 +160,7 @@ export class Conversions {
         heard = performance.now();
         if (state.error !== null) {
           this.#show(null);
-          this.#trouble(this.#texts.convert.served, state.error, null);
+          this.#trouble(texts.convert.served, state.error, null);
           return false;
         }
         this.#show(state.converting, false);
@@ -169,7 +168,7 @@ export class Conversions {
       } catch {
         if (performance.now() - heard > GONE_MS) {
           this.#show(null);
-          this.#trouble(this.#texts.convert.served, this.#texts.convert.gone, null);
+          this.#trouble(texts.convert.served, texts.convert.gone, null);
           return false;
         }
       }
@@ -203,7 +202,7 @@ export class Conversions {
     } finally {
       before?.release();
     }
-    const { convert } = this.#texts;
+    const { convert } = texts;
     const save = h("button", { type: "button", class: "primary", onclick: () => void this.download() }, convert.save);
     const hide = h("button", { type: "button", class: "plain", "aria-label": "×", onclick: () => this.#hide() }, "×");
     const lines = converted.warnings.map((warning) => h("li", {}, warning));
@@ -234,7 +233,7 @@ export class Conversions {
     if (button instanceof HTMLElement) button.hidden = !canCancel;
     if (now === null) return;
     const percent = Math.floor(100 * now.share);
-    const words = this.#texts.convert.progress(this.#texts.stages[now.stage] ?? now.stage, percent);
+    const words = texts.convert.progress(texts.stages[now.stage] ?? now.stage, percent);
     if (this.#words.textContent !== words) this.#words.textContent = words;
     if (now.share > 0) this.#bar.value = now.share;
     else this.#bar.removeAttribute("value");
@@ -244,7 +243,7 @@ export class Conversions {
 
   /** Shows what the files are, and converts them once a person agrees. */
   async #ask(files: readonly File[], options: ConversionOptions): Promise<void> {
-    const { convert } = this.#texts;
+    const { convert } = texts;
     const converter = new Converter(files);
     const cancel = h("button", { type: "button", class: "plain", onclick: () => this.#dialog.close() }, convert.cancel);
     this.#fill(convert.title(named(files)), h("p", {}, convert.reading(named(files))), cancel);
@@ -322,7 +321,7 @@ export class Conversions {
   /** A button that asks about the files again, if another answer would help. */
   #remedy(error: unknown, files: readonly File[], options: ConversionOptions, asked: readonly string[]): HTMLElement | null {
     const parameter = error instanceof ConversionError ? (error.parameter ?? "") : "";
-    const { change, partly } = this.#texts.convert;
+    const { change, partly } = texts.convert;
     const again = (words: string, other: ConversionOptions): HTMLElement =>
       h("button", { type: "button", class: "primary", onclick: () => void this.#ask(files, other) }, words);
     if (parameter === "Incomplete") return again(partly, { ...options, allow_incomplete: true });
@@ -331,7 +330,7 @@ export class Conversions {
 
   /** Says why files were not converted, and offers the remedy; the open scene stays. */
   #refused(error: unknown, remedy: HTMLElement | null): void {
-    const { convert } = this.#texts;
+    const { convert } = texts;
     if (error instanceof SlicewalkError && error.kind === "aborted") {
       this.opener.say(convert.cancelled);
       return;
@@ -344,7 +343,7 @@ export class Conversions {
   }
 
   #trouble(title: string, detail: string, wayOut: string | null, remedy: HTMLElement | null = null): void {
-    const { convert } = this.#texts;
+    const { convert } = texts;
     const other = (): void => {
       this.#dialog.close();
       this.chooseOther();

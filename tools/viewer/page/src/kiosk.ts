@@ -5,7 +5,7 @@ import type { Vec3 } from "slicewalk";
 import type { Mode } from "./address";
 import type { Look } from "./geometry";
 import { nothing, type Intent } from "./input/intent";
-import { languageTexts, translated } from "./languages";
+import { texts, translated } from "./languages";
 import type { Arrival } from "./pawn";
 import { h } from "./ui/dom";
 import "./kiosk.css";
@@ -114,7 +114,6 @@ export function parseTour(text: string): Vec3[] {
 }
 
 export class Kiosk {
-  readonly #texts = languageTexts().kiosk;
   readonly #caption = h("p", { class: "caption", role: "status", "aria-live": "polite", hidden: true });
   readonly #hint = h("p", { class: "hint", hidden: true });
   readonly #held = nothing();
@@ -146,7 +145,7 @@ export class Kiosk {
       parent.classList.add("kiosk");
       parent.append(this.#controls());
     }
-    this.#hint.textContent = this.#texts.touch;
+    this.#hint.textContent = texts.kiosk.touch;
     for (const event of ["pointerdown", "keydown", "wheel", "touchstart"]) {
       window.addEventListener(event, () => this.#touch(), { capture: true, passive: true });
     }
@@ -196,7 +195,7 @@ export class Kiosk {
   }
 
   #controls(): HTMLElement {
-    const { label, forward, back, left, right, home, modes } = this.#texts;
+    const { label, forward, back, left, right, home, modes } = texts.kiosk;
     const hold = (name: string, sign: string, key: "forward" | "turn", value: number): HTMLElement => {
       const button = h("button", { type: "button", "aria-label": name, title: name }, sign);
       const set =

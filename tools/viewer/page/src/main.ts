@@ -6,7 +6,7 @@ import { App } from "./app";
 import type { Conversions } from "./conversions";
 import { Kiosk, readKiosk } from "./kiosk";
 import { readTable } from "./table";
-import { texts } from "./texts.en";
+import { chosenLanguage, texts } from "./languages";
 import { h } from "./ui/dom";
 import "./style.css";
 
@@ -32,6 +32,7 @@ function refuse(parent: HTMLElement): void {
 }
 
 async function start(parent: HTMLElement): Promise<void> {
+  document.documentElement.lang = chosenLanguage();
   parent.replaceChildren();
   let app: App;
   try {

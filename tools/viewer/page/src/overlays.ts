@@ -7,7 +7,7 @@ import { ALIGNED, type Alignment } from "./scene/alignment";
 import { Cloud } from "./scene/cloud";
 import { Splats } from "./scene/splats";
 import type { Session } from "./session";
-import { texts } from "./texts.en";
+import { texts } from "./languages";
 import type { Shell } from "./ui/shell";
 
 /** A file of splats: its address, or the file itself. */

@@ -5,7 +5,7 @@ import { distance, type Look, type Ray } from "./geometry";
 import { pick } from "./measure";
 import type { Stage } from "./modes/mode";
 import { findStart } from "./start";
-import { texts } from "./texts.en";
+import { texts } from "./languages";
 
 const FLOOR_NORMAL = 0.5;
 /** The pawn is lost this far below everything. */

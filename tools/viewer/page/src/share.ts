@@ -4,7 +4,7 @@ import { formatAddress, type Place } from "./address";
 import type { Stage } from "./modes/mode";
 import { draw } from "./plan/drawing";
 import { svg } from "./plan/svg";
-import { texts } from "./texts.en";
+import { texts } from "./languages";
 
 /** Most cells along an edge of a plan that is saved. */
 const SHEET_CELLS = 4096;

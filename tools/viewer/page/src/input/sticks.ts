@@ -2,7 +2,7 @@
 
 import type { create as createSticks } from "nipplejs";
 import { h } from "../ui/dom";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { nothing, type Intent } from "./intent";
 
 export class Sticks {

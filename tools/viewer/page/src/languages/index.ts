@@ -1,4 +1,4 @@
-// The language of conversion and kiosk: of the address (`lang=de`), else of the browser, else English.
+// The language of the page: of the address (`lang=de`), else of the browser, else English.
 
 import { de } from "./de";
 import { en, type Texts } from "./en";
@@ -14,7 +14,8 @@ export function chosenLanguage(search: string = location.search): string {
   return all.map((name) => name.slice(0, 2).toLowerCase()).find((name) => name in LANGUAGES) ?? "en";
 }
 
-export const languageTexts = (language = chosenLanguage()): Texts => LANGUAGES[language] ?? en;
+/** The texts of the page. */
+export const texts: Texts = LANGUAGES[chosenLanguage()] ?? en;
 
 /** The text in this language of an object such as `{"en": "…", "de": "…"}`, or a plain text. */
 export function translated(text: unknown, language = chosenLanguage()): string {

@@ -1,7 +1,7 @@
 // Flight: the pawn's view, without gravity; the wheel sets the speed.
 
 import { clamp, metres } from "../geometry";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { Walk } from "./walk";
 
 const [SLOWEST, FASTEST] = [0.5, 60];

@@ -1,7 +1,7 @@
 // A drawing of a storey as a sheet in SVG, true to scale: cut walls black on white, with a grid, a scale bar and north.
 
 import { metres } from "../geometry";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { BELOW, CUT, type Drawing } from "./drawing";
 
 /** Room on a sheet of A3 in landscape, and the margin around (mm). */

@@ -2,7 +2,7 @@
 
 import { metres } from "../geometry";
 import { COLOURINGS, FLOOR, OBSTACLE, RAMP, type Colouring } from "../scene/material";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h } from "./dom";
 
 export class ColoursPanel {

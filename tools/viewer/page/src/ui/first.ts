@@ -1,7 +1,7 @@
 // The card of the first view: name and size of the scan, and the button that walks in.
 
 import type { Bounds } from "slicewalk";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, picture, icons, write } from "./dom";
 
 export class FirstCard {

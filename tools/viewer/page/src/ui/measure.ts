@@ -6,7 +6,7 @@ import { metres, type Ray } from "../geometry";
 import { between, pick, surroundings, type Measured, type Value } from "../measure";
 import type { World } from "../scene/world";
 import { saveAs } from "../share";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, icons, picture, write } from "./dom";
 
 const ROWS = ["place", "headroom", "width", "step", "distance", "across", "height"] as const;

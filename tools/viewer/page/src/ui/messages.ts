@@ -1,6 +1,6 @@
 // One-line news that disappear, and problems that stay until a person decides.
 
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 const NEWS_MS = 4500;

@@ -2,7 +2,7 @@
 
 import type { Archive, SliceMap, Vec3 } from "slicewalk";
 import { distance, metres, wrap } from "../geometry";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h } from "./dom";
 
 const EDGE_M = 24;

@@ -1,7 +1,7 @@
 // Overlays drawn over the archive: a point cloud, and Gaussian splats that a person aligns.
 
 import { ALIGNED, isUp, UPS, type Alignment } from "../scene/alignment";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h } from "./dom";
 
 export interface OverlayEvents {

@@ -1,6 +1,6 @@
 // The bar of the plan view: its scale, and the plan as a file.
 
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 export class PlanBar {

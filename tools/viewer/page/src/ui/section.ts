@@ -2,7 +2,7 @@
 
 import type { Bounds } from "slicewalk";
 import { metres } from "../geometry";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 const SIDES = ["west", "east", "south", "north", "bottom", "top"] as const;

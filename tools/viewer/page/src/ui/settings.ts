@@ -1,7 +1,7 @@
 // The settings panel: one labelled slider or choice per setting.
 
 import { choices, limits, sound, usualSettings, type Settings } from "../settings";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 const NAMES = Object.keys(limits) as (keyof Settings)[];

@@ -3,7 +3,7 @@
 import type { ArchiveInfo, Bounds } from "slicewalk";
 import type { Colouring } from "../scene/material";
 import type { Settings } from "../settings";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { ColoursPanel } from "./colours";
 import { h, icons, picture } from "./dom";
 import { FirstCard } from "./first";

@@ -2,7 +2,7 @@
 
 import type { ArchiveInfo } from "slicewalk";
 import { metres } from "../geometry";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 export interface SliceChoice {

@@ -2,7 +2,7 @@
 
 import type { Stats, WalkerState } from "slicewalk";
 import { bytes, metres, thousands } from "../geometry";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 const ROWS = [

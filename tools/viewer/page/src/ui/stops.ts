@@ -2,7 +2,7 @@
 
 import type { Stop } from "slicewalk";
 import type { Pawn } from "../pawn";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, write } from "./dom";
 
 export interface Remedies {

@@ -1,7 +1,7 @@
 // The bar of views and tools. Tools that open a panel say so, and one panel is open at a time.
 
 import type { Mode } from "../address";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h, icons, tool } from "./dom";
 
 const PANELS = ["measure", "slices", "section", "colours", "settings"] as const;

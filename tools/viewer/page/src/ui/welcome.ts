@@ -1,7 +1,7 @@
 // Shown while no archive is open: drop one, choose one, or enter its address. Files may be dropped at any time.
 
 import { isSplats } from "../scene/alignment";
-import { texts } from "../texts.en";
+import { texts } from "../languages";
 import { h } from "./dom";
 
 export interface WelcomeEvents {
