@@ -1,7 +1,7 @@
 //! Peers in Python, in a virtual environment that the environment variable [`VENV`] names.
 
 use crate::stability::Result;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Folder of the virtual environment.
 const VENV: &str = "SLICEWALK_VENV";
@@ -18,7 +18,8 @@ pub fn python() -> Result<PathBuf> {
 }
 
 /// Returns what is sought in the environment's folder of packages; an error says that `package` is not there.
-pub fn find<T>(package: &str, seek: impl Fn(&Path) -> Option<T>) -> Result<T> {
+#[cfg(feature = "peers")]
+pub fn find<T>(package: &str, seek: impl Fn(&std::path::Path) -> Option<T>) -> Result<T> {
     let venv = folder()?;
     let missing = || format!("the package {package} is not in {}", venv.display());
     let versions = std::fs::read_dir(venv.join("lib")).map_err(|_| missing())?;
