@@ -114,8 +114,8 @@ pub(super) fn layers(slots: &[PageSlot], heights: Heights) -> impl DoubleEndedIt
     slots[first..end].iter().filter(move |slot| !below(slot) & !above(slot))
 }
 
-/// Returns whether pixel (`i`, `j`) holds solid at `heights`: a box in one pixel, or a point, needs neither masks nor
-/// unions.
+/// Returns whether pixel (`i`, `j`) holds solid at `heights`. For a box in one pixel, or a point, the block's mask and its
+/// first unions rule most places out without a look at spans.
 pub(super) fn touches_in_pixel(
     set: &Snapshot,
     (i, j): (i64, i64),

@@ -63,7 +63,7 @@ pub struct Node {
     pub children: Vec<Node>,
 }
 
-/// Relative difference of the feet that surveys use: a name does not tell them apart, a factor does.
+/// Relative difference up to which a factor is one of the feet that surveys use, whatever their name.
 const BETWEEN_FEET: f64 = 1e-4;
 /// Maximum number of bytes kept of a quoted text.
 const LONGEST_NAME: usize = 64;

@@ -90,7 +90,7 @@ export class Welcome {
   async #drop(files: readonly File[]): Promise<void> {
     const [file] = files;
     if (file === undefined) return;
-    // What cannot be read is no splats, and is refused like any other file.
+    // A file that cannot be read is refused where all others are.
     const splats = files.length === 1 && (await isSplats(file).catch(() => false));
     this.#take(() => (splats ? this.events.splatsFile(file) : this.events.files(files)));
   }
