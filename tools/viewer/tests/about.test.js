@@ -12,6 +12,13 @@ let server, page;
 const tests = pages();
 const middle = { x: 400, y: 250 };
 const tool = (name) => page.getByRole("button", { name, exact: false });
+/** Screens of phones, upright and on their side. */
+const PHONES = [
+  [390, 844],
+  [320, 568],
+  [844, 390],
+  [640, 360],
+];
 const near = (a, b, far = 0.3) => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]) < far;
 
 before(async () => {
@@ -121,67 +128,77 @@ describe("odd devices", () => {
     await page.evaluate(() => document.exitPointerLock());
   });
 
-  it("covers no tool of a phone by the panel that it opens, and has targets for fingers", async () => {
-    const phone = await tests.browser.newPage({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
-    try {
-      await walkIn(phone, address(server, { at: WAY.start, view: "plan" }));
-      await phone.getByText("Save as SVG").waitFor();
-      const crossing = await phone.evaluate(() => {
-        const shown = [
-          ".name",
-          ".modes",
-          ".tools",
-          ".plan-bar",
-          ".status",
-          ".storeys",
-          ".map",
-          ".jump",
-          ".stick.left",
-          ".stick.right",
-        ]
-          .map((selector) => [selector, document.querySelector(selector)])
-          .filter(([, element]) => element !== null && element.offsetParent !== null)
-          .map(([selector, element]) => [selector, element.getBoundingClientRect()]);
-        const crosses = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
-        return shown.flatMap(([one, a], n) =>
-          shown.slice(n + 1).flatMap(([other, b]) => (crosses(a, b) ? [`${one} and ${other}`] : [])),
-        );
-      });
-      assert.deepEqual(crossing, [], "nothing lies over something else");
-      for (const name of ["Settings", "Colours", "Slices", "Section", "Measure"]) {
-        const button = phone.getByRole("button", { name, exact: true });
-        await button.tap();
-        await phone.locator(".right .panel:not([hidden])").waitFor();
-        const covered = await phone.evaluate(() => {
-          const shown = (selector) =>
-            [...document.querySelectorAll(selector)].filter((element) => element.offsetParent !== null);
-          const buttons = shown(".head button");
-          const fields = shown(".right .panel:not([hidden]) :is(input, select, button)");
-          const hits = (element) => {
-            element.scrollIntoView({ block: "nearest" });
-            const { left, top, width, height } = element.getBoundingClientRect();
-            const found = document.elementFromPoint(left + width / 2, top + height / 2);
-            return element === found || element.contains(found) || found?.closest(".right") !== null;
-          };
-          const small = buttons.filter((button) => Math.min(button.offsetWidth, button.offsetHeight) < 44);
-          return [...buttons, ...fields]
-            .filter((element) => !hits(element))
-            .concat(small)
-            .map((element) => element.outerHTML);
-        });
-        assert.deepEqual(covered, [], name);
-        await button.tap();
-        await phone
-          .locator(".right .panel:not([hidden])")
-          .waitFor({ state: "detached" })
-          .catch(() => {});
+  for (const [width, height] of PHONES) {
+    it(`covers nothing on a screen of ${width} × ${height}, and has targets for fingers`, async () => {
+      const phone = await tests.browser.newPage({ viewport: { width, height }, hasTouch: true, isMobile: true });
+      try {
+        for (const view of ["plan", "walk"]) {
+          await walkIn(phone, address(server, { at: WAY.start, view }));
+          await phone.locator(view === "plan" ? ".plan-bar" : ".storeys").waitFor();
+          assert.deepEqual(await phone.evaluate(crossing), [], `nothing lies over something else in ${view}`);
+        }
+        for (const name of ["Settings", "Colours", "Slices", "Section", "Measure"]) {
+          const button = phone.getByRole("button", { name, exact: true });
+          await button.tap();
+          const panel = phone.locator(".right .panel:not([hidden])");
+          await panel.waitFor();
+          assert.deepEqual(await phone.evaluate(unreachable), [], name);
+          const { height: shown } = await phone.locator(".right:not(.stick)").boundingBox();
+          assert.ok(shown > 200, `${name} shows ${shown} pixels`);
+          await button.tap();
+          await panel.waitFor({ state: "hidden" });
+        }
+        assert.deepEqual(phone.complaints, []);
+      } finally {
+        await phone.end();
       }
-      assert.deepEqual(phone.complaints, []);
-    } finally {
-      await phone.end();
-    }
-  });
+    });
+  }
 });
+
+/** Pairs of parts of the page that lie over one another. */
+function crossing() {
+  const parts = [
+    ".name",
+    ".modes",
+    ".tools",
+    ".plan-bar",
+    ".status",
+    ".storeys",
+    ".map",
+    ".jump",
+    ".stick.left",
+    ".stick.right",
+  ];
+  const shown = parts
+    .map((selector) => [selector, document.querySelector(selector)])
+    .filter(([, element]) => element !== null && element.offsetParent !== null)
+    .map(([selector, element]) => [selector, element.getBoundingClientRect()]);
+  const outside = ({ left, top, right, bottom }) => left < 0 || top < 0 || right > innerWidth || bottom > innerHeight;
+  const crosses = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  return shown.flatMap(([one, a], n) => [
+    ...(outside(a) ? [`${one} and the edge`] : []),
+    ...shown.slice(n + 1).flatMap(([other, b]) => (crosses(a, b) ? [`${one} and ${other}`] : [])),
+  ]);
+}
+
+/** Buttons and fields that lie below something else where they are scrolled to, and buttons too small for fingers. */
+function unreachable() {
+  const shown = (selector) => [...document.querySelectorAll(selector)].filter((element) => element.offsetParent !== null);
+  const buttons = shown(".head button");
+  const fields = shown(".right .panel:not([hidden]) :is(input, select, button)");
+  const hits = (element) => {
+    element.scrollIntoView({ block: "nearest", inline: "nearest" });
+    const { left, top, width, height } = element.getBoundingClientRect();
+    const found = document.elementFromPoint(left + width / 2, top + height / 2);
+    return element === found || element.contains(found) || found?.closest(".right") !== null;
+  };
+  const small = buttons.filter((button) => Math.min(button.offsetWidth, button.offsetHeight) < 44);
+  return [...buttons, ...fields]
+    .filter((element) => !hits(element))
+    .concat(small)
+    .map((element) => element.outerHTML);
+}
 
 describe("wrong files and addresses", () => {
   it("keeps the open archive when a wrong file is dropped", async () => {
