@@ -243,6 +243,26 @@ describe("scans on the page", () => {
     assert.match(refused, /no_such_option/);
   });
 
+  it("a full storage is named, nothing is left in it, and the open scene stays", async () => {
+    const { page } = tests;
+    await walkIn(page, `${server.address}?archive=house.slices&at=${WAY.start}`);
+    const browser = await page.context().newCDPSession(page);
+    const { origin } = new URL(server.address);
+    await browser.send("Storage.overrideQuotaForOrigin", { origin, quotaSize: 20_000 });
+    await choose(page, "house.laz");
+    await page.getByRole("button", { name: "Convert and walk in" }).click();
+    const dialog = page.getByRole("dialog", { name: "This file cannot be converted" });
+    await dialog.getByText(/^\/browser storage.*: cannot write .*: no storage space/).waitFor();
+    await dialog.getByText("The browser's storage is full.").waitFor();
+    await dialog.getByRole("button", { name: "Cancel" }).click();
+    assert.equal((await state(page)).ready, true);
+    const left = await page.evaluate(async () => {
+      const root = await (await navigator.storage.getDirectory()).getDirectoryHandle("slicewalk-conversions");
+      return Array.fromAsync(root.keys());
+    });
+    assert.deepEqual(left, []);
+  });
+
   it("without private files the conversion works in memory", async () => {
     const { page } = tests;
     await page.addInitScript(() => {

@@ -1,5 +1,6 @@
 //! Requests of the module to the program that runs it: bytes of inputs and of temporary files, and an ear for progress.
 
+use crate::FOLDER;
 use slicewalk_base::bytes::{ByteSource, FileId};
 use slicewalk_base::disk::{About, Access, Disk, DiskFile, DiskFolder, FileKind};
 use slicewalk_base::{Error, Monitor, Parameter, Result, Warning};
@@ -143,7 +144,7 @@ impl DiskFolder for Root {
     }
 }
 
-/// Disk with one folder, `/`, whose files are temporary files of the host.
+/// Disk with one folder, [`FOLDER`], whose files are temporary files of the host.
 #[derive(Debug, Default)]
 pub struct HostDisk(Mutex<HashMap<PathBuf, Arc<HostFile>>>);
 
@@ -185,7 +186,7 @@ impl Disk for HostDisk {
 
     fn about(&self, path: &Path) -> io::Result<About> {
         let about = |kind, len| About { kind, len, mode: None, owner: None, read_only: false };
-        match path == Path::new("/") {
+        match Path::new(FOLDER).starts_with(path) {
             true => Ok(about(FileKind::Folder, 0)),
             false => self.find(path).map(|file| about(FileKind::File, *file.len())),
         }

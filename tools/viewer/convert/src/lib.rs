@@ -31,7 +31,9 @@ use std::sync::Arc;
 /// Memory budget (bytes) unless the options name another. With the page, 150 MiB, and buffers that the browser has not
 /// collected, a file of any size is converted in about 500 MiB.
 const MEMORY_BYTES: u64 = 112 << 20;
-const OUTPUT: &str = "/scan.slices";
+/// Folder of all files, as errors name it, and the archive in it.
+const FOLDER: &str = "/browser storage";
+const OUTPUT: &str = "/browser storage/scan.slices";
 
 thread_local! {
     static REQUEST: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
@@ -88,6 +90,7 @@ fn answer_to(request: &Value) -> Result<Value> {
     let mut options = ConvertOptions::new(inputs, OUTPUT.into());
     options.resources.memory_bytes = MEMORY_BYTES;
     options.resources.threads = 1;
+    options.resources.temp_dir = FOLDER.into();
     options::apply(&mut options, &request["options"])?;
     let (files, monitor) = (Arc::new(HostDisk::default()), HostMonitor::default());
     if request["task"] == "preview" {

@@ -138,7 +138,9 @@ export class StoredFiles implements TemporaryFiles {
 
   write(file: number, offset: number, bytes: Uint8Array): number {
     try {
-      return this.files[file]?.access.write(bytes, { at: offset }) ?? REFUSED;
+      const written = this.files[file]?.access.write(bytes, { at: offset }) ?? REFUSED;
+      // Chromium throws nothing where the storage is full: it returns a number far above the length.
+      return written === bytes.length || written === REFUSED ? written : FULL;
     } catch (error) {
       return error instanceof DOMException && error.name === "QuotaExceededError" ? FULL : REFUSED;
     }
