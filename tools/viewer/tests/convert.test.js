@@ -263,6 +263,24 @@ describe("scans on the page", () => {
     assert.deepEqual(left, []);
   });
 
+  it("the next page removes what a conversion leaves that its page did not outlive", async () => {
+    const { page } = tests;
+    await page.goto(server.address);
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+    await choose(page, "house.laz");
+    await page.locator("#conversion-pixel").fill("0.005");
+    await page.getByRole("button", { name: "Convert and walk in" }).click();
+    await page.waitForFunction(() => window.slicewalk.state().converting !== null);
+    const files = async () => {
+      const root = await (await navigator.storage.getDirectory()).getDirectoryHandle("slicewalk-conversions");
+      return Array.fromAsync(root.keys());
+    };
+    while ((await page.evaluate(files)).length === 0) await page.waitForTimeout(20);
+    await page.reload();
+    while ((await page.evaluate(files)).length > 0) await page.waitForTimeout(20);
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+  });
+
   it("without private files the conversion works in memory", async () => {
     const { page } = tests;
     await page.addInitScript(() => {

@@ -1,6 +1,7 @@
 // Starts the page: finds the archive that the address or the host names, and exposes the page's state to programs.
 
 import type { Vec3, WalkerRecording } from "slicewalk";
+import { removeLeftovers } from "slicewalk/convert";
 import { parseAddress, type Place } from "./address";
 import { App } from "./app";
 import type { Conversions } from "./conversions";
@@ -76,3 +77,4 @@ async function start(parent: HTMLElement): Promise<void> {
 
 const parent = document.getElementById("app");
 if (parent) void start(parent);
+void removeLeftovers();

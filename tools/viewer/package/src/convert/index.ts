@@ -55,29 +55,52 @@ const ROOT = "slicewalk-conversions";
 const PATIENCE_MS = 100;
 const ATTEMPTS = 50;
 
-async function root(): Promise<FileSystemDirectoryHandle | null> {
+async function root(create: boolean): Promise<FileSystemDirectoryHandle | null> {
   try {
-    return await (await navigator.storage.getDirectory()).getDirectoryHandle(ROOT, { create: true });
+    return await (await navigator.storage.getDirectory()).getDirectoryHandle(ROOT, { create });
   } catch {
-    return null; // no private files here
+    return null; // no private files here, or none yet
   }
 }
 
-/** Removes the folders of pages that are gone: nobody holds their locks. */
-async function sweep(folder: FileSystemDirectoryHandle): Promise<void> {
-  const names = (folder as unknown as { keys(): AsyncIterable<string> }).keys();
-  for await (const name of names) {
-    await navigator.locks.request(name, { ifAvailable: true }, async (lock) => {
-      if (lock !== null) await folder.removeEntry(name, { recursive: true }).catch(() => {});
-    });
+/** Removes a folder; the files of an ended worker stay locked for a moment. */
+async function remove(folder: FileSystemDirectoryHandle, name: string): Promise<void> {
+  for (let n = 0; n < ATTEMPTS; n++) {
+    const failed = await folder.removeEntry(name, { recursive: true }).then(
+      () => false,
+      (error: unknown) => !(error instanceof DOMException && error.name === "NotFoundError"),
+    );
+    if (!failed) break;
+    await new Promise((resolve) => setTimeout(resolve, PATIENCE_MS));
   }
+}
+
+/**
+ * Removes what conversions left in the browser's storage whose pages are gone, or once they are gone. Each conversion begins with
+ * it, too.
+ */
+export async function removeLeftovers(): Promise<void> {
+  const folder = await root(false);
+  if (folder !== null && navigator.locks !== undefined) await sweep(folder, false).catch(() => {});
+}
+
+/** Removes folders whose locks nobody holds, now (`ifAvailable`) or when they are released. */
+async function sweep(folder: FileSystemDirectoryHandle, ifAvailable: boolean): Promise<void> {
+  const names = (folder as unknown as { keys(): AsyncIterable<string> }).keys();
+  const sweeps = [];
+  for await (const name of names) {
+    sweeps.push(
+      navigator.locks.request(name, { ifAvailable }, async (lock) => (lock === null ? undefined : remove(folder, name))),
+    );
+  }
+  await Promise.all(sweeps);
 }
 
 /** A folder for temporary data that lasts until it is released, or the page is gone. */
 async function claim(): Promise<{ name: string | null; release(): void }> {
-  const folder = await root();
+  const folder = await root(true);
   if (folder === null || navigator.locks === undefined) return { name: null, release: () => {} };
-  await sweep(folder).catch(() => {});
+  await sweep(folder, true).catch(() => {});
   const name = crypto.randomUUID();
   let end = (): void => {};
   await new Promise<void>((held) => {
@@ -86,19 +109,7 @@ async function claim(): Promise<{ name: string | null; release(): void }> {
       return new Promise<void>((resolve) => (end = resolve));
     });
   });
-  const release = async (): Promise<void> => {
-    // Files of an ended worker stay locked for a moment.
-    for (let n = 0; n < ATTEMPTS; n++) {
-      const failed = await folder.removeEntry(name, { recursive: true }).then(
-        () => false,
-        (error: unknown) => !(error instanceof DOMException && error.name === "NotFoundError"),
-      );
-      if (!failed) break;
-      await new Promise((resolve) => setTimeout(resolve, PATIENCE_MS));
-    }
-    end();
-  };
-  return { name, release: () => void release() };
+  return { name, release: () => void remove(folder, name).then(end) };
 }
 
 /** Converts files in a worker of its own. */
