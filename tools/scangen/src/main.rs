@@ -11,6 +11,9 @@ use scangen::{Params, Result, SCENES, SampleSpec, Scene};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+/// Farthest place, and largest angle: beyond, 64-bit numbers lose the surfaces.
+const MOST: f64 = 1e9;
+
 /// Writes a seeded scan of a scene with closed-form truth as LAS, LAZ, E57, PTX, PTS or XYZ, or as Gaussian splats
 /// (3DGS PLY).
 ///
@@ -39,7 +42,7 @@ struct Args {
     #[arg(long, value_parser = triple, allow_hyphen_values = true)]
     origin: Option<Triple>,
     /// Rotates the scene about the vertical before shifting it [degrees]
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = moderate)]
     rotate: f64,
     /// Shifts the scene by X,Y,Z
     #[arg(long, value_parser = triple, allow_hyphen_values = true)]
@@ -148,10 +151,15 @@ enum OrderArg {
     Grid,
 }
 
+/// Parses a number of moderate size.
+fn moderate(text: &str) -> std::result::Result<f64, String> {
+    let value = text.trim().parse().ok().filter(|value: &f64| value.abs() <= MOST);
+    value.ok_or_else(|| format!("expected a number from -{MOST} to {MOST}"))
+}
+
 fn triple(text: &str) -> std::result::Result<Triple, String> {
-    let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse()).collect();
-    let numbers = numbers.map_err(|e| e.to_string())?;
-    numbers.try_into().map_err(|_| "expected three numbers with commas between them".to_owned())
+    let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(moderate).collect();
+    numbers?.try_into().map_err(|_| "expected three numbers with commas between them".to_owned())
 }
 
 fn class_weight(text: &str) -> std::result::Result<(u8, f64), String> {

@@ -64,6 +64,10 @@ fn usage_errors_end_with_2_and_failures_with_1_and_say_why_in_one_line() {
     fails(at, &["plane"], 2);
     fails(at, &["plane", "-o", "a.las", "--origin", "1,2"], 2);
     fails(at, &["plane", "-o", "a.las", "--points", "5", "--density", "5"], 2);
+    for [option, value] in [["--origin", "nan,0,0"], ["--translate", "1e300,0,0"], ["--rotate", "inf"]] {
+        let text = fails(at, &["house", "-o", "a.las", "--points", "5", option, value], 2);
+        assert!(text.contains(option) && text.contains("expected a number"), "{text}");
+    }
     let line = |args: &[&str], code| {
         let text = fails(at, args, code);
         assert_eq!(text.lines().count(), 1, "{text}");
