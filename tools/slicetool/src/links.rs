@@ -46,13 +46,15 @@ impl Way {
         Self { points, length_m, seconds: length_m / SPEED_M_S, links: Vec::new(), headings }
     }
 
-    /// The sum of the turns of a long pawn (degrees).
+    /// The sum of the turns of a long pawn (degrees). In a link its heading is free.
     pub fn turned_deg(&self) -> f64 {
-        self.headings.windows(2).map(|pair| ((pair[1] - pair[0] + 180.0).rem_euclid(360.0) - 180.0).abs()).sum()
+        let pairs = self.points.windows(2).zip(self.headings.windows(2));
+        let turns = pairs.filter(|(points, _)| points[0] == points[1]);
+        turns.map(|(_, pair)| ((pair[1] - pair[0] + 180.0).rem_euclid(360.0) - 180.0).abs()).sum()
     }
 
-    /// A way that has arrived.
-    fn at_end() -> Self {
+    /// A way that has not begun.
+    fn empty() -> Self {
         Self { points: Vec::new(), length_m: 0.0, seconds: 0.0, links: Vec::new(), headings: Vec::new() }
     }
 }
@@ -127,9 +129,6 @@ impl Joined {
         let mut search = Search::new();
         let mut long = self.length.map(|length| LongSearch::new(&self.region, length)).transpose()?;
         let mut leg = |from: &PlaceId, to: &PlaceId| -> Result<Option<Way>, Failure> {
-            if from == to {
-                return Ok(Some(Way::at_end()));
-            }
             let route = loader.known(|view| match &mut long {
                 Some(long) => long.route(view, from, to, &Quiet),
                 None => search.route(view, &self.region, from, to, &Quiet),
@@ -142,7 +141,7 @@ impl Joined {
         // Dijkstra's algorithm: place 0 is the start, place n + 1 lies behind door n.
         let count = self.doors.len() + 1;
         let mut best: Vec<Option<Way>> = (0..count).map(|_| None).collect();
-        best[0] = Some(Way::at_end());
+        best[0] = Some(Way::empty());
         let mut done = vec![false; count];
         let mut found: Option<Way> = None;
         loop {

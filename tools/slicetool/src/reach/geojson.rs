@@ -69,12 +69,19 @@ pub fn collection(crs: &str, features: Vec<Value>) -> Value {
     collection
 }
 
+/// Iterates over `count` items, the last one more than once if there are fewer.
+fn doubled<T>(items: &[T], count: usize) -> impl Iterator<Item = &T> {
+    items.iter().chain(items.last().into_iter().cycle()).take(count)
+}
+
 /// A way as a line.
 pub fn way_feature(way: &Way) -> Value {
-    let line = way.points.iter().map(|at| json!([at.x, at.y, at.z])).collect::<Vec<_>>();
+    // A line has two ends, even one of no length.
+    let count = way.points.len().max(2);
+    let line: Vec<Value> = doubled(&way.points, count).map(|at| json!([at.x, at.y, at.z])).collect();
     let mut properties = json!({ "what": "way", "length_m": way.length_m, "way_s": way.seconds, "links": way.links });
     if !way.headings.is_empty() {
-        properties["headings"] = way.headings.iter().map(|heading| tidy(*heading)).collect::<Vec<_>>().into();
+        properties["headings"] = doubled(&way.headings, count).map(|heading| tidy(*heading)).collect::<Vec<_>>().into();
     }
     feature(json!({ "type": "LineString", "coordinates": line }), properties)
 }

@@ -145,6 +145,33 @@ fn a_link_is_taken_only_if_it_saves_time_and_in_its_direction() {
 }
 
 #[test]
+fn the_table_of_a_route_has_both_ends_of_each_link() {
+    let folder = archive_of(hall());
+    let link =
+        |name: &str, from: [i32; 3], to: [i32; 3]| json!({ "name": name, "from": from, "to": to, "seconds": 0.1 });
+    let routed = |links: Value, from: &str, to: &str| {
+        write(&folder, &json!({ "links": links }));
+        let route = ["a.slices", "--from", from, "--to", to, "--edits", "e.json"];
+        let table = slicetool(&folder, "route", &route);
+        assert!(table.status.success());
+        let rows = String::from_utf8(table.stdout).unwrap();
+        let place =
+            |row: &str| -> Vec<i32> { row.split(',').take(2).map(|v| v.parse::<f64>().unwrap() as i32).collect() };
+        let rows: Vec<Vec<i32>> = rows.lines().skip(1).map(place).collect();
+        assert!(slicetool(&folder, "route", &[&route[..], &["-o", "r.geojson"]].concat()).status.success());
+        let drawn: Value = serde_json::from_slice(&fs::read(folder.path().join("r.geojson")).unwrap()).unwrap();
+        (rows, drawn["features"][0]["geometry"]["coordinates"].as_array().unwrap().len())
+    };
+    // No step is left to walk, before, between or behind them.
+    let one = json!([link("one", [1, 2, 0], [7, 2, 0])]);
+    assert_eq!(routed(one, ENDS[1], ENDS[3]), (vec![vec![1, 2], vec![7, 2]], 2));
+    let two = json!([link("one", [1, 2, 0], [2, 1, 0]), link("two", [2, 1, 0], [7, 2, 0])]);
+    assert_eq!(routed(two, ENDS[1], ENDS[3]), (vec![vec![1, 2], vec![2, 1], vec![7, 2]], 3));
+    // A line has two ends, even from a place to itself.
+    assert_eq!(routed(json!([]), ENDS[1], ENDS[1]), (vec![vec![1, 2]], 2));
+}
+
+#[test]
 fn queries_and_walks_meet_the_edits() {
     let folder = archive_of(hall());
     let at = folder.path();
