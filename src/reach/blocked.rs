@@ -95,8 +95,8 @@ pub struct Obstruction {
     /// The measure of the pawn, or the lack of ground, that stops it.
     pub reason: Reason,
     /// With the pawn's other measures as they are: the width along its shorter side, the length or the height of the
-    /// largest pawn that passes, the height of the step to climb or the length of a ramp without a landing (m), all
-    /// found by bisection and known to pass; the [steepest grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
+    /// largest pawn that passes, the height of the step to climb (drops of that depth included if the pawn takes drops as deep as
+    /// its steps) or the length of a ramp without a landing (m), all found by bisection and known to pass; the [steepest grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
     pub needs: f64,
 }
 
@@ -286,7 +286,9 @@ impl Change {
             (Self::Step | Self::Slope | Self::Ramp, body) => body,
         };
         match self {
-            Self::Step => Pawn { body, climb: value, max_drop: pawn.max_drop.max(value), ..*pawn },
+            // A pawn that takes drops as deep as its steps keeps to that, or it would not get back.
+            Self::Step if pawn.max_drop == pawn.climb => Pawn { climb: value, max_drop: value, ..*pawn },
+            Self::Step => Pawn { climb: value, ..*pawn },
             Self::Slope => Pawn { max_grade: value, ..*pawn },
             Self::Ramp => Pawn { max_ramp: value, ..*pawn },
             _ => Pawn { body, ..*pawn },
@@ -553,16 +555,14 @@ impl Ways<'_> {
 
 /// Places along a route through a region, a pixel apart.
 fn places(region: &Region, Route { points, .. }: &Route) -> Vec<Point3<f64>> {
-    // A stretch is straight in plan only: between its ends it has the heights of the ground that it crosses.
+    // A stretch has the heights of the ground that it crosses, which its line follows.
     let ground = Ground::of(region);
     let mut places = vec![points[0]];
     for pair in points.windows(2) {
         let steps = ((pair[1] - pair[0]).xy().norm() / ground.pixel_m).ceil().max(1.0);
-        let mut level = pair[0].z;
         for n in 1..steps as usize {
             let mut place = pair[0] + (pair[1] - pair[0]) * (n as f64 / steps);
-            level = ground.level([place.x, place.y], level);
-            place.z = level;
+            place.z = ground.level(&place);
             places.push(place);
         }
         places.push(pair[1]);
@@ -615,21 +615,26 @@ impl Ground {
         [x, y].map(|v| (v / self.pixel_m).floor() as i64)
     }
 
-    /// Height of the ground at a place (m): the one nearest to `near`, or `near` where nothing is reached.
-    fn level(&self, [x, y]: [f64; 2], near: f64) -> f64 {
-        let all = self.pixels.get(&self.pixel(x, y)).into_iter().flatten().copied();
-        all.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())).unwrap_or(near)
+    /// Heights of the ground at a place (m), without the storeys above and below.
+    fn levels(&self, at: &Point3<f64>) -> impl Iterator<Item = f64> {
+        let (z, off) = (at.z, self.climb.max(self.pixel_m));
+        let all = self.pixels.get(&self.pixel(at.x, at.y)).into_iter().flatten().copied();
+        all.filter(move |level| (level - z).abs() <= off)
+    }
+
+    /// Height of the ground at a place of a line along it (m): that of the line where only the edge of a step lies.
+    fn level(&self, at: &Point3<f64>) -> f64 {
+        self.levels(at).min_by(|a, b| (a - at.z).abs().total_cmp(&(b - at.z).abs())).unwrap_or(at.z)
     }
 
     /// Returns whether the place is reached.
     fn holds(&self, at: &Point3<f64>) -> bool {
-        let all = self.pixels.get(&self.pixel(at.x, at.y));
-        all.is_some_and(|all| all.iter().any(|z| (z - at.z).abs() <= self.climb.max(self.pixel_m)))
+        self.levels(at).next().is_some()
     }
 
-    /// Index of the place of a way after which the way is no longer on this ground.
+    /// Index of the place of a way after which the way is no longer on this ground: its start if that is too steep.
     fn leaves(&self, way: &[Point3<f64>]) -> Option<usize> {
-        let last = way.iter().rposition(|place| self.holds(place))?;
+        let last = way.iter().rposition(|place| self.holds(place)).unwrap_or(0);
         (last + 1 < way.len()).then_some(last)
     }
 

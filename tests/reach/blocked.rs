@@ -97,6 +97,21 @@ fn cases() -> Vec<Case> {
             pawn: Pawn { max_grade: 0.06, ..Pawn::new(body) },
             ..case(scene(HALL, |i, _| ramp(i)), 0.45, Reason::Slope, 0.09, 0.004)
         },
+        // It starts on ground that is too steep.
+        Case {
+            pawn: Pawn { max_grade: 0.06, ..Pawn::new(body) },
+            ends: [at([MIDDLE, 45], 0.225), at([150, 45], 0.45)],
+            ..case(scene(HALL, |i, _| ramp(i)), 0.45, Reason::Slope, 0.09, 0.004)
+        },
+        // A pawn that climbs higher takes no deeper drops, unless it takes drops as deep as its steps.
+        Case {
+            pawn: Pawn { climb: 0.2, max_drop: 0.2, ..Pawn::new(body) },
+            ..case(scene(HALL, |i, _| Over::Floor(if i < MIDDLE { 0.0 } else { -0.6 })), -0.6, Reason::Step, 0.6, 0.02)
+        },
+        Case {
+            pawn: Pawn { climb: 0.2, ..Pawn::new(body) },
+            ..case(scene(HALL, |i, _| Over::Floor(if i < MIDDLE { 0.0 } else { -0.6 })), -0.6, Reason::Gap, 0.6, 0.05)
+        },
         case(pit(Over::Floor(-2.0)), 0.0, Reason::Gap, 1.5, 0.4),
         case(pit(Over::Nothing), 0.0, Reason::Unseen, 1.5, 0.4),
         // Another storey is as far as it is high.

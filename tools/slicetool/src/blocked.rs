@@ -17,9 +17,10 @@ pub fn needs(found: &Obstruction) -> f64 {
     if found.reason == Reason::Slope { found.needs * 100.0 } else { found.needs }
 }
 
-/// A sentence about it.
+/// A sentence about it. The value that it says passes does pass.
 pub fn text(found: &Obstruction) -> String {
     let (at, needs) = (found.at, needs(found));
+    let needs = rounded(found.reason, needs);
     let at = format!("{:.2},{:.2},{:.2}", at.x, at.y, at.z);
     match found.reason {
         Reason::Width => format!("too narrow at {at}; a pawn {needs:.2} m wide passes"),
@@ -29,7 +30,22 @@ pub fn text(found: &Obstruction) -> String {
         Reason::Slope => format!("too steep at {at}; --max-grade {needs:.1} passes"),
         Reason::Ramp => format!("a ramp too long without a landing at {at}; --max-ramp {needs:.1} passes"),
         Reason::Gap => format!("the ground ends at {at}, {needs:.2} m before what leads to the end"),
-        _ => format!("nothing was scanned beyond {at}; the ground that leads to the end begins {needs:.2} m off"),
+        _ => {
+            format!("nothing was scanned or seen beyond {at}; the ground that leads to the end begins {needs:.2} m off")
+        }
+    }
+}
+
+/// The value as it is printed: a size of the pawn rounded down, what it can do rounded up.
+fn rounded(reason: Reason, needs: f64) -> f64 {
+    // Values that have no more digits stay what they are.
+    let down = |scale: f64| (needs * scale + 1e-6).floor() / scale;
+    let up = |scale: f64| (needs * scale - 1e-6).ceil() / scale;
+    match reason {
+        Reason::Width | Reason::Length | Reason::Headroom => down(100.0),
+        Reason::Step => up(100.0),
+        Reason::Slope | Reason::Ramp => up(10.0),
+        _ => needs,
     }
 }
 
@@ -54,5 +70,19 @@ pub fn blocked(
         if let Sought::Done(found) = sought {
             return Ok(found);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rounded;
+    use slicewalk::reach::Reason;
+
+    #[test]
+    fn a_printed_value_passes() {
+        assert_eq!([1.608594, 1.6].map(|needs| rounded(Reason::Headroom, needs)), [1.6, 1.6]);
+        assert_eq!([0.694, 0.7].map(|needs| rounded(Reason::Width, needs)), [0.69, 0.7]);
+        assert_eq!([1.242969, 0.35].map(|needs| rounded(Reason::Step, needs)), [1.25, 0.35]);
+        assert_eq!([5.571289, 6.0].map(|needs| rounded(Reason::Slope, needs)), [5.6, 6.0]);
     }
 }

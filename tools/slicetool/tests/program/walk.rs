@@ -4,6 +4,7 @@ use crate::data;
 
 use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
+use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
@@ -352,4 +353,23 @@ fn the_documented_route_leads_through_the_real_building_and_back() {
             );
         }
     }
+}
+
+/// The stair leads over the floor on which the pawn starts, and what stops it is on the stair.
+#[test]
+fn a_pawn_too_high_for_the_stair_of_the_real_building_is_stopped_at_its_landing() {
+    let Some(scan) = data::file("indoor_two_storey_zup.laz") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let archive = to_archive(scan, dir.path());
+    let ends = ["--from", "-5,-3,-1.2", "--to", "-7,-4.5,4.5"];
+    let route = |more: &[&str]| slicetool(&[&["route", archive.to_str().unwrap()], &ends[..], more].concat());
+    let found: Value = serde_json::from_slice(&route(&["--json"]).stdout).unwrap();
+    let blocked = &found["blocked"];
+    assert_eq!(blocked["reason"], "headroom");
+    assert!((1.1..1.4).contains(&blocked["z"].as_f64().unwrap()), "{blocked}");
+    // What is said to pass does.
+    let said = String::from_utf8(route(&[]).stderr).unwrap();
+    let height = said.split("a pawn ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
+    let said = String::from_utf8(route(&["--pawn", &format!("box:0.5x0.5x{height}")]).stderr).unwrap();
+    assert!(said.contains(" places"), "{said}");
 }
