@@ -30,7 +30,7 @@ pub struct Storey {
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Storeys {
-    /// All storeys, from the lowest up.
+    /// All storeys, from the lowest up; none if the region has no standing place.
     pub all: Vec<Storey>,
     /// Number of the storey of each standing place, in the order of [`Region::places`].
     pub of: Vec<u16>,
@@ -69,7 +69,8 @@ fn storeys(region: &Region) -> Storeys {
     let mut heights: Vec<i32> = Vec::new();
     let near = |heights: &[i32], part: &Part| heights.iter().any(|z| (z - part.middle()).abs() <= grid.height / 2);
     for part in &parts {
-        if heights.is_empty() || region.area_of(part.tops.len()) >= LEAST_M2 && !near(&heights, part) {
+        let is_ground = !part.tops.is_empty();
+        if heights.is_empty() && is_ground || region.area_of(part.tops.len()) >= LEAST_M2 && !near(&heights, part) {
             heights.push(part.middle());
         }
     }
@@ -80,7 +81,7 @@ fn storeys(region: &Region) -> Storeys {
     for part in &parts {
         // The treads of a flight are divided between the storeys that it joins.
         let middle = if part.tops.is_empty() { region.tops[part.members[0] as usize] } else { part.middle() };
-        let nearest = (0..heights.len()).min_by_key(|storey| (heights[*storey] - middle).abs()).unwrap_or(0);
+        let Some(nearest) = (0..heights.len()).min_by_key(|storey| (heights[*storey] - middle).abs()) else { break };
         tops[nearest].extend(&part.tops);
         part.members.iter().for_each(|member| of[*member as usize] = nearest as u16);
     }

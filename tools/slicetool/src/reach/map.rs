@@ -129,8 +129,9 @@ impl Map {
     fn new(reach: &Reach, loader: &Loader) -> Result<Self, Failure> {
         let frame = loader.archive().frame();
         let (mut low, mut high) = ([i64::MAX; 2], [i64::MIN; 2]);
-        for place in reach.region.places() {
-            for (axis, value) in [place.feet.x, place.feet.y].into_iter().enumerate() {
+        // The start, too: nothing else is left of a region on ground that is too steep.
+        for feet in reach.region.places().map(|place| place.feet).chain([reach.from.feet]) {
+            for (axis, value) in [feet.x, feet.y].into_iter().enumerate() {
                 let pixel = frame.pixel_of(value);
                 (low[axis], high[axis]) = (low[axis].min(pixel), high[axis].max(pixel));
             }

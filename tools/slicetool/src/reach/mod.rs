@@ -8,6 +8,7 @@ mod map;
 use crate::ground::{Walks, end_json, tidy};
 use crate::links::{Joined, Way};
 use crate::{Failure, Outcome};
+use nalgebra::Point3;
 use slicewalk::reach::{Leak, LeakSearch, Passage, Region, Snapped, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
@@ -89,6 +90,13 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     let own = standing.memory_bytes() + joined.memory_bytes();
     let region = joined.region;
+    if region.places().next().is_none() {
+        let Point3 { coords, .. } = arguments.from;
+        crate::say(&format!(
+            "--from {},{},{}: no ground there is as level as --max-grade and --max-ramp ask",
+            coords.x, coords.y, coords.z
+        ));
+    }
     crate::go_on()?;
     let storeys = region.storeys();
     crate::go_on()?;

@@ -135,6 +135,19 @@ fn a_ramp_too_steep_for_a_wheelchair_is_named() {
     // Half a metre to each side, the ground 0.2 m up the ramp rises by 6 %: 3.2 × 3 m are reached.
     let wheelchair = area(&["--profile", "wheelchair", "--pawn", "box:0.1x0.1x1.4"]);
     assert!((9.0..10.2).contains(&wheelchair) && area(&["--pawn", "box:0.1x0.1x1.4"]) > 35.0, "{wheelchair}");
+    // Nothing is level enough where it starts.
+    let start = ["--from", "5.5,1.5,0.3", "--max-grade", "6"];
+    for file in ["m.png", "m.csv", "m.ply", "m.geojson"] {
+        let out = slicetool(&folder, "reach", &[&start[..], &["-o", file]].concat());
+        let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+        let nothing = ["area_m2", "places"].iter().all(|key| found[key].as_f64() == Some(0.0));
+        assert!(nothing && found["storeys"].as_array().is_some_and(Vec::is_empty), "{file}: {found}");
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert!(out.status.success() && said.contains("--max-grade") && said.lines().count() == 1, "{file}: {said}");
+        assert!(folder.path().join(file).exists(), "{file}");
+    }
+    let found = route(ramp(0.09), [start[1], "11,1.5,0.5"], &start[2..])["blocked"].clone();
+    assert!(found["reason"] == "slope" && (found["x"].as_f64().unwrap() - 5.5).abs() < 0.11, "{found}");
     // The walker stops on the ramp.
     std::fs::write(folder.path().join("w.csv"), "x,y\n11,1.5\n").unwrap();
     let walk = ["--start", "1,1.5,0.1", "--waypoints", "w.csv", "-o", "p.csv"];
