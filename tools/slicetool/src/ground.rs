@@ -76,11 +76,11 @@ pub struct Pawns {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: Option<f64>,
     /// Steepest ground that the pawn walks on, over a metre (percent) [default: of the profile]
-    #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = finite_number)]
+    #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = above_zero)]
     max_grade: Option<f64>,
     /// Longest ramp from one landing to the next (m): no ground steeper than 3 % is used that is farther than half of this
     /// from ground that rises by at most 3 % over 1.5 m [default: of the profile, 6 of a wheelchair]
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = above_zero)]
     max_ramp: Option<f64>,
     /// Deepest drop the pawn takes (m) [default: the climb height, so that the pawn gets back]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
@@ -245,6 +245,11 @@ impl Walks {
             metres => format!("expected floor below it and room for its whole body, there or within --snap {metres} m"),
         }
     }
+}
+
+/// Parses a number above 0.
+pub fn above_zero(text: &str) -> Result<f64, String> {
+    finite_number(text).ok().filter(|value| *value > 0.0).ok_or_else(|| "expected a number above 0".into())
 }
 
 /// Ground around a place that decides on its grade (m).

@@ -51,7 +51,7 @@ pub struct Arguments {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: Option<f64>,
     /// Stop where the way rises or falls by more than this over a metre (percent) [default: of the profile]
-    #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = finite_number)]
+    #[arg(long, value_name = "PERCENT", allow_negative_numbers = true, value_parser = crate::ground::above_zero)]
     max_grade: Option<f64>,
     /// Stop before ledges deeper than this and before the edge of the scan (m); by default and with --response thesis,
     /// the pawn falls

@@ -361,11 +361,18 @@ fn what_cannot_be_meant_is_refused() {
         &["reach", "a.slices", "--from", "1,2,1", "--pawn", "cone:1x1"],
         &["reach", "a.slices", "--from", "1,2,1", "--climb", "2"],
         &["reach", "a.slices", "--from", "1,2,1", "--max-drop", "-1"],
+        &["reach", "a.slices", "--from", "1,2,1", "--max-grade", "0"],
+        &["route", "a.slices", "--from", "1,2,1", "--to", "2,2,1", "--max-ramp", "-1"],
         &["route", "a.slices", "--from", "1,2,1"],
         &["route", "a.slices", "--from", "1,2,1", "--to", "2,2,1", "--pawn", "box:2000x1x1"],
         &["reach", "a.slices", "--from", "1,1,1", "--cache", "0"],
     ] {
-        assert_eq!(slicetool(at, wrong).status.code(), Some(2), "{wrong:?}");
+        let out = slicetool(at, wrong);
+        let text = String::from_utf8(out.stderr).unwrap();
+        // What is said names the last option, or the one that is missing.
+        let option = wrong.iter().rfind(|word| word.starts_with("--")).unwrap_or(&"--from");
+        assert!(out.status.code() == Some(2), "{wrong:?}: {text}");
+        assert!(text.contains(option) || text.contains("--to"), "{wrong:?}: {text}");
     }
     let before = fs::read(at.join("a.slices")).unwrap();
     for (wrong, said) in [
