@@ -111,8 +111,9 @@ impl Conversion {
     }
 }
 
-/// Creates a temporary folder, and names the archive in it.
+/// Creates a temporary folder, and names the archive in it. From now on signals only ask to stop, so that it is removed.
 fn temporary() -> Result<(TempDir, PathBuf), Failure> {
+    crate::go_on()?;
     let parent = std::env::temp_dir();
     let failed = |error| Failure::Text(format!("{}: cannot create a temporary folder: {error}", parent.display()));
     let folder = tempfile::Builder::new().prefix("slicetool-").tempdir().map_err(failed)?;

@@ -136,7 +136,7 @@ impl Show {
         for (path, name, kind) in named {
             let name = free_name(&name, |name| {
                 let is_own = matches!(name, TABLE | CONVERSION) || name == SETTINGS && !matches!(kind, Kind::Settings);
-                page.get(name).is_none() && !is_own && files.iter().all(|other| other.name != name)
+                !page.has(name) && !is_own && files.iter().all(|other| other.name != name)
             });
             files.push(Shown { name, path, kind });
         }

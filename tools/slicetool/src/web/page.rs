@@ -55,6 +55,12 @@ impl Page {
         self.0.get(name).map(Vec::as_slice)
     }
 
+    /// Returns whether it has a file or a folder called `name`.
+    pub fn has(&self, name: &str) -> bool {
+        let is_it = |rest: &str| rest.is_empty() || rest.starts_with('/');
+        self.0.keys().any(|own| own.strip_prefix(name).is_some_and(is_it))
+    }
+
     pub fn files(&self) -> impl Iterator<Item = (&str, &[u8])> {
         self.0.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
     }

@@ -128,7 +128,7 @@ impl Converting {
     /// Begins `conversion`, which is given back at the end.
     fn begin(conversion: Conversion) -> std::io::Result<(Arc<Self>, std::thread::JoinHandle<Conversion>)> {
         let all = Arc::new(Self {
-            progress: Progress::new(Arc::default()),
+            progress: Progress::new(crate::signal().clone()),
             result: OnceLock::new(),
             told: AtomicBool::new(false),
         });
@@ -224,6 +224,7 @@ async fn listen(port: u16) -> Result<TcpListener, Failure> {
 
 /// Serves until a signal comes, and returns its exit code; or until the conversion has failed: 0.
 async fn serve(arguments: &Arguments, table: Arc<Table>, converting: Option<&Converting>) -> Result<u8, Failure> {
+    let mut signals = Signals::listen()?;
     if let Some(converting) = converting {
         let opened = async {
             while converting.progress.stage_and_share().is_none() && converting.result.get().is_none() {
@@ -236,7 +237,6 @@ async fn serve(arguments: &Arguments, table: Arc<Table>, converting: Option<&Con
         }
     }
     let listener = listen(arguments.port).await?;
-    let mut signals = Signals::listen()?;
     let address = format!("http://{}/", listener.local_addr()?);
     let mut out = std::io::stdout();
     // A caller that does not read the address may know it from `--port`.

@@ -376,6 +376,19 @@ fn a_site_is_a_folder_for_any_host() {
     assert!(left.iter().all(|name| !name.to_string_lossy().contains(".part")), "{left:?}");
 }
 
+#[test]
+fn an_archive_named_like_a_folder_of_the_page_gets_another_name() {
+    let folder = folder();
+    let at = folder.path();
+    fs::copy(at.join("a.slices"), at.join("assets")).unwrap();
+    let out = run(at, &site("assets", &["b.slices"]));
+    assert!(out.status.success(), "{out:?}");
+    let table: serde_json::Value = serde_json::from_slice(&fs::read(at.join("site/archives.json")).unwrap()).unwrap();
+    assert_eq!(table["archives"][0]["url"], "assets-2.slices");
+    assert!(fs::read(at.join("site/assets-2.slices")).unwrap() == fs::read(at.join("a.slices")).unwrap());
+    assert!(at.join("site/assets/main.js").is_file());
+}
+
 /// A scan of two levels, and one in text.
 fn scans(at: &Path) {
     let step = |n: i32| f64::from(n) * 0.05 + 0.025;
@@ -460,6 +473,30 @@ fn the_converted_archive_goes_with_the_server() {
         let killed = Command::new("kill").args(["-s", signal, &server.child.id().to_string()]).status().unwrap();
         assert!(killed.success());
         assert_eq!((server.wait(), left(&temporary)), (Some(code), 0), "{signal}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn signals_while_scans_are_opened_leave_no_folder() {
+    let folder = folder();
+    let at = folder.path();
+    let (temporary, tiles) = (at.join("temporary"), at.join("tiles"));
+    fs::create_dir(&temporary).unwrap();
+    fs::create_dir(&tiles).unwrap();
+    // So many that they are still being opened when the signal comes.
+    (0..3000).for_each(|n| fs::write(tiles.join(format!("{n}.xyz")), "1 2 3\n4 5 6\n").unwrap());
+    for (signal, code) in [("INT", 130), ("TERM", 143)] {
+        let mut command = command(at, &[&["serve", "tiles", "--page", "page"], &METRES[..]].concat());
+        let child = command.env("TMPDIR", &temporary).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        while left(&temporary) == 0 {
+            std::thread::yield_now();
+        }
+        let killed = Command::new("kill").args(["-s", signal, &child.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+        let out = child.wait_with_output().unwrap();
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert_eq!((out.status.code(), left(&temporary), said.as_str()), (Some(code), 0, ""), "{signal}");
     }
 }
 
