@@ -107,8 +107,15 @@ def test_what_is_there_is_judged_first(scans, tmp_path, client):
     slicewalk.convert(scans[0][:1], out, force=True, **tiles.OPTIONS)
     converted(scans, tmp_path, client, force=True)
     assert out.read_bytes() == scans[1]
-    for wrong in ({"parts": 0}, {"fan_in": 1}, {"failures": -1}, {"threads": 0}):
-        with pytest.raises(slicewalk.ParameterError):
+    for wrong, kind in (
+        ({"parts": 0}, slicewalk.ParameterError),
+        ({"fan_in": 1}, slicewalk.ParameterError),
+        ({"threads": 0}, slicewalk.ParameterError),
+        ({"parts": 65_537}, slicewalk.ParameterRangeError),
+        ({"failures": -1}, slicewalk.ParameterRangeError),
+        ({"parts": 2.5}, slicewalk.ParameterTypeError),
+    ):
+        with pytest.raises(kind, match=next(iter(wrong))):
             converted(scans, tmp_path, client, **wrong)
 
 

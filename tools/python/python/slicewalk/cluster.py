@@ -37,7 +37,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, Unpack
+from typing import TYPE_CHECKING, Any, SupportsIndex, TypeGuard, Unpack
 
 import slicewalk
 from slicewalk import _slicewalk
@@ -47,6 +47,7 @@ from slicewalk.errors import (
     LimitError,
     OutputError,
     ParameterError,
+    ParameterRangeError,
     ParameterTypeError,
     SlicewalkWarning,
 )
@@ -74,6 +75,8 @@ INTERPRETER = 128 << 20
 _PASSING = 2
 _TICK = 0.2
 _LOOK = 2.0
+# Parts of one plan: their numbers have 16 bits.
+_MOST_PARTS = 65_536
 _ARCHIVE = b"\x89SLA\r\n\x1a\n"
 
 
@@ -176,20 +179,16 @@ def convert(  # noqa: PLR0913
     started = time.monotonic()
     if not isinstance(client, distributed.Client) or client.asynchronous:
         raise ParameterError(f"client: expected a synchronous distributed.Client, found {client!r}", at="client")
-    for name, value, least in (
-        ("parts", parts, 1),
-        ("threads", threads, 1),
-        ("fan_in", fan_in, 2),
-        ("failures", failures, 0),
-    ):
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-            raise ParameterError(f"{name}: expected a whole number, {least} or more, found {value!r}", at=name)
+    _check_number("parts", parts, 1, _MOST_PARTS)
+    _check_number("threads", threads, 1)
+    _check_number("fan_in", fan_in, 2)
+    _check_number("failures", failures, 0)
     budget = None if memory is None else _bytes(memory)
     target = _checked_target(output, force)
     folder = _work(target, work)
     paths = _paths(inputs)
     plan_options: dict[str, Any] = {**options, "memory": "512MiB" if budget is None else budget}
-    count = parts or 4 * max(1, sum(client.nthreads().values()))
+    count = int(parts or min(_MOST_PARTS, 4 * max(1, sum(client.nthreads().values()))))
     run = uuid.uuid4().hex[:12]
     with _at_work(folder, run, output, force):
         plan, planned = _plan(folder, paths, plan_options, progress)
@@ -252,6 +251,21 @@ def _target(output: StrPath) -> Path | str:
         return Path(os.path.realpath(output))
     parts = urllib.parse.urlsplit(output)
     return Path(urllib.parse.unquote(parts.path)) if parts.scheme == "file" else output
+
+
+def _check_number(name: str, value: object, least: int, most: int | None = None) -> None:
+    """Refuse an argument that is neither None nor a whole number from `least` to `most`."""
+    if value is None:
+        return
+    expected = f"a whole number, {least} or more" if most is None else f"a whole number from {least} to {most}"
+    text = f"{name}: expected {expected}, found {value!r}"
+    if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+        raise ParameterTypeError(text, at=name)
+    number = operator.index(value)
+    if number < 0 or (most is not None and number > most):
+        raise ParameterRangeError(text, at=name)
+    if number < least:
+        raise ParameterError(text, at=name)
 
 
 def _work(target: Path | str, work: StrPath | None) -> Path:
