@@ -156,8 +156,14 @@ impl PointWriter {
         self.read.own.kept + self.read.own.left_out.read
     }
 
-    /// Writes and publishes the archive.
+    /// Writes and publishes the archive. Fails if points were added, but none of them can be used: as for files, an empty
+    /// archive must not take the place of a good one.
     pub fn finish(mut self, monitor: &dyn Monitor) -> Result<Report> {
+        let left_out = self.read.own.left_out.not_finite;
+        if left_out > 0 && self.read.own.kept == 0 {
+            let reason = format!("none of {left_out} has a finite position within 1e12 m; check their coordinates");
+            return Err(Error::parameter("points", reason));
+        }
         self.runs.flush(&self.store)?;
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
@@ -258,6 +264,22 @@ mod tests {
         assert_eq!(writer.points(), 4);
         let report = writer.finish(&NoMonitor).unwrap();
         assert_eq!((report.header.points_kept, report.points_not_finite, report.header.points_read), (1, 3, 4));
+    }
+
+    #[test]
+    fn points_of_which_none_is_a_place_replace_no_archive() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = options(folder.path(), "a.slices");
+        let empty = PointWriter::create(&options, "").unwrap().finish(&NoMonitor).unwrap();
+        assert_eq!(empty.header.points_read, 0);
+        let before = std::fs::read(&options.output).unwrap();
+        options.overwrite = true;
+        let mut writer = PointWriter::create(&options, "").unwrap();
+        writer.push(&[f64::NAN, 1e13], &[0.0; 2], &[0.0; 2]).unwrap();
+        let error = writer.finish(&NoMonitor).unwrap_err().to_string();
+        assert!(error.contains("points: none of 2 has a finite position"), "{error}");
+        assert!(std::fs::read(&options.output).unwrap() == before);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

@@ -106,7 +106,7 @@ impl Writer {
     /// Adds points.
     ///
     /// Args:
-    ///     points: N × 3 (m); rows with a non-finite coordinate are counted and left out
+    ///     points: N × 3 (m); rows with a coordinate that is not finite or beyond 10¹² m are counted and left out
     ///
     /// Raises:
     ///     LimitError: a coordinate is beyond the range of a grid with this pixel size
@@ -137,6 +137,9 @@ impl Writer {
     ///
     /// Returns:
     ///     the dict that ``sliceconv --json`` prints; ``report`` returns it from then on
+    ///
+    /// Raises:
+    ///     ParameterError: points were added, but all of them are left out
     #[pyo3(signature = (progress=None))]
     fn finish<'py>(
         &self,

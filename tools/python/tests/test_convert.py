@@ -292,6 +292,17 @@ def test_writer_publishes_all_or_nothing(tmp_path):
         writer.write([[1e11, 0, 0]])
 
 
+def test_points_of_which_none_is_a_place_replace_no_archive(tmp_path):
+    slicewalk.from_numpy([[0, 0, 0]], tmp_path / "a.slices", pixel=0.1)
+    before = (tmp_path / "a.slices").read_bytes()
+    for nowhere in (np.full((5, 3), np.nan), np.full((5, 3), 1e13)):
+        with pytest.raises(slicewalk.ParameterError, match="none of 5 has a finite position"):
+            slicewalk.from_numpy(nowhere, tmp_path / "a.slices", pixel=0.1, force=True)
+    assert (tmp_path / "a.slices").read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.slices"]
+    assert slicewalk.from_numpy(np.empty((0, 3)), tmp_path / "b.slices", pixel=0.1).points_read == 0
+
+
 @pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
 def test_writer_keeps_its_budget(tmp_path):
     script = """
