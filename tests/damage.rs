@@ -90,6 +90,12 @@ fn every_flipped_bit_is_reported_by_the_rules_of_its_section() {
 }
 
 #[test]
+fn an_empty_file_is_named_as_one() {
+    let said = Archive::from_bytes(Vec::new()).unwrap_err().to_string();
+    assert!(said.contains("found no byte"), "{said}");
+}
+
+#[test]
 fn every_cut_and_every_added_byte_is_found_on_opening() {
     let good = archive(&scene());
     for len in 0..good.len() {

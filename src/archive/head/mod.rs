@@ -173,5 +173,8 @@ pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)>
 }
 
 pub(super) fn hex(bytes: &[u8]) -> String {
+    if bytes.is_empty() {
+        return "no byte".into();
+    }
     bytes.iter().take(32).map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ")
 }
