@@ -1,12 +1,10 @@
 /** Inputs and temporary files of a conversion in a worker. */
 
-import { CHANGED, FULL, REFUSED, TOO_MANY } from "./module.js";
+import { CAN_WAIT, CHANGED, FULL, REFUSED, TOO_MANY } from "./module.js";
 
 /** Bytes read at once from an input, and how many such blocks are kept. */
 const BLOCK = 1 << 20;
 const BLOCKS = 8;
-/** Arrays of 100 numbers made for each block: half a megabyte, of which the space for young objects holds at most 32. */
-const LITTER = 640;
 /** Temporary files that a conversion may have at once: all are opened before, because opening one takes a wait. */
 const FILES = 16;
 /** Bytes of a piece of a temporary file in memory, and of all of them. */
@@ -29,58 +27,46 @@ export interface AccessHandle {
 }
 
 /**
- * A file that a person chose, read in blocks. A browser makes a new buffer for each block, and collects it late while a conversion
- * never returns. Blocks are copied at once, so that no buffer lives long, and small objects are thrown away beside each, because
- * engines look for dead objects when the space for young ones is full.
+ * A file that a person chose, read in blocks. A module that waits for them lets the browser collect the buffers of earlier ones,
+ * which it does late while a conversion never returns.
  */
 export class BlobFile {
-  /** Public, so that no compiler leaves it out. */
-  litter: unknown;
-  private readonly reader = new FileReaderSync();
   /** The last one was used last. */
-  private readonly blocks: { at: number; length: number; bytes: Uint8Array }[] = [];
+  private readonly blocks: { at: number; bytes: Uint8Array }[] = [];
 
   constructor(private readonly blob: Blob) {}
 
   /** Reads at most a block. */
-  read(offset: number, into: Uint8Array): number {
+  read(offset: number, into: Uint8Array): number | Promise<number> {
     const length = Math.min(into.length, BLOCK, Math.max(0, this.blob.size - offset));
+    for (let at = offset - (offset % BLOCK); at < offset + length; at += BLOCK) {
+      const place = this.blocks.findIndex((block) => block.at === at);
+      const [block] = place < 0 ? [] : this.blocks.splice(place, 1);
+      if (block === undefined) return this.fetch(at, () => this.read(offset, into));
+      this.blocks.push(block);
+      const from = Math.max(offset, at);
+      into.set(block.bytes.subarray(from - at, offset + length - at), from - offset);
+    }
+    return length;
+  }
+
+  /** Keeps the block at `at`, then answers with what `then` returns. */
+  private fetch(at: number, then: () => number | Promise<number>): number | Promise<number> {
+    const part = this.blob.slice(at, at + BLOCK);
+    const keep = (bytes: ArrayBuffer): number | Promise<number> => {
+      if (bytes.byteLength < part.size) return CHANGED;
+      if (this.blocks.length === BLOCKS) this.blocks.shift();
+      this.blocks.push({ at, bytes: new Uint8Array(bytes) });
+      return then();
+    };
+    if (CAN_WAIT) return part.arrayBuffer().then(keep, () => CHANGED);
+    let bytes: ArrayBuffer;
     try {
-      if (length === BLOCK) return this.fetch(offset, into);
-      let done = 0;
-      while (done < length) {
-        const { at, bytes, length: held } = this.block(offset + done);
-        const start = offset + done - at;
-        const part = bytes.subarray(start, Math.min(held, start + length - done));
-        into.set(part, done);
-        done += part.length;
-      }
-      return length;
+      bytes = new FileReaderSync().readAsArrayBuffer(part);
     } catch {
       return CHANGED;
     }
-  }
-
-  private block(offset: number): { at: number; length: number; bytes: Uint8Array } {
-    const at = offset - (offset % BLOCK);
-    const place = this.blocks.findIndex((block) => block.at === at);
-    let [block] = place < 0 ? [] : this.blocks.splice(place, 1);
-    if (block === undefined) {
-      block = this.blocks.length < BLOCKS ? { at, length: 0, bytes: new Uint8Array(BLOCK) } : this.blocks.shift();
-      if (block === undefined) throw new RangeError("no block");
-      block.at = at;
-      block.length = this.fetch(at, block.bytes);
-      if (block.length === 0) throw new RangeError("an empty block");
-    }
-    this.blocks.push(block);
-    return block;
-  }
-
-  private fetch(start: number, into: Uint8Array): number {
-    this.litter = Array.from({ length: LITTER }, () => new Array<number>(100).fill(0));
-    const bytes = this.reader.readAsArrayBuffer(this.blob.slice(start, start + BLOCK));
-    into.set(new Uint8Array(bytes));
-    return bytes.byteLength;
+    return keep(bytes);
   }
 }
 

@@ -6,10 +6,20 @@ export const FULL = -2;
 export const CHANGED = -3;
 export const TOO_MANY = -4;
 
-/** What the module asks of its surroundings, at once: it cannot wait. */
+/** What lets a module wait for promises (JavaScript Promise Integration), where an engine has it. */
+interface Waiting {
+  readonly Suspending?: new (call: (...words: number[]) => number | Promise<number>) => WebAssembly.ImportValue;
+  promising?(call: () => void): () => Promise<void>;
+}
+const waiting = WebAssembly as unknown as Waiting;
+
+/** Whether `read` may return a promise. */
+export const CAN_WAIT = waiting.Suspending !== undefined && waiting.promising !== undefined;
+
+/** What the module asks of its surroundings. It waits for `read` only, and only if `CAN_WAIT`. */
 export interface ConversionHost {
   /** Fills `into` with the bytes at `offset`; returns how many there were, or a negative answer. */
-  read(file: number, offset: number, into: Uint8Array): number;
+  read(file: number, offset: number, into: Uint8Array): number | Promise<number>;
   /** Writes `bytes` at `offset` of a temporary file; returns how many were taken, or a negative answer. */
   write(file: number, offset: number, bytes: Uint8Array): number;
   /** Creates an empty temporary file; returns its number, or a negative answer. */
@@ -58,9 +68,10 @@ export async function runConversion(
   let exports: Exports;
   const bytes = (at: number, length: number): Uint8Array => new Uint8Array(exports.memory.buffer, at >>> 0, length >>> 0);
   const text = (at: number, length: number): string => new TextDecoder().decode(bytes(at, length));
+  const read = (file: number, offset: number, at: number, length: number) => host.read(file >>> 0, offset, bytes(at, length));
   const instance = await WebAssembly.instantiate(module, {
     host: {
-      read: (file: number, offset: number, at: number, length: number) => host.read(file >>> 0, offset, bytes(at, length)),
+      read: waiting.Suspending === undefined ? (read as WebAssembly.ImportValue) : new waiting.Suspending(read),
       write: (file: number, offset: number, at: number, length: number) => host.write(file >>> 0, offset, bytes(at, length)),
       create: () => host.create(),
       remove: (file: number) => host.remove(file >>> 0),
@@ -76,6 +87,6 @@ export async function runConversion(
   const written = new TextEncoder().encode(JSON.stringify(request));
   const at = exports.allocate(written.length);
   bytes(at, written.length).set(written);
-  exports.run();
+  await (waiting.promising?.(exports.run) ?? exports.run)();
   return JSON.parse(text(exports.answer(), exports.answer_len())) as ConversionAnswer;
 }
