@@ -32,9 +32,11 @@ before(async () => {
     stops: [{ at: [1.5, 2, 0], caption: "The door", radius: 2 }],
   };
   writeFileSync(join(folder, "settings.json"), JSON.stringify(settings));
+  writeFileSync(join(folder, "plain.json"), "{}");
   server = await new StaticServer(DIST, {
     "/house.slices": house(),
     "/settings.json": join(folder, "settings.json"),
+    "/plain.json": join(folder, "plain.json"),
     "/route.csv": join(folder, "route.csv"),
   }).start();
 });
@@ -339,6 +341,28 @@ describe("kiosk", () => {
       assert.ok(await isReached(page.getByRole("button", { name: "Walk in" })));
     }
   });
+
+  for (const [width, height] of [
+    [390, 844],
+    [640, 360],
+    [1080, 1920],
+  ]) {
+    it(`keeps its controls apart and in sight on ${width} × ${height}, and marks the view that is shown`, async () => {
+      const kiosk = await tests.browser.newPage({ viewport: { width, height }, hasTouch: true });
+      try {
+        await kiosk.goto(`${server.address}?archive=house.slices&kiosk=300&settings=plain.json&lang=en`);
+        await until(kiosk, "ready", ({ ready }) => ready);
+        const walkIn = kiosk.getByRole("button", { name: "Walk in" });
+        const controls = kiosk.locator(".kiosk-controls button");
+        for (const button of [walkIn, ...(await controls.all())]) assert.ok(await isReached(button), await button.innerText());
+        await walkIn.click();
+        await kiosk.locator(".kiosk-controls button[aria-pressed=true]", { hasText: "Walk" }).waitFor();
+        assert.deepEqual(kiosk.complaints, []);
+      } finally {
+        await kiosk.end();
+      }
+    });
+  }
 
   it("shows the captions of stops", async () => {
     const { page } = tests;

@@ -183,7 +183,6 @@ export class Kiosk {
     if (mode !== this.driven.mode) this.driven.setMode(mode);
     const { at: now, look: looked } = this.driven;
     if (now !== null && looked !== null) this.#home = { at: now, look: [looked.heading, looked.pitch], mode };
-    this.#show();
     if (this.options.tour.length > 0) this.#begin();
   }
 
@@ -220,11 +219,7 @@ export class Kiosk {
     const others = h("div", { class: "others" });
     if (this.modes.length > 1) {
       for (const mode of this.modes) {
-        const act = (): void => {
-          this.driven.setMode(mode);
-          this.#show();
-        };
-        const button = h("button", { type: "button", onclick: act }, modes[mode]);
+        const button = h("button", { type: "button", onclick: () => this.driven.setMode(mode) }, modes[mode]);
         this.#modes.set(mode, button);
         others.append(button);
       }
@@ -251,10 +246,9 @@ export class Kiosk {
     this.driven.stop();
     await this.driven.goto({ at: home.at, look: home.look }).catch(() => {});
     this.driven.setMode(home.mode);
-    this.#show();
   }
 
-  /** Looks after idle time, tour and captions. */
+  /** Looks after idle time, tour, captions and the view that is marked. */
   #look(): void {
     const now = performance.now();
     const { seconds, tour } = this.options;
@@ -267,6 +261,7 @@ export class Kiosk {
     if (this.#next >= 0 && this.#resume > 0 && now > this.#resume) this.#walk();
     if (this.#next >= 0 && this.#resume === 0) this.#face();
     this.#explain();
+    this.#show();
   }
 
   #begin(): void {
