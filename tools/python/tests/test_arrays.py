@@ -38,6 +38,7 @@ def test_layouts_make_no_difference(rubble, boxes):
     for given in same:
         assert (archive.overlaps(given) == expected).all()
     assert (archive.overlaps(boxes[::-1]) == expected[::-1]).all()
+    assert (archive.overlaps(np.ma.masked_invalid(boxes)) == expected).all()
     single = boxes.astype(np.float32)
     assert (archive.overlaps(single) == archive.overlaps(single.astype(float))).all()
     assert archive.overlaps(np.array([[0, 0, 0, 1, 1, 1]])).shape == (1,)
@@ -58,6 +59,7 @@ def test_empty(rubble):
         (np.zeros((2, 2, 6)), ValueError, "found"),
         (np.zeros((2, 6), dtype=complex), TypeError, "complex128"),
         ([["a"] * 6], TypeError, "expected numbers"),
+        (np.ma.masked_equal(np.arange(12.0).reshape(2, 6), 3), ValueError, r"masked ones; take .*boxes\[~boxes.mask"),
         (np.zeros((1, 6), dtype=object), TypeError, "object"),
         (None, TypeError, "object"),
         ("boxes", TypeError, "expected numbers"),
