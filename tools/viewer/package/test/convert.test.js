@@ -8,7 +8,8 @@ import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, w
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
 import { after, before, test } from "node:test";
-import { runConversion } from "../dist/convert/module.js";
+import { BlobFile } from "../dist/convert/files.js";
+import { CHANGED, runConversion } from "../dist/convert/module.js";
 import { FileHost } from "./files.js";
 
 const root = new URL("../../../../", import.meta.url).pathname;
@@ -153,4 +154,41 @@ test("real scans and meshes of every format", { skip: data === undefined && "SLI
   }
   t.diagnostic(`${same} files give the same bytes`);
   assert.ok(same > 40, `${same}`);
+});
+
+test("files are read in blocks as they are, and a cut one is noticed, where the engine can wait and where not", async () => {
+  const content = Uint8Array.from({ length: (3 << 20) + 12_345 }, (_, n) => (n * 2654435761) >>> 13);
+  const slice = (bytes) => ({
+    size: bytes.length,
+    slice: (from, to) => slice(bytes.subarray(from, to)),
+    arrayBuffer: async () => bytes.slice().buffer,
+    now: () => bytes.slice().buffer,
+  });
+  globalThis.FileReaderSync = class {
+    readAsArrayBuffer(blob) {
+      return blob.now();
+    }
+  };
+  const file = new BlobFile(slice(content));
+  for (const [at, length] of [
+    [0, 10],
+    [(1 << 20) - 3, 7],
+    [5, 1 << 20],
+    [2 << 20, 1 << 20],
+    [content.length - 5, 100],
+    [content.length, 4],
+    [1 << 20, 1],
+  ]) {
+    const into = new Uint8Array(length);
+    const read = await file.read(at, into);
+    assert.equal(read, Math.min(length, content.length - at), `at ${at}`);
+    assert.deepEqual(into.subarray(0, read), content.subarray(at, at + read), `at ${at}`);
+  }
+  const cut = slice(content);
+  cut.slice = (from, to) => ({
+    ...slice(content.subarray(from, to)),
+    now: () => new ArrayBuffer(9),
+    arrayBuffer: async () => new ArrayBuffer(9),
+  });
+  assert.equal(await new BlobFile(cut).read(0, new Uint8Array(4)), CHANGED);
 });
