@@ -100,7 +100,7 @@ impl Mask {
             let [a, b] = [*a, *b].map(|number| region.tops[places[number as usize] as usize]);
             (a - b).abs()
         };
-        self.diagonals.iter().all(|pair| rise(pair) <= region.grid.up)
+        self.diagonals.iter().all(|pair| region.grid.is_stride(-rise(pair)) && region.grid.is_stride(rise(pair)))
     }
 
     /// Returns the number of the pixel at `offset`.

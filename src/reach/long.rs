@@ -26,8 +26,8 @@
 use super::footprints::{ANGLES, DIRECTIONS, Footprints, HEADINGS, kind_of_turn};
 use super::region::{NO_PLACE, Region};
 use super::route::{
-    BETWEEN_LOOKS, DIAGONAL, KNIGHT, MOST_SEARCHES, STRAIGHT, UNREACHED, Walkers, follow_heights, goes, least_cost,
-    walkers_at,
+    BETWEEN_LOOKS, DIAGONAL, Follower, KNIGHT, MOST_SEARCHES, STRAIGHT, UNREACHED, Walkers, follow_heights, goes,
+    least_cost, walkers_at,
 };
 use super::standing::{PlaceId, StandingPlaces};
 use super::{Needs, Route};
@@ -484,7 +484,9 @@ impl<R: Borrow<Region>> LongSearch<R> {
     fn walkers_at(&mut self, set: &Snapshot, trial: &Trial, at: usize) -> Needs<Option<[Walkers; 3]>> {
         let place = trial.way[at] / HEADINGS as u32;
         let Ok(middle) = walkers_at(self.region(), place) else { return ControlFlow::Continue(None) };
-        let all = [middle.clone(), middle.clone(), middle];
+        // `walk` moves the middle of the pawn.
+        let end = middle.clone().map(Follower::on_any_grade);
+        let all = [middle, end.clone(), end];
         self.walked(set, trial, all, at, at)
     }
 

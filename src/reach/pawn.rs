@@ -177,6 +177,11 @@ impl Grid {
         self.frame.top_height(i64::from(self.origin[2]) * PAGE_QUANTA + i64::from(top))
     }
 
+    /// Returns whether a body gets straight across a corner to ground that lies higher by `rise` (quanta).
+    pub fn is_stride(&self, rise: i32) -> bool {
+        (-self.up.min(self.drop)..=self.up).contains(&rise)
+    }
+
     pub fn is_inside(&self, [i, j]: [i32; 2]) -> bool {
         i >= 0 && j >= 0 && i >> 6 < self.tiles[0] && j >> 6 < self.tiles[1]
     }

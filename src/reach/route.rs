@@ -8,8 +8,8 @@
 //! Lengths include heights, averaged over [`LEVEL_M`]: stairs count as ramps, and roughness not at all, but a route
 //! around a ridge may be shorter than one over it.
 //!
-//! Then a [`Walker`] follows the path, once with its default ticks and once with ticks of 1/60 s, the longest that
-//! programs commonly use. A stretch that it cannot follow is divided; a single step that it cannot take is excluded, and
+//! Then a [`Walker`] with the limits of the pawn follows the path, once with its default ticks and once with ticks of
+//! 1/60 s, the longest that programs commonly use. A stretch that it cannot follow is divided; a single step that it cannot take is excluded, and
 //! the search starts again. So every route can be walked, however steps over pixels differ from the motion of a body in
 //! between.
 //!
@@ -21,10 +21,10 @@
 
 use super::region::{NO_PLACE, Region};
 use super::standing::PlaceId;
-use super::{Needs, Stop};
+use super::{Needs, Pawn, Stop};
 use crate::query::Answer;
 use crate::store::Snapshot;
-use crate::walk::{Config, State, Walker, Waypoints};
+use crate::walk::{Config, Grade, State, Walker, Waypoints};
 use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::cmp::Reverse;
@@ -51,6 +51,8 @@ const PATIENCE: f64 = 2.0;
 const PATIENCE_S: f64 = 1.0;
 /// Long tick with which a route is followed as well (s).
 const LONG_TICK_S: f64 = 1.0 / 60.0;
+/// Share of the run by which a way must stay below the steepest grade: a walker with other frames stands at other places.
+const GRADE_MARGIN: f64 = 0.003;
 /// Distance from a place within which the walker has reached it (m).
 const THERE_M: f64 = 1e-6;
 
@@ -113,12 +115,29 @@ pub struct Search {
     goal: Goal,
     /// Steps that a walker could not take.
     refused: HashSet<(u32, u32)>,
+    /// The place where walkers stopped on the shortest path.
+    stop: Option<u32>,
     /// Path that a walker follows, kept while pages are missing.
     trial: Option<Trial>,
 }
 
-/// Walkers with short and with long ticks.
-pub(super) type Walkers = [Walker; 2];
+/// A walker that keeps the limits of its pawn, and the grade of its way.
+#[derive(Debug, Clone)]
+pub(super) struct Follower {
+    walker: Walker,
+    grade: Grade,
+}
+
+impl Follower {
+    /// Lets it walk however steep its way is.
+    pub(super) fn on_any_grade(mut self) -> Self {
+        self.grade = Grade::new(f64::INFINITY, self.walker.feet());
+        self
+    }
+}
+
+/// Followers with short and with long ticks.
+pub(super) type Walkers = [Follower; 2];
 
 /// A path that walkers follow.
 #[derive(Debug)]
@@ -183,6 +202,11 @@ impl Search {
         self.looked_at
     }
 
+    /// Returns the place where walkers stopped on the shortest path of the last search, if they did.
+    pub(super) fn stopped_at(&self) -> Option<u32> {
+        self.stop
+    }
+
     /// Returns its memory (bytes).
     pub fn memory_bytes(&self) -> usize {
         (self.costs.capacity() + self.from.capacity() + self.search_of.capacity()) * size_of::<u32>()
@@ -220,6 +244,7 @@ impl Search {
             Some(trial) => trial,
             None => {
                 self.refused.clear();
+                self.stop = None;
                 match self.trial(region, ends, searches, monitor)? {
                     Some(trial) => trial,
                     None => return Ok(Answer::Known(None)),
@@ -234,6 +259,7 @@ impl Search {
                 }
                 ControlFlow::Continue(Ok(route)) => return Ok(Answer::Known(Some(route))),
                 ControlFlow::Continue(Err(steps)) => {
+                    self.stop = self.stop.or(steps.first().map(|step| step.0));
                     self.refused.extend(steps);
                     searches = trial.searches + 1;
                     let next = match searches < MOST_SEARCHES {
@@ -343,7 +369,7 @@ impl Search {
             };
             cost.saturating_add(weight)
         };
-        let climbs = |to: u32| (region.tops[to as usize] - region.tops[place as usize]).abs() <= region.grid.up;
+        let climbs = |to: u32| region.grid.is_stride(region.tops[to as usize] - region.tops[place as usize]);
         for way in 0..4 {
             let (a, b) = (links[way], links[(way + 1) & 3]);
             if a == NO_PLACE {
@@ -519,13 +545,13 @@ impl Region {
             }
             return at == b;
         }
-        let climbs = |a: u32, b: u32| (self.tops[a as usize] - self.tops[b as usize]).abs() <= self.grid.up;
+        let climbs = |a: u32, b: u32| self.grid.is_stride(self.tops[b as usize] - self.tops[a as usize]);
         // The corners of a square: the nearest one, those beside it along x and along y, and the opposite one.
         let square = |near: u32, beside_x: Option<u32>, beside_y: Option<u32>| {
             let beside_x = beside_x.or_else(|| link(near, x))?;
             let beside_y = beside_y.or_else(|| link(near, y))?;
             let far = link(beside_x, y)?;
-            (link(beside_y, x)? == far && climbs(near, far) && climbs(beside_x, beside_y))
+            (link(beside_y, x)? == far && climbs(near, far) && climbs(beside_x, beside_y) && climbs(beside_y, beside_x))
                 .then_some([near, beside_x, beside_y, far])
         };
         let (mut i, mut j) = (0, 0);
@@ -614,12 +640,15 @@ impl Trial {
             } else if next - self.at > 1 {
                 self.next.push(self.at.midpoint(next));
             } else {
-                // Test the rest of the path at once, to save searches.
-                let mut refused = vec![(from, to)];
+                // Test the rest of the path at once, to save searches. A grade shows only over many steps.
+                let has_grade = region.pawn().max_grade.is_finite();
+                let (mut refused, mut before) = (vec![(from, to)], None);
                 for pair in self.way[next..].windows(2) {
                     let [from, to] = [pair[0], pair[1]];
-                    let Ok(walkers) = walkers_at(region, from) else { continue };
-                    if walked(set, region, walkers, to)?.is_none() {
+                    let walkers = before.take().filter(|_| has_grade).map_or_else(|| walkers_at(region, from), Ok);
+                    let Ok(walkers) = walkers else { continue };
+                    before = walked(set, region, walkers, to)?;
+                    if before.is_none() {
                         refused.push((from, to));
                     }
                 }
@@ -633,9 +662,17 @@ impl Trial {
 
 /// Returns walkers at a place.
 pub(super) fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
-    let (pawn, feet) = (region.pawn(), region.feet(place));
-    let config = Config { climb: pawn.climb, ..Config::new(pawn.body) };
-    Ok([Walker::new(config, feet)?, Walker::new(Config { tick_s: LONG_TICK_S, ..config }, feet)?])
+    walkers(region.pawn(), region.feet(place))
+}
+
+/// Returns walkers of a pawn with their feet at `feet`.
+pub(super) fn walkers(pawn: &Pawn, feet: Point3<f64>) -> Result<Walkers> {
+    let config = Config { climb: pawn.climb, max_drop: Some(pawn.max_drop), ..Config::new(pawn.body) };
+    let follower = |config: Config| -> Result<Follower> {
+        let grade = Grade::new((pawn.max_grade - GRADE_MARGIN).max(0.0), feet);
+        Ok(Follower { walker: Walker::new(config, feet)?, grade })
+    };
+    Ok([follower(config)?, follower(Config { tick_s: LONG_TICK_S, ..config })?])
 }
 
 /// Returns the walkers after each went straight to a place, if both got there.
@@ -649,27 +686,32 @@ fn walked(set: &Snapshot, region: &Region, mut walkers: Walkers, place: u32) -> 
 }
 
 /// Moves a walker straight to a place and returns whether it got there.
-fn arrives(set: &Snapshot, region: &Region, walker: &mut Walker, place: u32) -> Needs<bool> {
+fn arrives(set: &Snapshot, region: &Region, walker: &mut Follower, place: u32) -> Needs<bool> {
     let to = region.feet(place);
     goes(set, walker, vec![to.xy()], to.z, region.grid.frame.quantum_m())
 }
 
 /// Moves a walker along `line` and returns whether it got to the end of it, at a height of `z` or at most `off` from that
 /// (m).
-pub(super) fn goes(set: &Snapshot, walker: &mut Walker, line: Vec<Point2<f64>>, z: f64, off: f64) -> Needs<bool> {
+pub(super) fn goes(set: &Snapshot, follower: &mut Follower, line: Vec<Point2<f64>>, z: f64, off: f64) -> Needs<bool> {
+    let Follower { walker, grade } = follower;
     let Some(&end) = line.last() else { return ControlFlow::Continue(true) };
     let start = walker.feet();
     let length: f64 = line.iter().fold((0.0, start.xy()), |(sum, at), to| (sum + (to - at).norm(), *to)).0;
     let Ok(mut waypoints) = Waypoints::new(line) else { return ControlFlow::Continue(false) };
     let (speed, tick_s) = (walker.config().speed, walker.config().tick_s);
     let mut left = (PATIENCE * length.hypot(z - start.z) / speed + PATIENCE_S) / tick_s;
+    let look_s = if grade.is_limited() { LONG_TICK_S } else { 8.0 * tick_s };
     while left > 0.0 {
-        let report = walker.follow(set, 8.0 * tick_s, &mut waypoints);
+        let report = walker.follow(set, look_s, &mut waypoints);
         if let Some(missing) = report.missing {
             return ControlFlow::Break(Stop::Missing(missing));
         }
         left -= f64::from(report.ticks);
         let feet = walker.feet();
+        if grade.exceeds(feet, report.state) {
+            return ControlFlow::Continue(false);
+        }
         match report.state {
             State::Arrived => {
                 let is_there = (end - feet.xy()).norm() <= THERE_M && (z - feet.z).abs() <= off;

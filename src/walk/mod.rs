@@ -16,6 +16,7 @@ mod body;
 mod change;
 mod config;
 mod crowd;
+mod grade;
 mod progress;
 mod slide;
 mod thesis;
@@ -24,6 +25,7 @@ mod waypoints;
 pub use body::Body;
 pub use config::{Config, Response};
 pub use crowd::{Crowd, CrowdReport};
+pub use grade::Grade;
 pub use waypoints::Waypoints;
 
 use crate::frame::Frame;
@@ -172,6 +174,12 @@ fn is_place(feet: &Point3<f64>) -> bool {
     feet.iter().all(|v| v.abs() <= FARTHEST_M)
 }
 
+/// Returns the bottom of the lowest slice that the set can hold (m); `None` if it has no pages.
+fn bottom(set: &Snapshot) -> Option<f64> {
+    let slice = |layer: i32| i64::from(layer) * crate::frame::PAGE_SLICES;
+    set.bounds().map(|bounds| set.frame().bottom_of_slice(slice(bounds.min[2])))
+}
+
 /// A pawn that moves less than this share of the wanted distance in a step is blocked.
 const BLOCKED_BELOW: f64 = 0.01;
 
@@ -307,6 +315,13 @@ impl Walker {
     /// Returns the speed of its fall (m/s); negative while it rises in a jump.
     pub fn falling(&self) -> f64 {
         self.motion.falling
+    }
+
+    /// Returns whether the pawn falls below everything that `set` can hold: nothing will stop it.
+    pub fn is_lost(&self, set: &Snapshot) -> bool {
+        self.state == State::Falling
+            && self.motion.falling >= 0.0
+            && bottom(set).is_none_or(|bottom| self.motion.feet.z < bottom)
     }
 
     /// Returns the motion hint with which a [`Stream`](crate::store::Stream) loads every page before a step needs it;
@@ -481,12 +496,7 @@ impl Walker {
         if known(body.sweep(set, after.feet, down))?.is_some() {
             return ControlFlow::Continue(None);
         }
-        // Down to the lowest slice that the set can hold.
-        let bottom = set.bounds().map_or(0.0, |bounds| {
-            let slice = i64::from(bounds.min[2]) * crate::frame::PAGE_SLICES;
-            set.frame().bottom_of_slice(slice)
-        });
-        let depth = (after.feet.z - bottom).max(0.0) + set.frame().slice_m();
+        let depth = (after.feet.z - bottom(set).unwrap_or(0.0)).max(0.0) + set.frame().slice_m();
         let below = known(body.top(set, after.feet, after.feet.z, depth))?;
         ControlFlow::Continue(Some(if below.is_some() { Stop::Ledge } else { Stop::Void }))
     }

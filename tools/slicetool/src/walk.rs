@@ -6,19 +6,13 @@ use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::reach::{Pawn, StandingPlaces};
 use slicewalk::store::{MotionHint, Prefetch, Stream, StreamOptions};
-use slicewalk::walk::{Body, Config, Response, State, Stop, Walker, Waypoints};
+use slicewalk::walk::{Body, Config, Grade, Response, State, Stop, Walker, Waypoints};
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
-use std::collections::VecDeque;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Length over which grades count, height by which the feet may deviate from the ground, and least distance between
-/// two places that count (m).
-const GRADE_M: f64 = 1.0;
-const GRADE_SLACK_M: f64 = 0.02;
-const GRADE_STEP_M: f64 = 0.01;
 /// Longest time that a pawn may stay blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
 
@@ -181,6 +175,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let t = frame as f64 * frame_s;
         writeln!(path, "{t:.6},{:.6},{:.6},{:.6},{},{frame_us:.1},{missing}", feet.x, feet.y, feet.z, state.name())?;
         (blocked, stop) = if state == State::Blocked { (blocked + frame_s, hit.or(stop)) } else { (0.0, None) };
+        if walker.is_lost(&stream.snapshot()) {
+            stop = Some(Stop::Void);
+            break;
+        }
         if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 || grade.exceeds(feet, state) {
             break;
         }
@@ -194,8 +192,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let (frames, feet) = (times.len(), walker.feet());
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times[((frames - 1) as f64 * share).round() as usize];
-    let state = if grade.is_exceeded { State::Blocked } else { walker.state() };
-    stop = if grade.is_exceeded { Some(Stop::Steep) } else { stop };
+    let state = if grade.is_exceeded() { State::Blocked } else { walker.state() };
+    stop = if grade.is_exceeded() { Some(Stop::Steep) } else { stop };
     let name = state.name();
     let [x, y, z] = feet.into();
     let end = format!("({x:.3}, {y:.3}, {z:.3}) after {:.2} s and {distance:.2} m", frames as f64 * frame_s);
@@ -207,6 +205,13 @@ pub fn run(arguments: &Arguments) -> Outcome {
             next + 1,
             in_the_way(stop),
             arguments.output.display()
+        ));
+    } else if stop == Some(Stop::Void) {
+        crate::say(&format!(
+            "{}: fell out of the scan, at {end}, before waypoint {} of {places}: nothing lies below; give --max-drop, or \
+             waypoints around it",
+            arguments.archive.display(),
+            next + 1
         ));
     } else if !arguments.json {
         if moved > 0.0 {
@@ -248,54 +253,6 @@ pub fn run(arguments: &Arguments) -> Outcome {
 /// Files that the path must not replace.
 fn protected(arguments: &Arguments) -> Vec<&Path> {
     arguments.variant.edits().path().into_iter().chain([arguments.waypoints.as_path()]).collect()
-}
-
-/// Grade of the line that fits the last metre of the way best (least squares), as that of the ground is the slope of a
-/// plane.
-struct Grade {
-    /// Steepest allowed grade, as rise over run.
-    most: f64,
-    /// Distance in plan and height of each place of the last metre (m), the farthest first.
-    places: VecDeque<(f64, f64)>,
-    last: Point3<f64>,
-    is_exceeded: bool,
-}
-
-impl Grade {
-    fn new(most: f64, start: Point3<f64>) -> Self {
-        Self { most, places: VecDeque::new(), last: start, is_exceeded: false }
-    }
-
-    /// Adds a place and returns whether the way to it is too steep. A fall, or a step down to the first ground, is no
-    /// way.
-    fn exceeds(&mut self, feet: Point3<f64>, state: State) -> bool {
-        if state == State::Falling {
-            *self = Self::new(self.most, feet);
-            return false;
-        }
-        let step = (feet - self.last).xy().norm();
-        if step < GRADE_STEP_M && !self.places.is_empty() {
-            return self.is_exceeded;
-        }
-        let far = self.places.back().map_or(0.0, |place| place.0) + step;
-        self.last = feet;
-        self.places.push_back((far, feet.z));
-        while self.places.get(1).is_some_and(|second| far - second.0 >= GRADE_M) {
-            self.places.pop_front();
-        }
-        let length = far - self.places[0].0;
-        self.is_exceeded = length >= GRADE_M && self.slope().abs() * length > self.most * length + GRADE_SLACK_M;
-        self.is_exceeded
-    }
-
-    fn slope(&self) -> f64 {
-        let count = self.places.len() as f64;
-        let mean = |of: fn(&(f64, f64)) -> f64| self.places.iter().map(of).sum::<f64>() / count;
-        let (far, z) = (mean(|place| place.0), mean(|place| place.1));
-        let sum =
-            |of: &dyn Fn(f64, f64) -> f64| self.places.iter().map(|place| of(place.0 - far, place.1 - z)).sum::<f64>();
-        sum(&|x, z| x * z) / sum(&|x, _| x * x)
-    }
 }
 
 /// The last waypoint.
@@ -458,22 +415,4 @@ fn waypoints(path: &Path) -> Result<(Vec<Point2<f64>>, Option<f64>), Failure> {
         return Err(failed("line 1".into(), "no waypoint; expected rows of x,y".into()));
     }
     Ok((places, last_z))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Whether a way of 5 m with these heights, a centimetre and a half from place to place, is too steep for 10 %.
-    fn is_steep(height: impl Fn(f64) -> f64) -> bool {
-        let place = |n: i32| (f64::from(n) * 0.015, height(f64::from(n) * 0.015));
-        let mut grade = Grade::new(0.1, Point3::new(0.0, 0.0, height(0.0)));
-        (0..333).map(place).any(|(x, z)| grade.exceeds(Point3::new(x, 0.0, z), State::Walking))
-    }
-
-    #[test]
-    fn a_single_place_makes_no_grade() {
-        assert!(!is_steep(|x| 0.08 * x) && is_steep(|x| 0.13 * x) && is_steep(|x| -0.13 * x));
-        assert!(!is_steep(|x| 0.05 * x + if (2.0..2.02).contains(&x) { 0.15 } else { 0.0 }));
-    }
 }
