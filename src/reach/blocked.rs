@@ -13,6 +13,9 @@
 //!
 //! A pawn that must stay in seen space is first tried without that: if it then gets through, the reason is unseen ground.
 //!
+//! Where steps lead to the end but no walker gets there, the place is where walkers stop on the shortest path, and the
+//! reason is the least change with which they get to the end.
+//!
 //! Ways are looked for within an ellipse around both ends.
 
 use super::{Flood, LeakKind, LeakSearch, LongSearch, Pawn, Region, Route, Search, Snapped, StandingPlaces};
@@ -185,8 +188,16 @@ impl<'a> ObstructionSearch<'a> {
         monitor: &'a dyn Monitor,
     ) -> Result<Self> {
         let pixel_m = StandingPlaces::new(set, pawn)?.grid.frame.pixel_m();
-        let ways =
-            Ways { exchange: Arc::default(), monitor, pawn, length: None, ends: [from, to], seen: None, pixel_m };
+        let ways = Ways {
+            exchange: Arc::default(),
+            monitor,
+            pawn,
+            length: None,
+            ends: [from, to],
+            seen: None,
+            pixel_m,
+            is_walked: false,
+        };
         Ok(Self { ways, running: None })
     }
 
@@ -324,6 +335,8 @@ struct Ways<'a> {
     /// Space in which the pawn must stay.
     seen: Option<Arc<SeenSpace>>,
     pixel_m: f64,
+    /// Whether a pawn gets only where walkers have followed a route.
+    is_walked: bool,
 }
 
 impl Ways<'_> {
@@ -355,7 +368,7 @@ impl Ways<'_> {
         {
             return Ok(Some(found));
         }
-        let Some(own) = self.own_ground().await? else { return Ok(None) };
+        let Some(own) = self.own_ground().await? else { return self.stopped().await };
         if let Some(seen) = &self.seen
             && let Some(route) = (Ways { seen: None, ..self.clone() }).route(&pawn, ends[1]).await?
             && let Some(stop) = own.leaves(&route)
@@ -409,6 +422,28 @@ impl Ways<'_> {
         Ok(Some(feet))
     }
 
+    /// Where walkers stop although steps lead to the end: between two places they may meet what neither place shows.
+    /// `None` if they get to the end.
+    async fn stopped(mut self) -> Result<Option<Obstruction>> {
+        let (pawn, [start, end]) = (self.pawn, self.ends);
+        let Some(mut reached) = self.reached(&pawn, start).await? else { return Ok(None) };
+        let Some(end_place) = self.known(|set| reached.standing.snapped(set, end, SNAP_M)).await? else {
+            return Ok(None);
+        };
+        let (region, mut search) = (reached.region(), Search::new());
+        let route =
+            self.known(|set| search.route(set, &region, &reached.start.spot, &end_place.spot, self.monitor)).await?;
+        let Some(at) = search.stopped_at().filter(|_| route.is_none()).map(|place| region.feet(place)) else {
+            return Ok(None);
+        };
+        drop((reached, region, search));
+        self.is_walked = true;
+        Ok(Some(match self.least_change(&pawn, end).await? {
+            Some((change, needs, _)) => Obstruction { at, reason: change.reason(), needs },
+            None => Obstruction { at, reason: Reason::Gap, needs: (end - at).norm() },
+        }))
+    }
+
     /// The ground that the pawn itself reaches; `None` if the end is on it.
     async fn own_ground(&self) -> Result<Option<Ground>> {
         let Some(mut reached) = self.reached(&self.pawn, self.ends[0]).await? else { return Ok(None) };
@@ -435,6 +470,9 @@ impl Ways<'_> {
 
     /// Returns whether a pawn gets from the start to `to`.
     async fn connects(&self, pawn: &Pawn, to: Point3<f64>) -> Result<bool> {
+        if self.is_walked {
+            return Ok(self.route(pawn, to).await?.is_some());
+        }
         let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(false) };
         let end = self.known(|set| reached.standing.snapped(set, to, SNAP_M)).await?;
         let Some(end) = end else { return Ok(false) };

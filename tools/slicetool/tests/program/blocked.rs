@@ -165,6 +165,43 @@ fn a_ramp_too_steep_for_a_wheelchair_is_named() {
     assert_eq!(route(step(), ends, &["--profile", "stroller"])["found"], Value::from(true));
 }
 
+/// Whether the walker arrives along the route between two places, with the options of the route.
+fn arrives(points: Vec<[f64; 3]>, [from, to]: [&str; 2], options: &[&str]) -> bool {
+    let folder = archive_of(points);
+    let out = slicetool(&folder, "route", &[&["--from", from, "--to", to, "-o", "w.csv"], options].concat());
+    let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(found["found"], Value::from(true), "{found}");
+    let start = ["x", "y", "z"].map(|axis| found["from"][axis].to_string()).join(",");
+    let out =
+        slicetool(&folder, "walk", &[&["--start", &start, "--waypoints", "w.csv", "-o", "p.csv"], options].concat());
+    out.status.success()
+}
+
+#[test]
+fn a_route_keeps_the_limits_of_a_walk() {
+    // Across a ridge that is so narrow that the plane around it is less steep than the way along it.
+    let ridge = |[x, y, _]: [f64; 3]| {
+        let is_ridge = (y - 2.0).abs() < 0.2;
+        [x, y, if is_ridge { 0.25 * (1.0 - (x - 4.0).abs()).max(0.0) } else { 0.0 }]
+    };
+    let thin = ["--pawn", "box:0.1x0.1x1.4", "--climb", "0.35"];
+    let ends = ["1.05,2.05,0.1", "7.05,2.05,0.1"];
+    let level = floor([0.0, 8.0], [0.0, 4.0], 0.0).map(ridge).collect();
+    assert!(arrives(level, ends, &[&thin[..], &["--max-grade", "12"]].concat()));
+    // Diagonally over a corner where two steps down meet.
+    let steps = |[x, y, _]: [f64; 3]| [x, y, -0.05 * f64::from(u8::from(x > 4.0) + u8::from(y > 2.0))];
+    let corner = floor([0.0, 8.0], [0.0, 4.0], 0.0).map(steps).collect();
+    assert!(arrives(corner, ["3.05,1.05,0.1", "4.95,2.95,0.1"], &[&thin[..], &["--max-drop", "0.07"]].concat()));
+}
+
+#[test]
+fn what_only_a_walker_meets_is_named() {
+    // The pawn sinks behind a sill before it meets the step: from place to place it rises by 0.32 m, but climbs 0.38 m.
+    let height = |x: f64| if x > 4.2 { 0.38 } else { 0.06 * f64::from(u8::from(3.9 < x && x < 4.0)) };
+    let points = floor([0.0, 8.0], [0.0, 6.0], 0.0).map(|[x, y, _]| [x, y, height(x)]).collect();
+    check(&route(points, ["1,3,0.1", "7,3,0.5"], &["--pawn", "cylinder:0.083x0.8"]), "step", 0.38, 0.03, None);
+}
+
 #[test]
 fn missing_ground_is_a_gap_or_unseen() {
     let islands = || floor([0.0, 4.0], [0.0, 6.0], 3.0).chain(floor([5.5, 8.0], [0.0, 6.0], 3.0));
