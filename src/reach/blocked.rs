@@ -98,8 +98,9 @@ pub struct Obstruction {
     /// The measure of the pawn, or the lack of ground, that stops it.
     pub reason: Reason,
     /// With the pawn's other measures as they are: the width along its shorter side, the length or the height of the
-    /// largest pawn that passes, the height of the step to climb (drops of that depth included if the pawn takes drops as deep as
-    /// its steps) or the length of a ramp without a landing (m), all found by bisection and known to pass; the [steepest grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
+    /// largest pawn that passes, the height of the step to climb (with drops as deep, if the pawn's drops are as deep as
+    /// its steps) or the length of a ramp without a landing (m), all found by bisection and known to pass; the [steepest
+    /// grade](Pawn::max_grade) that passes; or the distance to the ground that leads to the goal (m).
     pub needs: f64,
 }
 

@@ -21,7 +21,7 @@
 
 use super::region::{NO_PLACE, Region};
 use super::standing::PlaceId;
-use super::{Needs, Pawn, Stop};
+use super::{Needs, Stop};
 use crate::query::Answer;
 use crate::store::Snapshot;
 use crate::walk::{Config, Grade, State, Walker, Waypoints};
@@ -660,13 +660,9 @@ impl Trial {
     }
 }
 
-/// Returns walkers at a place.
+/// Returns walkers at a place, with the limits of the region's pawn.
 pub(super) fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
-    walkers(region.pawn(), region.feet(place))
-}
-
-/// Returns walkers of a pawn with their feet at `feet`.
-pub(super) fn walkers(pawn: &Pawn, feet: Point3<f64>) -> Result<Walkers> {
+    let (pawn, feet) = (region.pawn(), region.feet(place));
     let config = Config { climb: pawn.climb, max_drop: Some(pawn.max_drop), ..Config::new(pawn.body) };
     let follower = |config: Config| -> Result<Follower> {
         let grade = Grade::new((pawn.max_grade - GRADE_MARGIN).max(0.0), feet);

@@ -78,7 +78,7 @@ impl Grade {
 mod tests {
     use super::*;
 
-    /// Whether a way of 5 m with these heights, a centimetre and a half from place to place, is too steep for 10 %.
+    /// Returns whether 5 m with these heights, one every 1.5 cm, are too steep for 10 %.
     fn is_steep(height: impl Fn(f64) -> f64) -> bool {
         let place = |n: i32| (f64::from(n) * 0.015, height(f64::from(n) * 0.015));
         let mut grade = Grade::new(0.1, Point3::new(0.0, 0.0, height(0.0)));

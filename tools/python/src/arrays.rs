@@ -32,7 +32,7 @@ impl<'py, const N: usize> Rows<'py, N> {
     pub fn of(given: &Bound<'py, PyAny>, what: &'static str) -> PyResult<Self> {
         let py = given.py();
         let numpy = py.import("numpy")?;
-        // What a mask hides would count as any other number.
+        // numpy drops the mask: hidden numbers would count as any others.
         if given.hasattr("mask")? && numpy.getattr("ma")?.call_method1("is_masked", (given,))?.extract()? {
             let way_out = format!("take the rows that count, such as {what}[~{what}.mask.any(axis=1)].data");
             return Err(refuse(what, format!("expected numbers, found masked ones; {way_out}")));

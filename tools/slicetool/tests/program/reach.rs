@@ -371,7 +371,7 @@ fn what_cannot_be_meant_is_refused() {
     ] {
         let out = slicetool(at, wrong);
         let text = String::from_utf8(out.stderr).unwrap();
-        // What is said names the last option, or the one that is missing.
+        // The message names the last option, or the one that is missing.
         let option = wrong.iter().rfind(|word| word.starts_with("--")).unwrap_or(&"--from");
         assert!(out.status.code() == Some(2), "{wrong:?}: {text}");
         assert!(text.contains(option) || text.contains("--to"), "{wrong:?}: {text}");

@@ -367,7 +367,7 @@ fn a_pawn_too_high_for_the_stair_of_the_real_building_is_stopped_at_its_landing(
     let blocked = &found["blocked"];
     assert_eq!(blocked["reason"], "headroom");
     assert!((1.1..1.4).contains(&blocked["z"].as_f64().unwrap()), "{blocked}");
-    // What is said to pass does.
+    // The height in the message passes.
     let said = String::from_utf8(route(&[]).stderr).unwrap();
     let height = said.split("a pawn ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
     let said = String::from_utf8(route(&["--pawn", &format!("box:0.5x0.5x{height}")]).stderr).unwrap();

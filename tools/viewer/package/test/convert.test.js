@@ -156,7 +156,7 @@ test("real scans and meshes of every format", { skip: data === undefined && "SLI
   assert.ok(same > 40, `${same}`);
 });
 
-test("files are read in blocks as they are, and a cut one is noticed, where the engine can wait and where not", async () => {
+test("files are read in blocks as they are, and a cut one is noticed", async () => {
   const content = Uint8Array.from({ length: (3 << 20) + 12_345 }, (_, n) => (n * 2654435761) >>> 13);
   const slice = (bytes) => ({
     size: bytes.length,

@@ -1,4 +1,4 @@
-/** The worker of a conversion: one request at a time, while which it answers nothing else; ending it cancels. */
+/** The worker of a conversion: it is sent one request at a time, and ending it cancels. */
 
 import { BlobFile, MemoryFiles, StoredFiles, type TemporaryFiles } from "./files.js";
 import { type ConversionAnswer, type ConversionHost, runConversion } from "./module.js";
