@@ -372,9 +372,13 @@ export class App implements Stage {
       session.pawn.flying = this.shell.toolbars.flying = false;
       session.pawn.look.heading = this.cameras.orbit.look.heading;
     }
+    const to = place ?? at;
+    // The pawn is there before the view is: otherwise the first pictures are of where it stood.
+    await session.pawn.place(to).catch(() => {});
+    if (session !== this.session || !this.#first.shown) return;
     this.setMode("walk");
-    this.#places.start = { at: place ?? at, look: { ...session.pawn.look } };
-    await session.goto(place ?? at, this.settings).catch(() => {});
+    this.#places.start = { at: to, look: { ...session.pawn.look } };
+    await session.goto(to, this.settings).catch(() => {});
     this.shell.messages.wait(null);
     this.#welcome(session.pawn.flying);
     this.shell.canvas.focus({ preventScroll: true });

@@ -20,7 +20,7 @@ const NEARER = 0.7;
 const NEAREST = 0.35;
 /** Pictures without news after which the picture counts as complete. */
 const QUIET = 3;
-/** Longest wait for any place to begin (ms). */
+/** Longest wait for a place that shows enough (ms). */
 const LONGEST_MS = 15_000;
 /** Longest wait for a better place after the person wants to walk in (ms). */
 const PATIENCE_MS = 4_000;
@@ -66,7 +66,7 @@ export class First {
     this.#found = new Promise((resolve) => (found = resolve));
     const better = (start: Start): void => {
       this.#best = start;
-      found();
+      if (start.covered >= POOR) found();
     };
     this.#done = findView(archive, this.stage.settings, content, stands ? pawn.at : null, looking.signal, better).catch(
       () => {}, // stopped, or a failed archive, which is reported elsewhere
