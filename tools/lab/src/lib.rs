@@ -7,6 +7,8 @@ pub mod counts;
 #[path = "../../../tests/common/data.rs"]
 pub mod data;
 #[cfg(feature = "peers")]
+pub mod goals;
+#[cfg(feature = "peers")]
 mod heap;
 #[cfg(feature = "peers")]
 pub mod inputs;

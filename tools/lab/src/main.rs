@@ -29,6 +29,8 @@ enum Command {
     Ways(bench::ways::Options),
     /// Speed beside accuracy: every method in every scene at six pixel sizes
     Chart(bench::chart::Options),
+    /// The goals of speed and size, and what was found: `goals.md`, with the pages of `size` and `peers --only cubes`
+    Goals(Common),
     /// Equal questions to Slicewalk and its peers: about a real scan, with the wrong answers, and about identical cubes
     Peers(Peers),
     /// Soak test: answers of a small cache, queried from four threads, beside those of all pages in memory
@@ -113,11 +115,11 @@ struct Stability {
 /// The parts of `bench all`; charts last because they draw the results of the others.
 const ALL: [&[&str]; 9] = [
     &["stability"],
-    &["size"],
+    &["goals"],
     &["lossy"],
     &["walks"],
     &["thesis"],
-    &["peers"],
+    &["peers", "--only", "scan"],
     &["scale"],
     &["inputs"],
     &["chart", "--fresh"],
@@ -135,7 +137,8 @@ fn run(command: Command) -> bench::stability::Result<()> {
         Command::Stability(Stability { common, only }) => {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
-        Command::Size(common) => bench::size::run(&common.out(), common.quick),
+        Command::Size(common) => bench::size::run(&common.out(), common.quick).map(|_| ()),
+        Command::Goals(common) => bench::goals::run(&common.out(), common.quick),
         Command::Lossy(common) => bench::lossy::run(&common.out(), common.quick),
         Command::Chart(options) => bench::chart::run(&options),
         Command::Peers(Peers { common, only }) => {
@@ -143,7 +146,7 @@ fn run(command: Command) -> bench::stability::Result<()> {
                 bench::peers::run(&common.out(), common.quick)?;
             }
             if only != Some(PeersPage::Scan) {
-                bench::peers::cubes::run(&common.out(), common.quick)?;
+                bench::peers::cubes::run(&common.out(), common.quick).map(|_| ())?;
             }
             Ok(())
         }

@@ -3,10 +3,10 @@
 //! Out: `inputs.md`. Fails where a figure misses its limit, unless samples are small.
 
 use crate::measured::Conversion;
+use crate::scale::machine;
 use crate::scale::town::{SURFACE_M2, Town};
-use crate::scale::{machine, spread};
 use crate::stability::Result;
-use crate::stability::table::{Table, number};
+use crate::stability::table::{Table, number, spread};
 use e57::E57Reader;
 use scangen::write::CloudFormat;
 use slicewalk::NoMonitor;
@@ -111,10 +111,10 @@ impl Inputs {
             converted_s.push(measured.seconds);
         }
         std::fs::remove_file(&path)?;
-        let rate = |seconds: &[f64]| number(points as f64 / 1e6 / spread(seconds).0, 1);
+        let rate = |seconds: &[f64]| number(points as f64 / 1e6 / spread(seconds)[0], 1);
         let ratio = |seconds: &[f64]| {
             let ratios: Vec<f64> = crate_s.iter().zip(seconds).map(|(bare, own)| bare / own).collect();
-            spread(&ratios).0
+            spread(&ratios)[0]
         };
         let mut table = Table::new(["what", "M points/s", "of the crate's speed"]);
         table.row(["crate `e57`, raw values", &rate(&crate_s), "1"]);
@@ -153,7 +153,7 @@ impl Inputs {
                 converted.push(measured.seconds);
             }
             std::fs::remove_file(&path)?;
-            let rate = |seconds: &[f64]| bytes as f64 / spread(seconds).0;
+            let rate = |seconds: &[f64]| bytes as f64 / spread(seconds)[0];
             let mega = |seconds: &[f64]| number(rate(seconds) / 1e6, 0);
             let each = number(bytes as f64 / points as f64, 1);
             table.row([name.into(), each, mega(&one), mega(&all), mega(&converted)]);

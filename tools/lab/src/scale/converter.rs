@@ -1,10 +1,10 @@
 //! Equal LAZ files through `copc_converter`, which makes trees of points out of them, and through Slicewalk.
 
+use super::Found;
 use super::town::Town;
-use super::{Found, spread};
 use crate::measured::Conversion;
 use crate::stability::Result;
-use crate::stability::table::{Table, number};
+use crate::stability::table::{Table, number, spread};
 use crate::watch::{Watched, watch};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -67,7 +67,7 @@ pub fn measure(found: &mut Found, work: &Path, program: Option<&Path>, quick: bo
 }
 
 fn row(file: &str, program: &str, runs: &[Watched], out: u64) -> Vec<String> {
-    let median = |of: fn(&Watched) -> f64| spread(&runs.iter().map(of).collect::<Vec<_>>()).0;
+    let median = |of: fn(&Watched) -> f64| spread(&runs.iter().map(of).collect::<Vec<_>>())[0];
     vec![
         file.to_owned(),
         program.to_owned(),

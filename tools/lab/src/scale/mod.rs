@@ -12,7 +12,7 @@ pub(crate) mod town;
 
 use crate::chart::lines::{self, Scaled, Value};
 use crate::stability::Result;
-use crate::stability::table::number;
+use crate::stability::table::{number, spread};
 use std::path::PathBuf;
 
 /// The words at the top of the page.
@@ -66,7 +66,7 @@ struct Found {
 impl Found {
     /// Adds the median of `values`, with the least and the greatest.
     fn add(&mut self, what: &str, size: u64, metric: &str, values: &[f64]) {
-        let (value, low, high) = spread(values);
+        let [value, low, high] = spread(values);
         let value = Value { value, low, high };
         self.numbers.push(Scaled { what: what.to_owned(), size, metric: metric.to_owned(), value });
     }
@@ -77,14 +77,6 @@ impl Found {
         self.page += text;
         self.page.push('\n');
     }
-}
-
-/// Median, least and greatest; the upper of two medians.
-pub(crate) fn spread(values: &[f64]) -> (f64, f64, f64) {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let at = |n: usize| sorted.get(n).copied().unwrap_or(f64::NAN);
-    (at(sorted.len() / 2), at(0), at(sorted.len().saturating_sub(1)))
 }
 
 impl Scale {
@@ -137,16 +129,4 @@ pub(crate) fn machine() -> String {
         model.map_or("an unknown processor", |(_, name)| name.trim()),
         number(kib.unwrap_or(0.0) / f64::from(1 << 20), 0),
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn medians_stand_between_the_extremes() {
-        assert_eq!(spread(&[3.0, 1.0, 2.0]), (2.0, 1.0, 3.0));
-        assert_eq!(spread(&[5.0]), (5.0, 5.0, 5.0));
-        assert!(spread(&[]).0.is_nan());
-    }
 }

@@ -4,7 +4,7 @@ use super::Found;
 use super::town::Town;
 use crate::peers::measure::measure as timed;
 use crate::stability::Result;
-use crate::stability::table::{Table, number};
+use crate::stability::table::{Table, number, spread};
 use nalgebra::Vector3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
@@ -147,8 +147,8 @@ fn batch<Q: Sync, A: Send + PartialEq>(
         questions.iter().zip(&answers).all(|(question, answer)| *answer == ask(question)),
         "a batch answers the same"
     );
-    let (ratio, least, most) = super::spread(&ratios);
-    let median = |values: &[f64]| super::spread(values).0;
+    let [ratio, least, most] = spread(&ratios);
+    let median = |values: &[f64]| spread(values)[0];
     [
         number(median(&singles), 0),
         number(median(&together), 0),
@@ -178,5 +178,5 @@ fn ask(found: &mut Found, store: &Snapshot, voxels: u64, name: &str, shapes: &[A
     found.add("query", voxels, &format!("{name}_mean_ns"), &means);
     found.add("query", voxels, &format!("{name}_p50_ns"), &medians);
     let share = hits as f64 / shapes.len() as f64 * 100.0;
-    vec![number(super::spread(&means).0, 1), number(super::spread(&medians).0, 0), number(share, 1)]
+    vec![number(spread(&means)[0], 1), number(spread(&medians)[0], 0), number(share, 1)]
 }

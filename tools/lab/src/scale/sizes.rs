@@ -1,11 +1,11 @@
 //! Speed and memory of conversions against the number of points.
 
 use super::town::{SURFACE_M2, Town};
-use super::{Found, MEMORY, spread};
+use super::{Found, MEMORY};
 use crate::measured::Conversion;
 use crate::reading::read_las;
 use crate::stability::Result;
-use crate::stability::table::{Table, number};
+use crate::stability::table::{Table, number, spread};
 use crate::watch::Memory;
 use std::io::{Read, Seek, Write};
 use std::path::Path;
@@ -112,13 +112,13 @@ fn one(found: &mut Found, work: &Path, points: u64, runs: usize) -> Result<(Vec<
     for path in [scan, archive] {
         std::fs::remove_file(path)?;
     }
-    let ((rate, ..), (read, ..), (peak, ..)) = (spread(&rates), spread(&reading), spread(&peaks));
+    let ([rate, ..], [read, ..], [peak, ..]) = (spread(&rates), spread(&reading), spread(&peaks));
     let each = |bytes: u64| number(bytes as f64 / points as f64, 2);
     let row = vec![
         number(points as f64 / 1e6, 0),
         number(bytes as f64 / 1e9, 2),
         number(town.area_m2() / 1e4, 1),
-        number(spread(&seconds).0, 2),
+        number(spread(&seconds)[0], 2),
         number(rate / 1e6, 1),
         number(read / 1e6, 0),
         number(rate / read, 3),

@@ -5,7 +5,7 @@
 
 use super::{Case, Made, RUNS};
 use crate::stability::Result;
-use crate::stability::table::{Table, number};
+use crate::stability::table::{Table, number, spread};
 use crate::venv::python;
 use slicewalk::archive::PageDecoder;
 use slicewalk_input::Units;
@@ -27,11 +27,24 @@ const SETS: [(&str, f64, f64); 6] = [
     ("forest_plot_tls", 0.17, 4.05),
 ];
 
-/// Returns the table of the sets whose scans are there.
-pub fn table(folder: &Path, quick: bool) -> Result<String> {
+/// Identical cubes in an archive, in Draco and in G-PCC.
+pub struct Cubes {
+    /// Scan and edge of the cubes.
+    pub name: String,
+    /// Bits a cube of an archive.
+    pub bits: f64,
+    /// The same of Draco, without flags, where it is installed.
+    pub draco_bits: Option<f64>,
+    /// The same of G-PCC, with flags, as measured elsewhere.
+    pub gpcc_bits: f64,
+}
+
+/// Returns the table of the sets whose scans are there, and their figures.
+pub fn measure(folder: &Path, quick: bool) -> Result<(Table, Vec<Cubes>)> {
+    let mut found = Vec::new();
     let mut table =
         Table::new(["scan", "cube (m)", "cubes", "archive", "Draco", "G-PCC and flags", "ns a cube", "ns a span"]);
-    for &(name, edge_m, gpcc) in &SETS[..if quick { 1 } else { SETS.len() }] {
+    for &(name, edge_m, gpcc_bits) in &SETS[..if quick { 1 } else { SETS.len() }] {
         let Some(file) = crate::data::file(&format!("{name}.laz")) else { continue };
         eprintln!("{name}, cubes of {edge_m} m");
         let case = |file| Case { name: name.to_owned(), file, pixel_m: edge_m, units: Units::Factor(1.0) };
@@ -46,19 +59,26 @@ pub fn table(folder: &Path, quick: bool) -> Result<String> {
         let made = super::make_slices(&case(centres), 0.0, Some(edge_m), folder)?;
         assert_eq!(of_archive(&made)?, cubes, "{name}: the archive holds other cubes");
         let decode_ns = decode_ns(&made)?;
-        let bits = |bytes: u64| number(bytes as f64 * 8.0 / cubes.len() as f64, 2);
+        let bits_of = |bytes: u64| bytes as f64 * 8.0 / cubes.len() as f64;
+        let draco = draco_bytes(&cubes).map(bits_of);
+        found.push(Cubes {
+            name: format!("{name}, {edge_m} m"),
+            bits: bits_of(made.bytes),
+            draco_bits: draco.as_ref().ok().copied(),
+            gpcc_bits,
+        });
         table.row([
             name.to_owned(),
             number(edge_m, 3),
             cubes.len().to_string(),
-            bits(made.bytes),
-            draco_bytes(&cubes).map_or_else(|reason| format!("({reason})"), bits),
-            number(gpcc, 2),
+            number(bits_of(made.bytes), 2),
+            draco.map_or_else(|reason| format!("({reason})"), |bits| number(bits, 2)),
+            number(gpcc_bits, 2),
             number(decode_ns / cubes.len() as f64, 0),
             number(decode_ns / made.stats.spans as f64, 0),
         ]);
     }
-    Ok(table.markdown())
+    Ok((table, found))
 }
 
 /// Returns the occupied voxels, sorted.
@@ -90,7 +110,7 @@ fn decode_ns(made: &Made) -> Result<f64> {
         }
         times.push(start.elapsed().as_secs_f64() * 1e9);
     }
-    Ok(super::median(&mut times))
+    Ok(spread(&times)[0])
 }
 
 /// Returns the bytes of the cubes in Draco; an error says in a few words why it cannot.

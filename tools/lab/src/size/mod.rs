@@ -11,7 +11,8 @@ mod planes;
 mod reads;
 
 use crate::stability::Result;
-use crate::stability::table::{Table, number, percent};
+use crate::stability::table::{Table, number, percent, spread};
+pub use cubes::Cubes;
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, PageDecoder, Storage};
@@ -55,6 +56,22 @@ struct Case {
     units: Units,
 }
 
+/// Figures of a run, besides its page.
+pub struct Sizes {
+    /// Identical cubes beside other coders.
+    pub cubes: Vec<Cubes>,
+    /// Decoding of the real scans.
+    pub decoding: Vec<Decoding>,
+}
+
+/// Decoding of all pages of a scan.
+pub struct Decoding {
+    /// Name of the scan.
+    pub name: String,
+    /// Time of a span: median, least and greatest (ns).
+    pub span_ns: [f64; 3],
+}
+
 /// An archive and what is in it.
 struct Made {
     archive: Archive,
@@ -63,7 +80,7 @@ struct Made {
 }
 
 /// Measures, and writes `size.md` into `out`.
-pub fn run(out: &Path, quick: bool) -> Result<()> {
+pub fn run(out: &Path, quick: bool) -> Result<Sizes> {
     let folder = tempfile::tempdir()?;
     let cases = cases(folder.path(), quick)?;
     let mut sizes = Table::new([
@@ -111,6 +128,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         "byte planes, of the pages",
         "ns a span",
     ]);
+    let mut decoding = Vec::new();
     let mut walks = Table::new(["scan", "pages read", "tiles walked through", "pages to tiles"]);
     for case in &cases {
         eprintln!("{}", case.name);
@@ -145,7 +163,9 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
             needs.row(need_row(case, name, made));
         }
         noises.row(noise_row(case, &exact, png_both)?);
-        times.row(time_row(case, &exact)?);
+        let (row, span_ns) = time_row(case, &exact)?;
+        times.row(row);
+        decoding.push(Decoding { name: case.name.clone(), span_ns });
         if let Some(walk) = reads::along_walk(&case.name, &exact.archive)? {
             walks.row([
                 case.name.clone(),
@@ -155,12 +175,15 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
             ]);
         }
     }
+    // Generated scenes come after the real scans.
+    decoding.truncate(if quick { 2 } else { SCANS.len() });
+    let (beside_others, cubes) = cubes::measure(folder.path(), quick)?;
     let page = format!(
         "{}\n{}\n\n## Cubes\n\n{}\n\n{}\n\n## What no coder can save\n\n{}\n\n{}\n\n## What the scenes needed\n\n{}\n\n{}\n\n## Opening and decoding\n\n{}\n\n{}\n\n## Reads along a walk\n\n{}\n\n{}\n",
         include_str!("head.md"),
         sizes.markdown(),
         include_str!("cubes.md").trim_end(),
-        cubes::table(folder.path(), quick)?,
+        beside_others.markdown(),
         include_str!("noise.md").trim_end(),
         noises.markdown(),
         include_str!("needs.md").trim_end(),
@@ -172,7 +195,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
     );
     std::fs::create_dir_all(out)?;
     std::fs::write(out.join("size.md"), page)?;
-    Ok(())
+    Ok(Sizes { cubes, decoding })
 }
 
 fn cases(folder: &Path, quick: bool) -> Result<Vec<Case>> {
@@ -253,7 +276,8 @@ fn noise_row(case: &Case, made: &Made, png: u64) -> Result<Vec<String>> {
     ])
 }
 
-fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
+/// Row of times, and those of decoding a span (ns).
+fn time_row(case: &Case, made: &Made) -> Result<(Vec<String>, [f64; 3])> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("open.slices");
     let mut bytes = vec![0; made.archive.source().len() as usize];
@@ -289,24 +313,22 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
         }
         unpack.push(start.elapsed().as_secs_f64());
     }
-    let (open, decode, unpack) = (median(&mut open), median(&mut decode), median(&mut unpack));
+    let spans = made.stats.spans.max(1) as f64;
+    let span_ns = spread(&decode).map(|seconds| seconds * 1e9 / spans);
+    let [open, decode, unpack] = [&open, &decode, &unpack].map(|times| spread(times)[0]);
     let pages = made.stats.pages.iter().sum::<u64>();
     // Memory of a program that keeps rasters: bottom, top and a bit of kind in each pixel of each tile.
     let raster = made.stats.needs.iter().sum::<u64>() as f64 * 4096.0 * 2.125;
-    Ok(vec![
+    let row = vec![
         case.name.clone(),
         number(open * 1e6, 0),
         pages.to_string(),
         number(decode * 1e3, 2),
         number(decode * 1e6 / pages.max(1) as f64, 0),
-        number(decode * 1e9 / made.stats.spans.max(1) as f64, 0),
+        format!("{:.0} ({:.0}–{:.0})", span_ns[0], span_ns[1], span_ns[2]),
         number(raster / decode / 1e9, 2),
         number(in_planes as f64 / made.archive.header().bytes.pages as f64, 2),
-        number(unpack * 1e9 / made.stats.spans.max(1) as f64, 0),
-    ])
-}
-
-fn median(times: &mut [f64]) -> f64 {
-    times.sort_by(f64::total_cmp);
-    times[times.len() / 2]
+        number(unpack * 1e9 / spans, 0),
+    ];
+    Ok((row, span_ns))
 }

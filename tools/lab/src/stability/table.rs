@@ -111,6 +111,14 @@ impl Errors {
     }
 }
 
+/// Median, least and greatest; the upper of two medians, NaN of none.
+pub fn spread(values: &[f64]) -> [f64; 3] {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |n: usize| sorted.get(n).copied().unwrap_or(f64::NAN);
+    [at(sorted.len() / 2), at(0), at(sorted.len().saturating_sub(1))]
+}
+
 /// First `x` at which the polyline through `points` reaches `level` from below.
 pub fn crossing(points: &[(f64, f64)], level: f64) -> Option<f64> {
     if points.first()?.1 >= level {
@@ -125,6 +133,13 @@ pub fn crossing(points: &[(f64, f64)], level: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn medians_stand_between_the_extremes() {
+        assert_eq!(spread(&[3.0, 1.0, 2.0]), [2.0, 1.0, 3.0]);
+        assert_eq!(spread(&[5.0]), [5.0; 3]);
+        assert!(spread(&[])[0].is_nan());
+    }
 
     #[test]
     fn statistics_of_small_samples() {

@@ -14,11 +14,13 @@ mod stairs;
 use crate::chart::subject::Subject;
 use crate::chart::workload::Workload;
 use crate::stability::Result;
+use crate::stability::table::spread;
 use cpp::Native;
 use matter::{Matter, Mesh};
 use open3d::Open3d;
 use peer::{Entry, Obvhs, Octree, Ours, Parry, Peer};
-use questions::{Kind, Questions, Verdict};
+pub use questions::Kind;
+use questions::{Questions, Verdict};
 use slicewalk::NoMonitor;
 use slicewalk::plan::PlanOptions;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
@@ -43,8 +45,28 @@ const ROUNDS: usize = 7;
 const ROUND_S: f64 = 0.05;
 const LEAST: usize = 100;
 
-/// Writes `cubes.md` into `out`; quick: one coarse scene, few questions.
-pub fn run(out: &Path, quick: bool) -> Result<()> {
+/// Time of a peer beside Slicewalk's.
+pub struct Ratio {
+    /// Scene and pixel size.
+    pub scene: String,
+    /// Name, version and kind of the peer.
+    pub peer: String,
+    /// What was asked.
+    pub kind: Kind,
+    /// Its time of Slicewalk's, a round at a time: median, least and greatest.
+    pub of_ours: [f64; 3],
+}
+
+impl Ratio {
+    /// Names the peer, the question and the scene.
+    pub fn case(&self) -> String {
+        format!("{}, {}, {}", self.peer, self.kind.title(), self.scene)
+    }
+}
+
+/// Writes `cubes.md` into `out`, and returns the ratios of all peers; quick: one coarse scene, few questions.
+pub fn run(out: &Path, quick: bool) -> Result<Vec<Ratio>> {
+    let mut ratios = Vec::new();
     let natives = [
         ("Embree", Native::embree()),
         ("NanoVDB", Native::nanovdb()),
@@ -72,7 +94,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
             before = Some((subject, work));
         }
         if let Some((subject, work)) = &before {
-            scene(&mut page, subject, work, pixel_m, &natives)?;
+            ratios.extend(scene(&mut page, subject, work, pixel_m, &natives)?);
         }
     }
     let jolt = natives[3].1.as_ref().ok();
@@ -80,7 +102,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
     let _ = write!(page, "\n## Stairs\n\n{}{}", include_str!("stairs.md"), stairs::table(jolt, quick)?);
     std::fs::create_dir_all(out)?;
     std::fs::write(out.join("cubes.md"), page)?;
-    Ok(())
+    Ok(ratios)
 }
 
 /// Returns how many processes wanted to run in the last minute, as reported by the system.
@@ -145,15 +167,15 @@ fn scene(
     work: &Workload,
     pixel_m: f64,
     natives: &[(&str, Result<Native>)],
-) -> Result<()> {
+) -> Result<Vec<Ratio>> {
     let matter = matter(subject, pixel_m)?;
     let meshes = [matter.mesh(), matter.merged()];
     let counts = [0, 1].map(|n| meshes[n].triangles.len());
-    let title = format!("{}, pixels of {:.0} cm", subject.name, pixel_m * 100.0);
-    println!("== {title}: {} cubes, {counts:?} triangles", matter.cubes.len());
+    let name = format!("{}, pixels of {:.0} cm", subject.name, pixel_m * 100.0);
+    println!("== {name}: {} cubes, {counts:?} triangles", matter.cubes.len());
     let _ = writeln!(
         page,
-        "\n## {title}\n\n{} points, {} cubes, {} triangles, {} with merged faces.",
+        "\n## {name}\n\n{} points, {} cubes, {} triangles, {} with merged faces.",
         subject.points.len(),
         matter.cubes.len(),
         counts[0],
@@ -169,6 +191,7 @@ fn scene(
     bytes(page, &matter, &entries);
     let mut ours = Ours { store: &matter.store, questions: questions.clone() };
     let mut finer = Ours { store: &matter.converted, questions: questions.clone() };
+    let mut ratios = Vec::new();
     for kind in Kind::ALL {
         let count = questions.count(kind);
         if count < LEAST {
@@ -182,6 +205,7 @@ fn scene(
         }
         asked.extend(Asked::new("**slicewalk**", &mut ours, kind, count)?);
         asked.extend(converted);
+        let own = asked.len();
         for entry in &mut entries {
             if let Ok(peer) = &mut entry.peer {
                 asked.extend(Asked::new(&entry.name, &mut **peer, kind, count)?);
@@ -195,8 +219,15 @@ fn scene(
              | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
         );
         measure(page, &matter, &questions, kind, &mut asked)?;
+        let others = asked[own..].iter().filter(|asked| !asked.times.is_empty());
+        ratios.extend(others.map(|asked| Ratio {
+            scene: name.clone(),
+            peer: asked.name.clone(),
+            kind,
+            of_ours: asked.of_ours(),
+        }));
     }
-    Ok(())
+    Ok(ratios)
 }
 
 /// How many of the questions the cubes answer with a hit, in words.
@@ -260,6 +291,11 @@ impl<'a> Asked<'a> {
         Ok(Some(Self { name: name.into(), peer, kind, count, answers, times: Vec::new() }))
     }
 
+    /// Its time of Slicewalk's, a round at a time: median, least and greatest.
+    fn of_ours(&self) -> [f64; 3] {
+        spread(&self.times.iter().map(|[own, ours]| own / ours).collect::<Vec<_>>())
+    }
+
     fn time(&mut self, count: usize) -> Result<f64> {
         let mut answers = Vec::new();
         self.peer.ask(self.kind, count, &mut answers)?.ok_or_else(|| "it knew the question before".into())
@@ -301,8 +337,8 @@ fn measure(page: &mut String, matter: &Matter, q: &Questions, kind: Kind, asked:
         let times = if asked.times.is_empty() {
             "not timed | | |".into()
         } else {
-            let [ns, low, high] = spread(asked.times.iter().map(|[own, _]| own / asked.count as f64 * 1e9));
-            let [ratio, least, most] = spread(asked.times.iter().map(|[own, ours]| own / ours));
+            let ns: Vec<f64> = asked.times.iter().map(|[own, _]| own / asked.count as f64 * 1e9).collect();
+            let ([ns, low, high], [ratio, least, most]) = (spread(&ns), asked.of_ours());
             format!("{ns:.0} | {low:.0}–{high:.0} | {ratio:.2} | {least:.2}–{most:.2}")
         };
         let line = format!("| {} | {times} | {} | {verdicts} |", asked.name, asked.count);
@@ -310,13 +346,6 @@ fn measure(page: &mut String, matter: &Matter, q: &Questions, kind: Kind, asked:
         let _ = writeln!(page, "{line}");
     }
     Ok(())
-}
-
-/// Median, least and greatest.
-fn spread(values: impl Iterator<Item = f64>) -> [f64; 3] {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    [values[values.len() / 2], values[0], values[values.len() - 1]]
 }
 
 #[cfg(test)]

@@ -24,18 +24,26 @@ const STEP_M: f64 = 0.35;
 /// A kind of question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
+    /// Is a place occupied?
     Points,
+    /// The pawn's box anywhere.
     RandomBoxes,
+    /// The pawn's box along a walk.
     WalkBoxes,
+    /// The same from the height of a step up.
     RaisedBoxes,
+    /// Rays of 20 m.
     Rays,
+    /// Sweeps of 0.1 m of the pawn's box.
     Sweeps,
 }
 
 impl Kind {
+    /// All kinds, in the order of the page.
     pub const ALL: [Self; 6] =
         [Self::Points, Self::RandomBoxes, Self::WalkBoxes, Self::RaisedBoxes, Self::Rays, Self::Sweeps];
 
+    /// Its name in the page.
     pub fn title(self) -> &'static str {
         match self {
             Self::Points => "Is a place occupied?",
