@@ -56,6 +56,7 @@ export async function launch() {
   const server = await chromium.launchServer({ executablePath: CHROMIUM, headless: true, args: ARGUMENTS });
   const browser = await chromium.connect(server.wsEndpoint());
   return {
+    pid: server.process().pid,
     /** A page with its own profile; see `newPage`. */
     async newPage(options = {}) {
       const opening = browser.newContext({ viewport: { width: 800, height: 500 }, ...options });
