@@ -511,14 +511,15 @@ def find_grid(heights, boundaries, slice_height, moved):
     scanned = [int(unit * 255 / slice_height * ONE + 0.5) for unit in units]
     for step in [SLICE * ONE] + coarse_steps(scanned, moved) + scanned:
         if 2 * ONE <= step <= SLICE * ONE:
-            phase = phase_of(heights, step, 0, -1)
-            if phase is not None:
-                near = StepGrid(step, phase, 1)
-                if all((near.code_of(end, height) or (0, 0))[1] == 0 for end, height in boundaries):
-                    return StepGrid(step, phase)
-            phase = phase_of(heights, step, 1 << 14, 1 << 14)
-            if phase is not None:
-                return StepGrid(step, phase, 1)
+            for rounded, below, above in (0, 0, -1), (1, 1 << 14, 1 << 14):
+                phase = phase_of(heights, step, below, above)
+                if phase is None:
+                    continue
+                grid, near = StepGrid(step, phase, rounded), StepGrid(step, phase, 1)
+                off = [(end, height) for end, height in boundaries if grid.code_of(end, height) is None]
+                beside = [(end, height) for end, height in off if near.code_of(end, height)]
+                if len(off) <= len(heights) and not beside:
+                    return grid
     return StepGrid()
 
 

@@ -104,7 +104,7 @@ impl Lossy {
                 // The encoder may find other steps in the heights than those they were chosen on.
                 let page = self.built(&self.tried, builder);
                 let boundaries = telling_heights(&page, &mut self.heights);
-                let grid = StepGrid::find_short(of, steps, &self.heights, boundaries);
+                let grid = StepGrid::find_short(of, steps, &self.heights, &boundaries);
                 length = length_on(grid.unwrap_or(StepGrid::QUANTA), &page, scratch);
             }
             if shortest.is_none_or(|shortest| length < shortest.0) {

@@ -126,7 +126,7 @@ impl Encoder {
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         put_marks(page, inferred, out);
         let boundaries = telling_heights(page, &mut self.heights);
-        let grid = StepGrid::find_short(&self.of, &self.steps, &self.heights, boundaries);
+        let grid = StepGrid::find_short(&self.of, &self.steps, &self.heights, &boundaries);
         page::encode(grid.unwrap_or(StepGrid::QUANTA), page, self.scratch.get_or_insert_default(), out);
     }
 

@@ -5,7 +5,7 @@
 //! saves bits. Steps are found from the heights alone, independent of the layer and of any file header, so equal
 //! content gives equal bytes.
 
-use crate::frame::{Frame, SLICE_QUANTA};
+use crate::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
 use crate::page::{Page, Span};
 
 /// Fractional bits of [`StepGrid`]'s numbers.
@@ -76,10 +76,19 @@ pub enum End {
 }
 
 /// Slice boundaries at which spans of a page begin or end. They may be cuts, so they reveal no steps.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone)]
 pub struct Boundaries {
-    /// Numbers of the slices above, as bits, by end.
-    slices: [u128; 2],
+    /// Numbers of ends there, by end and by the slice above.
+    counts: [[u32; BOUNDARIES]; 2],
+}
+
+/// Boundaries of a page's slices.
+const BOUNDARIES: usize = (PAGE_QUANTA / SLICE_QUANTA) as usize + 1;
+
+impl Default for Boundaries {
+    fn default() -> Self {
+        Self { counts: [[0; BOUNDARIES]; 2] }
+    }
 }
 
 impl Boundaries {
@@ -87,18 +96,30 @@ impl Boundaries {
     #[inline]
     pub fn add(&mut self, height: u32, end: End) -> bool {
         let is_boundary = height.is_multiple_of(SLICE_QUANTA as u32);
-        self.slices[end as usize] |= u128::from(is_boundary) << ((height / SLICE_QUANTA as u32) & 127);
+        if is_boundary {
+            self.counts[end as usize][(height / SLICE_QUANTA as u32) as usize] += 1;
+        }
         is_boundary
     }
 
-    /// Returns whether one of them lies beside a step of `grid`.
-    fn any_is_off(&self, grid: &StepGrid) -> bool {
-        let rounded = StepGrid { is_rounded: true, ..*grid };
-        let is_off = |slice: u32, end: End| {
-            let step = rounded.index(slice * SLICE_QUANTA as u32, end);
-            self.slices[end as usize] >> slice & 1 == 1 && step.is_some_and(|(_, off)| off != 0)
+    /// Returns the number of ends at boundaries of which `test` is true.
+    fn count(&self, test: impl Fn(u32, End) -> bool) -> u32 {
+        let of = |end: End| {
+            let counts = self.counts[end as usize].iter().zip((0..).step_by(SLICE_QUANTA as usize));
+            counts.filter(|&(&count, height)| count > 0 && test(height, end)).map(|(count, _)| count).sum::<u32>()
         };
-        (0..=64).any(|slice| is_off(slice, End::Bottom) || is_off(slice, End::Top))
+        of(End::Bottom) + of(End::Top)
+    }
+
+    /// Returns whether one of them lies beside a step of `grid`.
+    fn any_is_beside(&self, grid: &StepGrid) -> bool {
+        let rounded = StepGrid { is_rounded: true, ..*grid };
+        self.count(|height, end| rounded.index(height, end).is_some_and(|(_, off)| off != 0)) > 0
+    }
+
+    /// Returns the number of ends that lie on no step of `grid`.
+    fn off(&self, grid: &StepGrid) -> u32 {
+        self.count(|height, end| grid.index(height, end).is_none())
     }
 }
 
@@ -162,12 +183,13 @@ impl StepGrid {
     /// (1/2³² quantum) that they lie on, or of the coarsest of the usual steps of scans. For an overview level, returns
     /// the level's grid, on which all heights lie that it [admits](HeightsOf::admits).
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
-        Self::find_with(of, steps, heights, Boundaries::default(), |_, low, high| low + (high - low) / 2)
+        Self::find_with(of, steps, heights, &Boundaries::default(), |_, low, high| low + (high - low) / 2)
     }
 
     /// Like [`find`](Self::find), but takes the phase with the most trailing zeros among all that fit. Heights are rounded
-    /// if one of `boundaries` needs it.
-    pub fn find_short(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)], boundaries: Boundaries) -> Option<Self> {
+    /// if one of `boundaries` needs it. A grid is passed over if more of `boundaries` lie on none of its steps than there
+    /// are `heights`.
+    pub fn find_short(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)], boundaries: &Boundaries) -> Option<Self> {
         Self::find_with(of, steps, heights, boundaries, |step, low, high| {
             let whole = low.div_euclid(step) * step;
             let (low, high) = (low - whole, high - whole);
@@ -182,7 +204,7 @@ impl StepGrid {
         of: &HeightsOf,
         steps: &[u64],
         heights: &[(u32, End)],
-        boundaries: Boundaries,
+        boundaries: &Boundaries,
         phase: impl Fn(i64, i64, i64) -> i64,
     ) -> Option<Self> {
         let HeightsOf::Scan(frame) = of else {
@@ -198,11 +220,13 @@ impl StepGrid {
                 let step = grid.step as i64;
                 Self { phase: phase(step, low, high).rem_euclid(step) as u64, is_rounded, ..grid }
             };
+            // An end off the grid takes about what a wide step saves at an end on it.
+            let serves = |found: &Self| boundaries.off(found) as usize <= heights.len();
             // Most grids have a phase at which no height is off; then offsets need not be coded.
             let exact = grid.phases_of(heights, (0, -1)).map(|phases| with_phase(phases, false));
-            exact.filter(|exact| !boundaries.any_is_off(exact)).or_else(|| {
+            exact.filter(|exact| !boundaries.any_is_beside(exact) && serves(exact)).or_else(|| {
                 let phases = grid.phases_of(heights, (SLACK, SLACK))?;
-                Some(with_phase(phases, true))
+                Some(with_phase(phases, true)).filter(serves)
             })
         };
         // Centres of voxels have one height in each slice.
@@ -333,16 +357,29 @@ mod tests {
         {
             let mut boundaries = Boundaries::default();
             assert!(boundary.is_none_or(|height| boundaries.add(height, End::Bottom)));
-            let grid = StepGrid::find_short(&of, &[17 << FRACTION_BITS], &heights, boundaries).unwrap();
+            let grid = StepGrid::find_short(&of, &[17 << FRACTION_BITS], &heights, &boundaries).unwrap();
             assert_eq!((grid.step, grid.is_rounded), (17 << FRACTION_BITS, is_rounded), "{boundary:?}");
         }
         // A boundary on no step, or on one of its own, changes nothing.
         let (mut far, mut own) = (Boundaries::default(), Boundaries::default());
         assert!(far.add(255, End::Bottom) && own.add(255, End::Top) && !own.add(256, End::Bottom));
         let farther: Vec<_> = heights.iter().map(|&(height, end)| (height + 7, end)).collect();
-        for (heights, boundaries) in [(&farther, far), (&heights, own)] {
+        for (heights, boundaries) in [(&farther, &far), (&heights, &own)] {
             let grid = StepGrid::find_short(&of, &[17 << FRACTION_BITS], heights, boundaries).unwrap();
             assert!(!grid.is_rounded, "{boundaries:?}");
+        }
+    }
+
+    #[test]
+    fn floors_on_slice_boundaries_have_the_steps_that_they_lie_on() {
+        // Pillars of 4 m on a floor at the bottom of the page.
+        let of = HeightsOf::Scan(Frame::new(0.4, 1.2).unwrap());
+        let heights = [(850, End::Top); 40];
+        for (floors, step) in [(40, 255 * ONE), (41, 85 * ONE / 4)] {
+            let mut boundaries = Boundaries::default();
+            assert!((0..floors).all(|_| boundaries.add(0, End::Top)));
+            let grid = StepGrid::find_short(&of, &[], &heights, &boundaries).unwrap();
+            assert_eq!(grid.step, step as u64, "{floors} floors");
         }
     }
 
