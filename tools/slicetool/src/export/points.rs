@@ -21,6 +21,8 @@ const GEO_TEXT: u16 = 34737;
 const COUNT_DIGITS: usize = 20;
 /// LAS 1.2 counts points with 32 bits.
 const MOST_LAS_POINTS: u64 = u32::MAX as u64;
+/// Where a LAS header states the bounds: greatest and least x, then y, then z.
+const LAS_BOUNDS_AT: u64 = 179;
 /// Most voxels exported: this many for any archive, or this many per byte if more; archives of scans and meshes have up
 /// to 4 per byte.
 const MOST_VOXELS: u64 = 1 << 26;
@@ -180,7 +182,8 @@ pub fn las(
         builder.vlrs.push(projection(GEO_TEXT, keys.text.into_bytes()));
     }
     builder.point_format.is_compressed = compressed;
-    let [x, y, z] = transforms(archive, path)?;
+    let steps = transforms(archive, path)?;
+    let [x, y, z] = steps;
     builder.transforms = las::Vector { x, y, z };
     let output = Arc::new(Mutex::new(output));
     let file = BufWriter::new(Lent(Arc::downgrade(&output)));
@@ -191,11 +194,16 @@ pub fn las(
     }
     let mut writer = ManuallyDrop::new(las::Writer::new(file, head)?);
     let mut count = 0u64;
+    let mut range = [(i32::MAX, i32::MIN); 3];
     each_voxel(archive, path, |point| {
         count += 1;
         if count > MOST_LAS_POINTS {
             let reason = format!("more than {MOST_LAS_POINTS} voxels, the most points of LAS 1.2");
             return Err(Failure::Text(format!("{}: {reason}; export .ply, or extract a region first", path.display())));
+        }
+        for ((value, step), (low, high)) in point.position.iter().zip(&steps).zip(&mut range) {
+            let stored = step.inverse(*value)?;
+            (*low, *high) = ((*low).min(stored), (*high).max(stored));
         }
         let [x, y, z] = point.position;
         let [red, green, blue] = point.colour.map(|value| u16::from(value) * 257);
@@ -215,7 +223,13 @@ pub fn las(
     // The writer is closed; only the file's buffer remains to be written.
     let file = ManuallyDrop::into_inner(writer).into_inner()?;
     file.into_inner().map_err(IntoInnerError::into_error)?;
-    publish(output)?;
+    let mut output = returned(output);
+    if count > 0 {
+        // The writer's own bounds are those of the points before they are rounded to steps.
+        let bounds = steps.iter().zip(range).flat_map(|(step, (low, high))| [step.direct(high), step.direct(low)]);
+        output.write_at(LAS_BOUNDS_AT, &bounds.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())?;
+    }
+    output.publish()?;
     Ok(count)
 }
 
@@ -260,15 +274,14 @@ pub fn e57(archive: &Archive, path: &Path, output: Output, crs: Option<&Crs>) ->
     cloud.finalize()?;
     writer.finalize()?;
     drop(writer);
-    publish(output)?;
+    returned(output).publish()?;
     Ok(count)
 }
 
-/// Publishes an output that a writer borrowed.
-fn publish(output: Arc<Mutex<Output>>) -> Result<(), Failure> {
+/// Returns an output that a writer borrowed.
+fn returned(output: Arc<Mutex<Output>>) -> Output {
     let output = Arc::into_inner(output).expect("the output was only lent");
-    output.into_inner().unwrap_or_else(PoisonError::into_inner).publish()?;
-    Ok(())
+    output.into_inner().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// An output lent to a writer that insists on owning what it writes to.

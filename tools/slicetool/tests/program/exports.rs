@@ -130,6 +130,9 @@ fn an_export_of_points_converted_again_gives_the_same_voxels() {
         for name in ["out.ply", "out.las", "out.laz", "out.e57"] {
             converted("scan.xyz");
             done(at, &["-o", name]);
+            if name.contains(".la") {
+                assert_states_its_bounds(&at.join(name));
+            }
             let again = converted(name);
             assert!(first.keys().eq(again.keys()), "{name} at {pixel} m: {} and {} voxels", first.len(), again.len());
             for (voxel, top) in &first {
@@ -142,6 +145,18 @@ fn an_export_of_points_converted_again_gives_the_same_voxels() {
             }
         }
     }
+}
+
+/// The header of a LAS file states the bounds of its points to the last bit.
+fn assert_states_its_bounds(path: &Path) {
+    fn ends(values: impl Iterator<Item = f64>) -> [f64; 2] {
+        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, greatest], v| [least.min(v), greatest.max(v)])
+    }
+    let mut reader = las::Reader::from_path(path).unwrap();
+    let las::Bounds { min, max } = reader.header().bounds();
+    let points = reader.read_all().unwrap();
+    let found = [ends(points.x()), ends(points.y()), ends(points.z())];
+    assert_eq!(found, [[min.x, max.x], [min.y, max.y], [min.z, max.z]], "{}", path.display());
 }
 
 #[test]
