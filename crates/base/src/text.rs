@@ -4,6 +4,14 @@ use std::borrow::Cow;
 use std::fmt::Display;
 use std::str::FromStr;
 
+/// Byte order mark of UTF-8, with which editors on Windows begin a text, to which it does not belong.
+pub const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+
+/// Returns the bytes of a text behind its byte order mark, if it has one.
+pub fn behind_mark(text: &[u8]) -> &[u8] {
+    text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
+}
+
 /// Formats a whole number with its digits in groups of three: `1,234,567`.
 pub fn grouped(number: u64) -> String {
     let digits = number.to_string();

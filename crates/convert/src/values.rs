@@ -99,5 +99,5 @@ pub fn transform(path: &Path) -> crate::Result<Similarity> {
     let file = std::fs::File::open(path).map_err(|error| Error::io(path, "open", error))?;
     let mut text = String::new();
     file.take(MOST_BYTES).read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
-    Similarity::parse(&text).map_err(|reason| Error::input(path, "matrix", reason))
+    Similarity::parse(text.trim_start_matches('\u{feff}')).map_err(|reason| Error::input(path, "matrix", reason))
 }

@@ -9,7 +9,7 @@ use super::window::Window;
 use super::{Body, Cube, CubeReader, binary_of, refuse};
 use serde::Deserialize;
 use slicewalk_base::bytes::{ByteSource, open_named};
-use slicewalk_base::text::{grouped, one_line};
+use slicewalk_base::text::{behind_mark, grouped, one_line};
 use slicewalk_base::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -68,7 +68,7 @@ pub fn of_sources([source, words]: [Arc<dyn ByteSource>; 2], path: &Path, binary
     let mut text = vec![0; source.len() as usize];
     source.read_at(0, &mut text)?;
     let head: Header =
-        serde_json::from_slice(&text).map_err(|error| wrong(one_line(&error.to_string()).into_owned()))?;
+        serde_json::from_slice(behind_mark(&text)).map_err(|error| wrong(one_line(&error.to_string()).into_owned()))?;
     if !matches!(head.version.split_once('.'), Some(("1", minor)) if minor.parse().is_ok_and(|minor: u32| minor >= 1)) {
         let reason = format!("expected version 1.1, found {}; write it again", one_line(&head.version));
         return Err(refuse(path, "header", reason));

@@ -7,8 +7,6 @@ use crate::text::shown;
 
 /// Longest header (bytes).
 pub const MOST_HEADER: usize = 1 << 20;
-/// Byte order mark of UTF-8.
-pub const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 /// Maximum number of elements, and of properties per element.
 const MOST_PARTS: usize = 1024;
 

@@ -1,6 +1,7 @@
 //! Bytes of a file from front to back, in blocks of 1 MiB, and parts of a file as sources of their own.
 
 use slicewalk_base::bytes::{ByteSource, FileId};
+use slicewalk_base::text::BYTE_ORDER_MARK;
 use slicewalk_base::{Error, Result};
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -136,8 +137,8 @@ pub fn json<T: serde::de::DeserializeOwned>(source: &Arc<dyn ByteSource>, path: 
     }
     let mut reader = Column::rest(source, 0);
     let start = reader.fill_buf().map_err(|e| read_error(path, "JSON", e))?;
-    if start.starts_with(b"\xEF\xBB\xBF") {
-        reader.consume(3);
+    if start.starts_with(BYTE_ORDER_MARK) {
+        reader.consume(BYTE_ORDER_MARK.len());
     }
     serde_json::from_reader(reader).map_err(|e| Error::input(path, "JSON", format!("{e}; fetch or write it again")))
 }

@@ -5,10 +5,10 @@ use super::columns::{Column, read_error};
 use super::gate::{Gate, Raw, colour_of, sigmoid, smallest_three};
 use super::{Body, Work, is_all, refuse};
 use slicewalk_base::bytes::ByteSource;
-use slicewalk_base::text::{grouped, shown};
+use slicewalk_base::text::{behind_mark, grouped, shown};
 use slicewalk_base::{Error, Result};
 use slicewalk_input::number::{Number, decimal};
-use slicewalk_input::ply_header::{BYTE_ORDER_MARK, Element, Encoding, HeaderReader, MOST_HEADER};
+use slicewalk_input::ply_header::{Element, Encoding, HeaderReader, MOST_HEADER};
 use std::io::{BufRead, Read};
 use std::path::Path;
 use std::sync::Arc;
@@ -59,8 +59,7 @@ impl File {
             if line.last() != Some(&b'\n') {
                 return Err(wrong(if line.len() > MOST_HEADER { HeaderReader::LONG } else { header.cut() }.into()));
             }
-            let text =
-                if body == line.len() as u64 { line.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&line) } else { &line };
+            let text = if body == line.len() as u64 { behind_mark(&line) } else { &line };
             if let Some(found) = header.take(text.trim_ascii_end()).map_err(wrong)? {
                 found.check().map_err(wrong)?;
                 return Ok(Self { source, encoding: found.encoding, elements: found.elements, body });

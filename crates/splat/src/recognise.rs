@@ -2,6 +2,7 @@
 
 use super::SplatFormat;
 use memchr::memmem::find;
+use slicewalk_base::text::behind_mark;
 use std::path::Path;
 
 /// Returns the format of a file by its first bytes ([`HEAD_BYTES`](crate::HEAD_BYTES) are enough) and its name; `None`
@@ -10,7 +11,7 @@ use std::path::Path;
 pub fn recognise(head: &[u8], name: &Path) -> Option<SplatFormat> {
     let ending = name.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let has = |text: &str| find(head, text.as_bytes()).is_some();
-    let bare = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head);
+    let bare = behind_mark(head);
     if bare.starts_with(b"ply") {
         let end = find(bare, b"end_header").unwrap_or(bare.len());
         let word = |text: &str| bare[..end].split(u8::is_ascii_whitespace).any(|word| word == text.as_bytes());

@@ -5,7 +5,7 @@ use nalgebra::{Point2, Point3};
 use serde::Deserialize;
 use slicewalk::edit::{Edits, Prism};
 use slicewalk_base::output::is_standard;
-use slicewalk_base::text::counted;
+use slicewalk_base::text::{behind_mark, counted};
 use std::collections::HashSet;
 use std::fs::File;
 use std::io::Read;
@@ -112,11 +112,12 @@ impl EditFile {
         if bytes.len() as u64 > MOST_BYTES {
             return Err(failed(format!("edits: expected at most {MOST_BYTES} bytes, found more; draw fewer shapes")));
         }
+        let bytes = behind_mark(&bytes);
         // A list would be taken for the fields in turn.
         if bytes.trim_ascii_start().first() == Some(&b'[') {
             return Err(failed("edits: invalid: expected an object, found a list".into()));
         }
-        let written = parse(&bytes).map_err(failed)?;
+        let written = parse(bytes).map_err(failed)?;
         Self::of(written).map_err(failed)
     }
 
@@ -270,9 +271,12 @@ mod tests {
         assert_eq!((edits.for_queries().len(), edits.for_pawns().len()), (3, 4));
         assert!(edits.links[0].is_one_way && edits.links[0].seconds == 20.0);
         assert!(read("{}").unwrap().for_pawns().is_empty());
+        // Editors on Windows begin a text with a byte order mark.
+        assert_eq!(read(&format!("\u{feff}{all}")).unwrap().for_pawns().len(), 4);
         for (text, says) in [
             ("", "EOF"),
             ("[]", "invalid"),
+            ("\u{feff}[]", "expected an object, found a list"),
             (r#"{"walls": []}"#, "unknown field `walls`"),
             (r#"{"remove": {}}"#, "edits: remove: invalid type: map, expected a sequence at line 1 column 11"),
             (r#"{"remove": [], "remove": []}"#, "duplicate field `remove`"),

@@ -12,6 +12,7 @@ use crate::mesh::MeshMode;
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::placement::Similarity;
 use crate::plan::{ClassSet, Classifier, Noise, Plan, PlanOptions, Up};
+use crate::text::BYTE_ORDER_MARK;
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
 use serde::de::{Deserializer, Error as _};
@@ -392,10 +393,9 @@ impl PlanFile {
             let what = format!("bytes of the plan file {}", path.display());
             return Err(Error::limit(what, source.len(), MAX_BYTES));
         }
-        let mut start = [0; 3];
-        let start = &mut start[..source.len().min(3) as usize];
-        source.read_at(0, start)?;
-        let at = if start == "\u{feff}".as_bytes() { 3 } else { 0 };
+        let mut start = vec![0; source.len().min(BYTE_ORDER_MARK.len() as u64) as usize];
+        source.read_at(0, &mut start)?;
+        let at = if start == BYTE_ORDER_MARK { start.len() as u64 } else { 0 };
         let text =
             BufReader::with_capacity(source.len().clamp(1, READ_BYTES as u64) as usize, Text { source: &*source, at });
         let mut json = serde_json::Deserializer::from_reader(text);

@@ -16,8 +16,8 @@ use super::values::{SAMPLE_POINTS, Sample};
 use super::{Cloud, Depth, Opened, Opening, Piece, Source, Taker, shown};
 use crate::colour::ColourSource;
 use crate::number::Number;
-use crate::ply_header::BYTE_ORDER_MARK;
 use crate::source::Window;
+use crate::text::BYTE_ORDER_MARK;
 use crate::{Error, Result};
 use std::io::{self, Read};
 

@@ -5,11 +5,11 @@
 //! sequence of words, whatever separates them; only the name of a solid ends with its line. Keywords may be in upper
 //! case, names in any encoding.
 
-use super::text::{BYTE_ORDER_MARK, Words, only_padding};
+use super::text::{Words, only_padding};
 use super::watch::{Digest, MeshSource, Watch};
 use super::{MeshBatch, Triangles};
 use crate::paint::Paint;
-use crate::text::{counted, shown};
+use crate::text::{behind_mark, counted, shown};
 use crate::{Error, Result};
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ impl StlReader {
         Read::by_ref(&mut reader).take(HEAD_BYTES).read_to_end(&mut head).map_err(io("read the header"))?;
         let count = head.last_chunk().filter(|_| head.len() as u64 == HEAD_BYTES).map(|b| u32::from_le_bytes(*b));
         let expected = count.map(|count| HEAD_BYTES + u64::from(count) * TRIANGLE_BYTES as u64);
-        let start = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&head);
+        let start = behind_mark(&head);
         // A binary count below 16,777,216 has a zero byte, which text never has.
         let is_text = start.iter().all(|byte| !byte.is_ascii_control() || byte.is_ascii_whitespace());
         let begins = start.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));

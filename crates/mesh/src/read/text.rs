@@ -2,8 +2,7 @@
 
 use super::watch::{Digest, MeshSource};
 use crate::input::number::decimal;
-pub(super) use crate::input::ply_header::BYTE_ORDER_MARK;
-use crate::text::shown;
+use crate::text::{BYTE_ORDER_MARK, shown};
 use crate::{Error, Result};
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};

@@ -109,7 +109,8 @@ fn write_octree(folder: &Path, leaves: &BTreeSet<Leaf>, size: f64) {
         "numInteriorNodes": inner, "numMixedLeaves": mixed.len(), "nodeCount": words.len(),
         "leafDataCount": 2 * mixed.len(),
     });
-    fs::write(folder.join("a.voxel.json"), head.to_string()).unwrap();
+    // The byte order mark of editors on Windows does not belong to the text.
+    fs::write(folder.join("a.voxel.json"), format!("\u{feff}{head}")).unwrap();
     let bytes =
         words.iter().flat_map(|word| word.to_le_bytes()).chain(mixed.iter().flat_map(|bits| bits.to_le_bytes()));
     fs::write(folder.join("a.voxel.bin"), bytes.collect::<Vec<u8>>()).unwrap();

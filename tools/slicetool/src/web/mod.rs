@@ -19,6 +19,7 @@ use conversion::{Conversion, ConversionArguments, check_tour, is_archive};
 use page::Page;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use slicewalk::archive::Archive;
+use slicewalk_base::text::behind_mark;
 use std::path::{Path, PathBuf};
 
 /// Name of the table of archives, beside the page.
@@ -192,7 +193,7 @@ fn name_of(path: &Path) -> String {
 fn check_settings(path: &Path) -> Result<(), Failure> {
     let failed = |reason: String| Failure::Text(format!("{}: {reason}", path.display()));
     let text = std::fs::read(path).map_err(|error| failed(format!("cannot read: {error}")))?;
-    match serde_json::from_slice(&text) {
+    match serde_json::from_slice(behind_mark(&text)) {
         Ok(serde_json::Value::Object(_)) => Ok(()),
         Ok(_) => Err(failed("expected a JSON object with the texts of the place".into())),
         Err(error) => Err(failed(format!("expected JSON with the texts of the place: {error}"))),

@@ -540,8 +540,9 @@ fn a_site_of_scans_is_one_of_the_archive() {
 fn a_kiosk_and_its_tour_are_in_the_table() {
     let folder = folder();
     let at = folder.path();
-    fs::write(at.join("route.csv"), "# a note\nx,y,z,s\n0.5,0.5,0.4,0\n1.5,0.5,0.4,1\n").unwrap();
-    fs::write(at.join("settings.json"), r#"{"title": {"en": "House", "de": "Haus"}}"#).unwrap();
+    // Editors on Windows begin a text with a byte order mark.
+    fs::write(at.join("route.csv"), "\u{feff}# a note\nx,y,z,s\n0.5,0.5,0.4,0\n1.5,0.5,0.4,1\n").unwrap();
+    fs::write(at.join("settings.json"), "\u{feff}{\"title\": {\"en\": \"House\", \"de\": \"Haus\"}}").unwrap();
     let server = Server::start(at, &["a.slices", "--kiosk", "60", "--tour", "route.csv"]);
     let table: serde_json::Value = serde_json::from_slice(&server.get("/archives.json", "").body).unwrap();
     assert_eq!((&table["kiosk"], &table["tour"]), (&serde_json::json!(60), &serde_json::json!("route.csv")));

@@ -68,7 +68,7 @@ fn a_walk_up_the_stairs_arrives_and_is_written_down() {
     let dir = tempfile::tempdir().unwrap();
     let (archive, out) = (stairs(dir.path()), dir.path().join("path.csv"));
     let (archive, out_text) = (archive.to_str().unwrap(), out.to_str().unwrap());
-    for (n, waypoints) in ["x,y\n2.5,0\n", "2.5,0\n", "# a note\ny,z,x\n0,9,2.5\n"].into_iter().enumerate() {
+    for (n, waypoints) in ["x,y\n2.5,0\n", "2.5,0\n", "\u{feff}# a note\ny,z,x\n0,9,2.5\n"].into_iter().enumerate() {
         let file = dir.path().join(format!("w{n}.csv"));
         std::fs::write(&file, waypoints).unwrap();
         let done = slicetool(&[

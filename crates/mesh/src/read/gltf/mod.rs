@@ -14,13 +14,13 @@ mod structure;
 use self::buffers::{BinaryPart, Buffers};
 use self::materials::{Coat, Materials};
 use self::structure::{Accessor, AccessorShape, Instances, NodeTransform, Primitive, SPLATS, Sparse, Structure};
-use super::text::{BYTE_ORDER_MARK, only_padding};
+use super::text::only_padding;
 use super::texture::Textures;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
 use crate::colour::{from_linear, multiplied};
 use crate::paint::{Paint, WHITE};
-use crate::text::counted;
+use crate::text::{behind_mark, counted};
 use crate::{Error, Parameter, Result};
 use bitvec::vec::BitVec;
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
@@ -160,7 +160,7 @@ impl GltfReader {
         let most_bytes = options.memory_bytes.max(LEAST_JSON_BYTES);
         let (json, binary) = read_structure(path, most_bytes, digest, watch)?;
         watch.check_cancelled()?;
-        let text = json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json);
+        let text = behind_mark(&json);
         let structure = Structure::parse(text, most_bytes, wants.colours.is_some()).map_err(|e| {
             Error::input(path, "structure", format!("{}; expected glTF 2.0", e.to_string().replace('\n', " ")))
         })?;
