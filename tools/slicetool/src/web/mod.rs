@@ -136,8 +136,9 @@ impl Show {
         let mut files: Vec<Shown> = Vec::new();
         for (path, name, kind) in named {
             let name = free_name(&name, |name| {
-                let is_own = matches!(name, TABLE | CONVERSION) || name == SETTINGS && !matches!(kind, Kind::Settings);
-                !page.has(name) && !is_own && files.iter().all(|other| other.name != name)
+                let is = |other: &str| is_same_name(name, other);
+                let is_own = is(TABLE) || is(CONVERSION) || is(SETTINGS) && !matches!(kind, Kind::Settings);
+                !page.has(name) && !is_own && !files.iter().any(|other| is(&other.name))
             });
             files.push(Shown { name, path, kind });
         }
@@ -187,6 +188,11 @@ fn edited((path, name, kind): &mut (PathBuf, String, Kind), file: &EditFile) -> 
 /// The file name of `path`.
 fn name_of(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Returns whether two names are one to a host or a file system that ignores case.
+fn is_same_name(a: &str, b: &str) -> bool {
+    a.to_lowercase() == b.to_lowercase()
 }
 
 /// Refuses a file of settings that the page could not read.

@@ -3,6 +3,7 @@
 //! It is looked for in the folder that is named, in the program itself (feature `page`), beside the program, and in the
 //! repository.
 
+use super::is_same_name;
 use crate::Failure;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -55,10 +56,9 @@ impl Page {
         self.0.get(name).map(Vec::as_slice)
     }
 
-    /// Returns whether it has a file or a folder called `name`.
+    /// Returns whether a file or a folder beside its entry has this name, in upper or lower case.
     pub fn has(&self, name: &str) -> bool {
-        let is_it = |rest: &str| rest.is_empty() || rest.starts_with('/');
-        self.0.keys().any(|own| own.strip_prefix(name).is_some_and(is_it))
+        self.0.keys().filter_map(|own| own.split('/').next()).any(|own| is_same_name(own, name))
     }
 
     pub fn files(&self) -> impl Iterator<Item = (&str, &[u8])> {

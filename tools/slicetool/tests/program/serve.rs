@@ -389,6 +389,26 @@ fn an_archive_named_like_a_folder_of_the_page_gets_another_name() {
     assert!(at.join("site/assets/main.js").is_file());
 }
 
+#[test]
+fn names_that_differ_only_in_case_are_one_to_some_hosts_and_get_numbers() {
+    let folder = folder();
+    let at = folder.path();
+    let more = ["new/A.SLICES", "new/Assets", "new/Settings.json", "new/Ä.slices", "other/ä.slices"];
+    for folder in ["new", "other"] {
+        fs::create_dir(at.join(folder)).unwrap();
+    }
+    for name in more {
+        fs::copy(at.join("a.slices"), at.join(name)).unwrap();
+    }
+    let out = run(at, &site("a.slices", &more));
+    assert!(out.status.success(), "{out:?}");
+    let table: serde_json::Value = serde_json::from_slice(&fs::read(at.join("site/archives.json")).unwrap()).unwrap();
+    let names: Vec<_> = table["archives"].as_array().unwrap().iter().map(|entry| entry["name"].clone()).collect();
+    let expected = ["a.slices", "A-2.SLICES", "Assets-2.slices", "Settings-2.json", "Ä.slices", "ä-2.slices"];
+    assert_eq!(names, expected);
+    assert!(expected.iter().all(|name| at.join("site").join(name).is_file()));
+}
+
 /// A scan of two levels, and one in text.
 fn scans(at: &Path) {
     let step = |n: i32| f64::from(n) * 0.05 + 0.025;
