@@ -7,6 +7,7 @@ use super::{cloud, is_of_input, pattern};
 #[cfg(feature = "remote")]
 use crate::bytes::list;
 use crate::bytes::{FileId, Input, address, held, local};
+use crate::ply_header::MOST_HEADER;
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::fs;
@@ -204,16 +205,19 @@ fn is_mesh_named(path: &Path) -> bool {
 }
 
 /// Returns whether a file is a mesh according to its extension. Exceptions: a file with the signature of a scan, and a
-/// PLY file without faces, which is a cloud.
-pub(super) fn is_mesh(path: &Path) -> bool {
-    let is_cloud = || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) && cloud::is_ply_cloud(path);
-    is_mesh_named(path) && !has_signature_of_scan(path) && !is_cloud()
-}
-
-fn has_signature_of_scan(path: &Path) -> bool {
-    let mut start = [0; 4];
-    // If the file cannot be read, opening it as a mesh will report why.
-    Input::open(path).is_ok_and(|(input, _)| input.read_up_to(0, &mut start).is_ok() && &start == b"LASF")
+/// PLY file without faces, which is a cloud. Fails if the file cannot be read.
+pub(super) fn is_mesh(path: &Path) -> Result<bool> {
+    const SIGNATURE: &[u8] = b"LASF";
+    if !is_mesh_named(path) {
+        return Ok(false);
+    }
+    let is_ply = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
+    let (input, stamp) = Input::open(path)?;
+    let most = if is_ply { MOST_HEADER } else { SIGNATURE.len() };
+    let mut start = vec![0; stamp.len().min(most as u64) as usize];
+    let read = input.read_up_to(0, &mut start).map_err(|error| Error::io(path, "read", error))?;
+    start.truncate(read);
+    Ok(!start.starts_with(SIGNATURE) && !(is_ply && cloud::is_ply_cloud(&start)))
 }
 
 fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
@@ -242,6 +246,31 @@ fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
 mod tests {
     use super::*;
     use slicewalk_base::NoMonitor;
+
+    #[test]
+    fn a_failed_read_makes_no_mesh() {
+        use crate::{InputOptions, InputSet};
+        use slicewalk_base::bytes::testing::{Strike, StruckSource};
+        use slicewalk_base::bytes::{MemorySource, hold_source};
+        let cloud = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                     end_header\n1 2 3\n";
+        for name in ["struck.ply", "struck.obj"] {
+            let hold = || {
+                let strike = Strike::at(0);
+                hold_source(name, StruckSource::new(MemorySource::new(cloud.as_bytes()), &strike));
+                strike
+            };
+            let open = |allow_incomplete: bool| {
+                let options = InputOptions { allow_incomplete, ..InputOptions::default() };
+                InputSet::of_paths(vec![name.into()], options, &NoMonitor)
+            };
+            for allow_incomplete in [false, true] {
+                let strike = hold();
+                let said = open(allow_incomplete).unwrap_err().to_string();
+                assert!(strike.fell() && said.contains(name) && said.contains(Strike::REASON), "{said}");
+            }
+        }
+    }
 
     #[test]
     fn files_directories_and_patterns_give_each_scan_once_in_order_of_path() {

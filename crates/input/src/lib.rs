@@ -369,15 +369,32 @@ impl InputSet {
                 format!("{} is not a number of metres per unit", number(factor)),
             ));
         }
-        let (meshes, paths): (Vec<_>, Vec<_>) = paths.into_iter().partition(|path| expand::is_mesh(path));
+        let (mut left_out, allow_incomplete) = (None, options.allow_incomplete);
+        let mut leave_out = |error: Error| match allow_incomplete && is_of_input(&error) {
+            true => {
+                monitor.warn(&format!("incomplete: left out: {error}").into());
+                diagnostics.note();
+                left_out = Some(error);
+                Ok(())
+            }
+            false => Err(error),
+        };
+        let (mut meshes, mut scans) = (Vec::new(), Vec::new());
+        for path in paths {
+            match expand::is_mesh(&path) {
+                Ok(true) => meshes.push(path),
+                Ok(false) => scans.push(path),
+                Err(error) => leave_out(error)?,
+            }
+        }
+        let paths = scans;
         if let Some(mesh) = meshes.iter().find(|mesh| address(mesh).is_some()) {
             return Err(Error::input(mesh, "address", "meshes are read from files only; copy it here"));
         }
         let mut files: Vec<ScanFile> = Vec::with_capacity(paths.len());
         let common = Common::new(options.memory_bytes.max(16 << 20));
         let (mut systems, mut no_unit, mut degrees) = (crs::Systems::default(), Those::default(), Those::default());
-        let (mut left_out, mut odd) = (None, BTreeMap::<String, Those>::new());
-        let allow_incomplete = options.allow_incomplete;
+        let mut odd = BTreeMap::<String, Those>::new();
         let open = |path: &PathBuf| {
             let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new(), points: 0 };
             let opened = ScanFile::open(path, &options, &common, &mut findings, monitor);
@@ -410,12 +427,7 @@ impl InputSet {
                     reference.odd.into_iter().for_each(|text| odd.entry(text).or_default().add(files.len(), true));
                     files.push(file);
                 }
-                Err(error) if options.allow_incomplete && is_of_input(&error) => {
-                    monitor.warn(&format!("incomplete: left out: {error}").into());
-                    diagnostics.note();
-                    left_out = Some(error);
-                }
-                Err(error) => return Err(error),
+                Err(error) => leave_out(error)?,
             }
         }
         // All files were opened, unless the monitor was cancelled meanwhile.

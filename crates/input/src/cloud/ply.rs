@@ -9,13 +9,11 @@ use super::records::{Field, MOST_BYTES, Records, Rgb, Values, kind_of};
 use super::text::Lines;
 use super::values::Channels;
 use super::{Opened, Opening, SPLATS, shown};
-use crate::bytes::Input;
 use crate::diagnostics::without_path;
 use crate::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
 use crate::text::BYTE_ORDER_MARK;
 use crate::{Error, Result};
 use std::io::Read;
-use std::path::Path;
 
 /// Maximum number of values in a list.
 const MOST_IN_LIST: f64 = 65_536.0;
@@ -64,13 +62,10 @@ impl Start {
     }
 }
 
-/// Returns whether the PLY at `path` is read here rather than as a mesh: it has no faces, or is a splat. Unreadable
-/// files are left to the mesh reader, which reports why.
-pub fn is_point_cloud(path: &Path) -> bool {
-    let Ok((input, stamp)) = Input::open(path) else { return false };
-    let mut start = vec![0; stamp.len().min(MOST_HEADER as u64) as usize];
-    let Ok(read) = input.read_up_to(0, &mut start) else { return false };
-    Start::parse(&start[..read]).is_ok_and(|start| !start.has_faces() || start.is_splat())
+/// Returns whether the PLY with this start is read here rather than as a mesh: it has no faces, or is a splat. A damaged
+/// header is left to the mesh reader, which reports what is wrong.
+pub fn is_point_cloud(start: &[u8]) -> bool {
+    Start::parse(start).is_ok_and(|start| !start.has_faces() || start.is_splat())
 }
 
 pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
