@@ -472,7 +472,11 @@ fn settle(
         ..Reference::default()
     };
     let unit = match options.units {
-        Units::Factor(factor) => [factor; 3],
+        Units::Factor(factor) => {
+            // Notes about units are of no use here, but the system is lost.
+            findings.notes.extend(georeference.notes.drain(..).filter(|note| note == crs::UNREADABLE));
+            [factor; 3]
+        }
         Units::Auto => {
             if let Some(unit) = georeference.absurd_unit() {
                 let unit = number(unit);

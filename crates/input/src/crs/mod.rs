@@ -10,6 +10,7 @@ mod wkt;
 use super::epsg::{self, Ground};
 use super::records::{GEO_KEYS, MOST_TEXT, Records, WKT};
 use crate::text::number;
+use std::borrow::Cow;
 pub(super) use systems::Systems;
 use systems::short_name;
 use wkt::{Kind, Node};
@@ -45,6 +46,8 @@ const GEOCENTRIC: &str = "its reference system is geocentric: its z axis does no
 const LENGTHS_FOR_ANGLES: &str = "its coordinates are lengths, but its reference system has longitude and latitude";
 /// Warning about text that cannot be read to its end.
 const DAMAGED: &str = "the well-known text of its reference system is damaged";
+/// Warning about a record that holds no text.
+pub(super) const UNREADABLE: &str = "the well-known text of its reference system is unreadable; it is passed over";
 /// Warning about a system of depths.
 const DOWNWARD: &str = "its reference system counts depths, downwards; z is taken as height";
 
@@ -139,10 +142,11 @@ impl Georeference {
     }
 
     pub(super) fn read(records: &Records, says_wkt: bool) -> Self {
-        let wkt = records.projection(WKT).and_then(clean_text).map(Self::of_text);
+        let wkt = records.projection(WKT).and_then(Self::of_record);
         let keys = records.projection(GEO_KEYS).map(|keys| Self::from_keys(keys, records));
         let keys = keys.filter(|k| *k != Self::default());
         match (wkt, keys) {
+            (Some(wkt), Some(keys)) if wkt.text.is_none() => keys.or(wkt),
             (Some(wkt), Some(keys)) if says_wkt => wkt.or(keys),
             // The file has both and does not say which counts; before LAS 1.4, the keys did.
             (Some(wkt), Some(keys)) => Self { text: wkt.text.clone(), ..keys.or(wkt) },
@@ -163,6 +167,19 @@ impl Georeference {
         }
         other.notes.iter().for_each(|note| self.note(note));
         self
+    }
+
+    /// Parses a record of well-known text; `None` if it is empty.
+    fn of_record(bytes: &[u8]) -> Option<Self> {
+        let text = decoded(bytes);
+        let mut parts = parts(&text);
+        let first = parts.next()?;
+        let is_odd = |c: char| c.is_control() || c == char::REPLACEMENT_CHARACTER;
+        let mut is_name = || parts.next().is_none() && !first.contains(is_odd);
+        match first.contains(['[', '(']) || !codes(first).is_empty() || is_name() {
+            true => Some(Self::of_text(first.to_owned())),
+            false => Some(Self { notes: vec![UNREADABLE.into()], ..Self::default() }),
+        }
     }
 
     /// Parses a system stated only as text: well-known text, or a code such as `EPSG:25832+5783`.
@@ -280,10 +297,30 @@ fn codes(text: &str) -> Vec<u32> {
 
 /// Returns the text of a record without surrounding zeros; `None` if nothing is left.
 fn clean_text(bytes: &[u8]) -> Option<String> {
-    let text = bytes.split(|&b| b == 0).find(|text| !text.trim_ascii().is_empty())?;
-    let text = String::from_utf8_lossy(text);
-    let text = text.trim().trim_start_matches('\u{feff}').trim_end_matches('|').trim();
-    (!text.is_empty()).then(|| text.to_string())
+    parts(&String::from_utf8_lossy(bytes)).next().map(str::to_owned)
+}
+
+/// Returns the parts of a text between zeros that are not empty, without blanks and what may surround a text.
+fn parts(text: &str) -> impl Iterator<Item = &str> {
+    let parts = text.split('\0').map(|part| part.trim().trim_start_matches('\u{feff}').trim_end_matches('|').trim());
+    parts.filter(|part| !part.is_empty())
+}
+
+/// Decodes UTF-8, or UTF-16 where a byte order mark or the zeros beside the ASCII of the first characters show it.
+fn decoded(bytes: &[u8]) -> Cow<'_, str> {
+    /// Characters looked at.
+    const FIRST: usize = 4;
+    let first = || bytes.chunks_exact(2).take(FIRST);
+    let is_long = bytes.len() >= 2 * FIRST;
+    let unit = if bytes.starts_with(&[0xFF, 0xFE]) || is_long && first().all(|pair| pair[0] != 0 && pair[1] == 0) {
+        u16::from_le_bytes
+    } else if bytes.starts_with(&[0xFE, 0xFF]) || is_long && first().all(|pair| pair[0] == 0 && pair[1] != 0) {
+        u16::from_be_bytes
+    } else {
+        return String::from_utf8_lossy(bytes);
+    };
+    let units = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]]));
+    char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
 }
 
 #[cfg(test)]

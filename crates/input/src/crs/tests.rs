@@ -194,6 +194,37 @@ fn a_text_and_keys_complete_each_other_and_the_one_that_counts_is_followed() {
 }
 
 #[test]
+fn records_of_text_are_read_in_utf_16_and_others_are_no_name() {
+    let records = |bytes: &[u8]| {
+        let mut records = key_records(&[[1024, 0, 1, 1], [3072, 0, 1, 2229]], "", &[]);
+        records.keep(WKT, bytes.to_vec());
+        records
+    };
+    let text = format!(r#"PROJCS["Gauß",{GEOGRAPHIC},UNIT["Meter",1.0]]"#);
+    let little = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    let big = |text: &str| text.encode_utf16().flat_map(u16::to_be_bytes).collect::<Vec<u8>>();
+    for written in [text.clone(), format!("\u{feff}{text}"), format!("{text}\0"), format!("\u{feff}{text}|\0\0")] {
+        for bytes in [written.as_bytes().to_vec(), little(&written), big(&written)] {
+            let found = Georeference::of_record(&bytes).unwrap();
+            assert_eq!((found.text.as_deref(), found.horizontal), (Some(text.as_str()), Some(1.0)), "{bytes:?}");
+            assert!(found.notes.is_empty(), "{:?}", found.notes);
+        }
+    }
+    assert_eq!(Georeference::of_record(&big("EPSG:25832")).unwrap().codes, [25832]);
+    assert_eq!(Georeference::of_record(b"\0WGS 84\0\0").unwrap().text.as_deref(), Some("WGS 84"));
+    assert_eq!(Georeference::of_record(b"\0 \0"), None);
+    // UTF-32, UTF-16 from an odd byte on, and bytes that are no text.
+    let wide: Vec<u8> = text.chars().flat_map(|c| u32::from(c).to_le_bytes()).collect();
+    for bytes in [&wide[..], b"P\0R\0", &[&[1], &little(&text)[..]].concat(), b"\x03\x80\xFF\x10"] {
+        let alone = Georeference::of_record(bytes).unwrap();
+        assert_eq!((alone.text, alone.notes), (None, vec![UNREADABLE.to_owned()]), "{bytes:?}");
+        // The keys count instead.
+        let found = Georeference::read(&records(bytes), true);
+        assert_eq!((found.text.as_deref(), found.notes.len()), (Some("EPSG:2229"), 1), "{bytes:?}");
+    }
+}
+
+#[test]
 fn keys_name_the_unit_of_heights_by_code_by_system_or_in_words() {
     let vertical = |entries: &[[u16; 4]], text: &str| keys(entries, text, &[]).vertical;
     let feet = [3072, 0, 1, 2229];

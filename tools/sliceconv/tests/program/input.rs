@@ -331,6 +331,30 @@ fn the_reference_system_is_found_after_the_points_and_agreed_on_over_files() {
 }
 
 #[test]
+fn well_known_text_in_utf_16_is_read_and_a_record_that_is_no_text_is_warned_of() {
+    let folder = Folder::new();
+    let feet = "PROJCS[\"b\",UNIT[\"foot\",0.3048]]";
+    let open = |body: Vec<u8>, units: Units| {
+        let mut scan = Scan::new(4, 6, 5);
+        scan.evlrs.push(("LASF_Projection", 2112, body));
+        let (path, heard) = (folder.file("a.las", &scan.las()), Listener::default());
+        let options = InputOptions { units, ..InputOptions::default() };
+        let set = InputSet::open(&[path], options, &heard).unwrap();
+        (set.crs().map(str::to_owned), set.files()[0].unit_m(), heard.said())
+    };
+    let utf_16 = feet.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    assert_eq!(open(utf_16, Units::Auto), (Some(feet.to_owned()), [0.3048; 3], Vec::new()));
+    for units in [Units::Auto, Units::Factor(1.0)] {
+        let utf_32 = feet.chars().flat_map(|c| u32::from(c).to_le_bytes()).collect();
+        let (system, unit, said) = open(utf_32, units);
+        assert_eq!((system, unit), (None, [1.0; 3]));
+        assert!(
+            said[0].ends_with("a.las: the well-known text of its reference system is unreadable; it is passed over")
+        );
+    }
+}
+
+#[test]
 fn other_files_are_named_for_what_they_are() {
     let folder = Folder::new();
     let text = refusal(&folder.file("notes.laz", b"x y z\n1 2 3\n"));
