@@ -76,6 +76,7 @@ pub(super) fn read_meshes<'a>(
     };
     let done = pass.on_threads(&flag, work)?;
     let feed = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    feed.warn_of_coarse_floats(plan.frame.pixel_m(), monitor);
     let mut all = MeshRead::of(&feed);
     let (triangles, source) = (all.triangles, &mut all.source);
     source.read.counts.read = triangles.read;

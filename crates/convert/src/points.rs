@@ -278,6 +278,7 @@ pub(super) fn read_points(
     }
     let of_files = of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     warn_of_bounds(set, &of_files, monitor);
+    set.warn_of_coarse_floats(plan.frame.pixel_m(), monitor);
     Ok((all, of_files, values))
 }
 

@@ -9,6 +9,7 @@ use super::source::{ReadLog, Source};
 use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
 use crate::colour::ColourSource;
 use crate::{Error, Result};
+use std::sync::PoisonError;
 
 /// Points in one [`PointChunk`] of a plain LAS file.
 const CHUNK_POINTS: u64 = 1 << 17;
@@ -146,6 +147,7 @@ impl PointDecoder {
                 Err(error) => Err(error),
             };
             let (counts, refused, broken) = (taker.counts(), taker.refused, taker.broken());
+            set.singles.lock().unwrap_or_else(PoisonError::into_inner).note(piece.file, taker.farthest_singles());
             if let Some((records, reason)) = broken {
                 set.diagnostics.add(piece.file, |loss| {
                     loss.unread += records;

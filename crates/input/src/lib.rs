@@ -34,6 +34,7 @@ mod pattern;
 pub mod ply_header;
 mod records;
 pub mod scenes;
+pub mod singles;
 mod source;
 pub mod spacing;
 pub mod unzstd;
@@ -54,6 +55,7 @@ use crate::plan::{ClassSet, Up};
 use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use diagnostics::{Diagnostics, Findings};
+use singles::Singles;
 use slicewalk_base::{Error, Monitor, Parameter, Result, Warning, bytes, colour, placement, plan, text, unit};
 
 pub use self::cloud::{Depth, Standpoint};
@@ -315,6 +317,8 @@ pub struct InputSet {
     diagnostics: Diagnostics,
     /// Sum of the hashes of the decoded data, per file; empty unless requested.
     hashes: Mutex<Vec<u128>>,
+    /// Decoded coordinates that are floats of 32 bits.
+    singles: Mutex<Singles>,
     /// Kind of tag to read from points that have it.
     tag: Option<Tag>,
     /// Memory of all decoders for compressed chunks.
@@ -453,7 +457,8 @@ impl InputSet {
         }
         files.shrink_to_fit();
         let chunk_memory = ChunkMemory::new(options.memory_bytes, options.threads);
-        Ok(Self { files, meshes, options, crs, filters, diagnostics, hashes, tag: None, chunk_memory })
+        let singles = Mutex::default();
+        Ok(Self { files, meshes, options, crs, filters, diagnostics, hashes, singles, tag: None, chunk_memory })
     }
 
     /// Replaces the reference system, for runs whose inputs are not only scans.
@@ -591,6 +596,15 @@ impl InputSet {
     pub fn add_hash(&self, file: usize, hash: u128) {
         let mut hashes = self.hashes.lock().unwrap_or_else(PoisonError::into_inner);
         hashes[file] = hashes[file].wrapping_add(hash);
+    }
+
+    /// Warns once of files that store coordinates as floats of 32 bits, if the points decoded so far are so far from the
+    /// origin that these are coarse for pixels of `pixel_m`.
+    pub fn warn_of_coarse_floats(&self, pixel_m: f64, monitor: &dyn Monitor) {
+        let factor = self.options.placement.map_or(1.0, |placement| placement.factor());
+        let about = |file: usize| (self.files[file].path(), self.files[file].unit_m().map(|unit| unit * factor));
+        let singles = self.singles.lock().unwrap_or_else(PoisonError::into_inner);
+        singles.warning(pixel_m, about).iter().for_each(|text| monitor.warn(&text.as_str().into()));
     }
 
     fn filter(&self, layout: Layout) -> &Filter {

@@ -217,6 +217,8 @@ pub(super) struct Taker<'a> {
     allow_incomplete: bool,
     /// Fault of the first record that was left out.
     reason: Option<String>,
+    /// See [`farthest_singles`](Self::farthest_singles).
+    farthest: [f64; 3],
 }
 
 impl<'a> Taker<'a> {
@@ -246,6 +248,7 @@ impl<'a> Taker<'a> {
             widen: 1,
             allow_incomplete,
             reason,
+            farthest: [0.0; 3],
         }
     }
 
@@ -315,6 +318,22 @@ impl<'a> Taker<'a> {
             self.counts.not_finite += 1;
         }
         self.step()
+    }
+
+    /// Notes the coordinates of a point that the file stores as floats of 32 bits.
+    #[inline]
+    pub fn note_singles(&mut self, at: [f64; 3], is_single: [bool; 3]) {
+        for axis in 0..3 {
+            let far = at[axis].abs();
+            if is_single[axis] && far > self.farthest[axis] && far <= FARTHEST_M {
+                self.farthest[axis] = far;
+            }
+        }
+    }
+
+    /// Returns how far from 0 the coordinates are that the file stores as floats of 32 bits (file units, before any pose).
+    pub fn farthest_singles(&self) -> [f64; 3] {
+        self.farthest
     }
 
     /// Adds a record that the file marks as having no return.

@@ -378,6 +378,7 @@ impl Cloud for Packed {
         let mut columns = self.unpack([&self.columns[..needed], &of_value].concat(), source)?;
         let at_once = piece.end.clamp(1, 1 << 13) as usize;
         scratch.resize(at_once * 8 * 7, 0);
+        let is_single = [0, 1, 2].map(|axis| self.columns[axis].number == Number::F32);
         let mut next = 0;
         while next < piece.end {
             let count = (piece.end - next).min(at_once as u64) as usize;
@@ -402,7 +403,9 @@ impl Cloud for Packed {
                     let bits = |field: Field| bits_of(&filled[of_field(field)].0[4 * row..], false);
                     self.values.of(source, number, bits)
                 });
-                taker.push(axes.map(|axis| value(axis, row)), class.map(|class| value(class, row)), colour)?;
+                let at = axes.map(|axis| value(axis, row));
+                taker.note_singles(at, is_single);
+                taker.push(at, class.map(|class| value(class, row)), colour)?;
             }
             next += count as u64;
         }

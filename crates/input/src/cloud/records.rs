@@ -176,6 +176,7 @@ impl Cloud for Records {
         let class = self.class.filter(|_| taker.wants_classes());
         let wanted = taker.wanted();
         let at_once = (SLAB_BYTES / self.stride).max(1) as u64;
+        let is_single = self.axes.map(|axis| axis.number == Number::F32);
         let mut next = piece.first;
         while next < piece.end {
             let want = (piece.end - next).min(at_once) as usize * self.stride;
@@ -185,7 +186,9 @@ impl Cloud for Records {
                 let value = |field: Field| field.number.read(&record[field.at..], self.big);
                 let bits = |field: Field| bits_of(&record[field.at..], self.big);
                 let colour = wanted.and_then(|source| self.values.of(source, value, bits));
-                taker.push(self.axes.map(value), class.map(value), colour)?;
+                let at = self.axes.map(value);
+                taker.note_singles(at, is_single);
+                taker.push(at, class.map(value), colour)?;
             }
             next += got as u64;
             if got * self.stride < want {

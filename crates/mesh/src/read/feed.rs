@@ -1,9 +1,10 @@
 //! The triangles of a set of files, file by file.
 
 use super::watch::{Digest, Watch};
-use super::{MeshBatch, MeshCounts, MeshSet, Triangles, Wants, is_far, usable};
+use super::{FARTHEST_M, MeshBatch, MeshCounts, MeshSet, Triangles, Wants, is_far, usable};
 use crate::Triangle;
 use crate::input::scenes::Scene;
+use crate::input::singles::Singles;
 use crate::input::{incomplete, warn_incomplete};
 use crate::{Error, Monitor, Result};
 use std::sync::Arc;
@@ -30,6 +31,8 @@ pub struct MeshFeed<'a> {
     total: MeshCounts,
     /// Per file: bounds of the usable triangles and hash of the bytes read until now.
     found: Vec<(Bounds, u128)>,
+    /// Coordinates that are floats of 32 bits.
+    singles: Singles,
     complete: bool,
     colours: bool,
     /// Shared by each texture of the current file and of the previous one.
@@ -50,8 +53,8 @@ struct OfFile {
 impl<'a> MeshFeed<'a> {
     pub(super) fn new(set: &'a MeshSet, colours: bool) -> Self {
         let (of_file, total) = (OfFile::default(), MeshCounts::default());
-        let textures = Arc::new(());
-        Self { set, next: 0, open: None, of_file, total, found: Vec::new(), complete: true, colours, textures }
+        let (textures, singles) = (Arc::new(()), Singles::default());
+        Self { set, next: 0, open: None, of_file, total, found: Vec::new(), singles, complete: true, colours, textures }
     }
 
     /// Replaces `batch` by the next usable triangles (m, z up), possibly none; returns false after the last.
@@ -96,6 +99,7 @@ impl<'a> MeshFeed<'a> {
             more => more?,
         };
         let read = batch.len();
+        self.note_singles(batch);
         batch.triangles.iter_mut().for_each(|triangle| self.set.place(self.next, triangle));
         self.of_file.far += batch.triangles.iter().filter(|triangle| is_far(triangle)).count() as u64;
         batch.retain(usable);
@@ -107,6 +111,21 @@ impl<'a> MeshFeed<'a> {
             self.finish_file(monitor)?;
         }
         Ok(true)
+    }
+
+    /// Notes the coordinates of a batch that are floats of 32 bits in the file.
+    fn note_singles(&mut self, batch: &MeshBatch) {
+        let are_singles = self.open.as_ref().map_or([false; 3], |reader| reader.are_singles());
+        if are_singles != [false; 3] {
+            let corners = batch.triangles.as_flattened().iter();
+            let farthest = corners.fold([0.0; 3], |farthest, corner| {
+                [0, 1, 2].map(|axis| match corner[axis].abs() {
+                    far if are_singles[axis] && far > farthest[axis] && far <= FARTHEST_M => far,
+                    _ => farthest[axis],
+                })
+            });
+            self.singles.note(self.next, farthest);
+        }
     }
 
     fn read_some(&mut self, batch: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
@@ -178,6 +197,14 @@ impl<'a> MeshFeed<'a> {
     pub fn scenes(&self) -> impl Iterator<Item = Scene<'a>> {
         let files = self.set.files.iter().zip(&self.found);
         files.map(|(file, &((min, max), _))| Scene { path: &file.path, min, max })
+    }
+
+    /// Warns once of files that store coordinates as floats of 32 bits, if the triangles read until now are so far from
+    /// the origin that these are coarse for pixels of `pixel_m`.
+    pub fn warn_of_coarse_floats(&self, pixel_m: f64, monitor: &dyn Monitor) {
+        let unit = self.set.unit_m() * self.set.options.placement.map_or(1.0, |placement| placement.factor());
+        let about = |file: usize| (&*self.set.files[file].path, [unit; 3]);
+        self.singles.warning(pixel_m, about).iter().for_each(|text| monitor.warn(&text.as_str().into()));
     }
 
     /// Returns the bounds of all usable triangles until now.

@@ -94,6 +94,11 @@ fn kind_of(path: &Path) -> Option<MeshFormat> {
 trait Triangles: Send {
     /// Appends at most a few thousand triangles; returns false if there are no more.
     fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool>;
+
+    /// Returns which coordinates are floats of 32 bits in the file, and placed by nothing in it.
+    fn are_singles(&self) -> [bool; 3] {
+        [false; 3]
+    }
 }
 
 /// Triangles with their paints.
@@ -283,12 +288,17 @@ impl MeshSet {
         })
     }
 
-    /// Converts file coordinates to metres, z up.
-    fn place(&self, number: usize, triangle: &mut Triangle) {
-        let factor = match self.options.units {
+    /// Returns the length of a file unit (m), before any placement.
+    fn unit_m(&self) -> f64 {
+        match self.options.units {
             Units::Auto => 1.0,
             Units::Factor(factor) => factor,
-        };
+        }
+    }
+
+    /// Converts file coordinates to metres, z up.
+    fn place(&self, number: usize, triangle: &mut Triangle) {
+        let factor = self.unit_m();
         let turned = self.options.up == Up::Y || self.files[number].kind == MeshFormat::Gltf;
         for corner in triangle {
             let [x, y, z] = corner.map(|v| v * factor);

@@ -265,6 +265,8 @@ pub(super) struct PlyReader {
     at_corners: Vec<[u8; 3]>,
     /// True if colours are requested and faces have them.
     faces_have: bool,
+    /// Coordinates that are floats of 32 bits in the body.
+    are_singles: [bool; 3],
 }
 
 impl PlyReader {
@@ -274,7 +276,7 @@ impl PlyReader {
         let coloured = wants.colours.is_some();
         let share = MeshOptions { memory_bytes: options.memory_bytes / 2, ..options.clone() };
         let mut vertices = Vertices::new(if coloured { &share } else { options });
-        let mut colours = None;
+        let (mut colours, mut are_singles) = (None, [false; 3]);
         for element in elements.by_ref() {
             let columns = Column::all_of(&element);
             if element.name != "vertex" {
@@ -289,6 +291,11 @@ impl PlyReader {
                 return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
             }
             colours = (coloured && has_colour(&columns)).then(|| Vertices::new(&share));
+            if let Body::Binary { .. } = body {
+                let is_single =
+                    |axis: usize| columns.iter().any(|c| c.role == Role::Axis(axis) && c.number == Number::F32);
+                are_singles = [0, 1, 2].map(is_single);
+            }
             for _ in 0..element.count {
                 watch.step()?;
                 let (mut vertex, mut colour) = ([f64::NAN; 3], [0.0; 3]);
@@ -320,6 +327,7 @@ impl PlyReader {
             colours,
             at_corners: Vec::new(),
             faces_have: false,
+            are_singles,
         })
     }
 
@@ -433,6 +441,10 @@ impl PlyReader {
 }
 
 impl Triangles for PlyReader {
+    fn are_singles(&self) -> [bool; 3] {
+        self.are_singles
+    }
+
     fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         for _ in 0..FACES {
             if out.len() >= BATCH_TRIANGLES {

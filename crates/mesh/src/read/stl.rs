@@ -81,6 +81,10 @@ impl StlReader {
 }
 
 impl Triangles for StlReader {
+    fn are_singles(&self) -> [bool; 3] {
+        [matches!(self, Self::Binary { .. }); 3]
+    }
+
     fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         watch.check_cancelled()?;
         match self {

@@ -5,7 +5,10 @@ use crate::reading::{gzip, read};
 use crate::scans;
 use crate::write;
 
-use e57::{CartesianCoordinate, E57Reader};
+use e57::{
+    CartesianCoordinate, E57Reader, E57Writer, Quaternion, Record, RecordDataType, RecordName, RecordValue, Transform,
+    Translation,
+};
 use scangen::{WriteSpec, write_las};
 use scans::{Random, converts, data, refuses, verifies};
 use slicewalk::archive::{Archive, merge};
@@ -45,6 +48,61 @@ fn archive(folder: &Path, inputs: &[&str], options: &[&str]) -> Vec<u8> {
 
 fn read_one(path: &Path) -> Result<(Vec<Point>, PointCounts), Error> {
     read(&[path.to_path_buf()], InputOptions::default()).map(|(points, counts, _)| (points, counts))
+}
+
+#[test]
+fn coordinates_in_floats_that_are_coarse_for_the_pixels_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    const FAR: f64 = 5_000_000.0;
+    let near: Vec<Point> = (0..400).map(|n| [f64::from(n % 20) * 0.5, f64::from(n / 20) * 0.5, 0.25]).collect();
+    let far: Vec<Point> = near.iter().map(|[x, y, z]| [x + FAR, *y, *z]).collect();
+    let put_e57 = |name: &str, points: &[Point], form: E57| {
+        e57(&at(name), &[Cloud { points, form, posed: false, mixed: false }], None);
+    };
+    fs::write(at("near.ply"), ply(&near, Ply::Little)).unwrap();
+    fs::write(at("text.ply"), ply(&far, Ply::Text)).unwrap();
+    put_e57("near.e57", &near, E57::Single);
+    put_e57("double.e57", &far, E57::Double);
+    fs::write(at("little.ply"), ply(&far, Ply::Little)).unwrap();
+    fs::write(at("binary.pcd"), pcd(&far, Pcd::Binary)).unwrap();
+    fs::write(at("packed.pcd"), pcd(&far, Pcd::Packed)).unwrap();
+    put_e57("single.e57", &far, E57::Single);
+    // Around the scanner, whose place is far.
+    let mut writer = E57Writer::from_file(at("posed.e57"), "{00000000-0000-0000-0000-000000000004}").unwrap();
+    let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+    let prototype = axes.map(|name| Record { name, data_type: RecordDataType::F32 }).to_vec();
+    let mut cloud = writer.add_pointcloud("cloud", prototype).unwrap();
+    let (rotation, translation) =
+        (Quaternion { w: 1.0, x: 0.0, y: 0.0, z: 0.0 }, Translation { x: FAR, y: 0.0, z: 0.0 });
+    cloud.set_transform(Some(Transform { rotation, translation }));
+    for point in &near {
+        cloud.add_point(point.map(|v| RecordValue::Single(v as f32)).to_vec()).unwrap();
+    }
+    cloud.finalize().unwrap();
+    writer.finalize().unwrap();
+    fs::write(at("m.txt"), format!("1 0 0 {FAR}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")).unwrap();
+
+    let said = |inputs: &[&str], pixel: &str, more: &[&str]| {
+        let options = ["-o", "a.slices", "--force", "--units", "m", "--pixel", pixel];
+        let said = converts(folder.path(), &[inputs, &options, more].concat());
+        let lines: Vec<&str> = said.lines().filter(|line| line.contains("floats of 32 bits")).collect();
+        lines.join("\n")
+    };
+    for name in ["little.ply", "binary.pcd", "packed.pcd", "single.e57"] {
+        let expected = format!(
+            "sliceconv: warning: {name}: coordinates are floats of 32 bits, which are 0.5 m apart at 5,000,009, for pixels \
+             of 0.5 m; export with an offset subtracted, or with coordinates of 64 bits (double)"
+        );
+        assert_eq!(said(&[name], "0.5", &[]), expected);
+        assert_eq!(said(&[name], "2", &[]), "", "{name}: a quarter of a pixel");
+    }
+    let several = said(&["single.e57", "near.ply", "little.ply", "binary.pcd"], "0.5", &[]);
+    assert!(several.contains("binary.pcd and 2 more: ") && several.lines().count() == 1, "{several}");
+    for name in ["near.ply", "text.ply", "near.e57", "double.e57", "posed.e57"] {
+        assert_eq!(said(&[name], "0.5", &[]), "", "{name}");
+    }
+    assert_eq!(said(&["near.ply"], "0.5", &["--transform", "m.txt"]), "", "the coordinates of the file count");
 }
 
 #[test]

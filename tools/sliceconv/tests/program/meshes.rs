@@ -43,6 +43,47 @@ fn archive(folder: &Path, inputs: &[&str], arguments: &[&str]) -> Vec<u8> {
     fs::read(folder.join("out.slices")).unwrap()
 }
 
+/// Binary PLY of a triangle whose x and y are in 32 bits.
+fn ply_in_floats(triangle: &Triangle) -> Vec<u8> {
+    let header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n\
+                  property double z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    let corner =
+        |&[x, y, z]: &[f64; 3]| [&(x as f32).to_le_bytes()[..], &(y as f32).to_le_bytes(), &z.to_le_bytes()].concat();
+    let face = [0i32, 1, 2].map(i32::to_le_bytes).concat();
+    [header.as_bytes(), &triangle.iter().flat_map(corner).collect::<Vec<u8>>(), &[3], &face].concat()
+}
+
+#[test]
+fn meshes_in_floats_that_are_coarse_for_the_pixels_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let near: Triangle = [[0.0, 0.0, 1.0], [8.0, 0.0, 1.0], [0.0, 8.0, 1.0]];
+    let far = near.map(|[x, y, z]| [x, y + 5_000_000.0, z]);
+    for (place, triangle) in [("near", near), ("far", far)] {
+        write_stl(&at(&format!("{place}.stl")), &[triangle], false);
+        write_stl(&at(&format!("{place}-text.stl")), &[triangle], true);
+        write_ply(&at(&format!("{place}-double.ply")), &[triangle], Ply::Little);
+        fs::write(at(&format!("{place}.ply")), ply_in_floats(&triangle)).unwrap();
+        write_obj(&at(&format!("{place}.obj")), &[triangle]);
+    }
+    let said = |inputs: &[&str], pixel: &str| {
+        let options = ["-o", "out.slices", "--force", "--units", "m", "--pixel", pixel];
+        let said = converts(folder.path(), &[inputs, &options].concat());
+        said.lines().filter(|line| line.contains("floats of 32 bits")).collect::<Vec<_>>().join("\n")
+    };
+    for name in ["far.stl", "far.ply"] {
+        let line = said(&[name], "0.5");
+        assert!(
+            line.contains(&format!("{name}: coordinates are floats of 32 bits, which are 0.5 m apart at")),
+            "{line}"
+        );
+        assert_eq!(said(&[name], "2"), "", "{name}: a quarter of a pixel");
+    }
+    assert!(said(&["far.stl", "near.ply", "far.obj", "far.ply"], "0.5").contains("far.ply and 1 more: "));
+    let quiet = ["near.stl", "near.ply", "far-text.stl", "far-double.ply", "far.obj"];
+    assert_eq!(said(&quiet, "0.5"), "");
+}
+
 #[test]
 fn every_format_gives_the_same_archive() {
     let folder = tempfile::tempdir().unwrap();

@@ -644,6 +644,8 @@ impl Cloud for E57 {
             })?;
         let [a, b, c, rest @ ..] = &columns[..] else { return Ok(0) };
         let state = rest.first().filter(|_| scan.has_state);
+        // Ranges are short.
+        let is_single = [0, 1, 2].map(|axis| !scan.spherical && scan.needed[axis].kind == Kind::Single);
         for number in 0..(piece.end - piece.first) as usize {
             if state.is_some_and(|state| state.value(number) != 0.0) {
                 taker.absent()?;
@@ -655,6 +657,7 @@ impl Cloud for E57 {
                 let across = range * libm::cos(elevation);
                 at = [across * libm::cos(azimuth), across * libm::sin(azimuth), range * libm::sin(elevation)];
             }
+            taker.note_singles(at, is_single);
             let value = channel.as_ref().and_then(|channel| channel.value(&columns, number));
             taker.push(scan.pose.map_or(at, |pose| pose.apply(at)), None, value)?;
         }
