@@ -12,8 +12,10 @@ const EQUAL: f64 = 1e-6;
 /// Greatest extent of a set of pages (tiles, layers), so that pixels and quanta fit in 31 bits.
 const MOST_TILES: i64 = 1 << 24;
 const MOST_LAYERS: i64 = 1 << 16;
-/// Largest footprint (pixels to each side of the middle).
-const MOST_PIXELS: f64 = 512.0;
+/// Largest footprint (pixels to each side of the middle): the time for a place grows with its area.
+const MOST_PIXELS: f64 = 256.0;
+/// Farthest that floor is looked for beside the footprint (pixels).
+const MOST_AHEAD: i32 = 512;
 
 /// The neighbours of a pixel, in the order of a place's links.
 pub(super) const WAYS: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
@@ -123,7 +125,7 @@ impl Grid {
         // tiles.
         let margin = half.map(|half| i64::from((half + 64) / 64));
         let first = [0, 1].map(|axis| (i64::from(min[axis]) - margin[axis]).max(i64::from(i32::MIN)));
-        let ahead = pixels_beside(frame.pixel_m()).min(MOST_PIXELS as i32);
+        let ahead = pixels_beside(frame.pixel_m()).min(MOST_AHEAD);
         // At a corner of the footprint: pixels straight ahead are no farther off.
         let corners = rects.iter().map(|[x, y]| gap([x + 1, *y]).max(gap([*x, y + 1])));
         let corner = corners.max().unwrap_or(0);

@@ -367,6 +367,7 @@ fn what_cannot_be_meant_is_refused() {
         &["route", "a.slices", "--from", "1,2,1", "--to", "2,2,1", "--max-ramp", "-1"],
         &["route", "a.slices", "--from", "1,2,1"],
         &["route", "a.slices", "--from", "1,2,1", "--to", "2,2,1", "--pawn", "box:2000x1x1"],
+        &["reach", "a.slices", "--from", "1,2,1", "--pawn", "box:50x50x1"],
         &["reach", "a.slices", "--from", "1,1,1", "--cache", "0"],
     ] {
         let out = slicetool(at, wrong);
