@@ -43,6 +43,8 @@ enum Manner {
     RefusesAtLength,
     /// Stops in the middle of the first body, then no longer has that version.
     ShortThenReplaced,
+    /// Answers with these header lines, too.
+    Tells(&'static str),
     /// Sends the body in chunks, without a length.
     Chunked,
     /// Accepts the request and never answers.
@@ -209,6 +211,7 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
         }
     };
     let length = body.len();
+    let range = if let Manner::Tells(lines) = manner { range + lines } else { range };
     if manner == Manner::Chunked {
         write!(client, "HTTP/1.1 {code}\r\n{tag_line}{range}Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n")?;
         for chunk in body.chunks(1000) {
@@ -533,6 +536,37 @@ fn an_answer_without_a_length_is_taken() {
     let mut all = vec![0; bytes.len()];
     source.read_at(0, &mut all).unwrap();
     assert!(all == bytes);
+}
+
+#[test]
+fn headers_on_which_nothing_depends_may_be_odd() {
+    let bytes = tower(2.0, 30.0, 4);
+    let server = Server::new(bytes.clone(), Some("\"one\""));
+    for lines in [
+        "Content-Disposition: attachment; filename=\"H\u{f6}he.laz\"\r\n",
+        "Last-Modified: 2026-11-29 10:00:00\r\n",
+        "Last-Modified: Sunday, 06-Nov-94 08:49:37 GMT\r\n",
+    ] {
+        server.set(Manner::Tells(lines));
+        let source = server.source().unwrap();
+        let mut all = vec![0; bytes.len()];
+        source.read_at(0, &mut all).unwrap();
+        assert!(all == bytes && server.was_told("if-match: \"one\""), "{lines}");
+    }
+    // A time that can be read tells versions apart.
+    server.state.lock().unwrap().tag = None;
+    server.set(Manner::Tells("Last-Modified: Sun, 06 Nov 1994 08:49:37 GMT\r\n"));
+    let source = server.source().unwrap();
+    source.read_at(20_000, &mut [0; 1000]).unwrap();
+    assert!(server.was_told("if-unmodified-since: Sun, 06 Nov 1994 08:49:37 GMT"));
+}
+
+#[test]
+fn an_empty_object_is_called_empty() {
+    let server = Server::new(tower(1.0, 9.0, 4), None);
+    server.set(Manner::Refuses("416 Range Not Satisfiable", "Content-Range: bytes */0\r\n"));
+    let text = error_of(server.source()).to_string();
+    assert!(text.contains("416 Range Not Satisfiable: the object is empty"), "{text}");
 }
 
 #[test]

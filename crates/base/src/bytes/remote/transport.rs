@@ -4,6 +4,7 @@
 use super::pool::Bucket;
 use super::text::one_line;
 use async_trait::async_trait;
+use chrono::DateTime;
 use futures_util::StreamExt;
 use object_store::ClientOptions;
 use object_store::HeaderValue;
@@ -20,6 +21,7 @@ const NOT_FOUND: u16 = 404;
 const TIMED_OUT: u16 = 408;
 const GONE: u16 = 410;
 const REPLACED: u16 = 412;
+const OUTSIDE: u16 = 416;
 const TOO_MANY: u16 = 429;
 const PARTIAL: u16 = 206;
 
@@ -107,13 +109,14 @@ impl HttpService for Transport {
             request.headers_mut().insert("if-none-match", HeaderValue::from_static("*"));
         }
         // Other requests are the store's own, for credentials and uploads; the store checks their answers.
-        let reads = request.headers().contains_key("range");
+        let range = request.headers().get("range").cloned();
+        let reads = range.is_some();
         let lists = request.method().as_str() == "GET"
             && request.uri().query().is_some_and(|query| query.contains("list-type=2") || query.contains("comp=list"));
         let answer = self.client.execute(request).await?;
         let status = answer.status();
         if status.is_success() && (!reads || status.as_u16() == PARTIAL) {
-            return Ok(with_length(answer));
+            return Ok(mended(answer));
         }
         let (parts, body) = answer.into_parts();
         let body = beginning(body).await;
@@ -121,8 +124,10 @@ impl HttpService for Transport {
             return Ok(HttpResponse::from_parts(parts, body.into()));
         }
         let seconds = parts.headers.get("retry-after").and_then(|value| value.to_str().ok()?.trim().parse().ok());
+        let from_start = range.is_some_and(|range| range.as_bytes().starts_with(b"bytes=0-"));
         let said = match status.is_success() {
             true => "the server does not serve byte ranges".to_string(),
+            false if status.as_u16() == OUTSIDE && from_start => "the object is empty".to_string(),
             false => one_line(&String::from_utf8_lossy(&body)),
         };
         let wait = seconds.map(Duration::from_secs);
@@ -143,9 +148,20 @@ async fn beginning(body: HttpResponseBody) -> Vec<u8> {
     start
 }
 
-/// Adds the length that the store requires, from `Content-Range`, to answers sent in chunks, which state none.
-fn with_length(mut answer: HttpResponse) -> HttpResponse {
+/// Removes headers that the store would fail to read though nothing depends on them: names of files in another encoding
+/// than ASCII, for example, and dates in another form. Adds the length that it requires, from `Content-Range`, to answers
+/// sent in chunks, which state none.
+fn mended(mut answer: HttpResponse) -> HttpResponse {
     let headers = answer.headers_mut();
+    let is_odd = |name: &str, value: &HeaderValue| match (name, value.to_str()) {
+        // The version and the bytes must be understood.
+        ("etag" | "content-range" | "content-length", _) => false,
+        ("last-modified", Ok(date)) => DateTime::parse_from_rfc2822(date).is_err(),
+        (_, text) => text.is_err(),
+    };
+    let odd: Vec<_> =
+        headers.iter().filter(|(name, value)| is_odd(name.as_str(), value)).map(|(name, _)| name.clone()).collect();
+    odd.iter().for_each(|name| drop(headers.remove(name)));
     let range = headers.get("content-range").and_then(|value| value.to_str().ok());
     if let Some(length) = range.and_then(length_of)
         && !headers.contains_key("content-length")
