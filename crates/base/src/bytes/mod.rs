@@ -51,6 +51,11 @@ pub trait ByteSource: Send + Sync {
     fn file_id(&self) -> Option<FileId> {
         None
     }
+
+    /// Returns the address of the object that the bytes come from, if any: no output may replace it.
+    fn address(&self) -> Option<&str> {
+        None
+    }
 }
 
 impl<S: ByteSource + ?Sized> ByteSource for std::sync::Arc<S> {
@@ -64,6 +69,10 @@ impl<S: ByteSource + ?Sized> ByteSource for std::sync::Arc<S> {
 
     fn file_id(&self) -> Option<FileId> {
         (**self).file_id()
+    }
+
+    fn address(&self) -> Option<&str> {
+        (**self).address()
     }
 }
 

@@ -207,6 +207,10 @@ impl ByteSource for Ahead {
         buf.copy_from_slice(&bytes[start..start + buf.len()]);
         Ok(())
     }
+
+    fn address(&self) -> Option<&str> {
+        self.source.address()
+    }
 }
 
 #[cfg(test)]

@@ -255,6 +255,10 @@ impl ByteSource for RemoteSource {
         buf.copy_from_slice(&bytes);
         Ok(())
     }
+
+    fn address(&self) -> Option<&str> {
+        Some(&self.name)
+    }
 }
 
 impl std::fmt::Debug for RemoteSource {

@@ -94,9 +94,10 @@ impl Protected {
         }
     }
 
-    /// Protects the file that `source` reads, if any.
+    /// Protects the file or object that `source` reads, if any.
     pub fn add_source(&mut self, source: &dyn ByteSource) {
         self.files.extend(source.file_id());
+        source.address().iter().for_each(|address| self.add(address));
     }
 
     fn holds(&self, files: &Files, path: &Path) -> bool {
