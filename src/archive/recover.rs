@@ -18,7 +18,7 @@ use super::reader::Archive;
 use super::salvage::{Found, find_pages};
 use super::seen::SeenReader;
 use super::writer::{ArchiveWriter, Totals};
-use crate::bytes::{ByteSource, FileSource};
+use crate::bytes::{ByteSource, open_named};
 use crate::frame::PageKey;
 use crate::output::Existing;
 use crate::page::{Inferred, Page};
@@ -27,7 +27,6 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::Path;
-use std::sync::Arc;
 
 /// Result of a recovery.
 #[derive(Debug, Clone)]
@@ -73,9 +72,9 @@ pub fn recover(
     overwrite: bool,
     monitor: &dyn Monitor,
 ) -> Result<Recovered> {
-    let source = FileSource::open(path)?;
-    let old = sound_head(&source).map(|catalog| {
-        let archive = Archive::from_parts(Arc::new(FileSource::open(path)?), catalog);
+    let source = open_named(path)?;
+    let old = sound_head(&*source).map(|catalog| {
+        let archive = Archive::from_parts(open_named(path)?.into(), catalog);
         Ok::<_, Error>(archive)
     });
     let old = old.transpose()?;
@@ -95,7 +94,7 @@ pub fn recover(
     monitor.stage("recover", source.len(), "bytes");
     let levels = old.as_ref().is_some_and(|archive| archive.header().levels.is_some());
     let mut rescue = Rescue {
-        source: &source,
+        source: &*source,
         monitor,
         writer: ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), [path].into_iter().collect())?,
         copier: Copier::new(),
@@ -127,12 +126,12 @@ pub fn recover(
         return Err(Error::input(path, "pages", "no sound page is left in it; convert the scan again"));
     }
     let mut recovered = rescue.finish(old.as_ref(), leaves)?;
-    recovered.identical = recovered.is_complete() && same_head(&source, output, &recovered.header)?;
+    recovered.identical = recovered.is_complete() && same_head(&*source, output, &recovered.header)?;
     Ok(recovered)
 }
 
 /// Decodes header and leaves if the whole head is present and sound; the rest of the file may be missing.
-fn sound_head(source: &FileSource) -> Option<Catalog> {
+fn sound_head(source: &dyn ByteSource) -> Option<Catalog> {
     let mut start = vec![0; MAX_HEAD];
     let there = source.len().min(MAX_HEAD as u64) as usize;
     source.read_at(0, &mut start[..there]).ok()?;
@@ -143,19 +142,19 @@ fn sound_head(source: &FileSource) -> Option<Catalog> {
 
 /// Returns whether the archive at `output`, whose header is `header`, has the same head as `source`. Its checksums then
 /// imply that the rest is the same, too.
-fn same_head(source: &FileSource, output: &Path, header: &Header) -> Result<bool> {
+fn same_head(source: &dyn ByteSource, output: &Path, header: &Header) -> Result<bool> {
     let mut heads = [vec![0; header.bytes.head as usize], vec![0; header.bytes.head as usize]];
     if source.len() < header.bytes.head {
         return Ok(false);
     }
     source.read_at(0, &mut heads[0])?;
-    FileSource::open(output)?.read_at(0, &mut heads[1])?;
+    open_named(output)?.read_at(0, &mut heads[1])?;
     Ok(heads[0] == heads[1])
 }
 
 /// State of a recovery.
 struct Rescue<'a> {
-    source: &'a FileSource,
+    source: &'a dyn ByteSource,
     monitor: &'a dyn Monitor,
     writer: ArchiveWriter,
     copier: Copier<Content>,

@@ -133,6 +133,21 @@ fn whatever_a_store_does_wrong_a_merge_gives_the_bytes_or_nothing() {
 }
 
 #[test]
+fn an_archive_in_a_store_is_recovered_there_and_never_replaced_by_its_own_part() {
+    let (folder, server, whole) = job();
+    let at = folder.path();
+    server.put("whole.slices", whole.clone());
+    server.done(at, &["recover", WHOLE, "-o", "s3://bucket/again.slices"]).unwrap();
+    assert!(server.get("again.slices").unwrap() == whole);
+    let part = ["extract", WHOLE, "--bounds=0,0,-1,1,1,1", "--force", "-o"];
+    let said = server.done(at, &[&part[..], &[WHOLE]].concat()).unwrap_err();
+    assert!(said.contains("is a file that this command reads"), "{said}");
+    assert!(server.get("whole.slices").unwrap() == whole);
+    server.done(at, &[&part[..], &["s3://bucket/again.slices"]].concat()).unwrap();
+    assert!(server.get("again.slices").unwrap().len() < whole.len());
+}
+
+#[test]
 fn a_part_that_is_replaced_while_it_is_read_is_noticed() {
     let (folder, server, whole) = job();
     let at = folder.path();
