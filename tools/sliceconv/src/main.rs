@@ -5,6 +5,7 @@ mod report;
 
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use slicewalk::bytes::interruptible;
 use slicewalk::plan::Classifier;
 use slicewalk::{Error, Monitor, Parameter};
 use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
@@ -243,7 +244,9 @@ fn main() -> ExitCode {
         terminal.warn(&format!("cannot listen for Ctrl-C: {error}").into());
     }
     let started = Instant::now();
-    let result = run(&arguments, &given, &terminal);
+    let asked = signal.clone();
+    let stop = move || asked.load(Ordering::Relaxed) != 0;
+    let result = interruptible(Some(Arc::new(stop)), || run(&arguments, &given, &terminal));
     drop(terminal);
     match result {
         Ok(Done::Archive(report)) => {
@@ -310,6 +313,8 @@ fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
     match error {
         // Like the shell reports a program ended by a signal.
         Error::Interrupted => (error.to_string(), ExitCode::from(128 + u8::try_from(signal).unwrap_or(2))),
+        // The signal ended a wait for a server.
+        Error::Io { .. } | Error::Input { .. } if signal != 0 => failure_of(&Error::Interrupted, signal),
         // The input is at fault, not the option.
         Error::Parameter { what: Parameter::AutomaticPixelSize, reason } => {
             (format!("--pixel auto: {reason}"), ExitCode::FAILURE)

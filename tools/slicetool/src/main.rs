@@ -31,6 +31,7 @@ mod web;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use slicewalk::archive::{Archive, PageEntry};
+use slicewalk::bytes::interruptible;
 use slicewalk::edit::Edits;
 use slicewalk::{Monitor, Parameter};
 use slicewalk_base::output::{Output, OutputKind, Protected};
@@ -40,7 +41,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, OnceLock};
 
 /// Reason why a command ends early.
 #[derive(Clone)]
@@ -77,7 +78,9 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
 
 /// Converts an error of the library, with command-line options in place of its parameters.
 fn of_library(error: &slicewalk::Error) -> Failure {
-    if matches!(error, slicewalk::Error::Interrupted) {
+    use slicewalk::Error::{Input, Interrupted, Io};
+    // A signal also ends the wait for a server.
+    if matches!(error, Interrupted) || asked() && matches!(error, Io { .. } | Input { .. }) {
         return Failure::Interrupted(128 + signal().load(Ordering::Relaxed) as u8);
     }
     if let slicewalk::Error::Parameter { what, reason } = error
@@ -300,14 +303,20 @@ pub fn say(line: &str) {
 /// Number of the signal that asks to stop, or 0. From the first call on, a signal no longer ends the program: the work has
 /// to ask.
 pub fn signal() -> &'static Arc<AtomicUsize> {
-    static SIGNAL: LazyLock<Arc<AtomicUsize>> = LazyLock::new(|| {
+    SIGNAL.get_or_init(|| {
         let signal = Arc::default();
         if let Err(error) = slicewalk_terminal::listen(&signal) {
             say(&format!("warning: cannot listen for Ctrl-C: {error}"));
         }
         signal
-    });
-    &SIGNAL
+    })
+}
+
+static SIGNAL: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
+
+/// Returns whether a signal asks the work to stop.
+fn asked() -> bool {
+    SIGNAL.get().is_some_and(|signal| signal.load(Ordering::Relaxed) != 0)
 }
 
 /// Fails once a signal asks to stop.
@@ -337,7 +346,8 @@ fn main() -> ExitCode {
     let is_server = matches!(arguments.command, Command::Serve(_));
     #[cfg(not(feature = "serve"))]
     let is_server = false;
-    let outcome = match arguments.command {
+    // Waits for servers end with a signal, too.
+    let outcome = interruptible(Some(Arc::new(asked)), || match arguments.command {
         Command::Info { archives, json } => info::run(&archives, json),
         Command::Verify { archive, json } => verify::run(&archive, json),
         Command::Stats { archive, coverage: true, output, json } => coverage::run(&archive, output.as_deref(), json),
@@ -359,7 +369,7 @@ fn main() -> ExitCode {
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Completions { shell } => manual::completions(shell),
         Command::Man { folder } => manual::write(&folder),
-    };
+    });
     let (text, code) = match outcome {
         Ok(text) => (text, ExitCode::SUCCESS),
         Err(Failure::Result(text)) => (text, ExitCode::FAILURE),

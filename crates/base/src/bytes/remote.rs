@@ -350,6 +350,19 @@ impl From<Failure> for io::Error {
     }
 }
 
+/// Awaits `work`, unless this thread is cancelled.
+async fn unless_stopped<T>(work: impl Future<Output = T>) -> Result<T> {
+    let (mut work, stop) = (pin!(work), stop_of_thread());
+    loop {
+        if let Ok(done) = tokio::time::timeout(LOOK, work.as_mut()).await {
+            return Ok(done);
+        }
+        if stop.as_ref().is_some_and(|stop| stop()) {
+            return Err(Error::Interrupted);
+        }
+    }
+}
+
 /// Sleeps, unless this thread is cancelled.
 fn sleep(time: Duration) -> Result<()> {
     let (until, stop) = (Instant::now() + time, stop_of_thread());

@@ -41,6 +41,38 @@ fn from_and_to(output: &'static str) -> Vec<&'static str> {
 }
 
 #[test]
+#[cfg(unix)]
+fn a_signal_ends_the_wait_for_a_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}", silent.local_addr().unwrap());
+    for input in [&format!("{address}/a.laz"), "s3://bucket/*.laz"] {
+        let mut command = std::process::Command::new(SLICECONV);
+        command.current_dir(folder.path()).env("AWS_ENDPOINT", &address).env("AWS_ALLOW_HTTP", "true");
+        command.args([input, "-o", "a.slices"]).stderr(std::process::Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let _client = silent.accept().unwrap();
+        let sent = std::process::Command::new("kill").args(["-s", "INT", &child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        for _ in 0..200 {
+            if child.try_wait().unwrap().is_some() {
+                break;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+        let _ = child.kill();
+        let out = child.wait_with_output().unwrap();
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert_eq!(
+            (out.status.code(), &said[..]),
+            (Some(130), "sliceconv: interrupted: nothing was written\n"),
+            "{input}"
+        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{input}");
+    }
+}
+
+#[test]
 fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     let (folder, server, whole) = job();
     let at = folder.path();

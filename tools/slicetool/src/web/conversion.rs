@@ -4,6 +4,7 @@ use super::KioskArguments;
 use crate::extract::EVERYTHING;
 use crate::{Failure, of_library, say, suggestion};
 use slicewalk::archive::{Archive, extract};
+use slicewalk::bytes::interruptible;
 use slicewalk::{Error, Monitor, Warning};
 use slicewalk_base::output::{ARCHIVE_MAGIC, DRAFT_MAGIC};
 use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, convert};
@@ -92,10 +93,11 @@ impl Conversion {
 
     /// Makes the archive on this thread.
     pub fn run(&self, progress: &Progress) -> Result<(), Failure> {
-        let done = match &self.work {
+        // Also on a thread that the program's main one has started.
+        let done = interruptible(Some(Arc::new(crate::asked)), || match &self.work {
             Work::Convert(options) => convert(options, progress).map(drop),
             Work::Edit(archive) => extract(archive, &EVERYTHING, &self.path, false, progress).map(drop),
-        };
+        });
         progress.terminal().take();
         done.map_err(|error| match error {
             Error::Interrupted => Failure::Interrupted(128 + progress.signal.load(Ordering::Relaxed) as u8),

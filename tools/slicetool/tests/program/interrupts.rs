@@ -10,6 +10,34 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
+#[cfg(feature = "remote")]
+fn a_signal_ends_the_wait_for_a_server() {
+    let folder = converted(floor_wall_roof(), 0.05, None);
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let scan = format!("http://{}/a.xyz", silent.local_addr().unwrap());
+    // It listens for signals before it asks the server.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_slicetool"));
+    command.current_dir(folder.path()).args(["site", &scan, "-o", "site", "--page", "page"]);
+    fs::create_dir(folder.path().join("page")).unwrap();
+    fs::write(folder.path().join("page/index.html"), "page").unwrap();
+    let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+    let _client = silent.accept().unwrap();
+    let sent = Command::new("kill").args(["-s", "INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    for _ in 0..200 {
+        if child.try_wait().unwrap().is_some() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+    let _ = child.kill();
+    let out = child.wait_with_output().unwrap();
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.code() == Some(130) && said == "slicetool: interrupted\n", "{:?} {said}", out.status);
+    assert_eq!(names(folder.path()).len(), 2);
+}
+
+#[test]
 fn interrupted_exports_say_so_and_leave_nothing() {
     let folder = converted(floor_wall_roof(), 0.05, None);
     let at = folder.path();

@@ -1,6 +1,6 @@
 //! Listing of the objects of a store below a prefix.
 
-use super::{Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks, sleep};
+use super::{Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks, sleep, unless_stopped};
 use crate::bytes::named::patient;
 use crate::{Error, Result};
 use futures_util::TryStreamExt;
@@ -28,8 +28,8 @@ pub fn list(address: &str, deep: bool) -> Result<Vec<String>> {
     let mut failures = 0;
     let keys = loop {
         // An aborted listing starts again, so that the list is consistent.
-        let found = connected.wait_for(keys(&*connected.store, &connected.path, deep));
-        let failed = match found.map_err(|error| Error::io(&name, "list", error))? {
+        let found = connected.wait_for(unless_stopped(keys(&*connected.store, &connected.path, deep)));
+        let failed = match found.map_err(|error| Error::io(&name, "list", error))?? {
             Ok(keys) => break keys,
             Err(error) => error,
         };
