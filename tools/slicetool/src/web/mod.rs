@@ -19,7 +19,8 @@ use conversion::{Conversion, ConversionArguments, check_tour, is_archive};
 use page::Page;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use slicewalk::archive::Archive;
-use slicewalk_base::text::behind_mark;
+use slicewalk_base::bytes::{address, local};
+use slicewalk_base::text::{behind_mark, one_line};
 use std::path::{Path, PathBuf};
 
 /// Name of the table of archives, beside the page.
@@ -97,8 +98,13 @@ impl Show {
         let mut scans = Vec::new();
         for path in &arguments.inputs {
             if is_archive(path) {
-                let kind = Kind::Archive(Box::new(open(path)?));
-                named.push((path.clone(), name_of(path), kind));
+                let file = local(path).unwrap_or_else(|| path.clone());
+                if arguments.edits.path().is_none() {
+                    refuse_address(&file)?;
+                }
+                let kind = Kind::Archive(Box::new(open(&file)?));
+                let name = name_of(&file);
+                named.push((file, name, kind));
             } else {
                 scans.push((path.clone(), named.len()));
             }
@@ -186,6 +192,14 @@ fn edited((path, name, kind): &mut (PathBuf, String, Kind), file: &EditFile) -> 
 }
 
 /// The file name of `path`.
+/// Refuses an archive elsewhere, which cannot be served or copied as a file.
+fn refuse_address(path: &Path) -> Result<(), Failure> {
+    let Some(address) = address(path) else { return Ok(()) };
+    let name = one_line(address);
+    let way_out = "fetch it first (a page itself also opens web addresses: ?archive=URL)";
+    Err(Failure::Text(format!("{name}: expected an archive in a file, found an address; {way_out}")))
+}
+
 fn name_of(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }

@@ -180,6 +180,19 @@ fn archives_are_served_by_ranges() {
 }
 
 #[test]
+#[cfg(unix)]
+fn a_file_is_also_shown_by_its_address() {
+    let folder = folder();
+    let at = folder.path();
+    let whole = fs::read(at.join("a.slices")).unwrap();
+    let address = format!("file://{}/a.slices", at.display());
+    let server = Server::start(at, &[&address]);
+    assert!(server.get("/a.slices", "").body == whole);
+    let out = run(at, &site(&address, &[]));
+    assert!(out.status.success() && fs::read(at.join("site/a.slices")).unwrap() == whole, "{out:?}");
+}
+
+#[test]
 fn the_page_comes_with_its_types_and_policy_and_knows_the_archives() {
     let folder = folder();
     fs::create_dir(folder.path().join("other")).unwrap();
@@ -332,6 +345,10 @@ fn what_cannot_be_served_is_one_line() {
     assert!(said.contains("nowhere") && said.contains("tools/viewer/build.mjs"), "{said}");
     let said = refuses(at, &["serve", "a.slices", "--page", "page", "--cloud", "secret.txt"]);
     assert!(said.contains("secret.txt: not a COPC file"), "{said}");
+    for command in [&["serve"][..], &["site", "-o", "site"]] {
+        let said = refuses(at, &[command, &["https://127.0.0.1:9/far.slices", "--page", "page"]].concat());
+        assert!(said.contains("far.slices: expected an archive in a file") && said.contains("fetch it"), "{said}");
+    }
     let server = Server::start(at, &["a.slices"]);
     let port = server.address.rsplit_once(':').unwrap().1.to_owned();
     let said = refuses(at, &["serve", "a.slices", "--page", "page", "--port", &port]);
