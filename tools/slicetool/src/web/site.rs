@@ -18,7 +18,7 @@ pub struct Arguments {
     /// Folder to write; it may contain an older site
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Replace archives of the same name in that folder
+    /// Replace archives of the same name in that folder, and a start page that is not of such a site
     #[arg(long)]
     force: bool,
 }
@@ -26,6 +26,9 @@ pub struct Arguments {
 /// Writes the site and reports where it is.
 pub fn run(arguments: &Arguments) -> Outcome {
     let (show, folder) = (Show::new(&arguments.show)?, &arguments.output);
+    if !arguments.force {
+        keep_start_page(folder)?;
+    }
     if let Some(conversion) = &show.conversion {
         let progress = Progress::new(crate::signal().clone());
         conversion.run(&progress)?;
@@ -59,6 +62,17 @@ pub fn run(arguments: &Arguments) -> Outcome {
         conversion.remove();
     }
     Ok(format!("{}: put this folder on any web host that answers range requests\n", folder.display()))
+}
+
+/// Refuses a folder whose start page this command did not write.
+fn keep_start_page(folder: &Path) -> Result<(), Failure> {
+    let (index, table) = (folder.join(INDEX), std::fs::read(folder.join(TABLE)).unwrap_or_default());
+    let is_ours = serde_json::from_slice(&table).is_ok_and(|table: serde_json::Value| table["archives"].is_array());
+    if is_ours || index.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    let name = index.display();
+    Err(Failure::Text(format!("{name}: is of another site; choose another folder, or --force replaces it")))
 }
 
 fn create(folder: &Path) -> Result<(), Failure> {

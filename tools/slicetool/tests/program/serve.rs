@@ -394,6 +394,19 @@ fn a_site_is_a_folder_for_any_host() {
 }
 
 #[test]
+fn a_start_page_of_another_site_stays() {
+    let folder = folder();
+    let at = folder.path();
+    fs::create_dir(at.join("site")).unwrap();
+    fs::write(at.join("site/index.html"), "mine").unwrap();
+    let said = refuses(at, &site("a.slices", &[]));
+    assert!(said.contains("index.html") && said.contains("--force"), "{said}");
+    assert!(fs::read(at.join("site/index.html")).unwrap() == b"mine" && !at.join("site/a.slices").exists());
+    assert!(run(at, &site("a.slices", &["--force"])).status.success());
+    assert_ne!(fs::read(at.join("site/index.html")).unwrap(), b"mine");
+}
+
+#[test]
 fn an_archive_named_like_a_folder_of_the_page_gets_another_name() {
     let folder = folder();
     let at = folder.path();
