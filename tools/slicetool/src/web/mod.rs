@@ -29,6 +29,8 @@ const TABLE: &str = "archives.json";
 const CONVERSION: &str = "conversion.json";
 /// Name of the texts and rules of a place, beside its archive and beside the page.
 const SETTINGS: &str = "settings.json";
+/// Its fields.
+const SETTINGS_FIELDS: [&str; 5] = ["title", "text", "start", "modes", "stops"];
 /// Characters that need no escape in the address of a file.
 const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'.').remove(b'-').remove(b'_').remove(b'~');
 
@@ -128,8 +130,7 @@ impl Show {
         }
         let beside = arguments.inputs.first().and_then(|input| input.parent()).unwrap_or(Path::new(""));
         let settings = beside.join(SETTINGS);
-        if settings.is_file() {
-            check_settings(&settings)?;
+        if settings.is_file() && are_settings(&settings)? {
             named.push((settings, SETTINGS.into(), Kind::Settings));
         }
         let first = scans.first().map(|(_, place)| *place);
@@ -191,7 +192,6 @@ fn edited((path, name, kind): &mut (PathBuf, String, Kind), file: &EditFile) -> 
     Ok(Some(copy))
 }
 
-/// The file name of `path`.
 /// Refuses an archive elsewhere, which cannot be served or copied as a file.
 fn refuse_address(path: &Path) -> Result<(), Failure> {
     let Some(address) = address(path) else { return Ok(()) };
@@ -200,6 +200,7 @@ fn refuse_address(path: &Path) -> Result<(), Failure> {
     Err(Failure::Text(format!("{name}: expected an archive in a file, found an address; {way_out}")))
 }
 
+/// The file name of `path`.
 fn name_of(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
@@ -209,12 +210,20 @@ fn is_same_name(a: &str, b: &str) -> bool {
     a.to_lowercase() == b.to_lowercase()
 }
 
-/// Refuses a file of settings that the page could not read.
-fn check_settings(path: &Path) -> Result<(), Failure> {
+/// Returns whether a file holds settings of the page; many programs have a file of that name, which is nobody else's
+/// business. Refuses one that the page could not read.
+fn are_settings(path: &Path) -> Result<bool, Failure> {
     let failed = |reason: String| Failure::Text(format!("{}: {reason}", path.display()));
     let text = std::fs::read(path).map_err(|error| failed(format!("cannot read: {error}")))?;
     match serde_json::from_slice(behind_mark(&text)) {
-        Ok(serde_json::Value::Object(_)) => Ok(()),
+        Ok(serde_json::Value::Object(fields)) => {
+            let are_ours = SETTINGS_FIELDS.iter().any(|name| fields.contains_key(*name));
+            if !are_ours {
+                let (path, names) = (path.display(), SETTINGS_FIELDS.join(", "));
+                crate::say(&format!("{path}: left out: it has none of the page's settings {names}"));
+            }
+            Ok(are_ours)
+        }
         Ok(_) => Err(failed("expected a JSON object with the texts of the place".into())),
         Err(error) => Err(failed(format!("expected JSON with the texts of the place: {error}"))),
     }

@@ -612,6 +612,12 @@ fn a_kiosk_and_its_tour_are_in_the_table() {
         let said = refuses(at, &["serve", "a.slices", "--page", "page", "--tour", "bad.csv"]);
         assert!(said.contains("bad.csv") && said.contains(expected), "{said}");
     }
+    // A file of another program is not published.
+    fs::write(at.join("settings.json"), r#"{"password": "secret"}"#).unwrap();
+    let out = run(at, &["site", "a.slices", "-o", "other", "--page", "page"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.success() && said.contains("settings.json: left out"), "{said}");
+    assert!(!at.join("other/settings.json").exists());
     fs::write(at.join("settings.json"), "[1]").unwrap();
     let said = refuses(at, &["serve", "a.slices", "--page", "page"]);
     assert!(said.contains("settings.json") && said.contains("object"), "{said}");
