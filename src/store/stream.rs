@@ -104,13 +104,16 @@ struct Inbox {
 /// Any number of bodies may hint and query from any number of threads. Queries run on a [`Snapshot`]: they take no lock, do
 /// no I/O and allocate nothing (guarantee G8). Loading never changes an answer; it only replaces "not loaded" by one.
 /// Dropping the stream ends its thread at once, or as soon as the read in progress returns; reads of remote objects end
-/// within a moment.
+/// within a moment. The thread belongs to the process that opened the stream: after a `fork`, nothing loads ahead in the
+/// child, so open another one there.
 ///
 /// Memory: the budget covers everything. A stream is a [`Loader`] that drives itself. Programs with their own scheduler
 /// or way to fetch, and browsers, drive a [`Loader`] directly.
 pub struct Stream {
     shared: Arc<Shared>,
     worker: Option<JoinHandle<()>>,
+    /// Process of the thread, if there is one.
+    process: Option<u32>,
 }
 
 struct Shared {
@@ -179,7 +182,8 @@ impl Stream {
             }
             _ => None,
         };
-        Ok(Self { shared, worker })
+        let process = worker.is_some().then(std::process::id);
+        Ok(Self { shared, worker, process })
     }
 
     /// Returns the pages in memory now. Lock-free; allocates nothing. Take one per frame, and drop it with the frame.
@@ -330,7 +334,9 @@ impl Stream {
 impl Drop for Stream {
     fn drop(&mut self) {
         self.shared.stop.store(true, Release);
-        if let Some(worker) = self.worker.take() {
+        // After a fork, the child has no such thread.
+        let is_there = self.process.is_some_and(|process| process == std::process::id());
+        if let Some(worker) = self.worker.take().filter(|_| is_there) {
             worker.thread().unpark();
             // The thread's panic was reported when it happened.
             let _ = worker.join();

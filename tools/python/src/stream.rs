@@ -17,7 +17,8 @@ use std::time::Duration;
 /// The pages of an archive around moving bodies, under a byte budget that is never exceeded.
 ///
 /// A thread loads pages before they are needed. Query a :meth:`view`, which never waits: for a missing page it answers
-/// ``NOT_LOADED`` or nan, never "free". Drop views soon, because the pages that they hold count against the budget.
+/// ``NOT_LOADED`` or nan, never "free". Drop views soon, because the pages that they hold count against the budget. After
+/// a fork, the child has no such thread: open another stream there.
 ///
 /// Args:
 ///     archive: an :class:`Archive`

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -101,6 +102,21 @@ def test_an_array_that_changes_meanwhile_is_no_danger(rubble):
     finally:
         stop.set()
         thread.join()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore")
+def test_a_stream_can_be_closed_after_a_fork(rubble):
+    with slicewalk.Stream(rubble[1], "64MiB") as stream:
+        process = os.fork()
+        if process == 0:
+            told = 1
+            try:
+                stream.close()
+                told = 0
+            finally:
+                os._exit(told)
+        assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 0
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer")
