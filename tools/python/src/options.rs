@@ -1,6 +1,7 @@
 //! Converts options from Python to the library's types.
 
 use crate::arrays::short;
+use crate::attend::{Audience, attended};
 use crate::errors::{Failure, of_parameter};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::{PyOverflowError, PyTypeError};
@@ -317,12 +318,11 @@ impl Asked {
         if is_named("scale_from") && is_named("units") {
             return Err(refuse("scale_from", "is the unit, which is given too; leave one of them out"));
         }
-        // With the interpreter released: a plan may lie in an object store.
-        let read = |path: PathBuf| match given {
-            Some(given) => given.py().detach(|| PlanFile::read(&path)),
-            None => PlanFile::read(&path),
+        // A plan may lie in an object store, which may be slow.
+        let read = |path: PathBuf| {
+            Python::attach(|py| attended(py, &Audience::default(), None, |_| Ok(PlanFile::read(&path)?)))
         };
-        let plan_file = plan.map(read).transpose().map_err(Failure::from)?;
+        let plan_file = plan.map(read).transpose()?;
         options.reading.placement = placement.map(|path| transform(&path)).transpose().map_err(Failure::from)?;
         if let Some(file) = &plan_file {
             if let Some(name) = named.iter().find(|name| file.contradicts(name, &options)) {

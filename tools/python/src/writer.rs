@@ -99,7 +99,9 @@ impl Writer {
             let reason = "expected \"z\" or \"y\": a writer does not turn points; turn them before they are written";
             return Err(refuse("up", reason));
         }
-        let writer = py.detach(|| PointWriter::create(&asked.options, &asked.crs)).map_err(Failure::from)?;
+        // The output may lie in an object store, which may be slow.
+        let writer =
+            attended(py, &Audience::default(), None, |_| Ok(PointWriter::create(&asked.options, &asked.crs)?))?;
         Ok(Self { writer: Mutex::new(Some(writer)), report: Mutex::default(), output, points: AtomicU64::new(0) })
     }
 

@@ -132,15 +132,19 @@ def test_opening_takes_no_longer_than_the_timeout_whatever_the_server_does(city)
         "archive.crs",
         "stream.load(box)",
         "slicewalk.convert(url.replace('.slices', '.las'), 'none.slices')",
+        "slicewalk.convert(url, 'none.slices', plan=url)",
+        "slicewalk.convert('s3://bucket/*.laz', 'none.slices')",
+        "slicewalk.Writer('s3://bucket/none.slices', pixel=0.1)",
     ],
 )
 def test_ctrl_c_is_heard_while_a_server_is_waited_for(city, work):
     quiet, script = (
         threading.Event(),
         f"""
-        import signal, sys, slicewalk
+        import os, signal, sys, slicewalk
         signal.signal(signal.SIGINT, signal.default_int_handler)
         url, box = sys.argv[1], [[0, 0, 0, 32, 32, 1]]
+        os.environ.update(AWS_ENDPOINT=url.rpartition("/")[0], AWS_ALLOW_HTTP="true")
         archive = slicewalk.open(url, timeout=60)
         stream = slicewalk.Stream(archive, "16MiB")
         print("open", flush=True)
