@@ -293,12 +293,11 @@ impl Walker {
 }
 
 fn places(waypoints: &Bound<'_, PyAny>) -> PyResult<Vec<Point2<f64>>> {
-    let py = waypoints.py();
-    let array = py.import("numpy")?.call_method1("asarray", (waypoints,))?;
-    let columns = array.getattr("shape")?.get_item(-1).and_then(|columns| columns.extract::<usize>());
-    match columns {
-        Ok(3) => places_of(&Rows::<3>::of(&array, "waypoints")?),
-        _ => places_of(&Rows::<2>::of(&array, "waypoints")?),
+    // Without a shape, the reader of the rows says what is wrong.
+    let shape = waypoints.py().import("numpy")?.call_method1("shape", (waypoints,));
+    match shape.and_then(|shape| shape.get_item(-1)?.extract::<usize>()) {
+        Ok(3) => places_of(&Rows::<3>::of(waypoints, "waypoints")?),
+        _ => places_of(&Rows::<2>::of(waypoints, "waypoints")?),
     }
 }
 

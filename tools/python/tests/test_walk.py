@@ -72,8 +72,8 @@ def test_paths(room):
     assert path.seconds[0] == pytest.approx(1 / 60)
     assert walker.path(room, [(7, 5.9, 3)]).state == "blocked"
     assert slicewalk.Walker((1, 1, 0)).path(room, [(7, 5)], hz=30, max_seconds=2).state == "walking"
-    for wrong in ([], [(np.nan, 1)], [1, 2]):
-        with pytest.raises(ValueError):
+    for wrong in ([], [(np.nan, 1)], [1, 2], [(1, 2), (3,)], np.ma.masked_equal([[2.0, 3], [4, 9]], 9)):
+        with pytest.raises(slicewalk.ParameterError, match="waypoints"):
             walker.path(room, wrong)
     with pytest.raises(ValueError, match="hz"):
         walker.path(room, [(1, 1)], hz=0)
