@@ -1,7 +1,7 @@
 """Stream served archives at random for a while: `python soak.py SECONDS ADDRESS...`.
 
-Opens an archive, walks through it by a small stream, compares the stream's answers with those of a whole copy, closes it.
-Prints its counts once a minute and at the end; fails if an answer differs.
+Opens an archive, walks through it by a small stream, compares the stream's answers with those of a whole copy, closes
+it. Prints its counts once a minute and at the end; fails if an answer differs.
 """
 
 from __future__ import annotations
