@@ -273,7 +273,7 @@ impl<'a> PlanText<'a> {
         let reading = ReadingOptions {
             units: match (self.units.as_str(), self.units.as_f64()) {
                 (Some("auto"), _) => Units::Auto,
-                (_, Some(factor)) if factor > 0.0 => Units::Factor(factor),
+                (_, Some(factor)) if UNIT_RANGE_M.contains(&factor) => Units::Factor(factor),
                 _ => return Err(wrong("units", "auto or metres per unit")()),
             },
             epsg: self

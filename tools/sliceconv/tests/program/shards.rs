@@ -406,6 +406,7 @@ fn plans_and_parts_on_the_command_line_are_checked() {
         ("\"pixel_size\": 0.1", "\"pixel_size\": -1", "pixel_size"),
         ("\"pixel_size\": 0.1", "\"pixel_size\": 0.2", "plan_hash"),
         ("\"classifier\": \"plane\"", "\"classifier\": \"flat\"", "classifier"),
+        ("\"units\": 1.0", "\"units\": 1e-300", "units: expected"),
         ("\"fingerprint\": \"", "\"fingerprint\": \"x", "inputs[0].fingerprint"),
     ] {
         assert!(good.contains(from), "{from}");
