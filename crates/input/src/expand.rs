@@ -217,7 +217,8 @@ pub(super) fn is_mesh(path: &Path) -> Result<bool> {
     let mut start = vec![0; stamp.len().min(most as u64) as usize];
     let read = input.read_up_to(0, &mut start).map_err(|error| Error::io(path, "read", error))?;
     start.truncate(read);
-    Ok(!start.starts_with(SIGNATURE) && !(is_ply && cloud::is_ply_cloud(&start)))
+    let is_scan = start.starts_with(SIGNATURE) || is_ply && cloud::is_ply_cloud(&start);
+    Ok(!is_scan)
 }
 
 fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {

@@ -44,7 +44,7 @@ async function ofBrowser(pid, metrics) {
       }
     });
   const family = new Set([pid]);
-  for (let grown = true; grown; ) {
+  for (let grown = true; grown;) {
     const before = family.size;
     for (const [child, parent] of parents) if (family.has(parent)) family.add(child);
     grown = family.size > before;
@@ -123,7 +123,9 @@ const names = archives.map((path) => path.split("/").at(-1));
 const end = Date.now() + HOURS * 3_600_000;
 const python = process.env.SLICEWALK_PYTHON;
 const streams =
-  python === undefined ? null : begin(python, STREAM, String(HOURS * 3600), ...names.map((name) => new URL(name, address).href));
+  python === undefined
+    ? null
+    : begin(python, STREAM, String(HOURS * 3600), ...names.map((name) => new URL(name, address).href));
 const browser = await launch();
 const page = await browser.newPage();
 const session = await page.context().newCDPSession(page);
@@ -155,7 +157,10 @@ try {
 }
 
 const heads = Object.keys(rows[0]).flatMap((who) => Object.keys(rows[0][who]).map((what) => [who, what]));
-const lines = [heads.map((head) => head.join(" ")), ...rows.map((row) => heads.map(([who, what]) => row[who][what].toFixed(1)))];
+const lines = [
+  heads.map((head) => head.join(" ")),
+  ...rows.map((row) => heads.map(([who, what]) => row[who][what].toFixed(1))),
+];
 const csv = join(dirname(archives[0]), "soak.csv");
 writeFileSync(csv, lines.map((line) => line.join(",")).join("\n") + "\n");
 console.log(`${HOURS} h, ${rows.length} samples in ${csv}`);
