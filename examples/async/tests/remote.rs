@@ -553,7 +553,7 @@ fn headers_on_which_nothing_depends_may_be_odd() {
         source.read_at(0, &mut all).unwrap();
         assert!(all == bytes && server.was_told("if-match: \"one\""), "{lines}");
     }
-    // A time that can be read tells versions apart.
+    // Readable times distinguish versions.
     server.state.lock().unwrap().tag = None;
     server.set(Manner::Tells("Last-Modified: Sun, 06 Nov 1994 08:49:37 GMT\r\n"));
     let source = server.source().unwrap();

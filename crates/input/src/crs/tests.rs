@@ -213,7 +213,7 @@ fn records_of_text_are_read_in_utf_16_and_others_are_no_name() {
     assert_eq!(Georeference::of_record(&big("EPSG:25832")).unwrap().codes, [25832]);
     assert_eq!(Georeference::of_record(b"\0WGS 84\0\0").unwrap().text.as_deref(), Some("WGS 84"));
     assert_eq!(Georeference::of_record(b"\0 \0"), None);
-    // UTF-32, UTF-16 from an odd byte on, and bytes that are no text.
+    // UTF-32, UTF-16 from an odd byte on, and other bytes.
     let wide: Vec<u8> = text.chars().flat_map(|c| u32::from(c).to_le_bytes()).collect();
     for bytes in [&wide[..], b"P\0R\0", &[&[1], &little(&text)[..]].concat(), b"\x03\x80\xFF\x10"] {
         let alone = Georeference::of_record(bytes).unwrap();

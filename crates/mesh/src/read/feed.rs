@@ -199,8 +199,8 @@ impl<'a> MeshFeed<'a> {
         files.map(|(file, &((min, max), _))| Scene { path: &file.path, min, max })
     }
 
-    /// Warns once of files that store coordinates as floats of 32 bits, if the triangles read until now are so far from
-    /// the origin that these are coarse for pixels of `pixel_m`.
+    /// Warns once of files that store coordinates as floats of 32 bits, if some triangle read until now is at a
+    /// coordinate where floats are coarse for pixels of `pixel_m`.
     pub fn warn_of_coarse_floats(&self, pixel_m: f64, monitor: &dyn Monitor) {
         let unit = self.set.unit_m() * self.set.options.placement.map_or(1.0, |placement| placement.factor());
         let about = |file: usize| (&*self.set.files[file].path, [unit; 3]);

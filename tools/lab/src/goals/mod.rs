@@ -22,7 +22,7 @@ const VOXELS_RAYS: f64 = 5.0;
 /// Bits of a cube, of those of G-PCC.
 const GPCC: f64 = 1.15;
 const SPAN_NS: f64 = 50.0;
-/// Time of a conversion of LAZ, of that of decoding: from so many points on, and of smaller files.
+/// Ratio of the times of converting and of decoding LAZ, for files of `LARGE` points and more, and for smaller ones.
 const LARGE: u64 = 3_000_000;
 const LAZ: f64 = 0.8;
 const SMALL_LAZ: f64 = 1.2;

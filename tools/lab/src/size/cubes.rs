@@ -33,9 +33,9 @@ pub struct Cubes {
     pub name: String,
     /// Bits a cube of an archive.
     pub bits: f64,
-    /// The same of Draco, without flags, where it is installed.
+    /// Bits a cube of Draco, without flags; `None` where it is not installed.
     pub draco_bits: Option<f64>,
-    /// The same of G-PCC, with flags, as measured elsewhere.
+    /// Bits a cube of G-PCC, with flags, as measured elsewhere.
     pub gpcc_bits: f64,
 }
 

@@ -210,8 +210,8 @@ fn is_same_name(a: &str, b: &str) -> bool {
     a.to_lowercase() == b.to_lowercase()
 }
 
-/// Returns whether a file holds settings of the page; many programs have a file of that name, which is nobody else's
-/// business. Refuses one that the page could not read.
+/// Returns whether a file holds settings of the page; other programs have private files of that name. Refuses one that the
+/// page could not read.
 fn are_settings(path: &Path) -> Result<bool, Failure> {
     let failed = |reason: String| Failure::Text(format!("{}: {reason}", path.display()));
     let text = std::fs::read(path).map_err(|error| failed(format!("cannot read: {error}")))?;

@@ -147,7 +147,7 @@ fn an_export_of_points_converted_again_gives_the_same_voxels() {
     }
 }
 
-/// The header of a LAS file states the bounds of its points to the last bit.
+/// The header of a LAS file states the bounds of its points exactly.
 fn assert_states_its_bounds(path: &Path) {
     fn ends(values: impl Iterator<Item = f64>) -> [f64; 2] {
         values.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, greatest], v| [least.min(v), greatest.max(v)])

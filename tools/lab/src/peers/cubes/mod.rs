@@ -51,7 +51,7 @@ pub struct Ratio {
     pub scene: String,
     /// Name, version and kind of the peer.
     pub peer: String,
-    /// What was asked.
+    /// The kind of its questions.
     pub kind: Kind,
     /// Its time of Slicewalk's, a round at a time: median, least and greatest.
     pub of_ours: [f64; 3],

@@ -30,7 +30,7 @@ pub enum Kind {
     RandomBoxes,
     /// The pawn's box along a walk.
     WalkBoxes,
-    /// The same from the height of a step up.
+    /// The pawn's box along a walk, from the height of a step up.
     RaisedBoxes,
     /// Rays of 20 m.
     Rays,
