@@ -102,24 +102,18 @@ impl Boundaries {
         is_boundary
     }
 
-    /// Returns the number of ends at boundaries of which `test` is true.
-    fn count(&self, test: impl Fn(u32, End) -> bool) -> u32 {
-        let of = |end: End| {
-            let counts = self.counts[end as usize].iter().zip((0..).step_by(SLICE_QUANTA as usize));
-            counts.filter(|&(&count, height)| count > 0 && test(height, end)).map(|(count, _)| count).sum::<u32>()
-        };
-        of(End::Bottom) + of(End::Top)
-    }
-
-    /// Returns whether one of them lies beside a step of `grid`.
-    fn any_is_beside(&self, grid: &StepGrid) -> bool {
+    /// Returns the number of ends that lie on no step of `grid`, and whether some of them would if heights were rounded.
+    fn off(&self, grid: &StepGrid) -> (usize, bool) {
         let rounded = StepGrid { is_rounded: true, ..*grid };
-        self.count(|height, end| rounded.index(height, end).is_some_and(|(_, off)| off != 0)) > 0
-    }
-
-    /// Returns the number of ends that lie on no step of `grid`.
-    fn off(&self, grid: &StepGrid) -> u32 {
-        self.count(|height, end| grid.index(height, end).is_none())
+        let (mut count, mut is_beside) = (0, false);
+        for end in [End::Bottom, End::Top] {
+            for (slice, &ends) in (0..).zip(&self.counts[end as usize]).filter(|(_, ends)| **ends > 0) {
+                let off = rounded.index(slice * SLICE_QUANTA as u32, end).map(|(_, off)| off != 0);
+                is_beside |= !grid.is_rounded && off == Some(true);
+                count += if off.is_none_or(|off| off && !grid.is_rounded) { ends as usize } else { 0 };
+            }
+        }
+        (count, is_beside)
     }
 }
 
@@ -221,12 +215,14 @@ impl StepGrid {
                 Self { phase: phase(step, low, high).rem_euclid(step) as u64, is_rounded, ..grid }
             };
             // An end off the grid takes about what a wide step saves at an end on it.
-            let serves = |found: &Self| boundaries.off(found) as usize <= heights.len();
+            let serves = |found: &Self| {
+                let (off, is_beside) = boundaries.off(found);
+                off <= heights.len() && !is_beside
+            };
             // Most grids have a phase at which no height is off; then offsets need not be coded.
-            let exact = grid.phases_of(heights, (0, -1)).map(|phases| with_phase(phases, false));
-            exact.filter(|exact| !boundaries.any_is_beside(exact) && serves(exact)).or_else(|| {
-                let phases = grid.phases_of(heights, (SLACK, SLACK))?;
-                Some(with_phase(phases, true)).filter(serves)
+            [false, true].into_iter().find_map(|is_rounded| {
+                let around = if is_rounded { (SLACK, SLACK) } else { (0, -1) };
+                Some(with_phase(grid.phases_of(heights, around)?, is_rounded)).filter(serves)
             })
         };
         // Centres of voxels have one height in each slice.

@@ -8,7 +8,6 @@ use super::pawn::Grid;
 use super::{MOST_PAGES, MOST_SPANS, Needs, Stop};
 use crate::frame::{PAGE_QUANTA, PageKey};
 use crate::store::{Missing, PageSlot, Snapshot, note};
-use std::borrow::Cow;
 use std::ops::ControlFlow;
 
 /// Solid from `bottom` to `top` (quanta); `floor` is the highest top of a floor span in it.
@@ -116,19 +115,6 @@ impl Lists {
         widened.unwrap_or_else(|| self.clone())
     }
 
-    /// Returns the lists without the outermost cells along x and y.
-    fn without(&self, [x, y]: [usize; 2]) -> Cow<'_, Self> {
-        if [x, y] == [0, 0] {
-            return Cow::Borrowed(self);
-        }
-        let mut inner = Self::with_room(self.width - 2 * x, self.height - 2 * y, 0);
-        for (y, x) in (y..self.height - y).flat_map(|y| (x..self.width - x).map(move |x| (y, x))) {
-            inner.items.extend_from_slice(self.at(x, y));
-            inner.end_cell();
-        }
-        Cow::Owned(inner)
-    }
-
     /// Returns the union over a footprint of `rects` around each pixel, without the outermost `half` pixels of the
     /// lists.
     pub fn under(&self, rects: &[[i32; 2]], half: [i32; 2], least: i32) -> Self {
@@ -137,15 +123,14 @@ impl Lists {
         let mut union: Option<Self> = None;
         for &[x, y] in rects {
             let (kx, ky) = (x as usize, y as usize);
-            let inner = self.without([half_x - kx, half_y - ky]);
-            let rect = inner.windows(2 * kx + 1, 0, least).windows(2 * ky + 1, 1, least);
-            if rects.len() == 1 {
+            let rect = self.windows(2 * kx + 1, 0, least).windows(2 * ky + 1, 1, least);
+            if rects.len() == 1 && [x, y] == half {
                 return rect;
             }
             let mut sum = Self::with_room(width, height, rect.items.len());
             for y in 0..height {
                 for x in 0..width {
-                    let own = rect.at(x, y);
+                    let own = rect.at(x + half_x - kx, y + half_y - ky);
                     match &union {
                         Some(before) => join(before.at(x, y), own, least, &mut sum.items),
                         None => sum.items.extend_from_slice(own),

@@ -113,6 +113,7 @@ fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     assert_eq!(server.get("notes.txt").unwrap(), b"mine");
     server.done(at, &[&from_and_to("s3://bucket/part1.slices")[..], &["--force"]].concat()).unwrap();
     assert!(server.get("part1.slices").unwrap() == whole);
+    server.put("room.obj", b"v 0 0 0\n".to_vec());
     for (arguments, words) in [
         (vec!["s3://bucket/none.laz", "-o", "x.slices"], "cannot open: no such object (HTTP status 404 Not Found)"),
         (vec!["s3://bucket/room.obj", "-o", "x.slices"], "meshes are read from files only"),
