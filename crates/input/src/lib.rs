@@ -598,8 +598,8 @@ impl InputSet {
         hashes[file] = hashes[file].wrapping_add(hash);
     }
 
-    /// Warns once of files that store coordinates as floats of 32 bits, if some point decoded so far is at a
-    /// coordinate where floats are coarse for pixels of `pixel_m`.
+    /// Warns once of files that store coordinates as floats of 32 bits, if a decoded point is at a coordinate
+    /// where floats are coarse for pixels of `pixel_m`.
     pub fn warn_of_coarse_floats(&self, pixel_m: f64, monitor: &dyn Monitor) {
         let factor = self.options.placement.map_or(1.0, |placement| placement.factor());
         let about = |file: usize| (self.files[file].path(), self.files[file].unit_m().map(|unit| unit * factor));
