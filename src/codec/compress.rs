@@ -137,6 +137,33 @@ mod tests {
         assert!(unpacker.unpack(&reserved, 9999, "D2").unwrap_err().found.contains("reserved"));
     }
 
+    /// Every form of a header (RFC 8878, section 3.1.1.1), and its bytes from the fifth.
+    #[test]
+    fn content_sizes_are_read_from_every_header() {
+        let header = |after: &[u8]| content_size(&[&[0x28, 0xB5, 0x2F, 0xFD], after].concat());
+        let forms = [
+            // A single segment with sizes of 1, 2, 4 and 8 bytes.
+            (&[0x20, 9][..], 9),
+            (&[0x60, 9, 1], 256 + 265),
+            (&[0xA0, 9, 1, 2, 3], 0x0302_0109),
+            (&[0xE0, 9, 1, 2, 3, 4, 5, 6, 7], 0x0706_0504_0302_0109),
+            // The byte of a window precedes sizes.
+            (&[0x40, 0x58, 9, 1], 256 + 265),
+            (&[0x80, 0x58, 9, 1, 2, 3], 0x0302_0109),
+            // So do dictionaries' numbers of 1, 2 and 4 bytes.
+            (&[0x21, 7, 9], 9),
+            (&[0x22, 7, 7, 9], 9),
+            (&[0x23, 7, 7, 7, 7, 9], 9),
+            (&[0x43, 0x58, 7, 7, 7, 7, 9, 1], 256 + 265),
+        ];
+        for (bytes, size) in forms {
+            assert_eq!(header(bytes), Ok(size), "{bytes:x?}");
+            assert_eq!(header(&bytes[..bytes.len() - 1]), Err("no frame header"), "{bytes:x?}");
+        }
+        assert_eq!(header(&[0x00, 0x58, 9]), Err("no content size"));
+        assert_eq!(header(&[0x28, 9]), Err("a reserved bit"));
+    }
+
     proptest! {
         #[test]
         fn a_used_packer_gives_the_bytes_of_a_fresh_one(

@@ -91,6 +91,34 @@ fn a_floor_in_centimetres_takes_fewer_bytes_than_one_in_quanta() {
     assert!(floor(17) < floor(16) * 3 / 4, "{} and {}", floor(17), floor(16));
 }
 
+#[test]
+fn marks_have_one_form_that_the_page_holds() {
+    let mut builder = PageBuilder::default();
+    for px in 0..5 {
+        assert!(builder.set_column(px, 9, &[Span::new(100, 101, false).unwrap()]));
+    }
+    let body = encoded(&builder.build());
+    // The runs, which are shorter than a byte, and the page without marks.
+    let decode = |runs: &[u8]| {
+        let marked = [&[MARKED, runs.len() as u8], runs, &body[1..]].concat();
+        let mut decoder = Decoder::default();
+        let page = decoder.decode(&marked);
+        page.map(|page| decoder.scanned(&page).span_count())
+    };
+    for (runs, scanned) in [(&[0, 5][..], 0), (&[4, 1], 4), (&[1, 2], 3), (&[0, 1, 3, 1], 3), (&[1, 1, 1, 2], 2)] {
+        assert_eq!(decode(runs), Ok(scanned), "{runs:?}");
+    }
+    // Odd numbers of runs, runs of no span but the first, more spans than there are.
+    for runs in
+        [&[][..], &[5], &[1, 0], &[1, 0, 1, 1], &[1, 1, 0, 1], &[0, 0], &[1, 1, 1], &[4, 2], &[6, 1], &[1, 1, 3, 1]]
+    {
+        assert_eq!(decode(runs).unwrap_err().rule, "P12", "{runs:?}");
+    }
+    let long = [&[MARKED, 2, 0][..], &[0x81, 0x80, 0x10], &body[1..]].concat();
+    let violation = Decoder::default().decode(&long).unwrap_err();
+    assert_eq!((violation.expected.as_str(), violation.found.as_str()), ("a run of 1 to 262144 spans", "262145"));
+}
+
 proptest! {
     #[test]
     fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
