@@ -394,6 +394,20 @@ mod tests {
                 run(&mut decoder, &symbols, |_, _| {});
                 prop_assert!(decoder.finish("P6").is_err());
             }
+            // No other bytes say the same.
+            for bit in 0..8 * if bytes.len() < 40 { bytes.len() } else { 0 } {
+                let mut changed = bytes.clone();
+                changed[bit / 8] ^= 1 << (bit % 8);
+                let Ok(mut decoder) = InterleavedDecoder::new(&changed, Base, "P6") else { continue };
+                let mut is_same = true;
+                run(&mut decoder, &symbols, |symbol, value| {
+                    is_same &= match *symbol {
+                        Symbol::Nibble(_, expected) | Symbol::Raw(_, expected) => value == expected,
+                        Symbol::Bit(_, expected) => (value != 0) == expected,
+                    };
+                });
+                prop_assert!(!is_same || decoder.finish("P6").is_err(), "bit {}", bit);
+            }
         }
 
         #[test]

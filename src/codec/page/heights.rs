@@ -28,11 +28,8 @@ impl Alphabet {
     #[inline]
     pub fn symbol(&self, residual: u32) -> u32 {
         let bits = u32::BITS - residual.leading_zeros();
-        // Below 1024, a symbol covers at most one length, and at least half of one.
+        // Symbol `n` begins at 2ⁿ⁻¹ or below, and below 1024 it covers at least half of a length.
         let mut symbol = bits.min(14);
-        while symbol > 0 && u32::from(self.least[symbol as usize]) > residual {
-            symbol -= 1;
-        }
         while symbol < 14 && u32::from(self.least[symbol as usize + 1]) <= residual {
             symbol += 1;
         }
