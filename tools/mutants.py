@@ -9,8 +9,8 @@ that promise most for their time, until one fails or takes far too long.
 
 Constants, and functions that run while the compiler does, have no switches: *not switchable*.
 
-FOLDER keeps the copy, the build and `results.tsv`, from which the next run continues: remove the lines to be tried
-again. Needs cargo-mutants and the Python packages tree-sitter and tree-sitter-rust.
+FOLDER keeps the copy, the build and `results.tsv`, from which the next run of the same code continues; remove the lines to
+be tried again. Needs cargo-mutants and the Python packages tree-sitter and tree-sitter-rust.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ PARTS = {
 # A test that takes longer without a mutant is left out.
 LONGEST_S = 60.0
 
-# What the copy's base crate gets, in SWITCHED. A process that only notes writes a byte of SLICEWALK_MUTANTS_SEEN for each mutant that it passes.
+# Added to the copy of SWITCHED. Without SLICEWALK_MUTANT, a process notes each mutant that it passes as a byte of the file
+# SLICEWALK_MUTANTS_SEEN.
+SWITCHED = "crates/base/src/lib.rs"
 SWITCH = """
 /// Whether mutant `id` is switched on.
 #[inline]
@@ -98,9 +100,6 @@ mod switch {
     }
 }
 """
-
-
-SWITCHED = "crates/base/src/lib.rs"
 
 
 @dataclass
@@ -310,7 +309,7 @@ class Build:
         self.packages = [f"--package={name}" for name in packages]
         self.tree = folder / "tree"
         self.target = folder / "target"
-        self.unbuilt = folder / "unbuilt.json"
+        self.states = folder / "states.json"
         self.mutants = mutants
         self.environment = os.environ | {
             "CARGO_TARGET_DIR": str(self.target),
@@ -367,17 +366,19 @@ class Build:
 
     def settle(self) -> None:
         """Leaves out mutants until the rest compiles, alone and with the tests."""
-        if self.unbuilt.exists():
-            states = json.loads(self.unbuilt.read_text())
+        if self.states.exists():
+            states = json.loads(self.states.read_text())
+            if states.keys() != {mutant.name for mutant in self.mutants}:
+                sys.exit(f"{self.states}: of other code than today's; give an empty folder")
             for mutant in self.mutants:
-                mutant.state = states.get(mutant.name, mutant.state)
+                mutant.state = states[mutant.name]
         for targets in ("--lib", "--tests"):
             while self.refused(targets):
                 pass
-        self.unbuilt.write_text(json.dumps({m.name: m.state for m in self.mutants if m.state != "not built"}))
+        self.states.write_text(json.dumps({m.name: m.state for m in self.mutants}))
 
     def refused(self, targets: str) -> bool:
-        """Leaves out the mutants that errors of the compiler name; False if there are none."""
+        """Leaves out the mutants at which the compiler reports errors; False without errors."""
         self.rewrite()
         self.found: dict[tuple[str, str], list[tuple[int, int, int]]] = {}
         messages = self.cargo(
@@ -419,15 +420,13 @@ class Build:
         return []
 
     def arm_below(self, error: dict[str, Any]) -> list[int]:
-        """The first arm with a switch below a match that is no longer exhaustive."""
+        """The first arm with a switch below a match that its guard leaves incomplete."""
+        if "non-exhaustive" not in error["message"]:
+            return []
         span = error["spans"][0]
         below = (self.tree / span["file_name"]).read_bytes()[span["byte_end"] :].decode()
         ids = (int(m[1]) for m in re.finditer(r"::mutant\((\d+)\)", below))
-        return (
-            [next(id for id in ids if self.mutants[id].genre == "MatchArm")]
-            if "non-exhaustive" in error["message"]
-            else []
-        )
+        return [id for id in ids if self.mutants[id].genre == "MatchArm"][:1]
 
     def marks(self, name: str, opening: str, closing: str) -> list[tuple[int, int, int]]:
         key = (name, opening)
@@ -485,7 +484,7 @@ def run(test: Test, limit: float, variables: dict[str, str]) -> bool | None:
             stderr=subprocess.DEVNULL,
         )
         code = process.wait()
-        # What the test started and left, if anything.
+        # Ends processes that the test started and left.
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         return None if code in (-signal.SIGKILL, 128 + signal.SIGKILL) else code == 0
@@ -585,9 +584,13 @@ def main() -> None:
 
     chosen = [m for m in mutants if options.only in m.name and m.name not in known]
     chosen.sort(key=lambda mutant: list(PARTS).index(part_of(mutant.name)))
-    for done, _ in enumerate(workers.map(judge, chosen), 1):
-        if done % 100 == 0:
-            print(f"{done} of {len(chosen)}", flush=True)
+    try:
+        for done, _ in enumerate(workers.map(judge, chosen), 1):
+            if done % 100 == 0:
+                print(f"{done} of {len(chosen)}", flush=True)
+    except KeyboardInterrupt:
+        workers.shutdown(wait=False, cancel_futures=True)
+        sys.exit("interrupted; the next run continues")
     summary(path)
 
 
