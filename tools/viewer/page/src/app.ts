@@ -9,7 +9,7 @@ import { readGamepad } from "./input/gamepad";
 import { joined, moves } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
 import { Pointer } from "./input/pointer";
-import { findObstacle, type Obstacle } from "./obstacle";
+import { findObstacle, type Obstacle, PATIENCE_MS } from "./obstacle";
 import { Sticks } from "./input/sticks";
 import { First } from "./modes/first";
 import { Fly } from "./modes/fly";
@@ -388,7 +388,9 @@ export class App implements Stage {
   async #explain(to: Vec3, signal: AbortSignal): Promise<Obstacle | null> {
     const { session, settings } = this;
     if (session === null) return null;
-    this.shell.messages.say(texts.news.noRoute);
+    const { noRoute } = texts.news;
+    this.shell.messages.say(noRoute, PATIENCE_MS);
+    signal.addEventListener("abort", () => this.shell.messages.unsay(noRoute), { once: true });
     const obstacle = await findObstacle(session.archive, settings, session.pawn.at, to, signal);
     if (signal.aborted) return null;
     this.shell.messages.say(obstacle === null ? texts.news.straightOn : blockedBy(obstacle));

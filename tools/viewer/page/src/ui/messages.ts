@@ -26,10 +26,14 @@ export class Messages {
     clearTimeout(this.#timer);
     this.news.hidden = false;
     write(this.news, text);
-    this.#timer = window.setTimeout(() => {
-      this.news.hidden = true;
-      write(this.news, "");
-    }, ms);
+    this.#timer = window.setTimeout(() => this.unsay(text), ms);
+  }
+
+  /** Ends these news, if they are still shown. */
+  unsay(text: string): void {
+    if (this.news.textContent !== text) return;
+    this.news.hidden = true;
+    write(this.news, "");
   }
 
   /** Shows what the page waits for; null: nothing. */
