@@ -236,25 +236,29 @@ fn refuses_shapes_that_are_none() {
 
 #[test]
 fn batches_answer_like_single_queries() {
-    let (scene, mut random) = Scene::all().nth(5).unwrap();
-    let store = scene.store();
-    let boxes: Vec<_> = (0..100).map(|_| scene.random_box(&mut random)).collect();
-    let mut answers = vec![Overlap::Clear; boxes.len()];
-    overlaps_batch(&store, &boxes, &mut answers);
-    let mut probes = vec![Answer::Known(Probe::default()); boxes.len()];
-    probe_batch(&store, &boxes, &mut probes);
-    for (n, shape) in boxes.iter().enumerate() {
-        assert_eq!(answers[n], overlaps(&store, shape));
-        assert_eq!(probes[n], probe(&store, shape));
+    let (mut touching, mut ends) = (0, 0);
+    for (scene, mut random) in Scene::all().take(6) {
+        let store = scene.store();
+        let boxes: Vec<_> = (0..100).map(|_| scene.random_box(&mut random)).collect();
+        let mut answers = vec![Overlap::Clear; boxes.len()];
+        overlaps_batch(&store, &boxes, &mut answers);
+        touching += answers.iter().filter(|answer| **answer == Overlap::Hit).count();
+        let mut probes = vec![Answer::Known(Probe::default()); boxes.len()];
+        probe_batch(&store, &boxes, &mut probes);
+        for (n, shape) in boxes.iter().enumerate() {
+            assert_eq!(answers[n], overlaps(&store, shape));
+            assert_eq!(probes[n], probe(&store, shape));
+        }
+        let up = Vector3::new(0.0, 0.0, 1e-3);
+        let way = |shape: &Aabb, to: Point3<f64>| Ray::new(shape.min(), to - shape.min() + up, f64::INFINITY).unwrap();
+        let rays: Vec<_> = boxes.iter().map(|shape| way(shape, scene.random_point(&mut random))).collect();
+        let mut hits = vec![Answer::Known(None); rays.len()];
+        cast_batch(&store, &rays, &mut hits);
+        assert!(rays.iter().zip(&hits).all(|(ray, hit)| *hit == cast(&store, ray)));
+        ends += hits.iter().filter(|hit| matches!(hit, Answer::Known(Some(_)))).count();
     }
-    let rays: Vec<_> = boxes
-        .iter()
-        .map(|shape| Ray::new(shape.min(), scene.random_point(&mut random) - shape.min(), f64::INFINITY).unwrap())
-        .collect();
-    let mut hits = vec![Answer::Known(None); rays.len()];
-    cast_batch(&store, &rays, &mut hits);
-    assert!(rays.iter().zip(&hits).all(|(ray, hit)| *hit == cast(&store, ray)));
-    assert!(hits.iter().filter(|hit| matches!(hit, Answer::Known(Some(_)))).count() > 10);
+    // An answer left as it was would be "clear" or none.
+    assert!(touching > 60 && ends > 60, "{touching} boxes touch, {ends} rays end");
 }
 
 proptest! {

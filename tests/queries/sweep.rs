@@ -13,6 +13,8 @@ use slicewalk::store::{Missing, Snapshot};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
 const SLACK: f64 = 1e-7;
+/// The same along a way past an edge of a round shape, where a small gap makes a long difference (m).
+const ROUND_SLACK: f64 = 1e-3;
 
 /// Boxes of all spans (m).
 fn boxes(scene: &Scene) -> Vec<([f64; 3], [f64; 3])> {
@@ -437,17 +439,29 @@ fn the_way_out_of_matter_is_free_and_the_shortest() {
             }
             let cylinder = Cylinder::new(shape.min(), scene.frame.pixel_m() * 3.0, 0.5).unwrap();
             let sphere = Sphere::new(shape.min(), scene.frame.pixel_m() * 3.0).unwrap();
-            if let Some(Some(out)) = depenetrate(&store, &cylinder, max).known() {
-                let moved = Cylinder::new(shape.min() + out, cylinder.radius() - SLACK, 0.5).unwrap();
-                let still = boxes
-                    .iter()
-                    .any(|(low, high)| gap(low, high, moved.feet(), moved.radius(), Some(moved.height())) < -SLACK);
-                assert!(!still, "{cylinder:?} pushed by {out:?}");
-            }
-            if let Some(Some(out)) = depenetrate(&store, &sphere, max).known() {
-                let center = sphere.center() + out;
-                let still = boxes.iter().any(|(low, high)| gap(low, high, center, sphere.radius(), None) < -SLACK);
-                assert!(!still, "{sphere:?} pushed by {out:?}");
+            // Whether a round shape moved this far along one axis is in solid, with gaps above `least` counted as none.
+            let within = |shape: &[f64; 4], height: Option<f64>, by: Vector3<f64>, least: f64| {
+                let at = Point3::new(shape[0], shape[1], shape[2]) + by;
+                boxes.iter().any(|(low, high)| gap(low, high, at, shape[3], height) < least)
+            };
+            let round = |at: Point3<f64>, radius: f64| [at.x, at.y, at.z, radius];
+            let (feet, center) = (round(cylinder.feet(), cylinder.radius()), round(sphere.center(), sphere.radius()));
+            let ways = [
+                (feet, Some(cylinder.height()), depenetrate(&store, &cylinder, max)),
+                (center, None, depenetrate(&store, &sphere, max)),
+            ];
+            for (place, height, out) in ways {
+                let Answer::Known(Some(out)) = out else { continue };
+                assert!(!within(&place, height, out, -SLACK), "{place:?} {height:?} pushed by {out:?}");
+                let shorter = out.norm() - ROUND_SLACK;
+                for (step, axis, sign) in (0..20).flat_map(|n| (0..6).map(move |way| (n, way / 2, way % 2))) {
+                    let mut by = Vector3::zeros();
+                    by[axis] = shorter * f64::from(step) / 20.0 * [1.0, -1.0][sign];
+                    assert!(
+                        shorter < 0.0 || within(&place, height, by, SLACK),
+                        "{place:?} {height:?}: {by:?} < {out:?}"
+                    );
+                }
             }
         }
     }
@@ -626,26 +640,58 @@ fn long_and_endless_motions_are_answered_at_once() {
         assert!(matches!(sweep(&store, &shape, motion), Answer::Known(_)));
     }
     let endless = sweep(&store, &shape, Vector3::new(f64::NAN, 0.0, f64::INFINITY)).known().flatten();
-    assert!(endless.is_some_and(|hit| hit.begins_inside()));
+    let endless = endless.unwrap();
+    assert!(endless.begins_inside() && (endless.fraction, endless.distance) == (0.0, 0.0));
+    assert!(endless.heights.iter().all(|height| (height - shape.min().z).abs() < 1e-6), "{endless:?}");
     let through = sweep(&store, &shape, Vector3::new(2e6, 0.0, 0.0));
     assert!(matches!(through, Answer::Known(_)));
 }
 
 #[test]
 fn batches_answer_like_single_queries() {
-    let (scene, mut random) = Scene::all().nth(5).unwrap();
-    let store = scene.store();
-    let ways: Vec<_> =
-        (0..50).map(|_| (random_pawn(&scene, &mut random), random_motion(&scene, &mut random))).collect();
-    let mut hits = vec![Answer::Known(None); ways.len()];
-    sweep_batch(&store, &ways, &mut hits);
-    let shapes: Vec<_> = ways.iter().map(|way| way.0).collect();
-    let (mut near, mut out) = (vec![Answer::Known(None); ways.len()], vec![Answer::Known(None); ways.len()]);
-    clearance_batch(&store, &shapes, 1.0, &mut near);
-    depenetrate_batch(&store, &shapes, 1.0, &mut out);
-    for (n, (shape, motion)) in ways.iter().enumerate() {
-        assert_eq!(hits[n], sweep(&store, shape, *motion));
-        assert_eq!(near[n], clearance(&store, shape, 1.0));
-        assert_eq!(out[n], depenetrate(&store, shape, 1.0));
+    let [mut stopped, mut near, mut inside] = [0; 3];
+    for (scene, mut random) in Scene::all().take(9) {
+        let store = scene.store();
+        let ways: Vec<_> =
+            (0..50).map(|_| (random_pawn(&scene, &mut random), random_motion(&scene, &mut random))).collect();
+        let mut hits = vec![Answer::Known(None); ways.len()];
+        sweep_batch(&store, &ways, &mut hits);
+        let shapes: Vec<_> = ways.iter().map(|way| way.0).collect();
+        let (mut gaps, mut out) = (vec![Answer::Known(None); ways.len()], vec![Answer::Known(None); ways.len()]);
+        clearance_batch(&store, &shapes, 1.0, &mut gaps);
+        depenetrate_batch(&store, &shapes, 1.0, &mut out);
+        for (n, (shape, motion)) in ways.iter().enumerate() {
+            assert_eq!(hits[n], sweep(&store, shape, *motion));
+            assert_eq!(gaps[n], clearance(&store, shape, 1.0));
+            assert_eq!(out[n], depenetrate(&store, shape, 1.0));
+        }
+        // An answer left as it was would be none.
+        stopped += hits.iter().filter(|hit| matches!(hit, Answer::Known(Some(_)))).count();
+        near += gaps.iter().filter(|gap| matches!(gap, Answer::Known(Some(_)))).count();
+        inside += out.iter().filter(|out| matches!(out, Answer::Known(Some(out)) if out.norm() > 0.0)).count();
+    }
+    assert!(stopped > 50 && near > 50 && inside > 10, "{stopped} stopped, {near} near, {inside} inside");
+}
+
+#[test]
+fn distances_that_are_none_find_nothing() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let mut builder = PageBuilder::default();
+    assert!(builder.set_column(5, 5, &[Span::new(100, 140, false).unwrap()]));
+    let store = Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, builder.build())]);
+    let bottom = 100.0 * frame.quantum_m();
+    let shape = Aabb::standing(Point3::new(0.55, 0.55, bottom), Vector3::new(0.3, 0.3, 0.3)).unwrap();
+    assert_eq!(clearance(&store, &shape, 0.0), Answer::Known(Some(0.0)));
+    assert!(matches!(depenetrate(&store, &shape, 1.0), Answer::Known(Some(_))));
+    for none in [f64::NAN, -1.0, -f64::MIN_POSITIVE] {
+        assert_eq!(clearance(&store, &shape, none), Answer::Known(None), "{none}");
+        assert_eq!(depenetrate(&store, &shape, none), Answer::Known(None), "{none}");
+    }
+    let infinite = f64::INFINITY;
+    assert!(matches!(ceiling_above(&store, &shape, 0.0, infinite), Answer::Known(Some(_))));
+    assert!(matches!(floor_under(&store, &shape, 20.0, infinite), Answer::Known(Some(_))));
+    for [from, reach] in [[f64::NAN, infinite], [f64::NAN, 1.0], [0.0, f64::NAN], [-infinite, f64::NAN]] {
+        assert_eq!(ceiling_above(&store, &shape, from, reach), Answer::Known(None), "{from} {reach}");
+        assert_eq!(floor_under(&store, &shape, -from, reach), Answer::Known(None), "{from} {reach}");
     }
 }
