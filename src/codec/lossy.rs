@@ -3,16 +3,15 @@
 //! Heights move onto steps as far apart as the tolerance allows, bottoms down and tops up, so nothing between two steps
 //! is coded. If a scan has steps of its own, several of them are combined: with a tolerance of 1.25 cm, heights in
 //! whole centimetres become even ones. Steps half as wide leave most heights a choice, which the models of the length
-//! estimate make. Of the few grids tried, each page takes the one with the shortest symbols.
+//! estimate make. Of the few grids tried, each page takes the one with the least estimate.
 //!
 //! Ends that cannot move, mostly where the border of a page cuts a solid, lie on no wide step and take the symbol of
 //! slice boundaries. The encoder finds a page's steps from its heights alone, so with few and similar heights it may
 //! find wider steps than those chosen here. A page with many fixed ends may get narrow steps, which reach them; heights
 //! then follow the prediction, except for the first few, which stay exact so that no wider steps fit all of them.
 
-use super::estimate::{Candidates, Given, Scratch, Traversal, choose, length_on};
-use super::rans::RansEncoder;
-use super::rows::{PIXELS, Rows, SLICE, telling_heights};
+use super::estimate::{Candidates, Estimate};
+use super::rows::{PIXELS, SLICE, telling_heights};
 use super::step_grid::{End, HeightsOf, LEAST_HEIGHTS, ONE, StepGrid};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::page::{Inferred, Page, PageBuilder, RowBuilder, Span};
@@ -27,7 +26,7 @@ const CUT_SPANS: usize = 16;
 const TRUE_SPANS: usize = 8;
 /// Rows of pixels between comparisons of a grid with the shortest one. They start where that one has spent an eighth of
 /// its length.
-const ROWS: u32 = 8;
+const ROWS: usize = 8;
 /// A grid is given up if it then needs over 1/`HOPELESS` more.
 const HOPELESS: u64 = 48;
 /// Cost (bits) of a height below the lowest step, when phases are compared.
@@ -43,8 +42,6 @@ struct Room {
 /// Lossy encoding of a page; its memory is reused.
 #[derive(Debug, Default)]
 pub struct Lossy {
-    /// Masks of the occupied blocks, and of those occupied in all pixels.
-    blocks: (u64, u64),
     /// Index of the first span of each pixel, and one more.
     first: Vec<u32>,
     spans: Vec<Span>,
@@ -58,28 +55,19 @@ pub struct Lossy {
     best: Tried,
 }
 
-/// A grid being tried, with the costs of the shortest one before.
-struct Attempt<'a> {
-    loose: &'a Lossy,
-    shortest: Option<&'a (u64, RowCosts)>,
-    costs: RowCosts,
-    is_given_up: bool,
-}
-
 /// Cost of the rows before each multiple of [`ROWS`] (1/64 bit).
-type RowCosts = [u64; PIXELS / 64 / ROWS as usize];
+type RowCosts = [u64; PIXELS / 64 / ROWS];
 
-/// Heights on a grid, and their symbols.
+/// Heights on a grid.
 #[derive(Debug)]
-pub struct Tried {
-    pub grid: StepGrid,
-    pub encoder: RansEncoder,
-    pub spans: Vec<Span>,
+struct Tried {
+    grid: StepGrid,
+    spans: Vec<Span>,
 }
 
 impl Default for Tried {
     fn default() -> Self {
-        Self { grid: StepGrid::QUANTA, encoder: RansEncoder::default(), spans: Vec::new() }
+        Self { grid: StepGrid::QUANTA, spans: Vec::new() }
     }
 }
 
@@ -91,21 +79,22 @@ impl Lossy {
         &mut self,
         (of, steps): (&HeightsOf, &[u64]),
         (page, tolerance): (&Page, u32),
-        scratch: &mut Scratch,
+        estimate: &mut Estimate,
         builder: &mut RowBuilder,
     ) -> (Page, StepGrid) {
         self.set(page, tolerance);
         let mut shortest: Option<(u64, RowCosts)> = None;
         for grid in self.grids(of, tolerance) {
             let before = shortest.as_ref().filter(|_| !self.is_cut);
-            let Some(costs) = self.try_on(grid, before, scratch) else { continue };
-            let mut length = self.tried.encoder.cost();
+            let Some((mut length, costs)) = self.try_on(grid, before, estimate) else { continue };
             if self.is_cut {
                 // The encoder may find other steps in the heights than those they were chosen on.
                 let page = self.built(&self.tried, builder);
                 let boundaries = telling_heights(&page, &mut self.heights);
                 let grid = StepGrid::find_short(of, steps, &self.heights, &boundaries);
-                length = length_on(grid.unwrap_or(StepGrid::QUANTA), &page, scratch);
+                let same = |_: &Estimate, number: usize, _: &Candidates| self.tried.spans[number];
+                let all = estimate.walk(grid.unwrap_or(StepGrid::QUANTA), &self.first, same, |_, _| true);
+                length = all.unwrap_or(length);
             }
             if shortest.is_none_or(|shortest| length < shortest.0) {
                 shortest = Some((length, costs));
@@ -115,21 +104,67 @@ impl Lossy {
         (self.built(&self.best, builder), self.best.grid)
     }
 
-    /// Chooses heights on `grid` and returns the cost of its rows, or `None` if it was given up as longer than the
-    /// `shortest` one.
+    /// Chooses heights on `grid` and returns their cost and that of the rows, or `None` if the grid was given up as
+    /// longer than the `shortest` one.
     fn try_on(
         &mut self,
         grid: StepGrid,
         shortest: Option<&(u64, RowCosts)>,
-        scratch: &mut Scratch,
-    ) -> Option<RowCosts> {
+        estimate: &mut Estimate,
+    ) -> Option<(u64, RowCosts)> {
         let mut tried = std::mem::take(&mut self.tried);
         tried.grid = grid;
-        let mut attempt = Attempt { loose: self, shortest, costs: RowCosts::default(), is_given_up: false };
-        choose(&mut attempt, &mut tried, scratch);
-        let Attempt { costs, is_given_up, .. } = attempt;
+        tried.spans.clear();
+        let mut costs = RowCosts::default();
+        let goes_on = |row: usize, cost: u64| {
+            if !row.is_multiple_of(ROWS) {
+                return true;
+            }
+            let number = row / ROWS;
+            costs[number] = cost;
+            shortest.is_none_or(|&(all, shortest)| {
+                8 * shortest[number] <= all || cost <= shortest[number] + shortest[number] / HOPELESS
+            })
+        };
+        let choose = |estimate: &Estimate, number: usize, candidates: &Candidates| {
+            let span = self.chosen(number, grid, candidates, estimate);
+            tried.spans.push(span);
+            span
+        };
+        let all = estimate.walk(grid, &self.first, choose, goes_on);
         self.tried = tried;
-        (!is_given_up).then_some(costs)
+        all.map(|all| (all, costs))
+    }
+
+    /// Returns the span to take on `grid` in place of the one with this number.
+    fn chosen(&self, number: usize, grid: StepGrid, candidates: &Candidates, estimate: &Estimate) -> Span {
+        let (span, room) = (self.spans[number], self.room[number]);
+        // The first spans keep exact heights if there is much to choose from.
+        let is_free = number >= TRUE_SPANS;
+        let thickness = candidates.thickness;
+        let with = |bottom: u32, top: u32| Span::new(bottom, top, span.is_obstacle()).unwrap_or(span);
+        if grid.is_quanta() {
+            let bottom = follow(candidates.bottom, room.bottom);
+            return with(bottom, follow(bottom as i32 + thickness, room.top));
+        }
+        let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
+        let mut best = (u32::MAX, span);
+        let bottoms = Choices::of(&grid, End::Bottom, room.bottom, is_free.then_some(candidates.bottom));
+        for bottom in bottoms.all() {
+            let expected = bottom.1 as i32 + thickness;
+            let tops = Choices::of(&grid, End::Top, room.top, is_free.then_some(expected));
+            if bottoms.len == 1 && tops.len == 1 {
+                return with(bottom.0, tops.list[0].0);
+            }
+            let bottom_cost = estimate.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
+            for top in tops.all() {
+                let cost = bottom_cost + estimate.cost(End::Top, top_context, expected, top.2);
+                if cost < best.0 {
+                    best = (cost, with(bottom.0, top.0));
+                }
+            }
+        }
+        best.1
     }
 
     /// Builds the page of the spans of `tried`.
@@ -149,8 +184,7 @@ impl Lossy {
     }
 
     fn set(&mut self, page: &Page, tolerance: u32) {
-        let Self { blocks, first, spans, room, is_close, is_cut, heights, .. } = self;
-        *blocks = Rows::of(page).blocks();
+        let Self { first, spans, room, is_close, is_cut, heights, .. } = self;
         *is_close = false;
         first.clear();
         spans.clear();
@@ -350,9 +384,8 @@ pub fn all_steps(frame: &Frame, tolerance: u32) -> Vec<u64> {
     all
 }
 
-/// Candidate height of an end: the quantum, its step or the next one above, and, if it is on a step, the step and the
-/// offset from its usual height.
-type Choice = (u32, u32, Option<(u32, i32)>);
+/// Candidate height of an end: the quantum, its step or the next one above, and the step if it is on one.
+type Choice = (u32, u32, Option<u32>);
 
 /// Most candidate heights of an end.
 const MOST_CHOICES: usize = 3;
@@ -377,8 +410,8 @@ impl Choices {
                 End::Top => (low, low.next_multiple_of(SLICE)),
             };
             let height = if (low..=high).contains(&border) { border } else { exact };
-            let step = grid.index(height, end);
-            let index = step.map_or_else(|| grid.at_or_above(height), |step| step.0);
+            let step = grid.index(height, end).map(|(step, _)| step);
+            let index = step.unwrap_or_else(|| grid.at_or_above(height));
             return Self { list: [(height, index, step); MOST_CHOICES], len: 1 };
         };
         let near = if end == End::Top { first } else { last };
@@ -390,7 +423,7 @@ impl Choices {
                 _ => ([near; MOST_CHOICES], 1),
             },
         };
-        Self { list: indices.map(|index| (grid.usual(index, end) as u32, index, Some((index, 0)))), len }
+        Self { list: indices.map(|index| (grid.usual(index, end) as u32, index, Some(index))), len }
     }
 
     fn all(&self) -> &[Choice] {
@@ -408,60 +441,6 @@ fn follow(expected: i32, (low, high): (u32, u32)) -> u32 {
         _ => expected,
     };
     height as u32
-}
-
-impl<'a> Given<'a> for &mut Attempt<'a> {
-    fn blocks(&self) -> (u64, u64) {
-        self.loose.blocks
-    }
-
-    fn spans(&mut self, px: u32, py: u32) -> &'a [Span] {
-        let (loose, pixel) = (self.loose, (py * 64 + px) as usize);
-        &loose.spans[loose.first[pixel] as usize..loose.first[pixel + 1] as usize]
-    }
-
-    fn goes_on(&mut self, row: u32, cost: impl FnOnce() -> u64) -> bool {
-        if row.is_multiple_of(ROWS) {
-            let (number, cost) = ((row / ROWS) as usize, cost());
-            self.costs[number] = cost;
-            let is_hopeless = |&(all, shortest): &(u64, RowCosts)| {
-                8 * shortest[number] > all && cost > shortest[number] + shortest[number] / HOPELESS
-            };
-            self.is_given_up = self.shortest.is_some_and(is_hopeless);
-        }
-        !self.is_given_up
-    }
-
-    fn chosen(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_>) -> Span {
-        let number = self.loose.first[at.0] as usize + at.1;
-        let room = self.loose.room[number];
-        // The first spans keep exact heights if there is much to choose from.
-        let is_free = number >= TRUE_SPANS;
-        let (grid, thickness) = (&walk.grid, candidates.thickness);
-        let with = |bottom: u32, top: u32| Span::new(bottom, top, span.is_obstacle()).unwrap_or(span);
-        if grid.is_quanta() {
-            let bottom = follow(candidates.bottom, room.bottom);
-            return with(bottom, follow(bottom as i32 + thickness, room.top));
-        }
-        let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
-        let mut best = (u32::MAX, span);
-        let bottoms = Choices::of(grid, End::Bottom, room.bottom, is_free.then_some(candidates.bottom));
-        for bottom in bottoms.all() {
-            let expected = bottom.1 as i32 + thickness;
-            let tops = Choices::of(grid, End::Top, room.top, is_free.then_some(expected));
-            if bottoms.len == 1 && tops.len == 1 {
-                return with(bottom.0, tops.list[0].0);
-            }
-            let bottom_cost = walk.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
-            for top in tops.all() {
-                let cost = bottom_cost + walk.cost(End::Top, top_context, expected, top.2);
-                if cost < best.0 {
-                    best = (cost, with(bottom.0, top.0));
-                }
-            }
-        }
-        best.1
-    }
 }
 
 #[cfg(test)]

@@ -87,7 +87,7 @@ pub struct Encoder {
     heights: Vec<(u32, End)>,
     lossy: lossy::Lossy,
     /// Allocated with the first page whose heights are moved.
-    estimate: Option<Box<estimate::Scratch>>,
+    estimate: Option<Box<estimate::Estimate>>,
     builder: RowBuilder,
 }
 

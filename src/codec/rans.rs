@@ -73,7 +73,7 @@ impl Nibble {
     }
 
     #[inline]
-    fn learn(&mut self, symbol: u32) {
+    pub fn learn(&mut self, symbol: u32) {
         let rate = RATES[self.seen as usize & 15] as u32;
         self.seen = (self.seen + 1).min(15);
         let symbol = symbol as i16;
@@ -111,22 +111,12 @@ const LOG: [u8; 64] = {
 /// Returns the cost of a symbol with `count` slots (1/64 bit).
 #[inline]
 fn cost_of(count: u32) -> u32 {
-    SCALE_BITS * COST_BIT - log(count.into())
-}
-
-/// Returns the total cost of symbols (1/64 bit).
-fn cost_of_all(slots: &[(u16, u16)]) -> u64 {
-    // The product of four counts fits into 64 bits and needs only one logarithm.
-    const _: () = assert!(4 * SCALE_BITS < u64::BITS);
-    let log_of = |slots: &[(u16, u16)]| u64::from(log(slots.iter().map(|&(_, count)| u64::from(count)).product()));
-    let (fours, rest) = slots.as_chunks::<4>();
-    let logs = fours.iter().map(|four| log_of(four)).sum::<u64>() + log_of(rest);
-    slots.len() as u64 * u64::from(SCALE_BITS * COST_BIT) - logs
+    SCALE_BITS * COST_BIT - log(count)
 }
 
 /// Returns the binary logarithm of `count`, rounded down to 1/64.
 #[inline]
-fn log(count: u64) -> u32 {
+fn log(count: u32) -> u32 {
     let whole = count.ilog2();
     // The six bits below the highest.
     let fraction = LOG[(count >> whole.saturating_sub(6) << 6u32.saturating_sub(whole)) as usize & 63];
@@ -151,12 +141,6 @@ impl Bit {
     fn slots(&self, bit: bool) -> (u32, u32) {
         let ones = self.ones as u32;
         if bit { (SCALE - ones, ones) } else { (0, SCALE - ones) }
-    }
-
-    /// Returns the cost of `bit` (1/64 bit).
-    #[inline]
-    pub fn cost(&self, bit: bool) -> u32 {
-        cost_of(self.slots(bit).1)
     }
 
     #[inline]
@@ -185,8 +169,6 @@ pub trait Coder {
 /// Writes symbols; reusable.
 #[derive(Debug, Default)]
 pub struct RansEncoder {
-    /// Cost of the first symbols (1/64 bit), and their number.
-    cost: (u64, usize),
     /// First slot and number of slots of each symbol, buffered because symbols are encoded in reverse.
     slots: Vec<(u16, u16)>,
     words: Vec<u16>,
@@ -220,7 +202,6 @@ impl RansEncoder {
     /// Drops all symbols.
     pub fn clear(&mut self) {
         self.slots.clear();
-        self.cost = (0, 0);
     }
 
     /// Appends the bytes of all symbols since [`clear`](Self::clear): the state (u32), then its words (u16).
@@ -240,13 +221,6 @@ impl RansEncoder {
         }
         out.extend(state.to_le_bytes());
         out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));
-    }
-
-    /// Returns the cost of all symbols pushed (1/64 bit), except for rounding.
-    pub fn cost(&mut self) -> u64 {
-        let (cost, counted) = self.cost;
-        self.cost = (cost + cost_of_all(&self.slots[counted..]), self.slots.len());
-        self.cost.0
     }
 
     #[inline]
@@ -391,24 +365,6 @@ mod tests {
         for count in 1..=SCALE {
             let exact = f64::from(COST_BIT) * (f64::from(SCALE) / f64::from(count)).log2();
             assert!((f64::from(cost_of(count)) - exact).abs() < 2.5, "{count}");
-        }
-    }
-
-    #[test]
-    fn costs_add_up_wherever_they_are_asked_for() {
-        let bits = |number: u32| 1 + number * 7 % 15;
-        let exact: u32 = (0..1000).map(|number| bits(number) * COST_BIT).sum();
-        for asked_every in [1, 2, 3, 7, 1000] {
-            let mut encoder = RansEncoder::default();
-            for number in 0..1000 {
-                encoder.raw(bits(number), 0);
-                if number % asked_every == 0 {
-                    encoder.cost();
-                }
-            }
-            assert_eq!(encoder.cost(), u64::from(exact), "asked every {asked_every} symbols");
-            encoder.clear();
-            assert_eq!(encoder.cost(), 0);
         }
     }
 

@@ -26,9 +26,9 @@ pub(super) fn unfold(folded: u32) -> i32 {
 
 /// Spans of a page in row order, for encoding.
 pub(super) struct Rows<'a> {
-    pub page: &'a Page,
+    page: &'a Page,
     /// Spans still to come in the current row of the current block.
-    pub rest: &'a [Span],
+    rest: &'a [Span],
     /// That row: x of the block, y of the pixels.
     row: (u32, u32),
 }
@@ -46,13 +46,7 @@ impl<'a> Rows<'a> {
             self.row = row;
             self.rest = self.page.block(row.0, py / BLOCK_PIXELS).rows(py % BLOCK_PIXELS, py % BLOCK_PIXELS);
         }
-        self.next(px % BLOCK_PIXELS)
-    }
-
-    /// Returns the spans of the pixel in `lane`, the next one of the block's row.
-    #[inline]
-    pub fn next(&mut self, lane: u32) -> &'a [Span] {
-        let count = self.rest.iter().take_while(|span| span.lane() == lane).count();
+        let count = self.rest.iter().take_while(|span| span.lane() == px % BLOCK_PIXELS).count();
         let (own, rest) = self.rest.split_at(count);
         self.rest = rest;
         own

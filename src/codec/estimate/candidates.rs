@@ -5,7 +5,6 @@ use super::Coded;
 /// Prediction of the next span from its candidates in the neighbours.
 pub struct Candidates {
     count: usize,
-    obstacles: usize,
     /// Expected step of the bottom, and expected thickness (steps).
     pub bottom: i32,
     pub thickness: i32,
@@ -32,14 +31,13 @@ pub(super) fn neighbours(first: &[u32], pixel: usize) -> Neighbours {
 /// fewer bytes than the mean of the middle two.
 #[inline]
 pub(super) fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Option<Coded>) -> Candidates {
-    let (mut count, mut obstacles) = (0, 0);
+    let mut count = 0;
     let (mut bottoms, mut thicknesses) = ([i32::MAX; 4], [i32::MAX; 4]);
     for range in neighbours {
         while let Some(span) = spans.get(range.start as usize).filter(|_| range.start < range.end) {
             if below.is_none_or(|below| span.bottom > below.top) {
                 bottoms[count] = span.bottom_step.into();
                 thicknesses[count] = span.thickness();
-                obstacles += span.obstacle as usize;
                 count += 1;
                 break;
             }
@@ -61,7 +59,7 @@ pub(super) fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Op
         greatest.wrapping_sub(least) as u32
     };
     let (bottom_spread, thickness_spread) = (spread(bottoms), spread(thicknesses));
-    Candidates { count, obstacles, bottom, thickness, bottom_spread, thickness_spread }
+    Candidates { count, bottom, thickness, bottom_spread, thickness_spread }
 }
 
 #[inline]
@@ -92,12 +90,6 @@ impl Candidates {
             2 => 2 + class(self.bottom_spread) / 2,
             _ => 8 + class(self.bottom_spread),
         }
-    }
-
-    /// Returns the context of the kind (0..25).
-    #[inline]
-    pub fn kind_context(&self) -> usize {
-        self.obstacles * 5 + self.count
     }
 
     /// Returns the context of the thickness.
