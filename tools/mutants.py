@@ -321,7 +321,6 @@ class Build:
             "CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS": "true",
             "CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS": "true",
         }
-        self.copy()
 
     def copy(self) -> None:
         shown = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
@@ -357,6 +356,7 @@ class Build:
     def cargo(self, *arguments: str) -> list[dict[str, Any]]:
         run = subprocess.run(
             ["cargo", *arguments, "--message-format=json"],
+            check=False,
             cwd=self.tree,
             env=self.environment,
             stdout=subprocess.PIPE,
@@ -372,6 +372,7 @@ class Build:
                 sys.exit(f"{self.states}: of other code than today's; give an empty folder")
             for mutant in self.mutants:
                 mutant.state = states[mutant.name]
+        self.copy()
         for targets in ("--lib", "--tests"):
             while self.refused(targets):
                 pass
@@ -450,7 +451,11 @@ class Build:
             if message.get("reason") == "compiler-artifact" and message["profile"]["test"] and message["executable"]:
                 folder = str(Path(message["manifest_path"]).parent)
                 shown = subprocess.run(
-                    [message["executable"], "--list", "--format=terse"], cwd=folder, stdout=subprocess.PIPE, text=True
+                    [message["executable"], "--list", "--format=terse"],
+                    check=True,
+                    cwd=folder,
+                    stdout=subprocess.PIPE,
+                    text=True,
                 )
                 names = [line.removesuffix(": test") for line in shown.stdout.splitlines() if line.endswith(": test")]
                 tests += [Test(message["executable"], folder, name) for name in names]
