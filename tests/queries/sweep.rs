@@ -13,7 +13,7 @@ use slicewalk::store::{Missing, Snapshot};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
 const SLACK: f64 = 1e-7;
-/// The same along a way past an edge of a round shape, where a small gap makes a long difference (m).
+/// Slack along a way past the edge of a round shape: a slightly smaller gap there needs a much longer way (m).
 const ROUND_SLACK: f64 = 1e-3;
 
 /// Boxes of all spans (m).

@@ -69,8 +69,8 @@ impl Default for Estimate {
 impl Estimate {
     /// Estimates spans on `grid`; `first` has the number of the first span of each pixel, in row order, and one more.
     /// `choose` returns the span with this number, of which `Candidates` predict the heights. Before each row,
-    /// `goes_on` gets its number and the cost of the rows above it (1/64 bit). Returns the cost of all, `None` if it did
-    /// not go on.
+    /// `goes_on` gets its number and the cost of the rows above it (1/64 bit). Returns the cost of all, `None` once it
+    /// returns false.
     pub fn walk(
         &mut self,
         grid: StepGrid,
