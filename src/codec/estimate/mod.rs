@@ -7,7 +7,7 @@
 mod candidates;
 
 use super::rans::{COST_BIT, Nibble};
-use super::rows::{PIXELS, fold};
+use super::rows::{PIXELS, SLICE, fold};
 use super::step_grid::{End, StepGrid};
 use crate::page::Span;
 pub(super) use candidates::Candidates;
@@ -86,9 +86,13 @@ impl Estimate {
             if pixel % 64 == 0 && !goes_on(pixel / 64, self.cost) {
                 return None;
             }
+            let own = first[pixel] as usize..first[pixel + 1] as usize;
+            if own.is_empty() {
+                continue;
+            }
             let mut around = neighbours(first, pixel);
             let mut below = None;
-            for number in first[pixel] as usize..first[pixel + 1] as usize {
+            for number in own {
                 let candidates = candidates(&self.spans, &mut around, below);
                 let span = choose(self, number, &candidates);
                 below = Some(self.add(&candidates, span));
@@ -121,6 +125,8 @@ impl Estimate {
     #[inline]
     fn learn(&mut self, end: End, context: usize, expected: i32, height: u32) -> u32 {
         let step = self.grid.index(height, end).map(|(step, _)| step);
+        // All other heights have steps, or the grid is not one of this page.
+        debug_assert!(step.is_some() || height.is_multiple_of(SLICE), "no step for {height} {end:?}");
         self.cost += u64::from(self.cost(end, context, expected, step));
         self.models[end as usize][context].learn(symbol(expected, step));
         step.unwrap_or_else(|| self.grid.at_or_above(height))

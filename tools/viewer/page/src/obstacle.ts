@@ -24,8 +24,8 @@ const HIGHEST_STEP_M = 3;
 /** Precision of what is needed, and of the place (m). */
 const PRECISION_M = 0.05;
 /**
- * Time after which the search is given up (ms): it ends sooner when the pawn is sent elsewhere. A dozen routes are looked for, each
- * of which waits for some frames, and these are slow where no graphics card draws them.
+ * Time after which the search is given up (ms): it ends sooner when the pawn is sent elsewhere. Some sixteen routes are looked for,
+ * each of which waits for some frames, and these are slow where no graphics card draws them.
  */
 export const PATIENCE_MS = 60_000;
 
