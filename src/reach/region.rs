@@ -245,12 +245,13 @@ impl Flood {
     pub fn region(&self, standing: &StandingPlaces) -> Region {
         let mut order: Vec<usize> = (0..self.reached.len()).filter(|tile| !self.reached[*tile].is_empty()).collect();
         sort_by_key(&mut order, |tile| [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]);
+        let places: usize = self.reached.iter().flatten().map(|bits| bits.count_ones() as usize).sum();
         let mut region = Region {
             grid: standing.grid.clone(),
-            pixels: Vec::new(),
-            tops: Vec::new(),
-            standing: Vec::new(),
-            links: Vec::new(),
+            pixels: Vec::with_capacity(places),
+            tops: Vec::with_capacity(places),
+            standing: Vec::with_capacity(places),
+            links: Vec::with_capacity(places),
             clearances: Vec::new(),
             levels: Vec::new(),
             landmarks: Vec::new(),

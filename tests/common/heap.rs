@@ -28,7 +28,16 @@ unsafe impl GlobalAlloc for Heap {
 #[global_allocator]
 static HEAP: Heap = Heap;
 
+/// Returns the result of `work` and the bytes that it left on the heap.
+#[allow(dead_code)]
+pub fn kept<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = USED.load(Relaxed);
+    let result = work();
+    (result, USED.load(Relaxed) - before)
+}
+
 /// Returns the result of `work` and the most bytes that it held at a time.
+#[allow(dead_code)]
 pub fn measured<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = USED.load(Relaxed);
     PEAK.store(before, Relaxed);

@@ -1,0 +1,70 @@
+//! What the parts of `reach` say of their memory is what the heap holds, and what the documentation says of each place.
+
+#[path = "common/heap.rs"]
+mod heap;
+#[allow(dead_code)]
+#[path = "walk/world.rs"]
+mod world;
+
+use heap::kept;
+use nalgebra::Point3;
+use slicewalk::NoMonitor;
+use slicewalk::query::Answer;
+use slicewalk::reach::{Coarse, Flood, LongSearch, Pawn, Planned, Search, StandingPlaces};
+use slicewalk::walk::Body;
+
+/// Bytes beside the tables: small vectors and maps.
+const BESIDE: usize = 4 << 10;
+
+fn is_told(what: &str, told: usize, held: usize) {
+    assert!(held > 8 * BESIDE, "{what}: too small a scene, {held} bytes");
+    assert!(told.abs_diff(held) <= BESIDE + held / 20, "{what}: {told} bytes told, {held} held");
+}
+
+/// The only test of this file, because others would allocate at the same time.
+#[test]
+fn every_part_tells_the_memory_that_it_holds() {
+    // Walls with gaps, across the way.
+    let store = world::room(8, |(x, y)| x.rem_euclid(40) == 20 && y.rem_euclid(80) > 30);
+    let pawn = Pawn::new(Body::Cylinder { radius: 0.25, height: 1.8 });
+    let [from, to] = [[-12.0, -12.0, 0.1], [12.0, 12.0, 0.1]].map(Point3::from);
+    let mut standing = StandingPlaces::new(&store, pawn).unwrap();
+    let (mut flood, held) = kept(|| {
+        let Ok(Answer::Known(flood)) = Flood::everywhere(&mut standing, &store) else { panic!("all is in memory") };
+        flood
+    });
+    // The places to begin from are the flood's.
+    is_told("standing places", standing.memory_bytes() + flood.memory_bytes(), held);
+    let (_, more) = kept(|| flood.grow(&mut standing, &store, &NoMonitor).unwrap());
+    is_told("flood", standing.memory_bytes() + flood.memory_bytes(), held + more);
+
+    let (mut region, held) = kept(|| flood.region(&standing));
+    is_told("region", region.memory_bytes(), held);
+    let places = region.len();
+    assert!(held.div_ceil(places) <= 40, "{held} bytes for {places} places");
+    let (_, more) = kept(|| region.prepare(&NoMonitor).unwrap());
+    is_told("prepared region", region.memory_bytes(), held + more);
+
+    let ends = [from, to].map(|at| match standing.spot(&store, at).unwrap() {
+        Answer::Known(spot) => spot.unwrap(),
+        Answer::NotLoaded(missing) => panic!("{missing:?}"),
+    });
+    let mut search = Search::new();
+    let (found, held) = kept(|| search.route(&store, &region, &ends[0], &ends[1], &NoMonitor).unwrap());
+    assert!(matches!(found, Answer::Known(Some(_))));
+    is_told("search", search.memory_bytes(), held);
+    println!("{places} places, {} bytes of the search for each", held / places);
+
+    let (mut long, held) = kept(|| LongSearch::new(&region, 1.2).unwrap());
+    is_told("long pawn", long.memory_bytes(), held);
+    let (found, more) = kept(|| long.route(&store, &ends[0], &ends[1], &NoMonitor).unwrap());
+    assert!(matches!(found, Answer::Known(Some(_))));
+    is_told("route of a long pawn", long.memory_bytes(), held + more);
+
+    let (planner, held) = kept(|| {
+        let mut planner = Coarse::new(&store, pawn, from, to).unwrap();
+        assert!(matches!(planner.advance(&store, usize::MAX, &NoMonitor), Ok(Planned::Done(Ok(_)))));
+        planner
+    });
+    is_told("coarse plan", planner.memory_bytes(), held);
+}
