@@ -184,6 +184,81 @@ fn a_way_without_doubt_and_none_through_a_wall() {
     assert!(!planner.is_fine() && found.is_ok() && planner.doubt_m() > 1.0, "{found:?}, {}", planner.doubt_m());
 }
 
+/// Plans on the archive itself as if it were a level: heights that are multiples of 0.05 m look rounded.
+fn planned(draw: impl Fn(usize, usize) -> Vec<Matter>, pawn: Pawn, ends: [[f64; 3]; 2]) -> (Route, f64) {
+    let store = Snapshot::resident(&archive(draw), &NoMonitor).unwrap();
+    let [from, to] = ends.map(Point3::from);
+    let mut planner = Coarse::new(&store, pawn, from, to).unwrap();
+    assert!(planner.is_fine());
+    let found = finish(&mut planner, &store, usize::MAX).unwrap();
+    (found, planner.doubt_m())
+}
+
+/// A floor that only the climb height, a beam that only the height of the body, and nothing: where a route leads round is as
+/// far as the doubt of the way through is worth.
+#[test]
+fn a_metre_of_doubt_is_worth_a_detour_of_forty_metres() {
+    let [wall, wide, metre] = [126, 2, 20];
+    let ends = [[1.0, 1.0, FLOOR], [11.9, 1.0, FLOOR]];
+    // A barrier across the hall that ends `beyond` metres from the straight way.
+    let hall = |beyond: f64, barrier: Vec<Matter>| {
+        let gap = metre + (beyond * metre as f64) as usize;
+        let open = vec![(FLOOR - 0.05, FLOOR, false), (CEILING - 0.05, CEILING, true)];
+        move |i: usize, j: usize| {
+            if (wall..wall + wide).contains(&i) && j < gap { barrier.clone() } else { open.clone() }
+        }
+    };
+    let step = |rise: f64| vec![(FLOOR - 0.05, FLOOR + rise, false), (CEILING - 0.05, CEILING, true)];
+    let beam = |room: f64| vec![(FLOOR - 0.05, FLOOR, false), (FLOOR + room, CEILING, true)];
+    let tall = |height: f64| Pawn::new(Body::Box { x: 0.5, y: 0.5, height });
+    // Beyond the climb height up, and down; headroom lacks in each of the two pixels.
+    let up = Pawn { climb: 0.3, max_drop: 0.5, ..pawn() };
+    let down = Pawn { climb: 0.5, max_drop: 0.3, ..pawn() };
+    for (name, pawn, barrier, doubt) in [
+        ("nothing", up, step(0.0), 0.0),
+        ("a step within reach", up, step(0.3), 0.0),
+        ("a step up", up, step(0.36), 0.06),
+        ("a step up and down", Pawn { max_drop: 0.3, ..up }, step(0.34), 0.08),
+        ("a drop", down, step(0.38), 0.08),
+        ("headroom", tall(1.7), beam(1.7), 0.0),
+        ("a low beam", tall(1.68), beam(1.65), 0.06),
+        ("a lower beam", tall(1.7), beam(1.65), 0.1),
+    ] {
+        // Diagonal steps are √2 as long: a way around at a distance is 2 (√2 − 1) times that longer.
+        let worth = 40.0 * doubt / (2.0 * (2f64.sqrt() - 1.0));
+        for beyond in [worth - 0.5, worth + 0.5].into_iter().filter(|beyond| *beyond > 0.0) {
+            let (found, found_doubt) = planned(hall(beyond, barrier.clone()), pawn, ends);
+            let aside = found.points.iter().map(|point| point.y - 1.0).fold(0.0, f64::max);
+            let (is_around, expected) = if beyond < worth { (true, 0.0) } else { (false, doubt) };
+            assert!((found_doubt - expected).abs() < 2e-3, "{name}, {beyond} m: a doubt of {found_doubt} m");
+            assert_eq!(aside > beyond - 0.1 && beyond > 0.2, is_around, "{name}, {beyond} m: {aside} m aside");
+        }
+    }
+    // What rounding cannot explain: more than twice the climb height, or two units of headroom.
+    for barrier in [step(0.72), beam(1.55)] {
+        let (found, doubt) = planned(hall(9.0, barrier), up, ends);
+        assert!(doubt == 0.0 && found.length_m > 16.0, "{} m, a doubt of {doubt} m", found.length_m);
+    }
+}
+
+#[test]
+fn a_way_over_a_level_of_wide_pixels_leads_through_the_gap() {
+    let gap = |i: usize, j: usize| match (i, j) {
+        (100..104, ..180) | (100..104, 200..) => vec![(FLOOR, CEILING, true)],
+        _ => vec![(FLOOR - 0.02, FLOOR, false), (CEILING - 0.02, CEILING, true)],
+    };
+    let level = level(&archive(gap), 1);
+    let thin = Pawn::new(Body::Box { x: 0.2, y: 0.2, height: 1.7 });
+    let [from, to] = [[1.0, 1.0, FLOOR], [11.0, 2.0, FLOOR]].map(Point3::from);
+    let mut planner = Coarse::new(&level, thin, from, to).unwrap();
+    let found = finish(&mut planner, &level, usize::MAX).unwrap();
+    assert!(!planner.is_fine() && planner.doubt_m() == 0.0, "{}", planner.doubt_m());
+    let crossing = found.points.windows(2).find(|pair| pair[0].x <= 5.1 && pair[1].x > 5.1).unwrap();
+    let share = (5.1 - crossing[0].x) / (crossing[1].x - crossing[0].x);
+    let y = crossing[0].y + share * (crossing[1].y - crossing[0].y);
+    assert!((9.0..10.0).contains(&y), "{found:?}");
+}
+
 #[test]
 fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     struct Stops;

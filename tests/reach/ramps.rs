@@ -1,7 +1,9 @@
 //! Ramps with and without landings, and steps.
 
 use super::storeys::{LIFT, floors};
-use super::{flat, known, reached};
+use super::{everywhere, flat, known, reached};
+use crate::common::random::Random;
+use nalgebra::{Matrix2, Vector2};
 use slicewalk::frame::Frame;
 use slicewalk::page::Span;
 use slicewalk::reach::Pawn;
@@ -73,6 +75,87 @@ fn the_grade_of_a_plane_is_exact_beside_the_end_of_the_region_too() {
         let off = inner.map(|(_, grade)| (grade - 0.055).abs()).fold(0.0, f64::max);
         assert!(off < 0.006, "{direction}°: {off}");
     }
+}
+
+/// Slope of the plane through these places (offset and height, pixels) that fits best; along them if they are narrower than
+/// `narrow` pixels.
+fn slope(places: &[(Vector2<f64>, f64)], narrow: f64) -> f64 {
+    let count = places.len() as f64;
+    let middle = places.iter().map(|place| place.0).sum::<Vector2<f64>>() / count;
+    let height = places.iter().map(|place| place.1).sum::<f64>() / count;
+    let (mut spread, mut rise) = (Matrix2::zeros(), Vector2::zeros());
+    for (at, z) in places {
+        spread += (at - middle) * (at - middle).transpose() / count;
+        rise += (at - middle) * (z - height) / count;
+    }
+    let axes = spread.symmetric_eigen();
+    let slopes = [0, 1].map(|n| (axes.eigenvalues[n], axes.eigenvectors.column(n).dot(&rise) / axes.eigenvalues[n]));
+    let [across, along] = if slopes[0].0 < slopes[1].0 { slopes } else { [slopes[1], slopes[0]] };
+    match () {
+        () if along.0 < 1e-9 => 0.0,
+        () if across.0 < narrow.powi(2) / 12.0 => along.1.abs(),
+        () => across.1.hypot(along.1),
+    }
+}
+
+#[test]
+fn grades_are_those_of_the_planes_that_fit_best() {
+    const SIDE: i64 = 60;
+    // Pixels within half a metre, and across 0.3 m.
+    const FAR: i64 = 5;
+    let (mut narrow, mut wide) = (0, 0);
+    for seed in 0..4 {
+        let mut random = Random(seed);
+        // Walls leave paths of any width.
+        let mut heights = vec![[None; SIDE as usize]; SIDE as usize];
+        for _ in 0..40 {
+            let [i, j] = [0, 1].map(|_| random.below(SIDE as u32) as usize);
+            let [wide, deep] = [1 + random.below(24) as usize, 1 + random.below(6) as usize];
+            let is_along = random.below(2) == 0;
+            let [wide, deep] = if is_along { [wide, deep] } else { [deep, wide] };
+            for (x, y) in (i..i + wide).flat_map(|x| (j..j + deep).map(move |y| (x, y))) {
+                if let Some(height) = heights.get_mut(x).and_then(|row| row.get_mut(y)) {
+                    *height = Some((3 * x + 2 * y) as i64 + i64::from(random.below(12)));
+                }
+            }
+        }
+        let frame = Frame::new(flat::T, 0.3).unwrap();
+        let height = |i: i64, j: i64| *heights.get(usize::try_from(i).ok()?)?.get(usize::try_from(j).ok()?)?;
+        let columns = (0..SIDE * SIDE).filter_map(|at| {
+            let (i, j) = (at % SIDE, at / SIDE);
+            let top = 2550 + height(i, j)? as u32;
+            Some(((i, j), vec![Span::new(2540, top, false).unwrap()]))
+        });
+        let pawn = Pawn::new(Body::Box { x: flat::T, y: flat::T, height: 1.0 });
+        let (_, region) = everywhere(&flat::store(frame, columns), pawn);
+        let grades = region.grades();
+        assert!(grades.len() > 500, "{} places", grades.len());
+        let line = |[i, j]: [i64; 2], by: [i64; 2]| {
+            let side = |sign: i64| {
+                let along = (1..=FAR).map(move |n| [i + sign * n * by[0], j + sign * n * by[1]]);
+                along.take_while(|[i, j]| height(*i, *j).is_some())
+            };
+            std::iter::once([i, j]).chain(side(1)).chain(side(-1)).collect::<Vec<_>>()
+        };
+        for (place, grade) in region.places().zip(grades) {
+            let own = [place.feet.x, place.feet.y].map(|v| (v / flat::T).floor() as i64);
+            let around = line(own, [0, 1]).into_iter().flat_map(|at| line(at, [1, 0]));
+            let pixel = frame.quantum_m() / frame.pixel_m();
+            let places: Vec<_> = around
+                .map(|[i, j]| {
+                    (Vector2::new((i - own[0]) as f64, (j - own[1]) as f64), height(i, j).unwrap() as f64 * pixel)
+                })
+                .collect();
+            let (least, most) = (slope(&places, 0.0), slope(&places, 3.0));
+            if (least - most).abs() > 1e-6 {
+                narrow += 1
+            } else {
+                wide += 1
+            }
+            assert!((grade - most).abs() < 1e-6, "seed {seed}, {own:?}: {grade}, expected {most}");
+        }
+    }
+    assert!(narrow > 100 && wide > 1000, "{narrow} narrow, {wide} wide");
 }
 
 #[test]
