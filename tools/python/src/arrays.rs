@@ -20,6 +20,12 @@ pub const BLOCK: usize = 1 << 16;
 /// Rows below which a batch uses one thread only.
 const LEAST_ROWS: usize = 1 << 13;
 
+/// Returns whether an array hides some of its numbers: numpy drops the mask, and they would count as any others.
+pub fn is_masked(given: &Bound<'_, PyAny>) -> PyResult<bool> {
+    Ok(given.hasattr("mask")?
+        && given.py().import("numpy")?.getattr("ma")?.call_method1("is_masked", (given,))?.extract()?)
+}
+
 /// Rows of `N` numbers in a caller's array.
 pub struct Rows<'py, const N: usize> {
     array: Bound<'py, PyArray2<f64>>,
@@ -32,8 +38,7 @@ impl<'py, const N: usize> Rows<'py, N> {
     pub fn of(given: &Bound<'py, PyAny>, what: &'static str) -> PyResult<Self> {
         let py = given.py();
         let numpy = py.import("numpy")?;
-        // numpy drops the mask: hidden numbers would count as any others.
-        if given.hasattr("mask")? && numpy.getattr("ma")?.call_method1("is_masked", (given,))?.extract()? {
+        if is_masked(given)? {
             let way_out = format!("take the rows that count, such as {what}[~{what}.mask.any(axis=1)].data");
             return Err(refuse(what, format!("expected numbers, found masked ones; {way_out}")));
         }

@@ -1,6 +1,6 @@
 //! `SeenSpace`: which places, boxes and rays the scanners saw.
 
-use crate::arrays::{Rows, batch, refused};
+use crate::arrays::{Rows, batch, is_masked, refused};
 use crate::options::{argument, refuse};
 use numpy::{PyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -143,6 +143,12 @@ impl SeenSpace {
         let rows = Rows::<7>::of(rays, "rays")?;
         let count = rows.len();
         let distances = match distances {
+            Some(given) if is_masked(given)? => {
+                return Err(refuse(
+                    "distances",
+                    "expected numbers, found masked ones; fill them, with nan for no answer",
+                ));
+            }
             Some(given) => numpy.call_method1("asarray", (given,))?,
             None => numpy.call_method1("asarray", (f64::INFINITY,))?,
         };

@@ -221,6 +221,10 @@ def test_memory_and_damage(folder):
         (lambda space: space.rays([[1, 2, 3, 0, 0, 0, 1]]), "rays: row 0"),
         (lambda space: space.rays([[1, 2, 3, 1, 0, 0, 1]], [1, 2]), r"distances: expected shape \(1,\), found \(2,\)"),
         (lambda space: space.rays([[1, 2, 3, 1, 0, 0, 1]], [-1]), "rays: row 0: .*0 or more"),
+        (
+            lambda space: space.rays([[1, 2, 3, 1, 0, 0, 1]], np.ma.masked_equal([2.0], 2)),
+            "distances: expected numbers, found masked ones",
+        ),
     ],
 )
 def test_rows_that_make_no_sense(space, call, words):

@@ -272,6 +272,20 @@ describe("places", () => {
     assert.equal((await said(/Looking for what blocks it/)).length, 1);
   });
 
+  it("looks no longer for what blocks the way of a pawn that goes elsewhere", async () => {
+    await page.addInitScript(() => localStorage.setItem("slicewalk.settings", JSON.stringify({ width: 1.2 })));
+    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await planned();
+    await clickPlan([6.4, 2.5]);
+    const news = (text) => document.querySelector(".news").textContent.includes(text);
+    await page.waitForFunction(news, "Looking for what blocks it");
+    await page.keyboard.down("w");
+    await page.waitForFunction((text) => !document.querySelector(".news").textContent.includes(text), "Looking for");
+    await page.keyboard.up("w");
+    await page.waitForTimeout(2000);
+    assert.doesNotMatch(await page.textContent(".news"), /too narrow|Looking for/);
+  });
+
   it("captures the mouse by a click in the walk view, without a step", async () => {
     const { at } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     await page.mouse.click(middle.x, middle.y);

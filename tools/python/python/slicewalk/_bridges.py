@@ -101,7 +101,8 @@ class OccupancyGrid:
 def _numbers(name: str, given: Any, count: int, expected: str) -> NDArray[np.float64]:
     """Return finite numbers, or raise an error that names the argument."""
     try:
-        array = np.asarray(given)
+        # numpy drops masks.
+        array = np.empty(0) if np.ma.is_masked(given) else np.asarray(given)
         # Texts would be parsed, and truth values would count as numbers.
         numbers = array.astype(np.float64) if array.dtype.kind in "iufO" else np.empty(0)
     except (TypeError, ValueError):

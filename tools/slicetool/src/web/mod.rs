@@ -40,8 +40,8 @@ const ONE_ARCHIVE: &str = "--edits: expected one archive and no scans; convert s
 /// Options shared by `serve` and `site`.
 #[derive(clap::Args)]
 pub struct ShowArguments {
-    /// Archives to walk in, and scans, meshes, folders and patterns as for `sliceconv`, which are converted into one
-    /// archive; the page opens the first input
+    /// Archives to walk in, or a folder of them, and scans, meshes, folders and patterns as for `sliceconv`, which are
+    /// converted into one archive; the page opens the first input
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// COPC point cloud of the same place, which the page can draw over the archive
@@ -98,7 +98,8 @@ impl Show {
     fn new(arguments: &ShowArguments) -> Result<Self, Failure> {
         let mut named: Vec<(PathBuf, String, Kind)> = Vec::new();
         let mut scans = Vec::new();
-        for path in &arguments.inputs {
+        let inputs: Vec<PathBuf> = arguments.inputs.iter().flat_map(|input| archives_in(input)).collect();
+        for path in &inputs {
             if is_archive(path) {
                 let file = local(path).unwrap_or_else(|| path.clone());
                 if arguments.edits.path().is_none() {
@@ -128,7 +129,7 @@ impl Show {
         if let Some(tour) = &arguments.kiosk.tour {
             named.push((tour.clone(), name_of(tour), Kind::Tour));
         }
-        let beside = arguments.inputs.first().and_then(|input| input.parent()).unwrap_or(Path::new(""));
+        let beside = inputs.first().and_then(|input| input.parent()).unwrap_or(Path::new(""));
         let settings = beside.join(SETTINGS);
         if settings.is_file() && are_settings(&settings)? {
             named.push((settings, SETTINGS.into(), Kind::Settings));
@@ -178,6 +179,14 @@ impl Show {
         }
         format!("{table}\n")
     }
+}
+
+/// Returns the archives in a folder, by name; the input itself if it is no folder, or has none.
+fn archives_in(input: &Path) -> Vec<PathBuf> {
+    let files = std::fs::read_dir(input).into_iter().flatten().flatten().map(|file| file.path());
+    let mut archives: Vec<PathBuf> = files.filter(|file| file.is_file() && is_archive(file)).collect();
+    archives.sort();
+    if archives.is_empty() { vec![input.to_owned()] } else { archives }
 }
 
 /// Puts an edited copy, which is yet to be made, in place of an archive.

@@ -394,6 +394,26 @@ fn a_site_is_a_folder_for_any_host() {
 }
 
 #[test]
+fn a_folder_stands_for_the_archives_in_it() {
+    let folder = folder();
+    let at = folder.path();
+    fs::create_dir(at.join("all")).unwrap();
+    for name in ["b.slices", "a.slices"] {
+        fs::rename(at.join(name), at.join("all").join(name)).unwrap();
+    }
+    fs::write(at.join("all/settings.json"), r#"{"title": "All"}"#).unwrap();
+    fs::write(at.join("all/notes.txt"), "no scan").unwrap();
+    let out = run(at, &site("all", &[]));
+    assert!(out.status.success(), "{out:?}");
+    let table: serde_json::Value = serde_json::from_slice(&fs::read(at.join("site/archives.json")).unwrap()).unwrap();
+    let archive = |name: &str| serde_json::json!({ "name": name, "url": name });
+    assert_eq!(table["archives"], serde_json::json!([archive("a.slices"), archive("b.slices")]));
+    assert_eq!(table["settings"], "settings.json");
+    let said = refuses(at, &["site", "all", "-o", "all", "--page", "page", "--force"]);
+    assert!(said.contains("a.slices"), "{said}");
+}
+
+#[test]
 fn a_start_page_of_another_site_stays() {
     let folder = folder();
     let at = folder.path();
