@@ -83,6 +83,8 @@ fn cases() -> Vec<Case> {
     let door = |from: i64, to: i64, over: Over| move |j: i64| (from..to).contains(&j).then_some(over);
     let plain = Over::Floor(0.0);
     let ramp = |i: i64| Over::Floor((i as f64 * T - 6.0).clamp(0.0, 5.0) * 0.09);
+    let long_ramp = |i: i64| Over::Floor((i as f64 * T - 4.0).clamp(0.0, 8.0) * 0.055);
+    let disc = Pawn::new(Body::Cylinder { radius: 0.25, height: 1.8 });
     let pit = |below: Over| scene(HALL, move |i, _| if (MIDDLE..MIDDLE + 15).contains(&i) { below } else { plain });
     let bend = scene([60, 60], |i, j| if i < 11 || j < 11 { plain } else { Over::Wall });
     let cylinder = Body::Cylinder { radius: 0.4, height: 1.4 };
@@ -121,6 +123,21 @@ fn cases() -> Vec<Case> {
             length: Some(1.3),
             ends: [at([5, 50], 0.0), at([50, 5], 0.0)],
             ..case(bend, 0.0, Reason::Length, 1.0, 0.2)
+        },
+        Case { pawn: disc, ..case(hall(door(30, 33, plain)), 0.0, Reason::Width, 0.3, 0.05) },
+        Case { pawn: disc, ..case(hall(door(30, 42, Over::Beam(1.5))), 0.0, Reason::Headroom, 1.5, 0.03) },
+        // A door of half a metre for the longer of its sides.
+        Case {
+            pawn: Pawn::new(Body::Box { x: 0.4, y: 0.8, height: 1.8 }),
+            ..case(hall(door(30, 35, plain)), 0.0, Reason::Width, 0.25, 0.03)
+        },
+        Case {
+            pawn: Pawn { climb: 0.2, ..Pawn::new(body) },
+            ..case(scene(HALL, |i, _| Over::Floor(if i < MIDDLE { 0.0 } else { 0.6 })), 0.6, Reason::Step, 0.6, 0.02)
+        },
+        Case {
+            pawn: Pawn { max_grade: 0.06, max_ramp: 6.0, ..Pawn::new(body) },
+            ..case(scene(HALL, |i, _| long_ramp(i)), 0.44, Reason::Ramp, 8.0, 0.8)
         },
         // It gets there, or cannot stand at the goal.
         Case { expected: None, ..case(hall(door(30, 42, plain)), 0.0, Reason::Width, 0.0, 0.0) },
@@ -201,10 +218,22 @@ fn a_pawn_changed_by_what_is_needed_gets_there() {
             (Reason::Width, Body::Box { height, .. }) => {
                 // Too narrow a door that is also too low.
                 let height = if number == 3 { 1.2 } else { height };
-                Pawn { body: Body::Box { x: needs, y: needs, height }, ..case.pawn }
+                let side = |half: f64| needs * half / case.pawn.body.half().min();
+                let [x, y] = [case.pawn.body.half().x, case.pawn.body.half().y].map(side);
+                Pawn { body: Body::Box { x, y, height }, ..case.pawn }
+            }
+            (Reason::Width, Body::Cylinder { height, .. }) => {
+                Pawn { body: Body::Cylinder { radius: needs / 2.0, height }, ..case.pawn }
+            }
+            (Reason::Headroom, Body::Cylinder { radius, .. }) => {
+                Pawn { body: Body::Cylinder { radius, height: needs }, ..case.pawn }
             }
             (Reason::Headroom, _) => Pawn { body: Body::Box { x, y: x, height: needs }, ..case.pawn },
-            (Reason::Step, _) => Pawn { climb: needs, max_drop: needs, ..case.pawn },
+            (Reason::Step, _) if case.pawn.max_drop == case.pawn.climb => {
+                Pawn { climb: needs, max_drop: needs, ..case.pawn }
+            }
+            (Reason::Step, _) => Pawn { climb: needs, ..case.pawn },
+            (Reason::Ramp, _) => Pawn { max_ramp: needs, ..case.pawn },
             (Reason::Slope, _) => Pawn { max_grade: needs, ..case.pawn },
             (Reason::Length, _) => case.pawn,
             _ => continue,
