@@ -16,6 +16,7 @@ mod plans;
 mod ramps;
 mod routes;
 mod scenes;
+mod snapping;
 mod storeys;
 mod walked;
 #[allow(dead_code)]
