@@ -6,11 +6,11 @@ mod heap;
 #[path = "walk/world.rs"]
 mod world;
 
-use heap::kept;
+use heap::{kept, measured};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Coarse, Flood, LongSearch, Pawn, Planned, Search, StandingPlaces};
+use slicewalk::reach::{Coarse, Flood, LongSearch, Pawn, Planned, Planner, RouteRefiner, Search, StandingPlaces};
 use slicewalk::walk::Body;
 
 /// Bytes beside the tables: small vectors and maps.
@@ -19,6 +19,11 @@ const BESIDE: usize = 4 << 10;
 fn is_told(what: &str, told: usize, held: usize) {
     assert!(held > 8 * BESIDE, "{what}: too small a scene, {held} bytes");
     assert!(told.abs_diff(held) <= BESIDE + held / 20, "{what}: {told} bytes told, {held} held");
+}
+
+/// The most memory at a time is told without what is needed only while a region is made.
+fn is_peak(what: &str, told: usize, held: usize) {
+    assert!((held - held / 8..=held).contains(&told), "{what}: {told} bytes told, at most {held} held");
 }
 
 /// The only test of this file, because others would allocate at the same time.
@@ -53,7 +58,7 @@ fn every_part_tells_the_memory_that_it_holds() {
     let (found, held) = kept(|| search.route(&store, &region, &ends[0], &ends[1], &NoMonitor).unwrap());
     assert!(matches!(found, Answer::Known(Some(_))));
     is_told("search", search.memory_bytes(), held);
-    println!("{places} places, {} bytes of the search for each", held / places);
+    assert!(held.div_ceil(places) <= 14, "{held} bytes of the search for {places} places");
 
     let (mut long, held) = kept(|| LongSearch::new(&region, 1.2).unwrap());
     is_told("long pawn", long.memory_bytes(), held);
@@ -67,4 +72,22 @@ fn every_part_tells_the_memory_that_it_holds() {
         planner
     });
     is_told("coarse plan", planner.memory_bytes(), held);
+
+    for length in [None, Some(1.2)] {
+        let (told, held) = measured(|| {
+            let mut planner = Planner::new(&store, pawn, from, to).unwrap().drawn_out(length);
+            while !matches!(planner.advance(&store, usize::MAX, &NoMonitor), Ok(Planned::Done(Ok(_)))) {}
+            planner.peak_bytes()
+        });
+        is_peak("planner", told, held);
+    }
+    let Answer::Known(Some(guide)) = search.route(&store, &region, &ends[0], &ends[1], &NoMonitor).unwrap() else {
+        panic!()
+    };
+    let (told, held) = measured(|| {
+        let mut refiner = RouteRefiner::new(pawn, from, to, &guide, 1.0);
+        assert!(matches!(refiner.advance(&store, &NoMonitor), Ok(Answer::Known(Ok(_)))));
+        refiner.peak_bytes()
+    });
+    is_peak("refiner", told, held);
 }
