@@ -2,8 +2,8 @@
 //!
 //! The clearance of the places is a landscape whose peaks are the middles of rooms. Places are added from the highest
 //! down. Where two rooms meet that are both clearly wider than their meeting place, they stay apart (a watershed with a
-//! least prominence); otherwise the smaller one joins the larger. Each stretch along which two rooms touch is a
-//! candidate, at its widest place.
+//! least prominence), and each place belongs to the room of its highest neighbour; otherwise the smaller one joins the
+//! larger. Each stretch along which two rooms touch is a candidate, at its widest place.
 //!
 //! It is a passage if it separates the rooms: the same border of the region lies on both sides, so that there is no way
 //! around, or borders at least twice as long as the passage is wide. Free-standing things on open ground make no
@@ -51,11 +51,12 @@ fn root(rooms: &[Room], mut room: u32) -> u32 {
 impl Region {
     /// Returns the passages between the rooms of the region, narrowest first.
     pub fn passages(&self) -> Vec<Passage> {
-        let mut order: Vec<u32> = (0..self.len() as u32).collect();
-        order.sort_unstable_by(|a, b| {
+        let higher = |a: &u32, b: &u32| {
             let clearance = |place: &u32| self.clearances[*place as usize];
             clearance(b).total_cmp(&clearance(a)).then(a.cmp(b))
-        });
+        };
+        let mut order: Vec<u32> = (0..self.len() as u32).collect();
+        order.sort_unstable_by(higher);
         let mut rooms: Vec<Room> = Vec::new();
         let mut room_of = vec![NO_PLACE; self.len()];
         let pixel = self.grid.frame.pixel_m();
@@ -82,8 +83,11 @@ impl Region {
                     rooms[main as usize].places += rooms[other as usize].places;
                 }
             }
-            room_of[place as usize] = main;
-            rooms[main as usize].places += 1;
+            // Uphill: from a neighbour as high, the room would spread along the walls of the other one.
+            let uphill = self.around(place).filter(|next| room_of[*next as usize] != NO_PLACE).min_by(higher);
+            let room = uphill.map_or(main, |uphill| root(&rooms, room_of[uphill as usize]));
+            room_of[place as usize] = room;
+            rooms[room as usize].places += 1;
         }
         for room in &mut room_of {
             *room = root(&rooms, *room);
@@ -126,15 +130,18 @@ impl Region {
         passages
     }
 
-    /// Returns the middle of the connected places with the same clearance as `place`: along a corridor all are as
-    /// narrow.
+    /// Returns the middle of the connected places with the same clearance as `place` and no more beside them: along a corridor
+    /// all are as narrow, while along a wall of a room there is more clearance on the other side.
     /// `level_of` keeps the last place for which each place was visited.
     fn middle_of_its_level(&self, place: u32, level_of: &mut [u32]) -> u32 {
+        let clearance = |place: u32| self.clearances[place as usize];
+        let own = clearance(place);
         let (mut level, mut next) = (vec![place], 0);
         level_of[place as usize] = place;
         while next < level.len() {
-            let same = |other: &u32| self.clearances[*other as usize] == self.clearances[place as usize];
-            for other in self.around(level[next]).filter(same) {
+            let is_ridge =
+                |other: &u32| clearance(*other) == own && self.around(*other).all(|beside| clearance(beside) <= own);
+            for other in self.around(level[next]).filter(is_ridge) {
                 if std::mem::replace(&mut level_of[other as usize], place) != place {
                     level.push(other);
                 }

@@ -1,10 +1,12 @@
 //! Leaks and passages of flat worlds with known answers.
 
 use super::flat::{FLOOR, T, room};
-use super::{known, reached};
+use super::{everywhere, known, reached};
+use crate::common::random::Random;
 use slicewalk::reach::{Leak, LeakKind, LeakSearch, Pawn, Region};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
+use std::collections::BTreeMap;
 
 fn pawn() -> Pawn {
     Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 })
@@ -120,4 +122,122 @@ fn doors_are_passages_of_their_width_and_connect_what_fits() {
     let store = room(80, 60, |i, j| (i == 40 && !is_door(j)).then_some(b'#'));
     let widths: Vec<f64> = leaks_with(&store, pawn()).0.passages().iter().map(|passage| passage.width).collect();
     assert!(widths.len() == 2 && is_near(widths[0], 0.8) && is_near(widths[1], 1.0), "{widths:?}");
+}
+
+/// For each pixel of the walls the first pixel of its wall, and the wall's extent along x or y, whichever is more (pixels).
+fn extents(side: usize, is_wall: &dyn Fn(usize, usize) -> bool) -> BTreeMap<[usize; 2], ([usize; 2], usize)> {
+    let mut extents = BTreeMap::new();
+    for first in (0..side * side).map(|at| [at % side, at / side]).filter(|[i, j]| is_wall(*i, *j)) {
+        if extents.contains_key(&first) {
+            continue;
+        }
+        let mut wall = vec![first];
+        extents.insert(first, (first, 0));
+        let mut next = 0;
+        while let Some(&[i, j]) = wall.get(next) {
+            next += 1;
+            for to in [[i + 1, j], [i.wrapping_sub(1), j], [i, j + 1], [i, j.wrapping_sub(1)]] {
+                if to[0] < side && to[1] < side && is_wall(to[0], to[1]) && !extents.contains_key(&to) {
+                    extents.insert(to, (first, 0));
+                    wall.push(to);
+                }
+            }
+        }
+        let along = |axis: usize| {
+            let all = || wall.iter().map(|pixel| pixel[axis]);
+            all().max().unwrap_or(0) - all().min().unwrap_or(0) + 1
+        };
+        let extent = along(0).max(along(1));
+        extents.extend(wall.iter().map(|pixel| (*pixel, (first, extent))));
+    }
+    extents
+}
+
+#[test]
+fn the_passages_of_a_floor_plan_are_its_doors() {
+    // Three by three rooms of 26 × 26 pixels with walls of one pixel around them.
+    const ROOM: usize = 27;
+    const SIDE: usize = 3 * ROOM + 1;
+    let mut found = 0;
+    for seed in 0..12 {
+        let (mut random, has_poles) = (Random(seed), seed % 2 == 0);
+        // Doors to the right and upwards: first pixel and width along the wall.
+        let mut doors = Vec::new();
+        for (room, upwards) in (0..9usize).flat_map(|room| [(room, false), (room, true)]) {
+            let [column, row] = [room % 3, room / 3];
+            if (if upwards { row } else { column }) < 2 && random.below(5) > 0 {
+                let width = 2 + random.below(if has_poles { 4 } else { 8 }) as usize;
+                let first = 1 + random.below((ROOM - 1 - width) as u32) as usize;
+                doors.push(([column, row], upwards, first, width));
+            }
+        }
+        let is_door = |i: usize, j: usize| {
+            doors.iter().any(|&([column, row], upwards, first, width)| {
+                let (across, along) = if upwards { (j, i) } else { (i, j) };
+                let (before, beside) = if upwards { (row, column) } else { (column, row) };
+                across == (before + 1) * ROOM && (beside * ROOM + first..beside * ROOM + first + width).contains(&along)
+            })
+        };
+        // A pole in a room makes no passage.
+        let poles: Vec<[usize; 2]> =
+            (0..9).map(|room| [room % 3, room / 3].map(|room| room * ROOM + 7 + random.below(13) as usize)).collect();
+        let store = room(SIDE, SIDE, |i, j| {
+            let is_wall = i % ROOM == 0 || j % ROOM == 0;
+            (is_wall && !is_door(i, j) || has_poles && poles.contains(&[i, j])).then_some(b'#')
+        });
+        let (_, region) = everywhere(&store, Pawn::new(Body::Box { x: T, y: T, height: 1.8 }));
+        let passages = region.passages();
+        assert!(passages.windows(2).all(|pair| pair[0].width <= pair[1].width), "{passages:?}");
+        // Between posts that are short beside a door's width, ground is open.
+        let extents = extents(SIDE, &|i, j| (i % ROOM == 0 || j % ROOM == 0) && !is_door(i, j));
+        doors.retain(|&([column, row], upwards, first, width)| {
+            let ends = [first - 1, first + width].map(|along| match upwards {
+                true => extents[&[column * ROOM + along, (row + 1) * ROOM]],
+                false => extents[&[(column + 1) * ROOM, row * ROOM + along]],
+            });
+            ends[0] == ends[1] || ends.iter().all(|(_, extent)| *extent > 2 * width)
+        });
+        assert_eq!(passages.len(), doors.len(), "seed {seed}: {doors:?}, {passages:?}");
+        found += doors.len();
+        // The place of each room with the most clearance.
+        let widest = |[column, row]: [usize; 2]| {
+            let is_in = |v: f64, room: usize| (room * ROOM..(room + 1) * ROOM).contains(&((v / T) as usize));
+            let places = region.places().filter(|place| is_in(place.feet.x, column) && is_in(place.feet.y, row));
+            places.map(|place| place.clearance).fold(0.0, f64::max)
+        };
+        let clearance = |at: nalgebra::Point3<f64>| region.places().find(|place| place.feet == at).unwrap().clearance;
+        for &([column, row], upwards, first, width) in &doors {
+            let (across, along) = ((if upwards { row } else { column } + 1) * ROOM, if upwards { column } else { row });
+            let middle = [(across as f64 + 0.5) * T, ((along * ROOM + first) as f64 + width as f64 / 2.0) * T];
+            let [x, y] = if upwards { [middle[1], middle[0]] } else { middle };
+            let at = |passage: &&slicewalk::reach::Passage| is_near(passage.at.x, x) && is_near(passage.at.y, y);
+            let passage = passages.iter().find(at).unwrap_or_else(|| {
+                panic!(
+                    "seed {seed}: no passage at {x}, {y}: {width} {:?} {poles:?}",
+                    passages.iter().map(|p| (p.at.x, p.at.y, p.width)).collect::<Vec<_>>()
+                )
+            });
+            assert!(is_near(passage.width, width as f64 * T), "seed {seed}: {width} pixels, {passage:?}");
+            let beyond = if upwards { [column, row + 1] } else { [column + 1, row] };
+            let mut rooms = [[column, row], beyond].map(widest);
+            let mut joined = passage.rooms.map(clearance);
+            rooms.sort_by(f64::total_cmp);
+            joined.sort_by(f64::total_cmp);
+            assert_eq!(joined, rooms, "seed {seed}: {passage:?}");
+        }
+    }
+    assert!(found > 60, "{found} doors");
+}
+
+#[test]
+fn a_wall_that_stands_free_makes_a_passage_where_it_is_long_beside_the_gap() {
+    // Between its end and the outer wall; across the hall beyond its other end it is too short for the width.
+    for (gap, length, is_passage) in [(4, 20, true), (4, 7, false), (8, 20, true), (8, 14, false), (12, 8, false)] {
+        let store = room(90, 46, |i, j| (i == 45 && (1 + gap..1 + gap + length).contains(&j)).then_some(b'#'));
+        let (_, region) = everywhere(&store, Pawn::new(Body::Box { x: T, y: T, height: 1.8 }));
+        let narrow: Vec<f64> = region.passages().iter().map(|passage| passage.width).collect();
+        let expected: Vec<f64> = if is_passage { vec![gap as f64 * T] } else { Vec::new() };
+        assert_eq!(narrow.len(), expected.len(), "{gap}, {length}: {narrow:?}");
+        assert!(narrow.iter().zip(&expected).all(|(a, b)| is_near(*a, *b)), "{gap}, {length}: {narrow:?}");
+    }
 }

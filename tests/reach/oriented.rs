@@ -279,6 +279,13 @@ fn what_is_reached_and_what_it_costs_are_those_of_brute_force() {
     assert!(turned > 20 && refused > 10 && partial > 5, "{turned} {refused} {partial}");
 }
 
+/// How much more of a route the pawn drives ahead than back (m).
+fn driven_ahead(route: &Route) -> f64 {
+    let way = |degrees: f64| Vector2::new(degrees.to_radians().sin(), degrees.to_radians().cos());
+    let stretches = route.points.windows(2).zip(&route.headings[1..]);
+    stretches.map(|(ends, heading)| (ends[1] - ends[0]).xy().dot(&way(*heading))).sum()
+}
+
 /// Follows a route with the middle, the front and the rear of a pawn.
 fn is_followed(store: &Snapshot, pawn: &Pawn, length: f64, route: &Route, tick_s: f64) -> bool {
     let half = length / 2.0 - pawn.body.half().x;
@@ -332,6 +339,7 @@ fn walkers_follow_the_middle_the_front_and_the_rear_of_routes_of_random_scenes()
                 continue;
             };
             found += 1;
+            assert!(driven_ahead(&route) > -1e-6, "seed {seed}: it drives back more than ahead: {route:?}");
             for tick_s in [1.0 / 240.0, 1.0 / 60.0] {
                 if !is_followed(&store, &pawn, length, &route, tick_s) {
                     lost.push(format!("seed {seed}, {pawn:?}, {length} m, ticks of {tick_s}: {ends:?}"));
@@ -363,6 +371,7 @@ fn drive(store: &Snapshot, length: f64, from: [i64; 2], to: [i64; 2]) -> Option<
     let route = known(LongSearch::new(&region, length).unwrap().route(store, &start, &end, &NoMonitor).unwrap());
     if let Some(route) = &route {
         assert!(is_followed(store, region.pawn(), length, route, 1.0 / 240.0), "{route:?}");
+        assert!(driven_ahead(route) > -1e-6, "{route:?}");
     }
     route
 }
