@@ -1,4 +1,4 @@
-//! What the parts of `reach` say of their memory is what the heap holds, and what the documentation says of each place.
+//! The memory that the parts of `reach` report is that which they hold on the heap, and as much for each place as documented.
 
 #[path = "common/heap.rs"]
 mod heap;
@@ -16,19 +16,19 @@ use slicewalk::walk::Body;
 /// Bytes beside the tables: small vectors and maps.
 const BESIDE: usize = 4 << 10;
 
-fn is_told(what: &str, told: usize, held: usize) {
+fn is_reported(what: &str, reported: usize, held: usize) {
     assert!(held > 8 * BESIDE, "{what}: too small a scene, {held} bytes");
-    assert!(told.abs_diff(held) <= BESIDE + held / 20, "{what}: {told} bytes told, {held} held");
+    assert!(reported.abs_diff(held) <= BESIDE + held / 20, "{what}: reported {reported} bytes, held {held}");
 }
 
-/// The most memory at a time is told without what is needed only while a region is made.
-fn is_peak(what: &str, told: usize, held: usize) {
-    assert!((held - held / 8..=held).contains(&told), "{what}: {told} bytes told, at most {held} held");
+/// A peak is reported without what is needed only while a region is made.
+fn is_peak(what: &str, reported: usize, held: usize) {
+    assert!((held - held / 8..=held).contains(&reported), "{what}: reported {reported} bytes, held at most {held}");
 }
 
 /// The only test of this file, because others would allocate at the same time.
 #[test]
-fn every_part_tells_the_memory_that_it_holds() {
+fn every_part_reports_the_memory_that_it_holds() {
     // Walls with gaps, across the way.
     let store = world::room(8, |(x, y)| x.rem_euclid(40) == 20 && y.rem_euclid(80) > 30);
     let pawn = Pawn::new(Body::Cylinder { radius: 0.25, height: 1.8 });
@@ -39,16 +39,16 @@ fn every_part_tells_the_memory_that_it_holds() {
         flood
     });
     // The places to begin from are the flood's.
-    is_told("standing places", standing.memory_bytes() + flood.memory_bytes(), held);
+    is_reported("standing places", standing.memory_bytes() + flood.memory_bytes(), held);
     let (_, more) = kept(|| flood.grow(&mut standing, &store, &NoMonitor).unwrap());
-    is_told("flood", standing.memory_bytes() + flood.memory_bytes(), held + more);
+    is_reported("flood", standing.memory_bytes() + flood.memory_bytes(), held + more);
 
     let (mut region, held) = kept(|| flood.region(&standing));
-    is_told("region", region.memory_bytes(), held);
+    is_reported("region", region.memory_bytes(), held);
     let places = region.len();
     assert!(held.div_ceil(places) <= 40, "{held} bytes for {places} places");
     let (_, more) = kept(|| region.prepare(&NoMonitor).unwrap());
-    is_told("prepared region", region.memory_bytes(), held + more);
+    is_reported("prepared region", region.memory_bytes(), held + more);
 
     let ends = [from, to].map(|at| match standing.spot(&store, at).unwrap() {
         Answer::Known(spot) => spot.unwrap(),
@@ -57,37 +57,37 @@ fn every_part_tells_the_memory_that_it_holds() {
     let mut search = Search::new();
     let (found, held) = kept(|| search.route(&store, &region, &ends[0], &ends[1], &NoMonitor).unwrap());
     assert!(matches!(found, Answer::Known(Some(_))));
-    is_told("search", search.memory_bytes(), held);
+    is_reported("search", search.memory_bytes(), held);
     assert!(held.div_ceil(places) <= 14, "{held} bytes of the search for {places} places");
 
     let (mut long, held) = kept(|| LongSearch::new(&region, 1.2).unwrap());
-    is_told("long pawn", long.memory_bytes(), held);
+    is_reported("long pawn", long.memory_bytes(), held);
     let (found, more) = kept(|| long.route(&store, &ends[0], &ends[1], &NoMonitor).unwrap());
     assert!(matches!(found, Answer::Known(Some(_))));
-    is_told("route of a long pawn", long.memory_bytes(), held + more);
+    is_reported("route of a long pawn", long.memory_bytes(), held + more);
 
     let (planner, held) = kept(|| {
         let mut planner = Coarse::new(&store, pawn, from, to).unwrap();
         assert!(matches!(planner.advance(&store, usize::MAX, &NoMonitor), Ok(Planned::Done(Ok(_)))));
         planner
     });
-    is_told("coarse plan", planner.memory_bytes(), held);
+    is_reported("coarse plan", planner.memory_bytes(), held);
 
     for length in [None, Some(1.2)] {
-        let (told, held) = measured(|| {
+        let (reported, held) = measured(|| {
             let mut planner = Planner::new(&store, pawn, from, to).unwrap().drawn_out(length);
             while !matches!(planner.advance(&store, usize::MAX, &NoMonitor), Ok(Planned::Done(Ok(_)))) {}
             planner.peak_bytes()
         });
-        is_peak("planner", told, held);
+        is_peak("planner", reported, held);
     }
     let Answer::Known(Some(guide)) = search.route(&store, &region, &ends[0], &ends[1], &NoMonitor).unwrap() else {
         panic!()
     };
-    let (told, held) = measured(|| {
+    let (reported, held) = measured(|| {
         let mut refiner = RouteRefiner::new(pawn, from, to, &guide, 1.0);
         assert!(matches!(refiner.advance(&store, &NoMonitor), Ok(Answer::Known(Ok(_)))));
         refiner.peak_bytes()
     });
-    is_peak("refiner", told, held);
+    is_peak("refiner", reported, held);
 }
