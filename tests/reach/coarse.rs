@@ -244,7 +244,7 @@ fn a_metre_of_doubt_is_worth_a_detour_of_forty_metres() {
 #[test]
 fn a_way_over_a_level_of_wide_pixels_leads_through_the_gap() {
     let gap = |i: usize, j: usize| match (i, j) {
-        (100..104, ..180) | (100..104, 200..) => vec![(FLOOR, CEILING, true)],
+        (100..104, ..180 | 200..) => vec![(FLOOR, CEILING, true)],
         _ => vec![(FLOOR - 0.02, FLOOR, false), (CEILING - 0.02, CEILING, true)],
     };
     let level = level(&archive(gap), 1);
