@@ -46,6 +46,10 @@ fn every_part_reports_the_memory_that_it_holds() {
     let (mut region, held) = kept(|| flood.region(&standing));
     is_reported("region", region.memory_bytes(), held);
     let places = region.len();
+    // Tiles of the scene and around it; a place over each pixel under which the footprint has ground, walls included.
+    let (tiles, pixels) = (10 * 10 * (16 << 10), (8 * 64 + 10) * (8 * 64 + 10));
+    let bytes = standing.memory_bytes() - tiles;
+    assert!(bytes <= 21 * pixels, "{bytes} bytes of standing places over {pixels} pixels");
     assert!(held.div_ceil(places) <= 40, "{held} bytes for {places} places");
     let (_, more) = kept(|| region.prepare(&NoMonitor).unwrap());
     is_reported("prepared region", region.memory_bytes(), held + more);
@@ -65,6 +69,7 @@ fn every_part_reports_the_memory_that_it_holds() {
     let (found, more) = kept(|| long.route(&store, &ends[0], &ends[1], &NoMonitor).unwrap());
     assert!(matches!(found, Answer::Known(Some(_))));
     is_reported("route of a long pawn", long.memory_bytes(), held + more);
+    assert!((held + more).div_ceil(places) <= 68, "{} bytes of the long pawn for {places} places", held + more);
 
     let (planner, held) = kept(|| {
         let mut planner = Coarse::new(&store, pawn, from, to).unwrap();
@@ -76,13 +81,19 @@ fn every_part_reports_the_memory_that_it_holds() {
     for length in [None, Some(1.2)] {
         let (reported, held) = measured(|| {
             let mut planner = Planner::new(&store, pawn, from, to).unwrap().drawn_out(length);
-            while !matches!(planner.advance(&store, usize::MAX, &NoMonitor), Ok(Planned::Done(Ok(_)))) {}
+            loop {
+                match planner.advance(&store, usize::MAX, &NoMonitor).unwrap() {
+                    Planned::Done(found) => break assert!(found.is_ok(), "{found:?}"),
+                    Planned::NotLoaded(missing) => panic!("{missing:?}"),
+                    _ => {}
+                }
+            }
             planner.peak_bytes()
         });
         is_peak("planner", reported, held);
     }
     let Answer::Known(Some(guide)) = search.route(&store, &region, &ends[0], &ends[1], &NoMonitor).unwrap() else {
-        panic!()
+        panic!("there was a route before")
     };
     let (reported, held) = measured(|| {
         let mut refiner = RouteRefiner::new(pawn, from, to, &guide, 1.0);

@@ -37,7 +37,6 @@ pub fn kept<T>(work: impl FnOnce() -> T) -> (T, usize) {
 }
 
 /// Returns the result of `work` and the most bytes that it held at a time.
-#[allow(dead_code)]
 pub fn measured<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = USED.load(Relaxed);
     PEAK.store(before, Relaxed);

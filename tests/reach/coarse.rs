@@ -234,7 +234,7 @@ fn a_metre_of_doubt_is_worth_a_detour_of_forty_metres() {
             assert_eq!(aside > beyond - 0.1 && beyond > 0.2, is_around, "{name}, {beyond} m: {aside} m aside");
         }
     }
-    // What rounding cannot explain: more than twice the climb height, or two units of headroom.
+    // Rounding explains no more than twice the climb height, and two units of headroom.
     for barrier in [step(0.72), beam(1.55)] {
         let (found, doubt) = planned(hall(9.0, barrier), up, ends);
         assert!(doubt == 0.0 && found.length_m > 16.0, "{} m, a doubt of {doubt} m", found.length_m);

@@ -191,6 +191,7 @@ def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
         ("bounds", [np.nan] * 6),
         ("bounds", [1, 2, 3, 4, 5]),
         ("bounds", [1, 1, 1, 0, 0, 0]),
+        ("bounds", np.ma.masked_equal([0.0, 0, 0, 1, 1, 9], 9)),
         ("bounds", [[0, 0, 0], [1, 1]]),
         ("bounds", [[0, 1], [0, 1], [0, 1]]),
     ],

@@ -18,9 +18,11 @@ use crate::{Failure, open};
 use conversion::{Conversion, ConversionArguments, check_tour, is_archive};
 use page::Page;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
+use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk_base::bytes::{address, local};
 use slicewalk_base::text::{behind_mark, one_line};
+use slicewalk_input::expand_inputs;
 use std::path::{Path, PathBuf};
 
 /// Name of the table of archives, beside the page.
@@ -181,12 +183,16 @@ impl Show {
     }
 }
 
-/// Returns the archives in a folder, by name; the input itself if it is no folder, or has none.
+/// Returns the archives in a folder without scans, by name; otherwise the input itself.
 fn archives_in(input: &Path) -> Vec<PathBuf> {
+    let own = vec![input.to_owned()];
+    if !input.is_dir() || expand_inputs(&own, &NoMonitor).is_ok() {
+        return own;
+    }
     let files = std::fs::read_dir(input).into_iter().flatten().flatten().map(|file| file.path());
     let mut archives: Vec<PathBuf> = files.filter(|file| file.is_file() && is_archive(file)).collect();
     archives.sort();
-    if archives.is_empty() { vec![input.to_owned()] } else { archives }
+    if archives.is_empty() { own } else { archives }
 }
 
 /// Puts an edited copy, which is yet to be made, in place of an archive.

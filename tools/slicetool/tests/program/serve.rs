@@ -394,7 +394,7 @@ fn a_site_is_a_folder_for_any_host() {
 }
 
 #[test]
-fn a_folder_stands_for_the_archives_in_it() {
+fn a_folder_without_scans_stands_for_the_archives_in_it() {
     let folder = folder();
     let at = folder.path();
     fs::create_dir(at.join("all")).unwrap();
@@ -411,6 +411,10 @@ fn a_folder_stands_for_the_archives_in_it() {
     assert_eq!(table["settings"], "settings.json");
     let said = refuses(at, &["site", "all", "-o", "all", "--page", "page", "--force"]);
     assert!(said.contains("a.slices"), "{said}");
+    // Scans come first, as for `sliceconv`.
+    fs::write(at.join("all/scan.las"), "no scan").unwrap();
+    let said = refuses(at, &site("all", &[]));
+    assert!(said.contains("scan.las"), "{said}");
 }
 
 #[test]
