@@ -2,13 +2,22 @@
 
 target=${CARGO_TARGET_DIR:-target}
 
-# step NAME COMMAND...: runs the command and prints how long it took.
+# Hundredths of a second that processors have spent on commands that have ended.
+spent() {
+    local stat
+    read -ra stat </proc/$$/stat
+    echo $((stat[15] + stat[16]))
+}
+
+# step NAME COMMAND...: runs the command and prints how long it took, and how long processors worked for it: a step that takes
+# longer on a busy machine is told from one that does more.
 step() {
-    local name=$1 start=$SECONDS
+    local name=$1 start=$SECONDS before
+    before=$(spent)
     shift
     echo "== $name"
     "$@"
-    echo "== $name: $((SECONDS - start)) s"
+    echo "== $name: $((SECONDS - start)) s, $((($(spent) - before) / 100)) s of processor"
 }
 
 # install PACKAGE...: installs packages of Debian.
