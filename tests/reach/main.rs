@@ -16,6 +16,7 @@ mod plans;
 mod ramps;
 mod routes;
 mod scenes;
+mod seen;
 mod snapping;
 mod storeys;
 mod walked;

@@ -18,9 +18,9 @@ const FIRST: i64 = 40;
 const EDGE: i64 = 48;
 
 /// Spans by pixel: heights in quanta, and whether it is an obstacle.
-type World = BTreeMap<(i64, i64), Vec<(i64, i64, bool)>>;
+pub type World = BTreeMap<(i64, i64), Vec<(i64, i64, bool)>>;
 
-fn random_world(seed: u64) -> World {
+pub fn random_world(seed: u64) -> World {
     let mut random = Random(seed);
     let mut world = World::new();
     let shares = [4, 30, 60][seed as usize % 3];
@@ -43,7 +43,7 @@ fn random_world(seed: u64) -> World {
     world
 }
 
-fn store(world: &World) -> Snapshot {
+pub fn store(world: &World) -> Snapshot {
     let span = |&(bottom, top, steep): &(i64, i64, bool)| Span::new(bottom as u32, top as u32, steep).unwrap();
     let columns = world.iter().map(|(at, spans)| (*at, spans.iter().map(span).collect()));
     flat::store(Frame::new(T, SIGMA).unwrap(), columns)
