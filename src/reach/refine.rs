@@ -250,3 +250,74 @@ fn nearest(region: &Region, at: Point3<f64>, distance: f64) -> Option<u32> {
     let nearest = all.map(|place| (far(place), place)).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     nearest.filter(|(far, _)| *far <= distance).map(|(_, place)| place)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::walk::Body;
+    use proptest::prelude::*;
+
+    /// Lines of up to nine points on the ground plan, some of them twice, with heights.
+    fn lines() -> impl Strategy<Value = Vec<Point3<f64>>> {
+        let point = (-60i32..60, -60i32..60, -9i32..9).prop_map(|(x, y, z)| [x, y, z].map(f64::from).into());
+        prop::collection::vec((point, 1usize..3), 2..5)
+            .prop_map(|points| points.into_iter().flat_map(|(point, times)| vec![point; times]).collect())
+    }
+
+    /// Lengths along a line, on the ground plan, at which its points lie.
+    fn lengths(line: &[Point3<f64>]) -> Vec<f64> {
+        let far = |last: usize| (1..=last).map(|to| (line[to].x - line[to - 1].x).hypot(line[to].y - line[to - 1].y));
+        (0..line.len()).map(|last| far(last).sum()).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn places_along_a_line_are_as_far_as_asked_for(line in lines(), part in any::<prop::sample::Index>(), share in 0.0..1.0f64) {
+            let lengths = lengths(&line);
+            let from = part.index(line.len() - 1);
+            prop_assume!(lengths[from + 1] > lengths[from]);
+            let far = lengths[from] + share * (lengths[from + 1] - lengths[from]);
+            let expected = line[from] + (line[from + 1] - line[from]) * share;
+            prop_assert!((point_at(&line, far) - expected).norm() < 1e-9);
+            prop_assert_eq!(point_at(&line, -share).xy(), line[0].xy());
+            prop_assert_eq!(point_at(&line, lengths[line.len() - 1] + 0.1 + share), line[line.len() - 1]);
+        }
+
+        #[test]
+        fn a_stretch_of_a_line_is_as_long_as_asked_for(line in lines(), ends in [-20.0..200.0f64, 0.0..200.0]) {
+            let lengths = lengths(&line);
+            let end = lengths[line.len() - 1];
+            let [low, high] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+            let at = Point2::new(1.5, -2.5);
+            let found = stretch(&line, low, high, at);
+            let mut expected = vec![at, point_at(&line, low).xy()];
+            expected.extend((0..line.len()).filter(|own| low < lengths[*own] && lengths[*own] < high).map(|own| line[own].xy()));
+            expected.push(point_at(&line, high).xy());
+            expected.dedup();
+            let mut bare = found.clone();
+            bare.dedup();
+            prop_assert_eq!(bare, expected);
+            let length: f64 = found[1..].windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+            let within = |far: f64| far.clamp(0.0, end);
+            prop_assert!((length - (within(high) - within(low))).abs() < 1e-9);
+        }
+
+        #[test]
+        fn progress_is_that_of_the_nearest_place_ahead(line in lines(), done in 0.0..1.0f64, at in [-60.0..60.0f64, -60.0..60.0]) {
+            let end = lengths(&line)[line.len() - 1];
+            prop_assume!(end > 0.0);
+            let guide = Route::along(line[1..line.len() - 1].to_vec(), Vec::new());
+            let pawn = Pawn::new(Body::Cylinder { radius: 0.25, height: 1.8 });
+            let mut refiner = RouteRefiner::new(pawn, line[0], line[line.len() - 1], &guide, 1.0);
+            prop_assert!((refiner.length() - end).abs() < 1e-9);
+            refiner.done = done * end;
+            let found = refiner.nearest_length(at.into());
+            let last = (refiner.done + AHEAD_M).min(end);
+            prop_assert!((refiner.done - 1e-9..=last + 1e-9).contains(&found), "{found}");
+            let distance = |far: f64| (point_at(&line, far).xy() - Point2::from(at)).norm();
+            let nearest = (0..=1000).map(|part| distance(refiner.done + (last - refiner.done) * f64::from(part) / 1000.0));
+            let nearest = nearest.fold(f64::INFINITY, f64::min);
+            prop_assert!(distance(found) <= nearest + 1e-9, "{} beside {nearest}", distance(found));
+        }
+    }
+}
