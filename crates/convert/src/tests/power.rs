@@ -2,7 +2,7 @@
 //! success. Another run, resuming or not, makes the new archive and leaves nothing else.
 //!
 //! [`model`](crate::disk::testing::model) describes what a power loss may undo. `SLICEWALK_LOSSES` sets the number of
-//! random diagnostics, `SLICEWALK_SEED` the first seed; both are printed.
+//! random losses, `SLICEWALK_SEED` the first seed; both are printed.
 
 use super::*;
 use crate::disk::testing::model::{Fate, Recording, Step};
@@ -84,7 +84,7 @@ fn whenever_power_fails_an_archive_is_whole_and_the_next_run_cleans_up() {
     let mut survival = Survival::new(&job, &recording);
     families(&recording, None, &mut |end, left| survival.check(end, left, &|| "power fails".into()));
     let (tried, states) = (survival.tried, survival.seen.len());
-    println!("{} steps, {tried} diagnostics by family, {states} states", recording.steps.len());
+    println!("{} steps, {tried} losses by family, {states} states", recording.steps.len());
     assert!(recording.steps.len() > 15 && states > 100);
 }
 
@@ -92,16 +92,16 @@ fn whenever_power_fails_an_archive_is_whole_and_the_next_run_cleans_up() {
 #[ignore = "slow: .ci/run"]
 fn whatever_a_power_loss_takes_at_random_an_archive_is_whole_and_the_next_run_cleans_up() {
     let number = |name: &str, default: u64| std::env::var(name).ok().map_or(default, |text| text.parse().unwrap());
-    let (diagnostics, first) = (number("SLICEWALK_LOSSES", 10_000), number("SLICEWALK_SEED", 1));
+    let (losses, first) = (number("SLICEWALK_LOSSES", 2_000), number("SLICEWALK_SEED", 1));
     let job = Job::new();
     let recording = record(&job);
     let mut survival = Survival::new(&job, &recording);
-    println!("random diagnostics with seeds {first} to {}", first + diagnostics - 1);
-    for seed in first..first + diagnostics {
+    println!("random losses with seeds {first} to {}", first + losses - 1);
+    for seed in first..first + losses {
         let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let end = random.below(recording.steps.len() as u64 + 1) as usize;
         let durable = recording.durable(end, None);
-        // Some diagnostics take little, others nearly everything.
+        // Some losses take little, others nearly everything.
         let share = random.below(101);
         let left = recording.left(&durable, |_| match random.below(100) {
             chance if chance >= share => Fate::Kept,
@@ -114,7 +114,7 @@ fn whatever_a_power_loss_takes_at_random_an_archive_is_whole_and_the_next_run_cl
         });
         survival.check(end, left, &|| format!("seed {seed}: power fails"));
     }
-    println!("{diagnostics} random diagnostics, {} states, 0 wrong", survival.seen.len());
+    println!("{losses} random losses, {} states, 0 wrong", survival.seen.len());
 }
 
 #[test]
