@@ -75,11 +75,6 @@ impl EncodedColours {
         let coarse = encoder.is_for_levels().then(|| coarse_colours(occupancy, block.rgb()));
         Self { voxels: block.count(), bytes, coarse }
     }
-
-    /// Returns the encoded size (bytes).
-    pub fn len_bytes(&self) -> usize {
-        self.bytes.len()
-    }
 }
 
 /// Returns the checksum of a block: CRC32C of its page's key followed by its bytes.

@@ -47,11 +47,6 @@ pub struct EncodedPage {
 }
 
 impl EncodedPage {
-    /// Returns the size of the page in the archive (bytes), unless it shares the bytes of another.
-    pub fn len_bytes(&self) -> usize {
-        self.bytes.len()
-    }
-
     /// Returns the page with `colours` for its voxels.
     pub fn with_colours(self, colours: EncodedColours) -> Self {
         Self { colours, ..self }

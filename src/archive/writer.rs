@@ -163,11 +163,6 @@ impl ArchiveWriter {
         })
     }
 
-    /// Returns the plan of the archive.
-    pub fn plan(&self) -> &Plan {
-        &self.plan
-    }
-
     /// Adds overview levels to the archive. Must precede the first page.
     pub fn set_levels(&mut self) {
         debug_assert!(self.last.is_none(), "levels are of all pages");
