@@ -1,6 +1,7 @@
 //! The archive as a whole: pages come back by key and in order, and the same pages give the same file.
 
 use super::*;
+use crate::bytes::testing::{Fault, FaultySource};
 use crate::bytes::{ByteSource, MemorySource};
 use crate::codec::pages;
 use crate::frame::{Frame, PageKey};
@@ -191,6 +192,20 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     }
     assert_eq!(archive.find(key(count)).unwrap(), None);
     sound(&archive);
+    // One read fetches several leaves; bytes that cannot be read cost their own leaf alone.
+    let faulty = std::sync::Arc::new(FaultySource::new(MemorySource::new(std::fs::read(&target).unwrap())));
+    let struck = Archive::from_source(Box::new(faulty.clone())).unwrap();
+    let mut first = 0;
+    for leaf in 0..archive.leaf_count() {
+        let bytes = archive.catalog().leaf_range(leaf);
+        faulty.set(Fault::Fail, bytes.end - 1..bytes.end);
+        let (found, failed): (Vec<_>, Vec<_>) = struck.entries().partition(Result::is_ok);
+        assert!(matches!(failed[..], [Err(Error::Io { .. })]), "leaf {leaf}: {} errors", failed.len());
+        let end = first + archive.leaf(leaf).unwrap().len();
+        let expected = entries[..first].iter().chain(&entries[end..]);
+        assert!(found.into_iter().map(Result::unwrap).eq(expected.copied()), "leaf {leaf}");
+        first = end;
+    }
 }
 
 #[test]

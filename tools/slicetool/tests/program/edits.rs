@@ -1,7 +1,10 @@
 //! `--edits`: random houses beside a search over their rooms, and each kind of edit on its own.
 
 use crate::house::{House, ROOM_M, Side, archive_of, slicetool};
+use scangen::{WriteSpec, write_las};
 use serde_json::{Value, json};
+use slicewalk::NoMonitor;
+use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, convert};
 use std::collections::HashSet;
 use std::fs;
 use tempfile::TempDir;
@@ -290,4 +293,31 @@ fn a_copy_with_edits_answers_as_the_archive_with_them() {
     assert_eq!(refused.status.code(), Some(1), "the edits themselves");
     assert_eq!(fs::read_to_string(at.join("e.json")).unwrap(), shut.to_string());
     assert_eq!(slicetool(&folder, "extract", &["a.slices", "-o", "b.slices"]).status.code(), Some(2), "no bounds");
+}
+
+/// A floor with two filled holes, a post on one of them.
+#[test]
+fn a_copy_with_edits_keeps_the_marks_of_filled_holes_elsewhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let is_hole = |x: f64, y: f64| [1.5, 4.0].iter().any(|low| [x, y].iter().all(|v| (*low..low + 0.3).contains(v)));
+    let grid = (0..240 * 240).map(|at| [f64::from(at % 240), f64::from(at / 240)].map(|step| (step + 0.5) * 0.025));
+    let floor = grid.filter(|[x, y]| !is_hole(*x, *y)).map(|[x, y]| [x, y, 0.0]);
+    let scan = folder.path().join("scan.las");
+    write_las(&scan, floor, &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
+    options.grid.pixel = PixelSize::Metres(0.1);
+    options.grid.fill_holes = Some(HoleWidth::Metres(0.4));
+    convert(&options, &NoMonitor).unwrap();
+    write(&folder, &json!({ "add": [{ "box": [3.9, 3.9, 0.0, 4.4, 4.4, 0.5] }] }));
+    let out = slicetool(&folder, "extract", &["a.slices", "--edits", "e.json", "-o", "post.slices"]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let inferred = |archive: &str| -> Value {
+        let out = slicetool(&folder, "info", &[archive, "--json"]);
+        serde_json::from_slice::<Value>(&out.stdout).unwrap()["voxels"]["inferred"].clone()
+    };
+    assert_eq!([inferred("a.slices"), inferred("post.slices")], [json!(18), json!(9)]);
+    let out = slicetool(&folder, "diff", &["a.slices", "post.slices", "--json"]);
+    let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let marks = ["inferred_only_a", "inferred_only_b"].map(|key| found["voxels"][key].clone());
+    assert_eq!(marks, [json!(9), json!(0)], "{found}");
 }
