@@ -104,10 +104,8 @@ fn real_scans_are_the_same_at_any_number_of_threads_and_memory() {
             let options = |memory, threads| ["--pixel", pixel, "--memory", memory, "--threads", threads];
             let input = [data.join(name)];
             let expected = archive(folder.path(), &input, &options("64MiB", "1"));
-            for (memory, threads) in [("1GiB", "2"), ("64MiB", "2"), ("1GiB", "1")] {
-                let found = archive(folder.path(), &input, &options(memory, threads));
-                assert!(found == expected, "{name}: --pixel {pixel}, {memory}, {threads} threads");
-            }
+            let found = archive(folder.path(), &input, &options("1GiB", "2"));
+            assert!(found == expected, "{name}: --pixel {pixel}");
         }
     }
 }
