@@ -9,8 +9,8 @@ spent() {
     echo $((stat[15] + stat[16]))
 }
 
-# step NAME COMMAND...: runs the command and prints how long it took, and how long processors worked for it: a step that takes
-# longer on a busy machine is told from one that does more.
+# step NAME COMMAND...: runs the command and prints how long it took, and how long processors worked for it, which a busy machine
+# hardly changes.
 step() {
     local name=$1 start=$SECONDS before
     before=$(spent)

@@ -74,7 +74,7 @@ fn a_pawn_stands_where_its_middle_was_seen() {
                 let within = [place.feet.x, place.feet.y].map(|at| (0..128).contains(&frame.pixel_of(at)));
                 within == [true; 2] && is_seen(place)
             });
-            // What else is known of a place depends on those around it.
+            // The clearance of a place depends on those around it.
             let feet = |place: &Place| place.feet;
             let found = places_within(&store, pawn, space(frame, [2, 2], &mut |at| vec![run(at)]));
             assert!(
