@@ -12,11 +12,11 @@ use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 
 /// A pawn as wide as a pixel, which stands on each pixel of floor.
-fn thin() -> Pawn {
+pub fn thin() -> Pawn {
     Pawn::new(Body::Box { x: T, y: T, height: 1.0 })
 }
 
-fn at(i: usize, j: usize) -> Point3<f64> {
+pub fn at(i: usize, j: usize) -> Point3<f64> {
     Point3::new((i as f64 + 0.5) * T, (j as f64 + 0.5) * T, FLOOR)
 }
 
@@ -29,7 +29,7 @@ fn hall(width: usize, gap: usize) -> Snapshot {
 }
 
 /// Runs a task to its end, in slices of `steps` steps.
-fn finish(planner: &mut Planner, set: &Snapshot, steps: usize) -> (Result<Route, Refusal>, usize) {
+pub fn finish(planner: &mut Planner, set: &Snapshot, steps: usize) -> (Result<Route, Refusal>, usize) {
     for turns in 1.. {
         match planner.advance(set, steps, &NoMonitor).unwrap() {
             Planned::Done(found) => return (found, turns),

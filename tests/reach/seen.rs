@@ -1,27 +1,28 @@
 //! Standing places, routes and what blocks them within seen space.
 
-use super::flat::{FLOOR, T, room};
+use super::flat::{T, room};
 use super::oracle::{random_world, store};
+use super::plans::{at, finish, thin};
 use super::{everywhere, grown, known};
 use crate::common::random::Random;
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::reach::{
-    Flood, ObstructionSearch, Pawn, Place, Planned, Planner, Reason, Refusal, Route, Sought, StandingPlaces,
+    Flood, ObstructionSearch, Pawn, Place, Planner, Reason, Refusal, Route, Sought, StandingPlaces,
 };
 use slicewalk::seen::{SeenBlock, SeenPage, SeenSpace};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use std::sync::Arc;
 
-/// Seen space in pages of layer 0; `draw` returns the runs of slices, ends included, that were seen at a cell along x and y.
-fn space(frame: Frame, tiles: [i32; 2], draw: &mut dyn FnMut([i64; 2]) -> Vec<[usize; 2]>) -> SeenSpace {
+/// Seen space in pages of layer 0; `run` returns the first and the last slice that were seen at a cell along x and y.
+fn space(frame: Frame, tiles: i32, run: impl Fn([i64; 2]) -> Option<[usize; 2]>) -> SeenSpace {
     let mut blocks = Vec::new();
-    for (tx, ty) in (0..tiles[0]).flat_map(|tx| (0..tiles[1]).map(move |ty| (tx, ty))) {
+    for (tx, ty) in (0..tiles).flat_map(|tx| (0..tiles).map(move |ty| (tx, ty))) {
         let mut page = SeenPage::NOTHING;
         for (x, y) in (0..16).flat_map(|x| (0..16).map(move |y| (x, y))) {
-            for run in draw([i64::from(tx) * 16 + x, i64::from(ty) * 16 + y]) {
+            if let Some(run) = run([i64::from(tx) * 16 + x, i64::from(ty) * 16 + y]) {
                 page.mark([[x as usize; 2], [y as usize; 2], run]);
             }
         }
@@ -76,7 +77,7 @@ fn a_pawn_stands_where_its_middle_was_seen() {
             });
             // The clearance of a place depends on those around it.
             let feet = |place: &Place| place.feet;
-            let found = places_within(&store, pawn, space(frame, [2, 2], &mut |at| vec![run(at)]));
+            let found = places_within(&store, pawn, space(frame, 2, |at| Some(run(at))));
             assert!(
                 found.iter().map(feet).eq(expected.iter().map(feet)),
                 "seed {seed}, {climb} m, {height} m: {} and {}",
@@ -90,30 +91,19 @@ fn a_pawn_stands_where_its_middle_was_seen() {
     assert!(kept > 1000 && left > 1000, "{kept} {left}");
 }
 
-fn at(i: usize, j: usize) -> Point3<f64> {
-    Point3::new((i as f64 + 0.5) * T, (j as f64 + 0.5) * T, FLOOR)
-}
-
 /// A room of 60 × 40 pixels in which the columns of cells `strip` along x were seen only from row `open` on.
 fn half_seen(strip: i64, open: i64) -> (Snapshot, Option<Arc<SeenSpace>>) {
     let store = room(60, 40, |_, _| None);
     let is_seen = |[x, y]: [i64; 2]| x != strip || y >= open;
-    let seen = space(*store.frame(), [1, 1], &mut |at| if is_seen(at) { vec![[0, 63]] } else { Vec::new() });
+    let seen = space(*store.frame(), 1, |at| is_seen(at).then_some([0, 63]));
     (store, Some(Arc::new(seen)))
 }
 
 #[test]
 fn a_route_keeps_to_seen_space() {
-    let pawn = Pawn::new(Body::Box { x: T, y: T, height: 1.0 });
     let plan = |(store, seen): (Snapshot, Option<Arc<SeenSpace>>)| -> Result<Route, Refusal> {
-        let mut planner = Planner::new(&store, pawn, at(4, 4), at(55, 4)).unwrap().within_seen(seen);
-        loop {
-            match planner.advance(&store, usize::MAX, &NoMonitor).unwrap() {
-                Planned::Done(found) => return found,
-                Planned::NotLoaded(missing) => panic!("{missing:?}"),
-                _ => {}
-            }
-        }
+        let mut planner = Planner::new(&store, thin(), at(4, 4), at(55, 4)).unwrap().within_seen(seen);
+        finish(&mut planner, &store, usize::MAX).0
     };
     let straight = plan((half_seen(7, 8).0, None)).unwrap();
     assert!((straight.length_m - 51.0 * T).abs() < 1e-6, "{}", straight.length_m);
@@ -130,10 +120,9 @@ fn a_route_keeps_to_seen_space() {
 
 #[test]
 fn unseen_space_blocks_a_way() {
-    let pawn = Pawn::new(Body::Box { x: T, y: T, height: 1.0 });
     let blocked = |(store, seen): (Snapshot, Option<Arc<SeenSpace>>)| {
         let mut search =
-            ObstructionSearch::new(&store, pawn, at(4, 4), at(55, 4), &NoMonitor).unwrap().within_seen(seen);
+            ObstructionSearch::new(&store, thin(), at(4, 4), at(55, 4), &NoMonitor).unwrap().within_seen(seen);
         loop {
             match search.advance(&store).unwrap() {
                 Sought::Done(found) => return found,

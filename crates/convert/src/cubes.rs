@@ -30,8 +30,8 @@ pub(crate) struct CubeSet {
     finest_m: Option<f64>,
 }
 
-/// Returns the format of the cubes at `path`, by name and content; `None` for any other file, and for one that cannot be read, which the
-/// readers of scans report.
+/// Returns the format of the cubes at `path`, by name and content; `None` for any other file, and for one that cannot
+/// be read, which the readers of scans report.
 fn format_of(path: &Path) -> Option<CubeFormat> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let may_be = ["bt", "ot", "json"].contains(&&ending[..]) && crate::bytes::address(path).is_none();

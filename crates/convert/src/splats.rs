@@ -113,8 +113,8 @@ fn described(path: &Path) -> Option<PathBuf> {
     names.iter().map(|name| path.join(name)).find(|file| is_file_at(file))
 }
 
-/// Returns whether a file holds splats, by content and name. One that cannot be read is left to the readers of scans, which report or
-/// leave it out.
+/// Returns whether a file holds splats, by content and name. One that cannot be read is left to the readers of scans,
+/// which report it or leave it out.
 fn is_splat(path: &Path) -> bool {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let known = ["ply", "spz", "sog", "zip", "splat", "ksplat", "gltf", "glb", "json"];

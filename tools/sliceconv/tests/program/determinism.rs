@@ -96,7 +96,7 @@ fn threads_and_memory_do_not_show_even_where_points_go_to_disk_and_columns_are_c
 }
 
 #[test]
-fn real_scans_are_the_same_at_any_number_of_threads_and_memory() {
+fn real_scans_are_the_same_with_one_thread_in_little_memory_and_two_in_much() {
     let Some(data) = data::folder() else { return };
     let folder = tempfile::tempdir().unwrap();
     for name in ["indoor_two_storey_zup.laz", "delft_city_block_ahn3.laz"] {
