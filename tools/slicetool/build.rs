@@ -9,11 +9,14 @@ const MOST_DEPTH: usize = 8;
 fn main() -> std::io::Result<()> {
     println!("cargo::rerun-if-env-changed=SLICEWALK_PAGE");
     let root = PathBuf::from(std::env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
+    let viewer = root.join("../viewer");
     let named = std::env::var_os("SLICEWALK_PAGE").map(PathBuf::from);
-    let folder = named.unwrap_or_else(|| root.join("../viewer/dist"));
+    let folder = named.clone().unwrap_or_else(|| viewer.join("dist"));
     let mut list = String::from("&[\n");
     if std::env::var_os("CARGO_FEATURE_PAGE").is_some() {
-        println!("cargo::rerun-if-changed={}", folder.display());
+        // Cargo takes a folder that does not exist as changed, and would compile the program anew each time.
+        let watched = if named.is_none() && !folder.exists() { &viewer } else { &folder };
+        println!("cargo::rerun-if-changed={}", watched.display());
         if folder.join("index.html").is_file() {
             add(&folder.canonicalize()?, "", MOST_DEPTH, &mut list)?;
         } else {
