@@ -278,7 +278,7 @@ fn boxes_on_real_meshes_have_no_miss_and_no_phantom() {
         let truth = truth::Truth::new(triangles, up == Up::Y, 4.0 * t);
         let mut random = Random(12);
         let (mut hits, mut clear) = (0, 0);
-        for _ in 0..10_000 {
+        for _ in 0..3_000 {
             let place = truth.place(&mut random);
             let size = [0; 3].map(|_| 3.0 * t * random.uniform().powi(3));
             let off = [0; 3].map(|_| 4.0 * t * (random.uniform() - 0.5));
@@ -294,7 +294,7 @@ fn boxes_on_real_meshes_have_no_miss_and_no_phantom() {
                 clear += 1;
             }
         }
-        assert!(hits > 1000 && clear > 100, "{}: {hits} {clear}: the test shows little", path.display());
+        assert!(hits > 300 && clear > 30, "{}: {hits} {clear}: the test shows little", path.display());
     }
 }
 
