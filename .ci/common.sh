@@ -2,25 +2,28 @@
 
 target=${CARGO_TARGET_DIR:-target}
 
-# Hundredths of a second that processors have spent on commands that have ended.
-spent() {
+# Sets `spent` to the hundredths of a second that processors have worked for commands of this shell that have ended.
+count_spent() {
     local stat
-    read -ra stat </proc/$$/stat
-    echo $((stat[15] + stat[16]))
+    read -ra stat </proc/$BASHPID/stat
+    spent=$((stat[15] + stat[16]))
 }
 
 # step NAME COMMAND...: runs the command and prints how long it took, and how long processors worked for it, which a busy machine
 # hardly changes.
 step() {
-    local name=$1 start=$SECONDS before
-    before=$(spent)
+    local name=$1 start=$SECONDS spent before
+    count_spent
+    before=$spent
     shift
     echo "== $name"
     "$@"
-    echo "== $name: $((SECONDS - start)) s, $((($(spent) - before) / 100)) s of processor"
+    count_spent
+    echo "== $name: $((SECONDS - start)) s, $(((spent - before) / 100)) s of processor"
 }
 
-# install PACKAGE...: installs packages of Debian.
+# install PACKAGE...: installs packages of Debian, one call after the other.
 install() {
-    { apt-get update -qq && apt-get install --yes --quiet "$@"; } >&2
+    mkdir -p "$target"
+    flock "$target/.install" bash -c 'apt-get update -qq && apt-get install --yes --quiet "$@"' install "$@" >&2
 }
