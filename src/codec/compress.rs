@@ -137,6 +137,24 @@ mod tests {
         assert!(unpacker.unpack(&reserved, 9999, "D2").unwrap_err().found.contains("reserved"));
     }
 
+    #[test]
+    fn a_frame_of_another_length_than_it_states_is_refused() {
+        use crate::codec::{zstd_c, zstd_rust};
+        let content: Vec<u8> = (0..1000u32).map(|at| (at * at % 7) as u8).collect();
+        let mut frame = Vec::new();
+        Packer::new().pack(&content, &mut frame);
+        // Sizes from 256 take two bytes, less 256.
+        let bytes = |size: u16| (size - 256).to_le_bytes();
+        let at = frame.windows(2).position(|pair| pair == bytes(1000)).unwrap();
+        for size in [999, 1001] {
+            frame[at..at + 2].copy_from_slice(&bytes(size));
+            assert_eq!(content_size(&frame), Ok(size.into()));
+            let mut raw = vec![0; size.into()];
+            assert_eq!(zstd_c::Decompressor::new().decompress(&frame, &mut raw, "D2").unwrap_err().rule, "D2");
+            assert_eq!(zstd_rust::Decompressor::new().decompress(&frame, &mut raw, "D2").unwrap_err().rule, "D2");
+        }
+    }
+
     /// Every form of a header (RFC 8878, section 3.1.1.1), and its bytes from the fifth.
     #[test]
     fn content_sizes_are_read_from_every_header() {

@@ -619,6 +619,19 @@ mod tests {
     }
 
     #[test]
+    fn spans_of_two_kinds_in_one_slice_stay_apart() {
+        let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
+        let mut builder = PageBuilder::default();
+        for pixel in 0..PIXELS as u32 {
+            let up = pixel * 7 % 30;
+            let column = [span(300 + up, 310 + up, false), span(320 + up, 330 + up, true)];
+            assert!(builder.set_column(pixel % 64, pixel / 64, &column));
+        }
+        let (loose, _) = check(&builder.build(), 85);
+        assert!(loose.columns().all(|(_, _, column)| column.len() == 2));
+    }
+
+    #[test]
     fn a_gap_that_is_closed_joins_spans_of_one_kind() {
         let column = |pixel: u32| {
             let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();

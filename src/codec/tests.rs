@@ -157,3 +157,8 @@ proptest! {
         let _ = Decoder::default().decode(&body);
     }
 }
+
+#[test]
+fn a_body_without_a_byte_is_refused() {
+    assert_eq!(Decoder::default().decode(&[]).unwrap_err().rule, "P5");
+}

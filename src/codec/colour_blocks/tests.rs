@@ -173,3 +173,19 @@ fn parts_keep_the_colours_of_their_voxels() {
         assert!(some.of(px, py, k).is_some());
     }
 }
+
+#[test]
+fn voxels_of_which_none_has_a_colour_have_no_block() {
+    let colours = [Some([900, 5, 5]), Some([9000, 5, 5])];
+    let block = ColourBlock::quantise(&colours, 2000, &mut ColourEncoder::default()).unwrap();
+    assert_eq!(ColourBlock::pieced([Some(&block), None], [(1, Some(0)), (0, None)].into_iter()), None);
+    assert!(ColourBlock::pieced([Some(&block), None], [(1, Some(0)), (0, Some(1))].into_iter()).is_some());
+}
+
+#[test]
+fn a_block_shorter_than_its_lead_is_refused() {
+    let lead = [MODEL, 3, 4, 2];
+    for len in 0..lead.len() {
+        assert_eq!(ColourBlock::decode(&lead[..len], &occupancy([])).unwrap_err().rule, "K5");
+    }
+}
