@@ -1,17 +1,22 @@
 #!/usr/bin/env python3
-"""coverage.py REPORT [--places]: shares of regions that tests run, by part, and what the others are, from the JSON of
-`cargo llvm-cov report --json --skip-functions`; with `--places`, also where the others start, file by file.
+"""coverage.py REPORT [--places]: shares of regions that tests run, by part, from the JSON of `cargo llvm-cov report --json
+--skip-functions`, and for how many of the others a reason is written down. Fails if a part that `coverage.toml` says is reviewed has
+a region without a test and without a reason.
 
 A region is a piece of code that runs as a whole (LLVM's source-based coverage); here each call and each name in an expression is one.
-The others are of three kinds, told by their source: a `?` whose call never failed, words of a refusal (a line that makes an error),
-and all else.
+The `?` of a call that never failed needs no reason of its own: it passes on an error that is made elsewhere. `coverage.toml`, beside
+this script, has reasons for all others, by file and function. `--places` tells where those without one are, and which reasons fit
+nothing.
 """
 
 import json
 import re
 import sys
-from collections import Counter, defaultdict
+import tomllib
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -32,30 +37,68 @@ PARTS = {
     "cube": "crates/cube/src/",
 }
 
-
-REFUSAL = re.compile(r"\bErr\(|Error::|Violation::|\b(?:ok_or_else|map_err|broken|refuse\w*|fail\w*|wrong|unreachable!|panic!)\b")
-
-
-def kind_of(line: bytes, column: int) -> str:
-    """Returns the kind of a region that no test ran, by its line and first column."""
-    if line[column - 1 : column] == b"?":
-        return "passed on"
-    return "refusal" if REFUSAL.search(line.decode()) else "other"
+FUNCTION = re.compile(r"^(\s*)(?:pub(?:\([a-z: ]+\))? )?(?:(?:const|async|unsafe|extern \"C\") )*fn (\w+)")
 
 
-def unrun(file: dict) -> list[tuple[int, int, str]]:
-    """Returns line, column and kind of each region that no test ran."""
-    lines = Path(file["filename"]).read_bytes().split(b"\n")
-    starts = [
-        (line, column) for line, column, count, has, is_entry, is_gap in file["segments"] if has and is_entry and not is_gap and count == 0
-    ]
-    return [(line, column, kind_of(lines[line - 1], column)) for line, column in starts]
+@dataclass
+class Part:
+    """What a part has: regions, those that tests run, and the others by whether they have a reason."""
+
+    count: int = 0
+    run: int = 0
+    others: Counter[str] = field(default_factory=Counter)
+
+    def add(self, other: "Part") -> None:
+        self.count += other.count
+        self.run += other.run
+        self.others += other.others
+
+    def __str__(self) -> str:
+        share = 100 * self.run / self.count
+        others = ", ".join(f"{self.others[what]} {what}" for what in ("passed on", "with a reason", "without one"))
+        return f"{self.run:6} of {self.count:6} regions, {share:.2f} %; {others}"
+
+
+def function_of(lines: list[str], number: int) -> str:
+    """Returns the name of the function that a line belongs to, or nothing; lines count from 1."""
+    indent = len(lines[number - 1]) - len(lines[number - 1].lstrip())
+    for at in range(number - 1, -1, -1):
+        begins = FUNCTION.match(lines[at])
+        # The end of a function is as far to the right as its beginning.
+        if begins and (at == number - 1 or len(begins[1]) < indent or lines[number - 1].strip() == "}" and len(begins[1]) == indent):
+            return begins[2]
+    return ""
+
+
+def read(file: dict[str, Any], reasons: dict[str, str]) -> tuple[Part, list[str], set[str]]:
+    """Returns what a file has, the places without a reason, and the functions whose reasons fit."""
+    text = Path(file["filename"]).read_text()
+    lines = text.split("\n")
+    tests = text.find("#[cfg(test)]\nmod tests {")
+    end = text[:tests].count("\n") if tests >= 0 else len(lines)
+    part, places, fit = Part(), [], set()
+    for line, column, count, has_count, is_entry, is_gap in file["segments"]:
+        if not (has_count and is_entry and not is_gap) or line > end:
+            continue
+        part.count += 1
+        if count > 0:
+            part.run += 1
+        elif lines[line - 1].encode()[column - 1 : column] == b"?":
+            part.others["passed on"] += 1
+        elif (name := function_of(lines, line)) in reasons:
+            part.others["with a reason"] += 1
+            fit.add(name)
+        else:
+            part.others["without one"] += 1
+            places.append(f"{line}:{column} in {name or 'no function'}")
+    return part, places, fit
 
 
 def main() -> None:
     report = json.loads(Path(sys.argv[1]).read_text())["data"][0]
-    regions, run = Counter(), Counter()
-    kinds = defaultdict(Counter)
+    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
+    reviewed, reasons = table.pop("reviewed"), table
+    parts = {part: Part() for part in [*PARTS, "all"]}
     for file in report["files"]:
         path = Path(file["filename"])
         if not path.is_relative_to(ROOT):
@@ -64,18 +107,20 @@ def main() -> None:
         part = next((part for part, folder in PARTS.items() if name.startswith(folder)), None)
         if part is None or "tests/" in name or name.endswith("tests.rs"):
             continue
-        totals = file["summary"]["regions"]
-        missed = unrun(file)
-        for of in (part, "all"):
-            regions[of] += totals["count"]
-            run[of] += totals["covered"]
-            kinds[of].update(kind for _, _, kind in missed)
-        if missed and "--places" in sys.argv:
-            print(f"{name}: {len(missed)} of {totals['count']}, from", *(f"{line}:{column} ({kind})" for line, column, kind in missed))
-    for part in [*PARTS, "all"]:
-        if count := regions[part]:
-            others = ", ".join(f"{kinds[part][kind]} {kind}" for kind in ("passed on", "refusal", "other"))
-            print(f"{part:21} {run[part]:6} of {count:6} regions, {100 * run[part] / count:.2f} %; {others}")
+        own = reasons.get(name, {})
+        found, places, fit = read(file, own)
+        parts[part].add(found)
+        parts["all"].add(found)
+        if "--places" in sys.argv:
+            for place in places:
+                print(f"{name}:{place}: no reason")
+            for unfit in sorted(own.keys() - fit):
+                print(f"{name}: tests run all of {unfit}")
+    for name, all_of in parts.items():
+        if all_of.count:
+            print(f"{name:21} {all_of}")
+    if open_parts := [name for name in reviewed if parts[name].others["without one"]]:
+        sys.exit(f"regions without a test and without a reason in {', '.join(open_parts)}; --places tells where")
 
 
 main()
