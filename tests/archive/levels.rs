@@ -513,26 +513,33 @@ fn with_levels_of(pages: Pages, others: Pages) -> Vec<u8> {
     Parts { head, pages, ..own }.build(|_| ())
 }
 
-/// The archive without its last level, and valid checksums. Every level has one leaf.
-fn without_last_level(parts: &Parts) -> Vec<u8> {
-    const RECORD: usize = 40 + 28;
+/// Length of the record of a level with one leaf, in the table of levels.
+const RECORD: usize = 40 + 28;
+
+/// The archive with another table of levels, without as many bytes before it as `change` says, and valid checksums.
+fn with_table(parts: &Parts, change: impl FnOnce(&mut Vec<u8>) -> usize) -> Parts {
     let [levels_len, table_len] = [328, 336].map(|at| word(&parts.head, at));
     let (rest, table) = parts.pages.split_at(parts.pages.len() - table_len);
-    let mut unpacker = Unpacker::new();
-    let raw = unpacker.unpack(table, 1 << 20, "").unwrap();
-    let count = usize::from(parts.head[325]);
-    assert_eq!(raw.len(), count * RECORD, "one leaf a level");
-    let (kept, last) = raw.split_at(raw.len() - RECORD);
-    let last = word(last, 0) + word(last, 8);
+    let mut raw = Unpacker::new().unpack(table, 1 << 20, "").unwrap().to_vec();
+    assert_eq!(raw.len(), usize::from(parts.head[325]) * RECORD, "one leaf a level");
+    let cut = change(&mut raw);
     let mut table = Vec::new();
-    pack(kept, &mut table);
+    pack(&raw, &mut table);
     let mut head = parts.head.clone();
-    put(&mut head, 325, count as u64 - 1, 1);
-    put(&mut head, 328, (levels_len - table_len - last + table.len()) as u64, 8);
+    put(&mut head, 328, (levels_len - table_len - cut + table.len()) as u64, 8);
     put(&mut head, 336, table.len() as u64, 4);
     put(&mut head, 340, crc32c::crc32c(&table).into(), 4);
-    let pages = [&rest[..rest.len() - last], &table].concat();
-    Parts { head, pages, ..parts.clone() }.build(|_| ())
+    let pages = [&rest[..rest.len() - cut], &table].concat();
+    Parts { head, pages, ..parts.clone() }
+}
+
+/// The archive without its last level, and valid checksums.
+fn without_last_level(parts: &Parts) -> Vec<u8> {
+    let less = with_table(parts, |raw| {
+        let last = raw.split_off(raw.len() - RECORD);
+        word(&last, 0) + word(&last, 8)
+    });
+    less.build(|head| head[325] -= 1)
 }
 
 #[test]
@@ -563,15 +570,40 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
         (325, 2, 1, "L3"),
         (325, 17, 1, "L1"),
         (326, 1, 1, "L1"),
+        (328, 1 << 40, 8, "L1"),
         (336, 0, 4, "L1"),
         (340, 1, 4, "L2"),
         (344, 1, 1, "H10"),
     ] {
         let forged = parts.build(|head| put(head, at, value, len));
-        let found = Archive::from_bytes(forged).and_then(|archive| archive.levels().map(drop));
-        let said = found.unwrap_err().to_string();
-        assert!(said.contains(&format!("rule {rule}")), "{at}: {said}");
+        assert!(refusal(forged).contains(&format!("rule {rule}")), "{at}: {value}");
     }
+    // Numbers in the record of the first level: pages stored, entries a leaf, bytes of pages.
+    for (at, value, len, rule) in [
+        (16, 0, 8, "L4"),
+        (16, 1 << 40, 8, "L4"),
+        (32, 1 << 21, 4, "R1"),
+        (0, 1 << 40, 8, "L4"),
+        (8, u64::MAX, 8, "L4"),
+    ] {
+        let forged = with_table(&parts, |raw| {
+            put(raw, at, value, len);
+            0
+        });
+        assert!(refusal(forged.build(|_| ())).contains(&format!("rule {rule}")), "{at}: {value}");
+    }
+    let longer = with_table(&parts, |raw| {
+        raw.push(0);
+        0
+    });
+    assert!(refusal(longer.build(|_| ())).contains("rule L3"));
+    // A byte of the last level's directory is missing before the table.
+    assert!(refusal(with_table(&parts, |_| 1).build(|_| ())).contains("rule L4"));
+}
+
+/// What opening the levels says.
+fn refusal(bytes: Vec<u8>) -> String {
+    Archive::from_bytes(bytes).and_then(|archive| archive.levels().map(drop)).unwrap_err().to_string()
 }
 
 #[test]

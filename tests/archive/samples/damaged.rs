@@ -3,7 +3,7 @@
 use crate::common::forge::{Parts, put, word};
 use crate::common::{archive, archive_in_colour, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
 use slicewalk::archive::{Archive, Totals};
-use slicewalk::codec::{Encoder, Packer};
+use slicewalk::codec::{Encoder, Packer, put_varint};
 use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::Frame;
 use slicewalk::page::Span;
@@ -46,6 +46,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("flipped-in-metadata", "M1", flipped(start(3) + 9)),
         ("flipped-in-footer", "F2", flipped(start(4) + 2)),
         ("foreign-footer", "F3", [&good[..start(4)], &archive(&scene())[archive(&scene()).len() - 24..]].concat()),
+        ("bytes-behind-the-root", "H10", behind_the_root(&parts)),
         ("next-major-version", "H4", parts.build(|head| put(head, 8, 2, 2))),
         ("unknown-feature", "H5", parts.build(|head| put(head, 16, 1 << 40, 8))),
         ("wrong-plan", "H7", parts.build(|head| put(head, 64, 0.5f64.to_bits(), 8))),
@@ -74,6 +75,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("infinite-bounds", "H8", bound(200, f64::INFINITY)),
         ("bounds-of-minus-zero", "H8", bound(160, -0.0)),
         ("points-beyond-counting", "H8", parts.build(|head| put(head, 144, u64::MAX, 8))),
+        ("leaf-of-another-length", "D2", parts.build(|head| put(head, 404, parts.leaf.len() as u64 + 1, 4))),
         ("shares-no-page", "D10", shares_no_page(&many)),
         ("no-slices", "D7", with_leaf(&parts, 4, 0)),
         ("wrong-slices-of-page", "P9", with_leaf(&parts, 4, 2)),
@@ -92,9 +94,16 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("flipped-in-table-of-colours", "K2", in_colours(1)),
         ("flipped-in-colour-leaf", "K3", in_colours(13)),
         ("flipped-in-colours", "K4", in_colours(coloured.pages.len() - 41)),
-        ("colours-of-an-unknown-model", "K5", with_block(&coloured, |block| block[0] = 2)),
-        ("words-left-in-colours", "K6", with_block(&coloured, |block| block.extend([0, 0]))),
-        ("colours-beyond-white", "K7", with_block(&coloured, |block| block[1] = 255)),
+        ("more-colours-than-voxels", "K1", coloured.build(|head| put(head, 360, 1 << 20, 8))),
+        ("colour-leaf-longer-than-any", "K2", with_colours(&coloured, |colours| colours.more_raw = 100)),
+        ("colour-leaf-outside-its-section", "K2", with_colours(&coloured, |colours| colours.more_stored = 1000)),
+        ("colour-leaf-of-another-length", "K3", with_colours(&coloured, |colours| colours.more_raw = 1)),
+        ("bytes-left-in-colour-leaf", "K3", with_colours(&coloured, |colours| colours.left = vec![0])),
+        ("colours-begin-outside-their-section", "K4", with_colours(&coloured, |colours| colours.start = 1 << 20)),
+        ("colours-end-outside-their-section", "K4", with_colours(&coloured, |colours| colours.more_len = 1000)),
+        ("colours-of-an-unknown-model", "K5", with_colours(&coloured, |colours| colours.block[0] = 2)),
+        ("words-left-in-colours", "K6", with_colours(&coloured, |colours| colours.block.extend([0, 0]))),
+        ("colours-beyond-white", "K7", with_colours(&coloured, |colours| colours.block[1] = 255)),
         ("colours-miscounted", "K10", coloured.build(|head| put(head, 360, 1, 8))),
         ("flipped-in-colours-of-levels", "K11", colours_of_levels(|own, _| own[3] ^= 2)),
         ("colours-of-levels-of-others", "K12", colours_of_levels(|own, other| own.copy_from_slice(other))),
@@ -103,6 +112,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
         ("unit-of-no-length", "M5", metadata(&[b"UNIT\x10\0\0\0", &[0; 16][..]].concat())),
         ("input-cut-short", "M6", metadata(&[b"READ\x15\0\0\0", &[1; 21][..]].concat())),
+        ("input-not-utf-8", "M6", metadata(&[b"READ\x16\0\0\0", &[0; 20][..], &[1, 0xFF]].concat())),
         ("wrong-part", "M4", metadata(&[b"SHRD\x28\0\0\0", &[0; 40][..]].concat())),
     ]
 }
@@ -119,19 +129,48 @@ fn with_body(parts: &Parts, change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     parts.with_page(&body).build(|_| ())
 }
 
-/// Colours of the only page, which has 41 bytes, changed and put together again.
-fn with_block(parts: &Parts, change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+/// The head has a byte behind the root directory that is not zero.
+fn behind_the_root(parts: &Parts) -> Vec<u8> {
+    let mut parts = parts.clone();
+    let end = parts.head.len() - 4;
+    parts.head.insert(end, 1);
+    parts.build(|head| {
+        let len = head.len() as u64;
+        put(head, 12, len, 4);
+    })
+}
+
+/// The colours of an only page, and in what their leaf and table differ from the truth.
+#[derive(Default)]
+struct Colours {
+    block: Vec<u8>,
+    /// Where the leaf says that the block begins, and how much longer it says that the block is.
+    start: u64,
+    more_len: u64,
+    /// Bytes behind the leaf's checksums.
+    left: Vec<u8>,
+    /// How much longer the table says that the leaf is, before and after compression.
+    more_raw: u32,
+    more_stored: u32,
+}
+
+/// Changes the colours of the only page, which has 41 bytes, and puts them together again.
+fn with_colours(parts: &Parts, change: impl FnOnce(&mut Colours)) -> Vec<u8> {
     let (mut parts, page) = (parts.clone(), parts.pages[..41].to_vec());
     let table = parts.pages.len() - 12;
     let leaf = word(&parts.pages, table);
-    let mut block = parts.pages[41..table - leaf].to_vec();
-    change(&mut block);
-    let crc = crc32c::crc32c(&[&[0; 12][..], &block].concat());
-    let raw = [&[0, block.len() as u8][..], &crc.to_le_bytes()].concat();
+    let mut colours = Colours { block: parts.pages[41..table - leaf].to_vec(), ..Colours::default() };
+    change(&mut colours);
+    let mut raw = Vec::new();
+    put_varint(&mut raw, colours.start);
+    put_varint(&mut raw, colours.block.len() as u64 + colours.more_len);
+    raw.extend(crc32c::crc32c(&[&[0; 12][..], &colours.block].concat()).to_le_bytes());
+    raw.extend(&colours.left);
     let mut stored = Vec::new();
     Packer::new().pack(&raw, &mut stored);
-    let record = [stored.len() as u32, raw.len() as u32, crc32c::crc32c(&stored)].map(u32::to_le_bytes).concat();
-    parts.pages = [&page[..], &block, &stored, &record].concat();
+    let lens = [stored.len() as u32 + colours.more_stored, raw.len() as u32 + colours.more_raw];
+    let record = [lens[0], lens[1], crc32c::crc32c(&stored)].map(u32::to_le_bytes).concat();
+    parts.pages = [&page[..], &colours.block, &stored, &record].concat();
     let (len, crc) = (parts.pages.len() - 41, crc32c::crc32c(&record));
     parts.build(|head| {
         put(head, 352, len as u64, 8);
