@@ -22,7 +22,8 @@ before(() => {
   );
   packed = join(work, filename);
 });
-after(() => rmSync(work, { recursive: true, force: true }));
+// Processes of a browser that has ended may still write.
+after(() => rmSync(work, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 }));
 
 /** Script of a page: opens, queries, walks, draws, and reports the results. */
 const script = (from, here) => `
