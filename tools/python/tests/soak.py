@@ -6,6 +6,7 @@ it. Prints its counts once a minute and at the end; fails if an answer differs.
 
 from __future__ import annotations
 
+import contextlib
 import random
 import sys
 import time
@@ -63,4 +64,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # The soak ends by an interrupt.
+    with contextlib.suppress(KeyboardInterrupt):
+        main()
