@@ -42,7 +42,7 @@ FUNCTION = re.compile(r"^(\s*)(?:pub(?:\([a-z: ]+\))? )?(?:(?:const|async|unsafe
 
 @dataclass
 class Part:
-    """What a part has: regions, those that tests run, and the others by whether they have a reason."""
+    """Regions of a part, those that tests run, and the others by whether they have a reason."""
 
     count: int = 0
     run: int = 0
@@ -71,7 +71,7 @@ def function_of(lines: list[str], number: int) -> str:
 
 
 def read(file: dict[str, Any], reasons: dict[str, str]) -> tuple[Part, list[str], set[str]]:
-    """Returns what a file has, the places without a reason, and the functions whose reasons fit."""
+    """Returns the regions of a file, the places without a reason, and the functions whose reasons fit."""
     text = Path(file["filename"]).read_text()
     lines = text.split("\n")
     tests = text.find("#[cfg(test)]\nmod tests {")

@@ -601,7 +601,7 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     assert!(refusal(with_table(&parts, |_| 1).build(|_| ())).contains("rule L4"));
 }
 
-/// What opening the levels says.
+/// Message of the error when levels are opened.
 fn refusal(bytes: Vec<u8>) -> String {
     Archive::from_bytes(bytes).and_then(|archive| archive.levels().map(drop)).unwrap_err().to_string()
 }

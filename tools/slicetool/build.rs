@@ -14,7 +14,7 @@ fn main() -> std::io::Result<()> {
     let folder = named.clone().unwrap_or_else(|| viewer.join("dist"));
     let mut list = String::from("&[\n");
     if std::env::var_os("CARGO_FEATURE_PAGE").is_some() {
-        // Cargo takes a folder that does not exist as changed, and would compile the program anew each time.
+        // Cargo takes a folder that does not exist as changed, and would compile the program each time.
         let watched = if named.is_none() && !folder.exists() { &viewer } else { &folder };
         println!("cargo::rerun-if-changed={}", watched.display());
         if folder.join("index.html").is_file() {
