@@ -5,8 +5,8 @@ a region without a test and without a reason.
 
 A region is a piece of code that runs as a whole (LLVM's source-based coverage); here each call and each name in an expression is one.
 The `?` of a call that never failed needs no reason of its own: it passes on an error that is made elsewhere. `coverage.toml`, beside
-this script, has reasons for all others, by file and function. `--places` tells where those without one are, and which reasons fit
-nothing.
+this script, has reasons for all others, by file and function, or by the function and words of a line in it ("function: words").
+`--places` tells where those without one are, and which reasons fit nothing.
 """
 
 import json
@@ -70,8 +70,14 @@ def function_of(lines: list[str], number: int) -> str:
     return ""
 
 
+def keys_of(function: str, line: str, reasons: dict[str, str]) -> list[str]:
+    """Returns the keys of the reasons that fit a line of a function."""
+    parted = ((key, *key.partition(": ")[::2]) for key in reasons)
+    return [key for key, name, words in parted if name == function and words in line]
+
+
 def read(file: dict[str, Any], reasons: dict[str, str]) -> tuple[Part, list[str], set[str]]:
-    """Returns the regions of a file, the places without a reason, and the functions whose reasons fit."""
+    """Returns the regions of a file, the places without a reason, and the keys of the reasons that fit."""
     text = Path(file["filename"]).read_text()
     lines = text.split("\n")
     tests = text.find("#[cfg(test)]\nmod tests {")
@@ -85,12 +91,12 @@ def read(file: dict[str, Any], reasons: dict[str, str]) -> tuple[Part, list[str]
             part.run += 1
         elif lines[line - 1].encode()[column - 1 : column] == b"?":
             part.others["passed on"] += 1
-        elif (name := function_of(lines, line)) in reasons:
+        elif keys := keys_of(function_of(lines, line), lines[line - 1], reasons):
             part.others["with a reason"] += 1
-            fit.add(name)
+            fit.update(keys)
         else:
             part.others["without one"] += 1
-            places.append(f"{line}:{column} in {name or 'no function'}")
+            places.append(f"{line}:{column} in {function_of(lines, line) or 'no function'}: {lines[line - 1].strip()}")
     return part, places, fit
 
 
