@@ -5,18 +5,20 @@ use crate::common;
 
 use common::forge::{Parts, pack, put, word};
 use common::random::Random;
-use common::{Pages, archive_coloured_by_place, archive_of, archive_with_levels, key, page, plan};
+use common::{Pages, archive_coloured_by_place, archive_in_colour, archive_of, archive_with_levels, key, page, plan};
 use nalgebra::{Point3, Vector3};
 use slicewalk::archive::{
-    Archive, ArchiveWriter, ColourReader, EncodedColours, Opened, Opening, PageEncoder, Shard, Totals, extract, merge,
-    recover,
+    Archive, ArchiveWriter, ColourReader, EncodedColours, Finding, Opened, Opening, PageEncoder, Shard, Totals,
+    extract, merge, recover,
 };
-use slicewalk::codec::{ColourEncoder, Unpacker};
+use slicewalk::codec::{ColourEncoder, Encoder, Unpacker};
 use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
 use slicewalk::page::{Occupancy, Span};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, RayBound, cast, cast_far, overlaps};
 use slicewalk::store::{Loader, LoaderOptions, MISSING_KEYS, Next, Prefetch, Snapshot, Stream, StreamOptions, Time};
+use slicewalk::unit::LengthUnit;
 use slicewalk::{Error, NoMonitor};
+use slicewalk_base::disk::testing::{Call, Hooked};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -64,7 +66,7 @@ fn rules(bytes: Vec<u8>) -> Vec<&'static str> {
 /// Findings of `verify`.
 fn findings(bytes: Vec<u8>) -> Vec<String> {
     let mut said = Vec::new();
-    Archive::from_bytes(bytes).unwrap().verify(&NoMonitor, &mut |finding| said.push(finding.expected)).unwrap();
+    Archive::from_bytes(bytes).unwrap().verify(&NoMonitor, &mut |finding| said.push(finding.to_string())).unwrap();
     said
 }
 
@@ -172,7 +174,8 @@ fn pages_of(archive: &Archive) -> Pages {
 
 #[test]
 fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
-    let bytes = with_levels(city());
+    let totals = Totals { units: vec![LengthUnit::of(0.3048)], ..totals() };
+    let bytes = archive_with_levels(&plan(), &(city(), totals.clone()), None);
     let archive = Archive::from_bytes(bytes.clone()).unwrap();
     let fetch = |range: std::ops::Range<u64>| bytes[range.start as usize..range.end as usize].to_vec();
     // Only head and footer, the table and the level are read.
@@ -211,7 +214,12 @@ fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
         }
         assert_eq!(loader.outcome(request).unwrap().unwrap().loaded, keys.len());
     }
-    let without = Archive::from_bytes(archive_of(&plan(), &(city(), totals()), None)).unwrap();
+    let mut metadata = fetch(catalog.metadata_range());
+    assert_eq!(catalog.decode_crs(&metadata).unwrap(), totals.crs);
+    assert_eq!(catalog.decode_units(&metadata).unwrap(), totals.units);
+    metadata[9] ^= 1;
+    assert!(catalog.decode_units(&metadata).unwrap_err().to_string().contains("rule M1"));
+    let without = Archive::from_bytes(archive_of(&plan(), &(city(), totals), None)).unwrap();
     assert_eq!((without.catalog().levels_section(), without.catalog().levels_range()), (None, None));
     assert!(without.catalog().decode_levels(&[]).unwrap().is_empty());
 }
@@ -359,6 +367,65 @@ fn voxels_of_levels_have_the_mean_colours_of_the_voxels_in_them() {
         let voxels = archive.header().colours.unwrap().voxels;
         assert_eq!(voxels, all.len() as u64, "the archive's own");
     }
+}
+
+#[test]
+fn colours_of_more_pages_than_a_leaf_lists_come_back() {
+    let one = page([((3, 4), vec![Span::new(40, 50, true).unwrap()])]);
+    let pages: Pages = (0..4100).map(|layer| (key(0, 0, layer), one.clone())).collect();
+    let plan_of_colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
+    let red = |layer: i32| layer as u16 * 15;
+    let made = (pages, Totals::default());
+    let bytes = archive_in_colour(&plan(), &made, plan_of_colours, true, None, |_, key, _| {
+        vec![(key.layer % 2 == 0).then_some([red(key.layer), 0, 65_535])]
+    });
+    assert_eq!(rules(bytes.clone()), [""; 0]);
+    let archive = Archive::from_bytes(bytes).unwrap();
+    let (header, mut reader) = (archive.header(), ColourReader::new(&archive).unwrap().unwrap());
+    assert_eq!((archive.leaf_count(), reader.bytes()), (2, header.colours_offset()..header.levels_offset()));
+    for entry in archive.entries().map(Result::unwrap) {
+        // 16 bits become 8, to the nearest.
+        let expected = [((u32::from(red(entry.key.layer)) + 128) / 257) as u8, 0, 255, 255];
+        let expected = if entry.key.layer % 2 == 0 { expected } else { [0; 4] };
+        assert_eq!(reader.colours(&entry).unwrap().values(), [expected], "{}", entry.key);
+    }
+}
+
+/// One voxel of the archive has a colour. Its solid is the boundary below its slice alone; in the level it joins solid
+/// that ends there, so the voxel of the level that the colour would be of is not occupied.
+#[test]
+fn colours_on_a_boundary_may_belong_to_no_voxel_of_a_level() {
+    let span = |bottom, top| vec![Span::new(bottom, top, false).unwrap()];
+    let content = page([((0, 0), span(900, 1020)), ((1, 0), span(1020, 1020))]);
+    let made = ([(key(0, 0, 0), content), (key(1, 0, 0), page([((9, 9), span(5, 9))]))].into(), Totals::default());
+    let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
+    let bytes = archive_in_colour(&plan(), &made, colours, true, None, |_, key, occupancy| {
+        occupancy.voxels().map(|(_, slice)| (key.tx == 0 && slice == 4).then_some([9000; 3])).collect()
+    });
+    assert_eq!(rules(bytes.clone()), [""; 0]);
+    let archive = Archive::from_bytes(bytes).unwrap();
+    assert_eq!(colours_of(&archive), BTreeMap::from([([1, 0, 4], [35; 3])]));
+    assert_eq!(colours_of(&archive.level(1).unwrap()), BTreeMap::new());
+}
+
+#[test]
+fn colours_that_an_archive_lacks_are_refused() {
+    let plain = Archive::from_bytes(with_levels(city())).unwrap();
+    let said = plain.catalog().decode_colour_table(&[]).unwrap_err().to_string();
+    assert!(said.contains("rule K2") && said.contains("without"), "{said}");
+    let level = plain.level(1).unwrap();
+    assert_eq!(&level.catalog().with_level_colours(&[]).unwrap(), level.catalog());
+    let coloured = Archive::from_bytes(archive_coloured_by_place(&(city(), totals()), 2000, true, None)).unwrap();
+    let said = coloured.level(1).unwrap().catalog().with_level_colours(&[0; 3]).unwrap_err().to_string();
+    assert!(said.contains("rule K11") && said.contains("3 bytes"), "{said}");
+    let mut reader = ColourReader::new(&coloured).unwrap().unwrap();
+    let keys: Vec<_> = coloured.entries().map(|entry| entry.unwrap().key).collect();
+    // Before all pages, and between two of them.
+    for unknown in [key(-1 << 30, -1 << 30, 0), key(keys[7].tx, keys[7].ty, keys[7].layer + 9)] {
+        let said = reader.find(unknown).unwrap_err().to_string();
+        assert!(!keys.contains(&unknown) && said.contains("no such page"), "{unknown}: {said}");
+    }
+    assert!(reader.find(keys[7]).is_ok());
 }
 
 #[test]
@@ -542,6 +609,135 @@ fn without_last_level(parts: &Parts) -> Vec<u8> {
     less.build(|head| head[325] -= 1)
 }
 
+/// The archive, which has one level of one leaf, with the level's pages, its leaf and its record in the table changed,
+/// and valid lengths and checksums.
+fn with_level(parts: &Parts, change: impl FnOnce(&mut Vec<u8>, &mut Vec<u8>, &mut Vec<u8>)) -> Vec<u8> {
+    let [levels_len, table_len] = [328, 336].map(|at| word(&parts.head, at));
+    let (rest, level) = parts.pages.split_at(parts.pages.len() - levels_len);
+    let (level, table) = level.split_at(levels_len - table_len);
+    let unpacked = |frame: &[u8]| Unpacker::new().unpack(frame, 1 << 20, "").unwrap().to_vec();
+    let mut record = unpacked(table);
+    assert_eq!(record.len(), RECORD);
+    let (pages, leaf) = level.split_at(word(&record, 0));
+    let (mut pages, mut leaf) = (pages.to_vec(), unpacked(leaf));
+    change(&mut pages, &mut leaf, &mut record);
+    let (mut stored, mut table) = (Vec::new(), Vec::new());
+    pack(&leaf, &mut stored);
+    put(&mut record, 0, pages.len() as u64, 8);
+    put(&mut record, 8, stored.len() as u64, 8);
+    // The leaf's record follows the fixed fields; lengths and checksum end it.
+    for (at, value) in [(56, stored.len() as u32), (60, leaf.len() as u32), (64, crc32c::crc32c(&stored))] {
+        put(&mut record, at, value.into(), 4);
+    }
+    pack(&record, &mut table);
+    let mut head = parts.head.clone();
+    put(&mut head, 328, (pages.len() + stored.len() + table.len()) as u64, 8);
+    put(&mut head, 336, table.len() as u64, 4);
+    put(&mut head, 340, crc32c::crc32c(&table).into(), 4);
+    let pages = [rest, &pages, &stored, &table].concat();
+    Parts { head, pages, ..parts.clone() }.build(|_| ())
+}
+
+/// Archives with a level of one page that breaks a rule: their names, the rules, the bytes.
+pub fn damaged_levels() -> Vec<(&'static str, &'static str, Vec<u8>)> {
+    let content = page([((3, 4), vec![Span::new(40, 50, true).unwrap()])]);
+    let bytes = with_levels([key(0, 0, 0), key(1, 0, 0)].map(|key| (key, content.clone())).into());
+    let parts = Parts::of(&bytes);
+    assert!(with_level(&parts, |_, _, _| ()) == bytes);
+    // Recomputes the checksum of the page, and its length and checksum in the leaf.
+    let seal = |pages: &mut Vec<u8>, leaf: &mut Vec<u8>| {
+        let own = Parts { head: Vec::new(), pages: pages.clone(), leaf: leaf.clone(), metadata: Vec::new() };
+        Parts { pages: *pages, leaf: *leaf, .. } = own.with_leader();
+    };
+    // Heights of levels have a grid of their own.
+    let level = Archive::from_bytes(bytes.clone()).unwrap().level(1).unwrap();
+    let mut other = Vec::new();
+    Encoder::new(plan().frame, 0).encode(&pages_of(&level)[&key(0, 0, 0)], &mut other);
+    vec![
+        (
+            "gap-before-page-of-level",
+            "D9",
+            with_level(&parts, |pages, leaf, _| {
+                pages.insert(0, 0);
+                leaf[0] = 1;
+            }),
+        ),
+        ("bytes-left-behind-page-of-level", "D9", with_level(&parts, |pages, _, _| pages.push(0))),
+        (
+            "shared-page-of-level",
+            "D10",
+            with_level(&parts, |pages, leaf, _| {
+                // The base, the storage, and behind the length the distance back.
+                (leaf[0], leaf[3]) = (pages.len() as u8, 1);
+                leaf.insert(13, pages.len() as u8);
+            }),
+        ),
+        (
+            "page-of-level-that-begins-as-another",
+            "P1",
+            with_level(&parts, |pages, leaf, _| {
+                pages[..4].copy_from_slice(b"\x89PAG");
+                seal(pages, leaf);
+            }),
+        ),
+        (
+            "not-the-one-encoding-of-level",
+            "P10",
+            with_level(&parts, |pages, leaf, _| {
+                assert_ne!(pages[24..], other);
+                pages.truncate(24);
+                pages.extend(other);
+                let len = pages.len() as u64 - 24;
+                put(pages, 16, len, 4);
+                seal(pages, leaf);
+            }),
+        ),
+        (
+            "pages-of-level-miscounted",
+            "L5",
+            with_level(&parts, |_, _, record| {
+                // Stored, uniform.
+                put(record, 16, 0, 8);
+                put(record, 24, 1, 8);
+            }),
+        ),
+    ]
+}
+
+#[test]
+fn damage_of_pages_of_levels_is_named_at_its_place() {
+    for (name, rule, bytes) in damaged_levels() {
+        let archive = Archive::from_bytes(bytes).unwrap();
+        // The page follows the gap; else it begins the level.
+        let at = archive.levels().unwrap()[0].bytes().start + u64::from(name == "gap-before-page-of-level");
+        let mut found = Vec::new();
+        let mut list = |finding: Finding| found.push((finding.rule, finding.part, finding.offset));
+        archive.verify(&NoMonitor, &mut list).unwrap();
+        let [(found_rule, part, offset)] = &found[..] else { panic!("{name}: {found:?}") };
+        assert_eq!((*found_rule, *offset), (rule, at), "{name}");
+        assert!(part.ends_with("level 1"), "{name}: {part}");
+    }
+}
+
+#[test]
+fn temporary_files_that_fail_are_findings_of_their_own() {
+    // More spans in a column of level 1 than are sorted in memory.
+    let content = page((0..256).map(|at| {
+        let bottoms = (0..16).map(|slice| 1020 * slice + 340);
+        ((at % 16 * 4, at / 16 * 4), bottoms.map(|bottom| Span::new(bottom, bottom + 300, false).unwrap()).collect())
+    }));
+    let bytes = with_levels((0..40).map(|layer| (key(0, 0, layer), content.clone())).collect());
+    assert_eq!(rules(bytes.clone()), [""; 0]);
+    for fails in [Call::Create, Call::Write, Call::Read] {
+        let disk = Hooked::real(move |call| match call == fails {
+            true => Err(std::io::Error::other("the disk is broken")),
+            false => Ok(()),
+        });
+        let found = slicewalk_base::disk::with(disk, || findings(bytes.clone()));
+        assert!(matches!(&found[..], [one] if one.contains("S1") && one.contains("broken")), "{fails:?}: {found:?}");
+    }
+}
+
 #[test]
 fn levels_that_are_not_those_of_the_pages_are_found() {
     assert_eq!(rules(with_levels_of(city(), city())), [""; 0]);
@@ -562,6 +758,14 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     more.insert(key(3, 900, 0), more.values().next().unwrap().clone());
     let found = findings(with_levels_of(city(), more));
     assert!(found.iter().any(|said| said.contains("no more pages: the level below is empty there")), "{found:?}");
+    // One before all of them.
+    let mut more = city();
+    more.insert(key(-40, -40, 0), more.values().next().unwrap().clone());
+    let found = findings(with_levels_of(city(), more));
+    assert!(
+        found.iter().any(|said| said.contains("rule L5") && said.contains("found page (-10, -10, 0)")),
+        "{found:?}"
+    );
     // The last level is missing, and nothing else is wrong.
     assert_eq!(rules(without_last_level(&Parts::of(&with_levels(city())))), ["L5"]);
     // Numbers in the head.
@@ -597,6 +801,14 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
         0
     });
     assert!(refusal(longer.build(|_| ())).contains("rule L3"));
+    // No level has pixels of 4,000,000 m.
+    let coarse = parts.build(|head| {
+        put(head, 56, 1e6f64.to_bits(), 8);
+        let hash = xxhash_rust::xxh3::xxh3_128(&head[56..128]);
+        head[40..56].copy_from_slice(&hash.to_le_bytes());
+    });
+    let said = refusal(coarse);
+    assert!(said.contains("rule L4") && said.contains("at most 1000000 m"), "{said}");
     // A byte of the last level's directory is missing before the table.
     assert!(refusal(with_table(&parts, |_| 1).build(|_| ())).contains("rule L4"));
 }

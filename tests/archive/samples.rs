@@ -4,6 +4,7 @@
 //! `SLICEWALK_SAMPLES=write cargo test --test archive samples` regenerates them.
 
 use crate::common;
+use crate::levels::damaged_levels;
 mod damaged;
 mod damaged_seen;
 mod good;
@@ -19,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// Every sample: its name, its bytes, and the rule that it breaks.
 fn all() -> Vec<(String, Vec<u8>, Option<&'static str>)> {
     let good = good::all().into_iter().map(|(name, bytes)| (name.to_string(), bytes, None));
-    let damaged = damaged::all().into_iter().chain(damaged_seen::all());
+    let damaged = damaged::all().into_iter().chain(damaged_seen::all()).chain(damaged_levels());
     good.chain(damaged.map(|(name, rule, bytes)| (format!("damaged-{name}"), bytes, Some(rule)))).collect()
 }
 

@@ -5,6 +5,7 @@
 use super::super::catalog::Catalog;
 use super::super::colour_check::ColourCheck;
 use super::super::directory::{LeafEntries, PageEntry, Storage};
+use super::super::head::Pages;
 use super::super::page_coding::{LEVEL_MAGIC, PageDecoder, PageEncoder};
 use super::super::reader::Archive;
 use super::build::LevelBuilder;
@@ -41,6 +42,8 @@ struct Checked<'a> {
     catalog: &'a Catalog,
     leaf: usize,
     entries: Option<LeafEntries>,
+    /// Entries read up to now.
+    pages: Pages,
     /// Where the next stored page begins (byte offset).
     next: u64,
     /// True after the first finding; a level reports only one.
@@ -58,6 +61,7 @@ impl<'a> LevelCheck<'a> {
             catalog: level.catalog(),
             leaf: 0,
             entries: None,
+            pages: Pages::default(),
             next: level.bytes().start,
             broken: false,
             colours: None,
@@ -121,7 +125,10 @@ impl<'a> LevelCheck<'a> {
                     levels[count..].iter_mut().for_each(|level| level.broken = true);
                 }
                 Ok(_) => {}
-                Err(error) => scratch.found.push(error),
+                Err(error) => {
+                    scratch.found.push(error);
+                    *comparing = false;
+                }
             }
         }
         for level in levels.iter_mut().filter(|level| !level.broken) {
@@ -158,7 +165,13 @@ impl Checked<'_> {
         loop {
             if let Some(entries) = &mut self.entries {
                 if let Some(entry) = entries.next() {
-                    return entry.map(Some);
+                    let entry = entry?;
+                    match entry.storage {
+                        Storage::Stored(_) => self.pages.stored += 1,
+                        Storage::Shared(_) => self.pages.shared += 1,
+                        Storage::Uniform(_) => self.pages.uniform += 1,
+                    }
+                    return Ok(Some(entry));
                 }
                 self.entries = None;
             }
@@ -210,31 +223,30 @@ impl Checked<'_> {
     /// Reads a page; checks that it lies where it must and has the canonical encoding.
     fn page(&mut self, entry: &PageEntry, Scratch { decoder, encoder, bytes, .. }: &mut Scratch) -> Result<Page> {
         bytes.clear();
-        let name = format!("page {} of level {}", entry.key, self.number);
+        let (name, at) = (format!("page {} of level {}", entry.key, self.number), entry.bytes().start);
         if let Storage::Stored(extent) = entry.storage {
-            let expected = std::mem::replace(&mut self.next, extent.offset + u64::from(extent.len));
-            if extent.offset != expected {
-                let wrong = Violation::new("D9", format!("the page at byte {expected}"), extent.offset);
-                return Err(wrong.at(name, extent.offset));
+            let expected = std::mem::replace(&mut self.next, at + u64::from(extent.len));
+            if at != expected {
+                return Err(Violation::new("D9", format!("the page at byte {expected}"), at).at(name, at));
             }
             bytes.resize(extent.len as usize, 0);
-            self.source.read_at(extent.offset, bytes)?;
-        } else if let Storage::Shared(extent) = entry.storage {
-            return Err(Violation::new("D10", "no shared page in a level", "one").at(name, extent.offset));
+            self.source.read_at(at, bytes)?;
+        } else if let Storage::Shared(_) = entry.storage {
+            return Err(Violation::new("D10", "no shared page in a level", "one").at(name, at));
         }
         let page = decoder.decode(entry, bytes)?;
         let one = bytes.is_empty() || encoder.gives(&page, &Inferred::NONE, bytes);
         match bytes.get(..4) {
             Some(magic) if magic != LEVEL_MAGIC => {
-                Err(Violation::new("P1", "the magic of a page of a level", "another").at(name, self.next))
+                Err(Violation::new("P1", "the magic of a page of a level", "another").at(name, at))
             }
-            _ if !one => Err(Violation::new("P10", "the one encoding of its content", "another").at(name, self.next)),
+            _ if !one => Err(Violation::new("P10", "the one encoding of its content", "another").at(name, at)),
             _ => Ok(page),
         }
     }
 
-    /// Checks the remaining entries, of which there must be none if all were `compared`, and that the pages end where
-    /// they must.
+    /// Checks the remaining entries, of which there must be none if all were `compared`, then that the table counts the
+    /// pages, and that these end where they must.
     fn rest(&mut self, compared: bool, scratch: &mut Scratch) -> Result<()> {
         while let Some(entry) = self.next_entry(scratch)? {
             if compared {
@@ -245,7 +257,11 @@ impl Checked<'_> {
             self.page_colours(entry.key, &page, None, scratch);
         }
         self.colours_end(compared, scratch);
-        let end = self.catalog.header().colours_offset();
+        let (header, counted) = (self.catalog.header(), self.pages);
+        if compared && header.pages != counted {
+            return Err(self.error(Violation::new("L5", format!("{counted:?}"), format!("{:?}", header.pages))));
+        }
+        let end = header.colours_offset();
         match self.next == end {
             true => Ok(()),
             false => Err(self.error(Violation::new("D9", format!("pages up to byte {end}"), self.next))),

@@ -2,10 +2,10 @@
 
 use crate::common::forge::{Parts, put, word};
 use crate::common::{archive, archive_in_colour, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
-use slicewalk::archive::{Archive, Totals};
+use slicewalk::archive::{Archive, ColourReader, Totals};
 use slicewalk::codec::{Encoder, Packer, put_varint};
 use slicewalk::colour::{ColourPlan, ColourScale};
-use slicewalk::frame::Frame;
+use slicewalk::frame::{Frame, PageKey};
 use slicewalk::page::Span;
 use slicewalk::plan::{Plan, PlanOptions};
 
@@ -47,6 +47,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("flipped-in-footer", "F2", flipped(start(4) + 2)),
         ("foreign-footer", "F3", [&good[..start(4)], &archive(&scene())[archive(&scene()).len() - 24..]].concat()),
         ("bytes-behind-the-root", "H10", behind_the_root(&parts)),
+        ("root-without-room", "R1", two_leaves(&parts)),
         ("next-major-version", "H4", parts.build(|head| put(head, 8, 2, 2))),
         ("unknown-feature", "H5", parts.build(|head| put(head, 16, 1 << 40, 8))),
         ("wrong-plan", "H7", parts.build(|head| put(head, 64, 0.5f64.to_bits(), 8))),
@@ -107,6 +108,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("colours-miscounted", "K10", coloured.build(|head| put(head, 360, 1, 8))),
         ("flipped-in-colours-of-levels", "K11", colours_of_levels(|own, _| own[3] ^= 2)),
         ("colours-of-levels-of-others", "K12", colours_of_levels(|own, other| own.copy_from_slice(other))),
+        ("level-without-its-colours", "K12", level_without_colours()),
         ("unordered-metadata", "M2", metadata(b"zzzz\0\0\0\0aaaa\0\0\0\0")),
         ("crs-not-utf-8", "M3", metadata(b"CRS \x01\0\0\0\xFF")),
         ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
@@ -137,6 +139,15 @@ fn behind_the_root(parts: &Parts) -> Vec<u8> {
     parts.build(|head| {
         let len = head.len() as u64;
         put(head, 12, len, 4);
+    })
+}
+
+/// The head states as many pages as need two leaves, and has room for the record of one.
+fn two_leaves(parts: &Parts) -> Vec<u8> {
+    parts.build(|head| {
+        // Tiles, voxels, stored pages.
+        [224, 248, 264].into_iter().for_each(|at| put(head, at, 4097, 8));
+        put(head, 320, 2, 4);
     })
 }
 
@@ -178,13 +189,67 @@ fn with_colours(parts: &Parts, change: impl FnOnce(&mut Colours)) -> Vec<u8> {
     })
 }
 
-/// Two pages in colour, with the table and the colours of their level changed; those of other colours are as long.
-fn colours_of_levels(change: impl FnOnce(&mut [u8], &[u8])) -> Vec<u8> {
+/// Two pages of one voxel in colour, with their level.
+fn two_in_colour(red: u16) -> Vec<u8> {
     let one = page([((3, 4), vec![Span::new(40, 50, true).unwrap()])]);
     let made = ([key(0, 0, 0), key(1, 0, 0)].map(|key| (key, one.clone())).into(), Totals::default());
     let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
-    let [mut own, other] = [9000, 9257]
-        .map(|red| archive_in_colour(&plan(), &made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])]));
+    archive_in_colour(&plan(), &made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])])
+}
+
+/// Two pages in colour, whose level has none.
+fn level_without_colours() -> Vec<u8> {
+    let bytes = two_in_colour(9000);
+    let archive = Archive::from_bytes(bytes.clone()).unwrap();
+    let [own, mut of_level] = [&archive, &archive.level(1).unwrap()].map(|archive| {
+        let mut reader = ColourReader::new(archive).unwrap().unwrap();
+        let mut block = |key: PageKey| {
+            let range = reader.find(key).unwrap().range();
+            (key, bytes[range.start as usize..range.end as usize].to_vec())
+        };
+        archive.entries().map(|entry| block(entry.unwrap().key)).collect::<Vec<_>>()
+    });
+    let parts = Parts::of(&bytes);
+    let start = archive.header().colours_offset() as usize - parts.head.len();
+    let end = start + word(&parts.head, 352);
+    let build = |of_level: &[(PageKey, Vec<u8>)], voxels: u64| {
+        let (part, crc) = colour_section(0, of_level);
+        let mut table = [part.len() as u64, voxels].map(u64::to_le_bytes).concat();
+        table.extend(crc.to_le_bytes());
+        table.extend(crc32c::crc32c(&table).to_le_bytes());
+        let (section, crc) = colour_section(table.len() + part.len(), &own);
+        let colours = [table, part, section].concat();
+        let pages = [&parts.pages[..start], &colours, &parts.pages[end..]].concat();
+        Parts { pages, ..parts.clone() }.build(|head| {
+            put(head, 352, colours.len() as u64, 8);
+            put(head, 368, crc.into(), 4);
+        })
+    };
+    assert!(build(&of_level, 2) == bytes);
+    of_level.iter_mut().for_each(|(_, block)| block.clear());
+    build(&of_level, 0)
+}
+
+/// Blocks of the pages of one leaf, whose first begins at byte `base` of the section, with their leaf and its table;
+/// and the checksum of the table.
+fn colour_section(base: usize, blocks: &[(PageKey, Vec<u8>)]) -> (Vec<u8>, u32) {
+    let mut raw = Vec::new();
+    put_varint(&mut raw, base as u64);
+    blocks.iter().for_each(|(_, block)| put_varint(&mut raw, block.len() as u64));
+    for (key, block) in blocks.iter().filter(|(_, block)| !block.is_empty()) {
+        let key = [key.tx, key.ty, key.layer].map(i32::to_le_bytes).concat();
+        raw.extend(crc32c::crc32c(&[&key[..], block].concat()).to_le_bytes());
+    }
+    let mut stored = Vec::new();
+    Packer::new().pack(&raw, &mut stored);
+    let table = [stored.len() as u32, raw.len() as u32, crc32c::crc32c(&stored)].map(u32::to_le_bytes).concat();
+    let blocks: Vec<u8> = blocks.iter().flat_map(|(_, block)| block).copied().collect();
+    ([&blocks[..], &stored, &table].concat(), crc32c::crc32c(&table))
+}
+
+/// Two pages in colour, with the table and the colours of their level changed; those of other colours are as long.
+fn colours_of_levels(change: impl FnOnce(&mut [u8], &[u8])) -> Vec<u8> {
+    let [mut own, other] = [9000, 9257].map(two_in_colour);
     let archive = Archive::from_bytes(own.clone()).unwrap();
     let (header, first) = (archive.header(), archive.catalog().colour_table_range().unwrap().start);
     let (start, end) = (header.colours_offset() as usize, first as usize);

@@ -32,6 +32,9 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("flipped-in-table-of-seen-space", "V2", flipped(&sound(), 42)),
         ("seen-space-out-of-order", "V2", Section::of(&[block(key(0, 0, 0)), block(key(0, 0, 0))]).archive()),
         ("seen-space-beyond-the-grid", "V2", Section::of(&[block(key(0, 0, 1 << 24))]).archive()),
+        ("seen-space-beyond-all-columns", "V2", beyond_all_columns()),
+        ("seen-block-of-no-bytes", "V2", made(&|section| section.blocks[0].len = Some(0))),
+        ("seen-block-longer-than-any", "V2", made(&|section| section.blocks[0].len = Some(135_185))),
         ("seen-space-of-65-pages", "V2", made(&|section| section.blocks[0].pages = 65)),
         ("bytes-left-in-table-of-seen-space", "V2", made(&|section| section.left_in_table = 1)),
         ("bytes-left-in-seen-space", "V2", made(&|section| section.left = 1)),
@@ -69,12 +72,22 @@ fn with_seen(head: &mut [u8]) {
     put(head, 24, 4, 8);
 }
 
+/// Two blocks, the second of which lies more columns from the first than there are.
+fn beyond_all_columns() -> Vec<u8> {
+    let mut section = Section::of(&[block(key(0, 0, 0)), block(key(1, 0, 0))]);
+    section.blocks[1].columns = Some(u64::MAX);
+    section.archive()
+}
+
 /// A block, and what the table says of it.
 #[derive(Clone)]
 struct Block {
     key: PageKey,
     raw: Vec<u8>,
     pages: u8,
+    /// Columns from the block before, and length, in place of the truth.
+    columns: Option<u64>,
+    len: Option<u64>,
     /// True if a bit of its bytes is flipped.
     flips: bool,
 }
@@ -99,7 +112,7 @@ impl Section {
         let made = |block: &SeenBlock| {
             let mut raw = [block.full, block.mixed].map(u64::to_le_bytes).concat();
             block.pages.iter().for_each(|page| page.encode(&mut raw));
-            Block { key: block.key, raw, pages: block.pages.len() as u8, flips: false }
+            Block { key: block.key, raw, pages: block.pages.len() as u8, columns: None, len: None, flips: false }
         };
         Self {
             blocks: blocks.iter().map(made).collect(),
@@ -122,14 +135,14 @@ impl Section {
             pack(&block.raw, &mut section);
             let key = [block.key.tx, block.key.ty, block.key.layer].map(i32::to_le_bytes);
             let crc = crc32c::crc32c_append(crc32c::crc32c(key.as_flattened()), &section[start..]);
-            put_varint(&mut lens, (section.len() - start) as u64);
+            put_varint(&mut lens, block.len.unwrap_or((section.len() - start) as u64));
             checksums.extend(crc.to_le_bytes());
             section[start] ^= u8::from(block.flips);
         }
         section.resize(section.len() + self.left, 0);
         let (mut column, mut group) = (0, 0);
         for block in &self.blocks {
-            put_varint(&mut table, block.key.column() - column);
+            put_varint(&mut table, block.columns.unwrap_or(block.key.column() - column));
             column = block.key.column();
         }
         for block in &self.blocks {
