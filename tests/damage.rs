@@ -6,14 +6,18 @@ mod common;
 
 use common::content::rule_of;
 use common::forge::{Parts, put, word};
-use common::{archive, archive_of, plan, read_all, scene, two_pixels};
+use common::{archive, archive_coloured_by_place, archive_of, plan, read_all, scene, two_pixels};
 use proptest::prelude::*;
 use slicewalk::archive::{Archive, Finding, LISTED, Shard, Totals};
+use slicewalk::bytes::MemorySource;
+use slicewalk::bytes::testing::{Fault, FaultySource};
 use slicewalk::codec::Encoder;
 use slicewalk::frame::Frame;
 use slicewalk::page::{PageBuilder, Span};
 use slicewalk::{Error, NoMonitor};
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Records the largest allocation.
@@ -420,6 +424,10 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     assert_eq!(rules(&with(vec![0; 3 << 20]).build(|_| ())), ["D2"]);
     assert_eq!(rules(&parts.build(|head| put(head, 384 + 20, 18, 4))), ["D2"]);
     assert_eq!(rules(&parts.build(|head| head[384 + 24] ^= 1)), ["D1"]);
+    // The leaf passes over a byte before its page.
+    let mut gap = with([&[1][..], &parts.leaf[1..]].concat());
+    gap.pages.insert(0, 0);
+    assert_eq!(rules(&gap.build(|_| ())), ["D9"]);
 
     // In the scene, page 5 in order shares the bytes of an earlier page; make it point between two pages.
     let parts = Parts::of(&archive(&scene()));
@@ -433,6 +441,57 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     leaf[at] ^= 1;
     let found = rules(&Parts { leaf, ..parts.clone() }.build(|_| ()));
     assert!(found[0] == "D10", "{found:?}");
+}
+
+/// What a lost leaf lists is unknown, so nothing else is taken for damage: neither the pages of the next leaf that share
+/// the bytes of one of its pages, nor the colours of its pages.
+#[test]
+fn a_lost_leaf_is_one_finding() {
+    for mut bytes in [common::sharing(), archive_coloured_by_place(&scene(), 0, true, None)] {
+        let leaf = Archive::from_bytes(bytes.clone()).unwrap().header().directory_offset() as usize;
+        bytes[leaf + 9] ^= 1;
+        assert_eq!(rules(&bytes), ["D1"]);
+    }
+}
+
+#[test]
+fn bytes_that_cannot_be_read_are_findings_and_taken_for_no_damage() {
+    // The first page has the bytes of all pages, or its own.
+    for (bytes, alike) in [(common::sharing(), 5000), (archive_coloured_by_place(&scene(), 0, true, None), 1)] {
+        let header = Archive::from_bytes(bytes.clone()).unwrap().header().clone();
+        let ends = [
+            header.pages_offset(),
+            header.colours_offset(),
+            header.levels_offset(),
+            header.directory_offset(),
+            header.metadata_offset(),
+            header.metadata_offset() + header.bytes.metadata,
+        ];
+        let sections = ends.windows(2).filter(|ends| ends[0] < ends[1]);
+        // Sections begin with a page or with the colours of levels, and end with tables.
+        let places = sections.flat_map(|ends| [ends[0], ends[0] + (ends[1] - ends[0]) / 2, ends[1] - 1]);
+        for at in places {
+            let source = Arc::new(FaultySource::new(MemorySource::new(&bytes[..])));
+            let archive = Archive::from_source(Box::new(source.clone())).unwrap();
+            source.set(Fault::Fail, at..at + 1);
+            let mut found = Vec::new();
+            let summary = archive.verify(&NoMonitor, &mut |finding| found.push(finding)).unwrap();
+            assert!(!found.is_empty() && found.iter().all(|finding| finding.rule == "S1"), "byte {at}: {found:?}");
+            assert!(at != header.pages_offset() || summary.findings == alike, "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn verification_is_of_whole_archives() {
+    let sample =
+        |name: &str| Archive::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/samples").join(name)).unwrap();
+    let verified = |archive: &Archive| archive.verify(&NoMonitor, &mut |finding| panic!("{finding}"));
+    let whole = verified(&sample("holes.slices")).unwrap();
+    assert!(whole.voxels.inferred > 0);
+    assert_eq!(verified(&sample("holes.slices").ignoring_inferred()).unwrap(), whole);
+    let refused = verified(&sample("levels.slices").level(1).unwrap()).unwrap_err().to_string();
+    assert!(refused.contains("level 1: verify the archive that it is a level of"), "{refused}");
 }
 
 #[test]
@@ -480,6 +539,10 @@ fn metadata_with_right_checksums_and_wrong_records_are_found() {
     assert_eq!(with(b"CRS \xFF\xFF\xFF\xFF"), ["M2"]);
     assert_eq!(with(b"CRS \x01\0\0\0\xFF"), ["M3"]);
     assert_eq!(with(b"zzzz\0\0\0\0"), [""; 0], "unknown records are skipped");
+    // The longest metadata, and one byte more.
+    let of_len = |len: u32| [&b"zzzz"[..], &(len - 8).to_le_bytes(), &vec![7; len as usize - 8]].concat();
+    assert_eq!(with(&of_len(1 << 20)), [""; 0]);
+    assert_eq!(with(&of_len((1 << 20) + 1)), ["H9"]);
     let part = |index: u32, count: u32, first: u64, last: u64| {
         let numbers = [&index.to_le_bytes()[..], &count.to_le_bytes(), &first.to_le_bytes(), &last.to_le_bytes()];
         [b"SHRD\x28\0\0\0", &numbers.concat()[..], &[7; 16]].concat()

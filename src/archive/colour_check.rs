@@ -59,10 +59,15 @@ impl ColourCheck {
                 Ok(())
             }
             Err(error) => {
-                (self.leaf, self.next) = (Vec::new(), None);
+                self.lose_leaf();
                 Err(error)
             }
         }
+    }
+
+    /// Forgets where blocks lie, because the colour leaf or the directory leaf is damaged.
+    pub fn lose_leaf(&mut self) {
+        (self.leaf, self.next) = (Vec::new(), None);
     }
 
     /// Returns where the colours of the leaf's next page, `key`, lie (rule K8), or `None` if unknown.

@@ -126,9 +126,12 @@ impl Archive {
                     return Err(Error::Interrupted);
                 }
                 pass.error(error, &format!("directory leaf {index}"), header.directory_offset());
-                // Where the pages of the next leaf begin is now unknown.
+                // Where the pages and colours of the next leaf begin is now unknown.
                 pass.next = None;
                 pass.lost_leaf = true;
+                if let Some(colours) = &mut pass.colours {
+                    colours.lose_leaf();
+                }
             }
         }
         pass.totals();
