@@ -27,7 +27,9 @@ pub fn edited_pages(archive: &Archive) -> Result<Option<BTreeMap<PageKey, Page>>
         }
         for (x, y) in (low[1]..=high[1]).flat_map(|y| (low[0]..=high[0]).map(move |x| (x, y))) {
             let tile = [x, y].map(i32::try_from);
-            let [Ok(x), Ok(y)] = tile else { return Err(Error::limit("tile of an edit", x.max(y), i32::MAX)) };
+            let [Ok(x), Ok(y)] = tile else {
+                return Err(Error::limit("tile of an edit", x.abs().max(y.abs()), i32::MAX));
+            };
             columns.entry([x, y]).or_default();
         }
     }
