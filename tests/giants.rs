@@ -9,7 +9,7 @@ use common::forge::giant;
 use common::{archive, two_pixels};
 use heap::measured;
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, extract, recover};
+use slicewalk::archive::{Archive, extract, recover, replace};
 use slicewalk::stats::Stats;
 use std::fs;
 
@@ -50,7 +50,10 @@ fn a_million_pages_in_a_thousand_bytes_take_memory_for_few() {
     fs::write(path("more.slices"), giant(&bytes, 5)).unwrap();
     let refused = recover(&path("more.slices"), None, &path("no.slices"), false, &NoMonitor).unwrap_err().to_string();
     assert!(refused.contains("more.slices") && refused.contains("4194304") && !path("no.slices").exists(), "{refused}");
-    let more = Archive::open(path("more.slices")).unwrap();
+    let [more, other, none] = ["more.slices", "giant.slices", "no.slices"].map(path);
+    let refused = replace(&more, &other, &region, &none, false, &NoMonitor).unwrap_err().to_string();
+    assert!(refused.contains("more.slices: directory") && refused.contains("4194304") && !none.exists(), "{refused}");
+    let more = Archive::open(more).unwrap();
     let refused = more.verify(&NoMonitor, &mut |finding| panic!("{finding}")).unwrap_err().to_string();
     assert!(
         refused.contains("5242880 is beyond the limit of 4194304") && refused.contains("larger pixels"),

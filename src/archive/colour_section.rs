@@ -452,7 +452,7 @@ pub struct ColourReader {
     occupancy: Occupancy,
     bytes: Vec<u8>,
     /// Index of the loaded leaf, its keys, and where their colours lie.
-    leaf: Option<(usize, Vec<PageKey>, Vec<ColourEntry>)>,
+    leaf: Option<(usize, Vec<(PageKey, ColourEntry)>)>,
 }
 
 impl ColourReader {
@@ -492,13 +492,16 @@ impl ColourReader {
     pub fn find(&mut self, key: PageKey) -> Result<ColourEntry> {
         let unknown = || Error::parameter(format!("page {key}"), "the archive has no such page");
         let index = self.archive.leaf_of(key).ok_or_else(unknown)?;
-        if self.leaf.as_ref().is_none_or(|leaf| leaf.0 != index) {
-            let keys = self.archive.leaf(index)?.into_iter().map(|entry| entry.key).collect();
-            self.leaf = Some((index, keys, self.leaf_entries(index)?));
-        }
-        let Some((_, keys, entries)) = &self.leaf else { return Err(unknown()) };
-        let at = keys.binary_search(&key).map_err(|_| unknown())?;
-        entries.get(at).copied().ok_or_else(unknown)
+        let leaf = match self.leaf.take().filter(|leaf| leaf.0 == index) {
+            Some(leaf) => leaf,
+            None => {
+                let keys = self.archive.leaf(index)?.into_iter().map(|entry| entry.key);
+                (index, keys.zip(self.leaf_entries(index)?).collect())
+            }
+        };
+        let (_, pages) = self.leaf.insert(leaf);
+        let at = pages.binary_search_by_key(&key, |page| page.0).map_err(|_| unknown())?;
+        Ok(pages[at].1)
     }
 
     /// Returns where the colours of the pages of directory leaf `index` lie. Takes one read.

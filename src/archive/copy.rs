@@ -152,4 +152,62 @@ mod tests {
         }
         archive.verify(&crate::NoMonitor, &mut |finding| panic!("{finding}")).unwrap();
     }
+
+    /// Puts `contents` in order in an archive with levels; `content` makes each. Verifies the archive and returns how
+    /// often each was made.
+    fn made(
+        copier: &mut Copier<usize>,
+        contents: impl Iterator<Item = usize>,
+        content: impl Fn(usize) -> Page,
+    ) -> HashMap<usize, u32> {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        writer.set_levels();
+        let (mut encoder, mut made) = (PageEncoder::of_plan(&plan), HashMap::new());
+        for (layer, number) in (0..).zip(contents) {
+            let key = PageKey { tx: 0, ty: 0, layer };
+            let placed = copier.put(&mut writer, key, number, EncodedColours::default(), || {
+                *made.entry(number).or_default() += 1;
+                Ok(Some(encoder.encode(key, &content(number))))
+            });
+            assert!(placed.unwrap().is_some());
+        }
+        writer.finish(Totals::default()).unwrap();
+        let archive = Archive::open(&target).unwrap();
+        archive.verify(&crate::NoMonitor, &mut |finding| panic!("{finding}")).unwrap();
+        made
+    }
+
+    #[test]
+    fn the_oldest_content_is_forgotten_first() {
+        let content = |number: usize| {
+            let mut builder = PageBuilder::default();
+            assert!(builder.set_column(number as u32, 0, &[Span::new(5, 9, false).unwrap()]));
+            builder.build()
+        };
+        let made = made(&mut Copier::knowing(2), [0, 1, 0, 2, 1, 0].into_iter(), content);
+        assert_eq!(made, HashMap::from([(0, 2), (1, 1), (2, 1)]));
+    }
+
+    #[test]
+    fn content_is_made_again_once_its_coarse_spans_are_dropped() {
+        // Sixteen spans in each pixel of level 1.
+        const SPANS: usize = 16 * 16 * 16;
+        let content = |number: usize| {
+            let mut builder = PageBuilder::default();
+            for pixel in 0..16 * 16 {
+                let bottoms = (0..16).map(|slice| 1020 * slice + 340 + number as u32);
+                let spans: Vec<_> = bottoms.map(|bottom| Span::new(bottom, bottom + 9, false).unwrap()).collect();
+                assert!(builder.set_column(pixel % 16 * 4, pixel / 16 * 4, &spans));
+            }
+            builder.build()
+        };
+        // All are kept up to the last one, which takes more than there is room for.
+        let last = COARSE_KEPT / SPANS;
+        let contents = (0..last).chain([0, last, 0, last, 0]);
+        let made = made(&mut Copier::new(), contents, content);
+        assert_eq!((made[&0], made[&1], made[&last]), (2, 1, 1));
+    }
 }

@@ -507,6 +507,31 @@ pub(super) mod tests {
         assert!(before_the_next.unwrap_err().to_string().contains("rule D4: directory leaf 3 at byte 9"));
     }
 
+    #[test]
+    fn steps_between_keys_must_lead_to_keys() {
+        let first = PageKey { tx: 0, ty: 0, layer: 5 };
+        let second = |across: u64, up: i64| {
+            let mut raw = vec![0];
+            [0, across, 0, zigzag(up)].into_iter().for_each(|number| put_varint(&mut raw, number));
+            raw.extend([UNIFORM; 2]);
+            raw.extend(span_bits(Span::new(5, 9, true).unwrap()).to_le_bytes().repeat(2));
+            Ok::<_, Error>(decode_leaf(&raw, 2, first, 0)?[1].key)
+        };
+        assert_eq!(second(0, 1).unwrap(), PageKey { layer: 6, ..first });
+        for (across, up, words) in [
+            (u64::MAX, 0, "columns after"),
+            (0, i64::MAX, "layers after"),
+            (0, i64::MIN, "layers after"),
+            (0, 1 << 40, "layers after"),
+            (0, 1 << 30, "page (0, 0, 1073741829) after"),
+            (0, 0, "page (0, 0, 5) after"),
+            (0, -1, "page (0, 0, 4) after"),
+        ] {
+            let said = second(across, up).unwrap_err().to_string();
+            assert!(said.contains("rule D4") && said.contains(words), "{across}, {up}: {said}");
+        }
+    }
+
     proptest! {
         #[test]
         fn leaves_round_trip(entries in entries()) {

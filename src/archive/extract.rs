@@ -138,7 +138,7 @@ fn pages(
     std::iter::from_fn(move || {
         let own = match entries.peek() {
             Some(Ok(entry)) => Some(entry.key),
-            Some(Err(_)) => return entries.next().map(|entry| entry.map(|entry| (entry.key, Some(entry), None))),
+            Some(Err(_)) => return entries.next().and_then(Result::err).map(Err),
             None => None,
         };
         let key = [own, edited.peek().map(|(key, _)| *key)].into_iter().flatten().min()?;

@@ -93,10 +93,8 @@ impl Opening {
         let file_len = self.file_len.or(self.stated_len()).unwrap_or(start.len() as u64);
         let (header, leaves) = head::decode(start, file_len)?;
         // A head that decodes leaves room for a footer after it.
-        let mut footer = [0; FOOTER];
-        if let Some(piece) = &self.footer {
-            footer.copy_from_slice(&piece.bytes);
-        }
+        let footer =
+            self.footer.as_ref().and_then(|piece| piece.bytes.first_chunk::<FOOTER>()).copied().unwrap_or_default();
         head::check_footer(&footer, file_len, &start[..header.bytes.head as usize])?;
         Ok(Opened::Ready(Box::new(Catalog::new(header, leaves))))
     }
@@ -248,6 +246,10 @@ mod tests {
             let (rounds, catalog) = requests(large, Opening::new(len));
             assert_eq!((rounds, catalog.unwrap().header()), (expected, header));
         }
+        // The first length counts.
+        let mut opening = Opening::new(Some(small.len() as u64));
+        opening.ends_at(100);
+        assert_eq!(requests(small, opening).1.unwrap().header(), &SMALL.0);
         // All bytes at once, requested or not.
         let mut opening = Opening::new(None);
         opening.give(0, large);

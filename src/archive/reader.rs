@@ -15,6 +15,7 @@ use crate::page::{Inferred, Page};
 use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
+use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -245,10 +246,8 @@ impl Archive {
         if leaf.start < ahead.0.start || leaf.end > ahead.0.end {
             let ends = (index..self.leaf_count()).map(|index| self.catalog.leaf_range(index).end);
             let end = ends.take_while(|end| end - leaf.start <= LEAVES).last().unwrap_or(leaf.end);
-            let is_lasting = |error: &Error| match error {
-                Error::Io { source, .. } => source.kind() != std::io::ErrorKind::TimedOut,
-                _ => false,
-            };
+            let is_lasting =
+                |error: &Error| matches!(error, Error::Io { source, .. } if source.kind() != ErrorKind::TimedOut);
             let bytes = match read(&*self.source, leaf.start..end) {
                 // Report a read error only for the leaf whose bytes fail.
                 Err(error) if end > leaf.end && is_lasting(&error) => read(&*self.source, leaf.clone())?,
@@ -317,21 +316,17 @@ impl<'a> PageReader<'a> {
 
     /// Reads the page of `entry`; see [`Archive::page`].
     pub fn page(&mut self, entry: &PageEntry) -> Result<&Page> {
+        Ok(self.page_and_inferred(entry)?.0)
+    }
+
+    /// Like [`page`](Self::page), and also returns which of its spans are inferred.
+    pub fn page_and_inferred(&mut self, entry: &PageEntry) -> Result<(&Page, &Inferred)> {
         let content = entry.content();
         let last = match self.last.take() {
             Some(last) if last.0 == content => last,
             _ => (content, self.archive.page_with(entry, &mut self.decoder)?),
         };
-        Ok(&self.last.insert(last).1)
-    }
-
-    /// Like [`page`](Self::page), and also returns which of its spans are inferred.
-    pub fn page_and_inferred(&mut self, entry: &PageEntry) -> Result<(&Page, &Inferred)> {
-        self.page(entry)?;
-        match &self.last {
-            Some((_, page)) => Ok((page, self.decoder.inferred())),
-            None => Err(Error::parameter("page", "was not read")),
-        }
+        Ok((&self.last.insert(last).1, self.decoder.inferred()))
     }
 }
 

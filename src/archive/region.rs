@@ -163,11 +163,12 @@ pub(super) fn runs_of(spans: &[Span], mask: u64, layers: i64) -> impl Iterator<I
 /// Adds the parts of `runs` in the page to `column`, and returns the mask of those that are inferred.
 pub(super) fn spans_of(runs: impl IntoIterator<Item = Run>, column: &mut Vec<Span>) -> u64 {
     let mut mask = 0;
-    for run in runs.into_iter().filter_map(|run| run.cut((0, PAGE_SLICES - 1))) {
-        if let Some(span) = Span::new(run.bottom as u32, run.top as u32, run.obstacle) {
-            mask |= u64::from(run.inferred) << (column.len() & 63);
-            column.push(span);
-        }
+    let parts = runs.into_iter().filter_map(|run| run.cut((0, PAGE_SLICES - 1)));
+    let spans =
+        parts.filter_map(|run| Some((Span::new(run.bottom as u32, run.top as u32, run.obstacle)?, run.inferred)));
+    for (span, inferred) in spans {
+        mask |= u64::from(inferred) << (column.len() & 63);
+        column.push(span);
     }
     mask
 }

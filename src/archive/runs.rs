@@ -81,15 +81,14 @@ impl Archive {
             };
             std::iter::once(own).chain(helpers.into_iter().map(join)).collect()
         });
-        let (mut pages, mut first) = (Vec::with_capacity(entries.len()), None::<(usize, Error)>);
+        let (mut pages, mut failed) = (Vec::with_capacity(entries.len()), Vec::new());
         for result in results {
             match result {
                 Ok(more) => pages.extend(more),
-                Err(failed) if first.as_ref().is_none_or(|first| failed.0 < first.0) => first = Some(failed),
-                Err(_) => {}
+                Err(error) => failed.push(error),
             }
         }
-        if let Some((_, error)) = first {
+        if let Some((_, error)) = failed.into_iter().min_by_key(|(number, _)| *number) {
             return Err(error);
         }
         pages.sort_unstable_by_key(|(number, _)| *number);
@@ -121,15 +120,51 @@ fn runs(entries: &[PageEntry], order: &[usize]) -> Vec<Run> {
 #[cfg(test)]
 mod tests {
     use super::super::directory::{Extent, Storage};
+    use super::super::{ArchiveWriter, PageEncoder, Totals};
     use super::*;
-    use crate::frame::PageKey;
-    use crate::page::{PageSize, Span};
+    use crate::NoMonitor;
+    use crate::bytes::testing::Strike;
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, PageSize, Span};
+    use crate::plan::Plan;
 
     fn entry(bytes: Range<u64>) -> PageEntry {
         let extent = Extent { offset: bytes.start, len: (bytes.end - bytes.start) as u32, crc: 0 };
         let span = Span::new(0, 255, false).unwrap();
         let storage = if bytes.is_empty() { Storage::Uniform(span) } else { Storage::Stored(extent) };
         PageEntry { key: PageKey { tx: 0, ty: 0, layer: 0 }, slices: 1, size: PageSize::UNIFORM, storage }
+    }
+
+    #[test]
+    fn the_failure_that_comes_first_in_the_file_is_reported_and_a_stop_ends_the_reading() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
+        let page = |layer: i32| {
+            let mut builder = PageBuilder::default();
+            assert!(builder.set_column(layer as u32, 0, &[Span::new(5, 9, false).unwrap()]));
+            builder.build()
+        };
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        let mut encoder = PageEncoder::of_plan(&plan);
+        for layer in 0..16 {
+            let key = PageKey { tx: 0, ty: 0, layer };
+            writer.put(key, encoder.encode(key, &page(layer))).unwrap();
+        }
+        writer.finish(Totals::default()).unwrap();
+        let mut bytes = std::fs::read(&target).unwrap();
+        let archive = Archive::from_bytes(bytes.clone()).unwrap();
+        // Every second page, which takes a read of its own; the last one first.
+        let entries: Vec<PageEntry> = archive.leaf(0).unwrap().into_iter().step_by(2).rev().collect();
+        let pages = archive.pages(&entries, &NoMonitor).unwrap();
+        assert!(pages.into_iter().eq((0..16).step_by(2).rev().map(page)));
+        assert!(matches!(archive.pages(&entries, &*Strike::at(3)), Err(Error::Interrupted)));
+        for entry in entries.iter().filter(|entry| entry.key.layer >= 6) {
+            bytes[entry.bytes().end as usize - 1] ^= 1;
+        }
+        let damaged = Archive::from_bytes(bytes).unwrap();
+        let said = damaged.pages(&entries, &NoMonitor).unwrap_err().to_string();
+        assert!(said.contains("rule P2: page (0, 0, 6)"), "{said}");
     }
 
     #[test]

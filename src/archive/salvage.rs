@@ -246,14 +246,39 @@ fn shifted(sum: u32, len: usize) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::page_coding::PageEncoder;
     use super::*;
     use crate::NoMonitor;
     use crate::bytes::MemorySource;
+    use crate::bytes::testing::{Fault, FaultySource, Strike};
+    use crate::frame::Frame;
+    use crate::page::{PageBuilder, Span};
     use proptest::prelude::*;
 
     fn find(bytes: Vec<u8>) -> Vec<Found> {
         let range = 0..bytes.len() as u64;
         find_pages(&MemorySource::new(bytes), range, |_| true, false, &NoMonitor).unwrap()
+    }
+
+    #[test]
+    fn sectors_that_cannot_be_read_cost_their_own_pages_and_a_stop_ends_the_search() {
+        let mut encoder = PageEncoder::new(Frame::new(0.1, 0.3).unwrap());
+        let (mut bytes, mut pages) = (Vec::new(), Vec::new());
+        for layer in 0..6 {
+            let (key, mut builder) = (PageKey { tx: 0, ty: 0, layer }, PageBuilder::default());
+            assert!(builder.set_column(9, 9, &[Span::new(layer as u32, 300, true).unwrap()]));
+            let page = encoder.encode(key, &builder.build()).bytes;
+            bytes.resize(layer as usize * SECTOR, 0);
+            pages.push(Found { key, offset: bytes.len() as u64, len: page.len() });
+            bytes.extend(page);
+        }
+        let source = FaultySource::new(MemorySource::new(&bytes[..]));
+        let find = |monitor: &dyn Monitor| find_pages(&source, 0..bytes.len() as u64, |_| true, false, monitor);
+        assert_eq!(find(&NoMonitor).unwrap(), pages);
+        // From the end of one sector to the beginning of the next.
+        source.set(Fault::Fail, 3 * SECTOR as u64 - 1..3 * SECTOR as u64 + 1);
+        assert_eq!(find(&NoMonitor).unwrap(), [&pages[..2], &pages[4..]].concat());
+        assert!(matches!(find(&*Strike::at(2)), Err(Error::Interrupted)));
     }
 
     /// `find_pages` asserts the bound on its work where it ends.

@@ -175,6 +175,7 @@ mod tests {
         let good = matter.bounds(&plan.frame).unwrap();
         assert_eq!(matter.check(&plan, false, Some(&good)), Ok(()));
         assert_eq!(matter.check(&plan, false, None).unwrap_err().rule, "T6");
+        assert_eq!(matter.fit(&plan, false, None), Some(good));
         let broken = |plan: &Plan, is_part, (min, max): Bounds| {
             let broken = matter.check(plan, is_part, Some(&(min, max))).is_err();
             let fitted = matter.fit(plan, is_part, Some((min, max))).unwrap();

@@ -239,6 +239,10 @@ mod tests {
             entries.read(first, len, &mut out).unwrap();
             assert_eq!(out, (first..first + len as u64).map(made).collect::<Vec<_>>());
         }
+        // The disk gives back a storage that there is not.
+        entries.file.as_ref().unwrap().write_at(12, &[1 << 2 | 3]).unwrap();
+        let said = entries.read(0, 1, &mut out).unwrap_err().to_string();
+        assert!(said.contains("read back directory entries"), "{said}");
         drop(entries);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

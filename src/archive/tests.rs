@@ -6,12 +6,15 @@ use crate::bytes::{ByteSource, MemorySource};
 use crate::codec::pages;
 use crate::frame::{Frame, PageKey};
 use crate::monitor::NoMonitor;
-use crate::page::{Page, PageBuilder, Span};
+use crate::page::{Inferred, Page, PageBuilder, Span};
 use crate::plan::{Classifier, Plan, PlanOptions};
+use crate::seen::{SeenBlock, SeenPage};
 use crate::{Error, Result};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 fn plan() -> Plan {
@@ -86,6 +89,23 @@ impl ByteSource for Counted {
     }
 }
 
+/// Source that counts reads, and does not answer those that begin in these bytes in time.
+struct Silent(Counted, Range<u64>);
+
+impl ByteSource for Silent {
+    fn len(&self) -> u64 {
+        self.0.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        self.0.read_at(offset, buf)?;
+        match self.1.contains(&offset) {
+            true => Err(Error::io("server", "read", std::io::ErrorKind::TimedOut.into())),
+            false => Ok(()),
+        }
+    }
+}
+
 #[test]
 fn what_is_no_archive_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -107,6 +127,7 @@ fn an_empty_archive_is_an_archive() {
     assert_eq!(archive.header().slices, None);
     assert_eq!(archive.crs().unwrap(), "EPSG:28992");
     assert_eq!(archive.find(PageKey { tx: 0, ty: 0, layer: 0 }).unwrap(), None);
+    assert!(archive.level(1).unwrap_err().to_string().contains("no overview levels"));
     assert_eq!(sound(&archive).pages, Pages::default());
 }
 
@@ -123,7 +144,7 @@ fn equal_and_uniform_pages_take_no_bytes_and_no_read() {
     assert_eq!(header.tiles, Tiles { occupied: 5, stored: 3, unique: 2 });
     assert_eq!(header.slices, Some((-64, 131)));
     let bytes = std::fs::read(&target).unwrap();
-    let source = std::sync::Arc::new(Counted(MemorySource::new(bytes), AtomicU64::new(0)));
+    let source = Arc::new(Counted(MemorySource::new(bytes), AtomicU64::new(0)));
     let archive = Archive::from_source(Box::new(source.clone())).unwrap();
     assert_eq!(source.1.load(Ordering::Relaxed), 1, "a small archive opens with one read");
     for (&key, page) in &pages {
@@ -132,6 +153,98 @@ fn equal_and_uniform_pages_take_no_bytes_and_no_read() {
     }
     assert_eq!(source.1.load(Ordering::Relaxed), 1 + 1 + 3, "one leaf, three pages, no read for the uniform one");
     sound(&archive);
+}
+
+#[test]
+fn pages_with_one_span_everywhere_are_uniform_also_with_moved_heights() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let loose = Plan { options: PlanOptions { tolerance_m: 0.0101, ..PlanOptions::default() }, ..plan() };
+    let mut writer = ArchiveWriter::create(&target, &loose, false).unwrap();
+    let mut encoder = PageEncoder::of_plan(&loose);
+    let key = |layer| PageKey { tx: 0, ty: 0, layer };
+    // As many spans as pixels: the first pixel has two, the last one none.
+    let mut builder = PageBuilder::default();
+    for pixel in 0..4095 {
+        let spans = [10, 20].map(|bottom| Span::new(bottom, bottom + 4, false).unwrap());
+        let count = if pixel == 0 { 2 } else { 1 };
+        assert!(builder.set_column(pixel % 64, pixel / 64, &spans[..count]));
+    }
+    let uneven = builder.build();
+    assert_eq!(uneven.span_count(), 4096);
+    writer.put(key(0), encoder.encode(key(0), &uneven)).unwrap();
+    let (moved, page) = encoder.encode_lossy(key(1), &uniform(Span::new(255, 255, false).unwrap()), &Inferred::new());
+    writer.put(key(1), moved).unwrap();
+    let header = writer.finish(totals()).unwrap();
+    assert_eq!(header.pages, Pages { stored: 1, shared: 0, uniform: 1 });
+    let archive = Archive::open(&target).unwrap();
+    let read = |layer| archive.page(&archive.find(key(layer)).unwrap().unwrap()).unwrap();
+    assert_eq!((read(0), read(1)), (uneven, page));
+    let (span, most) = (read(1).column(63, 63)[0], loose.tolerance_quanta());
+    assert!((255 - most..=255).contains(&span.bottom()) && (255..=255 + most).contains(&span.top()), "{span:?}");
+    sound(&archive);
+}
+
+/// A page with solid in one pixel.
+fn pixel(px: u32) -> Page {
+    let mut builder = PageBuilder::default();
+    assert!(builder.set_column(px, 9, &[Span::new(7, 8, false).unwrap()]));
+    builder.build()
+}
+
+#[test]
+fn pages_with_the_same_hash_are_told_apart_by_their_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    let mut encoder = PageEncoder::new(plan().frame);
+    let key = |layer| PageKey { tx: 0, ty: 0, layer };
+    let one = encoder.encode(key(0), &pixel(0));
+    let mut others = (1..64).map(|px| (px, encoder.encode(key(1), &pixel(px))));
+    let (px, mut other) = others.find(|(_, other)| other.bytes.len() == one.bytes.len()).unwrap();
+    other.hash = one.hash;
+    let first = writer.put_placed(key(0), &one).unwrap();
+    let second = writer.put_placed(key(1), &other).unwrap();
+    // The writer remembers only the last page of a hash.
+    let again = |writer: &mut ArchiveWriter, placed| writer.put_again(key(2), placed, &[], &EncodedColours::default());
+    assert!(!again(&mut writer, &first).unwrap());
+    assert!(again(&mut writer, &second).unwrap());
+    writer.put(key(3), encoder.encode(key(3), &pixel(0))).unwrap();
+    let header = writer.finish(totals()).unwrap();
+    assert_eq!(header.pages, Pages { stored: 3, shared: 1, uniform: 0 });
+    let archive = Archive::open(&target).unwrap();
+    for (layer, px) in [(0, 0), (1, px), (2, px), (3, 0)] {
+        assert_eq!(archive.page(&archive.find(key(layer)).unwrap().unwrap()).unwrap(), pixel(px), "layer {layer}");
+    }
+    sound(&archive);
+}
+
+#[test]
+#[ignore = "slow: .ci/run"]
+fn a_page_shares_the_bytes_of_the_last_65536_distinct_ones_and_no_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    let mut encoder = PageEncoder::new(plan().frame);
+    let page = |number: u32| {
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(number / 16000, 9, &[Span::new(number % 16000, 16100, false).unwrap()]));
+        builder.build()
+    };
+    // One page more than are remembered; then again the first, which is forgotten, the third, which is now the oldest
+    // one remembered, and the second, which was forgotten for the first.
+    let numbers = (0..=65536).chain([0, 2, 1]);
+    for (layer, number) in (0..).zip(numbers.clone()) {
+        let key = PageKey { tx: 0, ty: 0, layer };
+        writer.put(key, encoder.encode(key, &page(number))).unwrap();
+    }
+    let header = writer.finish(totals()).unwrap();
+    assert_eq!(header.pages, Pages { stored: 65537 + 2, shared: 1, uniform: 0 });
+    let archive = Archive::open(&target).unwrap();
+    sound(&archive);
+    for (entry, number) in archive.entries().zip(numbers).skip(65536) {
+        assert_eq!(archive.page(&entry.unwrap()).unwrap(), page(number));
+    }
 }
 
 #[test]
@@ -179,7 +292,8 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     let header = writer.finish(totals()).unwrap();
     assert!(header.pages.shared > 0);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the temporary file of entries is gone");
-    let source = std::sync::Arc::new(Counted(MemorySource::new(std::fs::read(&target).unwrap()), AtomicU64::new(0)));
+    let counted = || Counted(MemorySource::new(std::fs::read(&target).unwrap()), AtomicU64::new(0));
+    let source = Arc::new(counted());
     let archive = Archive::from_source(Box::new(source.clone())).unwrap();
     assert_eq!(source.1.load(Ordering::Relaxed), 2);
     assert_eq!(archive.header(), &header);
@@ -193,7 +307,7 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     assert_eq!(archive.find(key(count)).unwrap(), None);
     sound(&archive);
     // One read fetches several leaves; bytes that cannot be read cost their own leaf alone.
-    let faulty = std::sync::Arc::new(FaultySource::new(MemorySource::new(std::fs::read(&target).unwrap())));
+    let faulty = Arc::new(FaultySource::new(MemorySource::new(std::fs::read(&target).unwrap())));
     let struck = Archive::from_source(Box::new(faulty.clone())).unwrap();
     let mut first = 0;
     for leaf in 0..archive.leaf_count() {
@@ -206,6 +320,37 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
         assert!(found.into_iter().map(Result::unwrap).eq(expected.copied()), "leaf {leaf}");
         first = end;
     }
+    // A server that does not answer is not asked twice for a leaf: each question takes its time.
+    let silent = Arc::new(Silent(counted(), header.directory_offset()..header.metadata_offset()));
+    let waiting = Archive::from_source(Box::new(silent.clone())).unwrap();
+    let before = silent.0.1.load(Ordering::Relaxed);
+    assert_eq!(waiting.entries().filter(Result::is_err).count(), 10);
+    assert_eq!(silent.0.1.load(Ordering::Relaxed) - before, 10);
+}
+
+#[test]
+fn a_page_is_decoded_from_exactly_its_own_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let key = PageKey { tx: 0, ty: 0, layer: 0 };
+    write(&target, &BTreeMap::from([(key, floor(10))])).unwrap();
+    let archive = Archive::open(&target).unwrap();
+    let entry = archive.find(key).unwrap().unwrap();
+    let extent = entry.extent().unwrap();
+    let mut bytes = vec![0; extent.len as usize + 1];
+    archive.source().read_at(extent.offset, &mut bytes).unwrap();
+    let (longer, mut decoder) = (bytes.clone(), PageDecoder::new());
+    bytes.pop();
+    assert_eq!(decoder.decode(&entry, &bytes).unwrap(), floor(10));
+    for wrong in [&longer[..], &bytes[1..], &bytes[..20], &[]] {
+        let said = decoder.decode(&entry, wrong).unwrap_err().to_string();
+        assert!(said.contains("rule P1"), "{} bytes: {said}", wrong.len());
+    }
+    // An entry made by hand, of more bytes than any page has.
+    let storage = Storage::Stored(Extent { len: u32::MAX, ..extent });
+    assert!(matches!(archive.page(&PageEntry { storage, ..entry }), Err(Error::Limit { .. })));
+    // No page of a level has such heights.
+    assert!(!PageEncoder::of_levels().gives(&floor(10), &Inferred::new(), &bytes));
 }
 
 #[test]
@@ -224,6 +369,41 @@ fn keys_must_ascend_and_pages_hold_matter() {
     let contradiction = Totals { points_kept: 2, points_read: 1, ..Totals::default() };
     assert!(writer.finish(contradiction).is_err());
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left behind");
+}
+
+#[test]
+fn what_an_archive_has_no_place_for_is_refused_and_changes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    let mut encoder = PageEncoder::new(plan().frame);
+    let key = |layer| PageKey { tx: 0, ty: 0, layer };
+    let seen = |layer| {
+        let mut block = SeenBlock::new(key(layer));
+        block.push(0, &SeenPage::ALL);
+        block
+    };
+    let refused = |result: Result<()>, words: &str| {
+        let said = result.unwrap_err();
+        assert!(matches!(said, Error::Parameter { .. }) && said.to_string().contains(words), "{words}: {said}");
+    };
+    let mut inferred = Inferred::new();
+    assert!(inferred.push(0, 0, 1));
+    refused(writer.put(key(0), encoder.encode_inferred(key(0), &floor(10), &inferred)), "the plan fills no holes");
+    refused(writer.put_seen(&seen(0)), "without seen space");
+    refused(writer.end_seen().map(drop), "without it");
+    writer.set_seen();
+    writer.put(key(0), encoder.encode(key(0), &floor(10))).unwrap();
+    writer.put_seen(&seen(0)).unwrap();
+    // The same block again, one below it, one without cells, and one beyond the grid.
+    for wrong in [seen(0), seen(-1), SeenBlock::new(key(1)), seen(1 << 24)] {
+        refused(writer.put_seen(&wrong), "ascending keys in the grid");
+    }
+    refused(writer.put(key(1), encoder.encode(key(1), &floor(20))), "pages come first");
+    assert_eq!(writer.finish(totals()).unwrap().pages.total(), 1);
+    let archive = Archive::open(&target).unwrap();
+    assert_eq!(archive.seen_table().unwrap().unwrap().cells(), SeenPage::CELLS);
+    sound(&archive);
 }
 
 #[test]

@@ -414,11 +414,9 @@ impl ArchiveWriter {
     }
 
     fn flush(&mut self) -> Result<()> {
-        if !self.buffer.is_empty() {
-            self.output.write_at(self.base + self.flushed, &self.buffer)?;
-            self.flushed += self.buffer.len() as u64;
-            self.buffer.clear();
-        }
+        self.output.write_at(self.base + self.flushed, &self.buffer)?;
+        self.flushed += self.buffer.len() as u64;
+        self.buffer.clear();
         Ok(())
     }
 

@@ -7,6 +7,7 @@ use common::random;
 
 mod encodings;
 mod levels;
+mod merge;
 mod parts;
 mod replace;
 mod samples;

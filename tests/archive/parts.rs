@@ -2,20 +2,24 @@
 
 use crate::common;
 
-use common::forge::{Parts, put};
+use common::forge::{Parts, giant, put};
 use common::random::Random;
-use common::{Pages, archive_of, key, page, plan, read_all, render, scene};
+use common::{Pages, archive_coloured_by_place, archive_of, key, page, plan, read_all, render, scene, two_pixels};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Bounds, PageEncoder, PageReader, Recovered, Shard, Storage, Totals, extract, merge, recover,
+    Archive, ArchiveWriter, Bounds, ColourReader, PageEncoder, PageReader, Recovered, Shard, Storage, Totals, extract,
+    merge, recover,
 };
 use slicewalk::edit::{Edits, Prism};
-use slicewalk::frame::Frame;
+use slicewalk::frame::{Frame, PageKey};
 use slicewalk::page::{Page, Span};
+use slicewalk::plan::Plan;
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
+use slicewalk::seen::{SeenBlock, SeenPage};
 use slicewalk::stats::Stats;
 use slicewalk::store::Snapshot;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
@@ -324,6 +328,47 @@ fn pages_that_are_not_where_their_leaf_has_them_are_found() {
     assert_eq!((found.leaves, found.lost.unwrap().stored), (Some((1, 1)), 0));
     assert_eq!(pages.len() as u64, found.found.total());
     assert!(found.found.stored == 5 && found.found.uniform == 1);
+    // With their colours, which have no leaders.
+    let good = archive_coloured_by_place(&scene(), 0, false, None);
+    let mut parts = Parts::of(&good);
+    parts.pages.insert(0, 0x89);
+    let (found, pages) = recovered(folder.path(), &parts.build(|_| ()));
+    let all = colours_of(&Archive::from_bytes(good).unwrap());
+    let left = colours_of(&Archive::open(folder.path().join("to.slices")).unwrap());
+    assert!(pages.len() == 6 && left.keys().eq(pages.keys()) && left.iter().all(|(key, own)| all[key] == *own));
+    assert!(left.values().all(|own| own.iter().any(|colour| colour[3] > 0)), "{found:?}");
+}
+
+/// The colours of the voxels of each page.
+fn colours_of(archive: &Archive) -> BTreeMap<PageKey, Vec<[u8; 4]>> {
+    let mut reader = ColourReader::new(archive).unwrap().unwrap();
+    let entries = archive.entries().map(Result::unwrap);
+    entries.map(|entry| (entry.key, reader.colours(&entry).unwrap().values().to_vec())).collect()
+}
+
+#[test]
+fn pages_of_a_lost_leaf_are_found_before_those_of_the_next_one() {
+    let folder = tempfile::tempdir().unwrap();
+    // Two leaves, the first of 4,096 pages.
+    let content = |n: u32| page([((n % 64, n / 64 % 64), vec![Span::new(n, n + 5, false).unwrap()])]);
+    let pages: Pages = (0..4100).map(|n| (key(0, 0, n as i32), content(n))).collect();
+    let good = archive(&(pages, totals(9)));
+    let whole = Archive::from_bytes(good.clone()).unwrap();
+    let mut bad = good.clone();
+    bad[whole.header().directory_offset() as usize + 20] ^= 1;
+    let found = recovers(folder.path(), &good, &bad).unwrap();
+    assert!(found.leaves == Some((1, 2)) && found.is_complete(), "{found:?}");
+    // The last page of the lost leaf has the key of a page of the next leaf, or of none.
+    let extent = whole.leaf(0).unwrap()[4095].extent().unwrap();
+    for layer in [4097, 5000] {
+        let page = &mut bad[extent.offset as usize..][..extent.len as usize];
+        put(page, 12, layer, 4);
+        let crc = crc32c::crc32c_append(crc32c::crc32c(&page[..20]), &page[24..]);
+        put(page, 20, crc.into(), 4);
+        let (found, pages) = recovered(folder.path(), &bad);
+        assert_eq!((found.lost.unwrap().stored, pages.len()), (1, 4099), "layer {layer}");
+        assert!(!pages.contains_key(&key(0, 0, 4095)) && !pages.contains_key(&key(0, 0, 5000)));
+    }
 }
 
 #[test]
@@ -398,6 +443,10 @@ fn unknown_metadata_is_copied_or_told_of() {
     let extracted = extract(&whole, &region, &path("e.slices"), false, &NoMonitor).unwrap();
     assert_eq!(extracted.dropped, ["metadata AAAA", "metadata zzzz"]);
     assert_eq!(verified(&path("e.slices")).crs().unwrap(), "a made-up place");
+    let part = Archive::from_bytes(only_part(&scene())).unwrap();
+    let extracted = extract(&part, &region, &path("p.slices"), false, &NoMonitor).unwrap();
+    assert_eq!(extracted.dropped, ["that it is part 1 of 1"]);
+    assert!(part.shard().unwrap().is_some() && verified(&path("p.slices")).shard().unwrap().is_none());
     // The whole states what all parts agree on.
     let middle = key(0, 0, 0).column();
     let names: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
@@ -584,6 +633,61 @@ fn an_edited_archive_is_written_as_it_answers() {
     let edited = Archive::from_bytes(archive(&made)).unwrap().with_edits(edits);
     extract(&edited, &([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]), &target, true, &NoMonitor).unwrap();
     assert!(fs::read(&target).unwrap() == archive(&made));
+}
+
+#[test]
+fn edits_of_too_many_pages_and_beyond_all_tiles_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("e.slices");
+    let refused = |bytes: Vec<u8>, edits: Edits| {
+        let edited = Archive::from_bytes(bytes).unwrap().with_edits(edits);
+        let everything: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+        let error = extract(&edited, &everything, &target, false, &NoMonitor).unwrap_err().to_string();
+        assert!(!target.exists());
+        error
+    };
+    // A tile column of 2²⁰ pages.
+    let mut edits = Edits::default();
+    edits.remove(Prism::of_box([0.5, 0.5, 0.5], [1.0, 1.0, 1.0]).unwrap()).unwrap();
+    let said = refused(giant(&archive(&two_pixels()), 1), edits);
+    assert!(said.contains("pages that edits change") && said.contains("65537 is beyond the limit of 65536"), "{said}");
+    // Pixels of a millimetre, 64 in a tile.
+    let fine = archive_of(&Plan { frame: Frame::new(0.001, 0.3).unwrap(), ..plan() }, &Default::default(), None);
+    for (x, tile) in [(9e8 + 0.5, "14062500007"), (-9e8 - 0.5, "14062500008")] {
+        let mut edits = Edits::default();
+        edits.add(Prism::of_box([x, 0.0, 0.0], [x + 0.01, 0.01, 0.2]).unwrap(), true).unwrap();
+        let said = refused(fine.clone(), edits);
+        assert!(said.contains(&format!("tile of an edit: {tile} is beyond the limit of 2147483647")), "{said}");
+    }
+}
+
+#[test]
+fn an_extract_has_the_seen_cells_that_meet_its_region() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, target] = ["a.slices", "e.slices"].map(|name| folder.path().join(name));
+    let mut writer = ArchiveWriter::create(&whole, &plan(), false).unwrap();
+    writer.set_seen();
+    // The region has two layers of the first block, and no pixel of those cells of the second that were seen.
+    let mut far = SeenPage::NOTHING;
+    far.mark([[10, 12], [0, 3], [0, 63]]);
+    let seen = [(0, [(0, SeenPage::ALL), (1, SeenPage::ALL), (5, SeenPage::ALL)].to_vec()), (1, vec![(0, far)])];
+    for (tx, pages) in seen {
+        let mut block = SeenBlock::new(key(tx, 0, 0));
+        pages.iter().for_each(|(layer, cells)| block.push(*layer, cells));
+        writer.put_seen(&block).unwrap();
+    }
+    writer.finish(totals(1)).unwrap();
+    // Pixels 0 to 64 along x and 8 to 11 along y, slices 60 to 65, and one more on every side.
+    let region = ([0.05, 0.85, 18.1], [6.45, 1.15, 19.6]);
+    extract(&verified(&whole), &region, &target, false, &NoMonitor).unwrap();
+    let seen = verified(&target).seen_space(1 << 30).unwrap().unwrap();
+    let found: Vec<_> = seen.pages().collect();
+    let expected = [(0, [59, 63]), (1, [0, 2])].map(|(layer, slices)| {
+        let mut cells = SeenPage::NOTHING;
+        cells.mark([[0, 15], [1, 3], slices]);
+        (key(0, 0, layer), cells)
+    });
+    assert!(found == expected, "{:?}", found.iter().map(|(key, page)| (key, page.cells())).collect::<Vec<_>>());
 }
 
 #[test]

@@ -2,15 +2,16 @@
 
 use crate::common;
 
+use common::forge::{Parts, put};
 use common::random::Random;
 use common::{
     Pages, archive_coloured_by_place, archive_in_colour, archive_of, archive_with_levels, key, page, read_all,
 };
-use slicewalk::archive::{Archive, ArchiveWriter, Bounds, ColourReader, PageEncoder, Replaced, Totals, replace};
+use slicewalk::archive::{Archive, ArchiveWriter, Bounds, ColourReader, PageEncoder, Replaced, Shard, Totals, replace};
 use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::Frame;
 use slicewalk::page::{Occupancy, Span};
-use slicewalk::plan::{Plan, PlanOptions};
+use slicewalk::plan::{Noise, Plan, PlanOptions};
 use slicewalk::query::{Aabb, overlaps};
 use slicewalk::seen::{SeenBlock, SeenPage, SeenSpace};
 use slicewalk::store::Snapshot;
@@ -467,6 +468,9 @@ fn what_does_not_fit_together_or_is_damaged_is_named() {
     };
     let with = |options| Plan { options, ..plan() };
     let options = PlanOptions { max_slope_deg: 30.0, min_points: 2, ..PlanOptions::default() };
+    let classes =
+        PlanOptions { remove_moving: true, exclude_classes: [18, 7].into_iter().collect(), ..PlanOptions::default() };
+    let many = Totals { points_read: u64::MAX, ..totals(4) };
     for (new, words) in [
         (
             made(&Plan::new(Frame::new(0.25, 1.0).unwrap()), "", 1.0),
@@ -476,12 +480,29 @@ fn what_does_not_fit_together_or_is_damaged_is_named() {
             made(&with(options), "", 1.0),
             &["new.slices: options: --max-slope is 30 and not 45 as, --min-points is 2", "old"],
         ),
+        (
+            made(&with(classes), "", 1.0),
+            &["--remove-moving is on and not off as, --exclude-class is 7,18 and not none as in", "old"],
+        ),
+        (
+            archive_of(&plan(), &(content.clone(), many), None),
+            &["new.slices: header: its 18446744073709551615 points are too many to count"],
+        ),
         (made(&plan(), "EPSG:4978", 1.0), &["new.slices: reference system", "old.slices"]),
         (made(&plan(), "EPSG:28992", 0.3048), &["new.slices: units", "--units"]),
     ] {
         let error = refused(&new, &everything);
         assert!(words.iter().all(|word| error.contains(word)), "{error}");
     }
+    // A pixel with 64 spans in its lowest slice, and with as many in its sixth.
+    let crowded = |slice: u32| {
+        let bottoms = (0..64).map(|number| 255 * slice + 3 * number);
+        let spans = bottoms.map(|bottom| Span::new(bottom, bottom + 1, true).unwrap()).collect();
+        archive_of(&plan(), &([(key(0, 0, 0), page([((1, 1), spans)]))].into(), totals(1)), None)
+    };
+    let above: Bounds = ([-9.0, -9.0, 5.5], [9.0; 3]);
+    let error = folder.replaced(&crowded(0), &crowded(5), &above).unwrap_err().to_string();
+    assert!(error.contains("spans of a pixel in page (0, 0, 0): 128 is beyond the limit of 64"), "{error}");
     let new = made(&plan(), "", 1.0);
     assert!(refused(&new, &([1.0; 3], [0.0; 3])).contains("no region"));
     let mut damaged = new.clone();
@@ -508,6 +529,34 @@ fn what_does_not_fit_together_or_is_damaged_is_named() {
         let error = replace(&paths[0], &paths[1], &everything, target, true, &NoMonitor).unwrap_err().to_string();
         assert!(error.contains("reads") && fs::read(target).unwrap() == before, "{error}");
     }
+}
+
+#[test]
+fn what_the_new_archive_lacks_of_both_is_told() {
+    let folder = Folder::new();
+    let content: Pages = [(key(0, 0, 0), page([((1, 1), vec![Span::new(5, 9, false).unwrap()])]))].into();
+    let everything: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    let noise = |noise_m: f64| Some(Noise { noise_m, regions: 9, region_m: 0.5 });
+    let with_noise = |noise_m: f64, shard: Option<Shard>| {
+        archive_of(&plan(), &(content.clone(), Totals { noise: noise(noise_m), ..totals(1) }), shard)
+    };
+    let (made, archive) = folder.replaced(&with_noise(0.01, None), &with_noise(0.01, None), &everything).unwrap();
+    assert_eq!((archive.noise().unwrap(), made.dropped), (noise(0.01), Vec::new()));
+    // A part with a record of an unknown tag, and an archive of a later version.
+    let shard = Shard { index: 1, count: 1, first: 0, last: u64::MAX, plan_file: 7 };
+    let mut old = Parts::of(&with_noise(0.01, Some(shard)));
+    old.metadata = [b"AAAA\x03\0\0\0abc", &old.metadata[..]].concat();
+    let new = Parts::of(&with_noise(0.02, None)).build(|head| put(head, 10, 7, 2));
+    let (made, archive) = folder.replaced(&old.build(|_| ()), &new, &everything).unwrap();
+    let [old, new] = ["old.slices", "new.slices"].map(|name| folder.path(name).display().to_string());
+    let expected = [
+        format!("metadata AAAA of {old}"),
+        format!("what format 1.7 adds to the head, of {new}"),
+        "that it is part 1 of 1".to_owned(),
+        "noise of the scan, which is not the same in both".to_owned(),
+    ];
+    assert_eq!(made.dropped, expected);
+    assert_eq!((archive.noise().unwrap(), archive.shard().unwrap(), archive.header().version), (None, None, (1, 0)));
 }
 
 #[test]

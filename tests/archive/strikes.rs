@@ -1,5 +1,6 @@
 //! Merges, extracts and replacements of which one step fails: a read of an archive, a call of the disk, or the user stops.
-//! The call says so, and what it leaves under the output's name is whole or not there.
+//! The call says so, and what it leaves under the output's name is whole or not there. Verifications and recoveries, which
+//! continue where bytes cannot be read, end when the user stops them.
 
 use crate::common;
 
@@ -9,7 +10,8 @@ mod sweeps;
 use common::random::Random;
 use common::{key, page, plan};
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Bounds, EncodedColours, PageEncoder, Shard, Totals, extract, merge, merge_run, replace,
+    Archive, ArchiveWriter, Bounds, EncodedColours, PageEncoder, Shard, Totals, extract, merge, merge_run, recover,
+    replace,
 };
 use slicewalk::bytes::testing::{Strike, StruckSource};
 use slicewalk::bytes::{MemorySource, hold_source};
@@ -155,6 +157,34 @@ fn a_step_that_fails_is_told_and_leaves_no_half_archive() {
         println!("{name}: reads of each input, stops and calls of the disk: {counts:?}");
         assert!(counts.iter().all(|count| *count > 0), "{counts:?}");
     }
+}
+
+#[test]
+fn verifications_and_recoveries_end_where_the_user_stops_them() {
+    let bytes = archive(4, None);
+    let sound = Archive::from_bytes(bytes.clone()).unwrap();
+    let verified = |monitor: &dyn Monitor| sound.verify(monitor, &mut |finding| panic!("{finding}"));
+    let whole = verified(&NoMonitor).unwrap();
+    let mut counts = vec![sweep("verify, stops", 0, whole, false, is_stop, |strike| verified(&**strike))];
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (Path::new("/no folder/a.slices"), folder.path().join("out.slices"));
+    let recovered = |monitor: &dyn Monitor| {
+        let done = recover(input, Some(&plan()), &output, true, monitor);
+        if done.is_err() {
+            assert!(fs::read_dir(folder.path()).unwrap().next().is_none(), "a stop leaves something behind");
+        }
+        done.map(|_| fs::read(&output).unwrap()).inspect(|_| fs::remove_file(&output).unwrap())
+    };
+    // Without a head, pages are searched for.
+    let mut headless = bytes.clone();
+    headless[100] ^= 1;
+    for (name, bytes) in [("recover, stops", bytes), ("recover without a head, stops", headless)] {
+        hold_source(input, MemorySource::new(bytes));
+        let whole = recovered(&NoMonitor).unwrap();
+        counts.push(sweep(name, 0, whole, false, is_stop, |strike| recovered(&**strike)));
+    }
+    // Each page is asked for once, and once more where it is searched for.
+    assert!(counts[0] > 0 && counts[1] == 12 && counts[2] == 24, "{counts:?}");
 }
 
 /// Lets each call of the disk fail in turn; returns their number.

@@ -89,8 +89,10 @@ impl LevelBuilder {
     /// Emits the remaining pages and returns the number of levels.
     pub fn finish(&mut self, give: &mut Give<'_>) -> Result<usize> {
         let mut at = 0;
-        while self.levels.get(at).is_some_and(Growing::exists) {
-            self.give_column(at, give)?;
+        while let Some(level) = self.levels.get_mut(at).filter(|level| level.exists())
+            && let Some(column) = level.column.take()
+        {
+            self.give_column(at, column, give)?;
             at += 1;
         }
         Ok(at)
@@ -115,11 +117,10 @@ impl LevelBuilder {
         let level = &mut self.levels[at];
         level.pages_below += 1;
         level.beyond_origin |= [key.tx, key.ty, key.layer].iter().any(|index| ![0, -1].contains(index));
-        if level.column.is_some_and(|last| last != column) {
-            self.give_column(at, give)?;
+        if let Some(last) = level.column.replace(column).filter(|&last| last != column) {
+            self.give_column(at, last, give)?;
         }
         let level = &mut self.levels[at];
-        level.column = Some(column);
         for span in spans {
             level.spans.push(Record::new(key, span), &self.files, self.beside.as_deref())?;
         }
@@ -129,10 +130,9 @@ impl LevelBuilder {
         Ok(())
     }
 
-    /// Emits the pages of the column that level index `at` holds.
-    fn give_column(&mut self, at: usize, give: &mut Give<'_>) -> Result<()> {
+    /// Emits the pages of `column`, whose spans and colours level index `at` holds.
+    fn give_column(&mut self, at: usize, column: u64, give: &mut Give<'_>) -> Result<()> {
         let level = &mut self.levels[at];
-        let Some(column) = level.column.take() else { return Ok(()) };
         let (mut spans, mut colours) = (std::mem::take(&mut level.spans), std::mem::take(&mut level.colours));
         let builder = std::mem::take(&mut self.builder);
         let mut pages = Pages { builder, layer: None, pixel: 0, below: 0, spans: Vec::new() };
@@ -453,10 +453,12 @@ mod tests {
 
     fn sorted_come_back<R: Sortable, T: Ord>(record: impl Fn(usize) -> R, shown: impl Fn(&R) -> T) {
         let folder = tempfile::tempdir().unwrap();
-        let mut sorter = Sorter::default();
-        for count in [5, R::KEPT, R::KEPT + 1, 3 * R::KEPT + 77, 9] {
+        let target = folder.path().join("a.slices");
+        let (mut sorter, counts) = (Sorter::default(), [5, R::KEPT, R::KEPT + 1, 3 * R::KEPT + 77, 9]);
+        // In the end in the system's temporary folder.
+        for (count, beside) in counts.map(|count| (count, Some(&*target))).into_iter().chain([(R::KEPT + 1, None)]) {
             for n in 0..count {
-                sorter.push(record(n), &Files::current(), Some(&folder.path().join("a.slices"))).unwrap();
+                sorter.push(record(n), &Files::current(), beside).unwrap();
             }
             let (mut found, mut sorted) = (Vec::new(), sorter.sorted().unwrap());
             while let Some(record) = sorted.next().unwrap() {
