@@ -83,9 +83,10 @@ impl<'a> EditedColumn<'a> {
         for run in changed.iter().flatten().flatten() {
             let [first, last] = [run.bottom, run.bottom.max(run.top - 1)].map(|at| at.div_euclid(PAGE_QUANTA));
             let range = i32::try_from(first).and_then(|first| Ok(first..=i32::try_from(last)?));
-            let range = range.map_err(|_| Error::limit("layer of an edit", last, i32::MAX))?;
-            if last - first > MOST_EDITED_PAGES as i64 {
-                return Err(Error::limit("pages that edits change", last - first, MOST_EDITED_PAGES));
+            let range = range.map_err(|_| Error::limit("layer of an edit", first.abs().max(last.abs()), i32::MAX))?;
+            let count = last - first + 1;
+            if count > MOST_EDITED_PAGES as i64 {
+                return Err(Error::limit("pages that edits change", count, MOST_EDITED_PAGES));
             }
             for layer in range {
                 if let Err(at) = layers.binary_search(&layer) {
@@ -163,7 +164,8 @@ fn add(runs: &mut Vec<Run>, new: Run) {
         all.bottom = all.bottom.min(run.bottom);
     }
     runs.retain(|run| !touches(run));
-    let at = runs.partition_point(|run| run.top < all.bottom);
+    // The lowest run that it joins may stand on one of the other class, which stays.
+    let at = runs.partition_point(|run| run.top <= all.bottom);
     let cut = (all.top - 1).div_euclid(SLICE_QUANTA) * SLICE_QUANTA;
     if all.is_obstacle || cut <= all.bottom {
         runs.insert(at, all);

@@ -69,17 +69,6 @@ impl Prism {
         Self::new(&corners, min[2], max[2])
     }
 
-    /// Returns the lower and upper corner of the box around the prism (m).
-    pub fn bounds(&self) -> [[f64; 3]; 2] {
-        let [low, high] = self.outline.bounds();
-        [[low.x, low.y, self.bottom], [high.x, high.y, self.top]]
-    }
-
-    /// Returns whether a place lies in the prism grown by `margin` (m) up and down; outlines do not grow.
-    pub fn holds(&self, at: nalgebra::Point3<f64>, margin: f64) -> bool {
-        (self.bottom - margin..=self.top + margin).contains(&at.z) && self.outline.holds(at.xy())
-    }
-
     /// Returns the pixels around the outline: first and last along x and y.
     fn pixels(&self, frame: &Frame) -> [[i64; 2]; 2] {
         let [low, high] = self.outline.bounds();
@@ -138,3 +127,6 @@ impl Edits {
         self.all.len()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+use super::*;
+use crate::page::{Page, PageBuilder, Span};
+
+/// Bottom, top, and whether it is an obstacle.
+type Run = (u32, u32, bool);
+
+/// Pixels of 1 m and quanta of 1 m: a page is 16,320 m high.
+fn frame() -> Frame {
+    Frame::new(1.0, 255.0).unwrap()
+}
+
+/// A prism in pixel (0, 0).
+fn prism(bottom: f64, top: f64) -> Prism {
+    Prism::of_box([0.1, 0.1, bottom], [0.9, 0.9, top]).unwrap()
+}
+
+fn page(runs: &[Run]) -> Page {
+    let spans: Vec<_> = runs.iter().map(|&(bottom, top, obstacle)| Span::new(bottom, top, obstacle).unwrap()).collect();
+    let mut builder = PageBuilder::default();
+    assert!(builder.set_column(0, 0, &spans));
+    builder.build()
+}
+
+/// Runs of pixel (0, 0) with the edits.
+fn edited(runs: &[Run], edits: &Edits) -> Vec<Run> {
+    let pages = EditedColumn::new(edits, &frame(), [0, 0]).apply(&[(0, &page(runs))]).unwrap();
+    assert_eq!((pages.len(), pages[0].0), (1, 0));
+    pages[0].1.column(0, 0).iter().map(|span| (span.bottom(), span.top(), span.is_obstacle())).collect()
+}
+
+#[test]
+fn pixels_are_cut_level_and_what_is_added_joins_what_it_touches() {
+    const FLOOR: Option<bool> = Some(true);
+    type Case<'a> = (&'a [Run], Option<bool>, [f64; 2], &'a [Run]);
+    let cases: [Case; 6] = [
+        (&[(0, 600, true)], None, [100.0, 200.0], &[(0, 100, false), (200, 600, true)]),
+        // No quantum lies in between.
+        (&[(0, 600, true)], None, [100.2, 100.8], &[(0, 600, true)]),
+        // What remains below is floor, like the run that it stands on.
+        (&[(0, 255, false), (255, 600, true)], None, [400.0, 500.0], &[(0, 400, false), (500, 600, true)]),
+        // Floor up to the height of an obstacle: below the top slice it is an obstacle still.
+        (&[(0, 300, true)], FLOOR, [250.0, 300.0], &[(0, 255, true), (255, 300, false)]),
+        // Inside a floor, whose lower slices join the obstacle below.
+        (&[(0, 255, true), (255, 700, false)], FLOOR, [400.0, 500.0], &[(0, 510, true), (510, 700, false)]),
+        (&[(0, 100, false)], Some(false), [300.0, 400.0], &[(0, 100, false), (300, 400, true)]),
+    ];
+    for (runs, added, [bottom, top], expected) in cases {
+        let mut edits = Edits::default();
+        match added {
+            None => edits.remove(prism(bottom, top)).unwrap(),
+            Some(is_floor) => edits.add(prism(bottom, top), is_floor).unwrap(),
+        }
+        assert_eq!(edited(runs, &edits), expected, "{runs:?}, {added:?} from {bottom} to {top}");
+    }
+}
+
+#[test]
+fn where_a_pixel_has_more_spans_than_a_page_holds_the_nearest_are_joined() {
+    // One in each slice, 75 apart, but numbers 30 and 31 only 35.
+    let mut runs: Vec<Run> = (0..64).map(|slice| (255 * slice + 20, 255 * slice + 200, false)).collect();
+    runs[30].1 += 40;
+    let mut edits = Edits::default();
+    edits.remove(prism(255.0 * 10.0 + 60.0, 255.0 * 10.0 + 160.0)).unwrap();
+    let mut expected = runs.clone();
+    expected[30].1 = expected.remove(31).1;
+    expected.splice(10..11, [(2570, 2610, false), (2710, 2750, false)]);
+    assert_eq!(edited(&runs, &edits), expected);
+}
+
+#[test]
+fn edits_beyond_the_limits_are_refused() {
+    // Slices of a millimetre, 64 in a layer.
+    let fine = Frame::new(1.0, 0.001).unwrap();
+    // One layer more than may change: half of them below the origin.
+    let half = f64::from(1 << 15) * 16_320.0;
+    let cases = [
+        (fine, prism(9e8 + 0.5, 9e8 + 0.51), "layer of an edit: 14062500007 is beyond the limit of 2147483647"),
+        (fine, prism(-9e8 - 0.5, -9e8 - 0.49), "layer of an edit: 14062500008 is beyond the limit of 2147483647"),
+        (frame(), prism(-half, half + 1.0), "pages that edits change: 65537 is beyond the limit of 65536"),
+    ];
+    for (frame, prism, says) in cases {
+        let mut edits = Edits::default();
+        edits.add(prism, false).unwrap();
+        let error = EditedColumn::new(&edits, &frame, [0, 0]).apply(&[]).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+    }
+    let line = [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]].map(Point2::from);
+    let error = Prism::new(&line, 0.0, 1.0).unwrap_err().to_string();
+    assert!(error.contains("corners around an area"), "{error}");
+    let mut edits = Edits::default();
+    for number in 0..MOST_EDITS {
+        let done = if number % 2 == 0 { edits.remove(prism(0.0, 1.0)) } else { edits.add(prism(0.0, 1.0), true) };
+        done.unwrap();
+    }
+    for refused in [edits.remove(prism(0.0, 1.0)), edits.add(prism(0.0, 1.0), false)] {
+        let error = refused.unwrap_err().to_string();
+        assert!(error.contains("edits: 10001 is beyond the limit of 10000"), "{error}");
+    }
+    assert_eq!(edits.len(), MOST_EDITS);
+}
