@@ -152,15 +152,27 @@ impl Grid {
 
     /// Returns the pixel of a place (pixels from the first tile); `None` outside the grid.
     pub fn pixel(&self, x: f64, y: f64) -> Option<[i32; 2]> {
+        self.pixel_beside(x, y).filter(|pixel| self.is_inside(*pixel))
+    }
+
+    /// Returns the pixel of a place, in the grid or beside it (pixels from the first tile); `None` if it is too far off
+    /// to be numbered.
+    pub fn pixel_beside(&self, x: f64, y: f64) -> Option<[i32; 2]> {
         let mut pixel = [0; 2];
         for (axis, value) in [x, y].into_iter().enumerate() {
-            let at = self.frame.pixel_of(value) - 64 * i64::from(self.origin[axis]);
-            if !value.is_finite() || !(0..64 * i64::from(self.tiles[axis])).contains(&at) {
-                return None;
-            }
-            pixel[axis] = at as i32;
+            let at = self.frame.pixel_of(value).saturating_sub(64 * i64::from(self.origin[axis]));
+            pixel[axis] = i32::try_from(at).ok().filter(|_| value.is_finite())?;
         }
         Some(pixel)
+    }
+
+    /// Iterates over the pixels of the grid that lie within `far` pixels of another one along x and along y, row by row.
+    pub fn square(&self, pixel: [i32; 2], far: i32) -> impl Iterator<Item = [i32; 2]> + use<> {
+        let [x, y] = [0, 1].map(|axis| {
+            let last = 64 * self.tiles[axis] - 1;
+            pixel[axis].saturating_sub(far).max(0)..=pixel[axis].saturating_add(far).min(last)
+        });
+        y.flat_map(move |j| x.clone().map(move |i| [i, j]))
     }
 
     /// Returns a height in quanta, rounded down.

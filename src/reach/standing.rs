@@ -128,11 +128,6 @@ impl StandingPlaces {
         Self { seen, ..self }
     }
 
-    /// Returns the pawn.
-    pub fn pawn(&self) -> &Pawn {
-        &self.grid.pawn
-    }
-
     /// Returns the memory of the computed tiles (bytes).
     pub fn memory_bytes(&self) -> usize {
         let tile = |tile: &Tile| size_of_val::<[u32]>(&tile.starts) + size_of_val::<[Block]>(&tile.blocks);
@@ -171,12 +166,13 @@ impl StandingPlaces {
         if let Some(spot) = self.find(set, at)? {
             return ControlFlow::Continue(Some(self.snapped_to(spot, 0.0)));
         }
-        let Some(middle) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
+        // It may lie beside the grid, and places near it inside.
+        let Some(middle) = self.grid.pixel_beside(at.x, at.y) else { return ControlFlow::Continue(None) };
         let far = (snap.clamp(0.0, MOST_SNAP_M) / self.grid.frame.pixel_m()).ceil() as i32;
         let mut best: Option<(f64, PlaceId)> = None;
-        for pixel in (-far..=far).flat_map(|y| (-far..=far).map(move |x| [middle[0] + x, middle[1] + y])) {
+        for pixel in self.grid.square(middle, far) {
             let across = (Point2::new(self.grid.middle(pixel[0], 0), self.grid.middle(pixel[1], 1)) - at.xy()).norm();
-            if !self.grid.is_inside(pixel) || across > best.map_or(snap, |best| best.0) {
+            if across > best.map_or(snap, |best| best.0) {
                 continue;
             }
             let below =
@@ -204,16 +200,16 @@ impl StandingPlaces {
     }
 
     fn snap_over(&mut self, set: &Snapshot, at: Point2<f64>, snap: f64) -> Needs<Vec<Snapped>> {
-        let Some(middle) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(Vec::new()) };
+        let Some(middle) = self.grid.pixel_beside(at.x, at.y) else { return ControlFlow::Continue(Vec::new()) };
         let mut best = self.over(set, middle, 0.0)?;
         if !best.is_empty() {
             return ControlFlow::Continue(best);
         }
         let far = (snap.clamp(0.0, MOST_SNAP_M) / self.grid.frame.pixel_m()).ceil() as i32;
-        for pixel in (-far..=far).flat_map(|y| (-far..=far).map(move |x| [middle[0] + x, middle[1] + y])) {
+        for pixel in self.grid.square(middle, far) {
             let across = (Point2::new(self.grid.middle(pixel[0], 0), self.grid.middle(pixel[1], 1)) - at).norm();
             let is_nearer = best.first().map_or(across <= snap, |best: &Snapped| across < best.moved);
-            if self.grid.is_inside(pixel) && is_nearer {
+            if is_nearer {
                 let found = self.over(set, pixel, across)?;
                 if !found.is_empty() {
                     best = found;

@@ -1,11 +1,11 @@
 //! The nearest place to stand, compared with a search over all places.
 
-use super::flat::{Columns, layers};
+use super::flat::{Columns, FLOOR, layers, room};
 use super::{everywhere, known, spot};
 use crate::common::random::Random;
-use nalgebra::Point3;
+use nalgebra::{Point2, Point3};
 use slicewalk::frame::{Frame, SLICE_QUANTA};
-use slicewalk::reach::{Pawn, Place};
+use slicewalk::reach::{Pawn, Place, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use std::collections::BTreeMap;
@@ -115,4 +115,26 @@ fn the_nearest_place_is_that_of_a_search_over_all() {
         moved > 100 && none > 100 && above > 20,
         "{moved} moved, {none} without a place, {above} above one another"
     );
+}
+
+#[test]
+fn a_place_beside_the_scan_is_moved_as_far_as_asked_for() {
+    let store = room(20, 20, |_, _| None);
+    let pawn = Pawn::new(Body::Box { x: T, y: T, height: 1.0 });
+    let mut standing = StandingPlaces::new(&store, pawn).unwrap();
+    // Farther off than the tile around the scan in which a body may hang over its end.
+    let at = Point3::new(-10.0, 0.55, FLOOR);
+    let nearest = Point3::new(0.15, 0.55, FLOOR);
+    for (snap, is_near) in [(10.2, true), (10.1, false)] {
+        let found = known(standing.snapped(&store, at, snap).unwrap());
+        let over = known(standing.snapped_over(&store, at.xy(), snap).unwrap());
+        assert_eq!((found.is_some(), over.len()), (is_near, usize::from(is_near)), "{snap} m");
+        for found in found.into_iter().chain(over) {
+            assert!((found.feet - nearest).norm() < 1e-6 && (found.moved - 10.15).abs() < 1e-6, "{found:?}");
+        }
+    }
+    for x in [f64::NAN, f64::INFINITY, -1e300, 1e12] {
+        assert_eq!(known(standing.snapped(&store, Point3::new(x, 0.55, FLOOR), 100.0).unwrap()), None, "{x}");
+        assert_eq!(known(standing.snapped_over(&store, Point2::new(x, 0.55), 100.0).unwrap()), [], "{x}");
+    }
 }
