@@ -204,23 +204,60 @@ fn sector(heading: usize, radius: i64) -> Vec<Pair> {
     };
     let cross = |a: [i64; 2], b: [i64; 2]| a[0] * b[1] - a[1] * b[0];
     let squared = |[x, y]: [i64; 2]| i128::from(x * x + y * y);
-    // Whether the square at `at` is nearer than the radius, where a ray enters it.
-    let is_near = |at: [i64; 2], ray: [i64; 2]| {
-        let (far, of) = if at[0] * ray[1] >= at[1] * ray[0] { (at[0], ray[0]) } else { (at[1], ray[1]) };
-        i128::from(far * PARTS).pow(2) * squared(ray) < i128::from(radius * of).pow(2)
-    };
     let most = radius / PARTS + 1;
     let meets = |at: &[i64; 2]| {
         let [i, j] = *at;
         let is_between = cross([i + 1, j], high) > 0 && cross(low, [i, j + 1]) > 0;
-        // The nearest point of the square within the sector is its corner, or lies on a ray.
+        // The nearest point of the square within the sector is its corner, or where the lower ray enters it, on its left
+        // side. The upper ray rises by one pixel in two or in one, so no corner of a square between the rays lies above it.
         is_between
-            && match (cross(low, *at) < 0, cross(*at, high) < 0) {
-                (true, _) => is_near(*at, low),
-                (_, true) => is_near(*at, high),
-                _ => squared([i * PARTS, j * PARTS]) < i128::from(radius).pow(2),
+            && match cross(low, *at) < 0 {
+                true => i128::from(i * PARTS).pow(2) * squared(low) < i128::from(radius * low[0]).pow(2),
+                false => squared([i * PARTS, j * PARTS]) < i128::from(radius).pow(2),
             }
     };
     let all = (0..=most).flat_map(|j| (0..=most).map(move |i| [i, j])).filter(meets);
     turned(all.flat_map(|at| square(at.map(|v| v as i32))).collect(), is_mirrored, quarters)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoMonitor;
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, Span};
+    use crate::query::Answer;
+    use crate::reach::{Flood, Pawn, StandingPlaces};
+    use crate::store::Snapshot;
+    use crate::walk::Body;
+    use nalgebra::Point3;
+
+    /// Returns whether a square fits: two corners lie at one height, the third 0.34 m higher, and the fourth, opposite to
+    /// the first, has floors at these heights (quanta).
+    fn fits(opposite: &[i32]) -> bool {
+        let mut builder = PageBuilder::default();
+        let floor = |top: &i32| Span::new((2547 + top) as u32, (2550 + top) as u32, false).unwrap();
+        for ([px, py], tops) in [([0, 0], &[0][..]), ([1, 0], &[0][..]), ([0, 1], &[289][..]), ([1, 1], opposite)] {
+            let spans: Vec<Span> = tops.iter().map(floor).collect();
+            assert!(builder.set_column(px, py, &spans));
+        }
+        let key = PageKey { tx: 0, ty: 0, layer: 0 };
+        let set = Snapshot::from_pages(Frame::new(0.1, 0.3).unwrap(), [(key, builder.build())]);
+        let pawn = Pawn::new(Body::Cylinder { radius: 0.05, height: 0.6 });
+        let mut standing = StandingPlaces::new(&set, pawn).unwrap();
+        let Answer::Known(mut flood) = Flood::everywhere(&mut standing, &set).unwrap() else { panic!("all is loaded") };
+        assert_eq!(flood.grow(&mut standing, &set, &NoMonitor).unwrap(), Answer::Known(()));
+        let region = flood.region(&standing);
+        let Answer::Known(Some(first)) = standing.spot(&set, Point3::new(0.05, 0.05, 3.0)).unwrap() else {
+            panic!("it is floor")
+        };
+        Mask::new(square([0, 0])).follow(&region, region.number(&first).unwrap(), &mut Vec::new())
+    }
+
+    #[test]
+    fn a_square_fits_only_if_both_ways_round_lead_to_the_same_place() {
+        assert!(fits(&[289]));
+        // 0.34 m down from one corner beside it, and 0.34 m up from the other.
+        assert!(!fits(&[-289, 578]));
+    }
 }

@@ -189,11 +189,6 @@ impl<R: Borrow<Region>> LongSearch<R> {
         self.region.borrow()
     }
 
-    /// Returns the number of states that the last route's searches expanded.
-    pub fn looked_at(&self) -> usize {
-        self.looked_at
-    }
-
     /// Returns its memory without the region (bytes).
     pub fn memory_bytes(&self) -> usize {
         self.open.capacity() + 4 * (self.costs.capacity() + self.from.capacity()) + self.footprints.memory_bytes()

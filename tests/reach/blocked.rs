@@ -139,6 +139,13 @@ fn cases() -> Vec<Case> {
             pawn: Pawn { max_grade: 0.06, max_ramp: 6.0, ..Pawn::new(body) },
             ..case(scene(HALL, |i, _| long_ramp(i)), 0.44, Reason::Ramp, 8.0, 0.8)
         },
+        // It goes down a drop that it does not climb, but no long pawn does, however short it is.
+        Case {
+            pawn: Pawn { climb: 0.2, max_drop: 0.5, ..Pawn::new(cylinder) },
+            length: Some(1.3),
+            expected: None,
+            ..case(scene(HALL, |i, _| Over::Floor(if i < MIDDLE { 0.0 } else { -0.4 })), -0.4, Reason::Length, 0.0, 0.0)
+        },
         // It gets there, or cannot stand at the goal.
         Case { expected: None, ..case(hall(door(30, 42, plain)), 0.0, Reason::Width, 0.0, 0.0) },
         Case {

@@ -1,13 +1,14 @@
 //! Routes on overview levels, compared with exact ones.
 
+use super::flat::{self, Columns};
 use super::{everywhere, known, reached, spot, way};
 use crate::common::part::Part;
 use crate::common::random::Random;
 use crate::common::{Pages, archive_with_levels, key, page, plan};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, Totals};
-use slicewalk::frame::Frame;
+use slicewalk::frame::{Frame, PAGE_QUANTA};
 use slicewalk::page::Span;
 use slicewalk::plan::Plan;
 use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Refusal, Route, Search};
@@ -172,11 +173,17 @@ fn a_way_without_doubt_and_none_through_a_wall() {
     let closed = level(&hall(Some(100)), 1);
     let mut planner = Coarse::new(&closed, pawn(), from, to).unwrap();
     assert_eq!(finish(&mut planner, &closed, usize::MAX), Err(Refusal::NotConnected));
-    let outside = Point3::new(-50.0, 1.0, FLOOR);
-    for (ends, refusal) in [([outside, to], Refusal::NotStandingFrom), ([from, outside], Refusal::NotStandingTo)] {
-        let mut planner = Coarse::new(&open, pawn(), ends[0], ends[1]).unwrap();
-        assert_eq!(finish(&mut planner, &open, usize::MAX), Err(refusal));
+    // Far off, beside the floor, and at the end of the tile around it.
+    for outside in [-50.0, -2.0, -12.7].map(|x| Point3::new(x, 1.0, FLOOR)) {
+        for (ends, refusal) in [([outside, to], Refusal::NotStandingFrom), ([from, outside], Refusal::NotStandingTo)] {
+            let mut planner = Coarse::new(&open, pawn(), ends[0], ends[1]).unwrap();
+            assert_eq!(finish(&mut planner, &open, usize::MAX), Err(refusal), "{outside}");
+        }
     }
+    // Both ends in one pixel of the level.
+    let beside = from + Vector3::new(0.05, 0.0, 0.0);
+    let found = finish(&mut Coarse::new(&open, pawn(), from, beside).unwrap(), &open, usize::MAX).unwrap();
+    assert!(found.points.len() == 2 && (found.length_m - 0.05).abs() < 1e-9, "{found:?}");
     // If pixels are wider than the pawn, a route may pass any wall: it is found, and reports its doubt.
     let thin = Pawn::new(Body::Box { x: 0.2, y: 0.2, height: 1.7 });
     let mut planner = Coarse::new(&closed, thin, from, to).unwrap();
@@ -257,6 +264,12 @@ fn a_way_over_a_level_of_wide_pixels_leads_through_the_gap() {
     let share = (5.1 - crossing[0].x) / (crossing[1].x - crossing[0].x);
     let y = crossing[0].y + share * (crossing[1].y - crossing[0].y);
     assert!((9.0..10.0).contains(&y), "{found:?}");
+    // A wider pawn needs the gap; along the straight line there is none.
+    let found = finish(&mut Coarse::new(&level, pawn(), from, to).unwrap(), &level, usize::MAX).unwrap();
+    let mut straight = found.clone();
+    straight.points = vec![from, to];
+    let mut near = Coarse::new(&level, pawn(), from, to).unwrap().near(&straight, 0.5);
+    assert_eq!(finish(&mut near, &level, usize::MAX), Err(Refusal::NotConnected), "{found:?}");
 }
 
 #[test]
@@ -286,4 +299,64 @@ fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     let far = Point3::new(12.0, 12.0, FLOOR);
     let mut planner = Coarse::new(&store, pawn(), from, far).unwrap();
     assert!(matches!(planner.advance(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
+}
+
+#[test]
+fn a_way_leads_over_gaps_as_wide_as_the_body_and_around_slits_narrower_than_it() {
+    let (wall, far) = (126, 100);
+    let ends = [[1.0, 1.02, FLOOR], [11.9, 1.02, FLOOR]];
+    let open = || vec![(FLOOR - 0.05, FLOOR, false), (CEILING - 0.05, CEILING, true)];
+    for (width, is_through) in [(1usize, false), (14, true)] {
+        let slit = 20 - width / 2..20 + width.div_ceil(2);
+        let (found, doubt) = planned(
+            |i, j| match (wall..wall + 2).contains(&i) && j < far && !slit.contains(&j) {
+                true => vec![(FLOOR - 0.05, CEILING, true)],
+                false => open(),
+            },
+            pawn(),
+            ends,
+        );
+        let aside = found.points.iter().map(|point| point.y).fold(0.0, f64::max);
+        assert_eq!(aside < 2.0, is_through, "{width} pixels: {found:?}");
+        assert!(doubt == 0.0 && (is_through || aside >= far as f64 * T), "{width} pixels: {doubt} m, {found:?}");
+    }
+    // The body is ten pixels wide.
+    for (width, is_through) in [(4, true), (14, false)] {
+        let hall = archive(|i, _| match (wall..wall + width).contains(&i) {
+            true => vec![(CEILING - 0.05, CEILING, true)],
+            false => open(),
+        });
+        let store = Snapshot::resident(&hall, &NoMonitor).unwrap();
+        let [from, to] = ends.map(Point3::from);
+        let found = finish(&mut Coarse::new(&store, pawn(), from, to).unwrap(), &store, usize::MAX);
+        let length = found.map(|route| route.length_m);
+        match is_through {
+            true => assert!(length.is_ok_and(|length| (length - 10.9).abs() < 0.1), "{width} pixels: {length:?}"),
+            false => assert_eq!(length, Err(Refusal::NotConnected), "{width} pixels"),
+        }
+    }
+}
+
+#[test]
+fn a_floor_and_a_wall_over_the_border_of_two_pages_are_one() {
+    for has_wall in [false, true] {
+        let all = (0..64).flat_map(|i| (0..20).map(move |j| (i, j)));
+        let columns: Columns = all
+            .map(|(i, j)| {
+                let (height, is_wall) = if has_wall && i == 30 { (2000, true) } else { (4, false) };
+                ((i, j), vec![(PAGE_QUANTA - 3, PAGE_QUANTA + height, is_wall)])
+            })
+            .collect();
+        let store = flat::layers(Frame::new(0.1, 0.3).unwrap(), &columns);
+        let floor = 64.0 * 0.3 + 0.01;
+        let [from, to] = [[1.05, 1.05, floor], [5.05, 1.05, floor]].map(Point3::from);
+        let mut planner = Coarse::new(&store, pawn(), from, to).unwrap();
+        let found = finish(&mut planner, &store, usize::MAX);
+        match found {
+            Ok(route) => {
+                assert!(!has_wall && planner.doubt_m() == 0.0 && (route.length_m - 4.0).abs() < 0.05, "{route:?}")
+            }
+            Err(refusal) => assert!(has_wall && refusal == Refusal::NotConnected, "{refusal:?}"),
+        }
+    }
 }

@@ -1,9 +1,13 @@
 //! Leaks and passages of flat worlds with known answers.
 
-use super::flat::{FLOOR, T, room};
+use super::flat::{Columns, FLOOR, T, layers, room};
 use super::{everywhere, known, reached};
+use crate::common::part::Part;
 use crate::common::random::Random;
-use slicewalk::reach::{Leak, LeakKind, LeakSearch, Pawn, Region};
+use slicewalk::NoMonitor;
+use slicewalk::frame::{Frame, SLICE_QUANTA};
+use slicewalk::query::Answer;
+use slicewalk::reach::{Flood, Leak, LeakKind, LeakSearch, Pawn, Region, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use std::collections::BTreeMap;
@@ -60,6 +64,99 @@ fn every_hole_is_listed_once_where_it_is() {
     // The ground that it drops to is not a leak.
     let deep = room(90, 70, |i, j| inside(i, j).then_some(b'-'));
     assert_eq!(leaks_with(&deep, Pawn { max_drop: 1.2, ..pawn() }).1, []);
+}
+
+#[test]
+fn a_hole_larger_than_a_tile_is_one() {
+    // No floor is near the pixels of the tile from 64 to 128.
+    let inside = |i: usize| (58..134).contains(&i);
+    let found = leaks(&room(192, 192, |i, j| (inside(i) && inside(j)).then_some(b' ')));
+    assert_eq!(found.len(), 1, "{found:?}");
+    let leak = found[0];
+    assert!(leak.kind == LeakKind::Hole && leak.drop.is_none() && is_near(leak.width, 7.6), "{leak:?}");
+    assert!(is_near(leak.at.x, 9.6) && is_near(leak.at.y, 9.6), "{leak:?}");
+}
+
+#[test]
+fn a_hole_over_ground_of_two_depths_is_divided() {
+    // Ground 1 m lower below the first 16 pixels, and nothing below the other 24.
+    let store = room(90, 70, |i, j| match (i, j) {
+        (20..36, 25..35) => Some(b'-'),
+        (36..60, 25..35) => Some(b' '),
+        _ => None,
+    });
+    let mut found = leaks(&store);
+    found.sort_by(|a, b| a.at.x.total_cmp(&b.at.x));
+    assert_eq!(found.len(), 2, "{found:?}");
+    // The feet have support a pixel to each side of their middle.
+    for (leak, (x, width)) in found.iter().zip([(2.8, 1.6), (4.8, 2.4)]) {
+        assert_eq!(leak.kind, LeakKind::Hole, "{found:?}");
+        assert!((leak.at.x - x).abs() < 2.5 * T && (leak.width - width).abs() < 2.5 * T, "{found:?}");
+        assert!(is_near(leak.at.y, 3.0) && (leak.at.z - FLOOR).abs() < 0.01, "{found:?}");
+    }
+    assert!(found[0].drop.is_some_and(|drop| (drop - 1.0).abs() < 0.01) && found[1].drop.is_none(), "{found:?}");
+}
+
+#[test]
+fn holes_above_one_another_are_as_many_if_their_floors_are_a_storey_apart() {
+    let quanta = |metres: f64| (metres / 0.3 * SLICE_QUANTA as f64).round() as i64;
+    let floor = |z: f64| (quanta(FLOOR + z) - 3, quanta(FLOOR + z), false);
+    let mut columns = Columns::new();
+    for (i, j) in (0..60).flat_map(|i| (0..60).map(move |j| (i, j))) {
+        let is_wall = [0, 59].contains(&i) || [0, 59].contains(&j);
+        let is_hole = (25..35).contains(&i) && (25..35).contains(&j);
+        let spans = match (is_wall, is_hole) {
+            (true, _) => vec![(quanta(FLOOR) - 3, quanta(FLOOR + 5.0), true)],
+            (_, true) => vec![floor(-1.0)],
+            _ => vec![floor(0.0), floor(2.8)],
+        };
+        columns.insert((i, j), spans);
+    }
+    let store = layers(Frame::new(T, 0.3).unwrap(), &columns);
+    let (mut standing, region) = everywhere(&store, pawn());
+    let mut found = known(LeakSearch::new(&region).find(&mut standing, &store).unwrap());
+    found.sort_by(|a, b| a.at.z.total_cmp(&b.at.z));
+    assert_eq!(found.len(), 2, "{found:?}");
+    for (leak, (z, drop)) in found.iter().zip([(0.0, 1.0), (2.8, 3.8)]) {
+        assert!(leak.kind == LeakKind::Hole && is_near(leak.width, 1.0), "{found:?}");
+        assert!((leak.at.z - FLOOR - z).abs() < 0.01, "{found:?}");
+        assert!(leak.drop.is_some_and(|own| (own - drop).abs() < 0.01), "{found:?}");
+    }
+}
+
+#[test]
+fn a_search_for_leaks_waits_for_the_pages_behind_a_rim() {
+    // Lower ground or nothing over three tiles, whose pages what is reached does not need.
+    for below in [b'-', b' '] {
+        let store = room(300, 40, |i, j| ((50..299).contains(&i) && (1..39).contains(&j)).then_some(below));
+        let expected = leaks(&store);
+        assert_eq!(expected.len(), 1, "{expected:?}");
+        let mut part = Part::new(store);
+        let mut standing = StandingPlaces::new(&part, pawn()).unwrap();
+        let start = loop {
+            match standing.spot(&part, [0.5, 0.5, FLOOR].into()).unwrap() {
+                Answer::Known(start) => break start.unwrap(),
+                Answer::NotLoaded(missing) => assert!(part.load(missing.keys()) > 0),
+            }
+        };
+        let mut flood = Flood::from(start);
+        while let Answer::NotLoaded(missing) = flood.grow(&mut standing, &part, &NoMonitor).unwrap() {
+            assert!(part.load(missing.keys()) > 0);
+        }
+        let region = flood.region(&standing);
+        let (mut search, mut waits) = (LeakSearch::new(&region), 0);
+        let found = loop {
+            match search.find(&mut standing, &part).unwrap() {
+                Answer::Known(found) => break found,
+                Answer::NotLoaded(missing) => {
+                    waits += 1;
+                    assert!(part.load(missing.keys()) > 0);
+                }
+            }
+        };
+        assert_eq!(found, expected);
+        assert!(waits > 0);
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod data;
 mod ends;
 mod flat;
 mod leaks;
+mod limits;
 mod oracle;
 mod oriented;
 mod plans;

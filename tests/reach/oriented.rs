@@ -6,11 +6,11 @@ use super::{everywhere, known, spot};
 use crate::common::part::Part;
 use crate::common::random::Random;
 use nalgebra::{Point2, Point3, Vector2};
-use slicewalk::NoMonitor;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::reach::{LongSearch, Pawn, PlaceId, Planned, Planner, Refusal, Region, Route, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
+use slicewalk::{Error, Monitor, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Height of the floor (quanta, m).
@@ -433,6 +433,14 @@ fn a_turning_place_lets_through_whoever_can_turn_on_it() {
     }
 }
 
+struct Stops;
+
+impl Monitor for Stops {
+    fn cancelled(&self) -> bool {
+        true
+    }
+}
+
 #[test]
 fn a_dead_end_is_left_backwards() {
     // A corridor as wide as the pawn leads from a hall to the right, and ends at 140.
@@ -440,7 +448,7 @@ fn a_dead_end_is_left_backwards() {
         let is_hall = (1..60).contains(&i) && (1..79).contains(&j);
         (is_hall || (60..140).contains(&i) && (30..47).contains(&j)).then_some(0)
     });
-    let (standing, region, start) = ground(&store, [30, 60]);
+    let (mut standing, region, start) = ground(&store, [30, 60]);
     let mut search = LongSearch::new(&region, LENGTH).unwrap();
     let pixels = pixels(FINE, &region, &standing, &mut search, &start);
     // The front is 4 pixels ahead of the middle, and the disc around it covers 8 more.
@@ -452,6 +460,24 @@ fn a_dead_end_is_left_backwards() {
         assert!(!headings.is_empty() && headings.iter().all(|heading| *heading == headings[0]), "{route:?}");
         assert!([90.0, 270.0].contains(&headings[0]), "{route:?}");
     }
+    // Only the round pawn stands at the very end.
+    let [hall, end] = [[30, 60], [131, 38]];
+    for (ends, refusal) in [([hall, end], Refusal::NotStandingTo), ([end, hall], Refusal::NotStandingFrom)] {
+        let [from, to] = ends.map(|end| at(FINE, end));
+        let mut planner = Planner::new(&store, Pawn::new(WIDE), from, to).unwrap().drawn_out(Some(LENGTH));
+        let found = loop {
+            match planner.advance(&store, usize::MAX, &NoMonitor).unwrap() {
+                Planned::Done(found) => break found,
+                Planned::NotLoaded(missing) => panic!("{missing:?}"),
+                _ => {}
+            }
+        };
+        assert_eq!(found, Err(refusal));
+    }
+    let end = spot(&mut standing, &store, at(FINE, end)).unwrap();
+    assert_eq!(known(search.route(&store, &start, &end, &NoMonitor).unwrap()), None);
+    assert!(matches!(search.route(&store, &start, &end, &Stops), Err(Error::Interrupted)));
+    assert!(matches!(search.reached(&[start], &Stops), Err(Error::Interrupted)));
     // The way in and out is the same: the pawn turns in the hall, or not at all.
     let way = [[127, 38], [30, 60], [127, 38]]
         .windows(2)
@@ -479,6 +505,29 @@ fn a_gap_narrower_than_long_is_crossed_lengthwise_only() {
     assert!(crossed);
     // As a box turned by 90° it does not fit through, and a longer one than the halls are deep can turn nowhere.
     assert!(drive(&store, 5.6, [20, 50], [100, 50]).is_none());
+}
+
+#[test]
+fn a_step_that_only_walkers_meet_ends_every_route_over_it() {
+    // From place to place it rises by 0.32 m, but walkers sink behind the sill, and climb 0.38 m.
+    const T: f64 = 0.1;
+    const SILL: i64 = 19;
+    let quanta = |metres: f64| (metres / SIGMA * SLICE_QUANTA as f64).round() as i64;
+    let store = scene(T, [44, 24], |i, j| {
+        let height = if i == SILL { 0.06 } else { 0.38 * f64::from(u8::from(i > SILL + 2)) };
+        (i > 0 && j > 0 && i < 43 && j < 23).then_some(quanta(height))
+    });
+    let pawn = Pawn::new(Body::Cylinder { radius: 0.083, height: 0.8 });
+    let (mut standing, region) = super::reached(&store, pawn, at(T, [8, 12]).into());
+    let [low, sill, high] =
+        [[8, 12], [SILL, 12], [34, 12]].map(|pixel| spot(&mut standing, &store, at(T, pixel)).unwrap());
+    let mut search = LongSearch::new(&region, 0.566).unwrap();
+    let reached = search.reached(&[low], &NoMonitor).unwrap();
+    assert!(reached.holds(&region, &sill) && reached.holds(&region, &high));
+    assert_eq!(known(search.route(&store, &low, &high, &NoMonitor).unwrap()), None);
+    // Its front would lie beyond the step if it stood on the sill along the way: it begins in another heading.
+    let route = known(search.route(&store, &sill, &low, &NoMonitor).unwrap()).unwrap();
+    assert!(![90.0, 270.0].contains(&route.headings[0]), "{route:?}");
 }
 
 #[test]

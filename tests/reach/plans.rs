@@ -10,6 +10,7 @@ use slicewalk::query::Answer;
 use slicewalk::reach::{Pawn, Planned, Planner, Refusal, Route, RouteRefiner, Search};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
+use std::collections::HashSet;
 
 /// A pawn as wide as a pixel, which stands on each pixel of floor.
 pub fn thin() -> Pawn {
@@ -184,4 +185,90 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
     assert_eq!(along.advance(&closed, &NoMonitor).unwrap(), Answer::Known(Err(Refusal::NotConnected)));
     let mut along = RouteRefiner::new(pawn, from, at(99, 40), &straight, 1.0);
     assert_eq!(known(along.advance(&store, &NoMonitor).unwrap()), Err(Refusal::NotStandingTo));
+}
+
+#[test]
+fn an_end_in_a_wall_is_moved_if_asked_for() {
+    let store = hall(90, 8);
+    let plan = |snap: f64, from: Point3<f64>, to: Point3<f64>| {
+        let mut planner = Planner::new(&store, thin(), from, to).unwrap().snapping(snap);
+        finish(&mut planner, &store, usize::MAX).0
+    };
+    let (inside, wall) = (at(50, 30), at(0, 30));
+    for snap in [0.0, 0.9 * T] {
+        assert_eq!(plan(snap, wall, inside), Err(Refusal::NotStandingFrom));
+        assert_eq!(plan(snap, inside, wall), Err(Refusal::NotStandingTo));
+    }
+    // The floor begins a pixel farther on.
+    let [away, back] = [plan(1.1 * T, wall, inside), plan(1.1 * T, inside, wall)].map(Result::unwrap);
+    for end in [away.points[0], back.points[back.points.len() - 1]] {
+        assert!((end - at(1, 30)).norm() < 1e-6, "{end}");
+    }
+}
+
+/// Asks with few pages in memory, those that were missing last. Returns the answer and how often a page was missing again.
+fn with_few_pages<T>(store: &Snapshot, mut ask: impl FnMut(&Snapshot) -> Answer<T>) -> (T, usize) {
+    const FEW: usize = 5;
+    let (mut keys, mut asked, mut again) = (Vec::new(), HashSet::new(), 0);
+    for _ in 0..1000 {
+        match ask(&store.keep_loaded(|key| keys.contains(&key))) {
+            Answer::Known(found) => return (found, again),
+            Answer::NotLoaded(missing) => {
+                again += missing.keys().iter().filter(|key| !asked.insert(**key)).count();
+                keys.extend(missing.keys());
+            }
+        }
+        keys.drain(..keys.len().saturating_sub(FEW));
+    }
+    panic!("it does not end")
+}
+
+#[test]
+fn a_search_continues_where_it_was_if_pages_are_evicted_meanwhile() {
+    let store = hall(420, 12);
+    let (from, to) = (at(5, 30), at(415, 30));
+    let round = Pawn::new(Body::Cylinder { radius: 0.25, height: 1.0 });
+    for (pawn, length) in [(thin(), None), (round, Some(0.9))] {
+        let planner = || Planner::new(&store, pawn, from, to).unwrap().drawn_out(length);
+        let mut few = planner();
+        let (found, again) = with_few_pages(&store, |set| {
+            loop {
+                match few.advance(set, 1000, &NoMonitor).unwrap() {
+                    Planned::Done(found) => return Answer::Known(found),
+                    Planned::NotLoaded(missing) => return Answer::NotLoaded(missing),
+                    _ => {}
+                }
+            }
+        });
+        let expected = finish(&mut planner(), &store, usize::MAX).0;
+        assert!(expected.is_ok() && found == expected, "{length:?}: {found:?}, {expected:?}");
+        // Walkers follow the route from its start, whose pages the search has left behind.
+        assert!(again > 0, "{length:?}: no page was missing again");
+    }
+    let guide = finish(&mut Planner::new(&store, thin(), from, to).unwrap(), &store, usize::MAX).0.unwrap();
+    let refiner = || RouteRefiner::new(thin(), from, to, &guide, 1.0);
+    let mut few = refiner();
+    let (found, again) = with_few_pages(&store, |set| few.advance(set, &NoMonitor).unwrap());
+    let expected = known(refiner().advance(&store, &NoMonitor).unwrap());
+    assert!(expected.is_ok() && found == expected, "{found:?}, {expected:?}");
+    assert!(again > 0, "no page was missing again");
+}
+
+#[test]
+fn a_way_along_a_coarse_one_is_refused_if_an_end_is_in_a_wall_or_the_coarse_one_leads_back() {
+    let store = room(640, 20, |_, _| None);
+    let (from, to, wall) = (at(5, 10), at(15, 10), at(0, 10));
+    let mut guide = finish(&mut Planner::new(&store, thin(), from, to).unwrap(), &store, usize::MAX).0.unwrap();
+    for (ends, between, refusal) in [
+        ([from, to], vec![], None),
+        ([wall, to], vec![], Some(Refusal::NotStandingFrom)),
+        ([from, wall], vec![], Some(Refusal::NotStandingTo)),
+        // The place 120 m along it, to which the first piece is planned, is its start.
+        ([from, to], vec![at(605, 10), from], Some(Refusal::NotConnected)),
+    ] {
+        guide.points = between;
+        let found =
+            known(RouteRefiner::new(thin(), ends[0], ends[1], &guide, 1.0).advance(&store, &NoMonitor).unwrap());
+        assert_eq!(found.err(), refusal, "{ends:?} along {:?}", guide.points);
+    }
 }
