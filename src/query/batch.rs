@@ -137,9 +137,10 @@ mod tests {
     use super::*;
     use crate::frame::{Frame, PageKey};
     use crate::page::{Page, PageBuilder, Span};
-    use crate::query::Aabb;
+    use crate::query::*;
     use crate::store::Snapshot;
-    use nalgebra::Vector3;
+    use nalgebra::{Point3, Vector3};
+    use std::panic::{AssertUnwindSafe, catch_unwind};
 
     /// `edge` × `edge` pages of about 50 kB.
     fn store(edge: i32) -> Snapshot {
@@ -185,6 +186,74 @@ mod tests {
         let mut again = vec![Overlap::Clear; boxes.len()];
         answer_each(&store, &boxes, &mut again, |shape| pixel_of(&store, shape), |shape| overlaps(&store, shape));
         assert_eq!(again, answers);
+    }
+
+    #[test]
+    fn ordered_boxes_name_the_pages_that_each_of_them_misses() {
+        let (store, boxes) = (store(40).keep_loaded(|key| key.tx != 0), boxes(3000, 40));
+        assert!(order(&store, &boxes, |shape| pixel_of(&store, shape)).is_some());
+        let mut answers = vec![Overlap::Clear; boxes.len()];
+        overlaps_each(&store, &boxes, &mut answers);
+        assert!(boxes.iter().zip(&answers).all(|(shape, answer)| *answer == overlaps(&store, shape)));
+        let waiting = answers.iter().filter(|answer| matches!(answer, Overlap::NotLoaded(_))).count();
+        assert!(waiting > 20, "{waiting} boxes wait");
+    }
+
+    /// Checks that a batch answers each question like `single`, and panics if it has room for one answer too few.
+    fn check<Q, A: Clone + PartialEq>(
+        questions: &[Q],
+        none: A,
+        batch: impl Fn(&[Q], &mut [A]),
+        single: impl Fn(&Q) -> A,
+    ) {
+        let mut answers = vec![none.clone(); questions.len()];
+        batch(questions, &mut answers);
+        assert!(questions.iter().zip(&answers).all(|(question, answer)| *answer == single(question)));
+        // An answer left as it was would be `none`.
+        assert!(answers.iter().filter(|answer| **answer != none).count() > 20);
+        let panic = catch_unwind(AssertUnwindSafe(|| batch(questions, &mut answers[1..]))).unwrap_err();
+        let message = panic.downcast::<String>().unwrap();
+        assert!(message.contains("999 answers for 1000"), "{message}");
+    }
+
+    #[test]
+    fn ordered_batches_answer_like_single_queries_and_need_room_for_each_answer() {
+        let (store, boxes) = (store(40), boxes(1000, 40));
+        assert!(order(&store, &boxes, |shape| pixel_of(&store, shape)).is_some());
+        let places: Vec<Point3<f64>> = boxes.iter().map(Aabb::min).collect();
+        let ray = |place: &Point3<f64>| Ray::new(*place, Vector3::new(1.0, 0.5, 0.1), 3.0).unwrap();
+        let rays: Vec<Ray> = places.iter().map(ray).collect();
+        let ways: Vec<(Aabb, Vector3<f64>)> =
+            boxes.iter().map(|shape| (*shape, Vector3::new(0.3, -0.2, 0.1))).collect();
+        let max = 0.1;
+        check(&boxes, Overlap::Clear, |of, into| overlaps_batch(&store, of, into), |shape| overlaps(&store, shape));
+        let nothing = Answer::Known(Probe::default());
+        check(&boxes, nothing, |of, into| probe_batch(&store, of, into), |shape| probe(&store, shape));
+        check(&rays, Answer::Known(None), |of, into| cast_batch(&store, of, into), |ray| cast(&store, ray));
+        check(
+            &ways,
+            Answer::Known(None),
+            |of, into| sweep_batch(&store, of, into),
+            |(shape, motion)| sweep(&store, shape, *motion),
+        );
+        check(
+            &boxes,
+            Answer::Known(None),
+            |of, into| clearance_batch(&store, of, max, into),
+            |shape| clearance(&store, shape, max),
+        );
+        check(
+            &boxes,
+            Answer::Known(None),
+            |of, into| depenetrate_batch(&store, of, max, into),
+            |shape| depenetrate(&store, shape, max),
+        );
+        check(
+            &places,
+            Answer::Known(None),
+            |of, into| nearest_surface_batch(&store, of, max, into),
+            |place| nearest_surface(&store, *place, max),
+        );
     }
 
     #[test]

@@ -479,7 +479,41 @@ mod tests {
             .prop_filter_map("a span", |(a, b, obstacle)| Span::new(a.min(b), a.max(b), obstacle))
     }
 
+    /// Results of all operations on two pairs.
+    macro_rules! of_pairs {
+        ($lanes:ident, $x:expr, $y:expr) => {{
+            let [x, y] = [$x, $y].map($lanes::Pair::new);
+            [x.plus(y), x.minus(y), x.times(y), x.lesser(y), x.greater(y)].map($lanes::Pair::both)
+        }};
+    }
+
+    /// An expression in all operations, as a ray has them: `(a·b + c - b)`, at least `a` and at most `b + c`.
+    macro_rules! of_floats {
+        ($lanes:ident, $a:expr, $b:expr, $c:expr) => {{
+            let [a, b, c] = [$a, $b, $c].map($lanes::Floats::new);
+            let powers = a.times(b).plus(c).minus(b).greater(a).lesser(b.plus(c)).power_of_nearest();
+            powers.bytes(powers)
+        }};
+    }
+
     proptest! {
+        #[test]
+        fn every_platform_computes_the_same(
+            x in prop::array::uniform2(-1e9..1e9f64), y in prop::array::uniform2(-1e9..1e9f64),
+            a in prop::array::uniform4(0f32..3.0), b in prop::array::uniform4(0f32..3.0),
+            c in prop::array::uniform4(0f32..3.0),
+        ) {
+            let each = |f: fn(f64, f64) -> f64| [f(x[0], y[0]), f(x[1], y[1])];
+            let expected =
+                [each(|a, b| a + b), each(|a, b| a - b), each(|a, b| a * b), each(f64::min), each(f64::max)];
+            prop_assert_eq!(of_pairs!(lanes, x, y), expected);
+            prop_assert_eq!(of_pairs!(portable, x, y), expected);
+            let value = |n: usize| (a[n] * b[n] + c[n] - b[n]).max(a[n]).min(b[n] + c[n]);
+            let bytes = [0, 1, 2, 3, 0, 1, 2, 3].map(|n| 1u8 << value(n).round_ties_even() as i32);
+            prop_assert_eq!(of_floats!(lanes, a, b, c), u64::from_le_bytes(bytes));
+            prop_assert_eq!(of_floats!(portable, a, b, c), u64::from_le_bytes(bytes));
+        }
+
         #[test]
         fn every_platform_finds_the_same_of_two_numbers(a in any::<f64>(), other in any::<f64>()) {
             for (a, b) in [(a, other), (a, a), (a, -a), (0.0, -0.0), (-0.0, 0.0)] {

@@ -163,3 +163,37 @@ fn a_ray_in_the_plane_at_the_origin_hits_walls_on_either_side() {
         assert!(hit.is_some_and(is_right), "({i}, {j}): {hit:?}");
     }
 }
+
+/// Pixels are grown by at most 2⁻⁴⁸ of the coordinates, so a ray that passes farther away misses them.
+#[test]
+fn rays_past_a_corner_or_below_an_edge_hit_only_within_rounding() {
+    let is_hit = |store: &Snapshot, from: Point3<f64>, way: Vector3<f64>| {
+        let ray = Ray::new(from, way, f64::INFINITY).unwrap();
+        let Answer::Known(hit) = cast(store, &ray) else { panic!("all pages are in memory") };
+        hit.is_some()
+    };
+    // Pixels in the middle and at the end of a block of 8 × 8, and rays across the origin to their corners.
+    for (row, [x, y]) in
+        [1003, 1007].into_iter().flat_map(|row| [[1, 1], [1, -1], [-1, 1], [-1, -1]].map(|way| (row, way)))
+    {
+        let mirrored = |number: i64, way: i64| if way > 0 { number } else { -1 - number };
+        let pixel = (mirrored(1003, x), mirrored(row, y));
+        let store = Snapshot::from_pages(frame(), pages_of(&Columns::from([(pixel, vec![(0, 640, true)])])));
+        let corner = [x * 1003, y * (row + 1)];
+        // A corner moves by the growth along both axes.
+        let rounding = 2.0 * 2f64.powi(-48) * (row + 1) as f64;
+        for (aside, hits) in [(-1e-9, true), (0.0, true), (1.05 * rounding, false), (1e-9, false)] {
+            let begin = [(corner[0] - x * 2006) as f64, (corner[1] - y * 2006) as f64 + y as f64 * aside];
+            let from = Point3::new(begin[0] * UNIT, begin[1] * UNIT, 0.3);
+            let way = Vector3::new(x as f64, y as f64, 0.0);
+            assert_eq!(is_hit(&store, from, way), hits, "{pixel:?} along {way:?}, {aside} pixels aside");
+        }
+    }
+    // Descends from 100 quanta, and reaches the side of pixel (3, 0) a little above or below the span's bottom.
+    let store = Snapshot::from_pages(frame(), pages_of(&Columns::from([((3, 0), vec![(0, 640, true)])])));
+    for (above, hits) in [(1e-3, true), (1e-11, true), (-1e-11, false), (-1e-3, false)] {
+        let from = Point3::new(0.5 * UNIT, 0.5 * UNIT, 100.0 / 1024.0);
+        let to = Point3::new(3.0 * UNIT, 0.5 * UNIT, above / 1024.0);
+        assert_eq!(is_hit(&store, from, to - from), hits, "{above} quanta above");
+    }
+}

@@ -316,7 +316,31 @@ fn models_without_matter_touch_nothing_and_models_beyond_the_grid_are_refused() 
     let far = [[1e12, 0.0, 0.0], [1e12 + 1.0, 0.0, 0.0], [1e12, 1.0, 0.0]];
     let error = Model::from_triangles(frame, &[far], false).unwrap_err().to_string();
     assert!(error.contains("give larger ones"), "{error}");
+    // Too large an area, two places too far from each other, and an area at the limit without room for its edges.
+    let corner = |at: f64, side: f64| [[at, 0.0, 0.0], [at + side, 0.0, 0.0], [at, side, 0.0]];
     let wide = [[0.0; 3], [1e8, 0.0, 0.0], [0.0, 0.01, 0.0]];
-    let error = Model::from_triangles(frame, &[wide], false).unwrap_err().to_string();
-    assert!(error.contains("give a larger pixel"), "{error}");
+    for (triangles, says) in [
+        (vec![wide], "pixels of all triangles of a model"),
+        (vec![corner(0.0, 0.1), corner(6e7, 0.1)], "along an axis of a model"),
+        (vec![corner(0.0, 579.25)], "pixels of a model's triangles"),
+    ] {
+        let error = Model::from_triangles(frame, &triangles, false).unwrap_err().to_string();
+        assert!(error.contains(says) && error.contains("give a larger pixel"), "{error}");
+    }
+}
+
+#[test]
+fn a_model_counts_its_spans_and_bytes_and_needs_all_pages() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let model = Model::from_triangles(frame, &knot(18, 5), false).unwrap();
+    assert_eq!(model.span_count(), model.boxes().count());
+    let each = model.weight_bytes() as f64 / model.span_count() as f64;
+    assert!((24.0..48.0).contains(&each), "{each} bytes a span");
+    let mut page = PageBuilder::default();
+    assert!(page.set_column(1, 2, &[Span::new(0, 255, false).unwrap()]));
+    let key = slicewalk::frame::PageKey { tx: 3, ty: -2, layer: 1 };
+    let scene = Snapshot::from_pages(frame, [(key, page.build())]);
+    assert_eq!(Model::from_pages(&scene).unwrap().span_count(), 1);
+    let error = Model::from_pages(&scene.keep_loaded(|_| false)).unwrap_err().to_string();
+    assert!(error.contains("page (3, -2, 1) is not in memory"), "{error}");
 }

@@ -5,7 +5,7 @@ use crate::scene;
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use scene::{Columns, Random, Scene, pages_of};
-use slicewalk::frame::{Frame, PageKey};
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::*;
 use slicewalk::store::Snapshot;
 
@@ -101,6 +101,66 @@ fn floors_and_ceilings_are_those_of_the_spans_whatever_the_pages() {
             assert_eq!(ceiling_above(&store, &shape, from, reach), Answer::Known(ceiling), "{shape:?} {from} {reach}");
         }
     }
+}
+
+/// With and without a page above in which the span may continue.
+#[test]
+fn floors_and_ceilings_at_the_ends_of_pages_are_those_of_the_spans() {
+    // Quanta of 2⁻¹⁰ m, so that all heights are exact.
+    let frame = Frame::new(0.25, 255.0 / 1024.0).unwrap();
+    let mut random = Random(17);
+    let mut at_ends = 0;
+    for _ in 0..400 {
+        let mut columns = Columns::new();
+        let end = |random: &mut Random| PAGE_QUANTA * [-1, 0, 1][random.below(3)];
+        for _ in 0..=random.below(6) {
+            let end = end(&mut random);
+            let (below, above) = ([0, 1, 300][random.below(3)], [0, 0, 1, 300][random.below(4)]);
+            let pixel = (random.below(12i64) - 6, random.below(12i64));
+            columns.insert(pixel, vec![(end - below, end + above, random.chance(30))]);
+        }
+        let pages = pages_of(&columns);
+        let scene = Scene { frame, origin: Point3::origin(), points: Vec::new(), columns, pages };
+        let store = scene.store();
+        for _ in 0..20 {
+            let corner = Point3::new(random.between(-1.6, 1.6), random.between(-0.1, 3.1), random.between(-20.0, 20.0));
+            let size = [0.0, 0.6, 3.0][random.below(3)];
+            let shape = Aabb::new(corner, corner + Vector3::repeat(size)).unwrap();
+            let from = (end(&mut random) + [-1, 0, 1, 400][random.below(4)]) as f64 / 1024.0;
+            let reach = [f64::INFINITY, 0.0, 1.0][random.below(3)];
+            let what = format!("{shape:?} {from} {reach}: {:?}", scene.columns);
+            let floor = scene.floor(scene.pixels_of(&shape), scene.quanta(from - reach, from));
+            assert_eq!(floor_under(&store, &shape, from, reach), Answer::Known(floor), "{what}");
+            let ceiling = scene.ceiling(scene.pixels_of(&shape), scene.quanta(from, from + reach));
+            assert_eq!(ceiling_above(&store, &shape, from, reach), Answer::Known(ceiling), "{what}");
+            at_ends += usize::from(floor.is_some_and(|floor| frame.quantum_floor(floor) % PAGE_QUANTA == 0));
+        }
+    }
+    assert!(at_ends > 150, "{at_ends} floors at the ends of pages");
+}
+
+#[test]
+fn a_scene_without_pages_holds_nothing() {
+    let store = Snapshot::from_pages(Frame::new(0.1, 0.3).unwrap(), []);
+    let (at, infinite) = (Point3::new(1.0, 2.0, 3.0), f64::INFINITY);
+    let pawn = Aabb::standing(at, Vector3::new(0.5, 0.5, 1.8)).unwrap();
+    let everything = Aabb::new([-infinite; 3].into(), [infinite; 3].into()).unwrap();
+    for shape in [pawn, everything] {
+        assert_eq!(overlaps(&store, &shape), Overlap::Clear);
+        assert_eq!(probe(&store, &shape), Answer::Known(Probe::default()));
+        assert_eq!(sweep(&store, &shape, Vector3::new(0.0, 3.0, -9.0)), Answer::Known(None));
+        assert_eq!(depenetrate(&store, &shape, infinite), Answer::Known(Some(Vector3::zeros())));
+        let heights = [
+            clearance(&store, &shape, infinite),
+            floor_under(&store, &shape, 9.0, infinite),
+            ceiling_above(&store, &shape, -9.0, infinite),
+            top_under(&store, &shape, 9.0, 9.0),
+            mean_floor_under(&store, &shape, 9.0, 9.0),
+        ];
+        assert_eq!(heights, [Answer::Known(None); 5]);
+    }
+    assert_eq!(nearest_surface(&store, at, infinite), Answer::Known(None));
+    assert_eq!(cast(&store, &Ray::new(at, Vector3::x(), infinite).unwrap()), Answer::Known(None));
 }
 
 #[test]
@@ -212,6 +272,12 @@ fn shapes_beyond_all_bounds_are_answered_at_once() {
     assert!(highest.is_some() && highest == floor_under(&store, &whole, 1e15, 2e15).known().unwrap());
     let lowest = ceiling_above(&store, &whole, -infinite, infinite).known().unwrap();
     assert!(lowest.is_some() && lowest == ceiling_above(&store, &whole, -1e15, 2e15).known().unwrap());
+    for far in [1e12, -1e12, 1e300] {
+        // In a single pixel.
+        for at in [Point3::new(far, 0.0, 0.0), Point3::new(0.0, far, 0.0)] {
+            assert_eq!(overlaps(&store, &Aabb::new(at, at).unwrap()), Overlap::Clear, "{at}");
+        }
+    }
     let big = Sphere::new(Point3::new(0.0, 0.0, -1e10), 0.9e10).unwrap();
     assert_eq!(overlaps(&store, &big), Overlap::Clear);
     let below = Ray::new(Point3::new(-1e12, 3.0, -1e12), Vector3::new(1.0, 0.0, 1e-9), infinite).unwrap();

@@ -547,6 +547,38 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
     }
 }
 
+#[test]
+fn a_round_shape_that_overlaps_a_corner_by_a_rounding_error_may_leave_it() {
+    // 2⁻⁴⁸ of the corner's coordinates is `error`; pixels, shapes and motions are exact.
+    let frame = Frame::new(0.25, 255.0 / 1024.0).unwrap();
+    let (far, error) = (1i64 << 20, 2f64.powi(-28));
+    let store =
+        Snapshot::from_pages(frame, scene::pages_of(&scene::Columns::from([((far, far), vec![(0, 512, false)])])));
+    let corner = frame.edge_of_pixel(far);
+    let (away, towards, along) =
+        (Vector3::new(-0.75, -1.0, 0.0), Vector3::new(0.75, 1.0, 0.0), Vector3::new(1.0, -0.75, 0.0));
+    // Nearer to the corner along both axes by this share of a pixel, which is 1.4 times as much along the diagonal.
+    for (nearer, is_inside) in [(0.0, false), (error / 2.0, false), (error, true)] {
+        let [x, y] = [0.75, 1.0].map(|apart| corner - apart + 0.25 * nearer);
+        let ask = |motion| {
+            [
+                sweep(&store, &Cylinder::new(Point3::new(x, y, 0.0), 1.25, 0.25).unwrap(), motion),
+                sweep(&store, &Sphere::new(Point3::new(x, y, 0.25), 1.25).unwrap(), motion),
+            ]
+        };
+        for hit in ask(towards) {
+            let hit = hit.known().flatten().unwrap();
+            assert!(hit.distance < SLACK && hit.begins_inside() == is_inside, "{nearer}: {hit:?}");
+            let normal = if is_inside { Vector3::zeros() } else { Vector3::new(-0.6, -0.8, 0.0) };
+            assert!((hit.normal - normal).norm() < 1e-6, "{nearer}: {hit:?}");
+        }
+        for hit in [away, along].into_iter().flat_map(ask) {
+            let is_stopped = hit.known().flatten().is_some_and(|hit| hit.begins_inside());
+            assert!(if is_inside { is_stopped } else { hit == Answer::Known(None) }, "{nearer}: {hit:?}");
+        }
+    }
+}
+
 /// The bounding box meets the edge all the way, the sphere never.
 #[test]
 fn a_sphere_passes_along_an_edge_that_is_further_than_its_radius() {

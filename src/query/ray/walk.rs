@@ -12,8 +12,8 @@ use crate::store::{KeyBounds, Snapshot};
 
 /// Growth of cells across (pixels) and along z (quanta): many times the margins of the exact search and the rounding
 /// errors of this one, provided that no coordinate exceeds [`FARTHEST`].
-const SLACK: f64 = 1.0 / (1 << 16) as f64;
-const SLACK_Z: f64 = 1.0 / (1 << 12) as f64;
+pub(super) const SLACK: f64 = 1.0 / (1 << 16) as f64;
+pub(super) const SLACK_Z: f64 = 1.0 / (1 << 12) as f64;
 /// Greatest coordinates (pixels, pixels, quanta).
 const FARTHEST: [f64; 3] = [(1u64 << 30) as f64, (1u64 << 30) as f64, (1u64 << 32) as f64];
 

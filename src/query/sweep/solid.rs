@@ -444,9 +444,9 @@ fn below_zero([a, b, c]: [f64; 3]) -> Meeting {
     if root <= 0.0 {
         return Meeting::NEVER;
     }
-    // Compute the root without cancellation first.
+    // Compute the root without cancellation first. The sum is not 0: its terms have the same sign.
     let q = -(b + root.sqrt().copysign(b));
-    let (s, t) = (q / a, if q == 0.0 { 0.0 } else { c / q });
+    let (s, t) = (q / a, c / q);
     Meeting { enter: lesser(s, t), leave: greater(s, t) }
 }
 

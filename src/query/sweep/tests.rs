@@ -6,6 +6,7 @@ use super::*;
 use crate::frame::PAGE_QUANTA;
 use crate::page::{Page, PageBuilder, Span};
 use crate::query::{Aabb, Cylinder, Sphere};
+use crate::random::Random;
 use crate::store::Snapshot;
 use nalgebra::Point3;
 use proptest::prelude::*;
@@ -107,4 +108,35 @@ proptest! {
             check(&store, &matter, &Sphere::new(place, radius).unwrap(), motion)?;
         }
     }
+}
+
+/// There are fewer tile columns than tiles along and across the ways, so columns are searched instead of tiles.
+#[test]
+fn spans_on_few_tiles_far_apart_are_found() {
+    let mut random = Random(5);
+    let mut hits = 0;
+    for _ in 0..2000 {
+        // First pixel of a tile.
+        let tile = |random: &mut Random| 64 * [-700i64, -30, 0, 1, 30, 900][random.below(6)];
+        let matter: Vec<Matter> = (0..=random.below(8))
+            .map(|_| {
+                let pixel = [(); 2].map(|()| tile(&mut random) + random.below(40i64) - 20);
+                let bottom = [-300, -60, 0, 255, 400][random.below(5)];
+                let top = bottom + [0, 5, 200][random.below(3)];
+                Matter { pixel, bottom, top, obstacle: random.chance(50) }
+            })
+            .collect();
+        let (store, matter) = store(&matter);
+        let [x, y] = [(); 2].map(|()| (tile(&mut random) + random.below(60i64) - 30) as f64 * PIXEL_M + 0.1);
+        let place = Point3::new(x, y, random.between(-5.0, 5.0));
+        let size = Vector3::from([(); 3].map(|()| [0.1, 1.5, 60.0, 3000.0][random.below(4)]));
+        let way = [0.0, 0.0, 0.7, -900.0, 30_000.0, -30_000.0];
+        let motion = Vector3::from([(); 3].map(|()| way[random.below(6)]));
+        let cuboid = Aabb::standing(place, size).unwrap();
+        check(&store, &matter, &cuboid, motion).unwrap();
+        check(&store, &matter, &Cylinder::new(place, size.x, size.z).unwrap(), motion).unwrap();
+        check(&store, &matter, &Sphere::new(place, size.x).unwrap(), motion).unwrap();
+        hits += usize::from(sweep(&store, &cuboid, motion) != Answer::Known(None));
+    }
+    assert!(hits > 80, "{hits} hits: the test shows little");
 }
