@@ -308,6 +308,59 @@ fn is_plane(heights: &[[f64; 3]], off: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::archive::{ArchiveWriter, Extent, PageEncoder, Totals};
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, Span};
+    use crate::plan::Plan;
+
+    /// A page with these spans in one pixel.
+    fn page(spans: &[Span]) -> Page {
+        let mut page = PageBuilder::default();
+        assert!(page.set_column(10, 20, spans));
+        page.build()
+    }
+
+    #[test]
+    fn ends_at_the_floor_and_the_ceiling_of_a_page_need_nothing() {
+        let page = page(&[Span::new(0, 300, true).unwrap(), Span::new(700, 16_320, false).unwrap()]);
+        let storage = Storage::Stored(Extent { offset: 0, len: 1, crc: 0 });
+        let key = PageKey { tx: 0, ty: 0, layer: 0 };
+        let entry = PageEntry { key, slices: page.slices(), size: page.size(), storage };
+        let expected: Vec<_> = (0..64)
+            .map(|slice| match slice {
+                0 => (slice, Need::LikeBelow, true),
+                1 => (slice, Need::Level, true),
+                2 => (slice, Need::Level, false),
+                _ => (slice, Need::LikeBelow, false),
+            })
+            .collect();
+        assert_eq!(TileCounter::new(0).count(&entry, &page), expected);
+        assert_eq!(Need::ALL.map(Need::is_free), [true, true, true, false, false, false]);
+    }
+
+    #[test]
+    fn contents_that_recur_are_counted_alike_whether_their_counts_are_kept_or_not() {
+        let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        let mut encoder = PageEncoder::of_plan(&plan);
+        // More contents than are kept, all of them once again, then the first and the last of them.
+        let most = KEPT as u32 + 10;
+        let tops: Vec<u32> = (1..=most).chain(1..=most).chain(1..=5).chain(most - 5..=most).collect();
+        for (layer, top) in (0..).zip(&tops) {
+            let key = PageKey { tx: 0, ty: 0, layer };
+            writer.put(key, encoder.encode(key, &page(&[Span::new(0, *top, false).unwrap()]))).unwrap();
+        }
+        writer.finish(Totals::default()).unwrap();
+        let stats = Stats::of(&Archive::open(&target).unwrap()).unwrap();
+        let slices = |tops: &[u32]| tops.iter().map(|top| u64::from(top.div_ceil(255))).sum::<u64>();
+        let (once, again) = tops.split_at(most as usize);
+        assert_eq!(stats.pages, [once.len() as u64, again.len() as u64, 0]);
+        assert_eq!(stats.tiles, [slices(once), slices(again), 0]);
+        assert_eq!((stats.spans, stats.columns, stats.voxels), (tops.len() as u64, tops.len() as u64, slices(&tops)));
+        assert_eq!(stats.needs[Need::Shared as usize], slices(again));
+    }
 
     #[test]
     fn slices_are_counted_once_and_layers_up_to_a_limit() {

@@ -81,6 +81,7 @@ fn pages_that_a_view_sees_stay_and_count_until_it_is_dropped() {
         assert!(stream.counters().used_bytes <= budget);
     }
     assert_eq!(stream.step(), Step::NoRoom(true), "the old view holds what was evicted");
+    assert!(!stream.settle(Duration::from_millis(2)));
     assert_eq!(overlaps(&view, &here.shape()), seen, "and still answers");
     let loaded = stream.counters().loaded;
     drop(view);

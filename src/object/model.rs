@@ -97,11 +97,6 @@ impl Model {
         Ok(Self { frame, origin, radius, tree })
     }
 
-    /// Returns the grid of the spans.
-    pub fn frame(&self) -> &Frame {
-        &self.frame
-    }
-
     /// Returns the number of spans.
     pub fn span_count(&self) -> usize {
         self.tree.len()

@@ -149,11 +149,14 @@ mod tests {
                 prop_assert!(spans.iter().any(|span| span.within_slice(k).is_some()));
             }
             prop_assert_eq!(occupancy.voxels().count(), occupancy.len());
+            prop_assert!(!occupancy.is_empty() && Occupancy::default().is_empty());
             let values = vec![[1, 2, 3, 255]; occupancy.len()];
             prop_assert!(Colours::new(occupancy.clone(), values[1..].to_vec()).is_none());
             let colours = Colours::new(occupancy, values).unwrap();
             prop_assert_eq!(colours.count(), page.voxel_counts().0);
             prop_assert!(colours.voxels().all(|(px, py, k, colour)| colours.of(px, py, k) == colour));
+            let values = colours.voxels().map(|(.., colour)| colour.map_or([0; 4], |[r, g, b]| [r, g, b, 255]));
+            prop_assert!(values.eq(colours.values().iter().copied()));
         }
     }
 }

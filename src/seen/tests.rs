@@ -123,6 +123,11 @@ proptest! {
         let mut again = Vec::new();
         page.encode(&mut again);
         prop_assert_eq!(again, bytes);
+        // The bits of a cell by its place.
+        let bit = |x: usize, y: usize, z: usize| page.slices()[z][y / 4] >> (16 * (y % 4) + x) & 1 == 1;
+        for (x, y, z) in [(0, 0, 0), (15, 3, 17), (4, 15, 63), (9, 6, 40)] {
+            prop_assert_eq!(bit(x, y, z), page.is_seen([[x; 2], [y; 2], [z; 2]]));
+        }
     }
 }
 
@@ -157,4 +162,9 @@ fn blocks_come_in_order_and_keep_full_pages_apart() {
     let mut space = SeenSpace::new(frame());
     assert!(space.push(block.clone()) && !space.push(block));
     assert_eq!(space.cells(), 1 + SeenPage::CELLS);
+    let besides = space.bytes() - 2048;
+    assert!((24..=48).contains(&besides), "{besides} bytes of a block besides its page");
+    // The full page ends at height 0 and is 3.2 m wide.
+    let seen = |x: f64, z: f64| space.is_box_seen(Point3::new(0.01, 0.01, -9.0), Point3::new(x, 3.19, z));
+    assert!(seen(3.19, -0.01) && !seen(3.21, -0.01) && !seen(3.19, 0.01));
 }

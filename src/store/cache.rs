@@ -390,9 +390,7 @@ impl Cache {
             counters.wasted += u64::from(!resident.touched);
             changes.extend(resident.pages.into_iter().map(|page| (page, None)));
         }
-        if !changes.is_empty() {
-            self.publish(changes);
-        }
+        self.publish(changes);
     }
 
     fn publish(&mut self, mut changes: Vec<(u32, Option<Arc<Held>>)>) {

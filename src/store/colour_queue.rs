@@ -278,54 +278,14 @@ fn loaded(view: &Snapshot, key: PageKey) -> Option<&Page> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
+    use super::super::tests::{archive, keys, written};
     use super::super::{
         Fetch, Loader, LoaderOptions, MotionHint, Next, Payload, Prefetch, Step, Stream, StreamOptions,
     };
     use super::*;
-    use crate::archive::{Archive, ArchiveWriter, ColourReader, EncodedColours, PageEncoder, Totals};
-    use crate::codec::ColourEncoder;
-    use crate::colour::{ColourPlan, ColourScale};
-    use crate::frame::Frame;
-    use crate::page::{Occupancy, PageBuilder, Span};
-    use crate::plan::Plan;
-
-    /// 12 × 3 pages of rough ground; every fourth has no colours.
-    pub fn archive(levels: bool) -> Vec<u8> {
-        let folder = tempfile::tempdir().unwrap();
-        let target = folder.path().join("a.slices");
-        let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
-        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
-        let plan_of_colours = ColourPlan { scale: ColourScale::of_rgb(65_535), error_milli: 0 };
-        if levels {
-            writer.set_levels();
-        }
-        writer.set_colours(plan_of_colours);
-        let (mut encoder, mut of_colours) = (PageEncoder::new(plan.frame), ColourEncoder::default());
-        let mut keys: Vec<_> = (0..36).map(|n| PageKey { tx: n % 12, ty: n / 12, layer: 0 }).collect();
-        keys.sort_unstable();
-        for (number, key) in keys.into_iter().enumerate() {
-            let mut page = PageBuilder::default();
-            for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
-                let top = 100 + (x * 31 + y * 17) % 5 * 60 + number as u32;
-                assert!(page.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
-            }
-            let page = page.build();
-            let occupancy = Occupancy::of(&page);
-            let colour = |voxel: usize| {
-                (!number.is_multiple_of(4)).then_some([(voxel * 257 % 65_536) as u16, (number * 1000) as u16, 30_000])
-            };
-            let colours: Vec<_> = (0..occupancy.len()).map(colour).collect();
-            let colours = EncodedColours::new(&plan_of_colours, &occupancy, &colours, &mut of_colours);
-            writer.put(key, encoder.encode(key, &page).with_colours(colours)).unwrap();
-        }
-        writer.finish(Totals { points_read: 1, points_kept: 1, ..Totals::default() }).unwrap();
-        std::fs::read(&target).unwrap()
-    }
-
-    pub fn keys(archive: &Archive) -> Vec<PageKey> {
-        archive.entries().map(|entry| entry.unwrap().key).collect()
-    }
+    use crate::archive::{Archive, ColourReader};
+    use crate::page::{PageBuilder, Span};
 
     /// A loader with all pages of the archive in memory.
     fn whole(bytes: &[u8], budget: usize) -> Loader {
@@ -606,6 +566,9 @@ pub(super) mod tests {
         assert_eq!((stream.step(), stream.step(), taken_of(&stream).len()), (Step::Idle, Step::Idle, 0));
         drop(taken);
         assert_eq!(stream.step(), Step::Coloured);
+        // All pages are there, so nothing is left to settle, whatever colours are left to read.
+        let colours = (0..40).map(|_| (stream.settle(Duration::MAX), taken_of(&stream).len()));
+        assert_eq!(colours.fold((true, 0), |sum, more| (sum.0 && more.0, sum.1 + more.1)), (true, all.len()));
     }
 
     #[test]
@@ -643,5 +606,60 @@ pub(super) mod tests {
             }
             assert!(found.iter().eq(&wanted));
         }
+    }
+    #[test]
+    fn colours_take_memory_from_pages_but_not_from_those_that_are_waited_for() {
+        let bytes = archive(false);
+        let all = keys(&Archive::from_bytes(bytes.clone()).unwrap());
+        let budget = 512 << 10;
+        let mut loader = whole(&bytes, budget);
+        let full = loader.counters();
+        assert!(full.resident_pages < all.len() && full.evicted == 0, "{full:?}");
+        let view = loader.snapshot().unwrap();
+        let resident: Vec<_> = all.iter().copied().filter(|key| loaded(&view, *key).is_some()).collect();
+        drop(view);
+        // One of them is waited for, with a page that cannot come as long as nobody answers its fetch.
+        let absent = all.iter().copied().find(|key| !resident.contains(key)).unwrap();
+        let nearest = resident[resident.len() - 1];
+        let request = loader.request(&[nearest, absent], nearest);
+        let Next::Fetch(page) = loader.poll(Time::ZERO).unwrap() else { panic!("no page") };
+        let before = loader.counters();
+        loader.want_colours(&resident);
+        assert_eq!(loader.colour_turn(Time::ZERO).map(|fetch| fetch.what), Some(Payload::Colours));
+        assert!(loader.counters().evicted > before.evicted);
+        assert_eq!(loader.snapshot().unwrap().is_loaded(nearest), Some(true));
+        give(&mut loader, &bytes, &page);
+        assert!(matches!(loader.poll(Time::ZERO).unwrap(), Next::Wait(_)));
+        assert_eq!(loader.outcome(request).unwrap().unwrap().left_out, 0);
+        assert!(loader.counters().peak_bytes <= budget);
+    }
+
+    #[test]
+    fn colours_of_every_leaf_are_those_of_their_pages() {
+        // A row of more pages than a leaf holds, of one voxel each.
+        let mut page = PageBuilder::default();
+        assert!(page.set_column(7, 9, &[Span::new(0, 100, false).unwrap()]));
+        let pages: Vec<_> = (0..4100).map(|tx| (PageKey { tx, ty: 0, layer: 0 }, page.build())).collect();
+        let bytes = written(&pages, false, Some(&|number: usize, _: usize| Some([number as u16, 257, 514])));
+        let archive = Archive::from_bytes(bytes.clone()).unwrap();
+        assert_eq!(archive.catalog().leaf_count(), 2);
+        let mut reader = ColourReader::new(&archive).unwrap().unwrap();
+        let all = keys(&archive);
+        let wanted = [all[4099], all[0], all[4095], all[4096]];
+        let mut loader = whole(&bytes, 64 << 20);
+        let view = loader.snapshot().unwrap();
+        loader.want_colours(&wanted);
+        let mut found = Vec::new();
+        while let Some(fetch) = asked(&mut loader, Time::ZERO) {
+            give(&mut loader, &bytes, &fetch);
+            for (key, colours) in taken(&mut loader) {
+                assert_eq!(colours.unwrap(), reader.colours_of(key, loaded(&view, key).unwrap()).unwrap());
+                found.push(key);
+            }
+        }
+        found.sort_unstable();
+        let mut wanted = wanted.to_vec();
+        wanted.sort_unstable();
+        assert_eq!(found, wanted);
     }
 }

@@ -196,3 +196,96 @@ fn too_small(budget: &Budget, pages: u64, least: usize) -> Error {
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{archive, written};
+    use super::super::{Loader, LoaderOptions, Next};
+    use super::*;
+    use crate::archive::Archive;
+    use crate::frame::PageKey;
+    use crate::page::{PageBuilder, Span};
+    use crate::random::Random;
+
+    /// Opens an archive; notes how many fetches are out at once.
+    fn open(bytes: &[u8], budget: usize, out: &mut Vec<usize>) -> Result<()> {
+        let catalog = Archive::from_bytes(bytes.to_vec()).unwrap().catalog().clone();
+        let mut loader = Loader::new(catalog, LoaderOptions::new(budget))?;
+        while loader.snapshot().is_none() {
+            let mut fetches = Vec::new();
+            while let Next::Fetch(fetch) = loader.poll(Time::ZERO)? {
+                fetches.push(fetch);
+            }
+            out.extend(Some(fetches.len()).filter(|count| *count > 0));
+            for fetch in fetches {
+                let own = bytes[fetch.range.start as usize..fetch.range.end as usize].to_vec();
+                let job = loader.given(fetch.id, own, Time::ZERO).unwrap();
+                loader.loaded(job.run(), Time::ZERO);
+            }
+        }
+        assert!(loader.counters().peak_bytes <= budget);
+        Ok(())
+    }
+
+    /// More pages than a leaf holds, so far apart that the table takes more memory than the least.
+    #[test]
+    fn a_budget_that_is_too_small_names_one_that_takes_it_further() {
+        let mut random = Random(3);
+        let mut far = || random.below(1u64 << 28) as i32 - (1 << 27);
+        let keys: std::collections::BTreeSet<_> =
+            (0..4100).map(|_| PageKey { tx: far(), ty: far(), layer: far() }).collect();
+        // In any slices, so that a leaf is too long for a fetch with another one.
+        let mut page = PageBuilder::default();
+        let page = |key| {
+            let slices = random.bits() | 1;
+            let bottoms = (0..64).filter(|slice| slices >> slice & 1 == 1).map(|slice| 255 * slice + 10);
+            let spans: Vec<_> = bottoms.map(|bottom| Span::new(bottom, bottom + 9, false).unwrap()).collect();
+            page.clear();
+            assert!(page.set_column(1, 2, &spans));
+            (key, page.build())
+        };
+        let pages: Vec<_> = keys.into_iter().map(page).collect();
+        let bytes = written(&pages, false, None);
+        let (mut budget, mut out) = (1, Vec::new());
+        loop {
+            out.push(Vec::new());
+            let Err(error) = open(&bytes, budget, out.last_mut().unwrap()) else { break };
+            let told = error.to_string();
+            assert!(told.contains(&format!("{budget} bytes are too few: the table of 4100 pages")), "{told}");
+            let needed = told.split("alone needs ").nth(1).and_then(|rest| rest.split(';').next()).unwrap();
+            let more = needed.parse().unwrap();
+            assert!(more > budget && out.len() < 5, "{told}");
+            budget = more;
+        }
+        // Room for the least table, for the first leaf, then for one leaf after the other, and for the table itself.
+        assert_eq!(out, [vec![], vec![], vec![1, 1], vec![2]]);
+    }
+
+    #[test]
+    fn a_lasting_error_comes_at_every_poll() {
+        let mut newer = archive(false);
+        newer[8] += 1;
+        let end = u32::from_le_bytes(newer[12..16].try_into().unwrap()) as usize - 4;
+        let crc = crc32c::crc32c(&newer[..end]);
+        newer[end..end + 4].copy_from_slice(&crc.to_le_bytes());
+        let limit = Error::limit("bytes of the link", 5, 4);
+        for (mut fails, says) in [(None, "rule H4"), (Some(limit), "bytes of the link: 5 is beyond the limit of 4")] {
+            let mut loader = Loader::open(Some(newer.len() as u64), LoaderOptions::new(1 << 20));
+            let mut told = Vec::new();
+            while told.len() < 3 {
+                match loader.poll(Time::ZERO) {
+                    Ok(Next::Fetch(fetch)) => match fails.take() {
+                        Some(error) => loader.failed(fetch.id, error, Time::ZERO),
+                        None => {
+                            let own = newer[fetch.range.start as usize..fetch.range.end as usize].to_vec();
+                            assert!(loader.given(fetch.id, own, Time::ZERO).is_none());
+                        }
+                    },
+                    Ok(next) => panic!("{next:?}"),
+                    Err(error) => told.push(error.to_string()),
+                }
+            }
+            assert!(told.iter().all(|told| told.contains(says)), "{told:?}");
+        }
+    }
+}

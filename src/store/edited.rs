@@ -6,6 +6,7 @@ use super::snapshot::{Edited, Held, PageSlot};
 use crate::archive::{Archive, edited_pages};
 use crate::frame::PageKey;
 use crate::page::Page;
+use crate::text::counted;
 use crate::{Error, Parameter, Result};
 use std::sync::Arc;
 
@@ -18,7 +19,8 @@ pub(super) fn edited_columns(archive: &Archive, index: &Index, budget: &Arc<Budg
     let slot = |(key, page): (PageKey, Page)| {
         let bytes = page.weight_bytes() + size_of::<PageSlot>() + size_of::<Held>();
         let room = budget.take(bytes).ok_or_else(|| {
-            let reason = format!("{} bytes do not hold the {count} pages with edits ({needed} bytes)", budget.budget());
+            let (own, count) = (budget.budget(), counted(count as u64, "page"));
+            let reason = format!("{own} bytes do not hold the {count} with edits ({needed} bytes)");
             Error::parameter(Parameter::Cache, reason)
         })?;
         Ok((key, PageSlot::of(key.layer, Held { page, room: Some(room) })))

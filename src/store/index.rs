@@ -133,3 +133,67 @@ fn contents(entries: &[PageEntry]) -> Box<[u32]> {
     };
     entries.iter().enumerate().map(number).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::Extent;
+    use crate::page::{PageSize, Span};
+    use proptest::prelude::*;
+
+    fn entry(tx: i32, ty: i32, layer: i32, storage: Storage) -> PageEntry {
+        PageEntry { key: PageKey { tx, ty, layer }, slices: 1, size: PageSize::UNIFORM, storage }
+    }
+
+    fn flat(top: u32) -> Storage {
+        Storage::Uniform(Span::new(0, top, false).unwrap())
+    }
+
+    proptest! {
+        #[test]
+        fn columns_of_a_range_are_found_in_sets_that_are_dense_sparse_or_empty(
+            keys in proptest::collection::btree_set((-4i32..4, -4i32..4, 0i32..2), 0..60),
+            far in any::<bool>(),
+            [x, y] in [(-6i32..6, 0i32..9), (-6i32..6, 0i32..9)],
+            wide in any::<bool>(),
+        ) {
+            let frame = Frame::new(0.05, 0.15).unwrap();
+            let far = [(i32::MAX, i32::MIN, 0), (i32::MIN, 7, 0)].into_iter().filter(|_| far);
+            let keys: Vec<_> = keys.into_iter().chain(far).collect();
+            let entries = keys.iter().map(|&(tx, ty, layer)| entry(tx, ty, layer, flat(9)));
+            let index = Index::new(frame, entries.collect(), false);
+            let range = |(from, len): (i32, i32)| if wide { [i32::MIN, i32::MAX] } else { [from, from + len] };
+            let ranges = [x, y].map(range);
+            let is_in = |&(tx, ty, _): &(i32, i32, i32)| {
+                (ranges[0][0]..=ranges[0][1]).contains(&tx) && (ranges[1][0]..=ranges[1][1]).contains(&ty)
+            };
+            let mut expected: Vec<_> = keys.iter().copied().filter(is_in).collect();
+            let mut found = Vec::new();
+            index.for_each_column(ranges[0], ranges[1], |pages| {
+                found.extend(pages.map(|page| index.key(page)).map(|key| (key.tx, key.ty, key.layer)));
+            });
+            expected.sort_unstable();
+            found.sort_unstable();
+            prop_assert_eq!(found, expected);
+        }
+    }
+
+    #[test]
+    fn pages_share_a_content_only_if_all_that_the_directory_says_of_it_is_equal() {
+        let extent = |offset, len| Extent { offset, len, crc: 5 };
+        let storages = [
+            (Storage::Stored(extent(100, 50)), 0u32),
+            (flat(7), 1),
+            (Storage::Stored(extent(150, 30)), 2),
+            (Storage::Shared(extent(100, 50)), 0),
+            (flat(7), 1),
+            (flat(8), 5),
+            // Bytes of a damaged directory: those of one and a half pages, and some that no page stores.
+            (Storage::Shared(extent(100, 65)), 6),
+            (Storage::Shared(extent(110, 40)), 7),
+            (Storage::Shared(extent(150, 30)), 2),
+        ];
+        let entries: Vec<_> = (0..).zip(storages).map(|(layer, (storage, _))| entry(0, 0, layer, storage)).collect();
+        assert_eq!(contents(&entries)[..], storages.map(|(_, first)| first));
+    }
+}

@@ -108,9 +108,6 @@ impl MotionHint {
                 self.time_along(axis, low, low + (TILE_PIXELS + 2) as f64 * pixel)
             };
             let sideways = side(0, first.tx).max(side(1, first.ty));
-            if sideways > horizon {
-                return;
-            }
             for page in pages {
                 let (low, high) = index.entry(page).slice_range();
                 let (low, high) = (frame.bottom_of_slice(low - 1), frame.bottom_of_slice(high + 2));
@@ -159,6 +156,9 @@ mod tests {
         assert!((falls(60.0, 30.0) - 0.5).abs() < 1e-12, "no faster than the terminal speed");
         assert!((falls(80.0, 40.0) - 0.5).abs() < 1e-12, "unless it is faster already");
         assert_eq!(falls(3.0, 0.0), 0.0);
+        // A body that cannot fall comes down only as it moves.
+        let sinks = |speed: f64| MotionHint { gravity: 0.0, ..body(Vector3::new(0.0, 0.0, -speed)) }.fall_time(6.0);
+        assert!((sinks(3.0) - 2.0).abs() < 1e-12 && sinks(6.0) < sinks(3.0) && sinks(3.0) < sinks(0.0));
     }
 
     #[test]

@@ -299,6 +299,19 @@ fn check_memory(bytes: usize, pages: usize) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::page::{PageBuilder, Span};
+
+    #[test]
+    fn a_page_of_a_table_takes_about_40_bytes() {
+        let mut page = PageBuilder::default();
+        assert!(page.set_column(1, 2, &[Span::new(0, 255, false).unwrap()]));
+        let page = page.build();
+        let pages = (0..1000).map(|layer| (PageKey { tx: 0, ty: 0, layer }, page.clone()));
+        let scene = Snapshot::from_pages(Frame::new(0.05, 0.15).unwrap(), pages);
+        let each = scene.table_bytes() as f64 / 1000.0;
+        assert!((25.0..45.0).contains(&each), "{each} bytes a page");
+        assert_eq!(scene.weight_bytes(), 1000 * page.weight_bytes());
+    }
 
     #[test]
     fn memory_that_cannot_be_had_is_an_error() {

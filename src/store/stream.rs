@@ -525,6 +525,7 @@ impl Shared {
 mod tests {
     use super::*;
     use crate::archive::{ArchiveWriter, PageEncoder, Totals};
+    use crate::bytes::{ByteSource, MemorySource, stop_of_thread};
     use crate::frame::Frame;
     use crate::page::{PageBuilder, Span};
     use crate::plan::Plan;
@@ -556,6 +557,95 @@ mod tests {
     fn a_budget_of_nothing_is_refused_by_name() {
         let refused = Stream::open(archive(), StreamOptions::new(0)).unwrap_err();
         assert!(matches!(refused, Error::Parameter { what: crate::Parameter::Cache, .. }), "{refused}");
+    }
+
+    fn hint() -> MotionHint {
+        MotionHint::walking([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into(), Default::default())
+    }
+
+    fn manual() -> StreamOptions {
+        StreamOptions { prefetch: Prefetch::Manual, ..StreamOptions::new(1 << 20) }
+    }
+
+    #[test]
+    fn hints_that_make_no_sense_load_nothing() {
+        let stream = Stream::open(archive(), manual()).unwrap();
+        let wrong = MotionHint { agility: -1.0, ..hint() };
+        let refused = stream.load_around(&wrong).unwrap_err().to_string();
+        assert!(refused.contains("motion_hint") && refused.contains("finite"), "{refused}");
+        assert_eq!((stream.load_around(&hint()).unwrap().loaded, stream.count_loaded(&hint())), (1, 1));
+        assert_eq!(stream.count_loaded(&wrong), 0);
+    }
+
+    #[test]
+    fn pages_that_a_body_needs_come_without_a_hint_and_settling_takes_no_longer_than_it_may() {
+        let stream = Stream::open(archive(), manual()).unwrap();
+        let shape = Aabb::new(hint().min, hint().max).unwrap();
+        let Overlap::NotLoaded(missing) = overlaps(&stream.snapshot(), &shape) else { panic!("it is loaded") };
+        let mut pawn = stream.pawn();
+        pawn.need(&missing);
+        assert!(!stream.settle(Duration::ZERO), "a page was to be read");
+        assert_eq!(overlaps(&stream.snapshot(), &shape), Overlap::Hit);
+        assert!(stream.settle(Duration::ZERO));
+    }
+
+    /// Ends reads like that of a remote object on a thread that is to stop.
+    struct Stopping {
+        bytes: MemorySource,
+        is_slow: AtomicBool,
+        is_waiting: AtomicBool,
+        is_stopped: AtomicBool,
+    }
+
+    impl ByteSource for Stopping {
+        fn len(&self) -> u64 {
+            self.bytes.len()
+        }
+
+        fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+            if !self.is_slow.load(Acquire) {
+                return self.bytes.read_at(offset, buf);
+            }
+            self.is_waiting.store(true, Release);
+            let (start, stop) = (Instant::now(), stop_of_thread());
+            // On a thread that nothing can stop, the read ends at once.
+            while stop.as_ref().is_some_and(|stop| !stop()) && start.elapsed() < Duration::from_secs(20) {
+                yield_now();
+            }
+            self.is_stopped.store(stop.is_some_and(|stop| stop()), Release);
+            Err(Error::Interrupted)
+        }
+    }
+
+    #[test]
+    fn a_read_that_is_stopped_ends_its_thread_and_leaves_its_pages_to_be_read_again() {
+        for prefetch in [Prefetch::Manual, Prefetch::Thread] {
+            let mut bytes = vec![0; archive().source().len() as usize];
+            archive().source().read_at(0, &mut bytes).unwrap();
+            let bytes = MemorySource::new(bytes);
+            let [is_slow, is_waiting, is_stopped] = Default::default();
+            let source = Arc::new(Stopping { bytes, is_slow, is_waiting, is_stopped });
+            let archive = Archive::from_source(Box::new(source.clone())).unwrap();
+            let stream = Stream::open(archive, StreamOptions { prefetch, ..manual() }).unwrap();
+            source.is_slow.store(true, Release);
+            let mut pawn = stream.pawn();
+            pawn.hint(&hint());
+            if prefetch == Prefetch::Manual {
+                assert_eq!(stream.step(), Step::Loaded(0));
+                let errors = stream.take_errors();
+                assert!(matches!(errors[..], [PageError { error: Error::Io { .. }, .. }]), "{errors:?}");
+                source.is_slow.store(false, Release);
+                assert_eq!(stream.load_around(&hint()).unwrap().loaded, 1);
+            } else {
+                // A hint may coincide with the moment in which the one before is taken.
+                while !source.is_waiting.load(Acquire) {
+                    pawn.hint(&hint());
+                    yield_now();
+                }
+            }
+            drop(stream);
+            assert_eq!(source.is_stopped.load(Acquire), prefetch == Prefetch::Thread);
+        }
     }
 
     #[test]

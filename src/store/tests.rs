@@ -1,18 +1,78 @@
 //! A model of the loader: drives it in arbitrary orders and checks its contract after every step.
 
-use super::colour_queue::tests::{archive, keys};
 use super::fetch::{Cargo, Decode};
 use super::*;
-use crate::Error;
-use crate::archive::{Archive, ColourReader};
+use crate::archive::{Archive, ArchiveWriter, ColourReader, EncodedColours, PageEncoder, Totals};
 use crate::bytes::ByteSource;
-use crate::frame::PageKey;
+use crate::codec::ColourEncoder;
+use crate::colour::{ColourPlan, ColourScale};
+use crate::edit::{Edits, Prism};
+use crate::frame::{Frame, PageKey};
+use crate::page::{Occupancy, Page, PageBuilder, Span};
+use crate::plan::Plan;
+use crate::{Error, NoMonitor, Parameter};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::ops::Range;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
+
+/// The bytes of an archive of these pages, in order of their keys. `colour` gives the colour of a voxel by the number of
+/// its page and its own.
+pub fn written(
+    pages: &[(PageKey, Page)],
+    levels: bool,
+    colour: Option<&dyn Fn(usize, usize) -> Option<[u16; 3]>>,
+) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+    let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+    let plan_of_colours = ColourPlan { scale: ColourScale::of_rgb(65_535), error_milli: 0 };
+    if levels {
+        writer.set_levels();
+    }
+    if colour.is_some() {
+        writer.set_colours(plan_of_colours);
+    }
+    let (mut encoder, mut of_colours) = (PageEncoder::new(plan.frame), ColourEncoder::default());
+    for (number, (key, page)) in pages.iter().enumerate() {
+        let mut encoded = encoder.encode(*key, page);
+        if let Some(colour) = colour {
+            let occupancy = Occupancy::of(page);
+            let colours: Vec<_> = (0..occupancy.len()).map(|voxel| colour(number, voxel)).collect();
+            let colours = EncodedColours::new(&plan_of_colours, &occupancy, &colours, &mut of_colours);
+            encoded = encoded.with_colours(colours);
+        }
+        writer.put(*key, encoded).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    std::fs::read(&target).unwrap()
+}
+
+/// 12 × 3 pages of rough ground; every fourth has no colours.
+pub fn archive(levels: bool) -> Vec<u8> {
+    let mut keys: Vec<_> = (0..36).map(|n| PageKey { tx: n % 12, ty: n / 12, layer: 0 }).collect();
+    keys.sort_unstable();
+    let ground = |number: u32| {
+        let mut page = PageBuilder::default();
+        for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+            let top = 100 + (x * 31 + y * 17) % 5 * 60 + number;
+            assert!(page.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
+        }
+        page.build()
+    };
+    let pages: Vec<_> = keys.into_iter().zip((0..).map(ground)).collect();
+    let colour = |number: usize, voxel: usize| {
+        (!number.is_multiple_of(4)).then_some([(voxel * 257 % 65_536) as u16, (number * 1000) as u16, 30_000])
+    };
+    written(&pages, levels, Some(&colour))
+}
+
+pub fn keys(archive: &Archive) -> Vec<PageKey> {
+    archive.entries().map(|entry| entry.unwrap().key).collect()
+}
 
 /// An archive with colours, its pages, and where the colours of each lie.
 type Scene = (Vec<u8>, Vec<PageKey>, Vec<Range<u64>>);
@@ -400,4 +460,80 @@ fn a_stream_asks_for_colours_again_after_every_failure() {
         }
         assert!(failed >= 2, "{failed} failures");
     }
+}
+
+/// Hints of a body that is gone, answers to fetches that were given up, and colours before the archive is open.
+#[test]
+fn what_comes_too_early_or_too_late_is_ignored() {
+    let mut early = Loader::open(None, LoaderOptions::new(1 << 20));
+    early.want_colours(&SCENE.1);
+    assert!(!early.has_colours() && early.take_colours().is_none());
+    let Model { mut loader, body, now, .. } = Model::new(64 << 20, 2);
+    let hint = MotionHint::walking([0.5, 4.0, 1.0].into(), [1.0, 4.5, 2.8].into(), nalgebra::Vector3::zeros());
+    loader.hint(body, &MotionHint { gravity: f64::NAN, ..hint });
+    assert_eq!(loader.counters().hints_dropped, 1);
+    loader.forget(body);
+    loader.hint(body, &hint);
+    loader.need(body, &Missing::one(SCENE.1[0]));
+    assert!(matches!(loader.poll(now).unwrap(), Next::Wait(None)));
+    let fetched = |loader: &mut Loader| {
+        let request = loader.request(&SCENE.1[..1], SCENE.1[0]);
+        let Next::Fetch(Fetch { id, range, .. }) = loader.poll(now).unwrap() else { panic!("no fetch") };
+        (request, id, loader.given(id, SCENE.0[range.start as usize..range.end as usize].to_vec(), now).unwrap())
+    };
+    let lost = || Error::io("link", "read", std::io::ErrorKind::ConnectionReset.into());
+    // Given up while it is decoded, twice.
+    let (request, id, job) = fetched(&mut loader);
+    loader.failed(id, lost(), now);
+    assert!(loader.outcome(request).unwrap().is_err());
+    assert_eq!((loader.loaded(job.run(), now), loader.counters().loaded), (0, 0));
+    loader.failed(id, lost(), now);
+    assert_eq!(loader.counters().failed, 1);
+    // It comes when it is asked for again.
+    let (_, _, job) = fetched(&mut loader);
+    assert_eq!(loader.loaded(job.run(), now), 1);
+    assert_eq!(loader.snapshot().unwrap().is_loaded(SCENE.1[0]), Some(true));
+}
+
+#[test]
+fn a_stream_of_an_edited_archive_has_the_columns_of_a_resident_snapshot() {
+    let whole = [SCENE.0.clone(), written(&[], false, None)];
+    let taken = Prism::of_box([0.5, 0.5, -1.0], [1.0, 1.0, 5.0]).unwrap();
+    // In another region, and layers above the rest.
+    let added = Prism::of_box([-5.0, 1.0, 20.0], [-4.5, 2.0, 31.0]).unwrap();
+    let mut edits = [Edits::default(), Edits::default()];
+    edits[0].remove(taken.clone()).unwrap();
+    edits[1].remove(taken).unwrap();
+    edits[1].add(added, true).unwrap();
+    for (bytes, edits) in whole.iter().flat_map(|bytes| edits.iter().map(move |edits| (bytes, edits))) {
+        let edited = || Archive::from_bytes(bytes.clone()).unwrap().with_edits(edits.clone());
+        let expected = Snapshot::resident(&edited(), &NoMonitor).unwrap();
+        let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(64 << 20) };
+        let stream = Stream::open(edited(), options).unwrap();
+        let all = keys(stream.archive());
+        if let Some(first) = all.first() {
+            assert_eq!(stream.load(&all, *first).unwrap().left_out, 0);
+        }
+        let (low, high) = ([0.5, 4.0, 1.0].into(), [1.0, 4.5, 2.8].into());
+        stream.load_around(&MotionHint::walking(low, high, nalgebra::Vector3::zeros())).unwrap();
+        let found = stream.snapshot();
+        assert_eq!(found.bounds(), expected.bounds());
+        let columns = |view: &Snapshot| -> BTreeMap<_, Vec<_>> {
+            let column = |number| {
+                let (tx, ty, slots) = view.column_at(number);
+                let slots = slots.iter().map(|slot| (slot.layer(), slot.slices(), slot.page().cloned()));
+                ((tx, ty), slots.collect())
+            };
+            (0..view.column_count()).map(column).collect()
+        };
+        assert_eq!(found.column_count(), expected.column_count());
+        assert!(columns(&found) == columns(&expected));
+        let regions = |view: &Snapshot| [(0, 0), (-1, 0), (0, -1)].map(|(rx, ry)| view.has_region(rx, ry));
+        assert_eq!(regions(&found), regions(&expected));
+    }
+    // What edits change stays in memory, so it must fit.
+    let edited = Archive::from_bytes(SCENE.0.clone()).unwrap().with_edits(edits[0].clone());
+    let error = Stream::open(edited, StreamOptions::new(10_000)).unwrap_err();
+    assert!(matches!(error, Error::Parameter { what: Parameter::Cache, .. }), "{error}");
+    assert!(error.to_string().contains("10000 bytes do not hold the 1 page with edits"), "{error}");
 }
