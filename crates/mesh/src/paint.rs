@@ -467,4 +467,44 @@ mod tests {
         let one = Image::new(0, 0, Vec::new());
         assert_eq!(one.at([0.3, 0.9], 1e9), [0; 3]);
     }
+
+    /// An image of 2 × 2 texels with these colours, and the triangle's paint of it.
+    fn textured(places: [[f64; 2]; 3], tint: [u8; 3], texels: [[u8; 3]; 4]) -> Paint {
+        let image = Arc::new(Image::new(2, 2, texels.concat()));
+        Paint::Texture {
+            texture: Arc::new(Texture::new(image, [Wrap::Repeat; 2], &Arc::new(()))),
+            places,
+            tints: [tint; 3],
+        }
+    }
+
+    #[test]
+    fn pieces_have_colours_of_the_paint_wherever_a_file_puts_it() {
+        let frame = Frame::new(1.0, 1.0).unwrap();
+        let triangle = [[0.0, 0.0, 0.5], [3.0, 0.0, 0.5], [0.0, 3.0, 0.5]];
+        assert!(PlacedPaint::new(&frame, &triangle, &Paint::None).is_none());
+        // Texture coordinates that are no positions: some texel, never a mean of all.
+        let texels = [[10, 0, 0], [0, 20, 0], [0, 0, 30], [40, 40, 40]];
+        let none = [[f64::NAN; 2], [f64::INFINITY; 2], [1e300; 2], [f64::MAX; 2]];
+        for places in [[none[0]; 3], [none[0], none[1], [0.0; 2]], [[0.0; 2], [1e300, 0.0], [0.0, 1e300]], [none[3]; 3]]
+        {
+            let found = pieces(&frame, &triangle, &textured(places, WHITE, texels));
+            assert!(found.len() >= 6, "{found:?}");
+            assert!(found.iter().all(|(_, piece)| texels.contains(&piece.colour)), "{places:?}: {found:?}");
+        }
+        // The linear light of the tint multiplies that of the texture.
+        let places = [[0.0; 2], [1.0, 0.0], [0.0, 1.0]];
+        for (texel, tint, expected) in [
+            ([255; 3], [7, 100, 200], [7, 100, 200]),
+            ([7, 100, 200], [255, 255, 0], [7, 100, 0]),
+            ([255, 128, 0], [188; 3], [188, 93, 0]),
+        ] {
+            let found = pieces(&frame, &triangle, &textured(places, tint, [texel; 4]));
+            assert!(found.iter().all(|(_, piece)| piece.colour == expected), "{texel:?} {tint:?}: {found:?}");
+        }
+        // A triangle without area, which has no positions between its corners.
+        let corner = triangle[1];
+        let paint = PlacedPaint::new(&frame, &[corner; 3], &Paint::Corners([[10, 20, 30]; 3])).unwrap();
+        assert_eq!(paint.piece(&paint.row(0), 3, 0), PaintedPiece { colour: [10, 20, 30], weight: 1 });
+    }
 }

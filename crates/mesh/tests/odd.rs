@@ -2,8 +2,9 @@
 //! without the colours that cannot be found, with a warning.
 
 use base64::Engine;
-use slicewalk_base::bytes::testing::hold;
-use slicewalk_base::{Error, Monitor, Result, Warning};
+use slicewalk_base::bytes::testing::{Strike, StruckSource, hold};
+use slicewalk_base::bytes::{MemorySource, hold_source, release_sources};
+use slicewalk_base::{Error, Monitor, NoMonitor, Result, Warning};
 use slicewalk_mesh::{MeshBatch, MeshOptions, MeshSet, Triangle};
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -63,6 +64,8 @@ fn odd_gltfs_are_refused() {
         (r#""version":"2.0""#, r#""version":"1.0""#, "expected glTF of version 2, found \"1.0\""),
         (r#""nodes":[{"#, r#""scenes":[{"nodes":[7]}],"nodes":[{"#, "it names node 7, which does not exist"),
         (r#""nodes":[{"#, r#""extensionsRequired":["KHR_other"],"nodes":[{"#, "KHR_other"),
+        (r#""nodes":[{"#, r#""extensionsRequired":["KHR_gaussian_splatting"],"nodes":[{"#, "splats, not a mesh"),
+        (r#"{"attributes""#, r#"{"mode":0,"attributes""#, "it has 1 part of points or Gaussian splats"),
         (r#""mesh":0"#, r#""mesh":3"#, "it names mesh 3, which does not exist"),
         (r#"[{"buffer":0"#, r#"[{"buffer":5"#, "there is no buffer 5"),
         (r#""POSITION":0"#, r#""POSITION":8"#, "it names accessor 8, which does not exist"),
@@ -80,6 +83,32 @@ fn odd_gltfs_are_refused() {
     // Each node below the one before.
     let chain: String = (1..1003).map(|child| format!(r#"{{"children":[{child}]}},"#)).collect();
     refuse("deep.gltf", base.replacen(r#""nodes":["#, &format!(r#""nodes":[{chain}"#), 1), "others");
+    // More instances than parts are allowed, whose places take no bytes.
+    let zeros = r#""sparse":{"count":0,"indices":{"bufferView":0,"componentType":5121},"values":{"bufferView":0}}"#;
+    let places = format!(r#"VEC2"}},{{"componentType":5126,"count":4194305,"type":"VEC3",{zeros}}}]"#);
+    let instances = r#"{"mesh":0,"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":2}}}}"#;
+    let repeated = base.replacen(r#"VEC2"}]"#, &places, 1).replacen(r#"{"mesh":0}"#, instances, 1);
+    refuse("many.gltf", &repeated, "more than 4194304 placed parts of meshes");
+    assert_eq!(read("few.gltf", repeated.replace("4194305", "3")).unwrap().0.len(), 3);
+    // Corners without bytes.
+    let corners = format!(r#"[{{"componentType":5126,"count":4294967297,"type":"VEC3",{zeros}}}"#);
+    let nothing = base.replacen(r#"[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}"#, &corners, 1);
+    refuse("zeros.gltf", &nothing, "accessor 0: 4294967297 values without bytes; expected at most 4294967296");
+    hold("odd/long.gltf", vec![b' '; (16 << 20) + 1]);
+    let options = MeshOptions { memory_bytes: 1 << 16, allow_incomplete: true, ..MeshOptions::default() };
+    let error = read_all(&["odd/long.gltf".into()], options).unwrap_err().to_string();
+    assert!(error.contains("structure (bytes)") && error.contains("16777217"), "{error}");
+}
+
+#[test]
+fn triangles_beside_points_stay_where_incomplete_input_is_allowed() {
+    let part = r#"{"attributes":{"POSITION":0}}"#;
+    let points = format!(r#"[{part},{{"mode":0,"attributes":{{"POSITION":0}}}},{{"attributes""#);
+    hold("odd/mixed.gltf", gltf().replacen(r#"[{"attributes""#, &points, 1).into_bytes());
+    let options = MeshOptions { allow_incomplete: true, ..MeshOptions::default() };
+    let (triangles, notes) = read_all(&["odd/mixed.gltf".into()], options).unwrap();
+    assert_eq!(triangles.len(), 2);
+    assert!(notes.iter().any(|note| note.contains("incomplete: structure: it has 1 part of points")), "{notes:?}");
 }
 
 #[test]
@@ -92,6 +121,7 @@ fn without_a_usable_texture_the_triangles_stay() {
         (r#"{"source":0}"#, r#"{"source":4}"#, "there is no image 4"),
         (r#"{"bufferView":0}]"#, "{}]", "it has neither an address nor a place in a buffer"),
         (r#"{"bufferView":0}]"#, r#"{"bufferView":9}]"#, "it should lie in a buffer, and does not"),
+        (r#"{"bufferView":0}]"#, r#"{"bufferView":1}]"#, "it should lie in a buffer, and does not"),
         (r#"{"bufferView":0}]"#, r#"{"uri":"data:;base64,?"}]"#, "its base64 text is damaged"),
         (r#"{"bufferView":0}]"#, r#"{"uri":"https://host/a.png"}]"#, "it lies elsewhere"),
         (r#"{"bufferView":0}]"#, r#"{"uri":"../a.png"}]"#, "leads out of the folder"),
@@ -106,6 +136,63 @@ fn without_a_usable_texture_the_triangles_stay() {
             notes.iter().any(|note| note.starts_with("odd/a.gltf: ") && note.contains(words)),
             "{words}: {notes:?}"
         );
+    }
+}
+
+/// The contents of an archive must not depend on the memory, so such a texture is not left out.
+#[test]
+fn a_texture_beyond_the_memory_is_an_error() {
+    hold("odd/large.png", [0u8; 100]);
+    hold("odd/large.mtl", *b"newmtl a\nmap_Kd large.png\n");
+    let base = gltf();
+    let obj = "mtllib large.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    for (name, text, words) in [
+        ("a.gltf", base.clone(), "textures up to image 0 (bytes): 36 is beyond the limit of 16"),
+        (
+            "a.gltf",
+            base.replacen(r#"{"bufferView":0}]"#, r#"{"uri":"large.png"}]"#, 1),
+            "textures up to image 0 (bytes): 100 is beyond the limit of 16",
+        ),
+        ("a.obj", obj.into(), "textures up to \"large.png\" (bytes): 100 is beyond the limit of 16"),
+    ] {
+        let path = PathBuf::from(format!("odd/{name}"));
+        hold(&path, text.into_bytes());
+        for allow_incomplete in [false, true] {
+            let options = MeshOptions { colours: true, texture_bytes: 16, allow_incomplete, ..MeshOptions::default() };
+            let error = read_all(std::slice::from_ref(&path), options).unwrap_err().to_string();
+            assert!(error.contains(words), "{words}: {error}");
+        }
+    }
+}
+
+#[test]
+fn materials_beyond_the_limits_are_warnings_and_the_triangles_stay() {
+    let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+    let warnings = |text: String, triangles: usize| {
+        let (found, notes) = read("limits.obj", text).unwrap();
+        assert_eq!(found.len(), triangles);
+        notes.into_iter().filter(|note| note.contains("materials: ")).collect::<Vec<String>>()
+    };
+    let unknown: String = (0..20).map(|n| format!("usemtl m{n}\nf 1 2 3\n")).collect();
+    let notes = warnings(format!("{corners}{unknown}"), 20);
+    let end = " (further warnings for this file are left out)";
+    assert!(notes.len() == 8 && notes[7].ends_with(end) && !notes[6].ends_with(end), "{notes:?}");
+    // More files, more materials in a file, and more bytes than allowed.
+    let mut lines = String::new();
+    for n in 0..65 {
+        hold(format!("odd/m{n}.mtl"), format!("newmtl m{n}\nKd 1 0 0\n").into_bytes());
+        lines += &format!("mtllib m{n}.mtl\n");
+    }
+    let notes = warnings(format!("{lines}{corners}usemtl m63\nf 1 2 3\nusemtl m64\nf 1 2 3\n"), 2);
+    assert!(notes.len() == 1 && notes[0].contains("no material is called \"m64\""), "{notes:?}");
+    let many: String = (0..65_537).map(|n| format!("newmtl m{n}\n")).collect();
+    let long = vec![b'\n'; (16 << 20) + 1];
+    for (bytes, words) in
+        [(many.into_bytes(), "more than 65536 materials"), (long, "16777217 bytes; expected at most 16777216")]
+    {
+        hold("odd/limits.mtl", bytes);
+        let notes = warnings(format!("mtllib limits.mtl\n{corners}f 1 2 3\n"), 1);
+        assert!(notes.len() == 1 && notes[0].contains(words), "{words}: {notes:?}");
     }
 }
 
@@ -128,7 +215,10 @@ fn odd_stls_are_refused() {
                 endsolid a\n";
     assert_eq!(read("a.stl", text).unwrap().0.len(), 1);
     // On one line, a name may be missing.
-    assert_eq!(read("a.stl", text.replace('\n', " ").replace("solid a ", "solid ")).unwrap().0.len(), 1);
+    let line = text.replace('\n', " ").replace("solid a ", "solid ");
+    assert_eq!(read("a.stl", &line).unwrap().0.len(), 1);
+    // So may the normal.
+    assert_eq!(read("a.stl", line.replace("normal 0 0 1 ", "")).unwrap().0.len(), 1);
     for (from, to, words) in [
         ("endloop", "vertex 1 1 0\nendloop", "a loop has more than 3 corners"),
         ("vertex 0 1 0\n", "", "a loop has 2 corners; expected 3"),
@@ -137,6 +227,8 @@ fn odd_stls_are_refused() {
         ("endsolid a\n", "", "the file ends before \"endsolid\""),
         ("vertex 1 0 0", "vertex 1 0 zero", "expected a number, found \"zero\""),
         ("outer loop", "inner loop", "expected a keyword of STL, found \"inner\""),
+        // The name of the solid.
+        ("a\nfacet normal", "facet\nnormal", "expected a keyword of STL, found \"normal\""),
     ] {
         assert!(text.contains(from), "{from}");
         refuse("a.stl", text.replacen(from, to, 1), words);
@@ -145,12 +237,48 @@ fn odd_stls_are_refused() {
     refuse("a.stl", "no", "expected at least 84 bytes or \"solid\", found 2");
 }
 
+/// No triangle is made of the corners of a loop that is not one.
+#[test]
+fn of_a_broken_loop_of_an_stl_no_corner_is_used() {
+    let facet = |corners: &str, end: &str| format!("facet\nouter loop\n{corners}{end}endfacet\n");
+    let corners = |count: usize| (0..count).map(|n| format!("vertex {n} {} 0\n", n * n)).collect::<String>();
+    let sound = facet("vertex 5 0 0\nvertex 6 0 0\nvertex 5 1 0\n", "endloop\n");
+    for (broken, words) in [
+        (facet(&corners(1), "endloop\n"), "a loop has 1 corners; expected 3"),
+        (facet(&corners(3), ""), "a loop ends without \"endloop\""),
+        (facet(&corners(4), "endloop\n"), "a loop has more than 3 corners"),
+        (facet(&corners(7), "endloop\n"), "a loop has more than 3 corners"),
+        (facet(&corners(8), ""), "a loop ends without \"endloop\""),
+    ] {
+        let text = format!("solid\n{sound}{broken}{sound}endsolid\n");
+        refuse("a.stl", &text, words);
+        hold("odd/a.stl", text.into_bytes());
+        let options = MeshOptions { allow_incomplete: true, ..MeshOptions::default() };
+        let (triangles, notes) = read_all(&["odd/a.stl".into()], options).unwrap();
+        assert_eq!(triangles, [[[5.0, 0.0, 0.0], [6.0, 0.0, 0.0], [5.0, 1.0, 0.0]]; 2], "{words}");
+        let told: Vec<&String> = notes.iter().filter(|note| note.contains(words)).collect();
+        assert!(told.len() == 1 && !told[0].contains("(and "), "{words}: {notes:?}");
+    }
+    hold("odd/a.stl", format!("solid\n{sound}facet\nouter loop\nvertex 0 0").into_bytes());
+    let options = MeshOptions { allow_incomplete: true, ..MeshOptions::default() };
+    let (triangles, notes) = read_all(&["odd/a.stl".into()], options).unwrap();
+    assert_eq!(triangles.len(), 1);
+    assert!(notes.iter().any(|note| note.contains("the file ends before \"endsolid\"")), "{notes:?}");
+}
+
 #[test]
 fn odd_plys_are_refused() {
     let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
                 element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
     assert_eq!(read("a.ply", text).unwrap().0.len(), 1);
+    // Programs write either name.
+    assert_eq!(read("a.ply", text.replace("vertex_indices", "vertex_index")).unwrap().0.len(), 1);
     let faces = "element face 1\nproperty list uchar int vertex_indices\n";
+    let twice = format!("element vertex 0\nproperty float x\n{faces}");
+    refuse("a.ply", text.replace(faces, &twice), "it has the element \"vertex\" more than once");
+    let lists = format!("{faces}property list uchar int vertex_index\n");
+    let two = text.replace(faces, &lists).replace("3 0 1 2", "3 0 1 2 3 0 2 1");
+    refuse("a.ply", two, "the element \"face\" has 2 lists \"vertex_indices\"; write one");
     let turned = text.replace(faces, "").replace("element vertex", &format!("{faces}element vertex"));
     refuse("a.ply", turned, "faces come before their corners");
     refuse("a.ply", text.replace("3 0 1 2", "3 0 1 9"), "9");
@@ -187,7 +315,9 @@ fn little_memory_gives_the_same_triangles() {
     let path = [PathBuf::from("odd/large.obj")];
     hold(&path[0], obj.as_bytes());
     let pass = |memory_bytes: u64, temp_dir: PathBuf| {
-        read_all(&path, MeshOptions { memory_bytes, temp_dir, ..MeshOptions::default() }).map(|read| read.0)
+        let allow_incomplete = true;
+        read_all(&path, MeshOptions { memory_bytes, temp_dir, allow_incomplete, ..MeshOptions::default() })
+            .map(|read| read.0)
     };
     let folder = std::env::temp_dir();
     let large = pass(1 << 30, "no/such/folder".into()).unwrap();
@@ -197,4 +327,74 @@ fn little_memory_gives_the_same_triangles() {
         error.contains("cannot create a temporary file") && error.contains("choose a folder with space"),
         "{error}"
     );
+}
+
+/// Files longer than a buffer, so that reading fails at the front, in the middle, and in the padding at the end.
+#[test]
+fn a_failed_read_is_an_error_or_a_warning_wherever_it_is() {
+    let head = |format: &str, faces: usize| {
+        format!(
+            "ply\nformat {format} 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+             element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+    };
+    let values: Vec<u8> = [0f32, 0., 0., 1., 0., 0., 0., 1., 0.].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let facet = "facet\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
+    let (face, padding) = (b"\x03\0\0\0\0\x01\0\0\0\x02\0\0\0", vec![0u8; 600 << 10]);
+    let triangle = [&[0u8; 12][..], &values, &[0; 2]].concat();
+    let binary = [&[b' '; 80][..], &6000u32.to_le_bytes(), &triangle.repeat(6000), &padding].concat();
+    for (name, bytes, triangles) in [
+        ("a.obj", ("v 0 0 0\nv 1 0 0\nv 0 1 0\n".to_owned() + &"f 1 2 3\n".repeat(50_000)).into_bytes(), 50_000),
+        ("a.stl", format!("solid\n{}endsolid\n", facet.repeat(5_000)).into_bytes(), 5_000),
+        ("b.stl", binary, 6000),
+        ("a.ply", (head("ascii", 50_000) + "0 0 0\n1 0 0\n0 1 0\n" + &"3 0 1 2\n".repeat(50_000)).into(), 50_000),
+        (
+            "b.ply",
+            [head("binary_little_endian", 21_000).as_bytes(), &values, &face.repeat(21_000), &padding].concat(),
+            21_000,
+        ),
+    ] {
+        let path = PathBuf::from(format!("/odd/{name}"));
+        for allow_incomplete in [false, true] {
+            let mut number = 0;
+            loop {
+                let strike = Strike::at(number);
+                hold_source(&path, StruckSource::new(MemorySource::new(bytes.clone()), &strike));
+                let options = MeshOptions { allow_incomplete, ..MeshOptions::default() };
+                match read_all(std::slice::from_ref(&path), options) {
+                    Ok((found, _)) if !strike.fell() => {
+                        assert_eq!(found.len(), triangles, "{name}");
+                        break;
+                    }
+                    Ok((found, notes)) => {
+                        assert!(allow_incomplete && found.len() <= triangles, "{name}, {number}: {}", found.len());
+                        let words = format!("{name}: incomplete: ");
+                        let is_told = |note: &String| note.contains(&words) && note.contains(Strike::REASON);
+                        assert!(notes.iter().any(is_told), "{name}, {number}: {notes:?}");
+                    }
+                    Err(error) => {
+                        let text = error.to_string();
+                        assert!(text.contains(name) && text.contains(Strike::REASON), "{name}, {number}: {text}");
+                    }
+                }
+                number += 1;
+            }
+            assert!(number > 1, "{name}: {number} reads");
+        }
+    }
+}
+
+#[test]
+fn a_file_that_is_gone_before_it_is_read_is_an_error() {
+    for allow_incomplete in [false, true] {
+        for name in ["a.obj", "a.ply", "a.stl", "a.gltf"] {
+            let path = PathBuf::from(format!("/odd/{name}"));
+            hold(&path, *b"any");
+            let options = MeshOptions { allow_incomplete, ..MeshOptions::default() };
+            let set = MeshSet::open(&[path], options, &NoMonitor).unwrap();
+            release_sources();
+            let error = set.feed().next(&mut Vec::new(), &NoMonitor).unwrap_err();
+            assert!(matches!(error, Error::Io { .. }) && error.to_string().contains(name), "{error}");
+        }
+    }
 }

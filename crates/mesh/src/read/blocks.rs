@@ -1,6 +1,6 @@
 //! Random access to files through a small block cache of fixed size (1 MiB).
 
-use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 
 pub(super) const BLOCK_BYTES: usize = 4096;
 /// Blocks in the cache; faces of real meshes use corners near those of the previous faces.
@@ -64,19 +64,10 @@ impl Blocks {
 
 /// Reads block `number` of `file`, up to the end of the file.
 pub(super) fn fill_block(file: &mut (impl Read + Seek), number: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
-    bytes.resize(BLOCK_BYTES, 0);
+    bytes.clear();
+    bytes.reserve(BLOCK_BYTES);
     file.seek(SeekFrom::Start(number.saturating_mul(BLOCK_BYTES as u64)))?;
-    let mut filled = 0;
-    while filled < BLOCK_BYTES {
-        match file.read(&mut bytes[filled..]) {
-            Ok(0) => break,
-            Ok(count) => filled += count,
-            Err(e) if e.kind() == ErrorKind::Interrupted => {}
-            Err(e) => return Err(e),
-        }
-    }
-    bytes.truncate(filled);
-    Ok(())
+    file.take(BLOCK_BYTES as u64).read_to_end(bytes).map(drop)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use crate::Triangle;
 use crate::input::scenes::Scene;
 use crate::input::singles::Singles;
 use crate::input::{incomplete, warn_incomplete};
+use crate::text::counted;
 use crate::{Error, Monitor, Result};
 use std::sync::Arc;
 use std::time::Duration;
@@ -167,7 +168,7 @@ impl<'a> MeshFeed<'a> {
                 Error::Input { at, reason, .. } => format!("{at}: {reason}"),
                 other => other.to_string(),
             };
-            let more = if broken > 1 { format!(" (and {} faces more)", broken - 1) } else { String::new() };
+            let more = if broken > 1 { format!(" (and {} more)", counted(broken - 1, "face")) } else { String::new() };
             lost.push(format!("{text}{more}"));
         }
         if far > 0 {

@@ -225,6 +225,7 @@ mod tests {
         assert_eq!(map("  two words.jpg "), Some(("two words.jpg".into(), false)));
         assert_eq!(map("-s 2 2 1 -clamp on -o 0.5 a b.png"), Some(("a b.png".into(), true)));
         assert_eq!(map("-blendu off 7.png"), Some(("7.png".into(), false)));
+        assert_eq!(map("-clamp on -clamp off 7.png"), Some(("7.png".into(), false)));
         assert_eq!(map("-strange.png"), Some(("-strange.png".into(), false)));
         assert_eq!(map("-s"), None);
         assert_eq!(map(""), None);

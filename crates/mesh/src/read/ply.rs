@@ -469,7 +469,7 @@ impl Triangles for PlyReader {
                     self.left -= u64::from(ended);
                 }
                 // In text the next element begins on the next line, so reading can continue there.
-                Err(error) if matches!(self.body, Body::Text { .. }) && !self.body.is_at_end()? => {
+                Err(error) if !self.body.is_at_end()? => {
                     watch.lose(1, error)?;
                     self.strip = Strip::default();
                     self.left -= 1;
@@ -505,9 +505,17 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
     if elements[..corners].iter().any(|element| is_surface(element) && element.count > 0) {
         return wrong("faces come before their corners; write the file with corners first".into());
     }
-    let has_corners = |element: &&Element| Column::all_of(element).iter().any(|column| column.role == Role::Corners);
-    if let Some(none) = elements[corners..].iter().find(|element| is_surface(element) && !has_corners(element)) {
-        return wrong(format!("the element {} has no list \"vertex_indices\"", shown(none.name.as_bytes())));
+    for element in elements[corners..].iter().filter(|element| is_surface(element)) {
+        let name = shown(element.name.as_bytes());
+        // The numbers of two lists would be those of one face.
+        match Column::all_of(element).iter().filter(|column| column.role == Role::Corners).count() {
+            0 => return wrong(format!("the element {name} has no list \"vertex_indices\"")),
+            1 => {}
+            lists => {
+                let reason = format!("the element {name} has {lists} lists \"vertex_indices\"; write one");
+                return wrong(reason);
+            }
+        }
     }
     let body = match encoding {
         Encoding::Text => Body::Text { lines, begun: 0 },

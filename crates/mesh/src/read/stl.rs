@@ -148,7 +148,9 @@ impl Triangles for StlReader {
                     *open = keyword != Some("endsolid");
                     match keyword {
                         Some("vertex") => match words.corner()? {
-                            Some(corner) => corners.push(corner),
+                            // A fourth shows that there are too many.
+                            Some(corner) if corners.len() < 4 => corners.push(corner),
+                            Some(_) => {}
                             None => {
                                 watch.lose(1, words.error(CUT))?;
                                 return Ok(false);
@@ -157,6 +159,9 @@ impl Triangles for StlReader {
                         Some("endloop") => {
                             match corners[..] {
                                 [a, b, c] => out.push([a, b, c], Paint::None),
+                                [_, _, _, _, ..] => {
+                                    watch.lose(1, words.error("a loop has more than 3 corners"))?;
+                                }
                                 _ => {
                                     let found = corners.len();
                                     watch.lose(1, words.error(format!("a loop has {found} corners; expected 3")))?;
@@ -169,10 +174,6 @@ impl Triangles for StlReader {
                             corners.clear();
                         }
                         _ => {}
-                    }
-                    if corners.len() > 3 {
-                        watch.lose(1, words.error("a loop has more than 3 corners"))?;
-                        corners.clear();
                     }
                 }
                 Ok(true)

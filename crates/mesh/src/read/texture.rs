@@ -222,14 +222,8 @@ fn decode_jpeg(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Fau
     // A progressive image is held as 16-bit coefficients of up to four channels until its end.
     let bytes_each = if is_progressive(bytes) { 3 + 8 } else { 3 };
     let (width, height) = check_size(info.width.into(), info.height.into(), bytes_each, most_bytes)?;
-    let mut values = decoder.decode().map_err(damaged)?;
-    let texels = width as usize * height as usize;
-    match decoder.output_colorspace() {
-        Some(ColorSpace::Luma) => values = values.iter().take(texels).flat_map(|&grey| [grey; 3]).collect(),
-        Some(ColorSpace::RGB) => {}
-        _ => return Err("its colours are neither grey nor RGB".to_owned().into()),
-    }
-    if values.len() < 3 * texels {
+    let values = decoder.decode().map_err(damaged)?;
+    if values.len() < 3 * width as usize * height as usize {
         return Err("it is damaged: rows are missing".to_owned().into());
     }
     Ok((width, height, values))
@@ -247,6 +241,54 @@ fn is_progressive(bytes: &[u8]) -> bool {
                 at += 2 + usize::from(u16::from_be_bytes([high, low]));
             }
             _ => return true,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// JPEG of 8 × 8 grey texels, all of the value 128 + `more`, which is 64 to 127.
+    fn grey(more: u8) -> Vec<u8> {
+        let mut bytes = vec![0xFF, 0xD8, 0xFF, 0xDB, 0, 67, 0];
+        // With steps of 8 the first coefficient is what it adds to each texel.
+        bytes.extend([8; 64]);
+        bytes.extend([0xFF, 0xC0, 0, 11, 8, 0, 8, 0, 8, 1, 1, 0x11, 0]);
+        for (table, symbol) in [(0x00, 7), (0x10, 0)] {
+            bytes.extend([0xFF, 0xC4, 0, 20, table, 1]);
+            bytes.extend([0; 15]);
+            bytes.push(symbol);
+        }
+        bytes.extend([0xFF, 0xDA, 0, 8, 1, 1, 0, 0, 63, 0]);
+        // One bit for "seven bits follow", these, one bit for "no more coefficients", and ones.
+        bytes.extend([more & 0x7F, 0x7F, 0xFF, 0xD9]);
+        bytes
+    }
+
+    #[test]
+    fn a_grey_jpeg_is_grey() {
+        let (width, height, rgb) = decode_jpeg(&grey(72), 1 << 30).unwrap();
+        assert_eq!((width, height, rgb.len()), (8, 8, 3 * 64));
+        assert!(rgb.iter().all(|value| value.abs_diff(200) <= 1), "{rgb:?}");
+    }
+
+    #[test]
+    fn frames_are_found_behind_any_segments_and_fill_bytes() {
+        let baseline = grey(64);
+        let of = |from: &[u8], to: &[u8]| {
+            let at = baseline.windows(from.len()).position(|bytes| bytes == from).unwrap();
+            [&baseline[..at], to, &baseline[at + from.len()..]].concat()
+        };
+        for (bytes, expected) in [
+            (baseline.clone(), false),
+            (of(&[0xFF, 0xC0], &[0xFF, 0xC1]), false),
+            (of(&[0xFF, 0xC0], &[0xFF, 0xC2]), true),
+            // A marker may have any number of fill bytes before it (ITU-T T.81, B.1.1.2).
+            (of(&[0xFF, 0xC0], &[0xFF, 0xFF, 0xFF, 0xC0]), false),
+            (of(&[0xFF, 0xC0], &[0xFF, 0xFF, 0xFF, 0xC2]), true),
+        ] {
+            assert_eq!(is_progressive(&bytes), expected, "{bytes:?}");
         }
     }
 }

@@ -32,6 +32,8 @@ use std::path::{Path, PathBuf};
 const LEAST_JSON_BYTES: u64 = 16 << 20;
 /// Most primitives placed by nodes; nodes may share meshes, so the file's length does not bound their number.
 const MOST_PARTS: u64 = 1 << 22;
+/// Most values that an accessor may have without bytes: as many as indices of 32 bits can name.
+const MOST_ZEROS: u64 = 1 << 32;
 /// Deepest nesting of nodes.
 const DEEPEST: usize = 1000;
 
@@ -267,8 +269,8 @@ impl Checked {
         }
         if clouds > 0 {
             let reason = format!(
-                "{clouds} parts of meshes are points or Gaussian splats, which are not read from glTF; write scans as E57, \
-                 LAS or PLY"
+                "it has {} of points or Gaussian splats, which are not read from glTF; write scans as E57, LAS or PLY",
+                counted(clouds, "part")
             );
             watch.lose(clouds, self.error("structure", reason))?;
         }
@@ -330,6 +332,11 @@ impl Checked {
         };
         let place = match accessor.buffer_view {
             Some(view) => Some(place(view, accessor.byte_offset, count, whole)?),
+            // Zeros take no bytes, so nothing else bounds their number.
+            None if sparse.is_some() && count > MOST_ZEROS => {
+                let reason = format!("{count} values without bytes; expected at most {MOST_ZEROS}");
+                return Err(self.error(at(), reason));
+            }
             None if sparse.is_some() => None,
             None => return Err(self.error(at(), "it has no values")),
         };
@@ -539,7 +546,6 @@ fn component(kind: u32, normalized: bool, bytes: &[u8]) -> f64 {
         U8 => (f64::from(bits), 255.0),
         I16 => (f64::from(bits as u16 as i16), 32_767.0),
         U16 => (f64::from(bits), 65_535.0),
-        U32 => return f64::from(bits),
         _ => return f64::from(f32::from_bits(bits)),
     };
     if normalized { (value / greatest).max(-1.0) } else { value }

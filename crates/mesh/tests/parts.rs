@@ -1,0 +1,292 @@
+//! Sound meshes in many parts: each triangle that a file states is there once and has its own corners and colour, however
+//! the file stores them, and a part that changes while it is read is no part of the mesh.
+
+use base64::Engine;
+use slicewalk_base::bytes::testing::hold;
+use slicewalk_base::{Monitor, NoMonitor, Result, Warning};
+use slicewalk_mesh::paint::Paint;
+use slicewalk_mesh::{MeshBatch, MeshOptions, MeshSet, Triangle};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+/// Notes all warnings.
+#[derive(Default)]
+struct Notes(Mutex<Vec<String>>);
+
+impl Monitor for Notes {
+    fn warn(&self, warning: &Warning) {
+        self.0.lock().unwrap().push(warning.to_string());
+    }
+}
+
+/// Reads a file with its colours; calls `act` after the first batch. Returns the triangles and the warnings.
+fn read_and(path: &Path, allow_incomplete: bool, act: impl FnOnce()) -> Result<(Vec<Triangle>, Vec<String>)> {
+    let notes = Notes::default();
+    let options = MeshOptions { colours: true, allow_incomplete, ..MeshOptions::default() };
+    let set = MeshSet::open(&[path.to_path_buf()], options, &notes)?;
+    let (mut feed, mut batch, mut all, mut act) = (set.feed(), MeshBatch::default(), Vec::new(), Some(act));
+    while feed.next_painted(&mut batch, &notes)? {
+        all.extend_from_slice(&batch.triangles);
+        if let Some(act) = act.take() {
+            act();
+        }
+    }
+    Ok((all, notes.0.into_inner().unwrap()))
+}
+
+/// Reads a file of few triangles, with their paints.
+fn read_painted(name: &str, content: &str) -> (Vec<Triangle>, Vec<Paint>) {
+    let path = PathBuf::from(format!("parts/{name}"));
+    hold(&path, content.as_bytes());
+    let set = MeshSet::open(&[path], MeshOptions { colours: true, ..MeshOptions::default() }, &NoMonitor).unwrap();
+    let (mut feed, mut batch) = (set.feed(), MeshBatch::default());
+    let (mut triangles, mut paints) = (Vec::new(), Vec::new());
+    while feed.next_painted(&mut batch, &NoMonitor).unwrap() {
+        triangles.append(&mut batch.triangles);
+        paints.append(&mut batch.paints);
+    }
+    (triangles, paints)
+}
+
+fn floats(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+/// A buffer in the text itself.
+fn in_text(bytes: &[u8]) -> String {
+    let text = base64::engine::general_purpose::STANDARD.encode(bytes);
+    format!(r#"{{"uri":"data:;base64,{text}","byteLength":{}}}"#, bytes.len())
+}
+
+/// A glTF of one mesh; `rest` begins with a comma or is empty.
+fn gltf(primitives: &str, accessors: &str, views: &str, buffers: &str, rest: &str) -> String {
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitives}]}}],
+        "accessors":[{accessors}],"bufferViews":[{views}],"buffers":[{buffers}]{rest}}}"#
+    )
+}
+
+fn png() -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, 2, 2);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.write_header().unwrap().write_image_data(&[90; 12]).unwrap();
+    bytes
+}
+
+/// Parts with so many triangles each: a glTF of one file per part, the content of these files, and the triangles.
+fn in_files(counts: &[usize]) -> (String, Vec<Vec<u8>>, Vec<Triangle>) {
+    let list = |text: fn(usize, usize) -> String| {
+        counts.iter().enumerate().map(|(part, count)| text(part, *count)).collect::<Vec<String>>().join(",")
+    };
+    let text = gltf(
+        &list(|part, _| format!(r#"{{"attributes":{{"POSITION":{part}}}}}"#)),
+        &list(|part, count| {
+            format!(r#"{{"bufferView":{part},"componentType":5126,"count":{},"type":"VEC3"}}"#, 3 * count)
+        }),
+        &list(|part, count| format!(r#"{{"buffer":{part},"byteLength":{}}}"#, 36 * count)),
+        &list(|part, count| format!(r#"{{"uri":"{part}.bin","byteLength":{}}}"#, 36 * count)),
+        "",
+    );
+    let (mut files, mut triangles) = (Vec::new(), Vec::new());
+    for (part, &count) in counts.iter().enumerate() {
+        let mut bytes = Vec::new();
+        for number in 0..count {
+            let (x, y) = (part as f32, number as f32);
+            bytes.extend(floats(&[x, y, 0.0, x + 0.5, y, 0.0, x, y + 0.5, 0.0]));
+            // In glTF y is up.
+            let [x, z] = [x, y].map(f64::from);
+            triangles.push([[x, 0.0, z], [x + 0.5, 0.0, z], [x, 0.0, z + 0.5]]);
+        }
+        files.push(bytes);
+    }
+    (text, files, triangles)
+}
+
+/// More parts than files are held open, and more triangles than are read at a time.
+const COUNTS: [usize; 12] = [5000, 1, 2, 1, 1, 1, 1, 1, 1, 1, 1, 3];
+
+#[test]
+fn a_gltf_in_many_files_is_whole_and_a_file_that_changes_is_named() {
+    let (text, files, triangles) = in_files(&COUNTS);
+    let path = PathBuf::from("parts/a.gltf");
+    let hold_all = || {
+        hold(&path, text.as_bytes());
+        files.iter().enumerate().for_each(|(part, bytes)| hold(format!("parts/{part}.bin"), &bytes[..]));
+    };
+    hold_all();
+    let (found, notes) = read_and(&path, false, || ()).unwrap();
+    assert!(found == triangles && notes.is_empty(), "{} {notes:?}", found.len());
+    // A file that was read before it changed, and two that were not.
+    for (part, left) in [(0, triangles.len()), (1, 5000), (11, triangles.len() - 3)] {
+        let change = || hold(format!("parts/{part}.bin"), [&files[part][..], &[0; 4]].concat());
+        let words = format!("parts/{part}.bin changed while it was read");
+        hold_all();
+        let error = read_and(&path, false, change).unwrap_err().to_string();
+        assert!(error.starts_with("parts/a.gltf: ") && error.contains(&words), "{error}");
+        hold_all();
+        let (found, notes) = read_and(&path, true, change).unwrap();
+        assert!(found == triangles[..left], "{part}: {}", found.len());
+        assert!(notes.len() == 1 && notes[0].contains("incomplete: ") && notes[0].contains(&words), "{notes:?}");
+    }
+}
+
+#[test]
+fn a_file_that_is_cut_while_it_is_read_gives_no_triangles_or_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let (text, files, triangles) = in_files(&[5000, 1]);
+    let path = folder.path().join("a.gltf");
+    let image = r#","materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}],"textures":[{"source":0}],
+        "images":[{"bufferView":1}]"#;
+    let text = text.replacen(r#"{"POSITION":1}}"#, r#"{"POSITION":1},"material":0}"#, 1);
+    fs::write(&path, format!("{}{image}}}", text.strip_suffix('}').unwrap())).unwrap();
+    let cut = || fs::File::options().write(true).open(folder.path().join("1.bin")).unwrap().set_len(0).unwrap();
+    for allow_incomplete in [false, true] {
+        files
+            .iter()
+            .enumerate()
+            .for_each(|(n, bytes)| fs::write(folder.path().join(format!("{n}.bin")), bytes).unwrap());
+        match read_and(&path, allow_incomplete, cut) {
+            Ok((found, notes)) => {
+                assert!(allow_incomplete && found == triangles[..5000], "{}", found.len());
+                for words in ["texture image 0: ", "incomplete: buffer 1: "] {
+                    let is_told =
+                        |note: &String| note.contains(words) && note.contains("the file ends before its values");
+                    assert!(notes.iter().any(is_told), "{words}: {notes:?}");
+                }
+            }
+            Err(error) => {
+                let words = "buffer 1: the file ends before its values";
+                assert!(!allow_incomplete && error.to_string().contains(words), "{error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn sparse_values_replace_those_of_their_numbers_and_no_others() {
+    // On a parabola, so that any three corners have an area.
+    let corner = |number: usize, z: f32| [number as f32, (number * number) as f32, z];
+    for chosen in 1..64usize {
+        let numbers: Vec<usize> = (0..6).filter(|number| chosen >> number & 1 == 1).collect();
+        let (count, end) = (numbers.len(), 72 + 12 * numbers.len());
+        let (kind, size) = [(5121, 1), (5123, 2), (5125, 4)][chosen % 3];
+        let mut bytes = floats(&(0..6).flat_map(|number| corner(number, 0.0)).collect::<Vec<f32>>());
+        bytes.extend(floats(&numbers.iter().flat_map(|&number| corner(number, 1.0)).collect::<Vec<f32>>()));
+        bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()[..size].to_vec()));
+        let accessor = format!(
+            r#"{{"bufferView":0,"componentType":5126,"count":6,"type":"VEC3","sparse":{{"count":{count},
+            "indices":{{"bufferView":2,"componentType":{kind}}},"values":{{"bufferView":1}}}}}}"#
+        );
+        let views = format!(
+            r#"{{"buffer":0,"byteLength":72}},{{"buffer":0,"byteOffset":72,"byteLength":{}}},
+            {{"buffer":0,"byteOffset":{end},"byteLength":{}}}"#,
+            12 * count,
+            size * count
+        );
+        let text = gltf(r#"{"attributes":{"POSITION":0}}"#, &accessor, &views, &in_text(&bytes), "");
+        let expected = |number: usize| {
+            let [x, y, z] = corner(number, if numbers.contains(&number) { 1.0 } else { 0.0 }).map(f64::from);
+            [x, -z, y]
+        };
+        let (found, _) = read_painted("sparse.gltf", &text);
+        assert_eq!(found, [[0, 1, 2].map(expected), [3, 4, 5].map(expected)], "{numbers:?}");
+    }
+}
+
+#[test]
+fn positions_in_16_bits_without_a_sign_are_numbers_or_fractions() {
+    let bytes: Vec<u8> =
+        [0u16, 0, 0, 65_535, 0, 0, 0, 40_000, 0].iter().flat_map(|value| value.to_le_bytes()).collect();
+    for (normalized, whole) in [(false, 1.0), (true, 65_535.0)] {
+        let accessor =
+            format!(r#"{{"bufferView":0,"componentType":5123,"normalized":{normalized},"count":3,"type":"VEC3"}}"#);
+        let view = r#"{"buffer":0,"byteLength":18}"#;
+        let text = gltf(r#"{"attributes":{"POSITION":0}}"#, &accessor, view, &in_text(&bytes), "");
+        let (found, _) = read_painted("short.gltf", &text);
+        assert_eq!(found, [[[0.0; 3], [65_535.0 / whole, 0.0, 0.0], [0.0, 0.0, 40_000.0 / whole]]], "{normalized}");
+    }
+}
+
+/// Corners without a colour have that of the material, and corners without a place in the texture lie at its origin.
+#[test]
+fn colours_and_places_of_a_gltf_may_be_fewer_than_its_corners() {
+    let mut bytes = floats(&[0., 0., 0., 1., 0., 0., 0., 1., 0., 0.25, 0.75]);
+    bytes.extend([65_535u16, 0, 0, 0, 65_535, 0].iter().flat_map(|value| value.to_le_bytes()));
+    let image = bytes.len();
+    bytes.extend(png());
+    let views = format!(
+        r#"{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":8}},
+        {{"buffer":0,"byteOffset":44,"byteLength":12}},{{"buffer":0,"byteOffset":{image},"byteLength":{}}}"#,
+        bytes.len() - image
+    );
+    let accessors = r#"{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
+        {"bufferView":1,"componentType":5126,"count":1,"type":"VEC2"},
+        {"bufferView":2,"componentType":5123,"count":2,"type":"VEC3"}"#;
+    let primitives = r#"{"attributes":{"POSITION":0,"COLOR_0":2}},
+        {"attributes":{"POSITION":0,"TEXCOORD_0":1},"material":0},
+        {"attributes":{"POSITION":0,"TEXCOORD_0":1,"COLOR_0":2},"material":0}"#;
+    let rest = r#","materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}],"textures":[{"source":0}],
+        "images":[{"bufferView":3}]"#;
+    let (found, paints) = read_painted("few.gltf", &gltf(primitives, accessors, &views, &in_text(&bytes), rest));
+    assert_eq!(found.len(), 3);
+    let colours = [[255, 0, 0], [0, 255, 0], [255; 3]];
+    let [
+        Paint::Corners(corners),
+        Paint::Texture { texture, places, tints },
+        Paint::Texture { texture: again, tints: other, .. },
+    ] = &paints[..]
+    else {
+        panic!("{paints:?}")
+    };
+    assert_eq!((corners, tints, other), (&colours, &[[255; 3]; 3], &colours));
+    assert_eq!(*places, [[0.25, 0.75], [0.0; 2], [0.0; 2]]);
+    // An image is read once.
+    assert!(Arc::ptr_eq(texture, again));
+}
+
+#[test]
+fn faces_of_an_obj_are_white_if_they_have_no_place_in_their_texture() {
+    hold("parts/a.png", png());
+    hold("parts/a.mtl", *b"newmtl a\nKd 0 0 0\nmap_Kd a.png\n");
+    let text = "mtllib a.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1 2 3\nf 1/1 2/2 3/3\n";
+    let (_, paints) = read_painted("a.obj", text);
+    assert!(matches!(paints[..], [Paint::Flat([255, 255, 255]), Paint::Texture { .. }]), "{paints:?}");
+}
+
+#[test]
+fn strips_of_a_ply_have_the_colours_of_their_corners_and_may_have_other_properties() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+                property uchar red\nproperty uchar green\nproperty uchar blue\nelement tristrips 1\n\
+                property uchar flags\nproperty list int int vertex_indices\nproperty uchar layer\nend_header\n\
+                0 0 0 255 0 0\n1 0 0 0 255 0\n0 1 0 0 0 255\n1 1 0 9 8 7\n1 4 0 1 2 3 2\n";
+    let (found, paints) = read_painted("a.ply", text);
+    let places = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+    assert_eq!(found, [[places[0], places[1], places[2]], [places[1], places[2], places[3]]]);
+    let [Paint::Corners(first), Paint::Corners(second)] = &paints[..] else { panic!("{paints:?}") };
+    assert_eq!(*first, [[255, 0, 0], [0, 255, 0], [0, 0, 255]]);
+    assert_eq!(*second, [[0, 255, 0], [0, 0, 255], [9, 8, 7]]);
+}
+
+/// A batch is full in the middle of the lines that are read for it.
+#[test]
+fn large_faces_of_an_obj_fill_many_batches_and_none_is_lost() {
+    const CORNERS: usize = 20;
+    let mut text = String::new();
+    for n in 0..CORNERS {
+        // On a parabola: convex.
+        text += &format!("v {n} {} 0\n", n * n);
+    }
+    let face: String = (1..=CORNERS).map(|n| format!(" {n}")).collect();
+    text += &format!("f{face}\n").repeat(600);
+    let path = PathBuf::from("parts/large.obj");
+    hold(&path, text.into_bytes());
+    let set = MeshSet::open(&[path], MeshOptions::default(), &NoMonitor).unwrap();
+    let (mut feed, mut batch, mut count) = (set.feed(), Vec::new(), 0);
+    while feed.next(&mut batch, &NoMonitor).unwrap() {
+        assert!(batch.len() < 4096 + CORNERS, "{}", batch.len());
+        count += batch.len();
+    }
+    assert_eq!(count, 600 * (CORNERS - 2));
+}
