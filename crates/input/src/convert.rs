@@ -344,6 +344,17 @@ mod tests {
     }
 
     #[test]
+    fn corners_are_placed_as_points_are() {
+        // A quarter turn about z, twice the size, and a shift.
+        let matrix = [0.0, -2.0, 0.0, 10.0, 2.0, 0.0, 0.0, 20.0, 0.0, 0.0, 2.0, 30.0, 0.0, 0.0, 0.0, 1.0];
+        let placed = Transform { placement: Some(Similarity::of_matrix(matrix).unwrap()), ..PLAIN };
+        assert_eq!(placed.corner([1.0, 2.0, 3.0]), Some([6.0, 22.0, 36.0]));
+        assert_eq!(placed.corner([f64::MAX, 0.0, 0.0]), None);
+        let (batch, _) = run(&[record(20, [0, 400, 0], 0, 0)], Layout::Old, ClassSet::default(), placed);
+        assert_eq!(placed.corner([1.0, 2.0, 3.0]), Some([batch.x[0], batch.y[0], batch.z[0]]));
+    }
+
+    #[test]
     fn up_y_turns_z_to_minus_y_and_y_to_z() {
         let turned = Transform { unit: [0.5, 0.5, 2.0], up: Up::Y, ..PLAIN };
         let (batch, _) = run(&[record(26, [100, 200, 300], 0, 0)], Layout::Old, ClassSet::default(), turned);

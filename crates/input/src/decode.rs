@@ -124,7 +124,7 @@ impl PointDecoder {
         piece: &PointChunk,
         sink: &mut dyn FnMut(&PointBatch) -> Result<()>,
     ) -> Result<PointCounts> {
-        let file = &set.files[piece.file];
+        let Some(file) = set.files.get(piece.file) else { return Err(of_another_set()) };
         if self.source.as_ref().is_none_or(|(number, _)| *number != piece.file) {
             let source = Source::open(file.path(), set.options.hash.then(|| self.log.clone()))?;
             if source.stamp() != file.stamp {
@@ -200,7 +200,7 @@ impl PointDecoder {
                 let run = run(&**packing, *start, *len, Some(*table_at), "LAZ points".into());
                 run.decode(only_whole, slab, &mut take).map(|()| 0)
             }
-            (ChunkSource::Records { first }, _) => {
+            (ChunkSource::Records { first }, Content::Plain { .. }) => {
                 let start = file.points_at + first * record_bytes as u64;
                 las::read(source, start, piece.points, record_bytes, slab, &mut take)
                     .map(|done| piece.points.saturating_sub(done))
@@ -255,4 +255,97 @@ impl PointDecoder {
 
 fn of_another_set() -> Error {
     Error::parameter("chunk", "it belongs to another set of files")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::InputOptions;
+    use slicewalk_base::bytes::testing::{Strike, StruckSource};
+    use slicewalk_base::bytes::{MemorySource, hold_source};
+    use slicewalk_base::{Monitor, Warning};
+    use std::sync::Mutex;
+
+    /// LAS 1.2 of format 0.
+    fn las(points: u8) -> Vec<u8> {
+        let mut file = vec![0; 227];
+        let mut put = |at: usize, bytes: &[u8]| file[at..at + bytes.len()].copy_from_slice(bytes);
+        put(0, b"LASF");
+        put(24, &[1, 2]);
+        put(94, &[227, 0, 227]);
+        put(105, &[20, 0, points]);
+        (0..3).for_each(|axis| put(131 + 8 * axis, &0.01f64.to_le_bytes()));
+        file.extend((0..points).flat_map(|n| [[n; 4]; 5].concat()));
+        file
+    }
+
+    /// Notes all warnings.
+    #[derive(Default)]
+    struct Notes(Mutex<Vec<String>>);
+
+    impl Monitor for Notes {
+        fn warn(&self, warning: &Warning) {
+            self.0.lock().unwrap().push(warning.to_string());
+        }
+    }
+
+    #[test]
+    fn a_user_who_stops_gets_no_part_of_a_set() {
+        const NAME: &str = "stopped.las";
+        let mut file = las(3);
+        // Padding is read in several steps.
+        file.resize(file.len() + (1 << 18), 0);
+        hold_source(NAME, MemorySource::new(file));
+        for number in 0.. {
+            let stop = Strike::at(number);
+            let set = InputSet::of_paths(vec![NAME.into()], InputOptions::default(), &*stop);
+            if !stop.fell() {
+                assert!(set.unwrap().points_stated() == 3 && number > 4, "{number} questions");
+                break;
+            }
+            assert!(matches!(set, Err(Error::Interrupted)), "{number}");
+        }
+    }
+
+    #[test]
+    fn a_failed_read_loses_no_point_unnoticed() {
+        const NAME: &str = "struck.las";
+        let file = las(3);
+        for allow_incomplete in [false, true] {
+            let mut incomplete = 0;
+            for number in 0.. {
+                let strike = Strike::at(number);
+                hold_source(NAME, StruckSource::new(MemorySource::new(&file[..]), &strike));
+                let notes = Notes::default();
+                let pass = || {
+                    let options = InputOptions { allow_incomplete, ..InputOptions::default() };
+                    let set = InputSet::of_paths(vec![NAME.into()], options, &notes)?;
+                    let (mut decoder, mut counts) = (PointDecoder::new(), PointCounts::default());
+                    for piece in set.chunks() {
+                        counts += decoder.decode(&set, &piece, &mut |_| Ok(()))?;
+                    }
+                    set.check_complete(&notes)?;
+                    Ok::<_, Error>((counts.read, counts.missing))
+                };
+                let done = pass();
+                if !strike.fell() {
+                    assert_eq!(done.unwrap(), (3, 0));
+                    break;
+                }
+                match done {
+                    Ok(counts) => {
+                        assert!(allow_incomplete && counts == (0, 3), "{number}: {counts:?}");
+                        let said = notes.0.into_inner().unwrap();
+                        let lines: Vec<_> = said.iter().filter(|line| line.contains("incomplete")).collect();
+                        let [line] = lines[..] else { panic!("{said:?}") };
+                        assert!(line.contains(Strike::REASON) && line.contains("3 points could not be read"), "{line}");
+                        assert_eq!(line.matches(NAME).count(), 1, "{line}");
+                        incomplete += 1;
+                    }
+                    Err(error) => assert!(error.to_string().contains(Strike::REASON), "{number}: {error}"),
+                }
+            }
+            assert_eq!(incomplete > 0, allow_incomplete);
+        }
+    }
 }

@@ -28,6 +28,7 @@ pub fn warn_incomplete(path: &Path, what: impl Display, monitor: &dyn Monitor) {
 pub(super) fn without_path(error: Error) -> String {
     match error {
         Error::Input { at, reason, .. } => format!("{at}: {reason}"),
+        Error::Io { action, source, .. } => format!("cannot {action}: {source}"),
         other => other.to_string(),
     }
 }

@@ -35,12 +35,12 @@ pub(super) fn expand(
     let mut found = Vec::new();
     let mut left_out = None;
     for input in inputs {
-        match expand_one(input, &mut found, diagnostics, monitor) {
-            Err(error) if diagnostics.is_some() && is_of_input(&error) => {
+        match (expand_one(input, &mut found, diagnostics, monitor), diagnostics) {
+            (Err(error), Some(diagnostics)) if is_of_input(&error) => {
                 tell(diagnostics, &error, monitor);
                 left_out = Some(error);
             }
-            done => done?,
+            (done, _) => done?,
         }
     }
     if found.is_empty() {
@@ -67,11 +67,9 @@ pub(super) fn expand(
 }
 
 /// Reports that an input is left out.
-fn tell(diagnostics: Option<&Diagnostics>, error: &Error, monitor: &dyn Monitor) {
-    if let Some(diagnostics) = diagnostics {
-        diagnostics.note();
-        monitor.warn(&format!("incomplete: left out: {error}").into());
-    }
+fn tell(diagnostics: &Diagnostics, error: &Error, monitor: &dyn Monitor) {
+    diagnostics.note();
+    monitor.warn(&format!("incomplete: left out: {error}").into());
 }
 
 fn expand_one(
@@ -99,7 +97,7 @@ fn expand_one(
         Err(_) if pattern::is_pattern(input) => {
             let before = found.len();
             let mut failed = |error: Error| match diagnostics {
-                Some(_) => {
+                Some(diagnostics) => {
                     tell(diagnostics, &error, monitor);
                     Ok(())
                 }
@@ -307,5 +305,40 @@ mod tests {
         fs::create_dir(dir.path().join("empty")).unwrap();
         assert!(names(&["empty"]).unwrap_err().to_string().contains("no scan lies in it"));
         assert!(expand(&[], None, &NoMonitor).is_err());
+        let through_a_file = names(&["b.las/c.las"]).unwrap_err().to_string();
+        assert!(through_a_file.contains("c.las: cannot open"), "{through_a_file}");
+    }
+
+    #[test]
+    fn splats_are_found_where_no_scan_is_and_by_their_names() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["both/a.las", "both/b.splat", "only/c.SPZ", "only/d.txt", "sog/meta.json", "sog/lod-meta.json"] {
+            let path = dir.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, name).unwrap();
+        }
+        let names = |input: &str| {
+            let paths = expand(&[dir.path().join(input)], None, &NoMonitor)?;
+            Ok::<_, Error>(
+                paths.iter().map(|p| p.file_name().unwrap().to_str().unwrap().to_owned()).collect::<Vec<_>>(),
+            )
+        };
+        for (input, expected) in [
+            ("both", "a.las"),
+            ("only", "c.SPZ"),
+            ("*/*.splat", "b.splat"),
+            ("*/meta.json", "meta.json"),
+            ("*/lod-meta.json", "lod-meta.json"),
+        ] {
+            assert_eq!(names(input).unwrap(), [expected], "{input}");
+        }
+        assert!(names("sog/*.json").is_err());
+    }
+
+    #[cfg(feature = "remote")]
+    #[test]
+    fn a_pattern_of_objects_that_is_none_is_refused() {
+        let error = expand(&["s3://bucket/a[.laz".into()], None, &NoMonitor).unwrap_err().to_string();
+        assert!(error.starts_with("s3://bucket/a[.laz: pattern: "), "{error}");
     }
 }

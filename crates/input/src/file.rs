@@ -122,8 +122,7 @@ impl ScanFile {
                 let opened = cloud::open(format, opening)?;
                 return Self::of_cloud(&source, opened, options, findings);
             }
-            if let Some(kind) = other_format(path) {
-                let reason = format!("a {kind} is not supported; write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ");
+            if let Some(reason) = other_format(path) {
                 return Err(Error::input(path, "name", reason));
             }
         }
@@ -496,12 +495,15 @@ fn settle(
     Ok((reference, unit))
 }
 
+/// Returns why a file with this extension is not read, and what to do.
 fn other_format(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     Some(match extension.as_str() {
-        "off" | "3mf" | "fbx" => "mesh in a format that is not read (write it as OBJ, PLY, STL or glTF)",
-        "rcp" | "rcs" | "fls" | "zfs" | "lsproj" => "point cloud of another format",
-        "slices" => "slice archive",
+        "off" | "3mf" | "fbx" => "a mesh in a format that is not read; write it as OBJ, PLY, STL or glTF",
+        "rcp" | "rcs" | "fls" | "zfs" | "lsproj" => {
+            "a point cloud in a format that is not read; write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ"
+        }
+        "slices" => "a slice archive holds no points; name the scans that it was made from",
         _ => return None,
     })
 }

@@ -139,6 +139,27 @@ mod tests {
     }
 
     #[test]
+    fn numbers_of_every_type_are_read_in_both_byte_orders() {
+        let cases: [(Number, &[u8], f64); 10] = [
+            (Number::I8, &[0xFE], -2.0),
+            (Number::U8, &[0xFE], 254.0),
+            (Number::I16, &[0xFE, 0xFF], -2.0),
+            (Number::U16, &[0xFE, 0xFF], 65_534.0),
+            (Number::I32, &[0xFE, 0xFF, 0xFF, 0xFF], -2.0),
+            (Number::U32, &[0xFE, 0xFF, 0xFF, 0xFF], 4_294_967_294.0),
+            (Number::I64, &[0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF], -2.0),
+            (Number::U64, &[1, 0, 0, 0, 0, 0, 0, 0x80], 9_223_372_036_854_775_808.0),
+            (Number::F32, &[0, 0, 0x20, 0xC0], -2.5),
+            (Number::F64, &[0, 0, 0, 0, 0, 0, 4, 0xC0], -2.5),
+        ];
+        for (number, little, value) in cases {
+            let big: Vec<u8> = little.iter().rev().copied().collect();
+            assert_eq!(number.bytes(), little.len(), "{number:?}");
+            assert_eq!([number.read(little, false), number.read(&big, true)], [value; 2], "{number:?}");
+        }
+    }
+
+    #[test]
     fn numbers_are_read_in_every_spelling() {
         let missing = [
             "nan",

@@ -240,6 +240,42 @@ mod tests {
     use std::io::Write;
 
     #[test]
+    fn reads_are_those_of_a_file_with_the_same_bytes_only() {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(&[7; 1000]).unwrap();
+        let log = ReadLog::default();
+        let source = Source::open(file.path(), Some(log.clone())).unwrap();
+        log.begin(3);
+        source.bytes_at(900, 100).unwrap();
+        source.bytes_at(10, 20).unwrap();
+        let (number, reads) = log.reads();
+        assert_eq!((number, reads.pieces.as_slice()), (3, [(900, 100), (10, 20)].as_slice()));
+        let after = |change: &dyn Fn(&std::fs::File)| {
+            change(file.as_file());
+            reads.are_of(file.path()).unwrap()
+        };
+        assert!(after(&|_| ()));
+        assert!(!after(&|file| file.set_len(999).unwrap()), "shorter");
+        // The byte that is lost comes back as 0.
+        assert!(!after(&|file| file.set_len(1000).unwrap()), "changed");
+    }
+
+    #[test]
+    fn many_reads_are_listed_once_and_few_again() {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(&[7; 10]).unwrap();
+        for (count, again) in [(256, 256), (257, 0)] {
+            let log = ReadLog::default();
+            let source = Source::open(file.path(), Some(log.clone())).unwrap();
+            log.begin(0);
+            (0..count).for_each(|_| drop(source.bytes_at(1, 2).unwrap()));
+            let all = log.hash();
+            assert_eq!([0; 2].map(|_| log.reads().1.pieces.len()), [count, again]);
+            assert_eq!(log.hash(), all);
+        }
+    }
+
+    #[test]
     fn a_window_reads_and_seeks_like_the_bytes_it_shows() {
         let all: Vec<u8> = (0..300_000u32).map(|i| ((i * 7) >> 3) as u8).collect();
         let mut file = tempfile::NamedTempFile::new().unwrap();

@@ -429,3 +429,6 @@ impl Pose {
         self.0.as_flattened().iter().flat_map(|v| v.to_le_bytes())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -246,6 +246,7 @@ struct Packed {
     start: u64,
     len: u64,
     unpacked: u64,
+    stated: u64,
     points: u64,
     /// Needed columns, with the bytes of a record before each: x, y, z, and classes if there are any.
     columns: Vec<Field>,
@@ -272,6 +273,7 @@ fn open_packed(
         );
         return Err(opening.error(format!("byte {}", header.end + 4), reason));
     };
+    let stated = points;
     let start = header.end + 8;
     let held = opening.bytes.saturating_sub(start);
     if held < packed {
@@ -287,7 +289,7 @@ fn open_packed(
         return Err(opening.error(format!("byte {}", header.end), reason));
     }
     let columns = axes.into_iter().chain(class).collect();
-    Ok(Packed { start, len: packed, unpacked, points, columns, values })
+    Ok(Packed { start, len: packed, unpacked, stated, points, columns, values })
 }
 
 /// A column that is being unpacked.
@@ -333,7 +335,7 @@ impl Cloud for Packed {
     }
 
     fn points_stated(&self) -> u64 {
-        self.points
+        self.stated
     }
 
     fn points_expected(&self) -> u64 {
@@ -400,7 +402,7 @@ impl Cloud for Packed {
             for row in 0..count {
                 let colour = wanted.and_then(|(source, _)| {
                     let number = |field: Field| value(of_field(field), row);
-                    let bits = |field: Field| bits_of(&filled[of_field(field)].0[4 * row..], false);
+                    let bits = |field: Field| bits_of(&filled[of_field(field)].0[4 * row..]);
                     self.values.of(source, number, bits)
                 });
                 let at = axes.map(|axis| value(axis, row));
@@ -590,6 +592,10 @@ mod tests {
         for (len, reason) in [(112, "bytes follow"), (111, "more bytes"), (114, "end too early")] {
             assert!(unpack(&packed, len).unwrap_err().to_string().contains(reason), "{len}");
         }
+        let one: &[u8] = &[0, b'a'];
+        let mut short = Lzf::new(one, 1);
+        let error = short.read_exact(&mut [0; 2]).unwrap_err().to_string();
+        assert!(error.contains("fewer bytes"), "{error}");
         let mut lzf = Lzf::new(&packed[..], 113);
         let mut pieces = Vec::new();
         for len in [1, 0, 5, 60] {

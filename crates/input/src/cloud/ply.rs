@@ -77,11 +77,10 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         return Err(opening.error("header", SPLATS));
     }
     let Start { header, end } = start;
-    let Some(number) = header.elements.iter().position(|element| element.name == "vertex") else {
+    let number = header.elements.iter().position(|element| element.name == "vertex");
+    let Some((before, [vertex, behind @ ..])) = number.map(|number| header.elements.split_at(number)) else {
         return Err(opening.error("header", "it has no element \"vertex\": there are no points in it"));
     };
-    let (before, from) = header.elements.split_at(number);
-    let [vertex, behind @ ..] = from else { return Err(opening.error("header", "it has no element \"vertex\"")) };
     header.check().map_err(|reason| opening.error("header", reason))?;
     let find = |names: &[&str]| {
         let is_named = |p: &Property| names.iter().any(|name| p.name.eq_ignore_ascii_case(name));
@@ -193,4 +192,23 @@ fn skip(opening: &Opening<'_, '_>, element: &Element, start: u64, big: bool) -> 
         }
     }
     Ok(start + window.position())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn headers_are_bounded_and_cut_ones_are_no_cloud() {
+        let endless = [&b"ply\ncomment "[..], &vec![b'c'; MOST_HEADER]].concat();
+        for (start, words) in [
+            (&endless[..MOST_HEADER], "no \"end_header\" in the first MiB"),
+            (&endless[..100], "the file ends before \"end_header\""),
+            (b"ply", "expected \"ply\""),
+        ] {
+            let Err((_, reason)) = Start::parse(start) else { panic!("{words}: it is parsed") };
+            assert!(reason.contains(words), "{words}: {reason}");
+            assert!(!is_point_cloud(start), "{words}");
+        }
+    }
 }

@@ -92,11 +92,10 @@ impl Values {
     }
 }
 
-/// Reads the 32 bits of a 4-byte field.
+/// Reads the 32 bits of a packed colour, which only PCD has: lowest byte first.
 #[inline]
-pub(super) fn bits_of(at: &[u8], big: bool) -> u32 {
-    let bytes = [at[0], at[1], at[2], at[3]];
-    if big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
+pub(super) fn bits_of(at: &[u8]) -> u32 {
+    u32::from_le_bytes([at[0], at[1], at[2], at[3]])
 }
 
 /// Location of the records, and of the coordinates in them.
@@ -184,7 +183,7 @@ impl Cloud for Records {
             let got = source.read_at(scratch, self.start + next * self.stride as u64)? / self.stride;
             for record in scratch.chunks_exact(self.stride).take(got) {
                 let value = |field: Field| field.number.read(&record[field.at..], self.big);
-                let bits = |field: Field| bits_of(&record[field.at..], self.big);
+                let bits = |field: Field| bits_of(&record[field.at..]);
                 let colour = wanted.and_then(|source| self.values.of(source, value, bits));
                 let at = self.axes.map(value);
                 taker.note_singles(at, is_single);

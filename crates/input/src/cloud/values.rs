@@ -204,6 +204,7 @@ mod tests {
         for kind in [Kind::Any, Kind::Custom] {
             assert_eq!(rgb(kind, &[0.0, 0.25, 1.0]), (Depth::Sixteen, 32_768, 65_535));
         }
+        assert_eq!(rgb(Kind::Any, &[0.0, f64::NAN, 1.0, f64::INFINITY]), (Depth::Sixteen, 32_768, 65_535));
         assert_eq!(rgb(Kind::Any, &[0.0, 255.0]), (Depth::Unstated, 1, 200));
         assert_eq!(rgb(Kind::Any, &[]), (Depth::Unstated, 1, 200));
         assert_eq!(rgb(Kind::Custom, &[0.0, 255.0]), (Depth::Eight, 1, 200));

@@ -77,12 +77,17 @@ mod tests {
             for (file, text) in texts.iter().enumerate() {
                 systems.add(file, Some((*text).into()), Georeference::of_text((*text).into()).codes);
             }
-            (systems.least.map(|least| (least.text, least.files.count)), systems.other.map(|(name, _)| name))
+            let other = systems.other.map(|(name, files)| (name, files.count));
+            (systems.least.map(|least| (least.text, least.files.count)), other)
         };
+        let other = |name: &str, count| Some((name.to_owned(), count));
         for [a, b] in [[0, 1], [1, 0]] {
             assert_eq!(of(&[forms[a], forms[b]]), (Some((forms[0].into(), 2)), None));
         }
-        assert_eq!(of(&[forms[1], "EPSG:26911"]), (Some(("EPSG:26911".into(), 1)), Some("P".into())));
-        assert_eq!(of(&["a site", "another"]), (Some(("a site".into(), 1)), Some("another".into())));
+        assert_eq!(of(&[forms[1], "EPSG:26911"]), (Some(("EPSG:26911".into(), 1)), other("P", 1)));
+        assert_eq!(of(&["a site", "another"]), (Some(("a site".into(), 1)), other("another", 1)));
+        // Files of all other systems count, and a name is one line.
+        let least = Some(("a site".into(), 2));
+        assert_eq!(of(&["second\nsite", "a site", "third", "a site", "third"]), (least, other("second site", 3)));
     }
 }

@@ -125,6 +125,9 @@ fn text_of_the_second_kind_states_units_by_system_by_axis_or_by_what_it_is_deriv
     assert_eq!((units(&ellipsoidal), wkt(&ellipsoidal).degrees), ((None, feet), true));
     let geocentric = format!(r#"GEODCRS["G",DATUM["D"],CS[Cartesian,3],AXIS["X",geocentricX],{metre}]"#);
     let geocentric = wkt(&geocentric);
+    let of_the_first_kind = wkt(r#"GEOCCS["G",DATUM["D"],PRIMEM["Greenwich",0],UNIT["metre",1],AXIS["X",OTHER]]"#);
+    assert_eq!((of_the_first_kind.horizontal, of_the_first_kind.degrees), (Some(1.0), false));
+    assert_eq!(of_the_first_kind.notes, [GEOCENTRIC]);
     assert_eq!((geocentric.degrees, geocentric.notes.as_slice()), (false, [GEOCENTRIC.to_owned()].as_slice()));
 }
 
@@ -147,12 +150,14 @@ fn units_without_a_sound_factor_go_by_their_name_or_code_and_systems_without_uni
         r#"COMPD_CS["C",PROJCS["P",UNIT["metre",1]],VERT_CS["V",VERT_DATUM["D",2005]],AUTHORITY["EPSG","8720"]]"#;
     assert_eq!(units(joined).1, epsg::system(8720).and_then(|system| system.up));
     let text = r#"PROJCS["P",UNIT["Foot_US",0.3048006096012192]]"#;
-    for before in ["\u{feff}", "ESRI PE String = "] {
+    for before in ["\u{feff}", "ESRI PE String = ", "\"no system\" "] {
         assert_eq!(units(&format!("{before}{text}")).0, Some(US_SURVEY_FOOT), "{before}");
     }
     // All quotes doubled, with quotes in the name; then all escaped by a backslash.
     let text = r#"PROJCS["P ""[old]"" one",UNIT["Foot_US",0.3048006096012192]]"#;
     assert_eq!(units(text).0, Some(US_SURVEY_FOOT));
+    let long = format!(r#"PROJCS["{}",UNIT["Foot_US",0.3048006096012192]]"#, "long name ".repeat(20));
+    assert_eq!(units(&long).0, Some(US_SURVEY_FOOT));
     let text = r#"PROJCS["P [ftUS]",UNIT["Foot_US",0.3048006096012192]]"#;
     for text in [text.replace('"', "\"\""), text.replace('"', "\\\""), text.replacen('"', "\u{201c}", 1)] {
         assert_eq!(units(&text).0, Some(US_SURVEY_FOOT), "{text}");
@@ -165,6 +170,8 @@ fn depths_are_noted() {
         r#"VERT_CS["V",UNIT["metre",1],AXIS["Depth",DOWN]]"#,
         r#"VERTCS["V",PARAMETER["Direction",-1.0],UNIT["Meter",1.0]]"#,
         r#"VERTCRS["V",ID["EPSG",5715]]"#,
+        r#"ENGCRS["S",CS[Cartesian,3],AXIS["x",east],AXIS["y",north],AXIS["z",down],LENGTHUNIT["metre",1]]"#,
+        r#"GEOGCRS["G",DATUM["D"],CS[ellipsoidal,3],AXIS["lat",north],AXIS["lon",east],AXIS["d",down]]"#,
     ] {
         assert_eq!(wkt(text).notes, [DOWNWARD], "{text}");
     }
@@ -191,6 +198,11 @@ fn a_text_and_keys_complete_each_other_and_the_one_that_counts_is_followed() {
     let heights = r#"VERTCS["V",UNIT["foot",0.3048]]"#;
     let found = Georeference::read(&records(&format!("{text},{heights}"), &keys), true);
     assert_eq!((found.vertical, found.notes.len()), (Some(FOOT), 1));
+    // The text states no unit.
+    let feet = [[1024, 0, 1, 1], [3072, 0, 1, 2229]];
+    let found = Georeference::read(&records("a site", &feet), true);
+    assert_eq!((found.text.as_deref(), found.horizontal), (Some("a site"), Some(US_SURVEY_FOOT)));
+    assert_eq!((found.codes, found.degrees, found.notes), (vec![2229], false, vec![]));
 }
 
 #[test]
@@ -287,6 +299,31 @@ fn codes_are_those_of_the_system_and_its_parts_and_not_of_what_these_rest_on() {
     }
     let mut keyed = keys(&[[3072, 0, 1, 26915]], "", &[]);
     assert!(keyed.complete(26915).is_ok() && keyed.complete(25832).is_err());
+}
+
+#[test]
+fn the_code_of_a_projection_is_found_in_a_compound_and_behind_others() {
+    let ground = r#"PROJCS["P",GEOGCS["G",AUTHORITY["EPSG","4258"]],AUTHORITY["EPSG","25832"]]"#;
+    let heights = r#"VERT_CS["V",AUTHORITY["EPSG","5783"]]"#;
+    for text in [
+        format!(r#"COMPD_CS["C",{ground},{heights}]"#),
+        format!(r#"COMPD_CS["C",COMPD_CS["D",{heights},{ground}]]"#),
+        format!("{heights},{ground}"),
+    ] {
+        assert_eq!(projected_epsg(&text), Some(25832), "{text}");
+    }
+    for text in [format!(r#"COMPD_CS["C",GEOGCS["G",AUTHORITY["EPSG","25832"]],{heights}]"#), heights.to_owned()] {
+        assert_eq!(projected_epsg(&text), None, "{text}");
+    }
+}
+
+#[test]
+fn a_text_longer_than_an_archive_can_hold_is_passed_over() {
+    let longest = Georeference::of_text("x".repeat(1 << 20));
+    assert_eq!((longest.text.map(|text| text.len()), longest.notes), (Some(1 << 20), vec![]));
+    let longer = Georeference::of_text(r#"PROJCS["P",UNIT["foot",0.3048]]"#.repeat(1 << 16));
+    assert_eq!((longer.text, longer.horizontal, longer.notes.len()), (None, None, 1));
+    assert!(longer.notes[0].contains("its reference system is 2031616 bytes long"), "{:?}", longer.notes);
 }
 
 #[test]

@@ -271,7 +271,9 @@ impl PackedPoints<'_> {
         if self.packing.layered {
             return self.run_layers(slab, sink, whole);
         }
-        let Some(items) = self.packing.items else { return Ok(()) };
+        let Some(items) = self.packing.items else {
+            return Err(self.damaged(0, "no decoder can be made of its items"));
+        };
         let _permit = self.permit("models of extra bytes", self.packing.models_bytes)?;
         let chunk_points = match self.stream {
             Some(Some(_)) => u64::from(self.packing.record.chunk_points),

@@ -14,11 +14,13 @@ use laz::record::{
 use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
 use proptest::prelude::*;
 
-use super::Wanted;
 use super::items::{Item, LaszipRecord};
 use super::layers::{Layers, POINT_BYTES, places};
 use super::sequence::{Items, Sequence};
-use crate::header::u32_at;
+use super::{Packing, Wanted};
+use crate::Error;
+use crate::diagnostics::Findings;
+use crate::header::{LasHeader, u32_at};
 use crate::source::Source;
 
 /// Change of a field from one record to the next.
@@ -407,6 +409,90 @@ proptest! {
             prop_assert!(ours.len() >= theirs.len());
         }
     }
+}
+
+/// A writer may leave out the layer of a field that no point changes.
+#[test]
+fn fields_without_a_layer_stay_as_in_the_first_point() {
+    const LAYERS: usize = 10;
+    let rows: Vec<Vec<Change>> = (0..6)
+        .map(|row| {
+            let field = |field| match (row, field) {
+                (0, _) => Change::Becomes(7),
+                (_, 0) => Change::By(3),
+                _ => Change::Stays,
+            };
+            (0..14).map(field).collect()
+        })
+        .collect();
+    for version in [3, 4] {
+        let items = new_items(version, Some((LazItemType::RGB14, version)), 0);
+        let records = records(&items, &rows);
+        let packed = pack_layers(&items, &records);
+        let sizes_at = record_bytes(&items) + 4;
+        let size = |layer: usize| u32_at(&packed, sizes_at + 4 * layer) as usize;
+        // Heights and colours.
+        for layer in [1, 9] {
+            let at = sizes_at + 4 * LAYERS + (0..layer).map(size).sum::<usize>();
+            let mut without = packed.clone();
+            without.drain(at..at + size(layer));
+            without[sizes_at + 4 * layer..][..4].fill(0);
+            let (found, are_at_end) = layers_by_ours(&without, &items, wanted(0b11111), rows.len(), 4);
+            assert!(found == records && are_at_end, "version {version}, layer {layer}");
+        }
+    }
+}
+
+#[test]
+fn records_of_items_that_are_none_are_refused() {
+    let good = laszip_record(2, &[(LazItemType::Point10, 2), (LazItemType::GpsTime, 2)]);
+    assert!(LaszipRecord::read(&good).is_ok());
+    let with = |at: usize, new: &[u8]| {
+        let mut record = good.clone();
+        record[at..at + new.len()].copy_from_slice(new);
+        record
+    };
+    for (record, words) in [
+        (good[..33].to_vec(), "33 bytes long, expected 34 or more"),
+        (with(2, &[1]), "its coder is 1"),
+        (with(12, &[0; 4]), "its chunks have 0 points"),
+        (with(32, &[0, 0]), "it lists 0 items"),
+        (with(32, &[3, 0]), "it lists 3 items in 46 bytes"),
+        (with(34, &[5]), "items of type 5 are unknown"),
+        (with(36, &[21]), "its Point10 has 21 bytes, expected 20"),
+        (laszip_record(2, &[(LazItemType::GpsTime, 2)]), "its first item is GpsTime11, expected a point"),
+        (with(0, &[3]), "compressor 3 does not fit its items"),
+    ] {
+        let reason = LaszipRecord::read(&record).unwrap_err();
+        assert!(reason.contains(words), "{words}: {reason}");
+    }
+}
+
+/// The list of chunks takes memory: a table of more chunks than may be listed is refused before it is read.
+#[test]
+fn chunks_beyond_the_memory_are_refused() {
+    let mut file = vec![0; 227];
+    let mut put = |at: usize, bytes: &[u8]| file[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, b"LASF");
+    put(24, &[1, 2]);
+    put(94, &[227, 0, 227]);
+    put(104, &[0x80, 20, 0, 100]);
+    (0..3).for_each(|axis| put(131 + 8 * axis, &1f64.to_le_bytes()));
+    // The place of the table, 40 bytes of points, and the head of the table: its version and the number of chunks.
+    file.extend(275u64.to_le_bytes());
+    file.extend([7; 40]);
+    file.extend([0, 0, 0, 0, 5, 0, 0, 0]);
+    let (source, _file) = source(&file);
+    let header = LasHeader::read(&source, file.len() as u64).unwrap();
+    let packing = Packing::read(&source, &laszip_record(2, &[(LazItemType::Point10, 2)]), 1 << 20).unwrap();
+    let body = |most_chunks: u64| {
+        let (notes, lost) = (Vec::new(), Vec::new());
+        let mut findings = Findings { path: source.path(), allow_incomplete: false, notes, lost, points: 0 };
+        packing.body(&source, &header, file.len() as u64, most_chunks, &mut findings).map(|_| findings.notes)
+    };
+    assert!(matches!(body(4), Err(Error::Limit { .. })));
+    // The table is cut behind its head.
+    assert!(body(5).unwrap()[0].contains("chunk table is cut"));
 }
 
 /// LASzip drops the intensity of the first point, so an intensity of 0 after it counts as unchanged.

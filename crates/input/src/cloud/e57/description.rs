@@ -290,11 +290,67 @@ fn read_pose(node: Node<'_, '_>) -> Result<Pose, String> {
     // A quaternion of unit length up to rounding is used unchanged.
     let by = if (length - 1.0).abs() < 1e-6 { 1.0 } else { length };
     let (w, x, y, z) = (q[0] / by, q[1] / by, q[2] / by, q[3] / by);
-    let pose = Pose([
+    Ok(Pose([
         [w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
         [2.0 * (x * y - w * z), w * w + y * y - x * x - z * z, 2.0 * (y * z + w * x)],
         [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w + z * z - x * x - y * y],
         [t[0], t[1], t[2]],
-    ]);
-    if pose.is_finite() { Ok(pose) } else { Err("its pose has numbers that are not finite".into()) }
+    ]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A cloud turned by half about z and moved.
+    const SOUND: &str = r#"<e57Root><data3D><vectorChild><name>hall</name><points fileOffset="48" recordCount="2">
+        <prototype><cartesianX type="Float"/><cartesianY type="ScaledInteger" minimum="0" maximum="9" scale="0.5"/>
+        <cartesianZ type="Integer" minimum="0" maximum="9"/></prototype>
+        <codecs><vectorChild><inputs/><bitPackCodec/></vectorChild></codecs></points>
+        <pose><rotation><w>0</w><x>0</x><y>0</y><z>1</z></rotation><translation><x>1</x><y>2</y><z>3</z></translation>
+        </pose></vectorChild></data3D></e57Root>"#;
+
+    #[test]
+    fn quaternions_of_another_length_are_the_same_rotation() {
+        for z in ["1", "2", "0.25"] {
+            let xml = SOUND.replace("<z>1</z>", &format!("<z>{z}</z>"));
+            let Ok(contents) = Contents::parse(&xml) else { panic!("{z}: the XML is sound") };
+            let [Ok(cloud)] = &contents.clouds[..] else { panic!("{z}: the cloud is sound") };
+            assert_eq!((&cloud.name[..], cloud.records, cloud.columns.len()), ("cloud 1 (\"hall\")", 2, 3));
+            assert_eq!(cloud.pose.unwrap().apply([1.0, 4.0, 0.5]), [0.0, -2.0, 3.5], "{z}");
+        }
+    }
+
+    #[test]
+    fn wrong_descriptions_are_refused_by_their_fault() {
+        let wrong = |xml: &str| match Contents::parse(xml) {
+            Err(wrong) => Some(wrong),
+            Ok(contents) => contents.clouds.into_iter().find_map(|cloud| cloud.err().map(|of| of.wrong)),
+        };
+        let many = "<a type=\"Float\"/>".repeat(MOST_COLUMNS + 1);
+        for (from, to, words) in [
+            ("e57Root", "root", "expected e57Root, found \"root\""),
+            ("points", "dots", "it has no element \"points\""),
+            ("fileOffset=\"48\"", "", "states no fileOffset and recordCount"),
+            ("recordCount=\"2\"", "recordCount=\"-2\"", "states no fileOffset and recordCount"),
+            ("prototype", "columns", "it describes no columns"),
+            ("<cartesianX type=\"Float\"/>", &many[..], "more than 1024 columns"),
+            ("minimum=\"0\"", "minimum=\"0.5\"", "\"cartesianY\": minimum or maximum is not a whole number"),
+            ("maximum=\"9\"", "maximum=\"-1\"", "\"cartesianY\": its maximum lies below its minimum"),
+            ("scale=\"0.5\"", "scale=\"half\"", "\"cartesianY\": scale or offset is not a finite number"),
+            ("scale=\"0.5\"", "offset=\"inf\"", "\"cartesianY\": scale or offset is not a finite number"),
+            ("<w>0</w>", "", "its pose has no w"),
+            ("<z>3</z>", "", "its pose has no z"),
+            ("<z>3</z>", "<z>inf</z>", "expected a finite number in z"),
+            ("<z>1</z>", "<z>9999</z>", "a quaternion of length 9999; expected 1"),
+        ] {
+            assert!(SOUND.contains(from), "{from}");
+            match wrong(&SOUND.replace(from, to)) {
+                Some(Wrong::Damaged(_, reason)) => assert!(reason.contains(words), "{words}: {reason}"),
+                Some(Wrong::Unsupported(what)) => panic!("{words}: not supported: {what}"),
+                None => panic!("{words}: it is not refused"),
+            }
+        }
+        assert!(wrong(SOUND).is_none());
+    }
 }

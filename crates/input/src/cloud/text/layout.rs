@@ -489,6 +489,7 @@ mod tests {
         for row in ["\t1\t2\t3\t9", "a b\t1 \t 2\t3\t"] {
             assert_eq!(tabs.parse(row.as_bytes(), Some(5)), Ok(([1.0, 2.0, 3.0], None)), "{row}");
         }
+        assert!(Separator::Blanks.cells(b" \t").is_ok_and(|cells| cells.is_empty()));
         let german = RowLayout::new(Places::of([0, 1, 2]), Separator::Byte(b','), true);
         assert_eq!(german.parse(b"1,\"2,5\",\"-3,5\"", Some(3)), Ok(([1.0, 2.5, -3.5], None)));
     }

@@ -418,7 +418,7 @@ pub(super) fn is_word(line: &[u8]) -> bool {
 mod tests {
     use super::*;
     use slicewalk_base::NoMonitor;
-    use std::io::Write;
+    use std::io::{Seek, SeekFrom, Write};
 
     fn source(bytes: &[u8]) -> (tempfile::NamedTempFile, Source) {
         let mut file = tempfile::NamedTempFile::new().unwrap();
@@ -526,6 +526,26 @@ mod tests {
         }
         assert_eq!(found, "1 2 3 long 6, 4 5 6..7 8 9");
         assert!(lines.error("x").to_string().contains(&format!("line {}", 4 + (3 << 20))));
+        // A text that ends within such a line.
+        let (_file, source) = super::tests::source(&[b'7'; 1 << 20]);
+        let mut lines = Lines::begin(&source, 0);
+        assert!(matches!(lines.step(), Ok(Some(Step::TooLong(0)))));
+        assert!(matches!(lines.step(), Ok(None)));
+        assert!(Lines::begin_behind(&source, 10, 1 << 19).unwrap().position() >= 1 << 19);
+    }
+
+    #[test]
+    fn errors_far_into_a_file_name_its_byte() {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        // Most systems store no bytes for the gap before.
+        file.seek(SeekFrom::Start(COUNTED)).unwrap();
+        file.write_all(b"\n1 2 3\n4 five 6\n").unwrap();
+        let source = Source::open(file.path(), None).unwrap();
+        let mut lines = Lines::begin(&source, COUNTED + 1);
+        assert_eq!(lines.row().unwrap().unwrap(), b"1 2 3");
+        assert_eq!(lines.row().unwrap().unwrap(), b"4 five 6");
+        let error = lines.error("x").to_string();
+        assert!(error.contains(&format!("line 2 from byte {} on: x", COUNTED + 1)), "{error}");
     }
 
     #[test]

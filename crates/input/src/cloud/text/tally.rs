@@ -76,19 +76,13 @@ impl Tally {
         self.first.get_or_insert((at, reason));
     }
 
-    /// Appends the tally of the next piece.
+    /// Appends the tally of the next piece to one that has a count.
     fn join(&mut self, next: &Self) {
+        self.behind += next.before;
         if next.counts == 0 {
-            *(if self.counts == 0 { &mut self.before } else { &mut self.behind }) += next.before;
             return;
         }
-        match self.counts {
-            0 => self.before += next.before,
-            _ => {
-                self.behind += next.before;
-                self.end_cloud();
-            }
-        }
+        self.end_cloud();
         let here = self.counts;
         let moved = |uneven: Uneven| Uneven { cloud: uneven.cloud + here, ..uneven };
         self.fewer = self.fewer.or(next.fewer.map(moved));
@@ -161,6 +155,11 @@ mod tests {
         let found = check(Some(2), &two);
         assert_eq!(found[0], "cloud 2: its first line states 7 points, 6 lines follow");
         assert_eq!(found[1], "cloud 4: its first line states 2 points, 4 lines follow; all are read");
+        // Both within the second piece.
+        let two = [piece(&[(None, 2)]), piece(&[(None, 0), (Some(1), 0), (Some(3), 4), (Some(2), 2)])];
+        let found = check(Some(2), &two);
+        assert_eq!(found[0], "cloud 2: its first line states 1 point, 0 lines follow");
+        assert_eq!(found[1], "cloud 3: its first line states 3 points, 4 lines follow; all are read");
         assert_eq!(check(Some(3), &[piece(&[])]), ["cloud 1: its first line states 3 points, 0 lines follow"]);
         assert_eq!(check(Some(3), &[]), ["cloud 1: its first line states 3 points, 0 lines follow"]);
     }
