@@ -1,6 +1,6 @@
 //! Bytes of a file from front to back, in blocks of 1 MiB, and parts of a file as sources of their own.
 
-use slicewalk_base::bytes::{ByteSource, FileId};
+use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::BYTE_ORDER_MARK;
 use slicewalk_base::{Error, Result};
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
@@ -38,10 +38,6 @@ impl ByteSource for Part {
         }
         self.source.read_at(self.start + offset, buf)
     }
-
-    fn file_id(&self) -> Option<FileId> {
-        self.source.file_id()
-    }
 }
 
 /// Reader of a range of a source.
@@ -73,7 +69,10 @@ impl BufRead for Column {
             let len = self.end.saturating_sub(self.at).min(BLOCK_BYTES);
             self.block.resize(len as usize, 0);
             self.used = 0;
-            if let Err(error) = self.source.read_at(self.at, &mut self.block) {
+            // Also a place behind the end has nothing, which sources refuse.
+            if len > 0
+                && let Err(error) = self.source.read_at(self.at, &mut self.block)
+            {
                 self.block.clear();
                 return Err(io::Error::other(error));
             }
@@ -140,7 +139,10 @@ pub fn json<T: serde::de::DeserializeOwned>(source: &Arc<dyn ByteSource>, path: 
     if start.starts_with(BYTE_ORDER_MARK) {
         reader.consume(BYTE_ORDER_MARK.len());
     }
-    serde_json::from_reader(reader).map_err(|e| Error::input(path, "JSON", format!("{e}; fetch or write it again")))
+    serde_json::from_reader(reader).map_err(|e| match e.is_io() {
+        true => read_error(path, "JSON", e.into()),
+        false => Error::input(path, "JSON", format!("{e}; fetch or write it again")),
+    })
 }
 
 /// Returns the path of a file next to `path`; an error if `name` leads out of that folder.
@@ -152,4 +154,64 @@ pub fn beside(path: &Path, name: &str) -> Result<std::path::PathBuf> {
         return Err(Error::input(path, "files", format!("\"{name}\" lies outside its folder; put the file there")));
     }
     Ok(path.with_file_name(inner))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slicewalk_base::bytes::MemorySource;
+    use std::io::Cursor;
+
+    #[test]
+    fn a_column_reads_and_seeks_like_the_bytes_it_shows() {
+        let all: Vec<u8> = (0..3_000_000u32).map(|i| ((i * 7) >> 3) as u8).collect();
+        let shown = &all[1000..2_900_000];
+        let source: Arc<dyn ByteSource> = Arc::new(MemorySource::new(&all[..]));
+        let mut column = Column::new(&source, 1000, shown.len() as u64);
+        let mut cursor = Cursor::new(shown);
+        for (to, take) in [
+            (SeekFrom::Start(5), 3),
+            (SeekFrom::Current(1_500_000), 70_000),
+            (SeekFrom::Current(-60_000), 1),
+            (SeekFrom::Start(0), 2),
+            (SeekFrom::End(-1_000_001), 1_000_000),
+            (SeekFrom::End(-7), 7),
+        ] {
+            assert_eq!(column.seek(to).unwrap(), cursor.seek(to).unwrap());
+            let (mut a, mut b) = (vec![0; take], vec![0; take]);
+            column.read_exact(&mut a).unwrap();
+            cursor.read_exact(&mut b).unwrap();
+            assert!(a == b, "{to:?}");
+        }
+        assert_eq!(column.read(&mut [0; 3]).unwrap(), 0);
+        for before in [SeekFrom::End(-(shown.len() as i64) - 1), SeekFrom::Current(i64::MIN)] {
+            assert_eq!(column.seek(before).unwrap_err().kind(), io::ErrorKind::InvalidInput);
+        }
+        column.seek(SeekFrom::Start(1 << 40)).unwrap();
+        assert_eq!(column.read(&mut [0; 3]).unwrap(), 0);
+    }
+
+    /// Blanks without end.
+    struct Long;
+
+    impl ByteSource for Long {
+        fn len(&self) -> u64 {
+            (256 << 20) + 1
+        }
+
+        fn read_at(&self, _: u64, buf: &mut [u8]) -> Result<()> {
+            buf.fill(b' ');
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn json_that_is_too_long_is_refused_and_a_mark_before_it_is_skipped() {
+        let of = |source: Arc<dyn ByteSource>| json::<Vec<u32>>(&source, Path::new("a.json"));
+        let error = of(Arc::new(Long)).unwrap_err().to_string();
+        assert!(error.starts_with("a.json: JSON: expected at most 256 MiB"), "{error}");
+        for text in ["[1,2]", "\u{feff}[1,2]"] {
+            assert_eq!(of(Arc::new(MemorySource::new(text.as_bytes()))).unwrap(), [1, 2]);
+        }
+    }
 }

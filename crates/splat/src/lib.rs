@@ -71,23 +71,6 @@ pub enum SplatFormat {
     Gltf,
 }
 
-impl SplatFormat {
-    /// Returns the name of the format, for messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ply => "3DGS PLY",
-            Self::CompressedPly => "compressed PLY",
-            Self::Spz => "SPZ",
-            Self::Sog => "SOG",
-            Self::SogFolder => "SOG folder",
-            Self::SogLevels => "SOG levels",
-            Self::Splat => "splat",
-            Self::Ksplat => "ksplat",
-            Self::Gltf => "glTF splats",
-        }
-    }
-}
-
 /// Options of a reader.
 #[derive(Debug, Clone)]
 pub struct SplatOptions {
@@ -183,11 +166,6 @@ impl SplatReader {
     /// Returns the format.
     pub fn format(&self) -> SplatFormat {
         self.format
-    }
-
-    /// Returns the name by which the file was opened.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Passes all splats to `sink`, in the order of the file, in batches of at most [`BATCH_SPLATS`]; may be called more

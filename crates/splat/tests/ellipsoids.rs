@@ -272,6 +272,26 @@ fn a_splat_at_the_threshold_is_solid_at_its_centre() {
     }
 }
 
+#[test]
+fn shapes_that_are_no_ellipsoids_are_refused_and_rows_beyond_one_are_empty() {
+    let unit = [1.0, 0.0, 0.0, 0.0];
+    for (rotation, radii) in [
+        ([0.0; 4], [1.0; 3]),
+        ([f64::NAN; 4], [1.0; 3]),
+        ([f64::MAX; 4], [1.0; 3]),
+        (unit, [1.0, -1.0, 1.0]),
+        (unit, [1.0, f64::NAN, 1.0]),
+        (unit, [1.0, f64::INFINITY, 1.0]),
+    ] {
+        assert!(Ellipsoid::new([0.0; 3], rotation, radii).is_none(), "{rotation:?} {radii:?}");
+    }
+    let ball = Ellipsoid::new([0.0; 3], unit, [1.0; 3]).unwrap();
+    let placed = EllipsoidRaster::new(Frame::new(0.1, 0.3).unwrap(), 45.0).place(&ball).unwrap();
+    for j in [placed.rows().0 - 1, placed.rows().1 + 1] {
+        placed.for_each_pixel(j, |piece| panic!("row {j}: {piece:?}"));
+    }
+}
+
 /// The raster grows by its rounding errors, and may so enter a pixel that the ellipsoid itself only touches.
 #[test]
 fn bounds_meet_every_pixel_where_an_edge_lies_on_a_grid_line() {

@@ -3,6 +3,7 @@
 mod odd;
 mod write;
 
+use slicewalk_base::bytes::testing::{Strike, StruckSource};
 use slicewalk_base::bytes::{MemorySource, testing};
 use slicewalk_base::{Error, NoMonitor, Result};
 use slicewalk_splat::{Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, recognise};
@@ -178,11 +179,24 @@ fn folders_of_sog_and_their_levels_are_read() {
 fn nodes_move_ellipsoids_exactly() {
     let splats = write::random_splats(200, 7);
     let plain = write::gltf(&splats);
-    let m = [[2.0, 0.5, 0.0], [0.0, -1.0, 0.25], [0.0, 0.0, 0.1]];
-    let matrix = "[2,0.5,0,0,0,-1,0.25,0,0,0,0.1,0,5,6,7,1]";
-    let bytes = write::glb_with(&plain, "\"translation\":[1,2,3]", &format!("\"matrix\":{matrix}"));
-    let (_, found, _) = read(&bytes, "moved.glb", false).unwrap();
-    for (a, b) in splats.iter().zip(&found) {
+    // Columns of each map. A quarter turn about z comes after the scale; the last map flattens everything to a line.
+    for (node, m) in [
+        ("\"matrix\":[2,0.5,0,0,0,-1,0.25,0,0,0,0.1,0,5,6,7,1]", [[2.0, 0.5, 0.0], [0.0, -1.0, 0.25], [0.0, 0.0, 0.1]]),
+        (
+            "\"translation\":[5,6,7],\"rotation\":[0,0,0.7071067811865476,0.7071067811865476],\"scale\":[2,3,0.5]",
+            [[0.0, 2.0, 0.0], [-3.0, 0.0, 0.0], [0.0, 0.0, 0.5]],
+        ),
+        ("\"translation\":[5,6,7],\"scale\":[2,0,0]", [[2.0, 0.0, 0.0], [0.0; 3], [0.0; 3]]),
+    ] {
+        let bytes = write::glb_with(&plain, "\"translation\":[1,2,3]", node);
+        moves_exactly(&splats, &read(&bytes, "moved.glb", false).unwrap().1, m);
+    }
+}
+
+/// Checks that `found` are `splats` under the map with columns `m`, and then moved by (5, 6, 7).
+fn moves_exactly(splats: &[Splat], found: &[Splat], m: [[f64; 3]; 3]) {
+    assert_eq!(splats.len(), found.len());
+    for (a, b) in splats.iter().zip(found) {
         let mean = [0, 1, 2].map(|r| (0..3).map(|c| m[c][r] * a.mean[c]).sum::<f64>() + [5.0, 6.0, 7.0][r]);
         assert!((0..3).all(|axis| (mean[axis] - b.mean[axis]).abs() < 1e-5), "{a:?} {b:?}");
         let (before, after) = (covariance(a), covariance(b));
@@ -226,6 +240,14 @@ fn unusable_splats_are_counted_or_refused() {
     let opacities = glb.len() - good.len() * 16;
     glb[opacities..opacities + 4].copy_from_slice(&1.5f32.to_le_bytes());
     assert_eq!(read(&glb, "a.glb", true).unwrap().2.opacity, 1);
+    // A node that turns splats does not hide what is wrong with them.
+    let rotations = glb.len() - good.len() * (16 + 12 + 16);
+    glb[rotations + 16..rotations + 32].fill(0);
+    glb[rotations + 36..rotations + 40].copy_from_slice(&f32::NAN.to_le_bytes());
+    let turned = write::glb_with(&glb, "\"translation\":[1,2,3]", "\"rotation\":[0,1,0,0]");
+    let (_, found, summary) = read(&turned, "a.glb", true).unwrap();
+    assert_eq!((found.len(), summary.lost()), (3, 3));
+    assert_eq!([summary.opacity, summary.no_rotation, summary.not_finite], [1; 3]);
 }
 
 /// A count, a length and an end that a file states must agree.
@@ -279,6 +301,7 @@ fn files_that_hold_more_than_they_state_are_refused() {
     for (name, bytes) in [("a.ply", blank), ("b.ply", more(&little, &[0; 9])), ("c.spz", gzip(&extended))]
         .into_iter()
         .chain([("d.spz", more(&spz, &[0; 3])), ("e.ksplat", more(&ksplat, &[0; 512])), ("f.spz", extended.clone())])
+        .chain([("g.spz", more(&bare, &[0; 3]))])
     {
         let (_, found, summary) = read(&bytes, name, false).unwrap();
         assert_eq!((found.len(), summary.is_complete()), (300, true), "{name}");
@@ -356,22 +379,79 @@ fn sizes_of_gltf_are_those_of_the_extension_or_its_drafts() {
 #[test]
 fn whole_numbers_are_shares_only_where_the_file_says_so() {
     let floats = [0.0f32, 0.0, 0.0, 1.0, -1.0, -1.0, -1.0].map(f32::to_le_bytes);
-    let binary = [&[1, 0, 2, 0, 3, 1, 0, 0][..], floats.as_flattened()].concat();
     let name = "KHR_gaussian_splatting";
-    for (normalized, scale) in [(false, 1.0), (true, 1.0 / 65_535.0)] {
+    let shorts: &[u8; 12] = &[1, 0, 2, 0, 3, 1, 0, 0, 0, 0, 0, 0];
+    let words: &[u8; 12] = &[1, 0, 0, 0, 2, 0, 0, 0, 3, 1, 0, 0];
+    for (kind, centre, normalized, expected) in [
+        (5123, shorts, false, [1.0, 2.0, 259.0]),
+        (5123, shorts, true, [1.0, 2.0, 259.0].map(|v| v / 65_535.0)),
+        (5122, &[0xFE, 0xFF, 2, 0, 0, 0x80, 0, 0, 0, 0, 0, 0], false, [-2.0, 2.0, -32_768.0]),
+        // −32,768 is −1, too.
+        (5122, &[0x01, 0x80, 0xFF, 0x7F, 0, 0x80, 0, 0, 0, 0, 0, 0], true, [-1.0, 1.0, -1.0]),
+        (5125, words, false, [1.0, 2.0, 259.0]),
+    ] {
+        let binary = [&centre[..], floats.as_flattened()].concat();
         let json = format!(
-            "{{\"extensionsUsed\":[\"{name}\"],\"buffers\":[{{\"byteLength\":36}}],\"bufferViews\":[\
-             {{\"buffer\":0,\"byteLength\":8}},{{\"buffer\":0,\"byteOffset\":8,\"byteLength\":16}},\
-             {{\"buffer\":0,\"byteOffset\":24,\"byteLength\":12}}],\"accessors\":[\
-             {{\"bufferView\":0,\"componentType\":5123,\"normalized\":{normalized},\"count\":1,\"type\":\"VEC3\"}},\
+            "{{\"extensionsUsed\":[\"{name}\"],\"buffers\":[{{\"byteLength\":40}}],\"bufferViews\":[\
+             {{\"buffer\":0,\"byteLength\":12}},{{\"buffer\":0,\"byteOffset\":12,\"byteLength\":16}},\
+             {{\"buffer\":0,\"byteOffset\":28,\"byteLength\":12}}],\"accessors\":[\
+             {{\"bufferView\":0,\"componentType\":{kind},\"normalized\":{normalized},\"count\":1,\"type\":\"VEC3\"}},\
              {{\"bufferView\":1,\"componentType\":5126,\"count\":1,\"type\":\"VEC4\"}},\
              {{\"bufferView\":2,\"componentType\":5126,\"count\":1,\"type\":\"VEC3\"}}],\"nodes\":[{{\"mesh\":0}}],\
              \"meshes\":[{{\"primitives\":[{{\"mode\":0,\"attributes\":{{\"POSITION\":0,\"{name}:ROTATION\":1,\
              \"{name}:SCALE\":2}},\"extensions\":{{\"{name}\":{{}}}}}}]}}]}}"
         );
-        let (_, found, _) = read(&write::glb(&json, binary.clone()), "a.glb", false).unwrap();
-        let near = |(value, expected): (&f64, f64)| (value - expected * scale).abs() < 1e-9;
-        assert!(found[0].mean.iter().zip([1.0, 2.0, 259.0]).all(near), "{found:?}");
+        let (_, found, _) = read(&write::glb(&json, binary), "a.glb", false).unwrap();
+        let near = |(value, expected): (&f64, f64)| (value - expected).abs() < 1e-9;
+        assert!(found[0].mean.iter().zip(expected).all(near), "{kind}, {normalized}: {found:?}");
+    }
+}
+
+#[test]
+fn names_decide_where_the_content_does_not() {
+    let sog = b"PK\x03\x04 and then means_l.webp";
+    let cases: [(&[u8], &str, Option<SplatFormat>); 17] = [
+        (sog, "a.zip", Some(SplatFormat::Sog)),
+        (sog, "a.sog", Some(SplatFormat::Sog)),
+        (sog, "a.docx", None),
+        (b"PK\x03\x04 and then word.xml", "a.zip", None),
+        (b"PK\x03\x04 and then word.xml", "a.sog", Some(SplatFormat::Sog)),
+        (b"{\"means\":{", "a/meta.json", Some(SplatFormat::SogFolder)),
+        (b"{\"means\":{", "a/other.json", None),
+        (b"{\"other\":{", "a/meta.json", None),
+        (b"{\"other\":{", "a/lod-meta.json", Some(SplatFormat::SogLevels)),
+        (b"{\"means\":{},\"quats\":{}", "a/other.json", Some(SplatFormat::SogFolder)),
+        (b"{\"lodLevels\":3", "a/other.json", Some(SplatFormat::SogLevels)),
+        (b"\x1F\x8B", "a.spz", Some(SplatFormat::Spz)),
+        (b"\x1F\x8B", "a.gz", None),
+        (b"anything", "a.KSPLAT", Some(SplatFormat::Ksplat)),
+        (b"anything", "a.spz", Some(SplatFormat::Spz)),
+        (b"anything", "a.sog", Some(SplatFormat::Sog)),
+        (b"anything", "a.bin", None),
+    ];
+    for (head, name, format) in cases {
+        assert_eq!(recognise(head, Path::new(name)), format, "{name}: {}", head.escape_ascii());
+    }
+}
+
+/// Damage can be allowed, but a read that fails is none: the next one may succeed.
+#[test]
+fn a_failed_read_is_refused_whatever_is_allowed() {
+    for case in cases(&write::random_splats(300, 15)) {
+        for allow_incomplete in [false, true] {
+            let options = SplatOptions { allow_incomplete, ..SplatOptions::default() };
+            for number in 0.. {
+                let strike = Strike::at(number);
+                let source = Arc::new(StruckSource::new(MemorySource::new(&case.bytes[..]), &strike));
+                let done = SplatReader::of_source(source, case.name, &options).and_then(|mut r| collect(&mut r));
+                if !strike.fell() {
+                    assert_eq!(done.unwrap().1.len(), 300, "{}", case.name);
+                    break;
+                }
+                let error = done.map(|(_, found, _)| found.len()).unwrap_err().to_string();
+                assert!(error.contains(Strike::REASON), "{} read {number}: {error}", case.name);
+            }
+        }
     }
 }
 

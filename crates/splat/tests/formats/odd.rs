@@ -45,11 +45,18 @@ fn odd_plys_are_refused() {
         [&text[..end], row.as_bytes(), &text[end + rest..]].concat()
     };
     let long = "comment ".to_owned() + &"a".repeat(1 << 21) + "\n";
+    let many = |line: &str, count: usize| with(&text, "end_header", &(line.repeat(count) + "end_header"));
+    // Lines that say nothing.
+    let blank = with(&text, "comment a test\n", "obj_info a test\n\ncomment\n");
+    assert!(read(&blank, "a.ply", false).unwrap().1 == read(&text, "a.ply", false).unwrap().1);
     refuse(
         ".ply",
         [
             (with(&text, "end_header", "and_header"), "header"),
             (with(&text, "end_header", &(long + "end_header")), "header"),
+            (many("comment on the next comment\n", 1 << 16), "header: no \"end_header\" in the first MiB"),
+            (many("element e 0\n", 1024), "header: more than 1024 elements or properties"),
+            (many("property int a\n", 1024), "header: more than 1024 elements or properties"),
             (with(&text, "element vertex", "element point"), "expected the element \"vertex\", found none"),
             (
                 with(&text, "element vertex", "element face 1\nproperty list uchar int a\nelement vertex"),
@@ -143,6 +150,17 @@ fn odd_compressed_plys_are_refused() {
         + &["position", "rotation", "scale", "color"].map(|word| format!("property uint packed_{word}\n")).concat()
         + "end_header\n0 0 0 0 0 0 1 0 1 0 1 0\n";
     let of = |row: &str| (text.clone() + row).into_bytes();
+    // Chunks may follow the splats, and be cut.
+    let at = |words: &str| packed.windows(words.len()).position(|bytes| bytes == words.as_bytes()).unwrap();
+    let (chunk, vertex, end) = (at("element chunk"), at("element vertex"), at("end_header"));
+    let (body, rows) = (end + "end_header\n".len(), packed.len() - 300 * 16);
+    let header = [&packed[..chunk], &packed[vertex..end], &packed[chunk..vertex], &packed[end..body]].concat();
+    let swapped = [&header[..], &packed[rows..], &packed[body..rows]].concat();
+    let splats = |bytes: &[u8]| read(bytes, "a.compressed.ply", true).unwrap();
+    assert!(splats(&swapped) == splats(&packed));
+    let cut = &swapped[..swapped.len() - 1];
+    let (_, found, summary) = splats(cut);
+    assert_eq!((found.len(), summary.missing), (256, 44));
     assert_eq!(read(&of("0 0 0 255\n"), "a.compressed.ply", false).unwrap().1.len(), 1);
     refuse(
         ".compressed.ply",
@@ -158,6 +176,7 @@ fn odd_compressed_plys_are_refused() {
             (of("0 4294967296 0 255\n"), "row 0: expected whole numbers of 32 bits"),
             (of("0 -1 0 255\n"), "row 0: expected whole numbers of 32 bits"),
             (of("0 0 0\n"), "row 0: expected 4 numbers, found 3"),
+            (cut.to_vec(), "44 splats missing"),
             (of(""), "1 splat missing"),
         ],
     );
@@ -192,6 +211,7 @@ fn odd_spzs_are_refused() {
             (put(&bare, 13, &[31]), "expected at most 30 fractional bits, found 31"),
             (gzip(&put(&bare, 4, &[4])), "expected version 1 to 3 inside gzip, found 4"),
             (gzip(b"NGSP"), "the data end before their stated length"),
+            (gzip(&bare[..bare.len() - 5]), "the data end 5 bytes before their stated length"),
             (put(&v4, 16, &[31]), "expected the table behind the header of 32 bytes, found it at byte 31"),
             (put(&v4, 15, &[4]), "expected 5 streams, found 4"),
             (put(&v4, 40, &[0]), "bytes in stream 0, found"),
@@ -233,6 +253,11 @@ fn odd_ksplats_are_refused() {
     // A stated range, and a section without splats.
     let ranged = put(&packed, 4120, &word(32767));
     assert!(read(&ranged, "a.ksplat", false).unwrap().1 == read(&packed, "a.ksplat", false).unwrap().1);
+    for bytes in [&plain, &packed] {
+        let two = put(bytes, 4, &[word(2), word(2)].concat());
+        let two = [&two[..5120], &[0; 1024], &two[5120..]].concat();
+        assert!(read(&two, "a.ksplat", false).unwrap().1 == read(bytes, "a.ksplat", false).unwrap().1);
+    }
 }
 
 /// Notes all warnings.
@@ -244,6 +269,10 @@ impl Monitor for Notes {
         self.0.lock().unwrap().push(warning.to_string());
     }
 }
+
+/// A WebP image of one pixel with losses.
+const LOSSY: &[u8] =
+    b"RIFF\x22\0\0\0WEBPVP8 \x16\0\0\0\x30\x01\0\x9D\x01\x2A\x01\0\x01\0\x0E\xC0\xFE\x25\xA4\0\x03\x70\0\0\0\0";
 
 #[test]
 fn odd_sogs_are_refused() {
@@ -274,6 +303,7 @@ fn odd_sogs_are_refused() {
             (meta_1("\"sh0\":{\"mins\":[", "\"sh0\":{\"mins\":[],\"a\":["), "expected 4 mins and maxs of sh0"),
             (image(b"RIFF".to_vec()), "q.webp: "),
             (image(b"RIFF\x04\0\0\0WAVE".to_vec()), "q.webp: damaged WebP"),
+            (image(LOSSY.to_vec()), "q.webp: expected a lossless image, found a lossy or animated one"),
             (image(pixels(30)), "expected 40 pixels, one for each splat, found"),
             (image(pixels(70_000)), "expected about 40 pixels, one for each splat, found"),
         ],
@@ -281,6 +311,9 @@ fn odd_sogs_are_refused() {
     // A splat without a rotation is one that is not turned.
     let turned = image(write::webp(&[[0, 0, 0, 9]; 40]));
     assert!(read(&turned, "a.sog", false).unwrap().1.iter().all(|splat| splat.rotation == [1.0, 0.0, 0.0, 0.0]));
+    let marked = write::zip(&of(&files, "meta.json", [&b"\xEF\xBB\xBF"[..], &files[0].1].concat()), false);
+    let plain = write::zip(&files, false);
+    assert!(read(&marked, "a.sog", false).unwrap().1 == read(&plain, "a.sog", false).unwrap().1);
     // Without alpha, the opacity is 1.
     let opaque =
         read(&write::zip(&of(&files, "c.webp", write::webp_rgb(&[[9; 3]; 40])), false), "a.sog", false).unwrap();
@@ -328,6 +361,8 @@ fn odd_levels_of_sog_are_refused() {
     };
     let (found, _, notes) = pass(set.into(), false).unwrap();
     assert!(found == 50 && notes.len() == 1 && notes[0].contains("the environment"), "{notes:?}");
+    let (found, _, notes) = pass(set.replace("\"environment\":\"sky/meta.json\",", ""), false).unwrap();
+    assert!(found == 50 && notes.is_empty(), "{notes:?}");
     // One of the files is a zip.
     let (found, ..) = pass(set.replace("a/meta.json", "c.sog"), false).unwrap();
     assert_eq!(found, 50);
@@ -397,20 +432,24 @@ fn odd_zips_are_refused() {
         ],
     );
     // Fields of a long file in an extra field of its entry.
-    let field = |fields: &[u64]| {
+    let field = |fields: &[u64], has_place: bool| {
         let mut extra = [[9, 9, 0, 0], [1, 0, 8 * fields.len() as u8, 0]].concat();
         fields.iter().for_each(|value| extra.extend(value.to_le_bytes()));
         let word = |at: usize| u32::from_le_bytes(zip[at..at + 4].try_into().unwrap());
         let name = u16::from_le_bytes([zip[meta + 28], zip[meta + 29]]) as usize;
         let entry = put(&zip[meta..meta + 46 + name], 20, &[0xFF; 8]);
-        let entry = put(&put(&entry, 42, &[0xFF; 4]), 30, &[extra.len() as u8]);
+        let entry = if has_place { entry } else { put(&entry, 42, &[0xFF; 4]) };
+        let entry = put(&entry, 30, &[extra.len() as u8]);
         let bytes = [&zip[..meta], &entry, &extra, &zip[meta + 46 + name..]].concat();
         let end = end + extra.len();
         put(&bytes, end + 12, &(word(end - extra.len() + 12) + extra.len() as u32).to_le_bytes())
     };
     let sizes = u64::from(u32::from_le_bytes(zip[meta + 20..meta + 24].try_into().unwrap()));
-    assert_eq!(read(&field(&[sizes, sizes, 0]), "long.sog", false).unwrap().1.len(), 30);
-    refuse(".sog", [(field(&[sizes, sizes]), "entry 0 is damaged")]);
+    // Only those that do not fit into the fields of the entry itself.
+    for bytes in [field(&[sizes, sizes, 0], false), field(&[sizes, sizes], true)] {
+        assert_eq!(read(&bytes, "long.sog", false).unwrap().1.len(), 30);
+    }
+    refuse(".sog", [(field(&[sizes, sizes], false), "entry 0 is damaged")]);
 }
 
 #[test]
@@ -466,6 +505,10 @@ fn odd_gltfs_are_refused() {
                 "expected a component type of glTF, found 5127",
             ),
             (
+                change(accessor, "\"componentType\":5126,\"count\":20,\"type\":\"VEC2\""),
+                "expected 3 numbers a value, found 2",
+            ),
+            (
                 change(accessor, "\"componentType\":5126,\"count\":20,\"type\":\"MAT3\""),
                 "expected 3 numbers a value, found 0",
             ),
@@ -510,6 +553,28 @@ fn odd_gltfs_are_refused() {
     let beside = with(&text, "\"buffers\":[{", "\"buffers\":[{\"uri\":\"no%20file%.bin\",");
     let found = read(&beside, "folder/a.gltf", false).unwrap().1;
     assert!(found == read(&glb, "a.glb", false).unwrap().1);
+}
+
+/// A mesh that no node names is no part of the scene; a monitor hears of its splats.
+#[test]
+fn splats_that_the_scene_does_not_show_are_left_out_with_a_warning() {
+    let glb = write::gltf(&write::random_splats(20, 31));
+    let len = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let json = std::str::from_utf8(&glb[20..20 + len]).unwrap().trim_end();
+    let (before, meshes) = json.split_once("\"meshes\":[").unwrap();
+    let mesh = meshes.strip_suffix("]}").unwrap();
+    let twice = write::glb(&format!("{before}\"meshes\":[{mesh},{mesh}]}}"), glb[28 + len..].to_vec());
+    let notes = Notes::default();
+    let source = Arc::new(MemorySource::new(twice));
+    let mut reader = SplatReader::of_source(source, "two.glb", &SplatOptions::default()).unwrap();
+    let mut found = Vec::new();
+    let summary = reader.for_each_batch(&notes, 1 << 28, &mut |batch| {
+        found.extend_from_slice(batch);
+        Ok(())
+    });
+    assert!(summary.unwrap().is_complete() && found == read(&glb, "a.glb", false).unwrap().1);
+    let notes = notes.0.into_inner().unwrap();
+    assert!(notes.iter().any(|note| note.contains("20 splats of meshes that the scene does not show")), "{notes:?}");
 }
 
 /// Values as whole numbers, apart in their buffer, under the names of the drafts; colours in linear light.
