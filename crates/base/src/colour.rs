@@ -73,7 +73,7 @@ impl ColourScale {
             passed > rank
         };
         let high = counts.iter().rposition(|&count| is_quantile(count)).unwrap_or(0) as u16;
-        // If all points have the same value, they become white.
+        // If all points have the same value above 0, they become white.
         let low = if high > low { low } else { high.saturating_sub(1) };
         Self { source: ColourSource::Intensity, low, high: high.max(1) }
     }
@@ -187,9 +187,6 @@ pub struct LabTable {
 
 /// Returns the root of degree `n` of a positive number, by Newton's iteration from above.
 fn root(value: f64, n: i32) -> f64 {
-    if value <= 0.0 {
-        return 0.0;
-    }
     let power = |y: f64, n: i32| (0..n).fold(1.0, |product, _| product * y);
     let mut y = value.max(1.0);
     loop {
@@ -381,6 +378,13 @@ mod tests {
     fn greatest_values_tell_8_bits_from_16() {
         assert_eq!(ColourScale::of_rgb(255).high, 255);
         assert_eq!(ColourScale::of_rgb(256).high, 65535);
+        let of = |value: usize| {
+            let mut counts = vec![0; 1 << 16];
+            counts[value] = 9;
+            ColourScale::of_intensity(&counts)
+        };
+        assert_eq!([1, 7, 65535].map(|value| of(usize::from(value)).stretch(value)), [65535; 3], "all the same");
+        assert_eq!((of(0).stretch(0), of(7).stretch(6)), (0, 0));
         assert_eq!(ColourSum::default().mean(255), None);
         assert_eq!(ColourSum { n: 2, sum: [510, 1, 0] }.mean(255), Some([65535, 129, 0]));
         assert_ne!(class_colour(2), class_colour(6));

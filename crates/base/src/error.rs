@@ -361,4 +361,54 @@ mod tests {
         assert_eq!(plain.render(|_| Some("never said")), "a.las: header: is short");
         assert_eq!(Error::Interrupted.with_suggestion(Parameter::Memory).suggestion(), None);
     }
+
+    #[test]
+    fn each_parameter_has_a_name_and_advice_of_its_own() {
+        let all = [
+            Parameter::PixelSize,
+            Parameter::AutomaticPixelSize,
+            Parameter::SliceHeight,
+            Parameter::MaxSlope,
+            Parameter::Tolerance,
+            Parameter::MinPoints,
+            Parameter::FillHoles,
+            Parameter::Colour,
+            Parameter::ColourError,
+            Parameter::Memory,
+            Parameter::Threads,
+            Parameter::TempDir,
+            Parameter::Cache,
+            Parameter::Incomplete,
+            Parameter::Overwrite,
+            Parameter::Units,
+            Parameter::Columns,
+            Parameter::Shard,
+            Parameter::Resume,
+            Parameter::Stations,
+            Parameter::Input,
+            Parameter::Plan,
+            Parameter::Bounds,
+            Parameter::Pawn("speed"),
+            Parameter::Splats("opacity"),
+            "depth".into(),
+        ];
+        for texts in [all.each_ref().map(Parameter::to_string), all.each_ref().map(Parameter::advice)] {
+            let distinct: std::collections::BTreeSet<_> = texts.iter().filter(|text| !text.is_empty()).collect();
+            assert_eq!(distinct.len(), all.len(), "{texts:?}");
+        }
+    }
+
+    #[test]
+    fn errors_give_their_causes() {
+        use std::error::Error as _;
+        let refused = || io::Error::from(io::ErrorKind::PermissionDenied);
+        let source = Box::new(Error::io("a.las", "open", refused()));
+        let resumable = Error::Resumable { source, path: "spilled".into(), bytes: 1, points: 2 };
+        let cause = resumable.source().unwrap();
+        assert!(cause.to_string().starts_with("a.las: cannot open"), "{cause}");
+        assert!(cause.source().is_some_and(|innermost| innermost.is::<io::Error>()));
+        let not_durable = Error::NotDurable { path: "a".into(), source: refused() };
+        assert!(not_durable.source().is_some_and(|cause| cause.is::<io::Error>()));
+        assert!(Error::Interrupted.source().is_none() && Error::limit("points", 5, 4).source().is_none());
+    }
 }

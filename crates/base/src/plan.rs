@@ -288,4 +288,26 @@ mod tests {
         }
         assert_eq!((rise_of(0.0), rise_of(90.0)), (0.0, f64::INFINITY));
     }
+
+    #[test]
+    fn options_beyond_their_limits_are_refused_by_name() {
+        type Change = fn(&mut PlanOptions);
+        let check = |change: Change| {
+            let mut options = PlanOptions::default();
+            change(&mut options);
+            options.check().map_err(|error| error.to_string())
+        };
+        let cases: [(&str, Change, Change); 5] = [
+            ("maximum slope: 90.5 is", |o| o.max_slope_deg = 90.5, |o| o.max_slope_deg = 90.0),
+            ("maximum slope: ", |o| o.max_slope_deg = f64::NAN, |o| o.max_slope_deg = 0.0),
+            ("tolerance: -1 is", |o| o.tolerance_m = -1.0, |o| o.tolerance_m = 1e6),
+            ("widest holes to close: 46 pixels", |o| o.fill_holes = 46, |o| o.fill_holes = 45),
+            ("least points of a voxel: 0 is", |o| o.min_points = 0, |o| o.min_points = u32::MAX),
+        ];
+        for (words, beyond, within) in cases {
+            let said = check(beyond).unwrap_err();
+            assert!(said.starts_with(words), "{said}");
+            assert_eq!(check(within), Ok(()), "{words}");
+        }
+    }
 }

@@ -178,11 +178,6 @@ impl GridTriangle {
         (floor_index(self.min[1]), floor_index(self.max[1]))
     }
 
-    /// First and last pixel along x that it touches.
-    pub fn pixels(&self) -> (i64, i64) {
-        (floor_index(self.min[0]), floor_index(self.max[0]))
-    }
-
     /// Calls `give` with each pixel of row `j` that the triangle touches, and its lowest and highest quantum there:
     /// `(i, bottom, top)`.
     pub fn for_each_pixel(&self, j: i64, mut give: impl FnMut(i64, i64, i64)) {
@@ -289,5 +284,22 @@ impl Edges {
             high = high.max(begin.max(end));
         }
         (low <= high).then_some((low, high))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_triangle_has_pixels_in_the_rows_that_it_touches_and_in_no_others() {
+        let raster = Raster::new(Frame::new(1.0, 1.0).unwrap(), 45.0);
+        let triangle = raster.place(&[[0.2, 0.2, 0.0], [3.1, 0.4, 1.0], [1.0, 2.5, 2.0]]).unwrap();
+        let rows = (-3..6).filter(|&j| {
+            let mut count = 0;
+            triangle.for_each_pixel(j, |_, _, _| count += 1);
+            count > 0
+        });
+        assert_eq!((triangle.rows(), rows.collect::<Vec<_>>()), ((0, 2), vec![0, 1, 2]));
     }
 }

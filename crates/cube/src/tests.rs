@@ -1,5 +1,6 @@
 use super::*;
 use slicewalk_base::bytes::MemorySource;
+use slicewalk_base::bytes::testing::{Fault, FaultySource};
 use slicewalk_base::frame::Frame;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -253,6 +254,50 @@ fn written_trees_far_from_the_origin_are_moved_and_come_back() {
 }
 
 #[test]
+fn full_blocks_are_leaves_and_eight_of_them_are_a_larger_one() {
+    for (edge, is_occupied) in [(64, true), (128, true), (128, false)] {
+        let tiles = (0..edge / 64).flat_map(|y| (0..edge / 64).map(move |x| [x, y]));
+        let columns = tiles.flat_map(|[x, y]| (0..64 * 64).map(move |n| [64 * x + n % 64, 64 * y + n / 64]));
+        let runs: Vec<_> = columns.map(|at| (at, (0, edge), is_occupied)).collect();
+        let mut bytes = Vec::new();
+        written(&runs).write(&mut bytes).unwrap();
+        let cubes = if is_occupied { vec![Cube { corner: [0; 3], edge }] } else { Vec::new() };
+        assert_eq!(read(&bytes).unwrap(), cubes, "{edge}");
+        // The nodes from the root to the leaf.
+        let size = format!("\nsize {}\n", ((1i64 << 16) / edge).ilog2() + 1);
+        assert!(String::from_utf8_lossy(&bytes).contains(&size), "{edge}: expected {size}");
+    }
+}
+
+#[test]
+fn names_decide_where_the_content_says_nothing() {
+    for (head, name, format) in [
+        (BINARY, "a.ot", Some(CubeFormat::OctomapBinary)),
+        (FULL, "a.bt", Some(CubeFormat::Octomap)),
+        ("", "a.bt", Some(CubeFormat::OctomapBinary)),
+        ("", "a.OT", Some(CubeFormat::Octomap)),
+        ("{", "a.voxel.json", Some(CubeFormat::Voxel)),
+        ("{", "a.json", None),
+        ("", "a", None),
+    ] {
+        assert_eq!(recognise(head.as_bytes(), Path::new(name)), format, "{name}");
+    }
+    let unknown = CubeReader::of_source(Arc::new(MemorySource::new(&b"ply"[..])), "a.ply").err().unwrap();
+    assert!(unknown.to_string().contains("expected an OctoMap tree"), "{unknown}");
+}
+
+#[test]
+fn after_a_failed_read_the_bytes_are_read_again() {
+    let bytes: Vec<u8> = (0..100).collect();
+    let source = Arc::new(FaultySource::new(MemorySource::new(&bytes[..])));
+    let mut window = window::Window::new(source.clone());
+    source.set(Fault::Fail, 0..100);
+    assert!(window.bytes::<4>(8).is_err());
+    source.set(Fault::Flip, 8..9);
+    assert_eq!(window.bytes::<4>(8).unwrap(), Some([8 ^ 0x10, 9, 10, 11]));
+}
+
+#[test]
 fn trees_without_cubes_and_too_large_ones() {
     let mut bytes = Vec::new();
     OctomapTree::new().finish(0.1).unwrap().write(&mut bytes).unwrap();
@@ -277,14 +322,14 @@ fn tiles_in_two_turns_are_a_mistake() {
 fn free_cubes_of_any_tile_are_added_once() {
     let frame = Frame::new(0.1, 0.1).unwrap();
     // Tiles before, at, between and after those with occupied cubes, in an order of their own.
-    let cells = [[128, 0], [-64, 60], [0, 0], [64, 64], [0, 64]];
+    let cells = [[128, 0], [-64, 60], [0, 0], [64, 64], [0, 64], [256, 0], [-128, 0]];
     let free = FreeCubes::new(&frame, 4, cells.map(|cell| (cell, [3, 7])), Some([[-62, 0, 5], [200, 200, 200]]));
     let mut tree = OctomapTree::new().with_free(free);
     for at in [[64, 0], [65, 2], [0, 0], [64, 64]] {
         tree.occupy(at, (5, 6));
     }
     let octomap = tree.finish(0.1).unwrap();
-    // Five cells of 4 × 4 × 2, one of them cut to half, and two of their cubes are occupied.
+    // Five cells of 4 × 4 × 2, one of them cut to half, and two of their cubes are occupied; two more lie outside.
     assert_eq!((octomap.occupied, octomap.free), (4, 5 * 32 - 16 - 2));
 }
 
@@ -367,6 +412,11 @@ fn damaged_trees_of_octomap_are_refused_in_one_line() {
     assert!(read(good.replace("data", &format!("{moved}data")).as_bytes()).is_ok());
     let text = read(good.replace("data", &format!("{moved}{moved}data")).as_bytes()).unwrap_err().to_string();
     assert!(text.contains("expected one line \"# moved by\", found two"), "{text}");
+    let text = read(good.replace("data", "# moved by 0.12 0 0 m\ndata").as_bytes()).unwrap_err().to_string();
+    assert!(text.contains("no whole number of cubes"), "{text}");
+    let leaf = [&f32::NAN.to_le_bytes()[..], &[0]].concat();
+    let text = read(&octomap(FULL, "OcTree", 1, &leaf)).unwrap_err().to_string();
+    assert!(text.contains("log-odds is no number"), "{text}");
     for (kind, expected) in [("OcTreeStamped", "OcTreeStamped"), ("", "found")] {
         let text = read(&octomap(BINARY, kind, 1, &[0, 0])).unwrap_err().to_string();
         assert!(text.contains(expected), "{text}");
@@ -404,6 +454,9 @@ fn octrees_give_their_solid_cubes_with_z_up() {
         ([x, -z - edge, y], edge)
     });
     assert_eq!(set(&found), BTreeSet::from(turned));
+    let counts = "\"numInteriorNodes\":3,\"numMixedLeaves\":2,\"nodeCount\":7,\"leafDataCount\":4";
+    let none = counts.replace(['2', '3', '4', '7'], "0");
+    assert_eq!(read_octree(head.replace(counts, &none).as_bytes(), &[]).unwrap(), []);
     // A grid that is not anchored at the origin keeps its corner.
     let sources =
         |head: &str| [head.as_bytes(), &words].map(|bytes| Arc::new(MemorySource::new(bytes)) as Arc<dyn ByteSource>);
@@ -424,6 +477,12 @@ fn damaged_octrees_are_refused_in_one_line() {
     let twice = [&words[..4 * 6], &0u32.to_le_bytes(), &words[4 * 7..]].concat();
     let text = read_octree(head.as_bytes(), &twice).unwrap_err().to_string();
     assert!(text.contains("node 6: it names the block of another node"), "{text}");
+    let long = head.clone() + &" ".repeat(1 << 20);
+    let text = read_octree(long.as_bytes(), &words).unwrap_err().to_string();
+    assert!(text.contains("expected at most 1048576 bytes"), "{text}");
+    let deep = head.replace("\"treeDepth\":2", "\"treeDepth\":25");
+    let text = read_octree(deep.as_bytes(), &words).unwrap_err().to_string();
+    assert!(text.contains("expected a treeDepth of at most 24, found 25"), "{text}");
     let swapped = head.replace("\"min\":[-0.4", "\"min\":[2.8");
     let text = read_octree(swapped.as_bytes(), &words).unwrap_err().to_string();
     assert!(text.contains("gridBounds has a max below its min"), "{text}");

@@ -45,8 +45,8 @@ enum Manner {
     ShortThenReplaced,
     /// Answers with these header lines, too.
     Tells(&'static str),
-    /// Sends the body in chunks, without a length.
-    Chunked,
+    /// Sends the body in chunks, without a length, and with this many bytes more than it states.
+    Chunked(isize),
     /// Accepts the request and never answers.
     Silent,
     /// Never answers the first request, then behaves.
@@ -212,7 +212,9 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     };
     let length = body.len();
     let range = if let Manner::Tells(lines) = manner { range + lines } else { range };
-    if manner == Manner::Chunked {
+    if let Manner::Chunked(more) = manner {
+        let mut body = body.to_vec();
+        body.resize(length.saturating_add_signed(more), b'<');
         write!(client, "HTTP/1.1 {code}\r\n{tag_line}{range}Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n")?;
         for chunk in body.chunks(1000) {
             write!(client, "{:x}\r\n", chunk.len())?;
@@ -313,6 +315,9 @@ fn a_server_that_never_answers_is_left_after_the_time_and_one_that_is_slow_is_no
         assert!(text.contains("no answer within 0.5 s"), "{text}");
         assert!((0.5..2.0).contains(&seconds) && requests == 1, "{seconds} s, {requests} requests");
     }
+    // A read waits no longer than its patience, however long a request may take.
+    let text = error_of(RemoteSource::with(&server.url, &waiting(60.0, 0.3))).to_string();
+    assert!(text.contains("no answer within 0.3 s"), "{text}");
     // With more retries, an unanswered request is repeated.
     server.set(Manner::SilentOnce);
     let source = RemoteSource::with(&server.url, &waiting(0.3, 10.0)).unwrap();
@@ -531,11 +536,17 @@ fn the_path_of_an_address_is_sent_as_it_is() {
 fn an_answer_without_a_length_is_taken() {
     let bytes = tower(2.0, 30.0, 4);
     let server = Server::new(bytes.clone(), Some("\"one\""));
-    server.set(Manner::Chunked);
-    let source = server.source().unwrap();
-    let mut all = vec![0; bytes.len()];
-    source.read_at(0, &mut all).unwrap();
-    assert!(all == bytes);
+    // Bytes beyond the range are discarded.
+    for more in [0, 5] {
+        server.set(Manner::Chunked(more));
+        let source = server.source().unwrap();
+        let mut all = vec![0; bytes.len()];
+        source.read_at(0, &mut all).unwrap();
+        assert!(all == bytes, "{more}");
+    }
+    server.set(Manner::Chunked(-2));
+    let text = error_of(server.source()).to_string();
+    assert!(text.contains("the answer lacks 2 bytes"), "{text}");
 }
 
 #[test]

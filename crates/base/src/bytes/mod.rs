@@ -193,3 +193,32 @@ fn copy_from(bytes: &[u8], offset: u64, buf: &mut [u8]) -> io::Result<()> {
 fn read_error(path: &Path, offset: u64, len: usize, source: io::Error) -> Error {
     Error::io(path, format!("read {len} bytes at {offset}"), source)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sources_read_what_is_there_and_nothing_beyond() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        let bytes: Vec<u8> = (0..100).collect();
+        std::fs::write(&path, &bytes).unwrap();
+        let sources: [Box<dyn ByteSource>; 3] = [
+            Box::new(FileSource::open(&path).unwrap()),
+            Box::new(MapSource::open(&path).unwrap()),
+            Box::new(MemorySource::new(&bytes[..])),
+        ];
+        let id = FileId::at(&path);
+        for (source, id) in sources.iter().zip([id, id, None]) {
+            assert!(source.len() == 100 && source.file_id() == id);
+            let mut buf = [0; 10];
+            source.read_at(90, &mut buf).unwrap();
+            assert_eq!(buf, bytes[90..]);
+            for offset in [91, 100, 1 << 40, u64::MAX] {
+                let said = source.read_at(offset, &mut buf).unwrap_err().to_string();
+                assert!(said.contains(&format!("cannot read 10 bytes at {offset}")), "{said}");
+            }
+        }
+    }
+}

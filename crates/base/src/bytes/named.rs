@@ -248,8 +248,11 @@ mod tests {
         let mut buf = [0; 5];
         open_named(held).unwrap().read_at(95, &mut buf).unwrap();
         assert_eq!(buf, [95, 96, 97, 98, 99]);
+        assert_eq!([held, &*file].map(|path| crate::bytes::len_at(path).unwrap()), [100, 100]);
         // Other threads see the files, not the held bytes.
         std::thread::spawn(|| assert!(Input::open(Path::new("held.xyz")).is_err())).join().unwrap();
+        crate::bytes::release_sources();
+        assert!(Input::open(held).is_err() && Input::open(&file).is_ok());
     }
 
     #[test]

@@ -159,11 +159,35 @@ mod tests {
         assert!(first.is_of(&at("a")) && !first.is_of(&at("b")) && !first.is_of(&at("none")));
         fs::OpenOptions::new().append(true).open(at("a")).unwrap().set_modified(SystemTime::UNIX_EPOCH).unwrap();
         assert!(!first.is_of(&at("a")), "another time");
+        assert_eq!(stamp().modified_ns(), Some(0));
+        let before = SystemTime::UNIX_EPOCH - std::time::Duration::from_millis(1500);
+        fs::OpenOptions::new().append(true).open(at("a")).unwrap().set_modified(before).unwrap();
+        assert_eq!(stamp().modified_ns(), Some(-1_500_000_000));
         let second = stamp();
         fs::write(at("a"), "longer").unwrap();
         assert!(!second.is_of(&at("a")), "another length");
         let third = stamp();
         fs::rename(at("b"), at("a")).unwrap();
         assert!(!third.is_of(&at("a")), "another file");
+    }
+
+    #[test]
+    fn bytes_in_memory_are_sought_and_read_as_those_of_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a");
+        let bytes: Vec<u8> = (0..100).collect();
+        fs::write(&file, &bytes).unwrap();
+        crate::bytes::testing::hold("sought.bin", &bytes[..]);
+        let [mut there, mut here] = [&*file, Path::new("sought.bin")].map(|path| Regular::open(path).unwrap().0);
+        use SeekFrom::{Current, End, Start};
+        for to in [Start(40), End(-1), Current(-50), Current(7), End(0), Start(200), Current(-300), End(-101), Start(0)]
+        {
+            let [a, b] = [&mut there, &mut here].map(|regular| {
+                let (at, mut buf) = (regular.seek(to).ok(), [0; 5]);
+                let read = regular.read(&mut buf).unwrap();
+                (at, read, buf)
+            });
+            assert_eq!(a, b, "{to:?}");
+        }
     }
 }

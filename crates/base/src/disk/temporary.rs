@@ -205,6 +205,8 @@ pub fn split(target: &Path) -> Result<(&Path, &OsStr)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::disk::testing::{Call, Hooked};
+    use std::io::ErrorKind::{AlreadyExists, PermissionDenied, Unsupported};
 
     #[test]
     fn only_leftovers_of_the_same_target_are_removed() {
@@ -236,5 +238,34 @@ mod tests {
             part.rename(&visible, false).unwrap();
             assert!(visible.exists() && visible.to_string_lossy().contains(MARK));
         }
+    }
+
+    #[test]
+    fn names_in_use_are_passed_over_and_disks_without_locks_need_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        // The first `count` calls of this sort fail.
+        let beside = |sort: Call, kind: io::ErrorKind, count: usize| {
+            let mut left = count;
+            let hook = move |call| {
+                let fails = call == sort && left > 0;
+                left -= usize::from(fails);
+                if fails { Err(kind.into()) } else { Ok(()) }
+            };
+            crate::disk::with(Hooked::real(hook), || Temporary::beside(&Files::current(), &target))
+        };
+        beside(Call::Create, AlreadyExists, ATTEMPTS - 1).unwrap();
+        beside(Call::Lock, Unsupported, 1).unwrap();
+        for (sort, kind, count, words) in [
+            (Call::Create, AlreadyExists, ATTEMPTS, "cannot create a temporary file beside it"),
+            (Call::Create, PermissionDenied, 1, "cannot create the temporary file"),
+            (Call::Lock, PermissionDenied, 1, "cannot lock"),
+        ] {
+            let said = beside(sort, kind, count).unwrap_err().to_string();
+            assert!(said.contains(words), "{said}");
+        }
+        let said = beside(Call::Length, PermissionDenied, 1).unwrap().len().unwrap_err().to_string();
+        assert!(said.contains("cannot ask for the length"), "{said}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

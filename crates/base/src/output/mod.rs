@@ -146,11 +146,11 @@ impl Output {
         if self.failed {
             return Err(Error::output(&self.name, "not all of it could be written, so it was not published"));
         }
-        if let Target::Object { existed, .. } = self.target {
-            let len = self.temporary.len()?;
-            return publish_object(&self.name, self.kind, existed, len, &|at, bytes| self.temporary.read_at(at, bytes));
-        }
         let (path, existed) = match &self.target {
+            Target::Object { existed } => {
+                let (len, read) = (self.temporary.len()?, |at, bytes: &mut [u8]| self.temporary.read_at(at, bytes));
+                return publish_object(&self.name, self.kind, *existed, len, &read);
+            }
             Target::Stream(stream) => {
                 return match copy(&self.temporary, stream) {
                     // A reader that closes a pipe early has read enough.
@@ -159,7 +159,6 @@ impl Output {
                 };
             }
             Target::File { path, existed, .. } => (path.clone(), *existed),
-            Target::Object { .. } => return Ok(false),
         };
         if self.kind.existing() == Existing::KeepSame {
             if is_there(&self.files, &self.temporary, &path)? {

@@ -332,7 +332,8 @@ mod tests {
 
     #[test]
     fn protected_addresses_are_known_by_any_spelling_and_others_are_free() {
-        let protected: Protected = ["s3://bucket/a b.laz"].into_iter().collect();
+        let protected: Protected = ["s3://bucket/a b.laz", "s3://[/a"].into_iter().collect();
+        assert!(protected.holds_address("s3://[/a") && !protected.holds_address("s3://[/b"), "no valid addresses");
         assert!(protected.holds_address("s3://bucket/a b.laz"));
         assert_eq!(protected.holds_address("s3://bucket/a%20b.laz"), cfg!(feature = "remote"));
         assert!(!protected.holds_address("s3://bucket/ab.laz") && !protected.holds_address("s3://other/a b.laz"));

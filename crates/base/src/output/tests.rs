@@ -122,6 +122,16 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
 }
 
 #[test]
+fn folders_that_their_file_system_cannot_sync_are_no_error() {
+    for kind in [ErrorKind::InvalidInput, ErrorKind::Unsupported] {
+        let (folder, target) = place(None);
+        let hook = move |call| if call == Call::SyncFolder { Err(kind.into()) } else { Ok(()) };
+        assert!(with_faults(hook, || publish(&target, ARCHIVE, &archive("new"))).unwrap());
+        assert_eq!((fs::read(&target).unwrap(), names(&folder)), (archive("new"), vec!["target.x".to_owned()]));
+    }
+}
+
+#[test]
 fn signals_that_interrupt_every_call_change_nothing() {
     for kind in [ARCHIVE, ARCHIVE_OVER, OutputKind::Result] {
         let old = (kind != ARCHIVE).then(|| sort(kind, "old"));
@@ -481,6 +491,36 @@ mod on_unix {
             assert!(fs::metadata(&full).unwrap().file_type().is_char_device());
         }
         assert!(names(&folder).iter().all(|name| name == "null" || name == "full"));
+    }
+
+    #[test]
+    fn a_socket_is_refused_and_stays() {
+        let (folder, _) = place(None);
+        let socket = folder.path().join("socket");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        for (kind, words) in [(OutputKind::Result, "cannot open"), (ARCHIVE_OVER, "not a regular file")] {
+            let said = publish(&socket, kind, b"new").unwrap_err().to_string();
+            assert!(said.contains(words), "{said}");
+        }
+        assert!(fs::metadata(&socket).unwrap().file_type().is_socket());
+        assert_eq!(names(&folder), ["socket"]);
+    }
+
+    #[test]
+    fn a_pipe_that_appears_meanwhile_stays() {
+        for kind in [ARCHIVE_OVER, OutputKind::Result] {
+            let (_folder, target) = place(None);
+            let (mut pipes, pipe) = (Some(()), target.clone());
+            let hook = move |call| -> io::Result<()> {
+                if pipes.take_if(|_| call == Call::Sync).is_some() {
+                    assert!(std::process::Command::new("mkfifo").arg(&pipe).status()?.success());
+                }
+                Ok(())
+            };
+            let said = with_faults(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap_err().to_string();
+            assert!(said.contains("is not a regular file"), "{said}");
+            assert!(fs::metadata(&target).unwrap().file_type().is_fifo());
+        }
     }
 
     #[test]

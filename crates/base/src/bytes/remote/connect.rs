@@ -227,3 +227,40 @@ fn basic_authorization(url: &Url) -> Option<HeaderValue> {
     value.set_sensitive(true);
     Some(value)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn open(address: &str, settings: &[(&str, &str)]) -> Result<Connected, String> {
+        let settings = settings.iter().map(|(key, value)| (key.to_string(), value.to_string())).collect();
+        let options = RemoteOptions { settings, ..RemoteOptions::default() };
+        connect(Url::parse(address).unwrap(), &options, Use::READ)
+    }
+
+    #[test]
+    fn users_and_queries_are_for_web_servers_only() {
+        for (address, words) in [
+            ("s3://anna@bucket/a.laz", "a user or password"),
+            ("gs://bucket/a.laz?key=1", "a query"),
+            ("file:///a.laz?key=1", "a query"),
+        ] {
+            let said = open(address, &[]).err().unwrap();
+            assert!(said.contains(words) && !said.contains("anna"), "{said}");
+        }
+    }
+
+    #[cfg(feature = "clouds")]
+    #[test]
+    fn addresses_of_clouds_name_objects_and_requests_are_signed_with_a_key_only() {
+        let (account, key) = (("azure_storage_account_name", "anyone"), ("AZURE_STORAGE_ACCOUNT_KEY", "aHVzaCBodXNo"));
+        for (settings, unsigned) in [(&[account][..], true), (&[account, key][..], false)] {
+            let store = open("az://container/a/b.laz", settings).unwrap_or_else(|said| panic!("{said}"));
+            assert_eq!((store.path.as_ref(), store.unsigned), ("a/b.laz", unsigned));
+        }
+        let store = open("gs://bucket/a/b.laz", &[]).unwrap_or_else(|said| panic!("{said}"));
+        assert_eq!(store.path.as_ref(), "a/b.laz");
+        let said = open("gs://bucket/a/b.laz", &[("aws_region", "here")]).err().unwrap();
+        assert!(said.contains("aws_region"), "{said}");
+    }
+}

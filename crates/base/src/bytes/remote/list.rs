@@ -65,3 +65,16 @@ async fn keys(
     let found = store.list_with_delimiter(Some(path)).await?;
     Ok(found.objects.into_iter().map(|object| object.location.to_string()).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_of_no_folder_are_refused_before_anything_is_sent() {
+        for address in ["", "nothing", "s3://[/", "ftp://host/", "s3://anna@bucket/"] {
+            let said = list(address, false).unwrap_err().to_string();
+            assert!(said.starts_with("address of a folder: ") && !said.contains("anna"), "{said}");
+        }
+    }
+}

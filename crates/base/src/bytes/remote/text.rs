@@ -49,6 +49,34 @@ pub(super) fn connection(error: &HttpError) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use object_store::client::HttpErrorKind;
+
+    #[derive(Debug)]
+    struct Link(&'static str, Option<Box<Link>>);
+
+    impl std::fmt::Display for Link {
+        fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str(self.0)
+        }
+    }
+
+    impl Error for Link {
+        fn source(&self) -> Option<&(dyn Error + 'static)> {
+            self.1.as_ref().map(|inner| &**inner as &(dyn Error + 'static))
+        }
+    }
+
+    #[test]
+    fn the_first_and_the_innermost_reason_describe_a_failed_connection() {
+        for (causes, expected) in [
+            (&["connection\nrefused"][..], "connection refused"),
+            (&["error sending request", "connection refused"][..], "error sending request: connection refused"),
+            (&["error sending request", "http://host/a", "refused"][..], "error sending request: refused"),
+        ] {
+            let chain = causes.iter().rev().fold(None, |inner, &text| Some(Box::new(Link(text, inner))));
+            assert_eq!(connection(&HttpError::new(HttpErrorKind::Connect, *chain.unwrap())), expected);
+        }
+    }
 
     #[test]
     fn lines_are_short_and_harmless() {

@@ -202,3 +202,29 @@ async fn refuse_existing(store: &dyn ObjectStore, path: &Path) -> Result<(), Fai
         Err(error) => Err(error.into()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_objects_of_stores_are_written() {
+        for address in ["s3://bucket/a.slices", "gs://bucket/a b.slices", "az://container/a"] {
+            check_upload(FilePath::new(address)).unwrap();
+        }
+        for address in [
+            "",
+            "s3://[/a",
+            "s3://bucket",
+            "s3://bucket/a?key=1",
+            "http://host/a",
+            "https://bucket.s3.amazonaws.com/a",
+            "file:///a",
+        ] {
+            let said = check_upload(FilePath::new(address)).unwrap_err().to_string();
+            assert!(said.starts_with("address of an output: "), "{said}");
+        }
+        let said = upload(FilePath::new("s3://anna@bucket/a"), 3, false, &mut |_, _| Ok(())).unwrap_err().to_string();
+        assert!(said.contains("a user or password") && !said.contains("anna"), "{said}");
+    }
+}

@@ -300,4 +300,23 @@ mod tests {
             );
         });
     }
+
+    #[test]
+    fn a_claim_that_the_file_cannot_replace_is_taken_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (from, to) = (folder.path().join("from"), folder.path().join("to"));
+        fs::write(&from, "new").unwrap();
+        let hook = |call| match call {
+            Call::RenameNew | Call::Link => Err(ErrorKind::Unsupported.into()),
+            Call::Rename => Err(ErrorKind::PermissionDenied.into()),
+            _ => Ok(()),
+        };
+        super::super::with(Hooked::real(hook), || {
+            let refused = Files::current().rename_new(&from, &to).unwrap_err();
+            assert_eq!(refused.kind(), ErrorKind::PermissionDenied);
+        });
+        assert!(!to.exists());
+        assert_eq!(fs::read(&from).unwrap(), b"new");
+        assert_eq!(Files::current().open_folder(&from).unwrap_err().kind(), ErrorKind::NotADirectory);
+    }
 }
