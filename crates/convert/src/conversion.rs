@@ -483,3 +483,19 @@ fn refuse_unusable(set: &InputSet, counts: &PointCounts) -> Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn temporary_data_that_does_not_fit_is_refused_by_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = ConvertOptions::new(Vec::new(), "a.slices".into());
+        options.resources.temp_dir = folder.path().to_path_buf();
+        check_free_space(&options, &Files::current(), 0).unwrap();
+        let error = check_free_space(&options, &Files::current(), u64::MAX).unwrap_err();
+        assert!(matches!(error, Error::Limit { .. }) && error.suggestion() == Some(&Parameter::TempDir), "{error}");
+        assert!(error.to_string().contains(&folder.path().display().to_string()), "{error}");
+    }
+}

@@ -249,3 +249,29 @@ pub fn shard_info(shard: &Shard) -> Value {
 pub fn slice_count(header: &Header) -> i64 {
     header.slices.map_or(0, |(lowest, highest)| highest - lowest + 1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::colour::ColourScale;
+
+    #[test]
+    fn colours_are_described_by_their_source_and_error() {
+        for (source, error_milli, words) in [
+            (ColourSource::Rgb, 0, ["RGB (16-bit", "exact"]),
+            (ColourSource::Intensity, 1500, ["intensity (3 to 900)", "up to 1.5 "]),
+            (ColourSource::Class, 2000, ["classes by a palette", "up to 2 "]),
+        ] {
+            let said = colour_words(&ColourPlan { scale: ColourScale { source, low: 3, high: 900 }, error_milli });
+            assert!(words.iter().all(|word| said.contains(word)), "{said}");
+        }
+    }
+
+    #[test]
+    fn reference_systems_are_shown_by_their_name_or_beginning() {
+        assert_eq!(crs_name(""), None);
+        assert_eq!(crs_name(r#"PROJCS["UTM 33N",UNIT["metre",1]]"#).as_deref(), Some("UTM 33N"));
+        assert_eq!(crs_name(&"é".repeat(60)), Some("é".repeat(60)));
+        assert_eq!(crs_name(&"é".repeat(61)), Some("é".repeat(60) + "…"));
+    }
+}

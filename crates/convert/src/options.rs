@@ -343,5 +343,34 @@ mod tests {
         assert_eq!(refused(|options| options.resources.threads = 0), Parameter::Threads);
         assert_eq!(refused(|options| options.resources.memory_bytes = 0), Parameter::Memory);
         assert_eq!(refused(|options| options.plan.min_points = 0), Parameter::MinPoints);
+        assert_eq!(refused(|options| options.grid.fill_holes = Some(HoleWidth::Metres(0.0))), Parameter::FillHoles);
+        assert_eq!(
+            refused(|options| options.grid.fill_holes = Some(HoleWidth::Metres(f64::NAN))),
+            Parameter::FillHoles
+        );
+        assert_eq!(refused(|options| options.stations = Some("s.csv".into())), Parameter::Stations);
+        assert_eq!(refused(|options| options.reading.splats.opacity = 0.0), Parameter::Splats("opacity"));
+        assert_eq!(refused(|options| options.reading.splats.min_opacity = 1.5), Parameter::Splats("least opacity"));
+        assert_eq!(
+            refused(|options| options.reading.splats.max_size_m = Some(0.0)),
+            Parameter::Splats("greatest size")
+        );
+        let at_an_address = |options: &mut ConvertOptions| {
+            options.resume = true;
+            options.output = "https://example.org/a.slices".into();
+        };
+        assert_eq!(refused(at_an_address), Parameter::Resume);
+    }
+
+    #[test]
+    fn a_placement_moves_what_is_turned_upwards_before() {
+        let mut options = ConvertOptions::new(vec!["none.las".into()], "none.slices".into());
+        options.reading.turn = Turn::From([1.0, 0.0, 0.0]);
+        options.reading.placement = Some(Similarity::parse("1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1").unwrap());
+        let placed = options.placement_with(None).unwrap().apply([2.0, 0.0, 0.0]);
+        assert!(
+            placed.iter().zip([5.0, 6.0, 9.0]).all(|(found, expected)| (found - expected).abs() < 1e-12),
+            "{placed:?}"
+        );
     }
 }

@@ -572,4 +572,60 @@ mod tests {
             assert_eq!((progress.points, progress.read.counts), (100, found));
         }
     }
+
+    #[test]
+    fn pieces_that_contradict_the_scans_or_each_other_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.las");
+        write_las(&path, (0..100).map(|n| [f64::from(n), 0.0, 0.0]), &WriteSpec::for_path(&path)).unwrap();
+        let set = InputSet::open(&[path], InputOptions::default(), &NoMonitor).unwrap();
+        let add = |cover: &[u8]| Progress::nothing(1).add(false, cover, &set, &mut BTreeMap::new()).unwrap();
+        let good = piece(0, 60, None);
+        assert_eq!(add(&good), Some(()));
+        assert_eq!(add(&[&good[..], &piece(60, 80, None)].concat()), Some(()));
+        assert_eq!(add(&[&good[..], &piece(59, 80, None)].concat()), None, "points covered twice");
+        assert_eq!(add(&good[..good.len() - 1]), None, "cut");
+        // The number of the file follows four numbers of one byte.
+        let mut other = good.clone();
+        other[4] = 1;
+        assert_eq!(add(&other), None, "a file that is none of the set");
+    }
+
+    #[test]
+    fn other_versions_and_parts_are_refused_and_odd_heads_are_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.las");
+        write_las(&path, [[0.0; 3]], &WriteSpec::for_path(&path)).unwrap();
+        let set = InputSet::open(&[path], InputOptions::default(), &NoMonitor).unwrap();
+        let plan = Plan::new(crate::frame::Frame::new(0.1, 0.3).unwrap());
+        let options = ConvertOptions::new(Vec::new(), "a.slices".into());
+        let shard = Shard { index: 1, count: 2, first: 0, last: 9, plan_file: 1 << 70 };
+        let noise = Some(Noise { noise_m: 0.004, regions: 7, region_m: 0.25 });
+        let identity = Identity::of(&options, &plan, Surveyed { spacing: None, noise }, Some(shard), &set);
+        identity.check(&identity, &set).unwrap();
+        for (earlier, words) in [
+            (
+                Identity { version: "0.0".into(), ..identity.clone() },
+                "version 0.0 of this program began the conversion",
+            ),
+            (Identity { shard: None, ..identity.clone() }, "another part was begun"),
+            (Identity { numbers: [2.0; 3], ..identity.clone() }, "other options"),
+        ] {
+            let error = identity.check(&earlier, &set).unwrap_err();
+            assert!(matches!(error, Error::Parameter { what: Parameter::Resume, .. }), "{error}");
+            assert!(error.to_string().contains(words), "{error}");
+        }
+        let head = identity.head(Path::new("a.slices"));
+        let (target, fields) = Identity::split(&head).unwrap();
+        assert_eq!((target, Identity::from_fields(&fields)), (&b"a.slices"[..], Some(identity)));
+        // Spacing, shard and noise of another number of values, more fields, and fewer.
+        let odd = [0u8; 16];
+        for number in [2, 4, 6] {
+            let mut fields = fields.clone();
+            fields[number] = &odd;
+            assert_eq!(Identity::from_fields(&fields), None, "{number}");
+        }
+        assert_eq!(Identity::from_fields(&[&fields[..], &[&odd[..]]].concat()), None);
+        assert_eq!(Identity::from_fields(&fields[..5]), None);
+    }
 }

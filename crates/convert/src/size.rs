@@ -29,7 +29,17 @@ mod tests {
 
     #[test]
     fn sizes_are_read_with_their_units() {
-        for (text, bytes) in [("0", 0), ("512MiB", 512 << 20), ("1.5k", 1536), ("2 GB", 2_000_000_000), ("7b", 7)] {
+        for (text, bytes) in [
+            ("0", 0),
+            ("512MiB", 512 << 20),
+            ("1.5k", 1536),
+            ("2TiB", 2 << 40),
+            ("1t", 1 << 40),
+            ("3kb", 3_000),
+            ("0.5MB", 500_000),
+            ("2 GB", 2_000_000_000),
+            ("7b", 7),
+        ] {
             assert_eq!(parse_size(text), Ok(bytes), "{text}");
         }
         for text in ["", "MiB", "-1", "12parsecs", "nan", "1e30"] {

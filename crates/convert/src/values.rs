@@ -101,3 +101,41 @@ pub fn transform(path: &Path) -> crate::Result<Similarity> {
     file.take(MOST_BYTES).read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
     Similarity::parse(text.trim_start_matches('\u{feff}')).map_err(|reason| Error::input(path, "matrix", reason))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_places_and_their_distance_give_the_unit() {
+        assert_eq!(scale_from("1,1,1", " 4, 5,1", "10"), Ok(Units::Factor(2.0)));
+        for (from, to, metres, expected) in [
+            ("1,1", "4,5,1", "10", "\"1,1\" is not a place"),
+            ("1,1,1", "4,5,x", "10", "\"4,5,x\" is not a place"),
+            ("1,1,1", "4,5,inf", "10", "\"4,5,inf\" is not a place"),
+            ("1,1,1", "4,5,1", "0", "a length in metres above 0"),
+            ("1,1,1", "1,1,1", "10", "the two places are the same"),
+        ] {
+            let error = scale_from(from, to, metres).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        for metres in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(unit_from([0.0; 3], [1.0; 3], metres).unwrap_err().contains("a distance in metres above 0"));
+        }
+    }
+
+    #[test]
+    fn a_matrix_that_cannot_be_read_is_refused_by_the_name_of_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.txt");
+        let refused = |expected: &str| {
+            let error = transform(&path).unwrap_err().to_string();
+            assert!(error.contains("m.txt") && error.contains(expected), "{error}");
+        };
+        refused("open");
+        std::fs::write(&path, b"1 0 0 \xFF").unwrap();
+        refused("read");
+        std::fs::write(&path, "1 0 0 0").unwrap();
+        refused("matrix");
+    }
+}

@@ -306,4 +306,50 @@ mod tests {
         assert!(PointWriter::create(&without_size, "").is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
+
+    #[test]
+    fn options_that_need_files_are_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = |change: fn(&mut ConvertOptions)| {
+            let mut options = options(folder.path(), "a.slices");
+            change(&mut options);
+            match PointWriter::create(&options, "") {
+                Err(Error::Parameter { what, .. }) => what,
+                other => panic!("{:?}", other.err()),
+            }
+        };
+        assert_eq!(refused(|options| options.plan.remove_moving = true), Parameter::Stations);
+        assert_eq!(refused(|options| options.sections.free_space = true), Parameter::Stations);
+        assert_eq!(refused(|options| options.sections.colour = crate::ColourMode::Auto), Parameter::Colour);
+        assert_eq!(refused(|options| options.grid.pixel = PixelSize::Auto), Parameter::PixelSize);
+        assert_eq!(refused(|options| options.reading.turn = Turn::Auto), Parameter::Other("up".into()));
+        assert_eq!(refused(|options| options.grid.tolerance_auto = true), Parameter::Tolerance);
+        assert_eq!(refused(|options| options.grid.fill_holes = Some(HoleWidth::Auto)), Parameter::FillHoles);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    /// Monitor that cancels only when it is asked for the last time.
+    struct AtLast;
+
+    impl Monitor for AtLast {
+        fn cancelled_at_last(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn points_are_placed_and_a_stop_at_the_last_moment_writes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut options = options(folder.path(), "a.slices");
+        options.reading.placement = Some(crate::Similarity::scaling(2.0));
+        let written = |monitor: &dyn Monitor| {
+            let mut writer = PointWriter::create(&options, "").unwrap();
+            writer.push(&[0.5, 1.0], &[0.0, 2.0], &[1.5, -3.0]).unwrap();
+            writer.finish(monitor)
+        };
+        assert!(matches!(written(&AtLast), Err(Error::Interrupted)));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        let bounds = written(&NoMonitor).unwrap().header.bounds;
+        assert_eq!(bounds, Some(([1.0, 0.0, -6.0], [2.0, 4.0, 3.0])));
+    }
 }

@@ -441,6 +441,7 @@ mod tests {
     use super::*;
     use crate::ConvertOptions;
     use proptest::prelude::*;
+    use serde_json::json;
 
     fn input() -> impl Strategy<Value = InputFacts> {
         let bounds = proptest::option::of((prop::array::uniform3(-1e7f64..1e7), prop::array::uniform3(0.0f64..1e6)));
@@ -527,5 +528,54 @@ mod tests {
             let good = PlanFile::of(Vec::new(), plan, &options).facts().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
+    }
+
+    #[test]
+    fn values_that_no_plan_has_are_refused_by_their_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plan.json");
+        let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
+        let good = PlanFile::of(Vec::new(), plan, &ConvertOptions::new(Vec::new(), "a.slices".into())).facts();
+        let read = |text: &Value| {
+            std::fs::write(&path, text.to_string()).unwrap();
+            PlanFile::read(&path).map_err(|error| error.to_string())
+        };
+        read(&good).unwrap();
+        // Editors on Windows begin a text with a byte order mark.
+        std::fs::write(&path, format!("\u{feff}{good}")).unwrap();
+        PlanFile::read(&path).unwrap();
+        let rgb = ColourSource::Rgb.name();
+        for (key, value, place) in [
+            ("min_points", json!(0), "plan: "),
+            ("splats", json!({ "opacity": 0.1, "min_opacity": 2.0, "max_size": null }), "splats: "),
+            ("splats", json!({ "opacity": 0.1, "min_opacity": 0.0, "max_size": -1.0 }), "splats: "),
+            ("units", json!("feet"), "units: expected"),
+            ("crs", json!("25832"), "crs: expected"),
+            ("columns", json!("a,b"), "columns: expected"),
+            ("mesh", json!(-1.0), "mesh: expected"),
+            ("placement", json!(vec![0.0; 16]), "placement: "),
+            ("colour", json!({ "source": rgb, "range": [5, 5], "error": 1.0 }), "colour.range: expected"),
+            ("colour", json!({ "source": rgb, "range": [0, 255], "error": 66.0 }), "colour.error: expected"),
+            ("tolerance_auto", json!({ "noise": -1.0, "regions": 1, "region_size": 1.0 }), "tolerance_auto: expected"),
+            (
+                "stated",
+                json!({ "reference_system": null, "length_units": [[0.0, 1.0]] }),
+                "stated.length_units: expected",
+            ),
+        ] {
+            let mut bad = good.clone();
+            bad[key] = value;
+            let error = read(&bad).unwrap_err();
+            assert!(error.contains("plan.json") && error.contains(place), "{place}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_plan_of_more_bytes_than_any_is_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plan.json");
+        std::fs::File::create(&path).unwrap().set_len(MAX_BYTES + 1).unwrap();
+        let error = PlanFile::read(&path).unwrap_err();
+        assert!(matches!(error, Error::Limit { .. }) && error.to_string().contains("plan.json"), "{error}");
     }
 }

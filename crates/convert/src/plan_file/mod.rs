@@ -294,6 +294,8 @@ mod tests {
     use super::*;
     use crate::frame::{Frame, morton};
     use crate::input::StatedBounds;
+    use crate::placement::Similarity;
+    use crate::plan::{Classifier, Up};
     use crate::voxel::record::HALO_PIXELS;
     use proptest::prelude::*;
 
@@ -370,6 +372,101 @@ mod tests {
         changes[8].colour = Some(ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 2000 });
         for (number, changed) in changes.iter().enumerate() {
             assert_ne!(changed.hash(), one.hash(), "{number}");
+        }
+    }
+
+    #[test]
+    fn an_option_contradicts_a_plan_that_holds_another_value() {
+        type Changed = (&'static str, fn(&mut ConvertOptions));
+        let mut file = plan_file(&[([0.0; 2], [9.0; 2], 10)]);
+        file.free_space = true;
+        file.colour = Some(ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 2000 });
+        let mut same = ConvertOptions::new(Vec::new(), "a.slices".into());
+        file.apply_to(&mut same);
+        let changes: [Changed; 28] = [
+            ("pixel", |options| options.grid.pixel = PixelSize::Metres(0.2)),
+            ("pixel", |options| options.grid.pixel = PixelSize::Auto),
+            ("slice", |options| options.grid.slice_m = Some(0.2)),
+            ("max_slope", |options| options.plan.max_slope_deg = 30.0),
+            ("tolerance", |options| options.plan.tolerance_m = 0.01),
+            ("tolerance", |options| options.grid.tolerance_auto = true),
+            ("classifier", |options| options.plan.classifier = Classifier::Thesis),
+            ("exclude_class", |options| options.plan.exclude_classes = [7u8].into_iter().collect()),
+            ("min_points", |options| options.plan.min_points = 2),
+            ("drop_isolated", |options| options.plan.drop_floaters = 1),
+            ("drop_floaters", |options| options.plan.drop_floaters = 9),
+            ("remove_moving", |options| options.plan.remove_moving = true),
+            ("fill_holes", |options| options.grid.fill_holes = Some(HoleWidth::Metres(0.3))),
+            ("fill_holes", |options| options.grid.fill_holes = Some(HoleWidth::Auto)),
+            ("up", |options| options.plan.up = Up::Y),
+            ("up", |options| options.reading.turn = Turn::Auto),
+            ("up", |options| options.reading.turn = Turn::From([1.0, 0.0, 0.0])),
+            ("transform", |options| options.reading.placement = Some(Similarity::scaling(2.0))),
+            ("opacity", |options| options.reading.splats.opacity = 0.5),
+            ("min_opacity", |options| options.reading.splats.min_opacity = 0.5),
+            ("max_size", |options| options.reading.splats.max_size_m = Some(1.0)),
+            ("units", |options| options.reading.units = Units::Factor(2.0)),
+            ("scale_from", |options| options.reading.units = Units::Factor(2.0)),
+            ("crs", |options| options.reading.epsg = Some(25832)),
+            ("columns", |options| options.reading.columns = Some("y,x,z".parse().unwrap())),
+            ("mesh", |options| options.reading.mesh = MeshMode::Sampled { step_m: None }),
+            ("levels", |options| options.sections.levels = true),
+            ("free_space", |options| options.sections.free_space = false),
+        ];
+        let colours: [Changed; 2] = [
+            ("colour", |options| options.sections.colour = ColourMode::Off),
+            ("colour_error", |options| options.sections.colour_error = 1.0),
+        ];
+        for (name, change) in changes.into_iter().chain(colours) {
+            assert!(!file.contradicts(name, &same), "{name}");
+            let mut other = same.clone();
+            change(&mut other);
+            assert!(file.contradicts(name, &other), "{name}");
+            assert!(!file.contradicts("threads", &other));
+        }
+        // The plan holds the source that was found.
+        same.sections.colour = ColourMode::Auto;
+        assert!(!file.contradicts("colour", &same));
+        // A plan without seen space leaves the choice to its parts.
+        file.free_space = false;
+        assert!(!file.contradicts("free_space", &same));
+    }
+
+    #[test]
+    fn the_direction_that_a_plan_found_may_be_given_without_its_matrix() {
+        let mut file = plan_file(&[([0.0; 2], [9.0; 2], 10)]);
+        let found = UpFound { up: [1.0, 0.0, 0.0], sure: 0.9, floor_m2: 9.0, next_m2: 0.1 };
+        file.up = Some(found);
+        file.reading.placement = Some(Similarity::scaling(2.0) * found.turn());
+        let mut options = ConvertOptions::new(Vec::new(), "a.slices".into());
+        assert!(file.contradicts("up", &options), "the input is not upright");
+        options.reading.turn = Turn::Auto;
+        assert!(!file.contradicts("up", &options));
+        for (factor, contradicts) in [(2.0, false), (3.0, true)] {
+            options.reading.placement = Some(Similarity::scaling(factor));
+            assert_eq!(["up", "transform"].map(|name| file.contradicts(name, &options)), [contradicts; 2]);
+        }
+    }
+
+    #[test]
+    fn parts_that_are_none_and_options_of_another_plan_are_refused() {
+        let file = plan_file(&[([0.0; 2], [9.0; 2], 10)]);
+        for (index, count) in [(0, 3), (4, 3), (1, 0), (1, MAX_SHARDS + 1)] {
+            let refused = file.shard(index, count);
+            assert!(matches!(refused, Err(Error::Parameter { what: Parameter::Shard, .. })), "{index}/{count}");
+        }
+        let mut options = ConvertOptions::new(Vec::new(), "a.slices".into());
+        file.check_same_options(&file.plan, &options).unwrap();
+        file.check_same_inputs(&file).unwrap();
+        let mut other = file.plan.clone();
+        other.options.min_points = 2;
+        options.reading.epsg = Some(25832);
+        for refused in [
+            file.check_same_options(&other, &ConvertOptions::new(Vec::new(), "a.slices".into())),
+            file.check_same_options(&file.plan, &options),
+            file.check_same_inputs(&PlanFile { plan: other.clone(), ..file.clone() }),
+        ] {
+            assert!(refused.unwrap_err().to_string().contains("its options are not those of the conversion"));
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Conversions on disks that fail or lose data, conversions that resume from what another run left, and whole stories.
 
 mod areas;
+mod elsewhere;
 mod faults;
 mod floaters;
 #[path = "../../../../tests/loader/link.rs"]

@@ -129,6 +129,8 @@ fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
     let mut options = job.options.clone();
     options.grid.pixel = PixelSize::Metres(0.2);
     refused(&options, &["resuming", "other options"]);
+    options.grid.pixel = PixelSize::Auto;
+    refused(&options, &["resuming", "other options"]);
     let mut options = job.options.clone();
     options.inputs.pop();
     refused(&options, &["resuming", "not named now"]);
@@ -139,6 +141,56 @@ fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
     // With everything restored, the conversion resumes.
     let report = job.convert(true, &NoMonitor).unwrap();
     assert_eq!(report.resumed.map(|resumed| resumed.points), Some(kept));
+    assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
+}
+
+/// Monitor that cancels while the data of an earlier run is checked.
+struct WhileChecking(Stops);
+
+impl Monitor for WhileChecking {
+    fn stage(&self, name: &str, total: u64, unit: &str) {
+        self.0.stage(name, total, unit);
+    }
+    fn cancelled(&self) -> bool {
+        self.0.stages.lock().unwrap().last().is_some_and(|stage| stage == "checking")
+    }
+}
+
+#[test]
+fn of_several_data_of_one_archive_the_largest_is_resumed_and_a_stop_meanwhile_keeps_it() {
+    let job = Job::new();
+    let temp_dir = &job.options.resources.temp_dir;
+    let all = 2 * POINTS as u64;
+    // Runs at the same time leave data under different digits.
+    let move_to = |digit: &str| {
+        for name in temporary(&job) {
+            let (start, end) = name.split_once(".slicewalk-").unwrap();
+            let (digits, end) = end.split_at(16);
+            if digits != digit.repeat(16) {
+                fs::rename(temp_dir.join(&name), temp_dir.join(format!("{start}.slicewalk-{}{end}", digit.repeat(16))))
+                    .unwrap();
+            }
+        }
+    };
+    let copied = job.folder.path().join("less");
+    fs::create_dir(&copied).unwrap();
+    assert!(interrupt(&job, POINTS as u64 * 3 / 2).1 > 0);
+    move_to("5");
+    for name in temporary(&job) {
+        fs::copy(temp_dir.join(&name), copied.join(&name)).unwrap();
+    }
+    assert!(job.convert(true, &InSecondPass(Stops::after(0))).is_err());
+    move_to("b");
+    for less in ["3", "e"] {
+        for name in fs::read_dir(&copied).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()) {
+            fs::copy(copied.join(&name), temp_dir.join(name.replace(&"5".repeat(16), &less.repeat(16)))).unwrap();
+        }
+    }
+    assert_eq!(temporary(&job).len(), 6);
+    assert!(matches!(job.convert(true, &WhileChecking(Stops::after(0))), Err(Error::Interrupted)));
+    assert_eq!(temporary(&job).len(), 2);
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert_eq!(report.resumed.map(|resumed| resumed.points), Some(all));
     assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
 }
 
