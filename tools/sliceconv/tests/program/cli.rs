@@ -104,6 +104,8 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
     fs::write(at.join("notes.txt"), "these are notes, and long enough to be a header if they were one".repeat(9))
         .unwrap();
     fs::write(at.join("house.obj"), "v 0 0 0\n").unwrap();
+    fs::write(at.join("far.xyz"), "1e13 0 0\n2e13 0 0\n3e13 1 1\n").unwrap();
+    fs::write(at.join("beyond.xyz"), "9e11 0 0\n9e11 1 0\n9e11 1 1\n").unwrap();
     fs::write(at.join("nothing.las"), "").unwrap();
     let las = fs::read(at.join("scan.las")).unwrap();
     fs::write(at.join("head.las"), &las[..100]).unwrap();
@@ -123,6 +125,8 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
         ("*.e57", &["*.e57", "matches no"]),
         ("notes.txt", &["notes.txt", "columns named x, y and z", "--columns"]),
         ("house.obj", &["house.obj", "triangles"]),
+        ("far.xyz", &["far.xyz", "3 points have a coordinate that is not finite or beyond 1e12 m; fetch or write"]),
+        ("beyond.xyz", &["coordinates that a grid of this pixel size reaches", "give a larger --pixel"]),
         ("nothing.las", &["nothing.las"]),
         ("head.las", &["head.las"]),
         ("cut.las", &["cut.las", "3000 points, but none can be read", "fetch or write"]),
@@ -132,6 +136,8 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
         let said = refuses(at, &with(&[input], &[]), 1);
         assert!(words.iter().all(|word| said.contains(word)) && !said.contains("panicked"), "{input}: {said}");
     }
+    let said = refuses(at, &with(&["far.xyz"], &["--allow-incomplete"]), 1);
+    assert!(said.contains("far.xyz: points: no point has a finite position within 1e12 m; fetch or write"), "{said}");
     assert!(names(at).iter().all(|name| !name.contains("slices")), "{:?}", names(at));
 }
 

@@ -255,6 +255,8 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
         record[12..14].fill(0);
     }
     fs::write(at.join("zero.las"), &bytes).unwrap();
+    let said = refuses(at, &["zero.las", "-o", "b.slices", "--colour", "intensity"], 2);
+    assert!(said.contains("no point of the input has an intensity other than 0"), "{said}");
     let said = converts(at, &["zero.las", "-o", "b.slices", "--pixel", "0.1", "--units", "m", "--colour", "auto"]);
     assert!(said.contains("no colours"), "{said}");
     let none = Archive::open(at.join("b.slices")).unwrap();
@@ -574,6 +576,10 @@ fn formats_mix_by_what_is_white_in_each_and_points_without_a_value_colour_nothin
     for (inputs, threads) in [(inputs, "1"), (["d.e57", "c.csv", "a.las", "b.ply"], "3")] {
         assert!(bytes(at, &inputs, &["--colour", "auto", "--threads", threads]) == wide);
     }
+    // 16 bits in LAS, which does not state them, beside 8 in PLY.
+    las(&at.join("more.las"), &widened[..30_000], STEP);
+    put("less.ply", &coloured::ply(&all[30_000..], Ply::Big, Numbers::Bytes));
+    assert!(bytes(at, &["more.las", "less.ply"], &["--colour", "rgb"]) == wide);
     let fixed = ["--pixel", "0.25", "--colour", "rgb", "--quiet"];
     converts(at, &[&inputs[..], &["--write-plan", "plan.json", "--force"], &fixed].concat());
     for with_plan in [true, false] {

@@ -209,6 +209,31 @@ fn cubes_come_with_scans_units_and_a_preview() {
         |key: &str| facts["bounds"][key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect::<Vec<_>>();
     let near = |found: Vec<f64>, expected: [f64; 3]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12);
     assert!(near(end("min"), [0.0, -1.0, 0.0]) && near(end("max"), [0.4, 0.0, 0.6]), "{facts}");
+    // The finest cubes decide, and cubes beside the grid grow.
+    write_tree(&at.join("b.bt"), &BTreeSet::from([([8, 8, 8], 1)]), 0.05);
+    for inputs in [["a.bt", "b.bt"], ["b.bt", "a.bt"]] {
+        let facts = run(&[&inputs[..], &["--dry-run", "--json"]].concat());
+        assert_eq!(facts["pixel_size"], 0.05);
+    }
+    write_octree(at, &BTreeSet::from([([0, 0, 0], 1)]), 0.1);
+    let head = fs::read_to_string(at.join("a.voxel.json")).unwrap();
+    let mut head: serde_json::Value = serde_json::from_str(head.trim_start_matches('\u{feff}')).unwrap();
+    let warned = |said: String| said.contains("a.voxel.json: its cubes do not lie on a grid from the origin");
+    let octree = ["a.voxel.json", "-o", "out.slices", "--force"];
+    assert!(!warned(converts(at, &octree)));
+    head["gridBounds"]["min"][0] = (-6.43).into();
+    fs::write(at.join("a.voxel.json"), head.to_string()).unwrap();
+    assert!(warned(converts(at, &octree)));
+    for (end, place) in [("min", 1e11), ("max", 1e11 + 100.0)] {
+        head["gridBounds"][end][0] = place.into();
+    }
+    fs::write(at.join("a.voxel.json"), head.to_string()).unwrap();
+    let line = refuses(at, &octree, 1);
+    assert!(line.contains("a grid of this pixel size reaches"), "{line}");
+    // A tree without a cube makes an empty archive.
+    fs::write(at.join("none.bt"), "# Octomap OcTree binary file\nid OcTree\nsize 0\nres 0.1\ndata\n").unwrap();
+    let said = converts(at, &["none.bt", "-o", "out.slices", "--force"]);
+    assert!(said.contains("the archive is empty"), "{said}");
     // A scan decides the pixel size where there is one.
     let points: String =
         (0..400).map(|n| format!("{} {} 0\n", f64::from(n % 20) * 0.05, f64::from(n / 20) * 0.05)).collect();
@@ -257,4 +282,9 @@ fn hostile_cubes_get_one_line() {
         assert!(!code.status.success());
     }
     refuses(at, &["a.bt", "--write-plan", "p.json"], 1);
+    fs::write(at.join("m.txt"), "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n").unwrap();
+    for moved in [["--up", "x"], ["--up", "auto"], ["--transform", "m.txt"]] {
+        let said = refuses(at, &[&["a.bt", "-o", "out.slices"][..], &moved].concat(), 2);
+        assert!(said.contains("a.bt: its cubes lie on the grid of pixels and are not moved"), "{said}");
+    }
 }

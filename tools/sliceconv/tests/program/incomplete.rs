@@ -161,6 +161,21 @@ fn files_that_cannot_be_read() {
         refuses(at, &[inputs, &OPTIONS, &["--force", "--allow-incomplete"]].concat(), 1);
         assert_eq!(points_kept(at), 3000);
     }
+    // Nor if the files open and hold no whole point.
+    let las = fs::read(at.join("scan.las")).unwrap();
+    fs::write(at.join("cut.las"), &las[..230]).unwrap();
+    write(&at.join("broken.laz"), &points(3000));
+    let mut laz = fs::read(at.join("broken.laz")).unwrap();
+    let third = laz.len() / 3;
+    laz[third..third + 200].fill(0xA5);
+    fs::write(at.join("broken.laz"), laz).unwrap();
+    for (input, words) in
+        [("cut.las", "can be read"), ("broken.laz", "the header states 3000 points, but none can be read")]
+    {
+        let said = refuses(at, &[&[input], &OPTIONS[..], &["--force", "--allow-incomplete"]].concat(), 1);
+        assert!(said.contains(words), "{input}: {said}");
+        assert_eq!(points_kept(at), 3000);
+    }
 }
 
 #[test]

@@ -12,6 +12,7 @@ use slicewalk::{Error, NoMonitor};
 use slicewalk_input::spacing::estimate_spacing;
 use slicewalk_input::{InputOptions, InputSet, PointChunk, PointCounts, PointDecoder, Units};
 use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::Mutex;
 
 // ---- real files -----------------------------------------------------------------------------------------------------
@@ -365,6 +366,81 @@ fn other_files_are_named_for_what_they_are() {
     assert!(refusal(&folder.file("nothing.las", b"")).contains("an empty file"));
     assert!(refusal(&folder.0.path().join("none.las")).contains("cannot open"));
     assert!(read_one(&folder.file("scan.dat", &Scan::new(2, 0, 3).las())).is_ok(), "a scan under another name");
+    for (name, advice) in [
+        ("a.off", "write it as OBJ, PLY, STL or glTF"),
+        ("a.FBX", "write it as OBJ, PLY, STL or glTF"),
+        ("a.rcp", "write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ"),
+        ("a.lsproj", "write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ"),
+        ("a.slices", "a slice archive holds no points"),
+    ] {
+        let text = refusal(&folder.file(name, b"anything"));
+        assert!(text.contains(advice) && text.matches("write it as").count() < 2, "{name}: {text}");
+    }
+}
+
+#[test]
+fn units_have_names_or_are_plausible_numbers() {
+    let named = ["auto", "m", "ft", "us-ft", "0.001"].map(|text| text.parse::<Units>().unwrap());
+    let factors = [1.0, 0.3048, 1200.0 / 3937.0, 0.001].map(Units::Factor);
+    assert_eq!(named.to_vec(), [&[Units::Auto][..], &factors].concat());
+    for text in ["", "0", "-1", "nan", "inf", "feet"] {
+        assert!(text.parse::<Units>().unwrap_err().contains("expected auto, m, ft, us-ft"), "{text}");
+    }
+    // A program may give any number.
+    for factor in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-300] {
+        let options = InputOptions { units: Units::Factor(factor), ..InputOptions::default() };
+        let error = InputSet::of_paths(vec!["none.las".into()], options, &NoMonitor).map(drop).unwrap_err();
+        assert!(error.to_string().contains("is not a number of metres per unit"), "{error}");
+    }
+}
+
+#[test]
+fn projection_records_that_are_too_long_are_passed_over() {
+    let folder = Folder::new();
+    let mut scan = Scan::new(4, 6, 5);
+    let mut text = b"PROJCS[\"b\",UNIT[\"foot\",0.3048]]".to_vec();
+    text.resize((1 << 20) + 1, b' ');
+    scan.evlrs.push(("LASF_Projection", 2112, text));
+    scan.evlrs.push(("LASF_Projection", 34735, vec![0; (1 << 16) + 8]));
+    let heard = Listener::default();
+    let set = InputSet::open(&[folder.file("a.las", &scan.las())], InputOptions::default(), &heard).unwrap();
+    assert_eq!((set.crs(), set.files()[0].unit_m(), set.points_stated()), (None, [1.0; 3], 5));
+    let said = heard.said().join("\n");
+    for words in ["record 2112 at byte", "1048577 bytes long", "record 34735 at byte", "65544 bytes long"] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+}
+
+/// No piece is read from a file of another kind, whose bytes would give points that no scan has.
+#[test]
+fn pieces_of_another_set_are_refused() {
+    let folder = Folder::new();
+    let (plain, packed) = (Scan::new(2, 3, 30), Scan::new(2, 3, 30));
+    let files = [
+        folder.file("a.las", &plain.las()),
+        folder.file("b.laz", &packed.laz(10)),
+        folder.file("c.xyz", b"1 2 3\n4 5 6\n7 8 9\n"),
+    ];
+    let open = |paths: &[PathBuf]| InputSet::open(paths, InputOptions::default(), &NoMonitor).unwrap();
+    let sets: Vec<InputSet> = files.iter().map(|path| open(std::slice::from_ref(path))).collect();
+    assert_eq!(sets.iter().map(|set| set.files()[0].format()).collect::<Vec<_>>(), ["LAS", "LAZ", "text"]);
+    let refused = |set: &InputSet, piece: &PointChunk| {
+        let mut passed = 0;
+        let done = PointDecoder::new().decode(set, piece, &mut |batch| {
+            passed += batch.len();
+            Ok(())
+        });
+        done.is_err_and(|error| error.to_string().contains("another set")) && passed == 0
+    };
+    for (own, set) in sets.iter().enumerate() {
+        for piece in set.chunks() {
+            let others: Vec<usize> = (0..sets.len()).filter(|&other| refused(&sets[other], &piece)).collect();
+            assert_eq!(others, (0..sets.len()).filter(|&other| other != own).collect::<Vec<_>>(), "{own}");
+        }
+    }
+    // A set of fewer files.
+    let last = open(&files).chunks().last().unwrap();
+    assert!(last.file() == 2 && sets.iter().all(|set| refused(set, &last)));
 }
 
 #[test]
@@ -410,6 +486,21 @@ fn an_error_of_the_sink_ends_the_work() {
     let chunk = set.chunks().next().unwrap();
     let outcome = PointDecoder::new().decode(&set, &chunk, &mut |_| Err(Error::Interrupted));
     assert!(matches!(outcome, Err(Error::Interrupted)));
+    // It is no loss of the input, which may be incomplete.
+    for path in [
+        folder.file("b.laz", &Scan::new(2, 1, 20_000).laz(5000)),
+        folder.file("c.las", &Scan::new(2, 1, 20_000).las()),
+        folder.file("d.xyz", b"1 2 3\n4 5 6\n"),
+    ] {
+        let options = InputOptions { allow_incomplete: true, ..InputOptions::default() };
+        let set = InputSet::open(&[path], options, &NoMonitor).unwrap();
+        let chunk = set.chunks().next().unwrap();
+        let outcome = PointDecoder::new()
+            .decode(&set, &chunk, &mut |_| Err(Error::io("disk", "write", std::io::Error::other("no space"))));
+        assert!(outcome.is_err_and(|error| error.to_string().contains("no space")));
+        set.check_complete(&NoMonitor).unwrap();
+        assert!(set.is_complete());
+    }
 }
 
 #[test]

@@ -157,6 +157,10 @@ fn chunk_tables_that_lie_lose_no_point_unnoticed() {
         lies.push([&entries[..], &entries[..2]].concat());
         lies.push([&entries[..], &[(1, 40)]].concat());
         lies.push(vec![(2450, entries.iter().map(|e| e.1).sum())]);
+        // A chunk that is too short for anything.
+        let mut short = entries.clone();
+        (short[1].1, short[2].1) = (5, short[2].1 + short[1].1 - 5);
+        lies.push(short);
         for (at, from) in [(0, 1), (2, 3), (entries.len() - 2, entries.len() - 1)] {
             for bytes in [1, 7, 500].map(|bytes: u64| bytes.min(entries[at].1).min(entries[from].1)) {
                 let mut shifted = entries.clone();
@@ -295,12 +299,14 @@ fn a_count_other_than_that_by_return_is_refused_where_the_data_end_soundly_after
             assert_eq!(found.unwrap().points, scan.expected(), "{by_return}");
         }
     }
-    // Returns that the header does not count.
+    // Returns that the header does not count; chunks that state their own numbers of points.
     let scan = Scan::new(2, 1, 1000);
-    let mut bytes = scan.laz(50_000);
-    bytes[111..115].copy_from_slice(&990u32.to_le_bytes());
-    let found = read_strictly(&[folder.file("many.laz", &bytes)], InputOptions::default());
-    assert_eq!(found.unwrap().points, scan.expected());
+    for chunk in [50_000, 0] {
+        let mut bytes = scan.laz(chunk);
+        bytes[111..115].copy_from_slice(&990u32.to_le_bytes());
+        let found = read_strictly(&[folder.file("many.laz", &bytes)], InputOptions::default());
+        assert_eq!(found.unwrap().points, scan.expected(), "chunks of {chunk}");
+    }
 }
 
 /// The count in the head of the last chunk is not trusted if the header contradicts it.
@@ -432,11 +438,24 @@ fn empty_chunks_and_empty_files_are_sound() {
                 assert!(found.points == scan.expected(), "format {format}, chunks of {chunk}");
             }
             let head = nothing.laz(chunk)[..places[0]].to_vec();
-            for entries in [vec![], vec![entry(0, 0)]] {
-                let empty = folder.file("empty.laz", &with_table(head.clone(), &entries));
-                let full = folder.file("full.laz", &good);
-                let found = read_strictly(&[empty, full], InputOptions::default()).unwrap();
-                assert!(found.points == scan.expected(), "format {format}, chunks of {chunk}");
+            let mut empty: Vec<_> =
+                [vec![], vec![entry(0, 0)]].iter().map(|entries| with_table(head.clone(), entries)).collect();
+            // Points by return that no chunk holds.
+            let mut returned = empty[0].clone();
+            returned[111] = 9;
+            // The file ends where points would begin, or has no table; chunks of any length cannot do without.
+            let before = head[..places[0] - 8].to_vec();
+            empty.extend([returned, before]);
+            if format >= 6 || chunk > 0 {
+                empty.push(head);
+            } else {
+                refusal(&folder.file("empty.laz", &head));
+            }
+            for (number, bytes) in empty.iter().enumerate() {
+                let (empty, full) = (folder.file("empty.laz", bytes), folder.file("full.laz", &good));
+                let found = read_strictly(&[empty, full], InputOptions::default())
+                    .unwrap_or_else(|error| panic!("format {format}, chunks of {chunk}, empty {number}: {error}"));
+                assert!(found.points == scan.expected(), "format {format}, chunks of {chunk}, empty {number}");
             }
         }
     }
@@ -455,4 +474,34 @@ fn items_of_other_point_formats_are_refused_in_one_line() {
         let text = refusal(&folder.file("mixed.laz", &bytes));
         assert!(text.contains("LASzip record") && text.contains(names), "{text}");
     }
+}
+
+/// A colour of an unknown version is refused where colours are wanted, and bothers nobody else.
+#[test]
+fn colours_of_an_unknown_version_are_refused_where_they_are_wanted() {
+    let folder = Folder::new();
+    let scan = Scan::new(4, 7, 100);
+    let mut bytes = scan.laz(50);
+    let item = [11u16.to_le_bytes(), 6u16.to_le_bytes()].concat();
+    let at = bytes.windows(4).position(|window| window == item).unwrap();
+    bytes[at + 4] = 9;
+    let path = [folder.file("new.laz", &bytes)];
+    assert_eq!(read_strictly(&path, InputOptions::default()).unwrap().points, scan.expected());
+    let options = InputOptions { colour: Some(ColourSource::Rgb), ..InputOptions::default() };
+    let error = read_strictly(&path, options).unwrap_err().to_string();
+    assert!(error.contains("LAZ chunk 0") && error.contains("no decoder"), "{error}");
+}
+
+#[test]
+fn a_chunk_that_does_not_fit_the_memory_is_refused() {
+    let folder = Folder::new();
+    let scan = Scan::new(4, 6, 600);
+    let path = [folder.file("a.laz", &scan.laz(50_000))];
+    let with = |memory_bytes| read_strictly(&path, InputOptions { memory_bytes, ..InputOptions::default() });
+    assert_eq!(with(1 << 16).unwrap().points, scan.expected());
+    let error = with(100).unwrap_err();
+    assert!(
+        matches!(error, Error::Limit { .. }) && error.to_string().contains("LAZ chunk 0: compressed bytes"),
+        "{error}"
+    );
 }

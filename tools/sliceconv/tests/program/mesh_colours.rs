@@ -388,6 +388,12 @@ fn materials_factors_and_faces_colour_whole_triangles() {
                   property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
     fs::write(at.join("a.ply"), format!("{header}0 0 0\n4 0 0\n0 4 0\n3 0 1 2 7 8 9\n")).unwrap();
     assert_eq!(only_colour(&convert(at, &["a.ply"], "a.slices", &["--colour", "rgb"])), Some([7, 8, 9]));
+    // Beside triangles with a colour, others have none.
+    let apart = "v 0 0 0 1 0.5 0\nv 4 0 0 1 0.5 0\nv 0 4 0 1 0.5 0\nv 50 0 0\nv 54 0 0\nv 50 4 0\nf 1 2 3\nf 4 5 6\n";
+    fs::write(at.join("a.obj"), apart).unwrap();
+    for ([x, ..], colour) in colours(&convert(at, &["a.obj"], "a.slices", &["--colour", "rgb"])) {
+        assert_eq!(colour, (x < 250).then_some([255, 128, 0]), "{x}");
+    }
     // Without any colours there is no section, or a refusal.
     fs::write(at.join("a.obj"), "v 0 0 0\nv 4 0 0\nv 0 4 0\nf 1 2 3\n").unwrap();
     let said = converts(at, &arguments("a.obj", &["--colour", "auto"]));

@@ -5,6 +5,7 @@ use crate::coloured;
 use crate::scans;
 use crate::write;
 
+use nalgebra::Point3;
 use scangen::sample::{Mode, ScannerSpec};
 use scangen::shape::{Cylinder, Shape};
 use scangen::{Kind, Params, Sample, SampleSpec, Scene, Surface, WriteSpec, write_samples};
@@ -371,6 +372,12 @@ fn a_scanner_that_is_carried_sees_through_who_has_gone() {
     assert!(standing.0 < 0.001, "{standing:?}");
     let (again, gone, _) = convert(at, &["way.laz"], &["--memory", "200MiB"]);
     assert!(again == archive && gone == removed);
+    // It saw the air between its way and the person, and nothing below the floor.
+    let seen = ["way.laz", "--free-space", "--stations", "stations.csv", "-o", "seen.slices"];
+    converts(at, &[&seen[..], &OPTIONS].concat());
+    verifies(&at.join("seen.slices"));
+    let space = Archive::open(at.join("seen.slices")).unwrap().seen_space(1 << 30).unwrap().unwrap();
+    assert_eq!([1.4, -1.0].map(|z| space.is_seen(Point3::new(3.4, 4.1, z))), [true, false]);
 }
 
 #[test]
@@ -438,11 +445,34 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
         let said = refuses(at, &[&["b.las", "-o", "x.slices"], &OPTIONS[..], &moving].concat(), 1);
         assert!(said.contains(word), "{word}: {said}");
     }
+    // Tables that are too long or no text, points without ids, and a scanner farther out than any point may be.
+    let refused = |input: &str, more: &[&str], code: i32, word: &str| {
+        let said = refuses(at, &[&[input, "-o", "x.slices"], &OPTIONS[..], more].concat(), code);
+        assert!(said.contains(word), "{word}: {said}");
+    };
+    fs::File::create(at.join("s.csv")).unwrap().set_len((64 << 20) + 1).unwrap();
+    refused("b.las", &moving, 1, "bytes of the stations s.csv");
+    fs::write(at.join("s.csv"), b"file,x,y,z\nb\xFF.las,0,0,1\n").unwrap();
+    refused("b.las", &moving, 1, "s.csv: cannot read");
+    fs::write(at.join("s.csv"), "file,source_id,x,y,z\nc.xyz,7,0,0,1\n").unwrap();
+    fs::write(at.join("c.xyz"), "0 0 0\n1 0 0\n0 1 0\n").unwrap();
+    refused("c.xyz", &moving, 1, "line 2: the points of c.xyz have no point source ids");
+    let unmoved = "1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1";
+    fs::write(at.join("far.ptx"), format!("1\n1\n1e13 0 1\n{unmoved}\n1 2 3 0.5\n")).unwrap();
+    refused("far.ptx", &["--remove-moving"], 2, "its scanner stood beyond all coordinates");
+    // Clouds without points need no station, though two at the origin would be refused.
+    let clouds = [([1.0, 2.0, 1.0], vec![[0.0; 3], [1.0, 0.0, 0.0]]), ([0.0; 3], vec![]), ([0.0; 3], vec![])];
+    fs::write(at.join("empty.ptx"), write::ptx_of_stations(&clouds)).unwrap();
+    converts(at, &[&["empty.ptx", "-o", "x.slices", "--remove-moving"], &OPTIONS[..]].concat());
+    // A point at the place of the scanner, and one beyond its sight.
+    scans::write(&at.join("a.las"), &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [900.0, 0.0, 0.0]]);
     scans::write(&at.join("b.las"), &[[0.0, 1.0, 0.0]]);
     fs::write(at.join("s.csv"), good).unwrap();
     let said = refuses(at, &[&names[..], &OPTIONS, &moving, &["--removed", "s.csv"]].concat(), 1);
     assert!(said.contains("s.csv"), "{said}");
-    converts(at, &[&names[..], &OPTIONS, &moving].concat());
+    let out = sliceconv(at, &[&names[..], &OPTIONS, &moving, &["--json"]].concat());
+    let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!((&report["points_kept"], &report["points_moving"]), (&5.into(), &0.into()));
 }
 
 /// Sums of red and of points, by pixel and slice.

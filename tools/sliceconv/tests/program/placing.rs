@@ -119,6 +119,16 @@ fn the_floor_shows_which_way_is_up() {
 }
 
 #[test]
+fn a_scan_that_stands_upright_stays_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let points: Vec<Vec3> = house().points(6, &SampleSpec::direct_count(30_000).with_noise(0.003)).unwrap().collect();
+    scans::write(&folder.path().join("room.las"), &points);
+    let fixed = ["room.las", "--up", "auto", "--units", "m", "--pixel", "0.1", "--json", "--dry-run"];
+    let seen = facts(folder.path(), &fixed);
+    assert!(seen["placement"].is_null() && seen["up_auto"]["axis"] == "z", "{seen}");
+}
+
+#[test]
 fn a_direction_that_is_not_sure_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -140,6 +150,13 @@ fn a_direction_that_is_not_sure_is_refused() {
     refuses(folder.path(), &["cloud.xyz", "--units", "m", "--pixel", "0.1", "--up", "auto", "-o", "out.slices"], 1);
     fs::write(at("few.xyz"), "0 0 0\n1 0 0\n0 1 0\n").unwrap();
     refuses(folder.path(), &["few.xyz", "--units", "m", "--pixel", "0.1", "--up", "auto", "-o", "out.slices"], 1);
+    // A wall alone has two sides.
+    let wall: String =
+        (0..6400).map(|n| format!("0 {:.2} {:.2}\n", 0.05 * f64::from(n % 80), 0.05 * f64::from(n / 80))).collect();
+    fs::write(at("wall.xyz"), wall).unwrap();
+    let wall = ["wall.xyz", "--units", "m", "--pixel", "0.1", "--up", "auto", "-o", "out.slices"];
+    let line = refuses(folder.path(), &wall, 1);
+    assert!(line.contains("floor and ceiling look alike: up is x or -x"), "{line}");
     assert!(!at("out.slices").exists());
     // By hand it works, in every direction.
     for up in ["x", "-x", "y", "-y", "z", "-z"] {

@@ -371,6 +371,19 @@ fn bounds_in_a_header_that_are_wrong_are_noticed_by_the_part_that_owns_the_file(
 }
 
 #[test]
+fn a_plan_holds_the_measured_bounds_of_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let rows: String = (0..100_000).map(|n| format!("{} {} 0.5\n", n % 300, n / 300)).collect();
+    fs::write(at.join("a.xyz"), rows).unwrap();
+    converts(at, &["a.xyz", "--pixel", "0.5", "--units", "m", "--write-plan", "plan.json", "--quiet"]);
+    let plan: serde_json::Value = serde_json::from_slice(&fs::read(at.join("plan.json")).unwrap()).unwrap();
+    let input = &plan["inputs"][0];
+    assert_eq!(input["points"], 100_000);
+    assert_eq!(input["bounds"], serde_json::json!({ "min": [0.0, 0.0, 0.5], "max": [299.0, 333.0, 0.5] }));
+}
+
+#[test]
 fn plans_and_parts_on_the_command_line_are_checked() {
     let (folder, _) = job();
     let at = folder.path();
@@ -414,6 +427,11 @@ fn plans_and_parts_on_the_command_line_are_checked() {
         let said = refuses(at, &[&inputs[..], &["--plan", "bad.json", "-o", "x.slices", "--quiet"]].concat(), 1);
         assert!(said.contains("bad.json") && said.contains(word), "{word}: {said}");
     }
+    // A report in JSON names the part.
+    let part = ["--plan", "plan.json", "--shard", "2/3", "-o", "part.slices", "--json"];
+    let out = scans::sliceconv(at, &[&inputs[..], &part].concat());
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!((&facts["shard"]["index"], &facts["shard"]["count"]), (&2.into(), &3.into()));
     // Inputs other than those of the plan.
     let shard = ["--plan", "plan.json", "--shard", "1/3", "-o", "x.slices", "--quiet"];
     assert!(refuses(at, &[&inputs[..1], &shard].concat(), 1).contains("east.laz"));

@@ -5,6 +5,7 @@ use crate::scans;
 
 use scans::{Random, converts, refuses, text, verifies};
 use slicewalk::archive::Archive;
+use slicewalk_convert::AUTO_PIXELS;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -81,6 +82,8 @@ fn options_leave_out_what_they_say() {
     assert_eq!([&all["splats_faint"], &all["splats_large"]], [0, 0]);
     let few = facts(&["--opacity", "0.3", "--min-opacity", "0.2"]);
     assert_eq!([&few["splats_faint"], &few["splats_transparent"]], [count(0.0, 0.2), count(0.2, 0.3)]);
+    let none = facts(&["--min-opacity", "0.99"]);
+    assert_eq!((&none["splats_faint"], &none["voxels"]["occupied"]), (&1000.into(), &0.into()));
     let size = |splat: &Splat| {
         let reach = (2.0 * (splat.3 / 0.1).ln()).sqrt();
         2.0 * reach * splat.1.iter().fold(0.0, |a: f64, &b| a.max(b))
@@ -214,6 +217,15 @@ fn a_matrix_and_a_distance_place_splats() {
         );
     }
     let fixed = ["a.ply", "-o", "out.slices", "--force", "--quiet", "--pixel", "0.1"];
+    // Without a unit, in metres; with y up, (x, y, z) becomes (x, -z, y).
+    for (more, centre) in [(&["--threads", "1"][..], [1.0, 2.0, 3.0]), (&["--up", "y"], [1.0, -3.0, 2.0])] {
+        converts(folder.path(), &[&fixed[..], more].concat());
+        let (min, max) = Archive::open(at("out.slices")).unwrap().header().bounds.unwrap();
+        for (axis, centre) in centre.into_iter().enumerate() {
+            let (low, high) = (centre - reach / 2.0, centre + reach / 2.0);
+            assert!((min[axis] - low).abs() < 1e-5 && (max[axis] - high).abs() < 1e-5, "{more:?}: {min:?} {max:?}");
+        }
+    }
     converts(folder.path(), &[&fixed[..], &["--scale-from", "0,0,0", "0,0,4", "2"]].concat());
     let (min, max) = Archive::open(at("out.slices")).unwrap().header().bounds.unwrap();
     assert!((max[2] - min[2] - reach / 2.0).abs() < 1e-5);
@@ -221,4 +233,49 @@ fn a_matrix_and_a_distance_place_splats() {
     let line = refuses(folder.path(), &[&fixed[..], &["--transform", text(&at("m.txt"))]].concat(), 1);
     assert!(line.contains("mirrors"), "{line}");
     refuses(folder.path(), &[&fixed[..], &["--opacity", "0"]].concat(), 2);
+}
+
+#[test]
+fn a_folder_of_splats_counts_by_the_file_that_describes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("room")).unwrap();
+    fs::write(folder.path().join("room/meta.json"), "{\"version\": 2}").unwrap();
+    write(&folder.path().join("a.ply"), &balls(&[0.9]));
+    let fixed = ["--pixel", "0.1", "--units", "m"];
+    converts(folder.path(), &[&["a.ply", "--write-plan", "p.json"], &fixed[..]].concat());
+    for more in [&fixed[..], &["--plan", "p.json", "--shard", "1/2"]] {
+        let line = refuses(folder.path(), &[&["room", "-o", "x.slices"], more].concat(), 1);
+        assert!(line.contains("meta.json"), "{line}");
+    }
+    assert!(!folder.path().join("x.slices").exists());
+}
+
+#[test]
+fn the_pixel_size_follows_from_the_extent_of_meshes_and_splats_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("a.obj"), "v 0 0 0\nv 10 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    write(&at("a.ply"), &[([30.0, 0.5, 0.1], [0.1; 3], [1.0, 0.0, 0.0, 0.0], 0.9)]);
+    let extent = 30.0 + 0.1 * (2.0 * 9f64.ln()).sqrt();
+    for more in [&["--json"][..], &["--json", "--slice", "0.3"]] {
+        let out = scans::sliceconv(folder.path(), &[&["a.obj", "a.ply", "--units", "m", "--dry-run"], more].concat());
+        let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        let found = facts["pixel_size"].as_f64().unwrap() / (extent / AUTO_PIXELS);
+        assert!((0.95..1.05).contains(&found), "{more:?}: {facts}");
+    }
+}
+
+#[test]
+fn splats_beyond_the_grid_or_larger_than_any_are_refused_with_the_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let level = [1.0, 0.0, 0.0, 0.0];
+    for (splat, pixel, word) in [
+        (([1e11, 0.0, 0.0], [0.5; 3], level, 0.9), "0.1", "a grid of this pixel size reaches"),
+        (([0.0; 3], [1000.0; 3], level, 0.9), "0.001", "voxels that one splat fills"),
+    ] {
+        write(&folder.path().join("a.ply"), &[splat]);
+        let line = refuses(folder.path(), &["a.ply", "-o", "x.slices", "--units", "m", "--pixel", pixel], 1);
+        assert!(line.contains(word) && line.contains("give a larger --pixel"), "{line}");
+    }
+    assert!(!folder.path().join("x.slices").exists());
 }

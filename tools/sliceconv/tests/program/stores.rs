@@ -117,6 +117,7 @@ fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     for (arguments, words) in [
         (vec!["s3://bucket/none.laz", "-o", "x.slices"], "cannot open: no such object (HTTP status 404 Not Found)"),
         (vec!["s3://bucket/room.obj", "-o", "x.slices"], "meshes are read from files only"),
+        (vec!["s3://bucket/*.obj", "-o", "x.slices"], "room.obj: address: meshes are read from files only"),
         (vec!["s3://bucket/out/", "-o", "x.slices"], "no scan lies in it"),
         (vec!["s3://bucket/e*.laz", "-o", "x.slices"], "matches no scan"),
     ] {

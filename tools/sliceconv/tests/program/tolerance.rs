@@ -116,6 +116,8 @@ fn the_noise_of_a_scan_is_found_said_and_kept() {
         let facts = json_of(at, &["room.las", "-o", "a.slices", "--tolerance", "auto"]);
         let found = facts["tolerance_auto"]["noise"].as_f64().unwrap();
         assert!(band.contains(&found), "{noise_m}: {facts}");
+        let seen = json_of(at, &["room.las", "--dry-run", "--tolerance", "auto"]);
+        assert_eq!((&seen["tolerance"], &seen["tolerance_auto"]), (&facts["tolerance"], &facts["tolerance_auto"]));
         let tolerance = facts["tolerance"].as_f64().unwrap();
         assert!(tolerance <= found && tolerance >= 0.9 * found - 1e-9, "{tolerance} of {found}");
         let archive = Archive::open(at.join("a.slices")).unwrap();

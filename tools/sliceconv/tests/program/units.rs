@@ -6,7 +6,7 @@ use scangen::{WriteSpec, write_las};
 use scans::{converts, points, refuses, sliceconv, write};
 use serde_json::{Value, json};
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, merge};
+use slicewalk::archive::{Archive, MAX_UNITS, merge};
 use slicewalk::unit::US_SURVEY_FOOT_M;
 use slicewalk_convert::info;
 use std::fs;
@@ -128,6 +128,22 @@ fn units_that_no_scan_has_are_refused_with_the_way_out() {
 }
 
 #[test]
+fn more_units_than_an_archive_records_are_refused_with_the_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    fs::create_dir(at.join("many")).unwrap();
+    for number in 0..=MAX_UNITS {
+        let path = at.join(format!("many/{number}.las"));
+        let crs = format!(r#"LOCAL_CS["L",UNIT["odd",{}]]"#, 0.3 + number as f64 / 1000.0);
+        write_las(&path, [[0.0; 3]], &WriteSpec { crs_wkt: Some(crs), ..WriteSpec::for_path(&path) }).unwrap();
+    }
+    let many = ["many", "-o", "a.slices", "--pixel", "0.1"];
+    let said = refuses(at, &many, 1);
+    assert!(said.contains("different units of inputs: 257") && said.contains("--units"), "{said}");
+    converts(at, &[&many[..], &["--units", "m"]].concat());
+}
+
+#[test]
 fn different_systems_and_scenes_far_apart_are_warned_of_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -140,14 +156,32 @@ fn different_systems_and_scenes_far_apart_are_warned_of_by_name() {
     assert!(!said(&["a.las", "b.las"], &[]).contains("warning"));
     let turned = said(&["a.las"], &["--up", "y"]);
     assert!(turned.contains("its y axis is turned upwards, and the archive keeps the system"), "{turned}");
+    for up in ["x", "-z", "auto"] {
+        let refused = refuses(at, &[&["a.las", "--up", up], &OPTIONS[..], &["no.slices"]].concat(), 2);
+        assert!(refused.contains("a.las: it states a reference system, in which z is up"), "{refused}");
+    }
     let systems = said(&["a.las", "b.las", "feet.las"], &[]);
     assert!(systems.contains("feet.las (Texas Central) and a.las and 1 more (UTM 33N) state different"), "{systems}");
     let far = said(&["a.las", "b.las", "far.las"], &[]);
     assert!(far.contains("b.las and far.las lie 500 km apart"), "{far}");
     let far = said(&["a.las", "b.las", "local.obj"], &[]);
     assert!(far.contains("b.las and local.obj lie 900 km apart"), "{far}");
-    let planned = converts(at, &["a.las", "far.las", "--pixel", "0.1", "--write-plan", "p.json"]);
-    assert!(planned.contains("a.las and far.las lie 500 km apart"), "{planned}");
+    for more in [&["--write-plan", "p.json"][..], &["--dry-run"]] {
+        let said = converts(at, &[&["a.las", "far.las", "--pixel", "0.1"], more].concat());
+        assert!(said.contains("a.las and far.las lie 500 km apart"), "{said}");
+    }
+    // A plan edited by hand that states no system.
+    let mut plan: Value = serde_json::from_slice(&fs::read(at.join("p.json")).unwrap()).unwrap();
+    plan["stated"]["reference_system"] = Value::Null;
+    fs::write(at.join("q.json"), plan.to_string()).unwrap();
+    let part = ["a.las", "far.las", "--plan", "q.json", "--shard", "1/2", "-o", "part.slices"];
+    let refused = refuses(at, &part, 1);
+    assert!(refused.contains("the inputs have another reference system than it states"), "{refused}");
+    // A dry run names meshes by their length.
+    let out = sliceconv(at, &["local.obj", "--pixel", "0.1", "--units", "m", "--dry-run", "--json"]);
+    let facts: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let bytes = fs::metadata(at.join("local.obj")).unwrap().len();
+    assert_eq!(facts["inputs"], json!([{ "path": "local.obj", "bytes": bytes, "points_stated": null, "text": null }]));
 }
 
 #[test]

@@ -4,6 +4,8 @@
 use crate::store;
 
 use slicewalk::NoMonitor;
+use slicewalk_base::Monitor;
+use slicewalk_base::bytes::testing::Strike;
 use slicewalk_base::output::{Existing, Output, OutputKind, Protected, upload_archive};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,7 +41,12 @@ fn this_program_uploads() {
     let upload = || {
         let name = Path::new("s3://bucket/large.slices");
         if let Some(file) = std::env::var_os("UPLOADED_FILE") {
-            return upload_archive(Path::new(&file), name, existing, &NoMonitor);
+            let strike = std::env::var("STOPS_AT").ok().map(|number| Strike::at(number.parse().unwrap()));
+            let monitor: &dyn Monitor = match &strike {
+                Some(strike) => &**strike,
+                None => &NoMonitor,
+            };
+            return upload_archive(Path::new(&file), name, existing, monitor);
         }
         let mut output = Output::create(name, OutputKind::Archive(existing), Protected::default())?;
         output.write_at(0, &content(len))?;
@@ -220,4 +227,49 @@ fn a_file_is_uploaded_if_it_is_an_archive() {
     let here = upload_archive(&file, &folder.path().join("b.slices"), Existing::Replace, &NoMonitor);
     assert!(here.unwrap_err().to_string().contains("not an address in an object store"));
     assert!(!folder.path().join("b.slices").exists());
+}
+
+#[test]
+fn a_stopped_upload_leaves_neither_parts_nor_the_object() {
+    let (server, folder) = (server(), tempfile::tempdir().unwrap());
+    let file = folder.path().join("a.slices");
+    // At the whole, at the first part, and when others are on their way.
+    for (len, number) in [(1000, "0"), (11 * MIB, "0"), (11 * MIB, "2")] {
+        std::fs::write(&file, content(len)).unwrap();
+        let mut program = server.program(Path::new("."));
+        program.args(UPLOADS).env("UPLOADED_BYTES", "0").env("UPLOADED_FILE", &file);
+        program.env("EXISTING", "Refuse").env("STOPS_AT", number);
+        let said = ended(program).unwrap_err();
+        assert!(said.contains("interrupted"), "{said}");
+        assert!(server.get("large.slices").is_none() && server.store().uploads.is_empty(), "{len} {number}");
+    }
+}
+
+#[test]
+fn what_another_writer_does_just_before_or_after_is_noticed_even_without_conditions() {
+    let server = server();
+    let (whole, other) = (content(1000), content(500));
+    let run = |has_conditions: bool, appears: Option<usize>| {
+        server.store().objects.clear();
+        server.set(Fault::Fails, When::Never);
+        server.store().swap = appears.map(|at| (at, "/bucket/large.slices".to_owned(), other.clone()));
+        let mut program = server.program(Path::new("."));
+        program.args(UPLOADS).env("UPLOADED_BYTES", whole.len().to_string()).env("EXISTING", "Refuse");
+        if !has_conditions {
+            program.env("AWS_CONDITIONAL_PUT", "disabled");
+        }
+        ended(program)
+    };
+    for has_conditions in [true, false] {
+        assert_eq!(run(has_conditions, None), Ok(true));
+        assert!(server.get("large.slices").unwrap() == whole);
+        let requests = server.store().requests.clone();
+        let put = requests.iter().position(|line| line.starts_with("PUT")).unwrap();
+        // Without conditions, the program looks directly before it writes.
+        let said = run(has_conditions, Some(put - usize::from(!has_conditions))).unwrap_err();
+        assert!(said.contains("exists already"), "{said}");
+        assert!(server.get("large.slices").unwrap() == other);
+        let said = run(has_conditions, Some(put + 1)).unwrap_err();
+        assert!(said.contains("500 bytes of 1000"), "{said}");
+    }
 }
