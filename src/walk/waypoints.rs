@@ -37,11 +37,6 @@ impl Waypoints {
         self.next
     }
 
-    /// Returns whether the last place has been reached.
-    pub fn done(&self) -> bool {
-        self.next == self.places.len()
-    }
-
     /// Returns the place that `walker` heads for in its next tick; `None` at the end. For callers that move the
     /// walker tick by tick; [`Walker::follow`] needs no such call.
     pub fn next_place(&mut self, walker: &Walker) -> Option<Point2<f64>> {

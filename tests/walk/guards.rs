@@ -76,6 +76,9 @@ fn a_pawn_at_a_ledge_is_blocked_and_walks_back() {
         back.step(&store, 1.0 / 60.0, MoveInput::Direction(Vector2::x()));
     }
     assert!(back.feet().x > 1.8, "{}", back.feet());
+    // The words of `slicetool walk --json`.
+    let stops = [Stop::Wall, Stop::Steep, Stop::Headroom, Stop::Corner, Stop::Inside, Stop::Ledge, Stop::Void];
+    assert_eq!(stops.map(Stop::name), ["wall", "steep", "headroom", "corner", "inside", "ledge", "void"]);
     assert!(Walker::new(Config { max_drop: Some(-1.0), ..config }, Point3::origin()).is_err());
     assert!(Walker::new(Config { max_drop: Some(f64::NAN), ..config }, Point3::origin()).is_err());
 }

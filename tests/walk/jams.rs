@@ -159,6 +159,22 @@ fn who_falls_upon_another_stands_on_its_head() {
 }
 
 #[test]
+fn a_pawn_in_a_post_is_not_pushed_into_another() {
+    let store = room(2, |(x, y)| (0..4).contains(&x) && (0..4).contains(&y));
+    // The second one stands where the nearest way out of the post leads.
+    let mut crowd = Crowd::new(vec![walker(BOX, [-0.1, 0.1, 0.03]), walker(BOX, [-0.65, 0.1, 0.03])]).unwrap();
+    for _ in 0..30 {
+        crowd.step(&store, TICK, |_, _| MoveInput::Stay);
+        assert_eq!(pairs_inside(&crowd), 0);
+        assert_eq!(crowd.walkers()[0].feet().xy(), Point2::new(-0.1, 0.1));
+    }
+    crowd.remove(1);
+    crowd.step(&store, TICK, |_, _| MoveInput::Stay);
+    let out = crowd.walkers()[0].feet();
+    assert!((out.x + 0.25).abs() < 0.01 && (out.y - 0.1).abs() < 0.01, "{out}");
+}
+
+#[test]
 fn pawns_join_and_leave() {
     let store = room(4, |_| false);
     let place = Point2::new(0.0, 0.0);

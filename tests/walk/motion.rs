@@ -6,7 +6,7 @@ use scangen::{Params, Scene};
 use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::page::{PageBuilder, Span};
-use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::query::{Aabb, Answer, Overlap, overlaps};
 use slicewalk::store::{LoaderOptions, Prefetch, Snapshot, Stream, StreamOptions};
 use slicewalk::walk::*;
 use std::time::Duration;
@@ -210,6 +210,8 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
     let stream = Stream::open(archive, options).unwrap();
     let mut walker = Walker::new(config(BOX), way.start.into()).unwrap();
     let mut way = route(&way.waypoints.clone());
+    let has_room = |walker: &Walker| walker.has_room(&stream.snapshot(), &BOX);
+    assert!(matches!(has_room(&walker), Answer::NotLoaded(missing) if missing.count() > 0));
     let (mut waits, mut frame) = (0, 0);
     while walker.state() != State::Arrived {
         let mut report = walker.follow(&stream.snapshot(), 1.0 / 60.0, &mut way);
@@ -227,6 +229,57 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
         frame += 1;
     }
     assert!(waits > 1 && frame == truth.path.len());
+    assert_eq!(has_room(&walker), Answer::Known(true));
+}
+
+#[test]
+fn who_asks_for_the_next_place_in_each_tick_walks_as_one_who_follows() {
+    let store = room(2, |_| false);
+    let pawn = || Walker::new(config(CYLINDER), Point3::new(-1.0, -1.0, 0.03)).unwrap();
+    let tick = pawn().config().tick_s;
+    let places = [[1.5, -1.2], [1.5, -1.2], [1.6, 1.2], [-1.0, 1.0]];
+    let (mut follows, mut asks, mut way, mut own) = (pawn(), pawn(), route(&places), route(&places));
+    for _ in 0..2400 {
+        follows.follow(&store, tick, &mut way);
+        let place = own.next_place(&asks);
+        assert_eq!(place, own.places().get(own.next()).copied());
+        asks.step(&store, tick, place.map_or(MoveInput::Stay, MoveInput::Toward));
+        assert_eq!((asks.feet(), own.next()), (follows.feet(), way.next()));
+    }
+    assert_eq!((follows.state(), own.next(), own.next_place(&asks)), (State::Arrived, 4, None));
+}
+
+#[test]
+fn a_falling_pawn_around_which_solid_is_loaded_stops_and_says_so() {
+    let (hall, solid) = (room(2, |_| false), room(2, |_| true));
+    let mut walker = Walker::new(config(BOX), Point3::new(0.0, 0.0, 1.0)).unwrap();
+    walker.step(&hall, 0.1, MoveInput::Stay);
+    let feet = walker.feet();
+    assert!(walker.state() == State::Falling && feet.z < 1.0);
+    let report = walker.step(&solid, 0.1, MoveInput::Direction(Vector2::x()));
+    assert_eq!((report.stop, walker.feet()), (Some(Stop::Inside), feet), "too deep inside to be pushed out");
+    walker.step(&hall, 1.0, MoveInput::Stay);
+    assert!(walker.state() == State::Walking && walker.feet().z < 0.1, "{}", walker.feet());
+}
+
+/// The thesis does not say how a pawn falls; here it lands on floor that it finds under it.
+#[test]
+fn pawns_of_the_thesis_fall_to_the_floor() {
+    let store = room(2, |_| false);
+    let floor = store.frame().top_height(10);
+    for response in [Response::Thesis, Response::ThesisMean] {
+        let config = Config { response, ..config(BOX) };
+        let mut walker = Walker::new(config, Point3::new(0.0, 0.0, 2.0)).unwrap();
+        let mut in_air = 0;
+        for _ in 0..120 {
+            in_air += usize::from(walker.step(&store, 1.0 / 60.0, MoveInput::Stay).state == State::Falling);
+        }
+        assert_eq!(walker.state(), State::Walking, "{response:?}");
+        assert!((walker.feet().z - floor).abs() < 1e-9, "{response:?}: {}", walker.feet());
+        // A free fall takes the square root of 2 h / g.
+        let in_air = in_air as f64 / 60.0;
+        assert!((in_air - (2.0 * 2.0f64 / 9.81).sqrt()).abs() < 0.05, "{response:?}: {in_air} s");
+    }
 }
 
 /// If exactly what the motion hint says may be touched within one frame is loaded, no frame misses a page.

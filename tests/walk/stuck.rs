@@ -100,6 +100,10 @@ fn numbers_beyond_their_limits_are_refused_and_no_pawn_gets_farther_than_its_wor
         assert!(error.contains(said) && error.contains("(expected "), "{error}");
     }
     assert!(Walker::new(config(BOX), Point3::new(1e300, 0.0, 0.0)).is_err());
+    for places in [vec![], vec![Point2::new(0.0, f64::NAN)], vec![Point2::origin(), Point2::new(f64::INFINITY, 0.0)]] {
+        let error = Waypoints::new(places).unwrap_err().to_string();
+        assert!(error.contains("waypoints: expected at least one place"), "{error}");
+    }
     let store = room(2, |_| false);
     let fast = Config { speed: 1000.0, ..config(BOX) };
     let mut walker = Walker::new(fast, Point3::new(1e9, 0.0, 0.0)).unwrap();
