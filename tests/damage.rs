@@ -443,7 +443,7 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     assert!(found[0] == "D10", "{found:?}");
 }
 
-/// What a lost leaf lists is unknown, so nothing else is taken for damage: neither the pages of the next leaf that share
+/// The pages that a lost leaf lists are unknown, so nothing else is taken for damage: neither the pages of the next leaf that share
 /// the bytes of one of its pages, nor the colours of its pages.
 #[test]
 fn a_lost_leaf_is_one_finding() {

@@ -395,7 +395,7 @@ fn what_an_archive_has_no_place_for_is_refused_and_changes_nothing() {
     writer.set_seen();
     writer.put(key(0), encoder.encode(key(0), &floor(10))).unwrap();
     writer.put_seen(&seen(0)).unwrap();
-    // The same block again, one below it, one without cells, and one beyond the grid.
+    // The block again, one below it, one without cells, and one beyond the grid.
     for wrong in [seen(0), seen(-1), SeenBlock::new(key(1)), seen(1 << 24)] {
         refused(writer.put_seen(&wrong), "ascending keys in the grid");
     }

@@ -618,7 +618,7 @@ mod tests {
         let view = loader.snapshot().unwrap();
         let resident: Vec<_> = all.iter().copied().filter(|key| loaded(&view, *key).is_some()).collect();
         drop(view);
-        // One of them is waited for, with a page that cannot come as long as nobody answers its fetch.
+        // One of them is waited for, with a page that cannot come while its fetch is unanswered.
         let absent = all.iter().copied().find(|key| !resident.contains(key)).unwrap();
         let nearest = resident[resident.len() - 1];
         let request = loader.request(&[nearest, absent], nearest);

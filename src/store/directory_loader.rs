@@ -227,7 +227,7 @@ mod tests {
         Ok(())
     }
 
-    /// More pages than a leaf holds, so far apart that the table takes more memory than the least.
+    /// More pages than a leaf holds, far apart: the table takes more memory than the least.
     #[test]
     fn a_budget_that_is_too_small_names_one_that_takes_it_further() {
         let mut random = Random(3);

@@ -531,7 +531,7 @@ fn a_stream_of_an_edited_archive_has_the_columns_of_a_resident_snapshot() {
         let regions = |view: &Snapshot| [(0, 0), (-1, 0), (0, -1)].map(|(rx, ry)| view.has_region(rx, ry));
         assert_eq!(regions(&found), regions(&expected));
     }
-    // What edits change stays in memory, so it must fit.
+    // Pages with edits stay in memory, so they must fit.
     let edited = Archive::from_bytes(SCENE.0.clone()).unwrap().with_edits(edits[0].clone());
     let error = Stream::open(edited, StreamOptions::new(10_000)).unwrap_err();
     assert!(matches!(error, Error::Parameter { what: Parameter::Cache, .. }), "{error}");

@@ -242,7 +242,12 @@ fn pages_that_were_not_prepared_for_levels_are_refused() {
 
 /// Two parts, cut within a column of level 1.
 fn halves() -> [Shard; 2] {
-    let middle = key(1, 0, 0).column();
+    halves_at(key(1, 0, 0))
+}
+
+/// Two parts, the second of which begins with the column of `page`.
+pub fn halves_at(page: slicewalk::frame::PageKey) -> [Shard; 2] {
+    let middle = page.column();
     [(1, 0, middle - 1), (2, middle, u64::MAX)].map(|(index, first, last)| Shard {
         index,
         count: 2,

@@ -1,6 +1,7 @@
 //! Parts that cannot be merged: what each says, and what differs from another.
 
 use crate::common;
+use crate::levels::halves_at;
 
 use common::forge::{Parts, put, word};
 use common::{Pages, archive_coloured_by_place, archive_of, key, page, plan, scene};
@@ -18,14 +19,7 @@ fn totals(points: u64) -> Totals {
 
 /// Two parts that meet at the column of page (0, 0).
 fn halves() -> [Shard; 2] {
-    let middle = key(0, 0, 0).column();
-    [(1, 0, middle - 1), (2, middle, u64::MAX)].map(|(index, first, last)| Shard {
-        index,
-        count: 2,
-        first,
-        last,
-        plan_file: 7,
-    })
+    halves_at(key(0, 0, 0))
 }
 
 /// One of the two parts, with a page of its own and what `more` adds.

@@ -264,7 +264,7 @@ fn a_way_over_a_level_of_wide_pixels_leads_through_the_gap() {
     let share = (5.1 - crossing[0].x) / (crossing[1].x - crossing[0].x);
     let y = crossing[0].y + share * (crossing[1].y - crossing[0].y);
     assert!((9.0..10.0).contains(&y), "{found:?}");
-    // A wider pawn needs the gap; along the straight line there is none.
+    // A wider pawn needs the gap; the straight line has no such gap.
     let found = finish(&mut Coarse::new(&level, pawn(), from, to).unwrap(), &level, usize::MAX).unwrap();
     let mut straight = found.clone();
     straight.points = vec![from, to];

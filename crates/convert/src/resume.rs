@@ -588,7 +588,7 @@ mod tests {
         // The number of the file follows four numbers of one byte.
         let mut other = good.clone();
         other[4] = 1;
-        assert_eq!(add(&other), None, "a file that is none of the set");
+        assert_eq!(add(&other), None, "a file of another set");
     }
 
     #[test]

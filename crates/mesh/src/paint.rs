@@ -483,7 +483,7 @@ mod tests {
         let frame = Frame::new(1.0, 1.0).unwrap();
         let triangle = [[0.0, 0.0, 0.5], [3.0, 0.0, 0.5], [0.0, 3.0, 0.5]];
         assert!(PlacedPaint::new(&frame, &triangle, &Paint::None).is_none());
-        // Texture coordinates that are no positions: some texel, never a mean of all.
+        // Texture coordinates that are not finite: one of the texels, never a mean of all.
         let texels = [[10, 0, 0], [0, 20, 0], [0, 0, 30], [40, 40, 40]];
         let none = [[f64::NAN; 2], [f64::INFINITY; 2], [1e300; 2], [f64::MAX; 2]];
         for places in [[none[0]; 3], [none[0], none[1], [0.0; 2]], [[0.0; 2], [1e300, 0.0], [0.0, 1e300]], [none[3]; 3]]

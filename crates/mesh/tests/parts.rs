@@ -75,7 +75,7 @@ fn png() -> Vec<u8> {
     bytes
 }
 
-/// Parts with so many triangles each: a glTF of one file per part, the content of these files, and the triangles.
+/// Parts with `counts` triangles: a glTF of one file per part, the content of these files, and the triangles.
 fn in_files(counts: &[usize]) -> (String, Vec<Vec<u8>>, Vec<Triangle>) {
     let list = |text: fn(usize, usize) -> String| {
         counts.iter().enumerate().map(|(part, count)| text(part, *count)).collect::<Vec<String>>().join(",")

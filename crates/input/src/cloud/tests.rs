@@ -585,7 +585,7 @@ fn clouds_of_a_ptx_may_be_empty_and_end_with_a_broken_header() {
     assert_eq!((found.points.len(), found.standpoints), (0, vec![Standpoint::Needless]));
     let found = read("a.ptx", format!("{empty}{good}").as_bytes()).unwrap();
     assert_eq!(found.points, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
-    // A position that is no number names no place.
+    // A position that is not finite is unknown.
     let found = read("a.ptx", ptx(2, "inf 0 0", ["0", "3 2 1"], rows).as_bytes()).unwrap();
     assert_eq!(found.points, [[4.0, 4.0, 4.0], [7.0, 7.0, 7.0]]);
     assert!(matches!(&found.standpoints[..], [Standpoint::Unknown(why)] if why.contains("different places")));

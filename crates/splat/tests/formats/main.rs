@@ -434,7 +434,7 @@ fn names_decide_where_the_content_does_not() {
     }
 }
 
-/// Damage can be allowed, but a read that fails is none: the next one may succeed.
+/// Damage can be allowed. A read that fails is not damage: the next one may succeed.
 #[test]
 fn a_failed_read_is_refused_whatever_is_allowed() {
     for case in cases(&write::random_splats(300, 15)) {

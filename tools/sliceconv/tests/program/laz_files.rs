@@ -476,7 +476,7 @@ fn items_of_other_point_formats_are_refused_in_one_line() {
     }
 }
 
-/// A colour of an unknown version is refused where colours are wanted, and bothers nobody else.
+/// A colour of an unknown version is refused only where colours are wanted.
 #[test]
 fn colours_of_an_unknown_version_are_refused_where_they_are_wanted() {
     let folder = Folder::new();

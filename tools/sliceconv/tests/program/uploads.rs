@@ -233,7 +233,7 @@ fn a_file_is_uploaded_if_it_is_an_archive() {
 fn a_stopped_upload_leaves_neither_parts_nor_the_object() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let file = folder.path().join("a.slices");
-    // At the whole, at the first part, and when others are on their way.
+    // At the whole, at the first part, and during later parts.
     for (len, number) in [(1000, "0"), (11 * MIB, "0"), (11 * MIB, "2")] {
         std::fs::write(&file, content(len)).unwrap();
         let mut program = server.program(Path::new("."));
