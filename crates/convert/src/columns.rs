@@ -136,6 +136,8 @@ pub(super) struct Patches<'a> {
     records: Vec<Record>,
     /// Points removed as moving since this list was last emptied, without the copies in halos.
     pub removed: Vec<(ColumnKey, Record)>,
+    /// Voxels dropped from each column since this list was last emptied.
+    pub dropped: Vec<(ColumnKey, u64)>,
     staying: Vec<Record>,
     /// True if the values of points are wanted; `values` holds those of a job.
     wants_values: bool,
@@ -199,29 +201,29 @@ impl<'a> Patches<'a> {
             folder: PieceFolder::new(bands),
             records: Vec::new(),
             removed: Vec::new(),
+            dropped: Vec::new(),
             staying: Vec::new(),
             wants_values,
             values: Vec::new(),
         }
     }
 
-    /// Passes the voxels of the `wanted` columns of a job to `take`; returns how many were dropped.
+    /// Passes the voxels of the `wanted` columns of a job to `take`, and adds to the lists of what was left out.
     pub fn take(
         &mut self,
         merge: &Merge<'_>,
         job: &ColumnJob,
         wanted: impl Fn(ColumnKey) -> bool,
         take: &mut impl TakeAreas,
-    ) -> Result<u64> {
+    ) -> Result<()> {
         if !job.columns.iter().any(|&(key, _)| wanted(key)) {
-            return Ok(0);
+            return Ok(());
         }
         if job.records > self.max_records {
-            let dropped = self.dense_column(merge, job, take)?;
-            take.end(job.columns[0].0)?;
-            return Ok(dropped);
+            let (key, dropped) = (job.columns[0].0, self.dense_column(merge, job, take)?);
+            self.dropped.push((key, dropped));
+            return take.end(key);
         }
-        let mut dropped = 0;
         let mut records = std::mem::take(&mut self.records);
         let mut values = std::mem::take(&mut self.values);
         let loaded = merge.load(job, &mut records)?;
@@ -234,10 +236,11 @@ impl<'a> Patches<'a> {
             let (own_values, others) = rest_of_values.split_at(if self.wants_values { of_values as usize } else { 0 });
             rest_of_values = others;
             if wanted(key) {
-                dropped += match elsewhere.get_mut(number).map(std::mem::take) {
+                let dropped = match elsewhere.get_mut(number).map(std::mem::take) {
                     Some(folded) => self.patch.set_folded(&folded, self.min_points, Area::TILE, &mut self.sums),
                     None => self.fold(key, Area::TILE, &loaded.column(number)),
                 };
+                self.dropped.push((key, dropped));
                 take.area(key, Area::TILE, &self.patch, &mut self.sums);
                 if self.wants_values {
                     let sifted = self.views.map(|_| {
@@ -260,7 +263,7 @@ impl<'a> Patches<'a> {
         }
         self.values = values;
         self.records = records;
-        Ok(dropped)
+        Ok(())
     }
 
     /// Returns the voxels of each column of a job from another accumulator; empty without one, and if points are to be

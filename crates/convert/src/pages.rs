@@ -66,7 +66,7 @@ pub(super) fn write_archive(
     monitor: &dyn Monitor,
 ) -> Result<LeftOut> {
     if plan.options.fill_holes == 0 {
-        return write_columns(plan, store, writing, writer, removed, monitor);
+        return write_columns(plan, store, writing, writing.columns, writer, removed, monitor);
     }
     // Heights are coarsened last, together with those of inferred floor.
     let options = PlanOptions { fill_holes: 0, tolerance_m: 0.0, ..plan.options.clone() };
@@ -76,19 +76,20 @@ pub(super) fn write_archive(
     if let Some(colours) = writer.colours() {
         scanned.set_colours(ColourPlan { error_milli: 0, ..colours });
     }
-    // A part also needs the columns around its own.
+    // A part also needs the columns around its own; what is left out of those counts in other parts.
     let all = Writing { columns: None, ..writing };
-    let left_out = write_columns(&exact, store, all, &mut scanned, removed, monitor)?;
+    let left_out = write_columns(&exact, store, all, writing.columns, &mut scanned, removed, monitor)?;
     fill_holes(&scanned.read_back(Totals::default())?, plan, writing, writer, monitor)?;
     Ok(left_out)
 }
 
 /// Second pass: writes the tile columns of the runs into the archive, and the points that it removes as moving into
-/// `removed`.
-pub(super) fn write_columns(
+/// `removed`. Only what is left out of the columns `own` counts and goes there; `None` are all columns.
+fn write_columns(
     plan: &Plan,
     store: &RunStore,
     writing: Writing<'_>,
+    own: Option<(u64, u64)>,
     writer: &mut ArchiveWriter,
     mut removed: Option<&mut RemovedPoints>,
     monitor: &dyn Monitor,
@@ -112,7 +113,7 @@ pub(super) fn write_columns(
         colours: colours.map(|plan| PageColours::new(plan, most, levels)),
         ..PageMaker::new(plan, levels)
     };
-    let worker = |patches| PageWorker { patches, pages: maker(), columns };
+    let worker = |patches| PageWorker { patches, pages: maker(), columns, own };
     let mut left_out = LeftOut::default();
     pass.work_in_order(plan, worker, |done: PagesDone| {
         left_out.voxels += done.voxels_dropped;
@@ -188,6 +189,7 @@ impl ColumnWork for PieceWorker<'_> {
         let mut take = TakePieces { finder: &mut self.finder, found: Vec::new() };
         self.patches.take(merge, job, |_| true, &mut take)?;
         self.patches.removed.clear();
+        self.patches.dropped.clear();
         Ok(take.found)
     }
 }
@@ -203,21 +205,30 @@ struct PagesDone {
     moving: Vec<(ColumnKey, Record)>,
 }
 
+/// Returns whether a tile column is one of `columns`, given as the first and the last; `None` are all.
+fn is_within(columns: Option<(u64, u64)>, key: ColumnKey) -> bool {
+    columns.is_none_or(|(first, last)| (first..=last).contains(&key.column))
+}
+
 /// Worker that makes the pages of tile columns.
 struct PageWorker<'a> {
     patches: Patches<'a>,
     pages: PageMaker,
     columns: Option<(u64, u64)>,
+    /// Columns of which the result has what was left out.
+    own: Option<(u64, u64)>,
 }
 
 impl ColumnWork for PageWorker<'_> {
     type Done = PagesDone;
 
     fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Self::Done> {
-        let columns = self.columns;
-        let wanted = |key: ColumnKey| columns.is_none_or(|(first, last)| (first..=last).contains(&key.column));
-        let voxels_dropped = self.patches.take(merge, job, wanted, &mut self.pages)?;
+        let (columns, own) = (self.columns, self.own);
+        self.patches.take(merge, job, |key| is_within(columns, key), &mut self.pages)?;
+        let dropped = self.patches.dropped.drain(..).filter(|&(key, _)| is_within(own, key));
+        let voxels_dropped = dropped.map(|(_, voxels)| voxels).sum();
         let mut moving = std::mem::take(&mut self.patches.removed);
+        moving.retain(|&(key, _)| is_within(own, key));
         moving.sort_unstable();
         Ok(PagesDone { pages: std::mem::take(&mut self.pages.done), voxels_dropped, moving })
     }

@@ -226,8 +226,8 @@ fn parts_of_a_conversion_go_on_and_merge_to_the_same_bytes() {
     assert!(fs::read(&output).unwrap() == job.new);
 }
 
-/// Removes moving points in a job with a station next to each scan.
-fn moving(job: &mut Job) {
+/// Removes moving points in a job with a station next to each scan; returns the report.
+fn moving(job: &mut Job) -> Report {
     let table = job.folder.path().join("stations.csv");
     fs::write(&table, "file,x,y,z\nplain.las,2,2,1\npacked.laz,7,7,1\n").unwrap();
     job.options.plan.remove_moving = true;
@@ -235,6 +235,7 @@ fn moving(job: &mut Job) {
     let report = convert(&job.options, &NoMonitor).unwrap();
     assert!(report.points_moving > 20, "{}", report.points_moving);
     job.new = fs::read(&job.options.output).unwrap();
+    report
 }
 
 #[test]
@@ -267,6 +268,34 @@ fn moving_points_are_removed_alike_by_runs_that_go_on_and_by_parts() {
     fs::write(job.options.stations.as_ref().unwrap(), "file,x,y,z\nplain.las,2,2,1\npacked.laz,7,7,2\n").unwrap();
     run(&job, &NoMonitor).unwrap();
     assert!(crate::archive::merge(&parts, &output, true, &NoMonitor).is_err());
+}
+
+#[test]
+fn parts_count_what_they_leave_out_once_where_holes_are_closed() {
+    let mut job = Job::new();
+    let listed = job.folder.path().join("removed.las");
+    job.options.removed = Some(listed.clone());
+    job.options.plan.min_points = 2;
+    job.options.grid.fill_holes = Some(HoleWidth::Metres(0.5));
+    let whole = moving(&mut job);
+    assert!(whole.voxels_dropped > 1000, "{}", whole.voxels_dropped);
+    // Header and record of a removed point.
+    let listed = || (fs::metadata(&listed).unwrap().len() - 375) / 30;
+    assert_eq!(listed(), whole.points_moving);
+
+    let (mut parts, mut left_out) = (Vec::new(), [0; 3]);
+    for index in 1..=3 {
+        job.options.shard = Some(ShardOptions { index, count: 3 });
+        job.options.output = job.folder.path().join(format!("part{index}.slices"));
+        let report = convert(&job.options, &NoMonitor).unwrap();
+        let of_part = [report.points_moving, listed(), report.voxels_dropped];
+        left_out = [0, 1, 2].map(|number| left_out[number] + of_part[number]);
+        parts.push(job.options.output.clone());
+    }
+    assert_eq!(left_out, [whole.points_moving, whole.points_moving, whole.voxels_dropped]);
+    let output = job.folder.path().join("whole.slices");
+    crate::archive::merge(&parts, &output, false, &NoMonitor).unwrap();
+    assert!(fs::read(&output).unwrap() == job.new);
 }
 
 #[test]
