@@ -2,7 +2,7 @@
 
 use crate::cubes::CubeSet;
 use crate::input::{InputOptions, InputSet, ScanFile, Units};
-use crate::mesh::{MeshOptions, MeshSet};
+use crate::mesh::{MeshMode, MeshOptions, MeshSet};
 use crate::placement::Similarity;
 use crate::plan::Up;
 use crate::shard_inputs::Chosen;
@@ -108,6 +108,15 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     scans.set_meshes(meshes.paths());
+    if options.plan.remove_moving
+        && let (MeshMode::Sampled { .. }, Some(mesh)) = (options.reading.mesh, meshes.paths().next())
+    {
+        let reason = format!(
+            "{}: points sampled from meshes could be removed as moving; take exact meshes, or keep what moves",
+            mesh.display()
+        );
+        return Err(Error::parameter(Parameter::Other("mesh".into()), reason));
+    }
     let (up, placement) = place(options, &mut scans, &meshes, &mut splats, &cubes, monitor)?;
     Ok(Inputs { scans, meshes, splats, cubes, units: options.reading.units, up, placement, chosen })
 }

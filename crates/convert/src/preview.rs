@@ -17,6 +17,7 @@ use crate::input::{ScanFile, StatedBounds, TextLayout};
 use crate::output::{Existing, OutputKind, check};
 use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
+use crate::voxel::visibility::Views;
 use crate::{Error, Monitor, Result};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -96,7 +97,7 @@ pub struct PreviewInput {
 
 /// Returns what [`convert`](super::convert()) would do with these options. Writes nothing, and fails where a conversion
 /// would fail before it reads points: unusable inputs or options, an output that must not be replaced, too little disk
-/// space. An empty output path is ignored.
+/// space, too little memory for what the stations saw. An empty output path is ignored.
 ///
 /// Cost: headers of scans; the triangles of meshes once; the points once if pixel size or tolerance follows from them.
 pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Preview> {
@@ -105,13 +106,15 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
         check(&options.output, kind, opened.paths().collect())?;
     }
-    let temp_bytes = temp_bytes(options, &opened.scans, Limits::of(options).retain_bytes).1;
+    let limits = Limits::of(options);
+    let temp_bytes = temp_bytes(options, &opened.scans, limits.retain_bytes).1;
     check_free_space(options, &Files::current(), temp_bytes)?;
     let (plan, Surveyed { spacing, noise }) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
     scope(options, (set, &opened.splats), &plan, None, None, monitor)?;
     if options.needs_stations() {
-        Stations::find(options.stations.as_deref(), set)?;
+        let found = Stations::find(options.stations.as_deref(), set)?;
+        Views::check_memory(&found.stations, limits.views_bytes)?;
     }
     let scenes: Vec<Scene> = set.files().iter().filter_map(ScanFile::scene_stated).collect();
     far_apart(&scenes).inspect(|warning| monitor.warn(warning));

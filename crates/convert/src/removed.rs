@@ -40,7 +40,8 @@ impl RemovedPoints {
 
     /// Sets the corners between which the points will lie (m).
     pub fn set_bounds(&mut self, min: [f64; 3], max: [f64; 3]) {
-        let extent = (0..3).map(|axis| max[axis] - min[axis]).fold(0.0, f64::max);
+        // Below 0 without points.
+        let extent = (0..3).map(|axis| max[axis] - min[axis]).fold(f64::NEG_INFINITY, f64::max);
         while extent > self.scale * f64::from(i32::MAX) {
             self.scale *= 10.0;
         }

@@ -312,7 +312,8 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
         let [x, y, z] = columns.place;
         let at = [value(x)?, value(y)?, value(z)?];
         let name = &fields[columns.file];
-        let ends_so = |number: &usize| files[*number].path().ends_with(name);
+        // Every path ends with an empty name.
+        let ends_so = |number: &usize| !name.is_empty() && files[*number].path().ends_with(name);
         let own = called.entry(name.clone()).or_insert_with(|| (0..files.len()).filter(ends_so).collect());
         if own.is_empty() {
             return Err(wrong(line, format!("no input is called {name:?}; give the file's name as in its path")));

@@ -398,6 +398,14 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
     ] {
         refuses(at, &[&names[..], &OPTIONS, options].concat(), code);
     }
+    // Points of meshes could be taken for points that moved; triangles cannot.
+    fs::write(at.join("m.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let with_mesh = [&["m.obj"][..], &names, &OPTIONS, &moving].concat();
+    converts(at, &with_mesh);
+    for more in [&[][..], &["--dry-run"], &["--shard", "1/2"]] {
+        let said = refuses(at, &[&with_mesh[..], &["--mesh", "sampled"], more].concat(), 2);
+        assert!(said.contains("m.obj: points sampled from meshes"), "{said}");
+    }
     for (text, word) in [
         ("", "file,x,y,z"),
         ("file,x,y\na.las,0,0\n", "file,x,y,z"),
@@ -405,6 +413,7 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
         ("file,x,y,z\na.las,0,0,1\nb.las,0,nan,1\n", "line 3: expected a number"),
         ("file,x,y,z\na.las,0,0,1\nb.las,0,1\n", "line 3: expected 4 fields"),
         ("file,x,y,z\na.las,0,0,1\nc.las,0,0,1\n", "line 3: no input is called"),
+        ("file,x,y,z\n,0,0,1\n", "line 2: no input is called"),
         ("file,x,y,z\na.las,0,0,1\na.las,0,0,1\n", "line 3"),
         ("file,x,y,z\na.las,1e300,0,1\n\"b.las\",0,0,1\n", "line 2: (1e300, 0, 1) is beyond the coordinates of a.las"),
         ("file,x,y,z\na.las,0,0,-2e12\n", "is beyond the coordinates"),
@@ -442,8 +451,10 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
         ("file,t,x,y,z\nb.las,0,0,0,1\nb.las,100,1000,0,2\n", "memory for what"),
     ] {
         fs::write(at.join("s.csv"), text).unwrap();
-        let said = refuses(at, &[&["b.las", "-o", "x.slices"], &OPTIONS[..], &moving].concat(), 1);
-        assert!(said.contains(word), "{word}: {said}");
+        for end in [&["-o", "x.slices"][..], &["--dry-run"]] {
+            let said = refuses(at, &[&["b.las"][..], end, &OPTIONS, &moving].concat(), 1);
+            assert!(said.contains(word), "{word}: {said}");
+        }
     }
     // Tables that are too long or no text, points without ids, and a scanner farther out than any point may be.
     let refused = |input: &str, more: &[&str], code: i32, word: &str| {
@@ -473,6 +484,10 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
     let out = sliceconv(at, &[&names[..], &OPTIONS, &moving, &["--json"]].concat());
     let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!((&report["points_kept"], &report["points_moving"]), (&5.into(), &0.into()));
+    // Without any kept point there are no bounds, and the file of removed points begins at the origin.
+    converts(at, &[&names[..], &OPTIONS, &moving, &["--exclude-class", "0-255", "--removed", "none.las"]].concat());
+    let bytes = fs::read(at.join("none.las")).unwrap();
+    assert_eq!((&bytes[155..179], bytes.len()), (&[0; 24][..], 375));
 }
 
 /// Sums of red and of points, by pixel and slice.

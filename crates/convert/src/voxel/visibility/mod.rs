@@ -53,12 +53,18 @@ pub struct Views {
 impl Views {
     /// Creates empty views from these stations, for records on the grid `frame`. Fails if they exceed `max_bytes`.
     pub fn new(stations: &[Station], frame: Frame, max_bytes: u64) -> Result<Self> {
+        Self::check_memory(stations, max_bytes)?;
+        Ok(Self { views: stations.iter().map(|&station| View::new(station)).collect(), frame })
+    }
+
+    /// Fails if views from these stations exceed `max_bytes`.
+    pub fn check_memory(stations: &[Station], max_bytes: u64) -> Result<()> {
         let bytes = stations.iter().map(Station::bytes).fold(0, u64::saturating_add);
         if bytes > max_bytes {
             let what = format!("memory for what {} stations saw (bytes)", stations.len());
             return Err(Error::limit(what, bytes, max_bytes).with_suggestion(Parameter::Memory));
         }
-        Ok(Self { views: stations.iter().map(|&station| View::new(station)).collect(), frame })
+        Ok(())
     }
 
     /// Adds points (m) that a station measured, by coordinates.
