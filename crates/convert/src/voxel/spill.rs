@@ -257,8 +257,10 @@ impl Leftover {
     /// folder, other users could plant points that were never scanned. Removes spills without a journal.
     pub fn find(files: &Files, folder: &Path, name: &OsStr, owner: Option<u32>) -> Result<Vec<Self>> {
         let mut found = Vec::new();
+        // Spills first: those of a run that begins meanwhile have a journal by then.
+        let spills = leftovers(files, folder, name, SPILL)?;
         let journals = leftovers(files, folder, name, JOURNAL)?;
-        for spill in leftovers(files, folder, name, SPILL)? {
+        for spill in spills {
             if !journals.contains(&spill.with_extension(&JOURNAL[1..])) {
                 let _ = files.remove(&spill);
             }
@@ -373,6 +375,7 @@ fn sum_in(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::disk::testing::{Call, Hooked};
 
     fn place(folder: &Path, head: &[u8]) -> SpillPlace {
         SpillPlace { head: head.to_vec(), ..SpillPlace::unnamed(folder) }
@@ -484,6 +487,24 @@ mod tests {
                 assert!(taken.is_none_or(|taken| runs.starts_with(&taken) && taken.len() < 2), "byte {at}");
             }
         }
+    }
+
+    #[test]
+    fn a_spill_of_a_run_that_begins_during_the_search_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |ending: &str| folder.path().join(format!(".test.slicewalk-0123456789abcdef{ending}"));
+        let (mut lists, journal, spill) = (0, path(JOURNAL), path(SPILL));
+        let created = spill.clone();
+        let disk = Hooked::real(move |call| {
+            lists += u32::from(call == Call::List);
+            if (call, lists) == (Call::List, 2) {
+                std::fs::write(&journal, "")?;
+                std::fs::write(&created, "")?;
+            }
+            Ok(())
+        });
+        crate::disk::with(disk, || find(folder.path()));
+        assert!(spill.exists());
     }
 
     #[test]
