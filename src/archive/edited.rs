@@ -48,12 +48,13 @@ pub fn edited_pages(archive: &Archive) -> Result<Option<BTreeMap<PageKey, Page>>
             }
         }
     }
+    let is_level = archive.header().level > 0;
     let (mut all, mut decoder) = (BTreeMap::new(), PageDecoder::new());
     for ([tx, ty], entries) in columns {
         let read = |entry: &PageEntry| Ok((entry.key.layer, archive.page_with(entry, &mut decoder)?));
         let pages = entries.iter().map(read).collect::<Result<Vec<_>>>()?;
         let pages: Vec<(i32, &Page)> = pages.iter().map(|(layer, page)| (*layer, page)).collect();
-        for (layer, page) in EditedColumn::new(edits, frame, [tx, ty]).apply(&pages)? {
+        for (layer, page) in EditedColumn::new(edits, frame, is_level, [tx, ty]).apply(&pages)? {
             all.insert(PageKey { tx, ty, layer }, page);
             if all.len() as i128 > most {
                 return Err(too_many(all.len() as i128));

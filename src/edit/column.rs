@@ -22,6 +22,8 @@ struct Run {
 pub(crate) struct EditedColumn<'a> {
     edits: &'a Edits,
     frame: &'a Frame,
+    /// True for an overview level, which must hold all solid that the archive holds.
+    is_of_level: bool,
     /// First pixel.
     corner: [i64; 2],
 }
@@ -34,7 +36,7 @@ impl Edits {
         frame: &'a Frame,
     ) -> impl Iterator<Item = ([[i64; 2]; 2], Option<[i64; 2]>)> + 'a {
         self.all.iter().map(|(prism, change)| {
-            let tiles = prism.pixels(frame).map(|at| at.map(|pixel| pixel.div_euclid(TILE_PIXELS)));
+            let tiles = prism.pixels(frame, *change).map(|at| at.map(|pixel| pixel.div_euclid(TILE_PIXELS)));
             let layers = || {
                 let (bottom, top) = (frame.quantum_floor(prism.bottom), frame.quantum_ceil(prism.top));
                 [bottom.div_euclid(PAGE_QUANTA), (top - 1).div_euclid(PAGE_QUANTA)]
@@ -45,8 +47,8 @@ impl Edits {
 }
 
 impl<'a> EditedColumn<'a> {
-    pub fn new(edits: &'a Edits, frame: &'a Frame, [tx, ty]: [i32; 2]) -> Self {
-        Self { edits, frame, corner: [i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS] }
+    pub fn new(edits: &'a Edits, frame: &'a Frame, is_of_level: bool, [tx, ty]: [i32; 2]) -> Self {
+        Self { edits, frame, is_of_level, corner: [i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS] }
     }
 
     /// Returns the pages with the edits applied: those of `pages`, with their layers from below, and new ones where
@@ -56,12 +58,14 @@ impl<'a> EditedColumn<'a> {
         let mut layers: Vec<i32> = pages.iter().map(|(layer, _)| *layer).collect();
         let mut changed: Vec<Option<Vec<Run>>> = vec![None; (TILE_PIXELS * TILE_PIXELS) as usize];
         for (prism, change) in &self.edits.all {
-            let [low, high] = prism.pixels(self.frame);
+            let [low, high] = prism.pixels(self.frame, *change);
             let first = [0, 1].map(|axis| (low[axis] - self.corner[axis]).clamp(0, TILE_PIXELS));
             let last = [0, 1].map(|axis| (high[axis] - self.corner[axis]).clamp(-1, TILE_PIXELS - 1));
             for (y, x) in (first[1]..=last[1]).flat_map(|y| (first[0]..=last[0]).map(move |x| (y, x))) {
                 let at = [self.corner[0] + x, self.corner[1] + y];
                 let is_in = match change {
+                    // Pixels of the archive whose middle lies outside keep their solid.
+                    Change::Removed if self.is_of_level => prism.outline.holds_all(self.frame, at),
                     Change::Removed => prism.outline.holds_middle(self.frame, at),
                     Change::Added { .. } => prism.outline.touches(self.frame, at),
                 };

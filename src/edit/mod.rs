@@ -11,6 +11,9 @@
 //!   Solid that remains below is cut level, so it is floor.
 //! - **Added**: solid from the bottom to the top, both included, in every pixel that the outline touches. The top is
 //!   floor or an obstacle, as requested; everything below the top slice is an obstacle.
+//!
+//! In an overview level, solid is taken away only in pixels that lie wholly in the outline, so that the level still covers
+//! all solid of the archive.
 
 mod column;
 mod polygon;
@@ -69,10 +72,16 @@ impl Prism {
         Self::new(&corners, min[2], max[2])
     }
 
-    /// Returns the pixels around the outline: first and last along x and y.
-    fn pixels(&self, frame: &Frame) -> [[i64; 2]; 2] {
+    /// Returns the pixels around the outline that a change may affect: first and last along x and y.
+    fn pixels(&self, frame: &Frame, change: Change) -> [[i64; 2]; 2] {
         let [low, high] = self.outline.bounds();
-        [low, high].map(|corner| [frame.pixel_of(corner.x), frame.pixel_of(corner.y)])
+        let first = |at: f64| {
+            let pixel = frame.pixel_of(at);
+            // An outline on the border of two pixels touches both.
+            let touches_both = change != Change::Removed && frame.edge_of_pixel(pixel) >= at;
+            pixel - i64::from(touches_both)
+        };
+        [[first(low.x), first(low.y)], [frame.pixel_of(high.x), frame.pixel_of(high.y)]]
     }
 }
 

@@ -52,10 +52,20 @@ impl Outline {
         self.holds(Point2::new((i as f64 + 0.5) * frame.pixel_m(), (j as f64 + 0.5) * frame.pixel_m()))
     }
 
+    /// Returns whether all of a pixel lies inside, clear of every edge.
+    pub fn holds_all(&self, frame: &Frame, at: [i64; 2]) -> bool {
+        self.holds_middle(frame, at) && !self.crosses(frame, at)
+    }
+
     /// Returns whether a pixel and the outline share a place.
-    pub fn touches(&self, frame: &Frame, [i, j]: [i64; 2]) -> bool {
+    pub fn touches(&self, frame: &Frame, at: [i64; 2]) -> bool {
+        self.holds_middle(frame, at) || self.crosses(frame, at)
+    }
+
+    /// Returns whether a pixel, its border included, and an edge share a place.
+    fn crosses(&self, frame: &Frame, [i, j]: [i64; 2]) -> bool {
         let (low, high) = ([i, j].map(|at| frame.edge_of_pixel(at)), [i + 1, j + 1].map(|at| frame.edge_of_pixel(at)));
-        self.holds_middle(frame, [i, j]) || self.edges().any(|edge| meets(edge, low, high))
+        self.edges().any(|edge| meets(edge, low, high))
     }
 }
 
@@ -94,8 +104,10 @@ mod tests {
         };
         let held = ["#####.", "#####.", "##....", "##....", "##....", "......"];
         let touched = ["#####.", "#####.", "###...", "###...", "###...", "###..."];
+        let whole = ["......", ".#....", ".#....", ".#....", ".#....", "......"];
         assert_eq!(rows(&|at| l_shape.holds_middle(&frame, at)), held.map(String::from).to_vec());
         assert_eq!(rows(&|at| l_shape.touches(&frame, at)), touched.map(String::from).to_vec());
+        assert_eq!(rows(&|at| l_shape.holds_all(&frame, at)), whole.map(String::from).to_vec());
         // A thin wall holds no middle, and touches every pixel on its way.
         let thin = outline(&[[0.1, 2.2], [5.9, 2.2], [5.9, 2.3], [0.1, 2.3]]);
         assert!((0..6).all(|i| thin.touches(&frame, [i, 2]) && !thin.holds_middle(&frame, [i, 2])));

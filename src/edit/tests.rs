@@ -23,7 +23,7 @@ fn page(runs: &[Run]) -> Page {
 
 /// Runs of pixel (0, 0) with the edits.
 fn edited(runs: &[Run], edits: &Edits) -> Vec<Run> {
-    let pages = EditedColumn::new(edits, &frame(), [0, 0]).apply(&[(0, &page(runs))]).unwrap();
+    let pages = EditedColumn::new(edits, &frame(), false, [0, 0]).apply(&[(0, &page(runs))]).unwrap();
     assert_eq!((pages.len(), pages[0].0), (1, 0));
     pages[0].1.column(0, 0).iter().map(|span| (span.bottom(), span.top(), span.is_obstacle())).collect()
 }
@@ -55,6 +55,27 @@ fn pixels_are_cut_level_and_what_is_added_joins_what_it_touches() {
 }
 
 #[test]
+fn solid_that_ends_on_the_border_of_pixels_fills_those_on_both_sides() {
+    let mut edits = Edits::default();
+    edits.add(Prism::of_box([-1.0, 0.0, 0.0], [1.0, 2.5, 1.0]).unwrap(), false).unwrap();
+    let (mut tiles, mut pixels) = (Vec::new(), Vec::new());
+    let frame = frame();
+    let ([low, high], _) = edits.regions(&frame).next().unwrap();
+    for (tx, ty) in (low[0]..=high[0]).flat_map(|tx| (low[1]..=high[1]).map(move |ty| (tx, ty))) {
+        tiles.push((tx, ty));
+        for (_, page) in EditedColumn::new(&edits, &frame, false, [tx as i32, ty as i32]).apply(&[]).unwrap() {
+            let all = (0..64).flat_map(|y| (0..64).map(move |x| (x, y)));
+            let solid = all.filter(|&(x, y)| !page.column(x, y).is_empty());
+            pixels.extend(solid.map(|(x, y)| (tx * 64 + i64::from(x), ty * 64 + i64::from(y))));
+        }
+    }
+    assert_eq!(tiles, [(-1, -1), (-1, 0), (0, -1), (0, 0)]);
+    pixels.sort_unstable();
+    let expected: Vec<_> = (-2..=1).flat_map(|x| (-1..=2).map(move |y| (x, y))).collect();
+    assert_eq!(pixels, expected);
+}
+
+#[test]
 fn where_a_pixel_has_more_spans_than_a_page_holds_the_nearest_are_joined() {
     // One in each slice, 75 apart, but numbers 30 and 31 only 35.
     let mut runs: Vec<Run> = (0..64).map(|slice| (255 * slice + 20, 255 * slice + 200, false)).collect();
@@ -81,7 +102,7 @@ fn edits_beyond_the_limits_are_refused() {
     for (frame, prism, says) in cases {
         let mut edits = Edits::default();
         edits.add(prism, false).unwrap();
-        let error = EditedColumn::new(&edits, &frame, [0, 0]).apply(&[]).unwrap_err().to_string();
+        let error = EditedColumn::new(&edits, &frame, false, [0, 0]).apply(&[]).unwrap_err().to_string();
         assert!(error.contains(says), "{error}");
     }
     let line = [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]].map(Point2::from);

@@ -13,6 +13,7 @@ use slicewalk::archive::{
 };
 use slicewalk::codec::{ColourEncoder, Encoder, Unpacker};
 use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
+use slicewalk::edit::{Edits, Prism};
 use slicewalk::page::{Occupancy, Span};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, RayBound, cast, cast_far, overlaps};
 use slicewalk::store::{Loader, LoaderOptions, MISSING_KEYS, Next, Prefetch, Snapshot, Stream, StreamOptions, Time};
@@ -130,6 +131,38 @@ fn a_box_that_hits_in_the_archive_hits_in_every_level() {
         }
     }
     assert!(hits > 200 && clear > 2000, "{hits} hits, {clear} clear in level 1 too");
+}
+
+#[test]
+fn levels_of_an_edited_archive_hold_all_solid_that_remains() {
+    let archive = Archive::from_bytes(with_levels(city())).unwrap();
+    let pixel_m = archive.frame().pixel_m();
+    let (mut random, mut edits) = (Random(5), Edits::default());
+    for _ in 0..40 {
+        // Through columns of pages, with borders between the middles of pixels.
+        let low = [0, 1].map(|_| (f64::from(random.below(1600)) - 600.0 + 0.37) * pixel_m);
+        let high = low.map(|low| low + f64::from(3 + random.below(40)) * pixel_m);
+        edits.remove(Prism::of_box([low[0], low[1], -1e6], [high[0], high[1], 1e6]).unwrap()).unwrap();
+    }
+    let edited = archive.with_edits(edits);
+    let store = Snapshot::resident(&edited, &NoMonitor).unwrap();
+    let levels = [1, 2, 3].map(|number| Snapshot::resident(&edited.level(number).unwrap(), &NoMonitor).unwrap());
+    let (mut hits, mut clear) = (0, [0; 3]);
+    let columns: BTreeSet<_> = city().into_keys().map(|key| (key.tx, key.ty)).collect();
+    for (tx, ty) in columns {
+        // Most pages have solid in every second pixel of a row.
+        for (px, py) in (0..64).flat_map(|py| (0..64).step_by(2).map(move |px| (px, py))) {
+            let [x, y] = [64 * tx + px, 64 * ty + py].map(|pixel| (f64::from(pixel) + 0.5) * pixel_m);
+            let shape = Aabb::new([x, y, -1e5].into(), [x, y, 1e5].into()).unwrap();
+            let found = [0, 1, 2].map(|number| overlaps(&levels[number], &shape) == Overlap::Hit);
+            if overlaps(&store, &shape) == Overlap::Hit {
+                hits += 1;
+                assert_eq!(found, [true; 3], "{shape:?}");
+            }
+            clear = [0, 1, 2].map(|number| clear[number] + u32::from(!found[number]));
+        }
+    }
+    assert!(hits > 1000 && clear.is_sorted_by(|a, b| a >= b) && clear[0] > 1000, "{hits} hits, {clear:?} clear");
 }
 
 #[test]
@@ -419,6 +452,7 @@ fn colours_that_an_archive_lacks_are_refused() {
     let said = plain.catalog().decode_colour_table(&[]).unwrap_err().to_string();
     assert!(said.contains("rule K2") && said.contains("without"), "{said}");
     let level = plain.level(1).unwrap();
+    assert_eq!(level.frame().pixel_m(), 4.0 * plain.frame().pixel_m());
     assert_eq!(&level.catalog().with_level_colours(&[]).unwrap(), level.catalog());
     let coloured = Archive::from_bytes(archive_coloured_by_place(&(city(), totals()), 2000, true, None)).unwrap();
     let said = coloured.level(1).unwrap().catalog().with_level_colours(&[0; 3]).unwrap_err().to_string();
