@@ -705,6 +705,26 @@ fn batches_answer_like_single_queries() {
     assert!(stopped > 50 && near > 50 && inside > 10, "{stopped} stopped, {near} near, {inside} inside");
 }
 
+/// The rest of the way may be shorter there than the spacing of numbers near the way gone.
+#[test]
+fn a_long_push_to_the_origin_ends() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let page = |top: u32| {
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(0, 0, &[Span::new(0, top, true).unwrap()]));
+        builder.build()
+    };
+    let key = |layer| PageKey { tx: 0, ty: 0, layer };
+    for (low, height, top) in [(-1.2036273971743077, 0.001, 1), (-1.2025090831431826, 0.0005, 2)] {
+        let pages = [(key(-1), page(PAGE_QUANTA as u32)), (key(0), page(top))];
+        let store = Snapshot::from_pages(frame, pages);
+        let shape = Aabb::new([0.02, 0.02, low].into(), [0.03, 0.03, low + height].into()).unwrap();
+        let out = depenetrate(&store, &shape, 2.0).known().flatten().unwrap() * (1.0 + 1e-12);
+        let moved = Aabb::new(shape.min() + out, shape.max() + out).unwrap();
+        assert_eq!(overlaps(&store, &moved), Overlap::Clear, "{out:?}");
+    }
+}
+
 #[test]
 fn distances_that_are_none_find_nothing() {
     let frame = Frame::new(0.1, 0.3).unwrap();

@@ -218,7 +218,8 @@ fn push(set: &Snapshot, rest: Resting, axis: usize, sign: f64, max: f64) -> Answ
         if search.most == 0.0 {
             return Answer::Known(Some(gone * unit));
         }
-        gone += search.most;
+        // Near the origin of the axis, the rest of the way may be shorter than the spacing of numbers near `gone`.
+        gone = (gone + search.most).max(gone.next_up());
         if gone * unit > max || gone == f64::INFINITY {
             return Answer::Known(None);
         }
