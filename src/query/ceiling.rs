@@ -23,12 +23,21 @@ pub fn ceiling_above<H: Shape>(set: &Snapshot, shape: &H, from: f64, height: f64
     if from.is_nan() || height.is_nan() {
         return Answer::Known(None);
     }
-    let frame = set.frame();
-    let shape = shape.on_grid(frame);
     // A separate case, because infinity minus infinity is NaN.
     let highest = if height == f64::INFINITY { f64::INFINITY } else { from + height };
-    let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(highest));
-    let search = search.run(set, &shape);
+    ceiling_between(set, shape, from, highest)
+}
+
+/// Like [`ceiling_above`], but from height `low` up to `high` (m, both may be infinite). For programs that have both:
+/// `low + (high - low)` may round below a ceiling at `high`.
+#[doc(hidden)]
+pub fn ceiling_between<H: Shape>(set: &Snapshot, shape: &H, low: f64, high: f64) -> Answer<Option<f64>> {
+    if low.is_nan() || high.is_nan() {
+        return Answer::Known(None);
+    }
+    let frame = set.frame();
+    let search = CeilingSearch::new(frame.quantum_ceil(low), frame.quantum_floor(high));
+    let search = search.run(set, &shape.on_grid(frame));
     Answer::new(search.best.map(|bottom| frame.bottom_height(bottom)), search.missing)
 }
 

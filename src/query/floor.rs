@@ -25,12 +25,21 @@ pub fn floor_under<H: Shape>(set: &Snapshot, shape: &H, from: f64, depth: f64) -
     if from.is_nan() || depth.is_nan() {
         return Answer::Known(None);
     }
-    let frame = set.frame();
-    let shape = shape.on_grid(frame);
     // A separate case, because infinity minus infinity is NaN.
     let lowest = if depth == f64::INFINITY { f64::NEG_INFINITY } else { from - depth };
-    let search = FloorSearch::new(frame.quantum_ceil(lowest), frame.quantum_floor(from));
-    search.run(set, &shape).answer(frame)
+    floor_between(set, shape, lowest, from)
+}
+
+/// Like [`floor_under`], but from height `high` down to `low` (m, both may be infinite). For programs that have both:
+/// `high - (high - low)` may round above a floor at `low`.
+#[doc(hidden)]
+pub fn floor_between<H: Shape>(set: &Snapshot, shape: &H, low: f64, high: f64) -> Answer<Option<f64>> {
+    if low.is_nan() || high.is_nan() {
+        return Answer::Known(None);
+    }
+    let frame = set.frame();
+    let search = FloorSearch::new(frame.quantum_ceil(low), frame.quantum_floor(high));
+    search.run(set, &shape.on_grid(frame)).answer(frame)
 }
 
 /// Searches for the highest top of a floor span at or below `limit`.

@@ -47,7 +47,11 @@ mod sweep;
 pub use aabb::Aabb;
 pub use answer::{Answer, Overlap};
 pub use ceiling::ceiling_above;
+#[doc(hidden)]
+pub use ceiling::ceiling_between;
 pub use cylinder::Cylinder;
+#[doc(hidden)]
+pub use floor::floor_between;
 pub use floor::floor_under;
 pub use grid::Shape;
 pub(crate) use grid::all_within_reach;

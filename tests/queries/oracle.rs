@@ -103,6 +103,25 @@ fn floors_and_ceilings_are_those_of_the_spans_whatever_the_pages() {
     }
 }
 
+/// Their distance from the other end, taken from that end, rounds beyond them.
+#[test]
+fn floors_and_ceilings_at_the_last_height_of_a_search_are_found() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let shape = Aabb::new(Point3::new(0.02, 0.02, 0.0), Point3::new(0.03, 0.03, 0.0)).unwrap();
+    for quantum in 1..300 {
+        let columns = Columns::from([((0, 0), vec![(-quantum, quantum, false)])]);
+        let store = Snapshot::from_pages(frame, pages_of(&columns));
+        let (bottom, top) = (frame.bottom_height(-quantum), frame.top_height(quantum));
+        for end in [1.0, 2.5, 5.0, 7.3, f64::INFINITY] {
+            assert_eq!(floor_between(&store, &shape, top, end), Answer::Known(Some(top)), "{quantum} {end}");
+            assert_eq!(ceiling_between(&store, &shape, -end, bottom), Answer::Known(Some(bottom)), "{quantum} {end}");
+            assert_eq!(floor_between(&store, &shape, top.next_up(), end), Answer::Known(None), "{quantum} {end}");
+        }
+        assert_eq!(floor_between(&store, &shape, f64::NAN, 1.0), Answer::Known(None));
+        assert_eq!(ceiling_between(&store, &shape, -1.0, f64::NAN), Answer::Known(None));
+    }
+}
+
 /// With and without a page above in which the span may continue.
 #[test]
 fn floors_and_ceilings_at_the_ends_of_pages_are_those_of_the_spans() {

@@ -217,7 +217,7 @@ pub unsafe fn fill<T: Sized32>(pointer: *mut T, value: T) -> Outcome {
     Ok(())
 }
 
-/// Checks a struct that will be filled in, before work that takes long.
+/// Checks a struct that will be filled in, before work that takes long or changes something.
 ///
 /// # Safety
 /// The pointer is null or points to an initialised size.

@@ -2,10 +2,10 @@
 
 use crate::archive::sw_archive;
 use crate::border::{Failure, Handle, Outcome, check_apart, close, give, guard, held, input, output, sw_status};
-use engine::frame::PAGE_QUANTA;
 use engine::nalgebra::{Point3, Vector3};
 use engine::query::{
-    Aabb, Answer, Cylinder, Overlap, Ray, Sphere, cast, ceiling_above, floor_under, nearest_surface, overlaps, sweep,
+    Aabb, Answer, Cylinder, Overlap, Ray, Sphere, cast, ceiling_between, floor_between, nearest_surface, overlaps,
+    sweep,
 };
 use engine::store::Snapshot;
 use engine::{NoMonitor, Result};
@@ -74,13 +74,6 @@ pub fn aabb(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Result<Aabb> {
 
 fn known<T>(answer: Answer<T>, value: impl FnOnce(T) -> f64) -> f64 {
     answer.known().map_or(f64::NAN, value)
-}
-
-/// Returns the lowest and the highest height of the pages (m). Searches begin within, because a search from an infinite
-/// height has no end.
-fn ends(set: &Snapshot) -> (f64, f64) {
-    let height = |layer: i64| set.frame().top_height(layer * PAGE_QUANTA);
-    set.bounds().map_or((0.0, 0.0), |bounds| (height(bounds.min[2].into()), height(i64::from(bounds.max[2]) + 1)))
 }
 
 /// Answers whether boxes touch anything solid.
@@ -202,11 +195,7 @@ pub unsafe extern "C" fn sw_floors(
     // SAFETY: as the header demands of handles and arrays.
     guard(|| unsafe {
         batch(pages, (boxes, boxes_len, "boxes"), (heights, count), |pages, row: &[f64; 6]| {
-            let shape = aabb(row)?;
-            let answer = {
-                let from = row[5].min(ends(pages).1);
-                floor_under(pages, &shape, from, from - row[2])
-            };
+            let answer = floor_between(pages, &aabb(row)?, row[2], row[5]);
             Ok(known(answer, |z| z.unwrap_or(f64::NEG_INFINITY)))
         })
     })
@@ -225,11 +214,7 @@ pub unsafe extern "C" fn sw_ceilings(
     // SAFETY: as the header demands of handles and arrays.
     guard(|| unsafe {
         batch(pages, (boxes, boxes_len, "boxes"), (heights, count), |pages, row: &[f64; 6]| {
-            let shape = aabb(row)?;
-            let answer = {
-                let from = row[2].max(ends(pages).0);
-                ceiling_above(pages, &shape, from, row[5] - from)
-            };
+            let answer = ceiling_between(pages, &aabb(row)?, row[2], row[5]);
             Ok(known(answer, |z| z.unwrap_or(f64::INFINITY)))
         })
     })

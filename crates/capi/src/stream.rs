@@ -2,7 +2,7 @@
 
 use crate::archive::sw_archive;
 use crate::border::{
-    Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, input, place, record, sw_status,
+    Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, input, place, record, sized, sw_status,
 };
 use crate::pages::sw_pages;
 use engine::frame::PageKey;
@@ -132,6 +132,8 @@ pub unsafe extern "C" fn sw_stream_load(
     report: *mut sw_loaded,
 ) -> sw_status {
     guard(|| {
+        // SAFETY: as the header demands of `report`.
+        unsafe { reports(report) }?;
         // SAFETY: as the header demands of handles and arrays.
         let (stream, boxes) = unsafe { (held(stream)?, input(boxes, boxes_len, "boxes")?) };
         let (rows, rest) = boxes.as_chunks::<6>();
@@ -163,6 +165,8 @@ pub unsafe extern "C" fn sw_stream_load_pages(
     report: *mut sw_loaded,
 ) -> sw_status {
     guard(|| {
+        // SAFETY: as the header demands of `report`.
+        unsafe { reports(report) }?;
         // SAFETY: as the header demands of handles and arrays.
         let (stream, keys) = unsafe { (held(stream)?, input(keys, keys_len, "keys")?) };
         let (rows, rest) = keys.as_chunks::<3>();
@@ -174,6 +178,18 @@ pub unsafe extern "C" fn sw_stream_load_pages(
         // SAFETY: as the header demands of `report`.
         unsafe { reported(report, &loaded) }
     })
+}
+
+/// Checks `report` before pages are loaded.
+///
+/// # Safety
+/// The conditions of [`sized`] hold.
+unsafe fn reports(report: *const sw_loaded) -> Outcome {
+    if report.is_null() {
+        return Ok(());
+    }
+    // SAFETY: guaranteed by the caller.
+    unsafe { sized(report) }
 }
 
 /// # Safety

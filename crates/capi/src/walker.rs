@@ -1,7 +1,7 @@
 //! Walkers.
 
 use crate::border::{
-    Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, output, place, record, sw_status,
+    Failure, Handle, Outcome, Sized32, close, fill, give, guard, held, output, place, record, sized, sw_status,
 };
 use crate::pages::sw_pages;
 use crate::stream::{busy, numbers, sw_stream};
@@ -219,6 +219,8 @@ pub unsafe extern "C" fn sw_walker_step(
     report: *mut sw_step,
 ) -> sw_status {
     guard(|| {
+        // SAFETY: as the header demands of `report`. A call that is refused moves nothing.
+        unsafe { sized(report) }?;
         // SAFETY: as the header demands of handles and arrays.
         let (mut pawn, pages, wish) = unsafe { (locked(walker)?, held(pages)?, self::wish(wish, to, dt)?) };
         let done = pawn.walker.step(pages, dt, wish);
@@ -240,6 +242,8 @@ pub unsafe extern "C" fn sw_walker_step_stream(
     report: *mut sw_step,
 ) -> sw_status {
     guard(|| {
+        // SAFETY: as the header demands of `report`. A call that is refused moves nothing.
+        unsafe { sized(report) }?;
         // SAFETY: as the header demands of handles and arrays.
         let (mut pawn, stream, wish) = unsafe { (locked(walker)?, held(stream)?, self::wish(wish, to, dt)?) };
         let pawn = &mut *pawn;

@@ -3,7 +3,7 @@
 use engine::NoMonitor;
 use engine::archive::Archive;
 use engine::nalgebra::{Point3, Vector3};
-use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_under, nearest_surface, overlaps, sweep};
+use engine::query::{Aabb, Cylinder, Overlap, Ray, Sphere, cast, floor_between, nearest_surface, overlaps, sweep};
 use engine::reach::{Flood, Pawn, StandingPlaces};
 use engine::seen::SeenSpace;
 use engine::store::Snapshot;
@@ -211,14 +211,13 @@ fn ctypes_gets_the_answers_of_the_library() {
         let shape = Aabb::new(at.into(), Point3::from(at) + Vector3::repeat(size)).unwrap();
         let code = |overlap| if overlap == Overlap::Hit { 1.0 } else { 0.0 };
         let ray = Ray::new(at.into(), way.into(), 20.0).unwrap();
-        let from = at[2] + size;
         let expected = [
             code(overlaps(&store, &shape)),
             code(overlaps(&store, &Sphere::new(at.into(), size).unwrap())),
             code(overlaps(&store, &Cylinder::new(at.into(), size, 1.0).unwrap())),
             cast(&store, &ray).known().unwrap().map_or(f64::INFINITY, |hit| hit.distance),
             sweep(&store, &shape, way.into()).known().unwrap().map_or(1.0, |hit| hit.fraction),
-            floor_under(&store, &shape, from, from - at[2]).known().unwrap().unwrap_or(f64::NEG_INFINITY),
+            floor_between(&store, &shape, at[2], at[2] + size).known().unwrap().unwrap_or(f64::NEG_INFINITY),
             nearest_surface(&store, at.into(), 1.0).known().unwrap().map_or(f64::INFINITY, |found| found.distance),
         ];
         hits += usize::from(expected[0] == 1.0);

@@ -11,10 +11,10 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use slicewalk::Result;
-use slicewalk::frame::{Frame, PAGE_QUANTA};
+use slicewalk::frame::Frame;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{
-    Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, nearest_surface, overlaps,
+    Aabb, Answer, Cylinder, Overlap, Ray, Sphere, cast, ceiling_between, floor_between, nearest_surface, overlaps,
     sweep,
 };
 use slicewalk::seen::SeenSpace;
@@ -76,22 +76,6 @@ fn aabb(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Result<Aabb> {
 /// Maps "not loaded" to NaN.
 fn known<T>(answer: Answer<T>, value: impl FnOnce(T) -> f64) -> f64 {
     answer.known().map_or(f64::NAN, value)
-}
-
-/// Range of heights in which the pages can hold solid (m).
-fn heights(set: &Snapshot) -> (f64, f64) {
-    let height = |layer: i64| set.frame().top_height(layer * PAGE_QUANTA);
-    set.bounds().map_or((0.0, 0.0), |bounds| (height(bounds.min[2].into()), height(i64::from(bounds.max[2]) + 1)))
-}
-
-fn floor_in(set: &Snapshot, shape: &impl Shape, low: f64, high: f64, (_, top): (f64, f64)) -> f64 {
-    let from = high.min(top);
-    known(floor_under(set, shape, from, from - low), |z| z.unwrap_or(f64::NEG_INFINITY))
-}
-
-fn ceiling_in(set: &Snapshot, shape: &impl Shape, low: f64, high: f64, (bottom, _): (f64, f64)) -> f64 {
-    let from = low.max(bottom);
-    known(ceiling_above(set, shape, from, high - from), |z| z.unwrap_or(f64::INFINITY))
 }
 
 impl Pages {
@@ -243,8 +227,10 @@ impl Pages {
         #[pyo3(from_py_with = argument::threads)] threads: Threads,
     ) -> Answers<'py, f64> {
         let pages = self.set.pages(boxes.py())?;
-        let ends = heights(pages);
-        batch(boxes, "boxes", threads, |row| Ok(floor_in(pages, &aabb(row)?, row[2], row[5], ends)))
+        batch(boxes, "boxes", threads, |row| {
+            let answer = floor_between(pages, &aabb(row)?, row[2], row[5]);
+            Ok(known(answer, |z| z.unwrap_or(f64::NEG_INFINITY)))
+        })
     }
 
     /// Finds the lowest ceiling in each box: the least underside of a span that lies within the pixels under the box
@@ -267,8 +253,10 @@ impl Pages {
         #[pyo3(from_py_with = argument::threads)] threads: Threads,
     ) -> Answers<'py, f64> {
         let pages = self.set.pages(boxes.py())?;
-        let ends = heights(pages);
-        batch(boxes, "boxes", threads, |row| Ok(ceiling_in(pages, &aabb(row)?, row[2], row[5], ends)))
+        batch(boxes, "boxes", threads, |row| {
+            let answer = ceiling_between(pages, &aabb(row)?, row[2], row[5]);
+            Ok(known(answer, |z| z.unwrap_or(f64::INFINITY)))
+        })
     }
 
     /// Computes how far each box can move before its inside meets solid. Exact at any speed: the motion is not sampled.

@@ -39,6 +39,10 @@ def check_floors(pages, points, count, seed):
     known = np.isfinite(expected)
     assert known.any()
     assert np.allclose(answers[known], expected[known], atol=1e-9)
+    # A floor lies in the box that begins at its height.
+    above = boxes[known]
+    above[:, 2] = answers[known]
+    assert (pages.floor(above) == above[:, 2]).all()
 
 
 def check_sweeps(pages, points, count, seed):

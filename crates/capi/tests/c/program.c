@@ -99,6 +99,10 @@ int main(int argc, char **argv) {
     double under[6] = {from[0] - 0.2, from[1] - 0.2, from[2] - 1, from[0] + 0.2, from[1] + 0.2, from[2] + 1};
     OK(sw_floors(pages, under, 6, height, 1));
     CHECK(fabs(height[0] - from[2]) < 0.2);
+    // The floor that was found lies in the box that begins at its height.
+    double on_floor[6] = {under[0], under[1], height[0], under[3], under[4], under[5]}, same_height[1];
+    OK(sw_floors(pages, on_floor, 6, same_height, 1));
+    CHECK(same_height[0] == height[0]);
     under[2] = info.max[2] + 1, under[5] = INFINITY;
     OK(sw_ceilings(pages, under, 6, height, 1));
     CHECK(isinf(height[0]) && height[0] > 0);
@@ -167,6 +171,14 @@ int main(int argc, char **argv) {
         REFUSED(sw_walker_step(walker, pages, NAN, SW_STAY, NULL, &step), "dt");
         REFUSED(sw_walker_step(walker, pages, 0.1, 9, NULL, &step), "wish");
         REFUSED(sw_walker_step(walker, pages, 0.1, SW_TOWARD, NULL, &step), "NULL");
+        // A step whose report does not fit is refused before it moves the pawn.
+        sw_step unsized_step = {.size = 8};
+        REFUSED(sw_walker_step(walker, pages, 0.5, SW_TOWARD, to, &unsized_step), "sw_step.size");
+        REFUSED(sw_walker_step(walker, pages, 0.5, SW_TOWARD, to, NULL), "NULL");
+        REFUSED(sw_walker_step_stream(walker, on_demand, 0.5, SW_TOWARD, to, &unsized_step), "sw_step.size");
+        double feet[3];
+        OK(sw_walker_feet(walker, feet));
+        CHECK(memcmp(feet, from, sizeof feet) == 0);
         OK(sw_walker_step(walker, pages, 0.1, SW_STAY, NULL, &step));
         OK(sw_walker_close(walker));
     }
@@ -178,6 +190,8 @@ int main(int argc, char **argv) {
     OK(sw_stream_settle(stream, 20, &done));
     sw_loaded loaded = {.size = sizeof loaded};
     OK(sw_stream_load(stream, boxes, 6, &loaded));
+    sw_loaded unsized_load = {.size = 8};
+    REFUSED(sw_stream_load(stream, boxes, 6, &unsized_load), "sw_loaded.size");
     CHECK(done == 1 && loaded.left_out == 0 && loaded.loaded + loaded.already > 0);
     sw_pages *view = NULL;
     OK(sw_stream_view(stream, &view));
