@@ -42,6 +42,7 @@ scan() {
 }
 
 "$venv/bin/python" spec/excerpts.py
+"$venv/bin/python" spec/many_blocks.py
 for sample in spec/samples/*.slices; do
     compare "$sample" "${sample%.slices}.json"
 done

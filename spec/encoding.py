@@ -104,13 +104,13 @@ def varint(value):
     return bytes(out) + bytes([value])
 
 
-def unpack_frame(data, content_len, rule):
-    """The content of exactly one zstd frame, of `content_len` bytes if that is known."""
+def unpack_frame(data, content_len, rule, most=0):
+    """The content of exactly one zstd frame, of `content_len` bytes, or of up to `most` bytes if that is None."""
     need(data[:4] == b"\x28\xb5\x2f\xfd", rule, "no zstd frame")
     try:
         frame = zstandard.get_frame_parameters(data)
         if content_len is None:
-            need(frame.content_size <= 16 * (40 + 512 * 28), rule, f"content of {frame.content_size} bytes")
+            need(frame.content_size <= most, rule, f"content of {frame.content_size} bytes")
             content_len = frame.content_size
         need(frame.content_size == content_len, rule, f"content of {frame.content_size} bytes, not {content_len}")
         need(frame.dict_id == 0, rule, "a frame with a dictionary")

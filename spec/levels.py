@@ -21,7 +21,7 @@ def read_table(head, section):
         return []
     table = section[len(section) - head.table_len :]
     need(crc32c(table) == head.table_crc, "L2", "the checksum of the table of levels is wrong")
-    table = unpack_frame(table, None, "L3")
+    table = unpack_frame(table, None, "L3", 16 * (40 + 512 * RECORD_LEN))
     levels, at, place, below = [], 0, 0, head.pages
     for number in range(1, head.level_count + 1):
         need(max(head.pixel_size, head.slice_height) * FACTOR**number <= 1e6, "L4", f"level {number} is too coarse")

@@ -25,8 +25,7 @@ def read_seen(head, pages, part):
     section = pages[len(pages) - size :]
     table = section[size - TRAILER.size - table_len : size - TRAILER.size]
     need(crc32c(table) == table_crc, "V2", "the checksum of the table of seen space is wrong")
-    content = Bytes(unpack_frame(table, None, "V2"), "V2")
-    need(len(content.data) <= 24 * blocks, "V2", f"a table of {len(content.data)} bytes for {blocks} blocks")
+    content = Bytes(unpack_frame(table, None, "V2", 24 * blocks), "V2")
     columns = [content.varint() for _ in range(blocks)]
     groups = [content.zigzag() for _ in range(blocks)]
     counts = content.take(blocks)
@@ -58,8 +57,8 @@ def read_seen(head, pages, part):
 
 def block_pages(key, data, count):
     """Pages of a block with their number of cells."""
-    content = unpack_frame(data, None, "V3")
-    need(16 <= len(content) <= 16 + 64 * PAGE, "V3", f"a block of {len(content)} bytes")
+    content = unpack_frame(data, None, "V3", 16 + 64 * PAGE)
+    need(len(content) >= 16, "V3", f"a block of {len(content)} bytes")
     full, part = struct.unpack_from("<QQ", content)
     need(not full & part and full | part and part.bit_count() == count, "V3", f"masks {full:016x} and {part:016x}")
     need(len(content) == 16 + PAGE * count, "V3", f"a block of {len(content)} bytes")
