@@ -130,6 +130,9 @@ fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_to
     let store = Snapshot::from_pages(frame, pages);
     let scene = Model::from_pages(&store).unwrap();
     let model = Model::from_triangles(Frame::new(0.05, 0.15).unwrap(), &knot(18, 5), false).unwrap();
+    // A span has a box, of six numbers of four bytes at least.
+    assert_eq!(model.span_count(), model.boxes().count());
+    assert!(model.weight_bytes() >= 24 * model.span_count());
     let around: Vec<Oriented> = boxes(&scene, &Isometry3::identity());
     let mut random = Random(34);
     let mut hits = 0;
