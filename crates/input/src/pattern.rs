@@ -7,8 +7,9 @@ use crate::bytes::FileId;
 use crate::{Error, Monitor, Result};
 use glob::Pattern;
 use std::collections::HashSet;
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::fs;
+use std::io;
 use std::path::{Component, Path, PathBuf};
 
 /// Returns whether a path contains pattern characters.
@@ -45,8 +46,8 @@ fn matches(pattern: &Pattern, name: &OsStr) -> bool {
     pattern.matches(&name.to_string_lossy())
 }
 
-/// Calls `found` with each file whose path matches `pattern`, following links. If a folder cannot be listed, calls
-/// `failed`, which decides whether the walk continues.
+/// Calls `found` with each file whose path matches `pattern`, following links. Calls `failed`, which decides whether the
+/// walk continues, if a folder cannot be listed, or if the system does not say whether a name exists or is a folder.
 pub(super) fn walk(
     pattern: &Path,
     monitor: &dyn Monitor,
@@ -70,24 +71,20 @@ pub(super) fn walk(
         let names = match step {
             Step::Exactly(name) => {
                 let next = path.join(name);
-                // A path that does not exist, or that leads through a file, matches nothing.
-                if fs::symlink_metadata(&next).is_ok() {
-                    open.push((next, number + 1));
+                match fs::symlink_metadata(&next) {
+                    Ok(_) => open.push((next, number + 1)),
+                    Err(error) if is_nothing(&error) => {}
+                    Err(error) => failed(Error::io(next, "look up", error))?,
                 }
                 continue;
             }
-            Step::Folders => {
-                let again = FileId::at(here(&path)).is_some_and(|id| !entered.insert((id, number)));
-                if again || !here(&path).is_dir() {
-                    continue;
-                }
-                list(&path, |_| true)
-            }
-            Step::Matching(pattern) if here(&path).is_dir() => list(&path, |name| matches(pattern, name)),
-            Step::Matching(_) => continue,
+            Step::Folders if FileId::at(here(&path)).is_some_and(|id| !entered.insert((id, number))) => continue,
+            Step::Folders => list(&path, |_| true),
+            Step::Matching(pattern) => list(&path, |name| matches(pattern, name)),
         };
         let mut names = match names {
             Ok(names) => names,
+            Err(error) if is_nothing(&error) => continue,
             Err(error) => {
                 failed(Error::io(here(&path), "list", error))?;
                 continue;
@@ -97,13 +94,14 @@ pub(super) fn walk(
         names.sort_by(|a, b| b.cmp(a));
         match step {
             Step::Folders => {
-                open.extend(
-                    names
-                        .into_iter()
-                        .map(|name| path.join(name))
-                        .filter(|path| path.is_dir())
-                        .map(|path| (path, number)),
-                );
+                for path in names.into_iter().map(|name| path.join(name)) {
+                    match fs::metadata(&path) {
+                        Ok(found) if found.is_dir() => open.push((path, number)),
+                        Ok(_) => {}
+                        Err(error) if is_nothing(&error) => {}
+                        Err(error) => failed(Error::io(path, "look up", error))?,
+                    }
+                }
                 open.push((path, number + 1));
             }
             _ => open.extend(names.into_iter().map(|name| (path.join(name), number + 1))),
@@ -112,12 +110,17 @@ pub(super) fn walk(
     Ok(())
 }
 
+/// Returns whether an error says that a path does not exist or leads through a file: then it matches nothing.
+fn is_nothing(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
 /// Returns the folder to list: `.` for an empty path.
 fn here(path: &Path) -> &Path {
     if path.as_os_str().is_empty() { Path::new(".") } else { path }
 }
 
-fn list(path: &Path, wanted: impl Fn(&OsStr) -> bool) -> std::io::Result<Vec<std::ffi::OsString>> {
+fn list(path: &Path, wanted: impl Fn(&OsStr) -> bool) -> io::Result<Vec<OsString>> {
     let mut names = Vec::new();
     for entry in fs::read_dir(here(path))? {
         let name = entry?.file_name();
@@ -199,6 +202,32 @@ mod tests {
         assert!(found.contains(&odd));
         let interrupted = walk(&dir.path().join("**/*.las"), &Stops, &mut Err, &mut |_| ());
         assert!(matches!(interrupted, Err(Error::Interrupted)));
+    }
+
+    /// As in a folder that may be listed but not searched: the system does not say what a name is.
+    #[cfg(unix)]
+    #[test]
+    fn a_name_that_cannot_be_looked_up_is_an_error_and_no_silent_gap() {
+        let dir = tempfile::tempdir().unwrap();
+        let long = "x".repeat(300);
+        fs::write(dir.path().join("a.las"), "").unwrap();
+        std::os::unix::fs::symlink(&long, dir.path().join("link")).unwrap();
+        std::os::unix::fs::symlink("gone", dir.path().join("dangling")).unwrap();
+        for (pattern, name) in [("**/*.las", "link"), (&*format!("f*/../{long}"), &long)] {
+            let (mut errors, mut paths) = (Vec::new(), Vec::new());
+            let mut fail = |error: Error| {
+                errors.push(error.to_string());
+                Ok(())
+            };
+            let pattern = dir.path().join(pattern);
+            fs::create_dir_all(dir.path().join("folder")).unwrap();
+            walk(&pattern, &NoMonitor, &mut fail, &mut |path| paths.push(path.to_path_buf())).unwrap();
+            assert_eq!(errors.len(), 1, "{errors:?}");
+            assert!(errors[0].contains(&format!("{name}: cannot look up: ")), "{errors:?}");
+            assert_eq!(paths.len(), usize::from(name == "link"), "{paths:?}");
+            let first = walk(&pattern, &NoMonitor, &mut Err, &mut |_| ());
+            assert!(matches!(first, Err(Error::Io { .. })));
+        }
     }
 
     #[cfg(unix)]
