@@ -2,7 +2,7 @@
 
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::InputSet;
-use crate::input::spacing::{Spacing, Survey, estimate_spacing};
+use crate::input::spacing::{Spacing, Survey};
 use crate::inputs::Inputs;
 use crate::mesh::MeshSet;
 use crate::plan::{Noise, Plan, PlanOptions};
@@ -46,13 +46,18 @@ impl Surveyed {
         if set.files().is_empty() || !(auto_pixel || options.grid.tolerance_auto) {
             return Ok(Self { spacing: None, noise: no_noise });
         }
-        let survey =
-            Survey::read(set, options.resources.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
+        let survey = read_survey(options, set, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
         let spacing = auto_pixel.then(|| survey.spacing()).transpose()?;
-        // With `--allow-incomplete`, the main pass reports diagnostics.
-        set.check_complete(&NoMonitor)?;
         Ok(Self { spacing, noise: no_noise.map(|none| survey.noise().unwrap_or(none)) })
     }
+}
+
+/// Reads all points once, as a progress stage named `stage`. Incomplete input fails before its spacing does; if it is
+/// allowed, the main pass reports what is missing.
+fn read_survey(options: &ConvertOptions, set: &InputSet, stage: &'static str, monitor: &dyn Monitor) -> Result<Survey> {
+    let survey = Survey::read(set, options.resources.threads, stage, monitor)?;
+    set.check_complete(&NoMonitor)?;
+    Ok(survey)
 }
 
 /// Returns the plan of a conversion of `inputs` and the measurements it follows from, which may be `known` from an
@@ -86,7 +91,7 @@ pub(crate) fn plan(
     if options.grid.fill_holes == Some(HoleWidth::Auto) && !set.files().is_empty() {
         let spacing_m = match surveyed.spacing {
             Some(spacing) => spacing.spacing_m,
-            None => estimate_spacing(set, options.resources.threads, monitor)?.spacing_m,
+            None => read_survey(options, set, "spacing", monitor)?.spacing()?.spacing_m,
         };
         let pixels = (GAP_SPACINGS * spacing_m / pixel_m * ROUNDING).floor();
         plan.options.fill_holes = pixels.min(f64::from(PlanOptions::MOST_FILL_PIXELS)) as u8;

@@ -5,7 +5,7 @@ use super::points::Read;
 use crate::bytes::spawn_in;
 use crate::colour::ColourScale;
 use crate::input::scenes::Scene;
-use crate::input::{InputSet, PointBatch, PointDecoder};
+use crate::input::{InputSet, PointBatch, PointChunk, PointDecoder};
 use crate::plan::Plan;
 use crate::shard_filter::ShardScope;
 use crate::voxel::record::Recorder;
@@ -121,7 +121,8 @@ pub(super) fn on_threads<T: Send>(
 }
 
 /// Reads the points of the files that are `wanted` (by number), one batch after the other on all threads, until `take`
-/// returns false. Input that is only partly readable fails unless that is allowed; the main pass reports what is missing.
+/// returns false. A file that was read whole and is only partly readable fails unless that is allowed; the main pass
+/// reports what is missing.
 pub(super) fn for_each_batch(
     set: &InputSet,
     threads: usize,
@@ -129,7 +130,14 @@ pub(super) fn for_each_batch(
     wanted: &(dyn Fn(usize) -> bool + Sync),
     take: &(dyn Fn(usize, &PointBatch) -> bool + Sync),
 ) -> Result<()> {
-    let chunks = Mutex::new(set.chunks().filter(|chunk| wanted(chunk.file())));
+    // Files of which chunks were passed over.
+    let is_partial: Vec<AtomicBool> = set.files().iter().map(|_| AtomicBool::new(false)).collect();
+    let is_wanted = |chunk: &PointChunk| {
+        let is_wanted = wanted(chunk.file());
+        is_partial[chunk.file()].fetch_or(!is_wanted, Ordering::Relaxed);
+        is_wanted
+    };
+    let chunks = Mutex::new(set.chunks().filter(is_wanted));
     let (flag, enough) = (StopFlag::new(monitor), AtomicBool::new(false));
     on_threads(threads, &flag, || {
         let mut decoder = PointDecoder::new();
@@ -153,5 +161,7 @@ pub(super) fn for_each_batch(
         }
         Ok(())
     })?;
-    set.check_complete(&NoMonitor)
+    // To check the others, the rest of them would have to be read.
+    let is_whole = |file: usize| !enough.load(Ordering::Relaxed) && !is_partial[file].load(Ordering::Relaxed);
+    set.check_complete_of(&is_whole, &NoMonitor)
 }

@@ -113,11 +113,18 @@ pub(super) struct Diagnostics {
     any: AtomicBool,
     /// Points lost before decoding.
     points: AtomicU64,
+    /// Points that the last check of a file found missing.
+    short: Mutex<BTreeMap<usize, u64>>,
 }
 
 impl Diagnostics {
     pub fn add(&self, file: usize, change: impl FnOnce(&mut Loss)) {
         change(self.by_file.lock().unwrap_or_else(PoisonError::into_inner).entry(file).or_default());
+    }
+
+    /// Discards what was added for a file.
+    pub fn forget(&self, file: usize) {
+        self.by_file.lock().unwrap_or_else(PoisonError::into_inner).remove(&file);
     }
 
     /// Records a loss before decoding.
@@ -127,12 +134,26 @@ impl Diagnostics {
 
     /// Adds points lost before decoding.
     pub fn note_points(&self, points: u64) {
-        self.points.fetch_add(points, Ordering::Relaxed);
+        let more = |sum: u64| Some(sum.saturating_add(points));
+        let _ = self.points.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more);
     }
 
-    /// Returns the number of points lost before decoding.
+    /// Sets how many points a check of a file found missing, in place of those of the check before. The points of
+    /// damaged pieces are among them and count only once.
+    pub fn set_short(&self, file: usize, points: u64) {
+        let by_file = self.by_file.lock().unwrap_or_else(PoisonError::into_inner);
+        let unread = by_file.get(&file).map_or(0, |loss| loss.unread);
+        let mut short = self.short.lock().unwrap_or_else(PoisonError::into_inner);
+        match points.saturating_sub(unread) {
+            0 => short.remove(&file),
+            points => short.insert(file, points),
+        };
+    }
+
+    /// Returns the number of points lost before decoding, or found missing by checks.
     pub fn points(&self) -> u64 {
-        self.points.load(Ordering::Relaxed)
+        let short = self.short.lock().unwrap_or_else(PoisonError::into_inner);
+        short.values().fold(self.points.load(Ordering::Relaxed), |sum, &points| sum.saturating_add(points))
     }
 
     pub fn any(&self) -> bool {

@@ -14,6 +14,9 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+/// Error for patterns without a match.
+const NO_MATCH: &str = "it matches no scan; name .txt, .csv and .asc explicitly";
+
 /// Expands `inputs` to files.
 ///
 /// - A file is accepted whatever its name; its signature decides later.
@@ -24,7 +27,7 @@ use std::path::{Path, PathBuf};
 /// - A path that does not exist and contains `*`, `?` or `[` is a pattern. It finds files with these extensions, and
 ///   meshes, PLY and Gaussian splats only if the pattern has the same extension, because an export beside the scans is
 ///   not input. A pattern that ends in `meta.json` or `lod-meta.json` finds folders of splats.
-///   Neither are tables: `.txt` and `.csv` must be named individually.
+///   Neither are tables: `.txt`, `.csv` and `.asc` must be named individually.
 ///
 /// With `diagnostics`, unreadable inputs are recorded there and reported to `monitor`, unless nothing else is left.
 pub(super) fn expand(
@@ -109,7 +112,7 @@ fn expand_one(
                 }
             })?;
             if found.len() == before {
-                return Err(Error::input(input, "pattern", "it matches no scan; name .txt and .csv explicitly"));
+                return Err(Error::input(input, "pattern", NO_MATCH));
             }
             Ok(())
         }
@@ -145,14 +148,14 @@ fn objects(input: &Path, address: &str, found: &mut Vec<PathBuf>) -> Result<()> 
                 }
             }
             if found.len() == before {
-                return Err(Error::input(input, "pattern", "it matches no scan; name .txt and .csv explicitly"));
+                return Err(Error::input(input, "pattern", NO_MATCH));
             }
             return Ok(());
         }
         if key.is_empty() || key.ends_with('/') {
             found.extend(list(address, false)?.into_iter().map(PathBuf::from).filter(|path| is_scan(path)));
             if found.len() == before {
-                let reason = "no scan lies in it (name .txt, .csv and .ply explicitly); folders inside are not \
+                let reason = "no scan lies in it (name .txt, .csv, .asc and .ply explicitly); folders inside are not \
                               entered, name them or use a pattern such as s3://bucket/**/*.laz";
                 return Err(Error::input(input, "folder", reason));
             }
@@ -234,8 +237,8 @@ fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
         found.append(&mut splats);
     }
     if found.len() == before {
-        let reason = "no scan lies in it (name .txt, .csv and .ply explicitly); directories inside are not entered, \
-                      name them or use a pattern such as DIR/**/*.laz";
+        let reason = "no scan lies in it (name .txt, .csv, .asc and .ply explicitly); directories inside are not \
+                      entered, name them or use a pattern such as DIR/**/*.laz";
         return Err(Error::input(path, "directory", reason));
     }
     Ok(())
@@ -291,6 +294,11 @@ mod tests {
         assert_eq!(names(&["?.*"]).unwrap(), ["a.LAZ", "b.las"]);
         assert_eq!(names(&["**/*.PLY", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
         assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
+        fs::write(dir.path().join("g.asc"), "1 2 3\n").unwrap();
+        assert_eq!(names(&["g.asc"]).unwrap(), ["g.asc"]);
+        assert_eq!(names(&["", "?.*"]).unwrap(), ["a.LAZ", "b.las"]);
+        let said = names(&["*.asc"]).unwrap_err().to_string();
+        assert!(said.contains("it matches no scan; name .txt, .csv and .asc explicitly"), "{said}");
         let texts = ["a.xyz", "b.XYZN", "c.xyzrgb", "d.xyzn.gz", "e.xyzrgb.zst"];
         fs::create_dir(dir.path().join("texts")).unwrap();
         texts.iter().for_each(|name| fs::write(dir.path().join("texts").join(name), "1 2 3\n").unwrap());

@@ -96,8 +96,8 @@ pub(super) struct Reference {
     pub codes: Vec<u32>,
     pub no_unit: bool,
     pub degrees: bool,
-    /// Warning about a guess that the user should check.
-    pub odd: Option<String>,
+    /// Warnings about what the user should check; files with the same one share it.
+    pub odd: Vec<String>,
 }
 
 impl ScanFile {
@@ -196,7 +196,7 @@ impl ScanFile {
     ) -> Result<(Self, Reference)> {
         let Opened { cloud, georeference, odd, text } = opened;
         let (mut reference, unit) = settle(source.path(), georeference, options, findings)?;
-        reference.odd = odd;
+        reference.odd.extend(odd);
         if cloud.points_expected() == 0 {
             findings.note("it holds no points");
         }
@@ -278,6 +278,13 @@ impl ScanFile {
         }
     }
 
+    /// Discards the data collected for [`check`](Self::check).
+    pub(super) fn forget(&self) {
+        if let Content::Cloud(cloud) = &self.content {
+            cloud.forget();
+        }
+    }
+
     /// Returns whether the format has a header that states bounds and a point count, right or wrong, as LAS does.
     pub fn has_header(&self) -> bool {
         !matches!(self.content, Content::Cloud(_))
@@ -328,7 +335,7 @@ impl ScanFile {
             Content::Cloud(_) => return None,
         };
         match source {
-            ColourSource::Rgb => rgb.filter(|at| at + 6 <= usize::from(self.record_bytes)).map(Field::Rgb),
+            ColourSource::Rgb => rgb.map(Field::Rgb),
             ColourSource::Intensity => Some(Field::Intensity),
             ColourSource::Class => Some(Field::Class(self.layout())),
         }
@@ -337,14 +344,14 @@ impl ScanFile {
     /// Returns where the tag of a point lies in a decoded record; `None` if the points have none.
     pub(super) fn tag_field(&self, tag: Tag) -> Option<TagField> {
         let (layout, format) = (self.layout(), self.point_format()?);
-        let (field, end) = match (tag, layout) {
-            (Tag::SourceId, Layout::Old) => (TagField::SourceId(18), 20),
-            (Tag::SourceId, Layout::Extended) => (TagField::SourceId(20), 22),
-            (Tag::GpsTime, Layout::Old) if matches!(format, 1 | 3..=5) => (TagField::GpsTime(20), 28),
-            (Tag::GpsTime, Layout::Old) => return None,
-            (Tag::GpsTime, Layout::Extended) => (TagField::GpsTime(22), 30),
-        };
-        (end <= usize::from(self.record_bytes)).then_some(field)
+        match (tag, layout, &self.content) {
+            (Tag::SourceId, Layout::Old, _) => Some(TagField::SourceId(18)),
+            (Tag::SourceId, Layout::Extended, _) => Some(TagField::SourceId(20)),
+            // The items state what packed records hold, whatever the header says.
+            (Tag::GpsTime, Layout::Old, Content::Packed { packing, .. }) => packing.time_at.map(TagField::GpsTime),
+            (Tag::GpsTime, Layout::Old, _) => matches!(format, 1 | 3..=5).then_some(TagField::GpsTime(20)),
+            (Tag::GpsTime, Layout::Extended, _) => Some(TagField::GpsTime(22)),
+        }
     }
 
     /// Returns whether the points have such a tag.
@@ -461,6 +468,10 @@ fn settle(
     options: &InputOptions,
     findings: &mut Findings,
 ) -> Result<(Reference, [f64; 3])> {
+    let other = match options.units {
+        Units::Factor(factor) => georeference.other_unit(factor).map(|other| (other, factor)),
+        Units::Auto => None,
+    };
     if let Some(code) = options.epsg {
         let note = georeference.complete(code).map_err(|reason| Error::input(path, "reference system", reason))?;
         findings.notes.extend(note);
@@ -470,6 +481,9 @@ fn settle(
         codes: std::mem::take(&mut georeference.codes),
         ..Reference::default()
     };
+    reference.odd.extend(other.map(|(other, factor)| {
+        format!("it states a unit of {} m; the given one, {} m, counts", number(other), number(factor))
+    }));
     let unit = match options.units {
         Units::Factor(factor) => {
             // Notes about units are of no use here, but the system is lost.

@@ -4,7 +4,7 @@
 //! header is only an upper bound: files are truncated (`1.2-with-color-clipped.las`) and headers can be wrong.
 
 use super::diagnostics::Findings;
-use super::header::LasHeader;
+use super::header::{LasHeader, u16_at};
 use super::source::Source;
 use crate::{Error, Monitor, Result};
 
@@ -16,6 +16,9 @@ pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findi
     let stated = header.points_stated;
     let extended_at = header.first_extended;
     let end = if header.extended > 0 && extended_at >= header.points_at { extended_at } else { file_bytes };
+    let waveforms_at = header.waveforms_at;
+    let is_in_file = (header.points_at..file_bytes).contains(&waveforms_at);
+    let end = if is_in_file && is_of_waveforms(source, waveforms_at)? { end.min(waveforms_at) } else { end };
     let room = end.min(file_bytes).saturating_sub(header.points_at) / u64::from(header.record_bytes);
     if stated == 0 && room > 0 {
         let reason = format!(
@@ -25,12 +28,20 @@ pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findi
         return Err(Error::input(source.path(), "header, byte 107", reason));
     }
     if stated > room {
-        findings.lose(match room {
+        let text = match room {
             0 => format!("the header states {stated} points, but none can be read: the file is cut"),
             _ => format!("the header states {stated} points, the file holds {room} whole ones"),
-        })?;
+        };
+        findings.lose_points(stated - room, text)?;
     }
     Ok(stated.min(room))
+}
+
+/// Returns whether a record of waveforms begins at byte `at`. Some writers leave other bytes in the field of the header
+/// that states its place.
+fn is_of_waveforms(source: &Source, at: u64) -> Result<bool> {
+    let head = source.bytes_at(at, 20)?;
+    Ok(head.is_some_and(|head| head[2..].starts_with(b"LASF_Spec") && u16_at(&head, 18) == u16::MAX))
 }
 
 /// Checks that no whole record fits between the stated `points` and the next part of the file. Zeros there are padding.

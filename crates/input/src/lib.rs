@@ -327,8 +327,8 @@ pub struct InputSet {
 
 impl InputSet {
     /// Opens and checks `inputs`: files; directories, which stand for the scans directly in them; patterns with `*`,
-    /// `?`, `[...]`, `**` where no file of that name exists. Directories and patterns skip `.txt`, `.csv` and `.ply`,
-    /// except that patterns ending in `.ply` match PLY files. A file named twice is read once. Files with mesh
+    /// `?`, `[...]`, `**` where no file of that name exists. Directories and patterns skip `.txt`, `.csv`, `.asc` and
+    /// `.ply`, except that patterns ending in `.ply` match PLY files. A file named twice is read once. Files with mesh
     /// extensions are set aside, PLY files only if they have faces.
     ///
     /// Fails with one line on the first file that cannot be read in full. With `allow_incomplete`, such a file is read
@@ -513,9 +513,20 @@ impl InputSet {
     /// Fails if decoding lost points since the last call, or if a file changed since it was opened. With
     /// `allow_incomplete`, warns `monitor` instead, with one line per file and kind of loss.
     pub fn check_complete(&self, monitor: &dyn Monitor) -> Result<()> {
+        self.check_complete_of(&|_| true, monitor)
+    }
+
+    /// Like [`check_complete`](Self::check_complete), for the files, by number, that were decoded whole. What decoding
+    /// found in the others is discarded; a later pass finds it again.
+    pub fn check_complete_of(&self, is_whole: &dyn Fn(usize) -> bool, monitor: &dyn Monitor) -> Result<()> {
         for (number, file) in self.files.iter().enumerate() {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
+            }
+            if !is_whole(number) {
+                file.forget();
+                self.diagnostics.forget(number);
+                continue;
             }
             if !file.stamp.is_of(file.path()) {
                 self.diagnostics.add(number, |loss| loss.changed = true);
@@ -525,6 +536,7 @@ impl InputSet {
             let mut findings = Findings { path, allow_incomplete: true, notes, lost, points: 0 };
             file.check(&mut findings, monitor)?;
             findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
+            self.diagnostics.set_short(number, findings.points);
             if !findings.lost.is_empty() {
                 self.diagnostics.add(number, |loss| loss.told.append(&mut findings.lost));
             }
@@ -537,8 +549,8 @@ impl InputSet {
         !self.diagnostics.any()
     }
 
-    /// Returns the number of points found missing while the files were opened; those missed by decoding are not
-    /// included.
+    /// Returns the number of points found missing when the files were opened or checked; those missed by decoding are
+    /// not included.
     pub fn points_missing(&self) -> u64 {
         self.diagnostics.points()
     }

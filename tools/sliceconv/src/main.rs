@@ -44,7 +44,7 @@ use std::time::Instant;
 )]
 struct Arguments {
     /// Scans, meshes, splats, and octrees of solid cubes (OctoMap .bt and .ot, .voxel.json): files, folders of scans, or
-    /// glob patterns in quotes. Folders and patterns skip .txt and .csv
+    /// glob patterns in quotes. Folders and patterns skip .txt, .csv and .asc
     /// files, and folders also skip .ply; text may be compressed (.gz, .zst). Scans may also be at https:// addresses
     /// or in object stores: s3://bucket/key (gs://, az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with
     /// credentials from AWS_* (GOOGLE_*, AZURE_*) in the environment
@@ -361,6 +361,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::FillHoles => "--fill-holes",
         Parameter::Colour => "--colour",
         Parameter::ColourError => "--colour-error",
+        Parameter::Other(name) if name == "mesh" => "--mesh",
         Parameter::Other(name) if name == "up" => "--up",
         Parameter::Splats("opacity") => "--opacity",
         Parameter::Splats("least opacity") => "--min-opacity",

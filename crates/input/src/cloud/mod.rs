@@ -67,6 +67,9 @@ pub(super) trait Cloud: Debug + Send + Sync {
         Ok(())
     }
 
+    /// Discards the data collected for [`check`](Self::check).
+    fn forget(&self) {}
+
     /// Returns everything, apart from the bytes of the points, that determines pieces and coordinates.
     fn state(&self) -> Vec<u8>;
 
@@ -156,8 +159,8 @@ pub(super) fn format_named(path: &Path) -> Option<Format> {
     })
 }
 
-/// Returns whether folders and patterns find a file of this name. `.txt` and `.csv` may be tables of any kind and
-/// `.ply` may be an export, so these must be named individually.
+/// Returns whether folders and patterns find a file of this name. `.txt`, `.csv` and `.asc` may be tables or grids of
+/// any kind and `.ply` may be an export, so these must be named individually.
 pub(super) fn is_found(path: &Path) -> bool {
     let ending = |endings: &[&str]| {
         unpacked_name(path).extension().is_some_and(|e| endings.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
@@ -395,6 +398,14 @@ impl<'a> Taker<'a> {
     }
 }
 
+/// Returns the place `moved` that was computed from `at`. Infinity times 0 is NaN, which would count as no return; so a
+/// NaN that was not there before becomes infinity.
+#[inline]
+fn loss_unless_absent(at: [f64; 3], moved: [f64; 3]) -> [f64; 3] {
+    let has_nan = |at: [f64; 3]| at.iter().any(|v| v.is_nan());
+    if has_nan(moved) && !has_nan(at) { [f64::INFINITY; 3] } else { moved }
+}
+
 /// A linear map, such as a rotation or scaling, and a shift: `x·m[0] + y·m[1] + z·m[2] + m[3]`, in this order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pose([[f64; 3]; 4]);
@@ -406,9 +417,7 @@ impl Pose {
     fn apply(&self, at: [f64; 3]) -> [f64; 3] {
         let ([x, y, z], m) = (at, &self.0);
         let moved = [0, 1, 2].map(|axis| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis]);
-        let has_nan = |at: [f64; 3]| at.iter().any(|v| v.is_nan());
-        // Infinity times 0 is NaN, which would count as no return.
-        if has_nan(moved) && !has_nan(at) { [f64::INFINITY; 3] } else { moved }
+        loss_unless_absent(at, moved)
     }
 
     /// Returns whether all places have images in one plane.

@@ -279,6 +279,43 @@ fn points_before_the_damage_of_an_e57_are_kept() {
 }
 
 #[test]
+fn colours_of_an_e57_may_lie_behind_its_points_but_not_far() {
+    let number = |name: &str| format!("<{name} type=\"Integer\" minimum=\"0\" maximum=\"255\"/>");
+    let columns = [AXES.to_owned(), number("colorRed"), number("colorGreen"), number("colorBlue")].concat();
+    let points = packed_points(3, &[&[], &[], &[]]);
+    let colours = packet(&[&[], &[], &[], &[1, 2, 3], &[4, 5, 6], &[7, 8, 9]]);
+    let of_packets = |packets: &[Vec<u8>]| {
+        let found = coloured("a.e57", &e57(packets, &[cloud(3, &columns)]), ColourSource::Rgb).unwrap();
+        assert_eq!(found.points, line_of_points(3));
+        (found.values, found.said)
+    };
+    let (values, said) = of_packets(&[points.clone(), IGNORED.to_vec(), colours]);
+    assert_eq!(values, [[1, 4, 7], [2, 5, 8], [3, 6, 9]].map(Some), "{said}");
+    // To collect such colours, each piece of a large cloud would read on to its end.
+    let ignored = [&[2u8, 0, 0xFF, 0xFF][..], &[0; (1 << 16) - 4]].concat();
+    let parts = [&[1u8, 2][..], &[3]].map(|part| packet(&[&[], &[], &[], part, part, part]));
+    let packets = [&[points][..], &vec![ignored; 160], &parts].concat();
+    let (values, said) = of_packets(&packets);
+    assert_eq!(values, [None; 3]);
+    assert!(said.contains("its colours lie more than 10354688 bytes behind the points; they are not used"), "{said}");
+}
+
+#[test]
+fn an_infinite_range_of_an_e57_is_a_loss_in_every_direction() {
+    let columns = ["Range", "Azimuth", "Elevation"];
+    let columns = columns.map(|of| format!("<spherical{of} type=\"Float\" precision=\"single\"/>")).concat();
+    for angle in [0.0, 0.1] {
+        let of_range = |range: f32| {
+            let angles = singles([angle; 2]);
+            e57(&[packet(&[&singles([1.0, range]), &angles, &angles])], &[cloud(2, &columns)])
+        };
+        is_incomplete("a.e57", &of_range(f32::INFINITY), "1 points have a coordinate that is not finite", 1, 0);
+        let found = read("a.e57", &of_range(f32::NAN)).unwrap();
+        assert_eq!((found.points.len(), found.counts.withheld), (1, 1), "{angle}");
+    }
+}
+
+#[test]
 fn values_of_an_e57_without_limits_are_read_by_their_range() {
     let column = |name: &str| format!("<{name} type=\"Float\" precision=\"single\"/>");
     let columns = format!("{AXES}{}", column("intensity"));
@@ -304,10 +341,17 @@ fn values_of_an_e57_without_limits_are_read_by_their_range() {
     let said = coloured("a.e57", &file, ColourSource::Intensity).unwrap_err().to_string();
     assert!(said.contains("cloud 1, byte 2048") && said.contains("checksum"), "{said}");
     let columns = [AXES.to_owned(), column("colorRed"), column("colorGreen"), column("colorBlue")].concat();
-    let rgb = [singles([0.0, 1.0]), singles([0.5, 0.5]), singles([1.0, 0.0])];
-    let file = e57(&[packed_points(2, &[&rgb[0], &rgb[1], &rgb[2]])], &[cloud(2, &columns)]);
-    let found = coloured("a.e57", &file, ColourSource::Rgb).unwrap();
-    assert_eq!(found.values, [Some([0, 32_768, 65_535]), Some([65_535, 32_768, 0])]);
+    // Colours of 0 to 1, of 8 bits and of 16.
+    for (rgb, expected) in [
+        ([[0.0, 1.0], [0.5, 0.5], [1.0, 0.0]], [[0, 32_768, 65_535], [65_535, 32_768, 0]]),
+        ([[0.0, 255.0], [10.0, 20.0], [1.0, 2.0]], [[0, 10, 1], [255, 20, 2]]),
+        ([[0.0, 256.0], [10.0, 20.0], [1.0, 2.0]], [[0, 10, 1], [256, 20, 2]]),
+    ] {
+        let rgb = rgb.map(singles);
+        let file = e57(&[packed_points(2, &[&rgb[0], &rgb[1], &rgb[2]])], &[cloud(2, &columns)]);
+        let found = coloured("a.e57", &file, ColourSource::Rgb).unwrap();
+        assert_eq!(found.values, expected.map(Some));
+    }
 }
 
 /// Name, type and bytes of a PCD's field of one number.
@@ -560,6 +604,64 @@ fn rows_that_cannot_be_read_are_left_out_and_no_sample() {
     assert!(said.contains("only text is read compressed"), "{said}");
 }
 
+#[test]
+fn the_first_row_of_a_table_may_have_empty_coordinates() {
+    for text in [
+        "x,y,z,i\n,,,0.5\n1,2,3,0.5\n",
+        "x,y,z\n1,2,\n1,2,3\n",
+        "x\ty\tz\n\t2.5\t\n1\t2\t3\n",
+        "x;y;z\n;;7\n1;2;3\n",
+        "# x,y,z,i\n,,,0.5\n1,2,3,0.5\n",
+        "//X;Y;Z\n1;;\n1;2;3\n",
+    ] {
+        let found = read("a.csv", text.as_bytes()).unwrap();
+        assert_eq!((&found.points[..], found.counts.withheld), (&[[1.0, 2.0, 3.0]][..], 1), "{text}");
+    }
+    let columns = InputOptions { columns: Some("name,x,y,z".parse().unwrap()), ..InputOptions::default() };
+    let found = read_with("a.csv", b"scan,a,b,c\n0,,,\n1,1,2,3\n", columns).unwrap();
+    assert_eq!((&found.points[..], found.counts.withheld), (&[[1.0, 2.0, 3.0]][..], 1));
+    // A fault behind the names is that of a row.
+    is_incomplete("a.csv", b"x,y,z\n1,2\n4,5,6\n7,8,9\n", "line 2: expected 3 columns, found 2", 2, 1);
+}
+
+#[test]
+fn a_damaged_first_row_is_no_header() {
+    let columns = Some("x,y,z".parse().unwrap());
+    for (text, words) in [
+        ("1 2 three\n4 5 6\n", "line 1: expected a number in column 3, found \"three\""),
+        ("# a scan\n1 2\n4 5 6\n", "line 2: expected 3 columns or more, found 2"),
+    ] {
+        for (name, bytes) in [("a.xyz", text.as_bytes().to_vec()), ("a.xyz.gz", gzip(text.as_bytes()))] {
+            let options = InputOptions { columns, ..InputOptions::default() };
+            let said = read_with(name, &bytes, options).unwrap_err().to_string();
+            assert!(said.contains(words), "{words}: {said}");
+            let found = read_with(name, &bytes, InputOptions { allow_incomplete: true, ..options }).unwrap();
+            assert_eq!((&found.points[..], found.counts.missing), (&[[4.0, 5.0, 6.0]][..], 1), "{text}");
+            assert!(found.said.contains("1 row left out"), "{}", found.said);
+        }
+    }
+    // Words are names, with or without a number among them.
+    for text in ["a b c\n4 5 6\n", "2 rows follow\n4 5 6\n"] {
+        let found = read_with("a.xyz", text.as_bytes(), InputOptions { columns, ..InputOptions::default() }).unwrap();
+        assert_eq!(found.points, [[4.0, 5.0, 6.0]], "{text}");
+    }
+}
+
+#[test]
+fn a_first_line_may_state_the_separator() {
+    for text in [
+        "sep=;\nx;y;z\n1,5;2;3\n",
+        "\"SEP=;\"\n1,5;2;3\n",
+        "sep=,\nx,y,z\n1.5,2,3\n",
+        "sep=\t\n1.5\t2\t3\n",
+        // Semicolons separate numbers, too.
+        "sep=,\n1.5,2,3,0;0;0;0\n",
+    ] {
+        assert_eq!(read("a.csv", text.as_bytes()).unwrap().points, [[1.5, 2.0, 3.0]], "{text}");
+    }
+    is_refused("a.csv", b"sep=;\n1,2,3\n", "expected three numbers, found \"1,2,3\"");
+}
+
 /// A PTX of a cloud of one column: what its header states, and rows.
 fn ptx(count: usize, position: &str, last: [&str; 2], rows: &str) -> String {
     let [third, fourth] = last;
@@ -591,6 +693,22 @@ fn clouds_of_a_ptx_may_be_empty_and_end_with_a_broken_header() {
     assert!(matches!(&found.standpoints[..], [Standpoint::Unknown(why)] if why.contains("different places")));
     let words = ptx(2, "0 0 0", ["0", "0 0 0"], "a b c d\ne f g h\n");
     is_refused("a.ptx", words.as_bytes(), "rows: ");
+    is_incomplete("a.ptx", ptx(3, "0 0 0", ["0", "0 0 0"], "1 2 3 0.5\n").as_bytes(), "3 points, 1 lines follow", 1, 2);
+}
+
+#[test]
+fn the_first_row_of_a_ptx_may_have_no_return_and_another_width() {
+    for rows in ["0 0 0 0.5\n1 2 3 0.5 10 20 30\n4 5 6 0.5 40 50 60\n", "0 0 0 0.5 0 0 0\n1 2 3 0.5\n4 5 6 0.5\n"] {
+        let text = ptx(3, "0 0 0", ["0", "0 0 0"], rows);
+        for clouds in [1, 2] {
+            let found = read("a.ptx", text.repeat(clouds).as_bytes()).unwrap();
+            assert_eq!(found.points, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].repeat(clouds), "{rows}");
+            assert_eq!(found.counts.withheld, clouds as u64, "{rows}");
+        }
+    }
+    // Rows with a return must all have the same width.
+    let mixed = ptx(3, "0 0 0", ["0", "0 0 0"], "0 0 0 0.5\n1 2 3 0.5 10 20 30\n4 5 6 0.5\n");
+    is_incomplete("a.ptx", mixed.as_bytes(), "expected 7 columns, found 4", 1, 1);
 }
 
 /// Opens a file and makes all checks that need its points, none of which are decoded here.
@@ -616,6 +734,43 @@ fn rows_of_pieces_that_another_run_decoded_are_counted() {
             Ok(()) => assert_eq!(words, ""),
             Err(error) => assert!(!words.is_empty() && error.to_string().contains(words), "{words}: {error}"),
         }
+    }
+}
+
+#[test]
+fn rows_that_a_table_lacks_are_counted_once() {
+    is_incomplete("a.xyz", b"5\n1 2 3\n4 5 6\n", "its first line states 5 points, 2 lines follow", 2, 3);
+    let two = b"3\n1 2 3\n4\n4 5 6\n";
+    is_incomplete("a.pts", two, "cloud 1: its first line states 3 points, 1 line follows", 2, 2 + 3);
+    is_incomplete("a.pts", b"5\n", "its first line states 5 points, no lines follow", 0, 5);
+    // Damage at the end of packed text and the count show the same loss.
+    let rows: String = (0..20_000).map(|n| format!("{} 2 {}.5\n", n % 89, n % 97)).collect();
+    let packed = gzip(format!("20000\n{rows}").as_bytes());
+    let found = read_rest("a.xyz.gz", &packed[..packed.len() / 2]).unwrap();
+    assert!(found.said.contains("cannot be unpacked") && found.counts.read > 0, "{}", found.said);
+    assert_eq!(found.counts.read + found.counts.missing + found.missing, 20_000);
+}
+
+#[test]
+fn rows_behind_the_point_where_a_sink_stopped_are_not_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.pts");
+    for (stated, is_sound) in [(3, true), (4, false)] {
+        // The blank lines make the reader pause after the first row.
+        let text = format!("{stated}\n1 2 3\n{}4 5 6\n7 8 9\n", blank_lines(3 << 19));
+        std::fs::write(&path, text).unwrap();
+        let listener = Listener::new(u64::MAX);
+        let set = InputSet::open(std::slice::from_ref(&path), InputOptions::default(), &listener).unwrap();
+        let stop = || {
+            let chunk = set.chunks().next().unwrap();
+            let stopped = PointDecoder::new().decode(&set, &chunk, &mut |_| Err(Error::Interrupted));
+            assert!(matches!(stopped, Err(Error::Interrupted)), "{stopped:?}");
+        };
+        stop();
+        assert_eq!(set.check_complete(&listener).is_ok(), is_sound, "{stated}");
+        // A file that was read only in part is not read again to check it.
+        stop();
+        set.check_complete_of(&|_| false, &listener).unwrap();
     }
 }
 

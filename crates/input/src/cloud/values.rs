@@ -96,6 +96,15 @@ impl Sample {
         self.least >= 0.0 && self.most > 0.0 && self.most <= 1.0
     }
 
+    /// Returns white of colours in this range, of which black is 0.
+    pub fn white(&self) -> f64 {
+        match self.most {
+            most if most > 255.0 => 65_535.0,
+            most if most > 1.0 => 255.0,
+            _ => 1.0,
+        }
+    }
+
     /// Returns the scale for intensities in this range.
     pub fn intensity(&self) -> Scale {
         match self {

@@ -135,6 +135,12 @@ impl Georeference {
         }
     }
 
+    /// Returns a stated unit that is not `factor` (m).
+    pub(super) fn other_unit(&self, factor: f64) -> Option<f64> {
+        let mut stated = [self.horizontal, self.vertical].into_iter().flatten();
+        stated.find(|unit| (unit - factor).abs() > ROUNDING * factor)
+    }
+
     fn note(&mut self, text: &str) {
         if !self.notes.iter().any(|note| note == text) {
             self.notes.push(text.into());

@@ -73,7 +73,8 @@ impl Packing {
         let bad = |reason: String| Error::input(source.path(), "LAZ points", reason);
         if data_at >= file_bytes {
             if stated > 0 {
-                findings.lose(format!("the header states {stated} points, but the file ends before the first"))?;
+                let text = format!("the header states {stated} points, but the file ends before the first");
+                findings.lose_points(stated, text)?;
             }
             return Ok(Chunking::NOTHING);
         }
@@ -117,9 +118,9 @@ impl Packing {
         let ends = self.may_end(source, end, file_bytes, Some(table_at), chunks.len() as u64)?;
         if found != stated || !ends && end < file_bytes {
             let rest = file_bytes.saturating_sub(end);
-            findings.lose(format!(
-                "the header states {stated} points, whole chunks hold {found}, and {rest} bytes follow them"
-            ))?;
+            let text =
+                format!("the header states {stated} points, whole chunks hold {found}, and {rest} bytes follow them");
+            findings.lose_points(stated.saturating_sub(found), text)?;
         }
         Ok(Chunking::Chunks { start, chunks })
     }
@@ -238,9 +239,10 @@ impl Packing {
                     None if stated == 0 => return Ok(None),
                     None => {
                         let (least, most) = (before + 1, before + u64::from(size));
-                        findings.lose(format!(
+                        let text = format!(
                             "the header states {stated} points, but its {filled} chunks hold {least} to {most}"
-                        ))?;
+                        );
+                        findings.lose_points(stated.saturating_sub(most), text)?;
                         size
                     }
                 };
@@ -251,7 +253,8 @@ impl Packing {
         }
         let found: u64 = chunks.iter().map(|c| u64::from(c.points)).sum();
         if found != stated {
-            findings.lose(format!("the header states {stated} points, its chunks hold {found}"))?;
+            let text = format!("the header states {stated} points, its chunks hold {found}");
+            findings.lose_points(stated.saturating_sub(found), text)?;
         }
         Ok(Some(chunks))
     }

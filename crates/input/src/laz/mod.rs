@@ -62,6 +62,8 @@ pub(super) struct Packing {
     version: u16,
     /// Memory of the models of extra bytes (bytes).
     models_bytes: u64,
+    /// Offset of the GPS time in an unpacked record of formats 0 to 5.
+    pub time_at: Option<usize>,
     /// Offset of RGB in an unpacked record; `rgb_layer`: index of its layer in a layered chunk.
     pub rgb_at: Option<usize>,
     rgb_layer: usize,
@@ -76,12 +78,13 @@ impl Packing {
         let version = record.items[0].version;
         let layered = record.items[0].kind == Kind::Point14;
         let (mut record_bytes, mut layers, mut extra) = (0, 0, 0);
-        let (mut rgb_at, mut rgb_layer, mut rgb_version) = (None, 0, 0);
+        let (mut time_at, mut rgb_at, mut rgb_layer, mut rgb_version) = (None, None, 0, 0);
         for item in &record.items {
             match item.kind {
                 Kind::RGB12 | Kind::RGB14 | Kind::RGBNIR14 => {
                     (rgb_at, rgb_layer, rgb_version) = (Some(record_bytes), layers, item.version);
                 }
+                Kind::GpsTime11 => time_at = Some(record_bytes),
                 Kind::Byte => extra += item.bytes as u64,
                 _ => {}
             }
@@ -117,6 +120,7 @@ impl Packing {
             layers,
             version,
             models_bytes,
+            time_at,
             rgb_at,
             rgb_layer,
             rgb_version,

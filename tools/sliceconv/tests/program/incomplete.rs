@@ -30,8 +30,8 @@ fn points_kept(folder: &Path) -> u64 {
 }
 
 /// Checks that `inputs` are refused with `words` and advice, and that the archive stays; with permission, `left` points
-/// are converted, and the same words are a warning.
-fn is_incomplete(folder: &Path, inputs: &[&str], words: &str, left: u64) {
+/// are converted, the same words are a warning, and `missing` points are counted as such.
+fn is_incomplete(folder: &Path, inputs: &[&str], words: &str, left: u64, missing: u64) {
     let before = fs::read(folder.join("a.slices")).unwrap();
     for pixel in ["0.1", "auto"] {
         let options = ["--pixel", pixel, "--units", "m", "-o", "a.slices", "--force"];
@@ -46,7 +46,7 @@ fn is_incomplete(folder: &Path, inputs: &[&str], words: &str, left: u64) {
     verifies(&folder.join("a.slices"));
     let out = sliceconv(folder, &[&allowed[..], &["--json"]].concat());
     let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
-    assert_eq!(facts["complete"], false);
+    assert_eq!((&facts["points_missing"], &facts["complete"]), (&missing.into(), &false.into()), "{inputs:?}");
     fs::write(folder.join("a.slices"), before).unwrap();
 }
 
@@ -56,20 +56,25 @@ fn cut_and_damaged_scans() {
     let at = folder.path();
     let las = fs::read(at.join("scan.las")).unwrap();
     fs::write(at.join("cut.las"), &las[..las.len() / 2]).unwrap();
-    is_incomplete(at, &["cut.las"], "cut.las: ", 1494);
-    is_incomplete(at, &["cut.las", "scan.las"], "the header states 3000 points, the file holds 1494 whole ones", 4494);
+    is_incomplete(at, &["cut.las"], "cut.las: ", 1494, 1506);
+    let words = "the header states 3000 points, the file holds 1494 whole ones";
+    is_incomplete(at, &["cut.las", "scan.las"], words, 4494, 1506);
+    // The spacing of a single point is not what is wrong.
+    fs::write(at.join("one.pts"), "5\n1 2 3\n").unwrap();
+    is_incomplete(at, &["one.pts"], "its first line states 5 points, 1 line follows", 1, 4);
     // The header counts too few points: others follow, whether or not they lie in its bounds.
     let mut few = las.clone();
     few[107..111].copy_from_slice(&1000u32.to_le_bytes());
     fs::write(at.join("few.las"), &few).unwrap();
-    is_incomplete(at, &["few.las"], "the header states 1000 points, but its records have room for 3000", 1000);
+    is_incomplete(at, &["few.las"], "the header states 1000 points, but its records have room for 3000", 1000, 0);
     few[107..111].copy_from_slice(&2999u32.to_le_bytes());
     few[179..227].fill(0);
     fs::write(at.join("few.las"), few).unwrap();
-    is_incomplete(at, &["few.las"], "the header states 2999 points, but its records have room for 3000", 2999);
+    is_incomplete(at, &["few.las"], "the header states 2999 points, but its records have room for 3000", 2999, 0);
     let appended: Vec<u8> = las.iter().copied().chain([7; 34]).collect();
     fs::write(at.join("appended.las"), appended).unwrap();
-    is_incomplete(at, &["appended.las"], "the header states 3000 points, but its records have room for 3001", 3000);
+    let words = "the header states 3000 points, but its records have room for 3001";
+    is_incomplete(at, &["appended.las"], words, 3000, 0);
     // Zeros may follow as padding.
     let padded: Vec<u8> = las.iter().copied().chain([0; 4096]).collect();
     fs::write(at.join("padded.las"), padded).unwrap();
@@ -82,10 +87,13 @@ fn cut_and_damaged_scans() {
     fs::write(at.join("damaged.laz"), laz).unwrap();
     let said = refuses(at, &[&["damaged.laz"], &OPTIONS[..], &["--force"]].concat(), 1);
     assert!(said.contains("damaged.laz: LAZ chunk 1: damaged"), "{said}");
-    let said = converts(at, &[&["damaged.laz"], &OPTIONS[..], &["--force", "--allow-incomplete"]].concat());
-    assert!(said.contains("warning: damaged.laz: incomplete: LAZ chunk 1: damaged"), "{said}");
-    assert!(said.contains("5,000 points could not be read"), "{said}");
-    assert_eq!(points_kept(at), 7_000);
+    // A pass before, for the spacing, reports nothing and counts nothing.
+    for more in [&[][..], &["--fill-holes", "auto"]] {
+        let said = converts(at, &[&["damaged.laz"], &OPTIONS[..], &["--force", "--allow-incomplete"], more].concat());
+        assert!(said.contains("warning: damaged.laz: incomplete: LAZ chunk 1: damaged"), "{said}");
+        assert!(said.contains("5,000 points could not be read") && !said.contains("10,000"), "{said}");
+        assert_eq!(points_kept(at), 7_000);
+    }
 }
 
 /// No point of a damaged chunk is kept, so every way to convert its file keeps the same points.
@@ -205,7 +213,7 @@ fn broken_meshes() {
         ("binary.stl", binary, "states 2 triangles of 50 bytes"),
     ] {
         fs::write(at.join(name), bytes).unwrap();
-        is_incomplete(at, &[name], words, 1);
+        is_incomplete(at, &[name], words, 1, 0);
     }
     // A degenerate triangle is not a loss.
     fs::write(at.join("flat.obj"), format!("{corners}f 1 2 3\nf 1 2 2\n")).unwrap();
@@ -487,5 +495,23 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
         fs::write(&inputs[0], after).unwrap();
         let error = part(at, &inputs, 2, &file).unwrap_err().to_string();
         assert!(error.contains("has changed since"), "{error}");
+    }
+}
+
+/// No empty archive takes the place of a scan of which nothing can be used.
+#[test]
+fn a_scan_without_one_usable_point_is_refused_even_where_gaps_are_allowed() {
+    let folder = folder();
+    let axes = "property double x\nproperty double y\nproperty double z\n";
+    let far = format!("ply\nformat ascii 1.0\nelement vertex 2\n{axes}end_header\n1e13 1 2\n1e13 2 3\n");
+    let before = fs::read(folder.path().join("a.slices")).unwrap();
+    for (name, text, words) in [
+        ("far.ply", &*far, "far.ply: points: no point has a finite position within 1e12 m; fetch or write the file again"),
+        ("none.pts", "5\n", "INPUT: nothing of it can be read; fetch or write it again"),
+    ] {
+        fs::write(folder.path().join(name), text).unwrap();
+        let said = refuses(folder.path(), &[&[name, "--force", "--allow-incomplete"], &OPTIONS[..]].concat(), 1);
+        assert!(said.contains(words), "{said}");
+        assert!(fs::read(folder.path().join("a.slices")).unwrap() == before, "{name}");
     }
 }

@@ -479,6 +479,27 @@ fn threads_and_the_order_of_units_change_nothing() {
 }
 
 #[test]
+fn waveforms_behind_the_points_are_no_points() {
+    let folder = Folder::new();
+    let scan = Scan::new(3, 4, 10);
+    let plain = scan.las();
+    let mut head = [0; 60];
+    head[2..11].copy_from_slice(b"LASF_Spec");
+    head[18..20].copy_from_slice(&u16::MAX.to_le_bytes());
+    let mut bytes = [&plain[..], &head, &[7; 1000]].concat();
+    bytes[227..235].copy_from_slice(&(plain.len() as u64).to_le_bytes());
+    let strictly = |bytes: &[u8]| read_strictly(&[folder.file("a.las", bytes)], InputOptions::default());
+    assert_eq!(strictly(&bytes).unwrap().points, scan.expected());
+    bytes[107] = 12;
+    let said = refusal(&folder.file("a.las", &bytes));
+    assert!(said.contains("the header states 12 points, the file holds 10 whole ones"), "{said}");
+    // A place without such a record means nothing.
+    let mut stray = plain.clone();
+    stray[227..235].copy_from_slice(&(plain.len() as u64 / 2).to_le_bytes());
+    assert_eq!(strictly(&stray).unwrap().points, scan.expected());
+}
+
+#[test]
 fn an_error_of_the_sink_ends_the_work() {
     let folder = Folder::new();
     let path = folder.file("a.laz", &Scan::new(4, 6, 20_000).laz(5000));

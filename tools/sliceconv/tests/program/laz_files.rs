@@ -7,7 +7,7 @@ use laz::laszip::{ChunkTable, ChunkTableEntry};
 use slicewalk::colour::ColourSource;
 use slicewalk::{Error, NoMonitor};
 use slicewalk_convert::{ColourMode, ConvertOptions, PixelSize, convert};
-use slicewalk_input::InputOptions;
+use slicewalk_input::{InputOptions, InputSet, PointCounts, PointDecoder, Tag};
 
 /// For chunks of any length.
 #[test]
@@ -81,6 +81,61 @@ fn extra_bytes_are_stepped_over_and_bound_the_memory() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn items_and_not_the_header_state_where_times_and_colours_lie() {
+    let folder = Folder::new();
+    let open =
+        |bytes: &[u8]| InputSet::open(&[folder.file("a.laz", bytes)], InputOptions::default(), &NoMonitor).unwrap();
+    let decode = |set: &InputSet| {
+        let (mut values, mut tags) = (Vec::new(), 0);
+        let chunk = set.chunks().next().unwrap();
+        let counts = PointDecoder::new().decode(set, &chunk, &mut |batch| {
+            values.extend_from_slice(&batch.values);
+            tags += batch.tags.len();
+            Ok(())
+        });
+        assert_eq!(counts.unwrap().read, 50);
+        (values, tags)
+    };
+    // A header of format 1, items of format 0.
+    let mut bytes = Scan::new(4, 0, 100).laz(50);
+    bytes[104] = 0x81;
+    bytes[105..107].copy_from_slice(&28u16.to_le_bytes());
+    let mut set = open(&bytes);
+    assert!(!set.files()[0].has_tags(Tag::GpsTime));
+    set.set_tag(Some(Tag::GpsTime));
+    assert_eq!(decode(&set).1, 0);
+    // A header of format 0, items of format 3.
+    let mut scan = Scan::new(4, 3, 100);
+    scan.records.iter_mut().for_each(|record| record[28..34].copy_from_slice(&[1, 0, 2, 0, 3, 0]));
+    let mut bytes = scan.laz(50);
+    bytes[104] = 0x80;
+    bytes[105..107].copy_from_slice(&20u16.to_le_bytes());
+    let mut set = open(&bytes);
+    assert!(set.files()[0].has_tags(Tag::GpsTime));
+    set.set_tag(Some(Tag::GpsTime));
+    set.set_colour(Some(ColourSource::Rgb));
+    assert_eq!(decode(&set), (vec![[1, 2, 3]; 50], 50));
+}
+
+#[test]
+fn points_that_no_chunk_holds_are_counted_as_missing() {
+    let folder = Folder::new();
+    for format in [1, 7] {
+        let mut bytes = Scan::new(4, format, 120).laz(50);
+        bytes[107..111].copy_from_slice(&200u32.to_le_bytes());
+        bytes[247..255].copy_from_slice(&200u64.to_le_bytes());
+        let options = InputOptions { allow_incomplete: true, ..InputOptions::default() };
+        let set = InputSet::open(&[folder.file("a.laz", &bytes)], options, &NoMonitor).unwrap();
+        let (mut decoder, mut counts) = (PointDecoder::new(), PointCounts::default());
+        set.chunks().for_each(|chunk| counts += decoder.decode(&set, &chunk, &mut |_| Ok(())).unwrap());
+        set.check_complete(&NoMonitor).unwrap();
+        let missing = set.points_missing() + counts.missing;
+        assert_eq!((counts.read + missing, set.is_complete()), (200, false), "format {format}");
+        assert_eq!(counts.read, if format == 1 { 100 } else { 120 });
     }
 }
 

@@ -313,6 +313,20 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
 }
 
 #[test]
+fn looking_for_colours_counts_no_table_as_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    // Three batches, of which the first shows that there are intensities.
+    let rows: String = (0..140_000).map(|n| format!("{}.5 {} 1 {}\n", n % 97, n % 89, n % 200 + 1)).collect();
+    let text = format!("140000\n{rows}");
+    for (name, bytes) in [("a.pts", text.clone().into_bytes()), ("b.pts.gz", gzip(text.as_bytes()))] {
+        fs::write(folder.path().join(name), bytes).unwrap();
+        let options = ["-o", "a.slices", "--force", "--pixel", "0.5", "--units", "m", "--colour", "intensity"];
+        converts(folder.path(), &[&[name], &options[..]].concat());
+        assert_eq!(Archive::open(folder.path().join("a.slices")).unwrap().header().points_kept, 140_000, "{name}");
+    }
+}
+
+#[test]
 fn headers_of_pts_and_commas_of_ptx_are_understood() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

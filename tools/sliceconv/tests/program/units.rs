@@ -46,7 +46,9 @@ fn the_unit_applied_is_recorded_and_said() {
     for (inputs, expected, words) in [
         (&["feet.las"][..], us_foot.clone(), "US survey feet (0.3048006096012192 m); the archive is in metres"),
         (&["feet.las", "--units", "m"], metre.clone(), "unit of the source: metres;"),
+        (&["feet.las", "--units", "m"], metre.clone(), "feet.las: it states a unit of 0.30480060960121"),
         (&["feet.las", "--units", "ft"], foot.clone(), "feet (0.3048 m);"),
+        (&["heights.las", "--units", "m"], metre.clone(), "it states a unit of 0.3048 m; the given one, 1 m, counts"),
         (&["plain.las", "--units", "2.5"], json!({ "name": "other", "factor": 2.5 }), "units of 2.5 m;"),
         (&["plain.las"], metre.clone(), "metres;"),
         (&["floor.obj"], metre.clone(), "metres;"),
@@ -70,6 +72,11 @@ fn the_unit_applied_is_recorded_and_said() {
     }
     let archive = Archive::open(at.join("a.slices")).unwrap();
     assert_eq!(info::info(&archive).unwrap()["crs"], FEET, "the source's system, in its own unit");
+    // The unit of a given system is not that of a file.
+    for inputs in [&["plain.las", "--units", "m", "--crs", "EPSG:2277"][..], &["metres.las", "--units", "m"]] {
+        let said = converts(at, &[inputs, &OPTIONS, &["a.slices"]].concat());
+        assert!(!said.contains("it states a unit"), "{inputs:?}: {said}");
+    }
 }
 
 #[test]

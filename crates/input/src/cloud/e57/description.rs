@@ -77,6 +77,14 @@ pub(super) enum Limits {
     Unstated,
 }
 
+impl Limits {
+    /// Returns the limits with these values of black and white; `None` if they leave no usable range.
+    pub fn of((black, white): (f64, f64)) -> Option<Self> {
+        let scale = Scale::between(black, white)?;
+        Some(if (black, white) == (0.0, 255.0) { Self::Bytes } else { Self::Between(scale) })
+    }
+}
+
 /// Content of the XML.
 #[derive(Default)]
 pub(super) struct Contents {
@@ -206,12 +214,7 @@ impl Description {
                 .map(|(min, max)| (min as f64 * scale + offset, max as f64 * scale + offset)),
             Kind::Single | Kind::Double => column.range,
         };
-        let sound = |(low, high): (f64, f64)| Some(((low, high), Scale::between(low, high)?));
-        match self.limits[channel].and_then(sound).or(of_column.and_then(sound)) {
-            Some(((low, high), _)) if (low, high) == (0.0, 255.0) => Limits::Bytes,
-            Some((_, scale)) => Limits::Between(scale),
-            None => Limits::Unstated,
-        }
+        self.limits[channel].and_then(Limits::of).or(of_column.and_then(Limits::of)).unwrap_or(Limits::Unstated)
     }
 }
 

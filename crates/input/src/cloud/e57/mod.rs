@@ -17,7 +17,7 @@ mod description;
 mod pages;
 
 use super::values::{SAMPLE_POINTS, Sample, Scale};
-use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker, loss_unless_absent};
 use crate::colour::ColourSource;
 use crate::crs::Georeference;
 use crate::diagnostics::without_path;
@@ -74,6 +74,24 @@ struct Values<const N: usize> {
     at: [usize; N],
     limits: [Limits; N],
     invalid: Option<usize>,
+}
+
+impl<const N: usize> Values<N> {
+    /// Returns all of its columns.
+    fn columns(&self) -> impl Iterator<Item = usize> {
+        self.at.into_iter().chain(self.invalid)
+    }
+
+    /// Returns the columns without limits.
+    fn open(&self) -> Vec<usize> {
+        let open = self.at.into_iter().zip(self.limits).filter(|(_, limits)| *limits == Limits::Unstated);
+        open.map(|(column, _)| column).collect()
+    }
+
+    /// Sets the limits of columns without.
+    fn settle(&mut self, found: Limits) {
+        self.limits.iter_mut().filter(|limits| **limits == Limits::Unstated).for_each(|limits| *limits = found);
+    }
 }
 
 #[derive(Debug)]
@@ -330,19 +348,26 @@ impl Scan {
         // In a sound file, the columns of the same points are at most this far apart.
         let apart = (PIECE_POINTS * per_point / 8 + (4 << 20)) * 2;
         let (mut packet, mut before) = (data, [0u64; ALL]);
-        let mut open = 0;
         let mut number = 0u64;
         let mut lens = Vec::new();
-        // Number of points for which all columns have been seen.
+        // Number of points whose whole position has been seen.
         let mut held = 0;
         let mut damage = String::new();
-        while held < records && packet < end {
+        // Columns of colours and of intensities, and whether they lie too far behind the points to be collected.
+        let of_values = [
+            self.rgb.iter().flat_map(Values::columns).collect::<Vec<_>>(),
+            self.intensity.iter().flat_map(Values::columns).collect(),
+        ];
+        let mut are_far = [false; 2];
+        while packet < end && self.lags(&before, records) {
             if number.is_multiple_of(1024) && opening.monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
             number += 1;
             let Packet { len, is_data } = match self.head(pages, source, packet, &mut lens) {
                 Ok(packet) => packet,
+                // Only values are missing; the check of the rest reports the damage.
+                Err(Error::Input { .. }) if held == records => break,
                 // The points before the damage are complete.
                 Err(error @ Error::Input { .. }) if held > 0 && opening.findings.allow_incomplete => {
                     damage = format!("; {}", without_path(error));
@@ -367,15 +392,20 @@ impl Scan {
                     self.marks.push(Mark { packet, before });
                 }
                 before = after;
-                let whole = |(column, &bytes): (&Needed, &u64)| {
-                    (column.bits > 0)
-                        .then(|| (u128::from(bytes) * 8 / u128::from(column.bits)).min(records.into()) as u64)
+                let whole = |column: usize| {
+                    let (bytes, bits) = (u128::from(before[column]), u128::from(self.needed[column].bits));
+                    (bits > 0).then(|| (bytes * 8 / bits).min(records.into()) as u64)
                 };
-                held = self.needed[..self.of_place].iter().zip(&before).filter_map(whole).min().unwrap_or(0);
-                while (open as u64 + 1) * PIECE_POINTS <= held {
-                    open += 1;
+                // True if the first points that are not whole began too long ago.
+                let is_far = |held: u64| {
+                    let mark = self.marks.get((held / PIECE_POINTS) as usize).filter(|_| held < records);
+                    mark.is_some_and(|mark| packet - mark.packet > apart)
+                };
+                held = (0..self.of_place).filter_map(whole).min().unwrap_or(0);
+                for (are_far, columns) in are_far.iter_mut().zip(&of_values) {
+                    *are_far |= columns.iter().filter_map(|&column| whole(column)).min().is_some_and(is_far);
                 }
-                if self.marks.get(open).is_some_and(|mark| packet - mark.packet > apart) {
+                if is_far(held) {
                     let reason =
                         format!("columns of the same points lie more than {apart} bytes apart; write the file again");
                     return Err(self.error(source, packet, reason));
@@ -397,18 +427,27 @@ impl Scan {
         self.records = held;
         // Values may end before the points do.
         let lacks = |at: usize| u128::from(before[at]) * 8 < u128::from(held) * u128::from(self.needed[at].bits);
-        let rgb = self.rgb.filter(|values| values.at.into_iter().chain(values.invalid).any(lacks));
-        let intensity = self.intensity.filter(|values| values.at.into_iter().chain(values.invalid).any(lacks));
-        for (what, cut) in [("colours", rgb.is_some()), ("intensities", intensity.is_some())] {
-            if cut {
-                opening.findings.note(format!("{}: it holds fewer {what} than points; they are not used", self.name));
-            }
-        }
-        self.rgb = self.rgb.filter(|_| rgb.is_none());
-        self.intensity = self.intensity.filter(|_| intensity.is_none());
+        let [rgb, intensity] = [("colours", 0), ("intensities", 1)].map(|(what, group): (&str, usize)| {
+            let reason = match of_values[group].iter().any(|&column| lacks(column)) {
+                true => format!("it holds fewer {what} than points"),
+                false if are_far[group] => format!("its {what} lie more than {apart} bytes behind the points"),
+                false => return true,
+            };
+            opening.findings.note(format!("{}: {reason}; they are not used", self.name));
+            false
+        });
+        self.rgb = self.rgb.filter(|_| rgb);
+        self.intensity = self.intensity.filter(|_| intensity);
         self.marks.truncate(held.div_ceil(PIECE_POINTS) as usize);
         self.marks.shrink_to_fit();
         Ok(())
+    }
+
+    /// Returns whether a needed column has fewer bytes than `records` points take.
+    fn lags(&self, before: &[u64; ALL], records: u64) -> bool {
+        let lags =
+            |(column, &bytes): (&Needed, &u64)| u128::from(bytes) * 8 < u128::from(records) * u128::from(column.bits);
+        self.needed.iter().zip(before).any(lags)
     }
 
     /// Checks that a cloud of 0 points has no packets with points.
@@ -539,23 +578,33 @@ impl Scan {
         Some((at.into_iter().chain(invalid).collect(), channel))
     }
 
-    /// Samples points to find the range of intensities without limits.
-    fn look(&mut self, source: &Source) -> Result<()> {
-        let Some(Values { at: [at], limits: [Limits::Unstated], .. }) = self.intensity else { return Ok(()) };
+    /// Samples points to find the range of colours or intensities without limits.
+    fn look(&mut self, of: ColourSource, source: &Source) -> Result<()> {
+        let open = match of {
+            ColourSource::Rgb => self.rgb.iter().flat_map(Values::open).collect::<Vec<_>>(),
+            ColourSource::Intensity => self.intensity.iter().flat_map(Values::open).collect(),
+            ColourSource::Class => Vec::new(),
+        };
+        if open.is_empty() {
+            return Ok(());
+        }
         let end = self.records.min(16 * SAMPLE_POINTS as u64);
         let piece = Piece { points: end, part: 0, first: 0, end };
         let mut pages = Pages::new(source, source.stamp().len());
         let mut sample = Sample::NOTHING;
         // Damage is reported when the points are read in full.
-        let columns = match self.gather(&piece, &[at], &mut pages, source) {
+        let columns = match self.gather(&piece, &open, &mut pages, source) {
             Err(Error::Input { .. }) => Vec::new(),
             columns => columns?,
         };
-        if let Some(column) = columns.get(self.of_place) {
+        for column in columns.iter().skip(self.of_place) {
             (0..end as usize).for_each(|number| sample.add(column.value(number)));
         }
-        if let Some(values) = &mut self.intensity {
-            values.limits = [Limits::Between(sample.intensity())];
+        if of == ColourSource::Rgb {
+            let limits = Limits::of((0.0, sample.white())).unwrap_or(Limits::Unstated);
+            self.rgb.iter_mut().for_each(|values| values.settle(limits));
+        } else {
+            self.intensity.iter_mut().for_each(|values| values.settle(Limits::Between(sample.intensity())));
         }
         Ok(())
     }
@@ -590,6 +639,15 @@ impl Scan {
     }
 }
 
+/// Converts range, azimuth and elevation.
+#[inline]
+fn cartesian(at: [f64; 3]) -> [f64; 3] {
+    let [range, azimuth, elevation] = at;
+    let across = range * libm::cos(elevation);
+    let moved = [across * libm::cos(azimuth), across * libm::sin(azimuth), range * libm::sin(elevation)];
+    loss_unless_absent(at, moved)
+}
+
 impl Cloud for E57 {
     fn format(&self) -> &'static str {
         "E57"
@@ -618,11 +676,9 @@ impl Cloud for E57 {
     }
 
     fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()> {
+        self.scans.iter_mut().try_for_each(|scan| scan.look(source, file))?;
         let all_bytes = self.scans.iter().filter_map(|scan| scan.rgb).all(|rgb| rgb.limits == [Limits::Bytes; 3]);
         self.depth = if all_bytes { Depth::Eight } else { Depth::Sixteen };
-        if source == ColourSource::Intensity {
-            self.scans.iter_mut().try_for_each(|scan| scan.look(file))?;
-        }
         Ok(())
     }
 
@@ -653,9 +709,7 @@ impl Cloud for E57 {
             }
             let mut at = [a.value(number), b.value(number), c.value(number)];
             if scan.spherical {
-                let [range, azimuth, elevation] = at;
-                let across = range * libm::cos(elevation);
-                at = [across * libm::cos(azimuth), across * libm::sin(azimuth), range * libm::sin(elevation)];
+                at = cartesian(at);
             }
             taker.note_singles(at, is_single);
             let value = channel.as_ref().and_then(|channel| channel.value(&columns, number));

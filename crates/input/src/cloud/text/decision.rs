@@ -1,8 +1,9 @@
 //! Decides the layout of a table once, from its header and first rows.
 //!
-//! - The separator is the first of semicolon, tab, comma and blanks with which more than half of the rows have three
-//!   numbers. Tabs count as blanks if they merely align columns: if the number of tabs varies between rows but the
-//!   number of words does not, or if a column is always empty and has no name.
+//! - The separator is the one that a first line `sep=;` states, else the first of semicolon, tab, comma and blanks with
+//!   which more than half of the rows have three numbers. Tabs count as blanks if they merely align columns: if the
+//!   number of tabs varies between rows but the number of words does not, or if a column is always empty and has no
+//!   name.
 //! - The number of cells is that of most rows. Every row must have it; empty cells at its end do not count.
 //! - Names come from the line before the rows that is not a row, else from the last comment before the rows that names
 //!   x, y and z. They fit if there are as many as cells. One fewer fits if the first column holds row names (quoted, or
@@ -54,6 +55,8 @@ impl Custom {
 
 /// Beginning of a table.
 pub(super) struct Beginning<'a> {
+    /// Separator that the text states.
+    pub separator: Option<Separator>,
     /// Comments before the rows.
     pub comments: &'a [Vec<u8>],
     /// Line before the rows that is not a row.
@@ -97,12 +100,35 @@ impl Refusal {
 
 type Result<T> = std::result::Result<T, Refusal>;
 
-/// Returns whether a line is a row: it holds three numbers, whatever separates them, or only separators.
-pub(super) fn is_row(line: &[u8]) -> bool {
+/// Returns the separator that a line states for spreadsheets: `sep=;`.
+pub(super) fn stated_separator(line: &[u8]) -> Option<Separator> {
+    let line = line.strip_prefix(b"\"").unwrap_or(line);
+    let (name, stated) = line.split_at_checked(4)?;
+    match stated {
+        [byte @ (b';' | b'\t' | b','), rest @ ..] if name.eq_ignore_ascii_case(b"sep=") => {
+            let is_end = rest.iter().all(|byte| byte.is_ascii_whitespace() || *byte == b'"');
+            is_end.then_some(Separator::Byte(*byte))
+        }
+        _ => None,
+    }
+}
+
+/// Returns, for each word of a line, whatever separates them, whether it is a number or stands for a missing one.
+fn are_numbers(line: &[u8]) -> impl Iterator<Item = bool> {
     // Quotes may enclose a number with a comma.
     let words = line.split(|byte| matches!(byte, b';' | b'\t' | b',' | b' ' | b'"'));
-    let numbers = words.filter(|word| !word.is_empty() && Cell::of(word, false) != Cell::Text).take(3).count();
+    words.filter(|word| !word.is_empty()).map(|word| Cell::of(word, false) != Cell::Text)
+}
+
+/// Returns whether a line is a row: it holds three numbers, whatever separates them, or only separators.
+pub(super) fn is_row(line: &[u8]) -> bool {
+    let numbers = are_numbers(line).filter(|is_number| *is_number).take(3).count();
     numbers == 3 || !line.iter().any(|byte| byte.is_ascii_alphanumeric() || !byte.is_ascii())
+}
+
+/// Returns whether a line holds no words but numbers.
+pub(super) fn is_without_text(line: &[u8]) -> bool {
+    are_numbers(line).all(|is_number| is_number)
 }
 
 /// Returns whether a line names x, y and z, whatever separates the names.
@@ -182,16 +208,18 @@ impl<'a> Table<'a> {
             let count = |rows: &Vec<Vec<&[u8]>>| rows.iter().filter(|row| numbers(row, separator) >= 3).count();
             (count(&rows), rows)
         };
+        let may_be = |separator: Separator| beginning.separator.is_none_or(|stated| stated == separator);
         // Rows without any return do not show the separator.
         let filled = beginning.rows.iter().filter(|row| row.iter().any(u8::is_ascii_alphanumeric)).count().max(1);
         let tried = candidates.map(|separator| (separator, fitting(separator)));
-        let majority = tried.iter().position(|(_, (count, _))| 2 * count > filled);
-        let best = majority.or_else(|| tried.iter().position(|(_, (count, _))| *count > 0)).ok_or_else(|| {
+        let most = |least: usize| tried.iter().position(|(by, (count, _))| may_be(*by) && *count >= least);
+        let best = most(filled / 2 + 1).or_else(|| most(1)).ok_or_else(|| {
             let row = shown(beginning.rows.first().map_or(&[][..], |row| row.trim_ascii()));
             Refusal::of_rows(format!("expected three numbers, found {row}"))
         })?;
         let [_, _, _, (_, (_, by_blanks))] = &tried;
-        let is_alignment = tried[best].0 == Separator::Byte(b'\t')
+        let is_alignment = beginning.separator.is_none()
+            && tried[best].0 == Separator::Byte(b'\t')
             && Self::lines_up(&tried[best].1.1, by_blanks, beginning.rows.len(), beginning.header);
         let (separator, (_, rows)) = if is_alignment { &tried[3] } else { &tried[best] };
         let all = most_frequent(rows.iter().map(Vec::len));
@@ -552,7 +580,7 @@ mod tests {
             lines.into_iter().partition(|line| line.starts_with(b"#") || line.starts_with(b"//"));
         let header = lines.first().filter(|line| is_header(line) || !is_row(line)).cloned();
         let rows = &lines[usize::from(header.is_some())..];
-        let beginning = Beginning { comments: &comments, header: header.as_deref(), rows };
+        let beginning = Beginning { separator: None, comments: &comments, header: header.as_deref(), rows };
         decide(&beginning, columns.map(|columns| columns.parse().unwrap()), Custom::Xyz)
     }
 
@@ -695,7 +723,8 @@ mod tests {
         let found = decided("X (mm),Y (mm),Z (mm),Rf,Gf,Bf,Intensity,Class\n1,2,3,0,0,0,5,2", None).unwrap();
         assert_eq!(found.units, [Some(NameUnit::Metres(0.001)); 3]);
         let latin = [&b"Rechtswert;Hochwert;H\xF6he"[..], b"1;2;3"];
-        let beginning = Beginning { comments: &[], header: Some(latin[0]), rows: &[latin[1].to_vec()] };
+        let beginning =
+            Beginning { separator: None, comments: &[], header: Some(latin[0]), rows: &[latin[1].to_vec()] };
         assert_eq!(decide(&beginning, None, Custom::Xyz).unwrap().names[2], "Höhe");
         let Places { rgb, intensity, class, .. } = found.places;
         assert_eq!((rgb, intensity, class), (Some(RgbPlaces::Each([3, 4, 5])), Some(6), Some(7)));

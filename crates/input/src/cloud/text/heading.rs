@@ -186,7 +186,10 @@ impl Name {
         match &self.bracket {
             Some(bracket) => bracket.unit(),
             None => {
-                self.words.last().filter(|_| self.words.len() > 1).and_then(|unit| length(unit)).map(NameUnit::Metres)
+                let [_, others @ ..] = &self.words[..] else { return None };
+                // `ftUS` and `us_ft` are two words.
+                let two = others.len().checked_sub(2).and_then(|at| length(&others[at..].concat()));
+                two.or_else(|| length(others.last()?)).map(NameUnit::Metres)
             }
         }
     }
@@ -297,6 +300,7 @@ mod tests {
             ("X_UTM32,Y_UTM32,Z_DHHN2016", [0, 1, 2]),
             ("X,Y,Elevation,ScanAngleRank", [0, 1, 2]),
             ("x,y,z,z_std,dz,x_error", [0, 1, 2]),
+            ("X_ftUS,Y_ftUS,Z_ftUS", [0, 1, 2]),
         ] {
             assert_eq!(of(names), Ok(found), "{names}");
         }
@@ -351,6 +355,11 @@ mod tests {
             ("z (tenths of feet)", Some(NameUnit::Unknown)),
             ("z [fathoms]", Some(NameUnit::Unknown)),
             ("m", None),
+            ("x_ft", Some(NameUnit::Metres(FOOT_M))),
+            ("X_ftUS", Some(NameUnit::Metres(US_SURVEY_FOOT_M))),
+            ("Easting_ftUS", Some(NameUnit::Metres(US_SURVEY_FOOT_M))),
+            ("x_us_ft", Some(NameUnit::Metres(US_SURVEY_FOOT_M))),
+            ("point_x_m", Some(NameUnit::Metres(1.0))),
         ] {
             assert_eq!(unit_of(name), unit, "{name}");
         }

@@ -23,7 +23,7 @@ use crate::diagnostics::Findings;
 use crate::{Error, Monitor, Parameter, Result};
 use decision::{Beginning, Custom, Decision, decide, is_header};
 use heading::NameUnit;
-use layout::{Fault, Parsed, Places, RgbPlaces, RowLayout, Separator, ValueLayout};
+use layout::{Cell, Fault, Parsed, Places, RgbPlaces, RowLayout, Separator, ValueLayout};
 use lines::{Step, is_word};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -358,8 +358,10 @@ impl Cloud for Rows {
             tally.add_fault(at, fault.reason);
             Ok(true)
         });
-        // Recorded even if damage ended the piece.
-        self.found.lock().unwrap_or_else(PoisonError::into_inner).insert(piece.first, tally);
+        // Recorded even if damage ended the piece, but not if the sink did: then there may be more rows.
+        if !taker.refused {
+            self.found.lock().unwrap_or_else(PoisonError::into_inner).insert(piece.first, tally);
+        }
         done.map(|()| 0)
     }
 
@@ -382,6 +384,10 @@ impl Cloud for Rows {
             findings.lose(format!("{lost} {rows} left out{more}: {line}: {reason}"))?;
         }
         Ok(())
+    }
+
+    fn forget(&self) {
+        self.found.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
     fn state(&self) -> Vec<u8> {
@@ -440,12 +446,32 @@ fn whole_word(row: &[u8]) -> Option<u64> {
     if is_word(row) { parse_whole(row) } else { None }
 }
 
+/// Line before the rows of a table.
+struct Header {
+    line: Vec<u8>,
+    /// Offset of the line; `number`: its number.
+    at: u64,
+    number: u64,
+}
+
+impl Header {
+    /// Returns whether the line is a damaged row rather than a header: it names no axes, and has numbers in two of
+    /// their columns.
+    fn is_row(&self, Decision { layout, places, .. }: &Decision) -> bool {
+        let cells = layout.separator().cells(&self.line).unwrap_or_default();
+        let cell = |column: usize| cells.get(column).map(|cell| Cell::of(cell, layout.decimal_comma()));
+        let is_number = |column: usize| matches!(cell(column), Some(Cell::Number(_)));
+        places.axes.into_iter().filter(|&column| is_number(column)).count() >= 2 && !is_header(&self.line)
+    }
+}
+
 /// Lines before the rows of a table, and the first rows.
 #[derive(Default)]
 struct Start {
+    separator: Option<Separator>,
     comments: Vec<Vec<u8>>,
-    /// Line that names the columns, and its number.
-    header: Option<(Vec<u8>, u64)>,
+    /// Line that names the columns.
+    header: Option<Header>,
     count: Option<u64>,
     /// Offset of the first row, and its line number.
     first: Option<(u64, u64)>,
@@ -455,9 +481,11 @@ struct Start {
 }
 
 impl Start {
-    fn read(lines: &mut Lines<'_>, custom: Custom) -> Result<Self> {
+    /// Reads them; `is_named` if the user names the columns.
+    fn read(lines: &mut Lines<'_>, custom: Custom, is_named: bool) -> Result<Self> {
         let mut start = Self::default();
         while start.rows.len() < LOOKED_AT {
+            let is_first = lines.number() == 0;
             let Some((at, line)) = lines.next()? else {
                 start.is_whole = true;
                 break;
@@ -469,6 +497,10 @@ impl Start {
                 }
                 continue;
             };
+            if is_first && let Some(separator) = decision::stated_separator(line) {
+                start.separator = Some(separator);
+                continue;
+            }
             let text = line.trim_ascii();
             let is_comment = text.starts_with(b"#") || text.starts_with(b"//");
             if text.is_empty() || is_comment && start.first.is_some() {
@@ -489,13 +521,18 @@ impl Start {
                 _ => {}
             }
             let names = start.first.is_none() && is_header(text);
-            if start.first.is_some() || decision::is_row(text) && !names {
+            // Behind the names of the axes, rows may have empty cells or faults.
+            let is_behind_names = || match &start.header {
+                Some(header) => is_named || is_header(&header.line),
+                None => !start.comments.is_empty() && decision::is_without_text(text),
+            };
+            if start.first.is_some() || is_behind_names() || decision::is_row(text) && !names {
                 let line = line.to_vec();
                 start.first.get_or_insert((at, lines.number()));
                 start.rows.push(line);
             } else if start.header.is_none() && (names || custom != Custom::Pts) {
                 let line = line.to_vec();
-                start.header = Some((line, lines.number()));
+                start.header = Some(Header { line, at, number: lines.number() });
             } else {
                 let what = if custom == Custom::Pts { "a number of points" } else { "numbers" };
                 let line = text.to_vec();
@@ -509,25 +546,27 @@ impl Start {
 /// Opens a table, whose rows may follow their count and the names of the columns.
 fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     let (mut lines, packing) = begin(opening)?;
-    let Start { comments, header, count, first, rows, is_whole } = Start::read(&mut lines, custom)?;
+    // A user names columns of tables; a PTS has a layout of its own.
+    let columns = opening.columns.filter(|_| custom != Custom::Pts);
+    let Start { separator, comments, header, count, first, rows, is_whole } =
+        Start::read(&mut lines, custom, columns.is_some())?;
     let format = if custom == Custom::Pts { "PTS" } else { TABLE };
     let Some((start, first_line)) = first else {
         if let Some(count) = count.filter(|&count| count > 0) {
-            opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
+            let text = format!("its first line states {count} points, no lines follow");
+            opening.findings.lose_points(count, text)?;
         }
-        if let Some((header, line)) = header.filter(|(header, _)| !is_header(header)) {
-            let reason = format!("expected columns named x, y and z, found {}", super::shown(header.trim_ascii()));
-            return Err(opening.error(format!("line {line}"), reason).with_suggestion(Parameter::Columns));
+        if let Some(Header { line, number, .. }) = header.filter(|header| !is_header(&header.line)) {
+            let reason = format!("expected columns named x, y and z, found {}", super::shown(line.trim_ascii()));
+            return Err(opening.error(format!("line {number}"), reason).with_suggestion(Parameter::Columns));
         }
         let layout = RowLayout::new(Places::of([0, 1, 2]), Separator::Blanks, false);
         return Ok(Opened::new(Rows::empty(format, packing, layout, Channels::new(None, None))));
     };
-    // A user names columns of tables; a PTS has a layout of its own.
-    let columns = opening.columns.filter(|_| custom != Custom::Pts);
-    let beginning =
-        Beginning { comments: &comments, header: header.as_ref().map(|(header, _)| &header[..]), rows: &rows };
+    let named = header.as_ref().map(|header| &header.line[..]);
+    let beginning = Beginning { separator, comments: &comments, header: named, rows: &rows };
     let decided = decide(&beginning, columns, custom).map_err(|refusal| {
-        let line = header.as_ref().filter(|_| refusal.is_of_header).map_or(first_line, |header| header.1);
+        let line = header.as_ref().filter(|_| refusal.is_of_header).map_or(first_line, |header| header.number);
         let at = format!("line {line}");
         match custom {
             Custom::Pts => {
@@ -537,6 +576,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
             _ => opening.error(at, refusal.reason).with_suggestion(Parameter::Columns),
         }
     })?;
+    let start = header.filter(|header| columns.is_some() && header.is_row(&decided)).map_or(start, |header| header.at);
     let Decision { layout, places, cells, names, units, odd } = decided;
     let kind = if custom == Custom::Pts && names.is_empty() { Kind::Custom } else { Kind::Any };
     let channels = Channels::new(places.rgb.map(|_| kind), places.intensity.map(|_| Kind::Any));

@@ -9,6 +9,7 @@ use super::lines::Lines;
 use super::{LOOKED_AT, Rows, Segment, begin, check_clouds, text_layout, whole_word};
 use crate::cloud::values::{Channels, Kind};
 use crate::cloud::{Opened, Opening, Pose};
+use crate::number::decimal;
 use crate::{Error, Result};
 
 /// Header of a cloud in a PTX.
@@ -84,7 +85,8 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
             Err(Error::Input { at, reason, .. }) if opening.findings.allow_incomplete => {
                 let points = size[0].saturating_mul(size[1]);
                 stated = stated.saturating_add(points);
-                opening.findings.lose(format!("cloud {number} of {points} points is left out: {at}: {reason}"))?;
+                let text = format!("cloud {number} of {points} points is left out: {at}: {reason}");
+                opening.findings.lose_points(points, text)?;
                 may_seek = true;
                 continue;
             }
@@ -94,19 +96,18 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
         let PtxHead { points, pose, station, .. } = head;
         decimal_comma |= head.decimal_comma;
         let start = lines.position();
-        let wanted = if sample.is_empty() { LOOKED_AT } else { 1 };
-        let (found, first) = lines.keep_rows(points, true, wanted, opening.monitor)?;
+        let (found, first) = lines.keep_rows(points, true, LOOKED_AT, opening.monitor)?;
         stated = stated.saturating_add(points);
         if found < points {
-            opening
-                .findings
-                .lose(format!("cloud {number}: its header states {points} points, {found} lines follow"))?;
+            let text = format!("cloud {number}: its header states {points} points, {found} lines follow");
+            opening.findings.lose_points(points - found, text)?;
         }
         let pose = Some(pose).filter(|pose| *pose != Pose::IDENTITY);
         check_clouds(segments.len(), opening)?;
         segments.push((
             Segment { pose, station, ..Segment::plain(start, lines.position(), found) },
-            first.first().cloned(),
+            // Rows without a return may end before the colours, so they do not show the width.
+            first.iter().find(|row| !is_absent(row)).cloned(),
         ));
         if sample.is_empty() {
             sample = first;
@@ -114,7 +115,7 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
     }
     let mut layout = RowLayout::new(Custom::Ptx.places(7), Separator::Blanks, decimal_comma);
     if !sample.is_empty() {
-        let beginning = Beginning { comments: &[], header: None, rows: &sample };
+        let beginning = Beginning { separator: None, comments: &[], header: None, rows: &sample };
         let decided = decide(&beginning, None, Custom::Ptx).map_err(|refusal| opening.error("rows", refusal.reason))?;
         let has_points = sample.iter().any(|row| row.contains(&b'.'));
         let decimal_comma = decided.layout.decimal_comma() || decimal_comma && !has_points;
@@ -141,6 +142,12 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
     // By convention: Cyclone writes metres.
     opened.georeference.horizontal = Some(1.0);
     Ok(opened)
+}
+
+/// Returns whether a row begins with `0 0 0`: it has no return.
+fn is_absent(row: &[u8]) -> bool {
+    let is_gap = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b';');
+    row.split(is_gap).filter(|word| !word.is_empty()).take(3).all(|word| decimal(word, false) == Some(0.0))
 }
 
 /// Returns the scanner position of a PTX cloud: the stated position, which should be where the matrix moves the origin.

@@ -25,6 +25,8 @@ pub(super) struct Tally {
     /// First cloud within the piece with fewer rows than stated; `more`: the first with more.
     fewer: Option<Uneven>,
     more: Option<Uneven>,
+    /// Rows that clouds within the piece lack.
+    lacking: u64,
     /// Number of rows left out; `first`: offset and fault of the first.
     faults: u64,
     first: Option<(u64, String)>,
@@ -66,6 +68,7 @@ impl Tally {
         let found = Uneven { cloud: self.counts, stated: self.last, rows: self.behind };
         if found.rows < found.stated {
             self.fewer.get_or_insert(found);
+            self.lacking = self.lacking.saturating_add(found.stated - found.rows);
         } else if found.rows > found.stated {
             self.more.get_or_insert(found);
         }
@@ -87,6 +90,7 @@ impl Tally {
         let moved = |uneven: Uneven| Uneven { cloud: uneven.cloud + here, ..uneven };
         self.fewer = self.fewer.or(next.fewer.map(moved));
         self.more = self.more.or(next.more.map(moved));
+        self.lacking = self.lacking.saturating_add(next.lacking);
         (self.counts, self.last, self.behind) = (here + next.counts, next.last, next.behind);
     }
 }
@@ -108,7 +112,7 @@ pub(super) fn check_count<'a>(
         findings.note(format!("{}; all are read", text(more)));
     }
     match all.fewer {
-        Some(fewer) => findings.lose(text(fewer)),
+        Some(fewer) => findings.lose_points(all.lacking, text(fewer)),
         None => Ok(()),
     }
 }
