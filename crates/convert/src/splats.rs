@@ -15,7 +15,7 @@ use crate::voxel::ellipsoids::EllipsoidBuilder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Parameter, Result};
 use slicewalk_splat::ellipsoid::{DEFAULT_OPACITY, Ellipsoid};
-use slicewalk_splat::{HEAD_BYTES, Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, recognise};
+use slicewalk_splat::{Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, format_of};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -84,7 +84,7 @@ impl SplatCounts {
         self.faint += other.faint;
         self.large += other.large;
         self.unusable += other.unusable;
-        self.missing += other.missing;
+        self.missing = self.missing.saturating_add(other.missing);
     }
 
     /// Adds the splats that a reader did not pass on.
@@ -92,7 +92,7 @@ impl SplatCounts {
         let unusable = summary.lost() - summary.missing;
         self.read += unusable;
         self.unusable += unusable;
-        self.missing += summary.missing;
+        self.missing = self.missing.saturating_add(summary.missing);
     }
 }
 
@@ -123,8 +123,7 @@ fn is_splat(path: &Path) -> bool {
         return false;
     }
     let Ok(source) = open_named(path) else { return false };
-    let mut head = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
-    source.read_at(0, &mut head).is_ok() && recognise(&head, path).is_some()
+    format_of(&*source, path).is_ok_and(|format| format.is_some())
 }
 
 /// Inputs of a conversion, divided.

@@ -14,6 +14,7 @@
 //!
 //! Sources: "LAS Specification 1.4 - R15" and "LAS Specification 1.5" (ASPRS); LASzip: see `laz`.
 
+pub mod beside;
 mod cloud;
 mod columns;
 mod convert;
@@ -24,7 +25,7 @@ mod epsg;
 mod epsg_table;
 mod expand;
 mod file;
-pub mod gltf_extensions;
+pub mod gltf;
 mod header;
 mod las;
 mod laz;

@@ -39,7 +39,7 @@ impl SplatSummary {
 
     /// Returns the number of splats that were lost.
     pub fn lost(&self) -> u64 {
-        self.not_finite + self.no_rotation + self.negative + self.opacity + self.missing
+        (self.not_finite + self.no_rotation + self.negative + self.opacity).saturating_add(self.missing)
     }
 
     fn texts(&self) -> impl Iterator<Item = String> {
@@ -108,7 +108,7 @@ impl<'a> Gate<'a> {
     }
 
     fn taken(&self) -> u64 {
-        self.summary.splats + self.summary.lost()
+        self.summary.splats.saturating_add(self.summary.lost())
     }
 
     /// Sets where the next splats are placed; `None` leaves them as they are.
@@ -145,7 +145,7 @@ impl<'a> Gate<'a> {
         if self.summary.lost() == 0 {
             self.first_lost = self.taken();
         }
-        self.summary.missing += splats;
+        self.summary.missing = self.summary.missing.saturating_add(splats);
         if splats == 0 { Ok(()) } else { self.lose() }
     }
 

@@ -8,10 +8,10 @@
 mod accessor;
 mod placing;
 
-use super::columns::{Column, Part, beside, json, read_error};
+use super::columns::{Column, Part, json, read_error};
 use super::gate::{Gate, Raw, colour_of};
 use super::spz::Spz;
-use super::{Body, Work, refuse};
+use super::{Body, Work, is_all, refuse};
 use accessor::{Accessor, Values};
 use base64::Engine;
 pub use placing::Placing;
@@ -20,7 +20,8 @@ use slicewalk_base::bytes::{ByteSource, MemorySource, open_named};
 use slicewalk_base::colour::from_linear;
 use slicewalk_base::text::{counted, grouped, shown};
 use slicewalk_base::{Error, Result};
-use slicewalk_input::gltf_extensions::{is_harmless, moves};
+use slicewalk_input::beside::{decode_percent, path_beside};
+use slicewalk_input::gltf::{check_matrix, is_harmless, moves};
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -123,6 +124,8 @@ pub struct Gltf {
     elsewhere: u64,
     /// A mesh of the scene with primitives other than splats.
     other: Option<usize>,
+    /// A GLB, and the length that it states (bytes).
+    glb: Option<(Arc<dyn ByteSource>, u64)>,
 }
 
 fn wrong(path: &Path, at: impl Into<String>, reason: impl std::fmt::Display) -> Error {
@@ -131,7 +134,7 @@ fn wrong(path: &Path, at: impl Into<String>, reason: impl std::fmt::Display) -> 
 
 impl Gltf {
     pub fn open(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
-        let (document, binary) = read_document(source, path)?;
+        let (document, binary, glb) = read_document(source, path)?;
         let mut loader = Loader { path, document: &document, binary, buffers: BTreeMap::new() };
         let instances = instances(&document, path)?;
         let (mut parts, mut by_mesh) = (Vec::new(), vec![0u64; document.meshes.len()]);
@@ -161,7 +164,7 @@ impl Gltf {
         }
         document.check_extensions(&by_mesh, path)?;
         let other = others.into_iter().find(|mesh| is_placed(*mesh));
-        Ok(Self { path: path.to_path_buf(), parts, instances, count, elsewhere, other })
+        Ok(Self { path: path.to_path_buf(), parts, instances, count, elsewhere, other, glb })
     }
 }
 
@@ -193,6 +196,13 @@ impl Body for Gltf {
     }
 
     fn read(&mut self, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {
+        if let Some((source, len)) = &self.glb
+            && !is_all(Column::rest(source, *len), |byte| *byte == 0 || byte.is_ascii_whitespace(), work)?
+        {
+            let [stated, found] = [*len, source.len()].map(grouped);
+            let reason = format!("it states {stated} bytes, and the file has {found}");
+            gate.refuse(wrong(&self.path, "header", reason))?;
+        }
         if self.elsewhere > 0 {
             let (name, splats) = (self.path.display(), counted(self.elsewhere, "splat"));
             work.monitor.warn(&format!("{name}: {splats} of meshes that the scene does not show were left out").into());
@@ -275,15 +285,18 @@ impl Attributes {
     }
 }
 
-/// Reads the JSON of a glTF or GLB; returns it with the binary part of a GLB.
-fn read_document(source: Arc<dyn ByteSource>, path: &Path) -> Result<(Document, Option<Arc<dyn ByteSource>>)> {
+/// A structure, the binary part of a GLB, and the GLB with the length that it states (bytes).
+type Parsed = (Document, Option<Arc<dyn ByteSource>>, Option<(Arc<dyn ByteSource>, u64)>);
+
+/// Reads the JSON of a glTF or GLB.
+fn read_document(source: Arc<dyn ByteSource>, path: &Path) -> Result<Parsed> {
     let mut head = [0; 12];
     if source.len() < 12 {
         return Err(wrong(path, "header", "expected glTF, found fewer than 12 bytes"));
     }
     source.read_at(0, &mut head)?;
     if &head[..4] != b"glTF" {
-        return Ok((json(&source, path)?, None));
+        return Ok((json(&source, path)?, None, None));
     }
     let word = |bytes: &[u8], at: usize| {
         u64::from(u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
@@ -314,7 +327,8 @@ fn read_document(source: Arc<dyn ByteSource>, path: &Path) -> Result<(Document, 
             _ => {}
         }
     }
-    Ok((document.ok_or_else(|| wrong(path, "header", "expected JSON in the first chunk, found none"))?, binary))
+    let document = document.ok_or_else(|| wrong(path, "header", "expected JSON in the first chunk, found none"))?;
+    Ok((document, binary, Some((source, len))))
 }
 
 /// Returns the meshes of the scene with their places.
@@ -341,7 +355,10 @@ fn instances(document: &Document, path: &Path) -> Result<Vec<(usize, Placing)>> 
             return Err(wrong(path, format!("node {number}"), "it occurs twice in the scene"));
         }
         let own = match node.matrix {
-            Some(matrix) => Placing::of_matrix(matrix),
+            Some(matrix) => {
+                check_matrix(&matrix).map_err(|reason| refuse(path, format!("node {number}"), reason))?;
+                Placing::of_matrix(matrix)
+            }
             None => Placing::of_parts(node.translation, node.rotation, node.scale),
         };
         let placing = parent.then(&own);
@@ -462,15 +479,26 @@ impl Loader<'_> {
                         bytes.map_err(|e| wrong(self.path, at(), format!("damaged base64 ({e})")))?,
                     ))
                 }
-                None => open_named(&beside(self.path, &decode_percent(uri))?)?.into(),
+                None if uri.contains(':') => {
+                    let reason = "it lies elsewhere; fetch it beside the file and name it there";
+                    return Err(refuse(self.path, at(), reason));
+                }
+                None => {
+                    let path = path_beside(self.path, &decode_percent(uri));
+                    open_named(&path.map_err(|reason| refuse(self.path, at(), reason))?)?.into()
+                }
             },
         };
-        if source.len() < stated.byte_length {
-            let reason = format!("it should have {} bytes and has {}: it is cut", stated.byte_length, source.len());
+        let cut = || format!("it should have {} bytes and has {}: it is cut", stated.byte_length, source.len());
+        let own = Part::new(&source, 0, stated.byte_length).ok_or_else(|| wrong(self.path, at(), cut()))?;
+        // The binary part is padded to a multiple of four bytes; another file may hold more than the buffer.
+        if stated.uri.is_none() && source.len() - stated.byte_length > 3 {
+            let reason = format!("it states {} bytes, and the binary part has {}", stated.byte_length, source.len());
             return Err(wrong(self.path, at(), reason));
         }
-        self.buffers.insert(number, source.clone());
-        Ok(source)
+        let own: Arc<dyn ByteSource> = Arc::new(own);
+        self.buffers.insert(number, own.clone());
+        Ok(own)
     }
 
     fn values(&mut self, number: usize, components: usize, are_shares: bool) -> Result<Values> {
@@ -482,19 +510,6 @@ impl Loader<'_> {
         let (part, stride) = self.view(view)?;
         accessor.values(Arc::new(part), stride, are_shares).map_err(|reason| wrong(self.path, at(), reason))
     }
-}
-
-/// Decodes `%20` and the like; keeps malformed codes as they are.
-fn decode_percent(text: &str) -> String {
-    let (mut bytes, mut rest) = (Vec::with_capacity(text.len()), text.as_bytes());
-    while let Some((&byte, after)) = rest.split_first() {
-        let code = after.get(..2).filter(|_| byte == b'%').and_then(|code| std::str::from_utf8(code).ok());
-        match code.and_then(|code| u8::from_str_radix(code, 16).ok()) {
-            Some(decoded) => (bytes.push(decoded), rest = &after[2..]).1,
-            None => (bytes.push(byte), rest = after).1,
-        }
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// Fills `row` with the next bytes.

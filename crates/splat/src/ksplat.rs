@@ -178,6 +178,10 @@ impl Ksplat {
             left = left.saturating_sub(1);
             gate.push(self.splat(&row, section, centre))?;
         }
+        if self.level > 0 && there == section.splats && (left > 0 || passed < section.full + section.partial) {
+            let reason = "the buckets hold more splats than the section states; fetch or write it again";
+            gate.refuse(refuse(path, "buckets", reason))?;
+        }
         Ok(())
     }
 

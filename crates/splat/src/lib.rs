@@ -30,7 +30,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use gate::{BATCH_SPLATS, SplatSummary};
-pub use recognise::recognise;
+pub use recognise::{format_of, recognise};
 
 /// One Gaussian: an ellipsoid with opacity, in the file's own axes and units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -112,6 +112,7 @@ pub struct SplatReader {
 }
 
 /// Bytes at the start of a file that [`recognise`] needs to see: the longest header of a PLY that any program writes.
+/// Only the structure of a glTF may be longer: [`format_of`] sees it all.
 pub const HEAD_BYTES: usize = 64 << 10;
 
 impl SplatReader {
@@ -134,9 +135,7 @@ impl SplatReader {
         if source.is_empty() {
             return Err(Error::input(path, "byte 0", "the file is empty; fetch or write it again"));
         }
-        let mut head = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
-        source.read_at(0, &mut head)?;
-        let format = recognise(&head, path).ok_or_else(|| {
+        let format = format_of(&*source, path)?.ok_or_else(|| {
             Error::input(
                 path,
                 "byte 0",

@@ -1,15 +1,70 @@
 //! The format of a file, by its content and name.
 
-use super::SplatFormat;
+use super::{HEAD_BYTES, SplatFormat};
 use memchr::memmem::find;
+use slicewalk_base::Result;
+use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::behind_mark;
 use std::path::Path;
 
-/// Returns the format of a file by its first bytes ([`HEAD_BYTES`](crate::HEAD_BYTES) are enough) and its name; `None`
-/// if it holds no Gaussian splats. The content decides if it has a signature: a PLY or glTF of points or triangles is
-/// not a file of splats, whatever its name.
+/// Names of the extensions of glTF for splats begin with these.
+const EXTENSIONS: [&[u8]; 2] = [b"KHR_gaussian_splatting", b"KHR_spz"];
+/// Bytes of a structure of glTF searched at once, and bytes in which two such pieces overlap: longer than these names.
+const PIECE_BYTES: u64 = 1 << 20;
+const OVERLAP_BYTES: usize = 32;
+
+/// Returns the format of the file that `path` names; `None` if it holds no Gaussian splats. The structure of a glTF is
+/// searched whole, because programs that sort its keys write buffers of any length in front of its extensions.
+pub fn format_of(source: &dyn ByteSource, path: &Path) -> Result<Option<SplatFormat>> {
+    let mut bytes = vec![0; source.len().min(HEAD_BYTES as u64) as usize];
+    source.read_at(0, &mut bytes)?;
+    let format = recognise(&bytes, path);
+    let Some(end) = structure_end(&bytes, path).filter(|_| format.is_none()) else { return Ok(format) };
+    let (end, mut at) = (end.min(source.len()), bytes.len() as u64);
+    while at < end {
+        let kept = bytes.len().min(OVERLAP_BYTES);
+        bytes.drain(..bytes.len() - kept);
+        let len = (end - at).min(PIECE_BYTES);
+        bytes.resize(kept + len as usize, 0);
+        source.read_at(at, &mut bytes[kept..])?;
+        at += len;
+        if names_splats(&bytes) {
+            return Ok(Some(SplatFormat::Gltf));
+        }
+    }
+    Ok(None)
+}
+
+/// Returns whether bytes of a glTF name an extension for splats.
+fn names_splats(bytes: &[u8]) -> bool {
+    EXTENSIONS.iter().any(|name| find(bytes, name).is_some())
+}
+
+/// Returns the ending of a name, in lower case.
+fn ending_of(name: &Path) -> String {
+    name.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
+}
+
+/// Returns whether a file begins like JSON.
+fn is_json(head: &[u8]) -> bool {
+    behind_mark(head).iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{')
+}
+
+/// Returns where the structure of a glTF ends, by the first bytes and the name of its file; `None` for other files.
+fn structure_end(head: &[u8], name: &Path) -> Option<u64> {
+    match *head {
+        [b'g', b'l', b'T', b'F', _, _, _, _, _, _, _, _, a, b, c, d, ..] => {
+            Some(20 + u64::from(u32::from_le_bytes([a, b, c, d])))
+        }
+        _ => (is_json(head) && ending_of(name) == "gltf").then_some(u64::MAX),
+    }
+}
+
+/// Returns the format of a file by its first bytes and its name; `None` if it holds no Gaussian splats. [`HEAD_BYTES`]
+/// are enough for all formats but glTF, see [`format_of`]. The content decides if it has a signature: a PLY or glTF of
+/// points or triangles is not a file of splats, whatever its name.
 pub fn recognise(head: &[u8], name: &Path) -> Option<SplatFormat> {
-    let ending = name.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let ending = ending_of(name);
     let has = |text: &str| find(head, text.as_bytes()).is_some();
     let bare = behind_mark(head);
     if bare.starts_with(b"ply") {
@@ -27,11 +82,10 @@ pub fn recognise(head: &[u8], name: &Path) -> Option<SplatFormat> {
     if head.starts_with(b"PK\x03\x04") {
         return (ending == "sog" || (ending == "zip" && has(".webp"))).then_some(SplatFormat::Sog);
     }
-    let is_json = bare.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{');
-    if head.starts_with(b"glTF") || (is_json && ending == "gltf") {
-        return (has("KHR_gaussian_splatting") || has("KHR_spz")).then_some(SplatFormat::Gltf);
+    if head.starts_with(b"glTF") || (is_json(head) && ending == "gltf") {
+        return names_splats(head).then_some(SplatFormat::Gltf);
     }
-    if is_json {
+    if is_json(head) {
         let whole = has("\"means\"") && has("\"quats\"");
         let levels = has("\"lodLevels\"") || (has("\"tree\"") && has("\"filenames\""));
         // The codebooks of a meta.json may push the next names out of the first bytes.

@@ -352,7 +352,7 @@ impl Levels {
             let end = end.ok_or_else(|| wrong("a node names splats that no file holds".into()))?;
             ranges.entry(range.file).or_default().push((range.offset, end));
             count = count.saturating_add(range.count);
-            finest += if *level == 0 { range.count } else { 0 };
+            finest = finest.saturating_add(if *level == 0 { range.count } else { 0 });
         }
         for ranges in ranges.values_mut() {
             ranges.sort_unstable();

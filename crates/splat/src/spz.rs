@@ -284,10 +284,10 @@ impl Body for Spz {
                 let harmonics = self.header.harmonics * self.header.count;
                 let whole = self.header.widths().iter().sum::<u64>() * self.header.count + OLD_HEADER_BYTES as u64;
                 match self.source.len() {
-                    len if len < whole + harmonics && !work.options.allow_incomplete => {
+                    len if len < whole + harmonics => {
                         let expected = whole + harmonics;
                         let reason = format!("expected {expected} bytes, found {len}: the file is cut; fetch it again");
-                        return gate.break_off(refuse(work.path, "length", reason));
+                        gate.refuse(refuse(work.path, "length", reason))?;
                     }
                     len if len > whole + harmonics && self.header.flags & FLAG_EXTENSIONS == 0 => {
                         let end = whole + harmonics;

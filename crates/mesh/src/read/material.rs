@@ -4,10 +4,11 @@
 //! Alias/Wavefront, 1995.
 
 use super::placing::Placing;
-use super::texture::{Fault, Textures, path_beside, read_beside};
+use super::texture::{Fault, Textures, read_beside};
 use super::watch::Watch;
 use crate::Result;
 use crate::bytes::is_file_at;
+use crate::input::beside::path_beside;
 use crate::paint::{Texture, WHITE, Wrap};
 use crate::text::shown;
 use std::collections::HashMap;

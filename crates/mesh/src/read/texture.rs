@@ -4,14 +4,14 @@
 //! memory limit is an error, because the contents of an archive must not depend on the memory.
 
 use super::watch::{Digest, Watch};
-use crate::bytes::{Regular, held};
+use crate::bytes::Regular;
+use crate::input::beside::path_beside;
 use crate::paint::{Image, Texture, Wrap};
-use crate::text::shown;
 use crate::{Error, Parameter, Result};
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::io::Read;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
@@ -126,22 +126,6 @@ pub(super) fn read_beside(of: &Path, name: &str, most_bytes: u64) -> Result<Vec<
     let mut bytes = Vec::new();
     file.take(most_bytes).read_to_end(&mut bytes).map_err(refused)?;
     Ok(bytes)
-}
-
-/// Returns the path of a file that the mesh at `of` refers to.
-pub(super) fn path_beside(of: &Path, name: &str) -> Result<PathBuf, String> {
-    // Files from Windows separate folders with backslashes.
-    let below = PathBuf::from(name.replace('\\', "/"));
-    let is_drive = name.as_bytes().get(1) == Some(&b':');
-    let is_below = below.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-    if !is_below || is_drive || name.is_empty() {
-        let name = shown(name.as_bytes());
-        return Err(format!("{name} leads out of the folder of the file; put it there and name it so"));
-    }
-    let path = of.with_file_name(&below);
-    // A browser hands files over without their folders.
-    let bare = below.file_name().map(|name| of.with_file_name(name));
-    Ok(bare.filter(|bare| held(&path).is_none() && held(bare).is_some()).unwrap_or(path))
 }
 
 /// Decodes an image; returns it with the bytes that it takes. Takes at most `most_bytes`, both during decoding and

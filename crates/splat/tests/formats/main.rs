@@ -6,7 +6,7 @@ mod write;
 use slicewalk_base::bytes::testing::{Strike, StruckSource};
 use slicewalk_base::bytes::{MemorySource, testing};
 use slicewalk_base::{Error, NoMonitor, Result};
-use slicewalk_splat::{Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, recognise};
+use slicewalk_splat::{HEAD_BYTES, Splat, SplatFormat, SplatOptions, SplatReader, SplatSummary, format_of, recognise};
 use std::path::Path;
 use std::sync::Arc;
 use write::{Kind, Random, gzip, with};
@@ -101,7 +101,7 @@ fn every_format_reads_back_what_was_written() {
     for (count, seed) in [(1, 1), (7, 2), (300, 3), (20_000, 4)] {
         let splats = write::random_splats(count, seed);
         for case in cases(&splats) {
-            let head = &case.bytes[..case.bytes.len().min(slicewalk_splat::HEAD_BYTES)];
+            let head = &case.bytes[..case.bytes.len().min(HEAD_BYTES)];
             assert_eq!(recognise(head, Path::new(case.name)), Some(case.format), "{}", case.name);
             let (stated, found, summary) = read(&case.bytes, case.name, false).unwrap();
             assert_eq!((stated, summary.splats, summary.lost()), (count as u64, count as u64, 0), "{}", case.name);
@@ -265,6 +265,7 @@ fn files_that_hold_more_than_they_state_are_refused() {
     let [bare, spz] = [false, true].map(|packed| write::spz(&splats, 3, 1, packed));
     let ksplat = write::ksplat(&splats, 0, 0);
     let v4 = write::spz(&splats, 4, 0, true);
+    let glb = write::gltf(&splats);
     let more = |bytes: &[u8], extra: &[u8]| [bytes, extra].concat();
     let mut shorter = counting(v4.clone(), 299);
     for (entry, width) in [9u64, 1, 3, 3, 4].into_iter().enumerate() {
@@ -287,6 +288,7 @@ fn files_that_hold_more_than_they_state_are_refused() {
         ("l.spz", more(&v4, b"abc"), "bytes, found", 300),
         ("m.spz", shorter, "a stream holds more bytes than it states", 299),
         ("n.sog", write::zip(&sog, true), "q.webp: expected 299 splats, found more", 299),
+        ("o.glb", more(&glb, b"more"), "bytes, and the file has", 300),
     ];
     for (name, bytes, words, left) in cases {
         let error = read(&bytes, name, false).map(drop).unwrap_err();
@@ -301,7 +303,7 @@ fn files_that_hold_more_than_they_state_are_refused() {
     for (name, bytes) in [("a.ply", blank), ("b.ply", more(&little, &[0; 9])), ("c.spz", gzip(&extended))]
         .into_iter()
         .chain([("d.spz", more(&spz, &[0; 3])), ("e.ksplat", more(&ksplat, &[0; 512])), ("f.spz", extended.clone())])
-        .chain([("g.spz", more(&bare, &[0; 3]))])
+        .chain([("g.spz", more(&bare, &[0; 3])), ("h.glb", more(&glb, b"\0\0 \n"))])
     {
         let (_, found, summary) = read(&bytes, name, false).unwrap();
         assert_eq!((found.len(), summary.is_complete()), (300, true), "{name}");
@@ -431,6 +433,35 @@ fn names_decide_where_the_content_does_not() {
     ];
     for (head, name, format) in cases {
         assert_eq!(recognise(head, Path::new(name)), format, "{name}: {}", head.escape_ascii());
+    }
+}
+
+/// Programs that sort keys write the buffers of a glTF, which may be text, in front of its extensions.
+#[test]
+fn splats_of_a_gltf_are_found_behind_buffers_in_its_text() {
+    use base64::Engine;
+    let glb = write::gltf(&write::random_splats(1500, 40));
+    let len = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let json = std::str::from_utf8(&glb[20..20 + len]).unwrap().trim_end();
+    let data = base64::engine::general_purpose::STANDARD.encode(&glb[28 + len..]);
+    let (before, rest) = json.split_once("\"buffers\":[{").unwrap();
+    let (own, behind) = rest.split_once("}],").unwrap();
+    let text = format!("{{\"buffers\":[{{\"uri\":\"data:;base64,{data}\",{own}}}],{}{behind}", &before[1..]);
+    assert!(text.find("KHR_").unwrap() > HEAD_BYTES);
+    let expected = read(&glb, "a.glb", false).unwrap().1;
+    assert!(read(text.as_bytes(), "late.gltf", false).unwrap().1 == expected);
+    let long = write::glb(&text, glb[28 + len..].to_vec());
+    assert!(read(&long, "late.glb", false).unwrap().1 == expected);
+    let format = |bytes: &[u8]| format_of(&MemorySource::new(bytes), Path::new("late.gltf")).unwrap();
+    assert_eq!(format(text.replace("KHR_gaussian_splatting", "KHR_other").as_bytes()), None);
+    // Across the ends of the pieces that are searched.
+    for end in [HEAD_BYTES, HEAD_BYTES + (1 << 20)] {
+        for before in [0, 1, 21, 22, 40] {
+            let mut bytes = vec![b' '; end - before];
+            bytes[0] = b'{';
+            bytes.extend(b"KHR_gaussian_splatting");
+            assert_eq!(format(&bytes), Some(SplatFormat::Gltf), "{before} bytes before {end}");
+        }
     }
 }
 

@@ -222,6 +222,9 @@ fn odd_spzs_are_refused() {
             (damaged, "damaged data"),
         ],
     );
+    // Cut within the harmonics, which are not read.
+    let (_, found, summary) = read(&bare[..bare.len() - 1], "cut.spz", true).unwrap();
+    assert_eq!((found.len(), summary.lost(), summary.is_complete()), (300, 0, false));
     let none = write::spz(&[], 4, 0, true);
     assert_eq!(read(&none, "none.spz", false).unwrap().0, 0);
 }
@@ -248,6 +251,8 @@ fn odd_ksplats_are_refused() {
             (put(&packed, 4104, &word(3)), "section 0: its buckets hold fewer splats than it states"),
             // The bucket that is not full states one splat fewer than there are.
             (put(&packed, 5120, &word(2)), "buckets: the buckets end before the splats"),
+            // It states one more.
+            (put(&packed, 5120, &word(4)), "buckets: the buckets hold more splats than the section states"),
         ],
     );
     // A stated range, and a section without splats.
@@ -371,12 +376,22 @@ fn odd_levels_of_sog_are_refused() {
         ("\"file\":1", "\"file\":2", "a node names splats that no file holds"),
         ("\"file\":1", "\"file\":0", "two nodes name the same splats"),
         ("\"counts\":[50]", "\"counts\":[51]", "expected 51 splats in the finest level, found 50"),
+        (
+            "\"count\":20}}},{\"lods\":{\"0\":{\"file\":1,\"offset\":0,\"count\":30",
+            "\"count\":9223372036854775808}}},{\"lods\":{\"0\":{\"file\":1,\"offset\":0,\"count\":9223372036854775808",
+            "expected 50 splats in the finest level, found 18,446,744,073,709,551,615",
+        ),
         ("b/meta.json", "../meta.json", "\"../meta.json\" lies outside its folder"),
         ("b/meta.json", "none/meta.json", "cannot open"),
     ] {
         let error = pass(set.replace(from, to), false).map(|pass| pass.0).unwrap_err();
         assert!(error.to_string().contains(words) && is_one_line(&error), "{words}: {error}");
     }
+    // More splats than can be counted.
+    let half = "\"count\":9223372036854775808";
+    let endless = set.replace("\"counts\":[50],", "").replace("\"count\":20", half).replace("\"count\":30", half);
+    let (found, summary, _) = pass(endless, true).unwrap();
+    assert_eq!((found, summary.missing, summary.lost()), (0, u64::MAX, u64::MAX));
     // The splats of a file that cannot be read are missing.
     for to in ["none/meta.json", "../meta.json"] {
         let (found, summary, notes) = pass(set.replace("b/meta.json", to), true).unwrap();
@@ -488,6 +503,14 @@ fn odd_gltfs_are_refused() {
                 "node 0: its place is not finite",
             ),
             (change(node, "\"mesh\":4"), "node 0: there is no mesh 4"),
+            (
+                change(node, "\"mesh\":0,\"matrix\":[1,0,0,10,0,1,0,20,0,0,1,30,0,0,0,1]"),
+                "node 0: expected a matrix with the last row 0 0 0 1, found 10 20 30 1; write it column by column",
+            ),
+            (
+                change(node, "\"mesh\":0,\"matrix\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,2]"),
+                "node 0: expected a matrix with the last row 0 0 0 1, found 0 0 0 2",
+            ),
             (change("\"mode\":0", "\"mode\":4"), "mesh 0: expected splats as points (mode 0), found mode 4"),
             (
                 change("\"extensions\":{\"KHR_gaussian_splatting\"", "\"extensions\":{\"other\""),
@@ -530,7 +553,19 @@ fn odd_gltfs_are_refused() {
             ),
             (change("\"buffers\":[{", "\"buffers\":[{\"uri\":\"data:;base64,a?\","), "buffer 0: damaged base64"),
             (change("\"buffers\":[{", "\"buffers\":[{\"uri\":\"data:;base64,AAAA\","), "it should have"),
-            (change("\"buffers\":[{", "\"buffers\":[{\"uri\":\"../a.bin\","), "lies outside its folder"),
+            (
+                change("\"buffers\":[{", "\"buffers\":[{\"uri\":\"../a.bin\","),
+                "buffer 0: \"../a.bin\" leads out of the folder",
+            ),
+            (change("\"buffers\":[{", "\"buffers\":[{\"uri\":\"https://host/a.bin\","), "buffer 0: it lies elsewhere"),
+            (
+                change("\"buffers\":[{\"byteLength\":", "\"buffers\":[{\"byteLength\":1,\"a\":"),
+                "buffer 0: it states 1 bytes, and the binary part has 1120",
+            ),
+            (
+                change("\"buffers\":[{\"byteLength\":1120", "\"buffers\":[{\"byteLength\":1118"),
+                "buffer view 4: it ends behind its buffer",
+            ),
             (of_spz("\"bufferView\":0", "\"view\":0"), "mesh 0: expected the buffer view of SPZ, found none"),
             (of_spz("\"bufferView\":0", "\"bufferView\":8"), "buffer view 8: there is no such view"),
             (of_spz("\"count\":20", "\"count\":21"), "mesh 0: expected 21 splats in SPZ, found 20"),
@@ -553,6 +588,10 @@ fn odd_gltfs_are_refused() {
     let beside = with(&text, "\"buffers\":[{", "\"buffers\":[{\"uri\":\"no%20file%.bin\",");
     let found = read(&beside, "folder/a.gltf", false).unwrap().1;
     assert!(found == read(&glb, "a.glb", false).unwrap().1);
+    // A browser hands files over without their folders, and a file may hold more than the buffer.
+    testing::hold("folder/more.bin", [&glb[28 + head..], b"more"].concat());
+    let below = with(&text, "\"buffers\":[{", "\"buffers\":[{\"uri\":\"buffers/more.bin\",");
+    assert!(read(&below, "folder/a.gltf", false).unwrap().1 == found);
 }
 
 /// A mesh that no node names is no part of the scene; a monitor hears of its splats.

@@ -2,11 +2,12 @@
 
 use super::structure::Buffer;
 use crate::bytes::{Regular, Stamp};
+use crate::input::beside::{decode_percent, path_beside};
 use crate::read::blocks::{Blocks, fill_block};
 use crate::read::watch::Digest;
 use crate::{Error, Result};
 use base64::Engine;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// Error text for a URI that points elsewhere.
 pub const ELSEWHERE: &str = "it lies elsewhere; fetch it beside the file and name it there";
@@ -102,11 +103,7 @@ impl Buffers {
         if uri.contains(':') {
             return Err(ELSEWHERE.into());
         }
-        let name = PathBuf::from(decode_percent(uri));
-        if !name.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
-            return Err(format!("{name:?} leads out of the folder of the file; put the buffer there"));
-        }
-        let path = self.files[0].0.with_file_name(name);
+        let path = path_beside(&self.files[0].0, &decode_percent(uri))?;
         let refused = |e| format!("cannot open {}: {e}", path.display());
         let (file, stamp) = Regular::open(&path).map_err(refused)?;
         let number = self.files.len() as u32;
@@ -198,18 +195,4 @@ impl Buffers {
 
 fn error(path: &Path, buffer: usize, reason: impl Into<String>) -> Error {
     Error::input(path, format!("buffer {buffer}"), reason)
-}
-
-/// Decodes `%20` and the like; keeps malformed codes as they are.
-pub fn decode_percent(text: &str) -> String {
-    let mut bytes = Vec::with_capacity(text.len());
-    let mut rest = text.as_bytes();
-    while let Some((&byte, after)) = rest.split_first() {
-        let code = after.get(..2).filter(|_| byte == b'%').and_then(|code| std::str::from_utf8(code).ok());
-        match code.and_then(|code| u8::from_str_radix(code, 16).ok()) {
-            Some(decoded) => (bytes.push(decoded), rest = &after[2..]).1,
-            None => (bytes.push(byte), rest = after).1,
-        }
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }

@@ -3,9 +3,10 @@
 //! Factors and vertex colours are linear, textures are sRGB (glTF 2.0, sections 3.7.2.1 and 3.9.2). Values between
 //! corners are interpolated after the conversion to sRGB.
 
-use super::buffers::{Buffers, ELSEWHERE, decode_percent};
+use super::buffers::{Buffers, ELSEWHERE};
 use super::structure::{BufferView, Material, Structure};
 use crate::colour::from_linear;
+use crate::input::beside::decode_percent;
 use crate::paint::{Texture, Wrap};
 use crate::read::placing::Placing;
 use crate::read::texture::{Fault, Textures, read_beside};

@@ -19,12 +19,14 @@ use super::texture::Textures;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
 use crate::colour::{from_linear, multiplied};
+use crate::input::gltf::check_matrix;
 use crate::paint::{Paint, WHITE};
 use crate::text::{behind_mark, counted};
 use crate::{Error, Parameter, Result};
 use bitvec::vec::BitVec;
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
 use std::cmp::Ordering;
+use std::collections::BTreeSet;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -102,10 +104,26 @@ struct PartColours {
 }
 
 impl PlacedPrimitive {
+    /// Number of corners, as often as triangles name them.
+    fn corner_count(&self) -> u64 {
+        self.indices.map_or(self.positions.count, |indices| indices.count)
+    }
+
     /// Number of triangles.
     fn len(&self) -> u64 {
-        let corners = self.indices.map_or(self.positions.count, |indices| indices.count);
+        let corners = self.corner_count();
         if self.mode == TRIANGLES { corners / 3 } else { corners.saturating_sub(2) }
+    }
+
+    /// Checks that its corners make whole triangles; returns the reason if not.
+    fn check_count(&self) -> Result<(), String> {
+        let corners = self.corner_count();
+        let (fits, expected) = match self.mode {
+            TRIANGLES => (corners.is_multiple_of(3), "a multiple of 3"),
+            _ => (corners != 1 && corners != 2, "at least 3"),
+        };
+        let reason = || format!("it has {}; expected {expected}; write the file again", counted(corners, "corner"));
+        fits.then_some(()).ok_or_else(reason)
     }
 
     /// Returns the corners of triangle `number`, as positions in the list of indices.
@@ -171,9 +189,7 @@ impl GltfReader {
             return wrong(format!("expected glTF of version 2, found {:?}", structure.version));
         }
         if structure.extension_needed.as_ref().is_some_and(|extension| extension.contains(SPLATS)) {
-            return wrong(
-                "it holds Gaussian splats, not a mesh; convert the scan that they were made from, or their mesh".into(),
-            );
+            return wrong("it holds Gaussian splats, not a mesh; export its mesh to a file of its own".into());
         }
         if let Some(extension) = &structure.extension_needed {
             return wrong(format!("it requires the extension {extension:?}; export the file without it"));
@@ -185,7 +201,9 @@ impl GltfReader {
         drop(json);
         let mut checked = Checked { path: path.to_path_buf(), structure, buffers, roots: Vec::new() };
         checked.roots = checked.roots()?;
-        checked.check(watch)?;
+        for accessor in checked.check(wants.colours.is_some(), watch)? {
+            checked.check_order(accessor, watch)?;
+        }
         let traversal = Traversal::new(&checked);
         Ok(Self { checked, traversal, primitive: None, triangle: 0, materials, colours: None })
     }
@@ -218,12 +236,15 @@ impl Checked {
         Ok(is_child.iter_zeros().map(|node| node as u32).collect())
     }
 
-    /// Traverses all nodes and checks each primitive once, so that faults show at once and not after hours.
-    fn check(&self, watch: &mut Watch) -> Result<()> {
+    /// Traverses all nodes and checks each primitive once, so that faults show at once and not after hours. Returns the
+    /// accessors with sparse values whose values will be read.
+    fn check(&self, has_colours: bool, watch: &mut Watch) -> Result<BTreeSet<usize>> {
         let Structure { nodes, children, .. } = &self.structure;
         let (mut met, mut checked): (BitVec, BitVec) =
             (BitVec::repeat(false, nodes.len()), BitVec::repeat(false, self.structure.primitives.len()));
         let (mut parts, mut clouds) = (0u64, 0u64);
+        let mut sparse = BTreeSet::new();
+        let is_sparse = |of: &usize| self.structure.accessors.get(*of).is_some_and(|of| of.sparse.is_some());
         let mut levels = vec![(0..self.roots.len(), true)];
         while let Some((level, are_roots)) = levels.last_mut() {
             watch.step()?;
@@ -237,25 +258,25 @@ impl Checked {
             if met.replace(number as usize, true) {
                 return Err(self.error(format!("node {number}"), "it has two parents, or is its own"));
             }
-            if let Some(NodeTransform::Matrix(matrix)) = node.transform().map(|of| self.structure.transforms[of])
-                && [3, 7, 11, 15].map(|at| matrix[at]) != [0.0, 0.0, 0.0, 1.0]
-            {
-                let [a, b, c, d] = [3, 7, 11, 15].map(|at| matrix[at]);
-                let reason = format!(
-                    "expected a matrix with the last row 0 0 0 1, found {a} {b} {c} {d}; write it column by column and \
-                     without perspective"
-                );
-                return Err(self.error(format!("node {number}"), reason));
+            if let Some(NodeTransform::Matrix(matrix)) = node.transform().map(|of| self.structure.transforms[of]) {
+                check_matrix(&matrix).map_err(|reason| self.error(format!("node {number}"), reason))?;
             }
             if let Some(mesh) = node.mesh() {
                 let primitives = self.structure.mesh(mesh).ok_or_else(|| self.missing("mesh", mesh))?;
                 let copies = node.instances().map(|number| self.copies(number)).transpose()?;
                 let copies = copies.map_or(1, |copies| copies.count);
                 parts = parts.saturating_add(copies.saturating_mul(primitives.len() as u64));
+                let instances = node.instances().map(|number| self.structure.instances[number]);
+                sparse.extend(instances.iter().flat_map(Instances::accessors).filter(is_sparse));
+                let first = primitives.start;
                 for number in primitives.filter(|&number| !checked.replace(number, true)) {
                     watch.step()?;
                     let primitive = self.structure.primitives[number];
-                    self.part(number, Matrix4::identity())?;
+                    if let Some(part) = self.part(number, Matrix4::identity())? {
+                        let at = || format!("mesh {mesh}, part {}", number - first);
+                        part.check_count().or_else(|reason| watch.lose(1, self.error(at(), reason)))?;
+                        sparse.extend(primitive.accessors(has_colours).filter(is_sparse));
+                    }
                     clouds += u64::from(primitive.mode == POINTS);
                 }
             }
@@ -269,10 +290,48 @@ impl Checked {
         }
         if clouds > 0 {
             let reason = format!(
-                "it has {} of points or Gaussian splats, which are not read from glTF; write scans as E57, LAS or PLY",
+                "it has {} of points, which are not read from glTF; write scans as E57, LAS or PLY, and splats to a \
+                 file of their own",
                 counted(clouds, "part")
             );
             watch.lose(clouds, self.error("structure", reason))?;
+        }
+        let has_triangles = |number: &usize| {
+            let primitive = &self.structure.primitives[*number];
+            matches!(primitive.mode, TRIANGLES | STRIP | FAN) && primitive.positions().is_some()
+        };
+        let hidden = checked.iter_zeros().filter(has_triangles).count() as u64;
+        if hidden > 0 {
+            let (name, parts) = (self.path.display(), counted(hidden, "part"));
+            watch.monitor.warn(&format!("{name}: left out {parts} of meshes that the scene does not show").into());
+        }
+        Ok(sparse)
+    }
+
+    /// Checks that the indices of an accessor's sparse values ascend, which the search for a value relies on.
+    fn check_order(&mut self, number: usize, watch: &mut Watch) -> Result<()> {
+        let accessor = self.structure.accessors.get(number);
+        let Some(&Accessor { count, sparse: Some(Sparse { count: some, indices, .. }), .. }) = accessor else {
+            return Ok(());
+        };
+        let at = || format!("accessor {number}");
+        let size = size_of_kind(indices.component_type);
+        let place = self.place(indices.buffer_view, indices.byte_offset, some, size as u64);
+        let place = place.map_err(|reason| self.error(at(), reason))?;
+        let mut least = 0;
+        for value in 0..some {
+            watch.step()?;
+            let mut index = [0; 4];
+            self.read_at(Some(place), value, &mut index[..size])?;
+            let index = u64::from(u32::from_le_bytes(index));
+            if index < least || index >= count {
+                let reason = format!(
+                    "sparse value {value} has the index {index}; expected ascending indices below {count}; write the \
+                     file again"
+                );
+                return Err(self.error(at(), reason));
+            }
+            least = index + 1;
         }
         Ok(())
     }
@@ -437,7 +496,8 @@ impl Checked {
         let rotation = values(rotation, AccessorShape::Vec4, &[F32, I8, I16])?;
         let scale = values(scale, AccessorShape::Vec3, &[F32])?;
         let mut counts = [translation, rotation, scale].into_iter().flatten().map(|values| values.count);
-        let count = counts.next().unwrap_or(0);
+        // Instances with attributes of other kinds alone all lie at the node.
+        let count = counts.next().unwrap_or(1);
         if counts.any(|other| other != count) {
             return Err(self.error("structure", "places, turns and sizes of the instances of a node differ in number"));
         }
@@ -521,10 +581,8 @@ impl Checked {
     fn matrix(&self, transform: Option<usize>) -> Matrix4<f64> {
         match transform.map(|number| self.structure.transforms[number]) {
             None => Matrix4::identity(),
-            Some(NodeTransform::Matrix(matrix)) => Matrix4::from_iterator(matrix.into_iter().map(f64::from)),
-            Some(NodeTransform::Parts { translation, rotation, scale }) => {
-                placed(translation.map(f64::from), rotation.map(f64::from), scale.map(f64::from))
-            }
+            Some(NodeTransform::Matrix(matrix)) => Matrix4::from_iterator(matrix),
+            Some(NodeTransform::Parts { translation, rotation, scale }) => placed(translation, rotation, scale),
         }
     }
 }

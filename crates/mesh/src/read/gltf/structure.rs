@@ -1,7 +1,7 @@
 //! Structure of a glTF file: the part of its JSON that triangles need, in a few bytes per item, because files may hold
 //! millions of empty ones. References are checked where they are used.
 
-use crate::input::gltf_extensions;
+use crate::input::gltf::{is_harmless, moves};
 use crate::read::placing::Placing;
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -50,8 +50,8 @@ impl Lists {
 /// Transform of a node.
 #[derive(Debug, Clone, Copy)]
 pub enum NodeTransform {
-    Matrix([f32; 16]),
-    Parts { translation: [f32; 3], rotation: [f32; 4], scale: [f32; 3] },
+    Matrix([f64; 16]),
+    Parts { translation: [f64; 3], rotation: [f64; 4], scale: [f64; 3] },
 }
 
 /// A node without its children.
@@ -69,6 +69,13 @@ pub struct Instances {
     pub translation: Option<u32>,
     pub rotation: Option<u32>,
     pub scale: Option<u32>,
+}
+
+impl Instances {
+    /// Accessors of the transforms.
+    pub fn accessors(&self) -> impl Iterator<Item = usize> + use<> {
+        [self.translation, self.rotation, self.scale].into_iter().flatten().map(|of| of as usize)
+    }
 }
 
 impl Node {
@@ -130,6 +137,13 @@ impl Primitive {
     /// Accessor of texture coordinate set `set`.
     pub fn places(&self, set: u32) -> Option<usize> {
         self.places.get(set as usize).copied().and_then(some)
+    }
+
+    /// Accessors of its positions and indices, and of its colours and texture coordinates if `has_colours`.
+    pub fn accessors(&self, has_colours: bool) -> impl Iterator<Item = usize> + use<> {
+        let [first, second] = self.places;
+        let of_colours = [self.colours, first, second].into_iter().filter(move |_| has_colours);
+        [self.positions, self.indices].into_iter().chain(of_colours).filter_map(some)
     }
 }
 
@@ -484,10 +498,10 @@ struct NodeText {
     mesh: u32,
     #[serde(default)]
     children: Bounded<u32>,
-    matrix: Option<[f32; 16]>,
-    translation: Option<[f32; 3]>,
-    rotation: Option<[f32; 4]>,
-    scale: Option<[f32; 3]>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
     #[serde(default)]
     extensions: NodeExtensions,
 }
@@ -623,8 +637,8 @@ impl<'de> Visitor<'de> for Root<'_> {
             }
         }
         all.version = version.ok_or_else(|| A::Error::missing_field("asset"))?;
-        required.retain(|name| !gltf_extensions::is_harmless(name));
-        required.extend(used.into_iter().filter(|name| gltf_extensions::moves(name)));
+        required.retain(|name| !is_harmless(name));
+        required.extend(used.into_iter().filter(|name| moves(name)));
         let splats = required.iter().position(|name| name.contains(SPLATS));
         all.extension_needed = required.into_iter().nth(splats.unwrap_or(0));
         Ok(all)

@@ -1,4 +1,5 @@
-//! Extensions of glTF that shapes can be read without, and those that move shapes.
+//! Rules of glTF for readers of meshes and of splats: extensions that shapes can be read without, those that move
+//! shapes, and the matrices of nodes.
 
 /// Extensions that a file may require: those that are read, and those that neither move nor add triangles (appearance,
 /// lights, metadata, animations, which rest, and coarser copies). A name that ends in `_` is a prefix.
@@ -36,4 +37,16 @@ pub fn is_harmless(name: &str) -> bool {
 /// Returns whether a file that uses this extension is elsewhere than it seems.
 pub fn moves(name: &str) -> bool {
     MOVING.contains(&name)
+}
+
+/// Checks that the matrix of a node, by columns, is affine (glTF 2.0, section 3.5.3); returns the reason if not.
+pub fn check_matrix(matrix: &[f64; 16]) -> Result<(), String> {
+    let [a, b, c, d] = [3, 7, 11, 15].map(|at| matrix[at]);
+    if [a, b, c, d] == [0.0, 0.0, 0.0, 1.0] {
+        return Ok(());
+    }
+    Err(format!(
+        "expected a matrix with the last row 0 0 0 1, found {a} {b} {c} {d}; write it column by column and without \
+         perspective"
+    ))
 }
