@@ -65,7 +65,7 @@ fn odd_gltfs_are_refused() {
         (r#""nodes":[{"#, r#""scenes":[{"nodes":[7]}],"nodes":[{"#, "it names node 7, which does not exist"),
         (r#""nodes":[{"#, r#""extensionsRequired":["KHR_other"],"nodes":[{"#, "KHR_other"),
         (r#""nodes":[{"#, r#""extensionsRequired":["KHR_gaussian_splatting"],"nodes":[{"#, "splats, not a mesh"),
-        (r#"{"attributes""#, r#"{"mode":0,"attributes""#, "it has 1 part of points or Gaussian splats"),
+        (r#"{"attributes""#, r#"{"mode":0,"attributes""#, "it has 1 part of points, which are not read"),
         (r#""mesh":0"#, r#""mesh":3"#, "it names mesh 3, which does not exist"),
         (r#"[{"buffer":0"#, r#"[{"buffer":5"#, "there is no buffer 5"),
         (r#""POSITION":0"#, r#""POSITION":8"#, "it names accessor 8, which does not exist"),
@@ -90,6 +90,8 @@ fn odd_gltfs_are_refused() {
     let repeated = base.replacen(r#"VEC2"}]"#, &places, 1).replacen(r#"{"mesh":0}"#, instances, 1);
     refuse("many.gltf", &repeated, "more than 4194304 placed parts of meshes");
     assert_eq!(read("few.gltf", repeated.replace("4194305", "3")).unwrap().0.len(), 3);
+    // Instances without places lie at their node.
+    assert_eq!(read("own.gltf", repeated.replace("\"TRANSLATION\":2", "\"_ID\":2")).unwrap().0.len(), 1);
     // Corners without bytes.
     let corners = format!(r#"[{{"componentType":5126,"count":4294967297,"type":"VEC3",{zeros}}}"#);
     let nothing = base.replacen(r#"[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}"#, &corners, 1);
@@ -207,6 +209,13 @@ fn files_that_are_handed_over_belong_to_the_mesh_beside_them() {
     let (_, notes) =
         read("a.gltf", gltf().replacen(r#"{"bufferView":0}]"#, r#"{"uri":"textures/wall.png"}]"#, 1)).unwrap();
     assert!(notes.iter().any(|note| note.contains("neither PNG nor JPEG")), "{notes:?}");
+    let corners: Vec<u8> = [0f32, 0., 0., 1., 0., 0., 0., 1., 0.].iter().flat_map(|v| v.to_le_bytes()).collect();
+    hold("odd/corners.bin", corners);
+    let base = gltf();
+    let (before, data) = base.split_once("data:").unwrap();
+    let (_, behind) = data.split_once('"').unwrap();
+    let (triangles, _) = read("a.gltf", format!("{before}buffers/corners.bin\"{behind}")).unwrap();
+    assert_eq!(triangles.len(), 1);
 }
 
 #[test]
@@ -267,12 +276,40 @@ fn of_a_broken_loop_of_an_stl_no_corner_is_used() {
 }
 
 #[test]
+fn behind_a_damaged_word_of_an_stl_the_next_facets_are_read() {
+    let facet = |x: &str| {
+        format!("facet normal 0 0 1\nouter loop\nvertex {x} 0 0\nvertex 6 0 0\nvertex 5 1 0\nendloop\nendfacet\n")
+    };
+    let sound = facet("5");
+    for (broken, words) in [
+        (facet("zero"), "line 11: expected a number, found \"zero\""),
+        (sound.replace("outer", "inner"), "line 10: expected a keyword of STL, found \"inner\""),
+        (sound.replace("5 1 0", "5 1 0 7"), "line 13: expected a keyword of STL, found \"7\""),
+        // The rest of the facet is missing.
+        ("facet normal 0 0 1\nouter loop\nvertex 5\n".into(), "line 12: expected a number, found \"facet\""),
+    ] {
+        let text = format!("solid\n{sound}{broken}{sound}{broken}{sound}endsolid\n");
+        refuse("a.stl", &text, words);
+        let options = MeshOptions { allow_incomplete: true, ..MeshOptions::default() };
+        let (triangles, notes) = read_all(&["odd/a.stl".into()], options).unwrap();
+        assert_eq!(triangles, [[[5.0, 0.0, 0.0], [6.0, 0.0, 0.0], [5.0, 1.0, 0.0]]; 3], "{words}");
+        let is_told = |note: &String| note.contains(words) && note.ends_with(" (and 1 face more)");
+        assert!(notes.iter().any(is_told), "{words}: {notes:?}");
+    }
+}
+
+#[test]
 fn odd_plys_are_refused() {
     let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
                 element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
     assert_eq!(read("a.ply", text).unwrap().0.len(), 1);
     // Programs write either name.
     assert_eq!(read("a.ply", text.replace("vertex_indices", "vertex_index")).unwrap().0.len(), 1);
+    // Names of coordinates may be in upper case.
+    let upper = ["x", "y", "z"].iter().fold(text.to_owned(), |text, axis| {
+        text.replace(&format!("float {axis}"), &format!("float {}", axis.to_uppercase()))
+    });
+    assert_eq!(read("a.ply", &upper).unwrap().0, read("a.ply", text).unwrap().0);
     let faces = "element face 1\nproperty list uchar int vertex_indices\n";
     let twice = format!("element vertex 0\nproperty float x\n{faces}");
     refuse("a.ply", text.replace(faces, &twice), "it has the element \"vertex\" more than once");
@@ -284,6 +321,62 @@ fn odd_plys_are_refused() {
     refuse("a.ply", text.replace("3 0 1 2", "3 0 1 9"), "9");
     refuse("a.ply", text.replace("0 1 0\n3 0 1 2\n", ""), "the file ends before the elements that its header states");
     refuse("a.ply", text.replace("float z", "float w"), "header");
+    // Behind a broken face, a count that no file holds.
+    let endless = "element face 18446744073709551615\nproperty list uchar int vertex_indices\nend_header";
+    let broken = text.replace("element face 1", "element face 2").replace("end_header", endless) + "3 0 1 9\n";
+    hold("odd/a.ply", broken.into_bytes());
+    let options = MeshOptions { allow_incomplete: true, ..MeshOptions::default() };
+    let (triangles, notes) = read_all(&["odd/a.ply".into()], options).unwrap();
+    let more = "there is no corner 9: it has 3 (and 18,446,744,073,709,551,614 faces more)";
+    assert!(triangles.len() == 1 && notes.iter().any(|note| note.contains(more)), "{notes:?}");
+}
+
+/// Corners that make no whole triangle, and surfaces that are not faces.
+#[test]
+fn what_is_not_read_of_a_mesh_is_refused_or_left_out_with_a_warning() {
+    let corners = [[0f32, 0., 0.], [1., 0., 0.], [0., 1., 0.], [1., 1., 0.], [0., 3., 0.]];
+    let bytes: Vec<u8> = corners.as_flattened().iter().flat_map(|v| v.to_le_bytes()).chain([0u8, 1, 2, 1, 2]).collect();
+    let data = base64::engine::general_purpose::STANDARD.encode(bytes);
+    // A triangle, and a part of `count` corners.
+    let gltf = |part: &str, count: u64| {
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"uri":"data:;base64,{data}","byteLength":65}}],
+            "bufferViews":[{{"buffer":0,"byteLength":60}},{{"buffer":0,"byteOffset":60,"byteLength":5}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}},
+            {{"bufferView":0,"componentType":5126,"count":{count},"type":"VEC3"}},
+            {{"bufferView":1,"componentType":5121,"count":{count},"type":"SCALAR"}}],"nodes":[{{"mesh":1}}],
+            "meshes":[{{"primitives":[]}},{{"primitives":[{{"attributes":{{"POSITION":0}}}},{{{part}}}]}}]}}"#
+        )
+    };
+    let part = |mode: u8, count: u64| gltf(&format!(r#""mode":{mode},"attributes":{{"POSITION":1}}"#), count);
+    let indexed = |count: u64| gltf(r#""attributes":{"POSITION":0},"indices":2"#, count);
+    let obj = |line: &str| format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n{line}\nf 3 2 1\n");
+    let surface = "line 5: it is a free-form surface; export the model as faces";
+    for (name, content, lost, kept) in [
+        ("2.gltf", part(4, 2), "mesh 1, part 1: it has 2 corners; expected a multiple of 3; write the file again", 1),
+        ("4.gltf", part(4, 4), "mesh 1, part 1: it has 4 corners; expected a multiple of 3", 2),
+        ("5.gltf", part(4, 5), "mesh 1, part 1: it has 5 corners; expected a multiple of 3", 2),
+        ("5-indices.gltf", indexed(5), "mesh 1, part 1: it has 5 corners; expected a multiple of 3", 2),
+        ("1.gltf", part(5, 1), "mesh 1, part 1: it has 1 corner; expected at least 3", 1),
+        ("2-of-fan.gltf", part(6, 2), "mesh 1, part 1: it has 2 corners; expected at least 3", 1),
+        ("surf.obj", obj("surf 0 1 0 1 1 2 3"), surface, 2),
+        ("bsp.obj", obj("bsp 1 2 3 1 2 3 1 2 3 1 2 3 1 2 3 1"), surface, 2),
+        ("bzp.obj", obj("bzp 1 2 3 1 2 3 1 2 3 1 2 3 1 2 3 1"), surface, 2),
+        ("cdp.obj", obj("cdp 1 2 3 1 2 3 1 2 3 1 2 3 1 2 3 1"), surface, 2),
+    ] {
+        refuse(name, &content, lost);
+        let options = MeshOptions { allow_incomplete: true, ..MeshOptions::default() };
+        let (triangles, notes) = read_all(&[PathBuf::from(format!("odd/{name}"))], options).unwrap();
+        assert_eq!(triangles.len(), kept, "{name}");
+        let told: Vec<&String> = notes.iter().filter(|note| note.contains(&format!("incomplete: {lost}"))).collect();
+        assert!(told.len() == 1 && !told[0].contains("(and "), "{name}: {notes:?}");
+    }
+    // Curves, commands and whole triangles are no loss.
+    assert_eq!(read("curv.obj", obj("curv 0 1 1 2")).unwrap().0.len(), 2);
+    assert_eq!(read("csh.obj", obj("csh -ls")).unwrap().0.len(), 2);
+    assert_eq!(read("3.gltf", part(5, 3)).unwrap().0.len(), 2);
+    assert_eq!(read("3-indices.gltf", indexed(3)).unwrap().0.len(), 2);
+    assert_eq!(read("0.gltf", part(4, 0)).unwrap().0.len(), 1);
 }
 
 #[test]

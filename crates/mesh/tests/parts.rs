@@ -196,6 +196,60 @@ fn sparse_values_replace_those_of_their_numbers_and_no_others() {
 }
 
 #[test]
+fn sparse_values_whose_indices_do_not_ascend_are_refused() {
+    // The first accessor is plain, the second replaces two of its three values.
+    let text = |indices: [u8; 2], primitive: &str| {
+        let mut bytes = floats(&[0., 0., 0., 1., 0., 0., 0., 1., 0., 2., 0., 0., 0., 2., 0.]);
+        bytes.extend(indices);
+        let plain = r#""bufferView":0,"componentType":5126,"count":3,"type":"VEC3""#;
+        let sparse = r#""count":2,"indices":{"bufferView":2,"componentType":5121},"values":{"bufferView":1}"#;
+        let views = r#"{"buffer":0,"byteLength":36},{"buffer":0,"byteOffset":36,"byteLength":24},
+            {"buffer":0,"byteOffset":60,"byteLength":2}"#;
+        gltf(primitive, &format!(r#"{{{plain}}},{{{plain},"sparse":{{{sparse}}}}}"#), views, &in_text(&bytes), "")
+    };
+    let path = PathBuf::from("parts/order.gltf");
+    let (places, colours) = (r#"{"attributes":{"POSITION":1}}"#, r#"{"attributes":{"POSITION":0,"COLOR_0":1}}"#);
+    for primitive in [places, colours] {
+        hold(&path, text([1, 2], primitive).into_bytes());
+        assert_eq!(read_and(&path, false, || ()).unwrap().0.len(), 1);
+        for (indices, index) in [([2, 1], 1), ([1, 1], 1), ([0, 3], 3)] {
+            hold(&path, text(indices, primitive).into_bytes());
+            let words = format!("accessor 1: sparse value 1 has the index {index}; expected ascending indices below 3");
+            for allow_incomplete in [false, true] {
+                let error = read_and(&path, allow_incomplete, || ()).unwrap_err().to_string();
+                assert!(error.starts_with("parts/order.gltf: ") && error.contains(&words), "{words}: {error}");
+            }
+        }
+    }
+    // Colours that nobody wants are not read.
+    hold(&path, text([2, 1], colours).into_bytes());
+    let set = MeshSet::open(&[path], MeshOptions::default(), &NoMonitor).unwrap();
+    let (mut feed, mut batch) = (set.feed(), Vec::new());
+    assert!(feed.next(&mut batch, &NoMonitor).unwrap() && batch.len() == 1);
+}
+
+/// A file may have several scenes, of which the default one or the first is read.
+#[test]
+fn parts_that_the_scene_does_not_show_are_left_out_with_a_warning() {
+    let part = r#"{"attributes":{"POSITION":0}}"#;
+    let accessor = r#"{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}"#;
+    let buffer = in_text(&floats(&[0., 0., 0., 1., 0., 0., 0., 1., 0.]));
+    let path = PathBuf::from("parts/scenes.gltf");
+    for (scene, shown, hidden) in [("", 2, "1 part"), (r#""scene":1,"#, 1, "2 parts")] {
+        let scenes = format!(r#",{scene}"scenes":[{{"nodes":[0]}},{{"nodes":[1]}}]"#);
+        let text = gltf(part, accessor, r#"{"buffer":0,"byteLength":36}"#, &buffer, &scenes);
+        // Lines are no triangles that could be missed.
+        let lines = r#"{"mode":1,"attributes":{"POSITION":0}}"#;
+        let meshes = format!(r#""meshes":[{{"primitives":[{part},{lines},{part}]}},"#);
+        let text = text.replacen(r#""nodes":[{"mesh":0}]"#, r#""nodes":[{"mesh":0},{"mesh":1}]"#, 1);
+        hold(&path, text.replacen(r#""meshes":["#, &meshes, 1).into_bytes());
+        let (found, notes) = read_and(&path, false, || ()).unwrap();
+        let note = format!("parts/scenes.gltf: left out {hidden} of meshes that the scene does not show");
+        assert_eq!((found.len(), notes), (shown, vec![note]));
+    }
+}
+
+#[test]
 fn positions_in_16_bits_without_a_sign_are_numbers_or_fractions() {
     let bytes: Vec<u8> =
         [0u16, 0, 0, 65_535, 0, 0, 0, 40_000, 0].iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -253,6 +307,24 @@ fn faces_of_an_obj_are_white_if_they_have_no_place_in_their_texture() {
     let text = "mtllib a.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1 2 3\nf 1/1 2/2 3/3\n";
     let (_, paints) = read_painted("a.obj", text);
     assert!(matches!(paints[..], [Paint::Flat([255, 255, 255]), Paint::Texture { .. }]), "{paints:?}");
+}
+
+#[test]
+fn the_colour_of_a_corner_of_an_obj_stands_behind_its_weight() {
+    let text = |more: &str| format!("v 0 0 0 {more}\nv 1 0 0 {more}\nv 0 1 0 {more}\nf 1 2 3\n");
+    for more in ["255 0 9", "1 255 0 9", "0.5 255 0 9 # red", "1 1 0 0.035"] {
+        let (_, paints) = read_painted("weight.obj", &text(more));
+        assert!(matches!(paints[..], [Paint::Corners([[255, 0, 9], [255, 0, 9], [255, 0, 9]])]), "{more}: {paints:?}");
+    }
+    let (_, paints) = read_painted("weight.obj", &text("0.5"));
+    assert!(matches!(paints[..], [Paint::None]), "{paints:?}");
+}
+
+/// A comment may name a folder of Windows; other lines go on behind a backslash.
+#[test]
+fn a_backslash_in_a_comment_of_an_obj_joins_no_lines() {
+    let text = "# C:\\scans\\\nv 0 0 0\nv 1 0 0\nv 0 1 0 # D:\\\nf 1 2 3\n  # E:\\\nf 1 \\\n2 3\n";
+    assert_eq!(read_painted("comment.obj", text).0.len(), 2);
 }
 
 #[test]

@@ -89,7 +89,7 @@ impl<'a> MeshFeed<'a> {
         let allow_incomplete = self.set.options.allow_incomplete;
         let mut watch = Watch::new(monitor, allow_incomplete);
         let more = self.read_some(batch, &mut watch);
-        self.of_file.broken += watch.broken;
+        self.of_file.broken = self.of_file.broken.saturating_add(watch.broken);
         self.of_file.reason = self.of_file.reason.take().or(watch.reason);
         let more = match more {
             // The rest of the file cannot be read.

@@ -1,6 +1,7 @@
 //! Wavefront OBJ: `v` and `f` of the text format; for colours also `vt`, `mtllib`, `usemtl` and the colours that many
-//! programs write after the coordinates of `v`. The rest of the format is skipped; a line of no keyword may be a damaged
-//! corner, without which later corners would have other numbers, and is refused.
+//! programs write after the coordinates of `v`. The rest of the format is skipped, except what would be missed: a line
+//! of no keyword may be a damaged corner and `call` reads in a file of corners, without which later corners would have
+//! other numbers, so both are refused; so are surfaces that are not made of faces.
 //!
 //! Reads the file twice: faces may refer to vertices that come later, while negative indices count back from the
 //! current line. Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
@@ -21,6 +22,8 @@ use std::path::{Path, PathBuf};
 const OTHERS: &str = "vt vn vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con g s mg o bevel \
                       c_interp d_interp lod usemap usemtl mtllib maplib shadow_obj trace_obj ctech stech call csh \
                       bsp bzp cdc cdp res";
+/// Of these: free-form surfaces, the obsolete ones last.
+const SURFACES: [&[u8]; 4] = [b"surf", b"bsp", b"bzp", b"cdp"];
 /// Lines read for one batch of triangles.
 const LINES: usize = 512;
 
@@ -52,32 +55,37 @@ struct ObjColours {
     of_face: Vec<CornerColour>,
 }
 
-/// Parses the corner behind `v`, and checks what follows its coordinates: a weight, a colour, or both.
-fn corner_of<'a>(lines: &Lines, words: &mut (impl Iterator<Item = &'a [u8]> + Clone)) -> Result<[f64; 3]> {
-    let corner = lines.corner(words)?;
-    let mut count = 3;
-    for word in words.clone().take_while(|word| !word.starts_with(b"#")) {
-        lines.number(Some(word))?;
+/// Parses the corner behind `v` and what follows its coordinates: a weight, a colour, or a weight and a colour. Returns
+/// the coordinates and the colour.
+fn corner_of<'a>(lines: &Lines, mut words: impl Iterator<Item = &'a [u8]>) -> Result<([f64; 3], Option<[f64; 3]>)> {
+    let corner = lines.corner(&mut words)?;
+    let (mut behind, mut count) = ([0.0; 4], 0);
+    for word in words.take_while(|word| !word.starts_with(b"#")) {
+        let value = lines.number(Some(word))?;
+        if let Some(place) = behind.get_mut(count) {
+            *place = value;
+        }
         count += 1;
     }
-    match count {
-        3 | 4 | 6 | 7 => Ok(corner),
+    match (count, behind) {
+        (0 | 1, _) => Ok((corner, None)),
+        (3, [r, g, b, _]) | (4, [_, r, g, b]) => Ok((corner, Some([r, g, b]))),
         _ => {
-            Err(lines.error(format!("expected 3, 4, 6 or 7 numbers of a corner, found {count}; write the file again")))
+            let found = 3 + count;
+            Err(lines.error(format!("expected 3, 4, 6 or 7 numbers of a corner, found {found}; write the file again")))
         }
     }
 }
 
 impl ObjColours {
-    /// Parses the colour after the coordinates of a vertex, which programs write as 0 to 1 or 0 to 255.
-    fn of_corner<'a>(lines: &Lines, words: &mut impl Iterator<Item = &'a [u8]>) -> [f64; 3] {
-        let mut next = || lines.number(words.next()).ok().filter(|value| value.is_finite());
-        match (next(), next(), next()) {
-            (Some(r), Some(g), Some(b)) => {
+    /// Returns the colour of a vertex in 8 bits. Programs write it as 0 to 1 or 0 to 255.
+    fn of_corner(colour: Option<[f64; 3]>) -> [f64; 3] {
+        match colour.filter(|colour| colour.iter().all(|value| value.is_finite())) {
+            Some([r, g, b]) => {
                 let white = if r.max(g).max(b) > 1.0 { 255.0 } else { 1.0 };
                 [r, g, b].map(|value| (value / white * 255.0 + 0.5).clamp(0.0, 255.0).floor())
             }
-            _ => [-1.0; 3],
+            None => [-1.0; 3],
         }
     }
 
@@ -131,10 +139,12 @@ impl ObjReader {
             watch.step()?;
             let mut words = lines.words();
             match (words.next(), &mut colours) {
-                (Some(b"v"), None) => vertices.push(corner_of(&lines, &mut words)?)?,
-                (Some(b"v"), Some(colours)) => {
-                    vertices.push(corner_of(&lines, &mut words)?)?;
-                    colours.corners.push(ObjColours::of_corner(&lines, &mut words))?;
+                (Some(b"v"), colours) => {
+                    let (corner, colour) = corner_of(&lines, words)?;
+                    vertices.push(corner)?;
+                    if let Some(colours) = colours {
+                        colours.corners.push(ObjColours::of_corner(colour))?;
+                    }
                 }
                 (Some(b"vt"), Some(colours)) => {
                     let mut next = || words.next().and_then(|word| lines.number(Some(word)).ok()).unwrap_or(0.0);
@@ -143,6 +153,11 @@ impl ObjReader {
                     colours.places.push([u, v, 0.0])?;
                 }
                 (None | Some(b"f" | b"fo" | b"vt" | b"vn" | [b'#', ..]), _) => {}
+                (Some(b"call"), _) => {
+                    let reason =
+                        "it reads in another file, whose corners count here; write the lines of that file here";
+                    return Err(lines.error(reason));
+                }
                 (Some(word), _) if OTHERS.split(' ').any(|name| name.as_bytes() == word) => {}
                 (Some(word), _) => {
                     let reason = format!(
@@ -212,6 +227,9 @@ impl Triangles for ObjReader {
                 Some(b"v") => self.before += 1,
                 // `fo` is the obsolete name of `f`.
                 Some(b"f" | b"fo") => self.face(out, watch).or_else(|error| watch.lose(1, error))?,
+                Some(name) if SURFACES.contains(&name) => {
+                    watch.lose(1, self.lines.error("it is a free-form surface; export the model as faces"))?;
+                }
                 _ => self.take_colours(watch)?,
             }
         }

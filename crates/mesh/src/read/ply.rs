@@ -52,13 +52,11 @@ impl Column {
         let of_face = is_surface(element);
         let column = |Property { name, list, number }: &Property| {
             let role = match (&name[..], list) {
-                ("x", None) => Role::Axis(0),
-                ("y", None) => Role::Axis(1),
-                ("z", None) => Role::Axis(2),
                 ("vertex_indices" | "vertex_index", Some(_)) if of_face => Role::Corners,
-                (name, None) => match channel_of(name) {
-                    Some(channel) => Role::Channel(channel, white_of(*number)),
-                    None => Role::Other,
+                (name, None) => match (axis_of(name), channel_of(name)) {
+                    (Some(axis), _) => Role::Axis(axis),
+                    (None, Some(channel)) => Role::Channel(channel, white_of(*number)),
+                    (None, None) => Role::Other,
                 },
                 _ => Role::Other,
             };
@@ -71,6 +69,11 @@ impl Column {
 /// Returns whether an element lists vertices of triangles.
 fn is_surface(element: &Element) -> bool {
     element.name == "face" || element.name == "tristrips"
+}
+
+/// Returns the axis of the coordinate that a property holds.
+fn axis_of(name: &str) -> Option<usize> {
+    ["x", "y", "z"].iter().position(|axis| axis.eq_ignore_ascii_case(name))
 }
 
 /// Returns the colour channel that a property holds.

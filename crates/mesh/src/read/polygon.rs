@@ -51,8 +51,12 @@ impl Polygon {
     /// the corner numbers of each triangle to `give`. The inner error reports too few or too many corners; an error of
     /// `check_cancelled`, which is called once per ear, aborts the work.
     ///
-    /// Cost: at most three tests per pair of corners. A corner found inside a triangle keeps that triangle from being
-    /// an ear until it is cut off itself; the search for another then continues after it.
+    /// An edge that goes out and back and a corner named twice have no area and are cut off first: an ear beside them
+    /// might reach to their tip, outside of the polygon.
+    ///
+    /// Cost: at most three tests per pair of corners, and one more where such corners are. A corner found inside a
+    /// triangle keeps that triangle from being an ear until it is cut off itself; the search for another then continues
+    /// after it.
     pub(super) fn triangles(
         &mut self,
         mut give: impl FnMut([usize; 3]),
@@ -77,26 +81,23 @@ impl Polygon {
         after.extend((0..=last).map(|n| if n == last { 0 } else { n + 1 }));
         verdicts.clear();
         verdicts.resize(count, Verdict::New);
-        let mut first = 0u32;
+        let (mut first, mut may_have_spikes) = (0u32, true);
         for _ in 3..count {
             check_cancelled()?;
-            // Starts at the second corner, so that a convex polygon becomes the usual fan around its first.
-            let (mut at, second) = (after[first as usize], after[first as usize]);
-            let ear = loop {
-                if is_ear(corners, &plane, (before[at as usize], at, after[at as usize]), verdicts) {
-                    break at;
-                }
-                // A polygon that crosses itself may have no ear; then the second corner is cut off.
-                if at == first {
-                    break second;
-                }
-                at = after[at as usize];
-            };
+            let around = |at: u32| (before[at as usize], at, after[at as usize]);
+            let spike =
+                may_have_spikes.then(|| find(first, after, |at| is_spike(corners, &plane, around(at)))).flatten();
+            let ear = spike.or_else(|| find(first, after, |at| is_ear(corners, &plane, around(at), verdicts)));
+            // A polygon that crosses itself may have no ear; then the second corner is cut off.
+            let ear = ear.unwrap_or(after[first as usize]);
             let (a, c) = (before[ear as usize], after[ear as usize]);
             give([a, ear, c].map(|n| n as usize));
             (after[a as usize], before[c as usize]) = (c, a);
             verdicts[ear as usize] = Verdict::Gone;
             (verdicts[a as usize], verdicts[c as usize]) = (Verdict::New, Verdict::New);
+            // Only these two have other neighbours than before.
+            may_have_spikes = spike.is_some()
+                || [a, c].iter().any(|&at| is_spike(corners, &plane, (before[at as usize], at, after[at as usize])));
             if ear == first {
                 first = c;
             }
@@ -105,6 +106,27 @@ impl Polygon {
         give([first, second, after[second as usize]].map(|n| n as usize));
         Ok(Ok(()))
     }
+}
+
+/// Returns the next corner for which `is_such` holds. Starts behind `first`, so that a convex polygon becomes the usual
+/// fan around its first corner.
+fn find(first: u32, after: &[u32], mut is_such: impl FnMut(u32) -> bool) -> Option<u32> {
+    let mut at = after[first as usize];
+    loop {
+        if is_such(at) {
+            return Some(at);
+        }
+        if at == first {
+            return None;
+        }
+        at = after[at as usize];
+    }
+}
+
+/// Returns whether both edges of a corner leave it in one direction, or one of them has no length.
+fn is_spike(corners: &[[f64; 3]], plane: &Plane, (a, b, c): (u32, u32, u32)) -> bool {
+    let [a, b, c] = [a, b, c].map(|n| plane.flat(&corners[n as usize]));
+    plane.area(a, b, c) == 0.0 && (a.0 - b.0) * (c.0 - b.0) + (a.1 - b.1) * (c.1 - b.1) >= 0.0
 }
 
 /// Returns whether the triangle of a corner and its neighbours lies inside the polygon and contains no other corner.
@@ -194,6 +216,10 @@ mod tests {
         while left.len() > 3 {
             let count = left.len();
             let around = |at: usize| [left[(at + count - 1) % count], left[at], left[(at + 1) % count]];
+            let is_spike = |&at: &usize| {
+                let [a, b, c] = around(at).map(|corner| plane.flat(&corner));
+                plane.area(a, b, c) == 0.0 && (a.0 - b.0) * (c.0 - b.0) + (a.1 - b.1) * (c.1 - b.1) >= 0.0
+            };
             let is_ear = |&at: &usize| {
                 let [a, b, c] = around(at).map(|corner| plane.flat(&corner));
                 let holds = |p: (f64, f64)| {
@@ -202,7 +228,8 @@ mod tests {
                 };
                 plane.area(a, b, c) > 0.0 && !left.iter().any(|p| holds(plane.flat(p)))
             };
-            let at = (1..count).chain([0]).find(is_ear).unwrap_or(1);
+            let order = || (1..count).chain([0]);
+            let at = order().find(is_spike).or_else(|| order().find(is_ear)).unwrap_or(1);
             out.push(around(at));
             left.remove(at);
         }
@@ -282,6 +309,35 @@ mod tests {
                     let total: f64 = triangles.iter().map(area).sum();
                     assert!((total - 3.0).abs() < 1e-12, "{triangles:?}");
                 }
+            }
+        }
+    }
+
+    /// Edges that go out and come back, and corners that are named twice, add nothing to a square.
+    #[test]
+    fn no_triangle_reaches_to_the_tip_of_a_spike() {
+        let square = |tips: &[(f64, f64)], corners: usize| {
+            let mut all = vec![(0.0, 2.0), (2.0, 2.0)];
+            all.extend(vec![(2.0, 0.0); corners]);
+            all.extend(tips.iter().chain(tips.iter().rev().skip(1)));
+            all.extend([(2.0, 0.0), (0.0, 0.0)]);
+            all.iter().map(|&(x, y)| [x, y, 7.0]).collect::<Vec<_>>()
+        };
+        for mut corners in [
+            square(&[], 1),
+            square(&[], 4),
+            square(&[(4.0, 0.0)], 1),
+            square(&[(4.0, 0.0), (5.0, 3.0)], 1),
+            square(&[(-4.0, 1.0), (5.0, 3.0)], 3),
+            square(&[(0.5, 0.5)], 1),
+        ] {
+            for turned in [false, true] {
+                for start in 0..corners.len() {
+                    corners.rotate_left(1);
+                    let triangles = cut(&corners);
+                    assert_eq!(triangles.iter().map(area).sum::<f64>(), 4.0, "{turned} {start}: {triangles:?}");
+                }
+                corners.reverse();
             }
         }
     }

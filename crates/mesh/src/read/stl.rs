@@ -31,6 +31,8 @@ pub(super) enum StlReader {
 pub(super) enum Place {
     /// Any keyword.
     Keyword,
+    /// Behind a fault: all words up to the next facet, or the next begin or end of a solid, are left out.
+    Broken,
     /// The name behind `solid` or `endsolid`, to the end of the line; whether its last word is `facet`.
     Name(bool),
     /// `normal`, behind `facet`.
@@ -130,6 +132,9 @@ impl Triangles for StlReader {
                         }
                         (_, place) => place,
                     };
+                    if *place == Place::Broken && !matches!(keyword, Some("facet" | "solid" | "endsolid")) {
+                        continue;
+                    }
                     *place = match (keyword, *place) {
                         (Some("facet"), _) => Place::Facet,
                         (Some("normal"), Place::Facet) => Place::Normal(3),
@@ -140,20 +145,28 @@ impl Triangles for StlReader {
                         (None, Place::Normal(left @ 1..)) => Place::Normal(left - 1),
                         _ => {
                             let found = shown(words.word());
-                            return Err(
-                                words.error(format!("expected a keyword of STL, found {found}; write the file again"))
-                            );
+                            let reason = format!("expected a keyword of STL, found {found}; write the file again");
+                            watch.lose(1, words.error(reason))?;
+                            corners.clear();
+                            Place::Broken
                         }
                     };
                     *open = keyword != Some("endsolid");
                     match keyword {
-                        Some("vertex") => match words.corner()? {
+                        Some("vertex") => match words.corner() {
                             // A fourth shows that there are too many.
-                            Some(corner) if corners.len() < 4 => corners.push(corner),
-                            Some(_) => {}
-                            None => {
+                            Ok(Some(corner)) if corners.len() < 4 => corners.push(corner),
+                            Ok(Some(_)) => {}
+                            Ok(None) => {
                                 watch.lose(1, words.error(CUT))?;
                                 return Ok(false);
+                            }
+                            Err(error) => {
+                                watch.lose(1, error)?;
+                                corners.clear();
+                                // The word that is no number may begin the next facet.
+                                let is_facet = words.word().eq_ignore_ascii_case(b"facet");
+                                *place = if is_facet { Place::Facet } else { Place::Broken };
                             }
                         },
                         Some("endloop") => {

@@ -112,7 +112,7 @@ pub(super) struct Lines {
     line: Vec<u8>,
     /// Offset in the line from which the next word is searched.
     at: usize,
-    /// True if a backslash at the end of a line continues it on the next.
+    /// True if a backslash at the end of a line without a comment continues it on the next.
     continued: bool,
     /// True if the first line ends with CR alone. Then a LF belongs to no CR before it, and may begin a binary body.
     returns: bool,
@@ -145,7 +145,9 @@ impl Lines {
             if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
                 self.line.drain(..BYTE_ORDER_MARK.len());
             }
-            if !self.continued || self.line.last() != Some(&b'\\') {
+            let has_comment = || self.words().any(|word| word.starts_with(b"#"));
+            // A comment may end with a backslash, as paths of Windows do.
+            if !self.continued || self.line.last() != Some(&b'\\') || has_comment() {
                 return Ok(true);
             }
             *self.line.last_mut().unwrap_or(&mut 0) = b' ';

@@ -46,7 +46,7 @@ impl<'a> Watch<'a> {
         match error {
             error @ Error::Input { .. } if !self.allow_incomplete => Err(error.with_suggestion(Parameter::Incomplete)),
             Error::Input { .. } => {
-                self.broken += faces;
+                self.broken = self.broken.saturating_add(faces);
                 self.reason.get_or_insert(error);
                 Ok(())
             }

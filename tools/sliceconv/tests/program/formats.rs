@@ -575,6 +575,7 @@ fn no_corner_of_an_obj_is_passed_over() {
         ("v 1 0", "line 3: expected a number, found the end of the line"),
         ("w 1 0 0", "line 3: expected a keyword of OBJ, such as v or f, found \"w\""),
         ("V 1 0 0", "line 3: expected a keyword of OBJ, such as v or f, found \"V\""),
+        ("call other.obj", "line 3: it reads in another file, whose corners count here"),
     ] {
         fs::write(&path, of(line)).unwrap();
         for allow_incomplete in [false, true] {
@@ -737,6 +738,20 @@ fn lengths_and_matrices_of_gltf_must_agree_with_themselves() {
 }
 
 #[test]
+fn nodes_of_gltf_far_from_the_origin_are_not_rounded() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let corners = buffer(&[[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]]);
+    for node in [
+        r#"[{"mesh":0,"translation":[389100.4,112.35,-5711234.7]}]"#,
+        r#"[{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,389100.4,112.35,-5711234.7,1]}]"#,
+    ] {
+        write_glb(&path, &structure(3, "", node, "[0]"), &corners);
+        assert_eq!(mesh(&path).unwrap()[0][0], [389_100.4, 5_711_234.7, 112.35], "{node}");
+    }
+}
+
+#[test]
 fn quantized_sparse_and_repeated_parts_of_gltf_lie_where_they_should() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.glb");
@@ -802,7 +817,7 @@ fn quantized_sparse_and_repeated_parts_of_gltf_lie_where_they_should() {
     write_glb(&path, &gltf(accessors, views, bytes.len(), &all, used), &bytes);
     let found = mesh(&path).unwrap();
     let copy = |n: usize| {
-        let list = |values: &[f32]| values.iter().map(|v| v.to_string()).collect::<Vec<_>>().join(",");
+        let list = |values: &[f32]| values.iter().map(|v| f64::from(*v).to_string()).collect::<Vec<_>>().join(",");
         let (place, turn, size) = (list(&places[n]), list(&turns[n]), list(&sizes[n]));
         format!(r#"{{"mesh":0,"translation":[{place}],"rotation":[{turn}],"scale":[{size}]}}"#)
     };

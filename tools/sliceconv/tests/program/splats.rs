@@ -63,6 +63,29 @@ fn order_threads_and_memory_make_the_same_bytes() {
     }
 }
 
+/// Programs that sort the keys of a glTF write buffers of any length in front of the names of its extensions.
+#[test]
+fn a_gltf_that_names_its_splats_late_is_one_of_splats() {
+    let folder = tempfile::tempdir().unwrap();
+    // Centre, quaternion x, y, z, w, and sizes of a splat.
+    let values: Vec<u8> =
+        [1.0f32, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0, 0.2, 0.2, 0.2].iter().flat_map(|v| v.to_le_bytes()).collect();
+    fs::write(folder.path().join("a.bin"), values).unwrap();
+    let (name, long) = ("KHR_gaussian_splatting", "long".repeat(50_000));
+    let gltf = format!(
+        r#"{{"accessors":[{{"bufferView":0,"componentType":5126,"count":1,"type":"VEC3"}},
+        {{"bufferView":1,"componentType":5126,"count":1,"type":"VEC4"}},
+        {{"bufferView":2,"componentType":5126,"count":1,"type":"VEC3"}}],"asset":{{"generator":"{long}","version":"2.0"}},
+        "bufferViews":[{{"buffer":0,"byteLength":12}},{{"buffer":0,"byteLength":16,"byteOffset":12}},
+        {{"buffer":0,"byteLength":12,"byteOffset":28}}],"buffers":[{{"byteLength":40,"uri":"a.bin"}}],
+        "extensionsUsed":["{name}"],"meshes":[{{"primitives":[{{"attributes":{{"{name}:ROTATION":1,"{name}:SCALE":2,
+        "POSITION":0}},"extensions":{{"{name}":{{}}}},"mode":0}}]}}],"nodes":[{{"mesh":0}}]}}"#
+    );
+    fs::write(folder.path().join("a.gltf"), gltf).unwrap();
+    archive(folder.path(), "a.gltf", &[]);
+    assert_eq!(Archive::open(folder.path().join("out.slices")).unwrap().header().points_kept, 1);
+}
+
 #[test]
 fn options_leave_out_what_they_say() {
     let folder = tempfile::tempdir().unwrap();
