@@ -4,14 +4,18 @@ use serde_json::Value;
 use slicewalk::plan::{ClassSet, Classifier};
 use slicewalk_base::{Error, Parameter, Result};
 use slicewalk_convert::size::parse_size;
-use slicewalk_convert::values::{UpChoice, class_range, epsg};
+use slicewalk_convert::values::{UpChoice, class_range, epsg, unit_from};
 use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, Tolerance};
 use slicewalk_input::{Columns, Units};
 use slicewalk_mesh::MeshMode;
 use std::str::FromStr;
 
+fn wrong(name: &str, reason: impl Into<String>) -> Error {
+    Error::parameter(Parameter::Other(name.to_owned()), reason)
+}
+
 fn refuse(name: &str, expected: &str, found: &Value) -> Error {
-    Error::parameter(Parameter::Other(name.to_owned()), format!("expected {expected}, found {found}"))
+    wrong(name, format!("expected {expected}, found {found}"))
 }
 
 fn number(name: &str, expected: &str, value: &Value) -> Result<f64> {
@@ -29,7 +33,7 @@ fn flag(name: &str, value: &Value) -> Result<bool> {
 
 fn text<T: FromStr<Err = String>>(name: &str, expected: &str, value: &Value) -> Result<T> {
     let text = value.as_str().ok_or_else(|| refuse(name, expected, value))?;
-    text.parse().map_err(|reason: String| Error::parameter(Parameter::Other(name.to_owned()), reason))
+    text.parse().map_err(|reason: String| wrong(name, reason))
 }
 
 /// Reads a number, or a text as on the command line.
@@ -88,6 +92,7 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
             }
             "drop_floaters" => options.plan.drop_floaters = whole(own, u16::MAX.into(), value)? as u16,
             "remove_moving" => options.plan.remove_moving = flag(own, value)?,
+            "free_space" => options.sections.free_space = flag(own, value)?,
             "fill_holes" => {
                 options.grid.fill_holes = Some(number_or(own, "metres, or \"auto\"", value, HoleWidth::Metres)?);
             }
@@ -96,6 +101,12 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
                 (options.plan.up, options.reading.turn) = (up.axis, up.turn);
             }
             "units" => options.reading.units = number_or(own, "a unit such as \"m\"", value, Units::Factor)?,
+            "scale_from" => {
+                let expected = "two places and their distance in metres, such as [[0, 0, 0], [1.7, 0, 0], 0.9]";
+                let (from, to, metres): ([f64; 3], [f64; 3], f64) =
+                    serde_json::from_value(value.clone()).map_err(|_| refuse(own, expected, value))?;
+                options.reading.units = unit_from(from, to, metres).map_err(|reason| wrong(own, reason))?;
+            }
             "crs" => {
                 let code = value.as_str().and_then(|text| epsg(text).ok());
                 options.reading.epsg = Some(code.ok_or_else(|| refuse(own, "a code such as \"EPSG:25832\"", value))?);
@@ -117,11 +128,15 @@ pub fn apply(options: &mut ConvertOptions, given: &Value) -> Result<()> {
             "colour" => options.sections.colour = text(own, "a text such as \"rgb\"", value)?,
             "colour_error" => options.sections.colour_error = number(own, "a number", value)?,
             "allow_incomplete" => options.allow_incomplete = flag(own, value)?,
-            other => {
-                let reason = "is no option of a conversion in the browser";
-                return Err(Error::parameter(Parameter::Other(other.to_owned()), reason));
-            }
+            other => return Err(wrong(other, "is no option of a conversion in the browser")),
         }
+    }
+    let is_given = |name: &str| given.get(name).is_some_and(|value| !value.is_null());
+    if given.get("drop_isolated").and_then(Value::as_bool) == Some(true) && is_given("drop_floaters") {
+        return Err(wrong("drop_isolated", "is drop_floaters: 1, which is given too; leave one of them out"));
+    }
+    if is_given("scale_from") && is_given("units") {
+        return Err(wrong("scale_from", "is the unit, which is given too; leave one of them out"));
     }
     Ok(())
 }

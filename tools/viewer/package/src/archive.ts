@@ -1,7 +1,9 @@
 /** Archives as seen by the page. */
 
-import { aborted, asError, fromFault } from "./fault.js";
+import { absolute } from "./address.js";
+import { across, callable, copied, number, numbers, object, optional, place, refused, shown } from "./check.js";
 import { makeCrowd } from "./crowd.js";
+import { aborted, asError, fromFault } from "./fault.js";
 import { Link, type WorkerLike } from "./link.js";
 import type { BatchKind, FromWorker } from "./protocol.js";
 import { toSlide, toSliding } from "./slide.js";
@@ -21,7 +23,7 @@ import {
   type Slide,
   type SliceMap,
   type SlideOptions,
-  SlicewalkError,
+  type SlicewalkError,
   type Stats,
   type Vec3,
   type View,
@@ -31,15 +33,6 @@ import {
 } from "./types.js";
 import { ViewHandle } from "./view.js";
 import { makeWalker } from "./walker.js";
-
-function absolute(address: string | URL): string {
-  try {
-    const base = typeof document === "undefined" ? globalThis.location?.href : document.baseURI;
-    return new URL(address, base).href;
-  } catch (cause) {
-    throw new SlicewalkError("invalid", `${address} is no address`, { cause });
-  }
-}
 
 const NO_STATS: Stats = {
   pages: { resident: 0, bytes: 0 },
@@ -91,8 +84,8 @@ export class OpenArchive implements Archive {
           call: "open",
           source: source instanceof Blob ? source : absolute(source),
           wasm: typeof wasm === "string" || wasm instanceof URL ? absolute(wasm) : wasm,
-          budgetBytes: options.budgetBytes ?? 64 << 20,
-          requests: options.requests ?? 6,
+          budgetBytes: number(options.budgetBytes ?? 64 << 20, "budgetBytes"),
+          requests: number(options.requests ?? 6, "requests"),
           credentials: options.credentials,
         },
         options.signal,
@@ -110,6 +103,10 @@ export class OpenArchive implements Archive {
   }
 
   on<E extends keyof ArchiveEvents>(event: E, listener: ArchiveEvents[E]): () => void {
+    if (!Object.hasOwn(this.listeners, event)) {
+      throw refused(`events are ${Object.keys(this.listeners).join(", ")}, found ${shown(event)}`);
+    }
+    callable(listener, "a listener");
     this.listeners[event].add(listener);
     return () => {
       this.listeners[event].delete(listener);
@@ -150,7 +147,7 @@ export class OpenArchive implements Archive {
     return toRayHits(await this.batch<Float64Array>("cast", rays, options));
   }
 
-  async castFar(rays: Float64Array, options: { signal?: AbortSignal } = {}): Promise<FarHits> {
+  async castFar(rays: Float64Array, options?: { signal?: AbortSignal }): Promise<FarHits> {
     const answers = await this.batch<Float64Array>("far", rays, options);
     const count = answers.length / 2;
     return {
@@ -163,20 +160,24 @@ export class OpenArchive implements Archive {
     return this.batch("floor", boxes, options);
   }
 
-  async moveAndSlide(shape: PlacedShape, motion: Vec3, options: SlideOptions = {}): Promise<Slide> {
+  async moveAndSlide(shape: PlacedShape, motion: Vec3, options?: SlideOptions): Promise<Slide> {
+    const { load = false, signal } = optional(options);
     const sliding = toSliding(shape, motion, options);
     const transfer = [sliding.shape.buffer, sliding.motion.buffer] as ArrayBuffer[];
-    const call = { call: "slide", load: options.load ?? false, ...sliding } as const;
-    return toSlide(await this.link.call<Float64Array>(call, options.signal, transfer));
+    return toSlide(await this.link.call<Float64Array>({ call: "slide", load, ...sliding }, signal, transfer));
   }
 
-  private batch<T = Float64Array>(kind: BatchKind, rows: Float64Array, options: BatchOptions = {}): Promise<T> {
-    const copy = rows.slice();
-    return this.link.call<T>({ call: "batch", kind, rows: copy, load: options.load ?? false }, options.signal, [copy.buffer]);
+  private async batch<T = Float64Array>(kind: BatchKind, given: Float64Array, options?: BatchOptions): Promise<T> {
+    const { load = false, signal } = optional(options);
+    const rows = copied(given);
+    return this.link.call<T>({ call: "batch", kind, rows, load }, signal, [rows.buffer]);
   }
 
-  load(box: Bounds, options: { signal?: AbortSignal } = {}): Promise<void> {
-    return this.link.call<void>({ call: "load", box: Float64Array.of(...box.min, ...box.max) }, options.signal);
+  async load(box: Bounds, options?: { signal?: AbortSignal }): Promise<void> {
+    const { signal } = optional(options);
+    const { min, max } = object(box, "a box");
+    const corners = Float64Array.of(...place(min, "a corner of a box"), ...place(max, "a corner of a box"));
+    return this.link.call<void>({ call: "load", box: corners }, signal);
   }
 
   async map(
@@ -184,14 +185,16 @@ export class OpenArchive implements Archive {
     heights: readonly [number, number],
     cells = 512,
   ): Promise<SliceMap> {
+    const given = object(area, "an area");
+    const [min, max] = [across(given.min, "a corner of an area"), across(given.max, "a corner of an area")];
     const bytes = await this.link.call<Uint8Array>({
       call: "map",
-      area: Float64Array.of(...area.min, ...area.max, ...heights),
-      cells,
+      area: Float64Array.of(...min, ...max, ...numbers(heights, 2, "the range of heights")),
+      cells: number(cells, "cells"),
     });
     const head = new DataView(bytes.buffer, bytes.byteOffset, 24);
     const [width, height, cell] = [0, 8, 16].map((at) => head.getFloat64(at, true)) as [number, number, number];
-    return { width, height, cell, cells: bytes.subarray(24), min: area.min };
+    return { width, height, cell, cells: bytes.subarray(24), min };
   }
 
   pageBoxes(): Promise<Float64Array> {

@@ -1,5 +1,6 @@
 /** Crowds as seen by the page. */
 
+import { copied, duration, optional, rows } from "./check.js";
 import type { Host } from "./host.js";
 import type { Link } from "./link.js";
 import { CROWD_LENGTH, MEMBER_LENGTH, readCrowd, readMember } from "./messages.js";
@@ -17,8 +18,9 @@ function toState(numbers: Float64Array): CrowdState {
   return state;
 }
 
-export async function makeCrowd(link: Link, { at, ...given }: CrowdOptions): Promise<Crowd> {
-  const places = at.slice();
+export async function makeCrowd(link: Link, options: CrowdOptions): Promise<Crowd> {
+  const { at, ...given } = optional(options);
+  const places = copied(at, "places of a crowd");
   const settings = settingsNumbers(complete(given));
   return new CrowdHandle(link, await link.call<number>({ call: "crowd", settings, places }), places);
 }
@@ -37,8 +39,8 @@ export class CrowdHandle implements Crowd {
 
   async step(seconds: number, wishes: Float64Array): Promise<CrowdState> {
     this.check();
-    const copy = wishes.slice();
-    const call = { call: "step-crowd", crowd: this.name, seconds, wishes: copy } as const;
+    const copy = copied(wishes, "wishes of a crowd");
+    const call = { call: "step-crowd", crowd: this.name, seconds: duration(seconds), wishes: copy } as const;
     this.state = toState(await this.link.call<Float64Array>(call, undefined, [copy.buffer]));
     return this.state;
   }
@@ -49,7 +51,8 @@ export class CrowdHandle implements Crowd {
       throw new SlicewalkError("invalid", "this is no crowd of the archive");
     }
     this.check();
-    this.state = toState(host.stepCrowdNow(this.name, seconds, wishes));
+    const numbers = host.stepCrowdNow(this.name, duration(seconds), rows(wishes, "wishes of a crowd"));
+    this.state = toState(numbers);
     return this.state;
   }
 

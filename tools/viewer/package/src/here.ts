@@ -1,6 +1,7 @@
 /** Archives in the calling thread, without a worker: their queries also answer at once. */
 
 import { OpenArchive, toRayHits } from "./archive.js";
+import { optional, rows } from "./check.js";
 import { CrowdHandle } from "./crowd.js";
 import { loadEngine } from "./engine.js";
 import { aborted } from "./fault.js";
@@ -48,7 +49,7 @@ export interface Now {
   floor(boxes: Float64Array): Float64Array;
   moveAndSlide(shape: PlacedShape, motion: Vec3, options?: Pick<SlideOptions, "iterations">): Slide;
   /** Like {@link Walker.step}, of a walker of this archive. */
-  step(walker: Walker, seconds: number, input: WalkerInput): WalkerState;
+  step(walker: Walker, seconds: number, input?: WalkerInput): WalkerState;
   /** Like {@link Crowd.step}, of a crowd of this archive. */
   stepCrowd(crowd: Crowd, seconds: number, wishes: Float64Array): CrowdState;
 }
@@ -60,13 +61,14 @@ export interface Now {
  *
  * In Node.js a file is a `file:` URL, or a `Blob` from `fs.openAsBlob`.
  */
-export async function openArchiveHere(source: string | URL | Blob, options: HereOptions = {}): Promise<ArchiveHere> {
-  if (options.signal?.aborted) {
+export async function openArchiveHere(source: string | URL | Blob, options?: HereOptions): Promise<ArchiveHere> {
+  const given = optional(options);
+  if (given.signal?.aborted) {
     throw aborted();
   }
   const bytes = await readable(source);
   const archive = new HereArchive(new InPlace());
-  await archive.open(bytes, options);
+  await archive.open(bytes, given);
   return archive;
 }
 
@@ -156,19 +158,19 @@ class Immediate implements Now {
   ) {}
 
   overlaps(boxes: Float64Array): Uint8Array {
-    return this.host.batchNow("overlaps", boxes) as Uint8Array;
+    return this.host.batchNow("overlaps", rows(boxes)) as Uint8Array;
   }
 
   overlapsSpheres(spheres: Float64Array): Uint8Array {
-    return this.host.batchNow("spheres", spheres) as Uint8Array;
+    return this.host.batchNow("spheres", rows(spheres)) as Uint8Array;
   }
 
   overlapsCylinders(cylinders: Float64Array): Uint8Array {
-    return this.host.batchNow("cylinders", cylinders) as Uint8Array;
+    return this.host.batchNow("cylinders", rows(cylinders)) as Uint8Array;
   }
 
   sweep(sweeps: Float64Array): Float64Array {
-    return this.host.batchNow("sweep", sweeps) as Float64Array;
+    return this.host.batchNow("sweep", rows(sweeps)) as Float64Array;
   }
 
   cast(rays: Float64Array): Float64Array {
@@ -176,18 +178,18 @@ class Immediate implements Now {
   }
 
   castHits(rays: Float64Array): RayHits {
-    return toRayHits(this.host.batchNow("cast", rays) as Float64Array);
+    return toRayHits(this.host.batchNow("cast", rows(rays)) as Float64Array);
   }
 
   floor(boxes: Float64Array): Float64Array {
-    return this.host.batchNow("floor", boxes) as Float64Array;
+    return this.host.batchNow("floor", rows(boxes)) as Float64Array;
   }
 
-  moveAndSlide(shape: PlacedShape, motion: Vec3, options: Pick<SlideOptions, "iterations"> = {}): Slide {
+  moveAndSlide(shape: PlacedShape, motion: Vec3, options?: Pick<SlideOptions, "iterations">): Slide {
     return toSlide(this.host.slideNow(toSliding(shape, motion, options)));
   }
 
-  step(walker: Walker, seconds: number, input: WalkerInput): WalkerState {
+  step(walker: Walker, seconds: number, input?: WalkerInput): WalkerState {
     if (!(walker instanceof WalkerHandle)) {
       throw new SlicewalkError("invalid", "this is no walker of the archive");
     }

@@ -271,20 +271,12 @@ export class Host {
 
   /** Answers a batch from the pages in memory. */
   batchNow(kind: BatchKind, rows: Float64Array): Uint8Array | Float64Array {
-    return this.atOnce(() => {
-      const answers = this.ready()[kind](rows);
-      this.forgetMissing();
-      return answers;
-    });
+    return this.atOnce(() => this.ready()[kind](rows));
   }
 
   /** Moves a shape among the pages in memory. */
   slideNow({ shape, motion, contacts }: Sliding): Float64Array {
-    return this.atOnce(() => {
-      const slid = this.ready().slide(shape, motion, contacts);
-      this.forgetMissing();
-      return slid;
-    });
+    return this.atOnce(() => this.ready().slide(shape, motion, contacts));
   }
 
   private atOnce<T>(work: () => T): T {
@@ -292,12 +284,15 @@ export class Host {
       return work();
     } catch (thrown) {
       throw this.caught(thrown);
+    } finally {
+      this.forgetMissing();
     }
   }
 
   /** What answers at once misses is not loaded; but what a batch has missed so far, it will load. */
   private forgetMissing(): void {
-    if (this.batches === 0) {
+    // An engine that has trapped takes no calls.
+    if (this.batches === 0 && !this.failure) {
       this.engine?.forget_missing();
     }
   }
@@ -369,10 +364,12 @@ export class Host {
     this.batches += 1;
     try {
       await this.fill(kind, rows, out, load, signal);
+    } catch (thrown) {
+      throw this.caught(thrown);
     } finally {
       this.batches -= 1;
+      this.forgetMissing();
     }
-    this.forgetMissing();
     return out;
   }
 

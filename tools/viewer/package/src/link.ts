@@ -1,5 +1,6 @@
 /** The page's side of a worker: calls with answers, notes, events. */
 
+import { refused, shown } from "./check.js";
 import { aborted, asError, fromFault } from "./fault.js";
 import type { Call, FromWorker, Note, Step, Stepped, ToWorker } from "./protocol.js";
 import { SlicewalkError } from "./types.js";
@@ -43,6 +44,9 @@ export class Link {
     return new Promise<T>((resolve, reject) => {
       if (this.error) {
         throw this.error;
+      }
+      if (signal !== undefined && signal !== null && typeof signal.addEventListener !== "function") {
+        throw refused(`a signal is an AbortSignal, found ${shown(signal)}`);
       }
       if (signal?.aborted) {
         throw aborted();
@@ -110,6 +114,10 @@ export class Link {
   }
 
   private receive(message: FromWorker): void {
+    // Messages that were under way when the worker was stopped.
+    if (this.error) {
+      return;
+    }
     if (Array.isArray(message)) {
       const [id = 0] = message;
       const waiting = this.waiting.get(id);

@@ -1,5 +1,6 @@
 /** Moves along surfaces, as numbers. */
 
+import { number, object, optional, place, refused, shown } from "./check.js";
 import { CONTACT_LENGTH, readContact, readSlide, SLIDE_LENGTH } from "./messages.js";
 import type { Sliding } from "./protocol.js";
 import type { Contact, PlacedShape, Slide, SlideOptions, Vec3 } from "./types.js";
@@ -7,25 +8,30 @@ import type { Contact, PlacedShape, Slide, SlideOptions, Vec3 } from "./types.js
 /** Most contacts unless the caller says otherwise. */
 const CONTACTS = 4;
 
-function shapeNumbers(shape: PlacedShape): Float64Array {
+function shapeNumbers(given: PlacedShape): Float64Array {
+  const shape = object(given, "a shape");
   if ("min" in shape) {
-    // By name, because the engine distinguishes shapes by the count of their numbers.
-    const [[x0, y0, z0], [x1, y1, z1]] = [shape.min, shape.max];
-    return Float64Array.of(x0, y0, z0, x1, y1, z1);
+    return Float64Array.of(...place(shape.min, "a corner of a box"), ...place(shape.max, "a corner of a box"));
   }
-  const [x, y, z] = shape.at;
+  const [x, y, z] = place(shape.at, "the place of a shape");
   switch (shape.shape) {
     case "sphere":
-      return Float64Array.of(x, y, z, shape.radius);
+      return Float64Array.of(x, y, z, number(shape.radius, "shape.radius"));
     case "cylinder":
-      return Float64Array.of(x, y, z, shape.radius, shape.height);
-    case "box":
-      return Float64Array.of(x - shape.x / 2, y - shape.y / 2, z, x + shape.x / 2, y + shape.y / 2, z + shape.height);
+      return Float64Array.of(x, y, z, number(shape.radius, "shape.radius"), number(shape.height, "shape.height"));
+    case "box": {
+      const [halfX, halfY] = [number(shape.x, "shape.x") / 2, number(shape.y, "shape.y") / 2];
+      return Float64Array.of(x - halfX, y - halfY, z, x + halfX, y + halfY, z + number(shape.height, "shape.height"));
+    }
+    default:
+      throw refused(`a shape is a box, a cylinder or a sphere, found ${shown((shape as { shape?: unknown }).shape)}`);
   }
 }
 
-export function toSliding(shape: PlacedShape, motion: Vec3, { iterations = CONTACTS }: SlideOptions): Sliding {
-  return { shape: shapeNumbers(shape), motion: Float64Array.from(motion), contacts: iterations };
+export function toSliding(shape: PlacedShape, motion: Vec3, options?: SlideOptions): Sliding {
+  const { iterations = CONTACTS } = optional(options);
+  const contacts = number(iterations, "iterations");
+  return { shape: shapeNumbers(shape), motion: Float64Array.from(place(motion, "a move")), contacts };
 }
 
 export function toSlide(numbers: Float64Array): Slide {

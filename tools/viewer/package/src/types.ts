@@ -3,7 +3,8 @@
  * are in seconds.
  *
  * A Web Worker does the work: each call posts a message, so nothing here blocks the page. Batches are typed arrays with
- * one query after another; arguments are copied, results are transferred and belong to the caller.
+ * one query after another; places and directions are arrays of any kind. Arguments are copied, results are transferred and
+ * belong to the caller.
  */
 
 /** A place or direction: x, y, z. */
@@ -34,7 +35,7 @@ export const NOT_LOADED = 2;
  * - `no-ranges`: the host ignores `Range` and the file is too large to be read whole;
  * - `out-of-memory`: the budget is too small for the archive's table of pages, or the browser is out of memory;
  * - `aborted`: by the caller's signal, or because the archive was closed;
- * - `invalid`: an argument is invalid;
+ * - `invalid`: an argument is invalid, or of another type than stated here; the archive stays usable;
  * - `engine`: a defect of the engine, or its worker cannot start.
  */
 export const ERROR_KINDS = [
@@ -123,8 +124,8 @@ export interface ArchiveInfo {
 export interface ArchiveReference {
   /** As stated by the input (WKT or a name); empty if unknown. */
   readonly crs: string;
-  /** Unit of the input; archives are in metres. */
-  readonly unit: { readonly name: string; readonly factor: number };
+  /** Horizontal unit of the input; archives are in metres. The factor is null if it is unknown, or if inputs have several. */
+  readonly unit: { readonly name: string; readonly factor: number | null };
 }
 
 /** Streaming statistics. */
@@ -405,8 +406,9 @@ export interface WalkerRecording {
   readonly version: 1;
   readonly options: Required<WalkerSettings> & { at: Vec3 };
   /**
-   * Eight numbers per step: ticks that passed, wish x, wish y (of `toward`: the place), pace, lift, flags, and two
-   * reserved. Flags: 1 jump, 2 crouch, 4 fly, 8 toward. Following a route adds a row for each place on the way.
+   * Eight numbers per step: ticks that passed, wish x, wish y (of `toward`: the place), pace, lift, flags, z, and one
+   * reserved. Flags: 1 jump, 2 crouch, 4 fly, 8 toward, 16 moved to the place x, y, z by {@link Walker.place}. Following a
+   * route adds a row for each place on the way.
    */
   readonly steps: readonly number[];
   /** Three numbers per step: the feet after it. */
@@ -420,10 +422,10 @@ export interface Walker {
   /** Latest state reported by the worker; changes when a step is answered. */
   readonly state: WalkerState;
   /**
-   * Advances by at most 0.25 s; the rest is dropped. Call it once per frame without awaiting it: the state that it
-   * resolves to usually arrives before the next frame.
+   * Advances by `seconds`, 0 or more, and at most 0.25; the rest is dropped. Without an input the pawn stands. Call it once
+   * per frame without awaiting it: the state that it resolves to usually arrives before the next frame.
    */
-  step(seconds: number, input: WalkerInput): Promise<WalkerState>;
+  step(seconds: number, input?: WalkerInput): Promise<WalkerState>;
   /** Moves the pawn elsewhere, at rest. */
   place(at: Vec3): Promise<WalkerState>;
   set(settings: WalkerSettings): Promise<WalkerState>;
@@ -466,8 +468,8 @@ export interface Crowd {
   /** Latest state reported by the worker; changes when a step is answered. */
   readonly state: CrowdState;
   /**
-   * Advances by at most 0.25 s; the rest is dropped. `wishes` has three numbers per walker: x and y of a direction
-   * (shorter than 1: slower), and 0; or x and y of a place to go to, and 1.
+   * Advances by `seconds`, 0 or more, and at most 0.25; the rest is dropped. `wishes` has three numbers per walker: x and y
+   * of a direction (shorter than 1: slower), and 0; or x and y of a place to go to, and 1.
    */
   step(seconds: number, wishes: Float64Array): Promise<CrowdState>;
   close(): void;

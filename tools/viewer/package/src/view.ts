@@ -1,12 +1,13 @@
 /** Views as seen by the page. */
 
+import { callable, number, optional, place } from "./check.js";
 import type { Link } from "./link.js";
 import type { ColoursEvent, PageEvent, SceneSettings } from "./protocol.js";
 import type { PageGeometry, Vec3, View, ViewOptions, ViewSettings } from "./types.js";
 
 function complete(settings: ViewSettings): SceneSettings {
   const { radius = 40, triangles = 1_000_000, detail = 0.01, overview = false, blocks = false } = settings;
-  return [radius, triangles, detail, overview, blocks];
+  return [number(radius, "radius"), number(triangles, "triangles"), number(detail, "detail"), overview, blocks];
 }
 
 /** The corner indices of triangles are the same in every page except for their number. */
@@ -52,9 +53,15 @@ export class ViewHandle implements View {
     private readonly pixelSize: number,
     private readonly registry: Map<number, ViewHandle>,
   ) {
+    const { onPage, onDrop, onColours } = optional(options);
+    callable(onPage, "onPage");
+    callable(onDrop, "onDrop");
+    if (onColours) {
+      callable(onColours, "onColours");
+    }
     this.settings = options;
     const sent = complete(options);
-    link.call<number>({ call: "view", settings: sent, colours: options.onColours !== undefined }).then(
+    link.call<number>({ call: "view", settings: sent, colours: Boolean(onColours) }).then(
       (name) => this.begin(name, sent),
       // The caller that opened the archive learns that it failed.
       () => undefined,
@@ -78,16 +85,19 @@ export class ViewHandle implements View {
   }
 
   look(at: Vec3): void {
-    this.at = at;
+    const camera = place(at, "the place of a camera");
+    this.at = camera;
     if (this.name !== undefined) {
-      this.link.note({ note: "look", view: this.name, at: Float64Array.from(at) });
+      this.link.note({ note: "look", view: this.name, at: Float64Array.from(camera) });
     }
   }
 
   set(settings: ViewSettings): void {
-    this.settings = { ...this.settings, ...settings };
+    const changed = { ...this.settings, ...optional(settings) };
+    const sent = complete(changed);
+    this.settings = changed;
     if (this.name !== undefined) {
-      this.link.note({ note: "view", view: this.name, settings: complete(this.settings) });
+      this.link.note({ note: "view", view: this.name, settings: sent });
     }
   }
 

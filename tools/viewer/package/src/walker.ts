@@ -1,5 +1,6 @@
 /** Walkers as seen by the page. */
 
+import { across, duration, number, object, optional, place, refused, shown } from "./check.js";
 import type { Host } from "./host.js";
 import type { Link } from "./link.js";
 import { GROUND_CODE, readState, ROUTE_CODE, type StateMessage, STOP_CODE, writeInput, writeSettings } from "./messages.js";
@@ -32,8 +33,8 @@ const DEFAULTS: Omit<Settings, "crouchHeight"> = {
 /** Fills in defaults; the default crouching height depends on the body. */
 export function complete(given: WalkerSettings): Settings {
   const chosen = { ...DEFAULTS, ...defined(given) };
-  const crouchHeight =
-    given.crouchHeight ?? Math.min(chosen.body.height, Math.max(0.6 * chosen.body.height, chosen.climb + 0.1));
+  const { height } = object(chosen.body, "a body");
+  const crouchHeight = given.crouchHeight ?? Math.min(height, Math.max(0.6 * height, chosen.climb + 0.1));
   return { ...chosen, crouchHeight };
 }
 
@@ -41,20 +42,37 @@ function defined<T extends object>(given: T): Partial<T> {
   return Object.fromEntries(Object.entries(given).filter(([, value]) => value !== undefined)) as Partial<T>;
 }
 
+function bodyNumbers(body: Body): { shape: number; x: number; y: number; height: number } {
+  switch (body.shape) {
+    case "box":
+      return { shape: 0, x: number(body.x, "body.x"), y: number(body.y, "body.y"), height: number(body.height, "body.height") };
+    case "cylinder":
+      return { shape: 1, x: number(body.radius, "body.radius"), y: 0, height: number(body.height, "body.height") };
+    default:
+      throw refused(`a body is a box or a cylinder, found ${shown((body as { shape?: unknown }).shape)}`);
+  }
+}
+
 export function settingsNumbers(settings: Settings): Float64Array {
-  const { climb, speed, gravity, jump, crouchHeight: crouch, maxDrop } = settings;
-  const body: Body = settings.body;
-  const shape = body.shape === "box" ? { shape: 0, x: body.x, y: body.y } : { shape: 1, x: body.radius, y: 0 };
-  const height = body.height;
+  const { body, climb, speed, gravity, jump, crouchHeight, maxDrop } = settings;
   return Float64Array.from(
-    writeSettings({ ...shape, height, climb, speed, gravity, jump, crouch, maxDrop: maxDrop ?? Number.NaN }),
+    writeSettings({
+      ...bodyNumbers(body),
+      climb: number(climb, "climb"),
+      speed: number(speed, "speed"),
+      gravity: number(gravity, "gravity"),
+      jump: number(jump, "jump"),
+      crouch: number(crouchHeight, "crouchHeight"),
+      maxDrop: maxDrop === null ? Number.NaN : number(maxDrop, "maxDrop"),
+    }),
   );
 }
 
-function inputNumbers({ toward, follow, wish, pace = 1, lift = 0, jump, crouch, fly }: WalkerInput): number[] {
-  const [x, y] = toward ?? wish ?? [0, 0];
+function inputNumbers(input: WalkerInput | undefined): number[] {
+  const { toward, follow, wish, pace = 1, lift = 0, jump, crouch, fly } = optional(input, "an input");
+  const [x, y]: readonly [number, number] = toward ? across(toward, "toward") : wish ? across(wish, "wish") : [0, 0];
   const flags = (jump ? 1 : 0) | (crouch ? 2 : 0) | (fly ? 4 : 0) | (toward ? 8 : 0) | (follow ? 32 : 0);
-  return writeInput({ x, y, pace, lift, flags });
+  return writeInput({ x, y, pace: number(pace, "pace"), lift: number(lift, "lift"), flags });
 }
 
 function toState({ x, y, z, ground, stop, crouched, ...rest }: StateMessage): WalkerState {
@@ -69,10 +87,11 @@ function toState({ x, y, z, ground, stop, crouched, ...rest }: StateMessage): Wa
 }
 
 export async function makeWalker(link: Link, options: WalkerOptions): Promise<Walker> {
-  const { at, ...given } = options;
-  const settings = complete(given);
-  const name = await link.call<number>({ call: "walker", settings: settingsNumbers(settings), at: Float64Array.from(at) });
-  return new WalkerHandle(link, name, at, given);
+  const { at, ...given } = optional(options);
+  const feet = place(at);
+  const settings = settingsNumbers(complete(given));
+  const name = await link.call<number>({ call: "walker", settings, at: Float64Array.from(feet) });
+  return new WalkerHandle(link, name, feet, given);
 }
 
 export class WalkerHandle implements Walker {
@@ -92,37 +111,38 @@ export class WalkerHandle implements Walker {
     this.state = toState({ ...readState([]), x, y, z, height });
   }
 
-  async step(seconds: number, input: WalkerInput): Promise<WalkerState> {
+  async step(seconds: number, input?: WalkerInput): Promise<WalkerState> {
     this.check();
-    this.state = toState(readState(await this.link.step(this.name, seconds, inputNumbers(input)), 1));
+    this.state = toState(readState(await this.link.step(this.name, duration(seconds), inputNumbers(input)), 1));
     return this.state;
   }
 
   /** Makes a step at once, with a host in this thread. */
-  stepBy(link: Link, host: Host, seconds: number, input: WalkerInput): WalkerState {
+  stepBy(link: Link, host: Host, seconds: number, input?: WalkerInput): WalkerState {
     if (link !== this.link) {
       throw new SlicewalkError("invalid", "this is no walker of the archive");
     }
     this.check();
-    this.state = toState(readState(host.stepNow(this.name, seconds, inputNumbers(input))));
+    this.state = toState(readState(host.stepNow(this.name, duration(seconds), inputNumbers(input))));
     return this.state;
   }
 
-  place(at: Vec3): Promise<WalkerState> {
-    return this.told({ call: "place", walker: this.name, at: Float64Array.from(at) });
+  async place(at: Vec3): Promise<WalkerState> {
+    return this.told({ call: "place", walker: this.name, at: Float64Array.from(place(at)) });
   }
 
   async set(settings: WalkerSettings): Promise<WalkerState> {
-    const given = { ...this.given, ...defined(settings) };
+    const given = { ...this.given, ...defined(optional(settings)) };
     const told = await this.told({ call: "settings", walker: this.name, settings: settingsNumbers(complete(given)) });
     this.given = given;
     return told;
   }
 
-  async route(to: Vec3, options: { signal?: AbortSignal } = {}): Promise<Route | RouteRefusal> {
+  async route(to: Vec3, options?: { signal?: AbortSignal }): Promise<Route | RouteRefusal> {
     this.check();
-    const call = { call: "route", walker: this.name, to: Float64Array.from(to) } as const;
-    const { code, points } = await this.link.call<Routed>(call, options.signal);
+    const { signal } = optional(options);
+    const call = { call: "route", walker: this.name, to: Float64Array.from(place(to)) } as const;
+    const { code, points } = await this.link.call<Routed>(call, signal);
     const outcome = ROUTE_CODE[code] ?? "not-connected";
     if (outcome !== "found") {
       return outcome as RouteRefusal;

@@ -111,6 +111,100 @@ test("arguments that make no sense are refused with their row", async () => {
   archive.close();
 });
 
+test("arguments of another type are refused, and the archive stays usable", async () => {
+  const archive = await open(new FileHost(scene));
+  const at = [0, 0, 1];
+  const walker = await archive.walker({ at: Float64Array.from(at), body: undefined });
+  const crowd = await archive.crowd({ at: Float64Array.from(at) });
+  const callbacks = { onPage: () => undefined, onDrop: () => undefined };
+  const view = archive.view(callbacks);
+  const shape = { shape: "box", x: 0.5, y: 0.5, height: 1.8, at };
+  for (const [call, message] of [
+    [() => archive.overlaps([0, 0, 0, 1, 1, 1]), /Float64Array, found Array/],
+    [() => archive.castHits(new Float32Array(7)), /Float64Array, found Float32Array/],
+    [() => archive.floor(), /Float64Array/],
+    [() => archive.overlaps(new Float64Array(6), { signal: new AbortController() }), /signal/],
+    [() => archive.load(), /box/],
+    [() => archive.load({ min: at }), /corner/],
+    [() => archive.map(), /area/],
+    [() => archive.map({ min: [0, 0], max: [1, 1] }, 2), /heights/],
+    [() => archive.map({ min: [0, 0], max: [1, 1] }, [0, 2], "many"), /cells/],
+    [() => archive.moveAndSlide(undefined, at), /shape/],
+    [() => archive.moveAndSlide({ ...shape, shape: "capsule" }, at), /shape.*"capsule"/],
+    [() => archive.moveAndSlide({ ...shape, x: undefined }, at), /shape\.x/],
+    [() => archive.moveAndSlide(shape, "up"), /move/],
+    [() => archive.moveAndSlide(shape, at, { iterations: Number.NaN }), /iterations/],
+    [() => archive.walker(), /place/],
+    [() => archive.walker({}), /place/],
+    [() => archive.walker({ at: ["0", "0", "1"] }), /place/],
+    [() => archive.walker({ at, body: { shape: "capsule", radius: 1, height: 2 } }), /box or a cylinder.*"capsule"/],
+    [() => archive.walker({ at, body: null }), /body/],
+    [() => archive.walker({ at, body: { shape: "box", x: 1, y: 1 } }), /height/],
+    [() => archive.walker({ at, speed: null }), /speed/],
+    [() => archive.walker({ at, maxDrop: Number.NaN }), /maxDrop/],
+    [() => walker.step(Number.NaN, {}), /seconds/],
+    [() => walker.step(-1, {}), /seconds/],
+    [() => walker.step(0.1, { wish: [1] }), /wish/],
+    [() => walker.step(0.1, { wish: {} }), /wish/],
+    [() => walker.step(0.1, { pace: "fast" }), /pace/],
+    [() => walker.place(), /place/],
+    [() => walker.set({ climb: "high" }), /climb/],
+    [() => walker.route(), /place/],
+    [() => archive.crowd({ at: [0, 0, 1] }), /Float64Array/],
+    [() => crowd.step(0.1, [0, 0, 0]), /Float64Array/],
+    [() => crowd.step(Number.NaN, new Float64Array(3)), /seconds/],
+    [() => openArchive(undefined, { worker: new FileHost(scene).worker }), /address/],
+    [() => open(new FileHost(scene), { budgetBytes: "all" }), /budgetBytes/],
+    // Not asynchronous.
+    [async () => archive.view({ onPage: () => undefined }), /onDrop/],
+    [async () => archive.view({ ...callbacks, radius: Number.NaN }), /radius/],
+    [async () => view.set({ detail: "fine" }), /detail/],
+    [async () => view.look([0, Number.NaN, 1]), /camera is three finite numbers, found \[0, NaN, 1\]/],
+    [async () => view.look([0, 0]), /camera/],
+    [async () => archive.on("progress", () => undefined), /stats, trouble, failed/],
+    [async () => archive.on("stats"), /listener/],
+  ]) {
+    // A call that throws at once instead of rejecting fails the test.
+    await assert.rejects(call(), refuses("invalid", message), `${call}`);
+  }
+  // What may be left out, and lists of every kind.
+  assert.equal((await walker.step(0.1)).steps, 1);
+  assert.equal((await walker.step(0.1, { toward: at })).steps, 2);
+  assert.deepEqual((await walker.place(new Float32Array(3))).at, [0, 0, 0]);
+  await archive.load({ min: Float64Array.of(0, 0, 0), max: at }, null);
+  view.look(Float64Array.from(at));
+  await archive.reference();
+  assert.equal(archive.error, null);
+  archive.close();
+});
+
+test("a batch that fails leaves no pages for the next one to load", async () => {
+  const boxes = numbers("boxes.f64").slice(0, 6 * 1000);
+  boxes[6 * 999] = Number.NaN;
+  const bytesAsked = async (fails) => {
+    const host = new FileHost(scene);
+    const archive = await open(host);
+    const before = host.asked.length;
+    if (fails) await assert.rejects(archive.overlaps(boxes, { load: true }), refuses("invalid", /^row 999: box/));
+    await archive.overlaps(Float64Array.of(-1, -1, -0.5, 1, 1, 0.5), { load: true });
+    archive.close();
+    return host.asked.slice(before).reduce((bytes, [start, end]) => bytes + end - start, 0);
+  };
+  assert.equal(await bytesAsked(true), await bytesAsked(false));
+});
+
+test("a closed archive says nothing more, whatever its worker had sent", async () => {
+  const worker = new FileHost(scene).worker();
+  const archive = await openArchive(URL_, { worker: () => worker });
+  const told = [];
+  archive.on("stats", (stats) => told.push(stats));
+  archive.on("trouble", (error) => told.push(error));
+  archive.close();
+  worker.onmessage({ data: { event: "stats", stats: archive.stats } });
+  worker.onmessage({ data: { event: "trouble", fault: null } });
+  assert.deepEqual(told, []);
+});
+
 test("a shape slides along what it meets, and waits for nothing that it was not told to load", async () => {
   const archive = await open(new FileHost(scene));
   const body = { shape: "box", x: 0.5, y: 0.5, height: 1.8, at: [-6, 2, 1.5] };

@@ -9,7 +9,7 @@ import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
 import { after, before, test } from "node:test";
 import { BlobFile } from "../dist/convert/files.js";
-import { CHANGED, runConversion } from "../dist/convert/module.js";
+import { CHANGED, isOutOfMemory, runConversion } from "../dist/convert/module.js";
 import { FileHost } from "./files.js";
 
 const root = new URL("../../../../", import.meta.url).pathname;
@@ -37,6 +37,7 @@ const words = (options) =>
   Object.entries(options).flatMap(([name, value]) => {
     const option = `--${name.replaceAll("_", "-")}`;
     if (name === "levels") return [option, value ? "on" : "off"];
+    if (name === "scale_from") return [option, ...value.map(String)];
     return value === true ? [option] : [option, String(value)];
   });
 
@@ -77,10 +78,26 @@ test("generated scans, with each kind of option", async () => {
     { pixel: 0.1, units: "m", tolerance: "auto", exclude_class: "7,18", fill_holes: 0.3 },
     { pixel: 0.15, slice: 0.3, units: "m", classifier: "span", min_points: 2, drop_isolated: true, up: "y" },
     { pixel: 0.1, units: "ft", crs: "EPSG:25832", classifier: "thesis", drop_floaters: 4, max_slope: 30 },
+    { pixel: 0.1, scale_from: [[0, 0, 0], [2, 0, 0], 1] },
   ]) {
     assert.ok(await agree([laz], options));
   }
   assert.ok(await agree([scan("house.las", "demo")], { pixel: 0.1, units: "m", colour: "class" }));
+});
+
+test("seen space of scans that state their stations", async () => {
+  const path = join(folder, "wall.ptx");
+  // A wall 4 m ahead of two stations.
+  const cloud = ([a, b, c]) => {
+    const places = Array.from({ length: 2000 }, (_, n) => [(n % 50) * 0.1 - 1 - a, 4 - b, Math.floor(n / 50) * 0.08 - c]);
+    const rows = places.map((place) => `${place.map((v) => v.toFixed(3)).join(" ")} 0.5\n`);
+    const pose = `${a} ${b} ${c}\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n${a} ${b} ${c} 1`;
+    return `${rows.length}\n1\n${pose}\n${rows.join("")}`;
+  };
+  writeFileSync(path, cloud([0, 0, 1.5]) + cloud([3, 1, 1.5]));
+  const options = { pixel: 0.1, free_space: true };
+  assert.ok(await agree([path], options));
+  assert.ok((await convert([path], options)).answer.report.seen.cells > 0);
 });
 
 test("data that memory cannot hold is spilled, and the bytes stay the same", async () => {
@@ -115,10 +132,24 @@ test("what cannot be converted is said in one line", async () => {
     [cut, { units: "m" }, /cut\.laz/],
     [join(folder, "house.laz"), { pixel: -1 }, /pixel/],
     [join(folder, "house.laz"), { colours: "rgb" }, /colours/],
+    [join(folder, "house.laz"), { drop_isolated: true, drop_floaters: 5 }, /^drop_isolated: .*leave one of them out/],
+    [join(folder, "house.laz"), { units: "m", scale_from: [[0, 0, 0], [2, 0, 0], 1] }, /^scale_from: .*leave one of them out/],
+    [join(folder, "house.laz"), { scale_from: [0, 2, 1] }, /^scale_from: expected two places/],
+    [join(folder, "house.laz"), { scale_from: [[0, 0, 0], [0, 0, 0], 1] }, /^scale_from: the two places are the same/],
   ]) {
     const { answer } = await convert([path], options);
     assert.match(answer.error, expected);
     assert.equal(answer.error.includes("\n"), false);
+  }
+});
+
+test("only exhausted memory counts as out of memory", () => {
+  const { RuntimeError } = WebAssembly;
+  for (const error of [new RangeError("Array buffer allocation failed"), new Error("Out of memory: cannot allocate")]) {
+    assert.ok(isOutOfMemory(error), `${error}`);
+  }
+  for (const error of [new RuntimeError("memory access out of bounds"), new RuntimeError("unreachable")]) {
+    assert.ok(!isOutOfMemory(error), `${error}`);
   }
 });
 

@@ -44,6 +44,7 @@ test("answers at once, like the native engine, what is in memory", async () => {
   assert.deepEqual(await archive.moveAndSlide(body, [0, 0.3, -3]), slid);
   assert.equal(now.moveAndSlide(body, [0, 0.3, -3], { iterations: 1 }).contacts.length, 1);
   assert.throws(() => now.overlaps(new Float64Array(7)), refuses("invalid", /rows of 6/));
+  assert.throws(() => now.overlaps([0, 0, 0, 1, 1, 1]), refuses("invalid", /Float64Array, found Array/));
   assert.throws(() => now.overlapsSpheres(Float64Array.of(0, 0, 0, -1)), refuses("invalid", /^row 0: sphere/));
   assert.throws(() => now.moveAndSlide(body, [0, 0, Number.NaN]), refuses("invalid", /move/));
   assert.equal(archive.error, null);
@@ -66,6 +67,8 @@ test("steps a walker without a frame of delay, and draws", async () => {
   // The same walker in the ordinary manner.
   assert.equal((await walker.step(1 / 60, {})).steps, 74);
   assert.throws(() => archive.now.step({}, 1 / 60, {}), refuses("invalid", /walker/));
+  assert.throws(() => archive.now.step(walker, Number.NaN, {}), refuses("invalid", /seconds/));
+  assert.equal(walker.state.steps, 74);
   const page = await new Promise((resolve) => {
     archive.view({ radius: 3, onPage: resolve, onDrop: () => undefined }).look([0, 0, 1]);
   });
@@ -85,6 +88,8 @@ test("steps a crowd at once, and none of another archive", async () => {
   const { places, missing } = crowd.state;
   assert.ok(missing === 0 && places[0] > -2 && places[3] > -3 && places[0] - places[3] > 0.5 - 1e-6, `${places}`);
   assert.deepEqual((await crowd.step(0, wishes)).places, places);
+  assert.throws(() => archive.now.stepCrowd(crowd, -1, wishes), refuses("invalid", /seconds/));
+  assert.throws(() => archive.now.stepCrowd(crowd, 0, [...wishes]), refuses("invalid", /wishes/));
   const walker = await archive.walker({ at: [-2, 2, 0.2] });
   assert.throws(() => other.now.stepCrowd(crowd, 1 / 60, wishes), refuses("invalid", /crowd of the archive/));
   assert.throws(() => other.now.step(walker, 1 / 60, {}), refuses("invalid", /walker of the archive/));
@@ -147,6 +152,40 @@ test("in a worker thread, and a process ends once its archive is closed", async 
     timeout: 30_000,
   });
   assert.deepEqual([run.status, run.stdout.trim()], [0, String(HIT)], run.stderr);
+});
+
+test("archives that a fresh process opens at once share one engine", () => {
+  const here = JSON.stringify(new URL("../dist/here.js", import.meta.url).href);
+  const files = JSON.stringify([file.href, new URL("../../../../spec/samples/stairs.slices", import.meta.url).href]);
+  const run = (opening) => {
+    const script = `
+      import { openArchiveHere } from ${here};
+      let instances = 0;
+      const { instantiate } = WebAssembly;
+      WebAssembly.instantiate = (...given) => {
+        instances += 1;
+        return instantiate(...given);
+      };
+      const files = ${files};
+      for (const archive of ${opening}) {
+        const { min, max } = archive.info.bounds;
+        await archive.load({ min, max });
+        const low = Float64Array.from({ length: 600 }, (_, n) => min[n % 3] + (((n * 37) % 101) / 101) * (max[n % 3] - min[n % 3]));
+        const boxes = low.map((v, n) => (n % 6 < 3 ? v : low[n - 3] + 0.1));
+        console.log(archive.info.pixelSize, archive.now.overlaps(boxes).join(""));
+        archive.close();
+      }
+      console.log(instances);`;
+    const { status, stdout, stderr } = spawnSync(process.execPath, ["--input-type=module", "-e", script], {
+      encoding: "utf8",
+      timeout: 60_000,
+    });
+    assert.equal(status, 0, stderr);
+    return stdout;
+  };
+  // Node.js may make other instances for itself, but as many in both.
+  const apart = run("[await openArchiveHere(files[0]), await openArchiveHere(files[1])]");
+  assert.equal(run("await Promise.all(files.map((name) => openArchiveHere(name)))"), apart);
 });
 
 test("where there are no workers, openArchive names the way out", async () => {

@@ -1,9 +1,9 @@
 // An in-process worker and a host of files, for tests.
 
 import { readFileSync } from "node:fs";
+import { loadEngine } from "../dist/engine.js";
 import { Host } from "../dist/host.js";
 import { browser } from "../dist/http.js";
-import init, { Engine } from "../dist/wasm/engine.js";
 
 /** Output folder of `record`. */
 export const folder =
@@ -16,16 +16,9 @@ export const read = (name) => {
 export const numbers = (name) => new Float64Array(read(name).buffer);
 
 const bytes = readFileSync(new URL("../dist/wasm/engine_bg.wasm", import.meta.url));
-const loaded = init({ module_or_path: new WebAssembly.Module(bytes) });
+const compiled = new WebAssembly.Module(bytes);
 
-export async function engineModule() {
-  await loaded;
-  return {
-    open: (length, budget, requests) => new Engine(length, budget, requests),
-
-    isFull: () => false,
-  };
-}
+export const engineModule = () => loadEngine(compiled);
 
 /** Replaces a `Worker`; messages are cloned and transferred as between threads. */
 export class LocalWorker {

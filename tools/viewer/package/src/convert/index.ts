@@ -3,6 +3,8 @@
  * lie in the browser's private files.
  */
 
+import { absolute } from "../address.js";
+import { optional, shown } from "../check.js";
 import { asError } from "../fault.js";
 import { SlicewalkError } from "../types.js";
 import type { ConversionAnswer } from "./module.js";
@@ -11,7 +13,7 @@ import type { FromConverter, ToConverter } from "./worker.js";
 export type { ConversionAnswer, ConversionHost, ConversionRequest } from "./module.js";
 export { runConversion } from "./module.js";
 
-/** Options of `slicewalk.convert` in Python, without those about files, threads and parts. */
+/** Options of `slicewalk.convert` in Python, without those about files, threads, parts and warnings. */
 export type ConversionOptions = Readonly<Record<string, unknown>>;
 
 export interface ConversionProgress {
@@ -112,48 +114,76 @@ async function claim(): Promise<{ name: string | null; release(): void }> {
   return { name, release: () => void remove(folder, name).then(end) };
 }
 
-/** Converts files in a worker of its own. */
+/** Converts files in a worker of its own, one request at a time. */
 export class Converter {
+  /** Scans or meshes, and files that meshes name, such as materials. */
+  readonly files: readonly File[];
   #worker: Worker | null = null;
   readonly #make: () => Worker;
   readonly #wasm: string;
-  #stop: ((error: SlicewalkError) => void) | null = null;
+  /** Cancels the request that runs. */
+  #running: AbortController | null = null;
 
-  constructor(
-    /** Scans or meshes, and files that meshes name, such as materials. */
-    readonly files: readonly File[],
-    { worker, wasm }: ConverterOptions = {},
-  ) {
+  constructor(files: Iterable<File>, options?: ConverterOptions) {
+    const { worker, wasm } = optional(options);
+    if (typeof files !== "object" || files === null || !(Symbol.iterator in files)) {
+      throw new ConversionError("invalid", `files are a list, such as [file], found ${shown(files)}`);
+    }
+    this.files = [...files];
     this.#make = worker ?? (() => new Worker(new URL("./worker.js", import.meta.url), { type: "module" }));
-    this.#wasm = new URL(wasm ?? new URL("../wasm/convert.wasm", import.meta.url), document.baseURI).href;
+    this.#wasm = absolute(wasm ?? new URL("../wasm/convert.wasm", import.meta.url));
   }
 
   /** What the files are, as `sliceconv --dry-run --json` says it, without a pass over their points. */
-  async preview(options: ConversionOptions = {}): Promise<Record<string, unknown>> {
-    const { answer } = await this.#run("preview", options, null, () => {}, []);
-    return answer.preview ?? {};
+  preview(options: ConversionOptions = {}): Promise<Record<string, unknown>> {
+    return this.#alone<Record<string, unknown>>(async (cancelled) => {
+      const { answer } = await this.#run("preview", options, null, () => {}, [], cancelled);
+      return answer.preview ?? {};
+    });
   }
 
   /** Converts the files; the archive has the bytes that `sliceconv` writes with these options. */
-  async convert(options: ConversionOptions, progress: (now: ConversionProgress) => void): Promise<Converted> {
-    const folder = await claim();
-    const warnings: string[] = [];
-    try {
-      const { answer, archive } = await this.#run("convert", options, folder.name, progress, warnings);
-      if (archive === null) throw new ConversionError("engine", "the conversion gave no archive");
-      return { archive, report: answer.report ?? {}, warnings, release: () => folder.release() };
-    } catch (error) {
-      this.close();
-      folder.release();
-      throw error;
-    }
+  convert(options: ConversionOptions = {}, progress: (now: ConversionProgress) => void = () => {}): Promise<Converted> {
+    return this.#alone<Converted>(async (cancelled) => {
+      const folder = await claim();
+      const warnings: string[] = [];
+      try {
+        const { answer, archive } = await this.#run("convert", options, folder.name, progress, warnings, cancelled);
+        if (archive === null) throw new ConversionError("engine", "the conversion gave no archive");
+        return { archive, report: answer.report ?? {}, warnings, release: () => folder.release() };
+      } catch (error) {
+        // It may hold files of the folder. After `close` it is gone already, and another may serve the next request.
+        if (!cancelled.aborted) this.#endWorker();
+        folder.release();
+        throw error;
+      }
+    });
   }
 
-  /** Ends what runs, which then fails with `aborted`. */
+  /** Cancels the request that runs, which then fails with `aborted`. Another one may begin at once. */
   close(): void {
+    this.#endWorker();
+    this.#running?.abort();
+    this.#running = null;
+  }
+
+  #endWorker(): void {
     this.#worker?.terminate();
     this.#worker = null;
-    this.#stop?.(new ConversionError("aborted", "the conversion was cancelled"));
+  }
+
+  /** Makes a request if none runs: the worker's answers do not say which one they belong to. */
+  async #alone<T>(request: (cancelled: AbortSignal) => Promise<T>): Promise<T> {
+    if (this.#running !== null) {
+      throw new ConversionError("invalid", "another request of this converter runs; await it first");
+    }
+    const own = new AbortController();
+    this.#running = own;
+    try {
+      return await request(own.signal);
+    } finally {
+      if (this.#running === own) this.#running = null;
+    }
   }
 
   #run(
@@ -162,8 +192,15 @@ export class Converter {
     folder: string | null,
     progress: (now: ConversionProgress) => void,
     warnings: string[],
+    cancelled: AbortSignal,
   ): Promise<{ answer: ConversionAnswer; archive: File | null }> {
     return new Promise((resolve, reject) => {
+      const cancel = (): void => reject(new ConversionError("aborted", "the conversion was cancelled"));
+      if (cancelled.aborted) {
+        cancel();
+        return;
+      }
+      cancelled.addEventListener("abort", cancel);
       let worker: Worker;
       try {
         worker = this.#worker ??= this.#make();
@@ -171,15 +208,20 @@ export class Converter {
         reject(asError(error));
         return;
       }
-      this.#stop = reject;
+      const stopped = (kind: "engine" | "out-of-memory", reason: string): void => {
+        worker.terminate();
+        if (this.#worker === worker) this.#worker = null;
+        reject(new ConversionError(kind, `the conversion stopped: ${reason}`));
+      };
       let [stage, total] = ["opening", 0];
       progress({ stage, share: 0 });
       worker.onerror = (event) => {
         event.preventDefault();
-        this.close();
-        reject(new ConversionError("engine", `the conversion stopped: ${event.message || "its program cannot be loaded"}`));
+        stopped("engine", event.message || "its program cannot be loaded");
       };
       worker.onmessage = ({ data }: MessageEvent<FromConverter>) => {
+        // Messages that were under way when the worker was terminated.
+        if (cancelled.aborted) return;
         if ("stage" in data) {
           [stage, total] = [data.stage, data.total];
           progress({ stage, share: 0 });
@@ -188,9 +230,7 @@ export class Converter {
         } else if ("warning" in data) {
           warnings.push(data.warning);
         } else if ("fault" in data) {
-          this.close();
-          const kind = data.memory ? "out-of-memory" : "engine";
-          reject(new ConversionError(kind, `the conversion stopped: ${data.fault}`));
+          stopped(data.memory ? "out-of-memory" : "engine", data.fault);
         } else if (data.answer.error !== undefined) {
           reject(new ConversionError("invalid", data.answer.error, data.answer.parameter ?? null));
         } else {
@@ -203,7 +243,12 @@ export class Converter {
       // Alone, such files are refused by their names.
       const isAlone = this.files.every(isBeside);
       const inputs = this.files.map((blob) => ({ name: blob.name, blob, beside: !isAlone && isBeside(blob) }));
-      worker.postMessage({ task, inputs, options, wasm: this.#wasm, folder, name } satisfies ToConverter);
+      try {
+        worker.postMessage({ task, inputs, options, wasm: this.#wasm, folder, name } satisfies ToConverter);
+      } catch (error) {
+        const reason = error instanceof Error ? error.message : String(error);
+        reject(new ConversionError("invalid", `files and options cannot be passed to the worker: ${reason}`));
+      }
     });
   }
 }

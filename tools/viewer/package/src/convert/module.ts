@@ -59,6 +59,11 @@ interface Exports {
   answer_len(): number;
 }
 
+/** Tells exhausted memory from other errors, such as an access out of bounds, which is a defect. */
+export function isOutOfMemory(error: unknown): boolean {
+  return error instanceof RangeError || /out of memory|allocation failed/i.test(String(error));
+}
+
 /** Runs a request in a fresh instance of the module, so that its memory ends with the request. */
 export async function runConversion(
   module: WebAssembly.Module,

@@ -1,7 +1,7 @@
 /** The worker of a conversion: it is sent one request at a time, and ending it cancels. */
 
 import { BlobFile, MemoryFiles, StoredFiles, type TemporaryFiles } from "./files.js";
-import { type ConversionAnswer, type ConversionHost, runConversion } from "./module.js";
+import { type ConversionAnswer, type ConversionHost, isOutOfMemory, runConversion } from "./module.js";
 
 export interface ToConverter {
   readonly task: "preview" | "convert";
@@ -93,6 +93,6 @@ self.onmessage = ({ data }: MessageEvent<ToConverter>) => {
   work(data).catch((error: unknown) => {
     const text = error instanceof Error ? error.message : String(error);
     compiled = null;
-    post({ fault: text, memory: error instanceof RangeError || /memory/i.test(text) });
+    post({ fault: text, memory: isOutOfMemory(error) });
   });
 };
