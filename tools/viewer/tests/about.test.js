@@ -214,6 +214,12 @@ describe("wrong files and addresses", () => {
     const { ready, error } = await state(page);
     assert.deepEqual([ready, error], [true, null]);
     await page.getByRole("heading", { name: "house.slices", level: 1 }).waitFor();
+    // Nor does a wrong address in the history stop the walk.
+    await page.evaluate(() => {
+      history.replaceState(null, "", "?archive=http://");
+      window.dispatchEvent(new PopStateEvent("popstate"));
+    });
+    await page.getByRole("dialog", { name: "The request is invalid" }).getByRole("button", { name: "Stay here" }).click();
     await hold(page, ["w"], "walking on", ({ speed }) => speed > 0.5);
   });
 
@@ -248,16 +254,33 @@ describe("wrong files and addresses", () => {
     await page.goto(`${server.address}?archive=http://`);
     const { error } = await until(page, "an error", (now) => now.error !== null);
     assert.match(error, /no address/);
-    await page.getByRole("dialog").getByRole("button", { name: "Open another archive" }).waitFor();
+    const other = page.getByRole("dialog").getByRole("button", { name: "Open another archive" });
+    await other.waitFor();
+    // Who closes the message finds the choice, not an empty page.
+    await page.keyboard.press("Escape");
+    await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
+    await page.goto(`${server.address}?archive=http://&kiosk=60`);
+    await page.getByRole("dialog").getByText("http:// is no address").waitFor();
+    assert.equal(await other.count(), 0);
   });
 
   it("keeps what was opened in the address, and goes back to the one before", async () => {
     await walkIn(page, address(server, { at: WAY.start }));
-    await page.getByRole("button", { name: "Open another archive" }).click();
-    await page.getByLabel("Address of an archive").fill("other.slices");
-    await page.getByRole("button", { name: "Open", exact: true }).click();
+    const choose = async (name) => {
+      await page.getByRole("button", { name: "Open another archive" }).click();
+      await page.getByLabel("Address of an archive").fill(name);
+      await page.getByRole("button", { name: "Open", exact: true }).click();
+    };
+    // What a slow host answers comes too late once something else is chosen.
+    server.delayMs = 1500;
+    await choose("slow.laz");
+    while (server.of("slow.laz").length === 0) await page.waitForTimeout(20);
+    server.delayMs = 0;
+    await choose("other.slices");
     await page.getByRole("heading", { name: "other.slices", level: 1 }).waitFor();
     await page.waitForURL(/archive=other\.slices/);
+    await page.waitForTimeout(1500);
+    assert.equal(await page.getByRole("dialog").count(), 0);
     await page.goBack();
     await page.getByRole("heading", { name: "house.slices", level: 1 }).waitFor();
     await until(page, "ready", ({ ready, at }) => ready && near(at, WAY.start));

@@ -170,8 +170,9 @@ export function pixels(page) {
     () =>
       new Promise((resolve) => {
         const view = document.querySelector("canvas.view");
-        // The page draws in its own callback of a frame, before this one; a resting view is not drawn in every frame, and its
-        // canvas is empty in the others.
+        // The page draws in its own callback of a frame, before this one, and only what has changed: in the other frames its
+        // canvas is empty. A page that is shown again draws once.
+        window.dispatchEvent(new Event("pageshow"));
         const frame = () => {
           const canvas = new OffscreenCanvas(view.width, view.height);
           const context = canvas.getContext("2d");

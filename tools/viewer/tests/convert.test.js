@@ -24,7 +24,7 @@ before(async () => {
   writeFileSync(join(folder, "wall.obj"), "mtllib wall.mtl\nusemtl wall\nv 0 0 0\nv 4 0 0\nv 0 0 3\nf 1 2 3\n");
   writeFileSync(join(folder, "wall.mtl"), "newmtl wall\nKd 0.8 0.2 0.1\n");
   writeFileSync(join(folder, "cut.laz"), readFileSync(scan).subarray(0, 200_000));
-  writeFileSync(join(folder, "route.csv"), "x,y,z\n1.5,2,0\n3.8,5,0\n6.4,5,0\n");
+  writeFileSync(join(folder, "route.csv"), '"x","y","z"\n1.5,2,0\n"3.8","5","0"\n6.4,5,0\n');
   const settings = {
     title: { en: "The house", de: "Das Haus" },
     start: { at: WAY.start, look: [90, 0] },
@@ -33,10 +33,12 @@ before(async () => {
   };
   writeFileSync(join(folder, "settings.json"), JSON.stringify(settings));
   writeFileSync(join(folder, "plain.json"), "{}");
+  writeFileSync(join(folder, "walk.json"), '{"modes": ["walk"]}');
   server = await new StaticServer(DIST, {
     "/house.slices": house(),
     "/settings.json": join(folder, "settings.json"),
     "/plain.json": join(folder, "plain.json"),
+    "/walk.json": join(folder, "walk.json"),
     "/route.csv": join(folder, "route.csv"),
   }).start();
 });
@@ -76,6 +78,13 @@ async function agree(page, name) {
   await dialog.getByRole("button", { name: "Convert and walk in" }).click();
   await page.getByRole("button", { name: "Save as .slices" }).waitFor();
 }
+
+/** Names of what conversions keep in the browser's private files. */
+const kept = (page) =>
+  page.evaluate(async () => {
+    const root = await (await navigator.storage.getDirectory()).getDirectoryHandle("slicewalk-conversions");
+    return Array.fromAsync(root.keys());
+  });
 
 const choose = (page, ...names) => page.locator("#open-file").setInputFiles(names.map((name) => join(folder, name)));
 
@@ -151,6 +160,8 @@ describe("scans on the page", () => {
     await page.getByRole("button", { name: "Open", exact: true }).click();
     await page.getByRole("dialog", { name: "Convert stated.gltf" }).getByText("as stated (m)").waitFor({ state: "attached" });
     await page.getByRole("button", { name: "Cancel" }).click();
+    // Without a scan, nothing to act on would remain.
+    await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
     await choose(page, "splats.ply");
     const dialog = page.getByRole("dialog", { name: "Convert splats.ply" });
     await dialog.getByText("not stated: metres").waitFor({ state: "attached" });
@@ -204,6 +215,10 @@ describe("scans on the page", () => {
     assert.ok(stages.includes("reading points"), stages.join());
     assert.equal((await state(page)).ready, true);
     assert.ok((await saved(page)).equals(natively(OPTIONS)));
+    // The archive lasts until another one is open.
+    assert.equal((await kept(page)).length, 1);
+    await page.evaluate(() => window.slicewalk.open("house.slices"));
+    while ((await kept(page)).length > 0) await page.waitForTimeout(20);
   });
 
   it("splats are converted as sliceconv does", async () => {
@@ -243,6 +258,15 @@ describe("scans on the page", () => {
       window.slicewalk.open(new File(["x"], "a.laz"), { no_such_option: 1 }).catch((error) => error.message),
     );
     assert.match(refused, /no_such_option/);
+    // Calls that open nothing say why, and so do those that another one overtakes.
+    const kinds = await page.evaluate(async () => {
+      const bad = () => window.slicewalk.open(new File(["no archive ".repeat(400)], "bad.slices"));
+      const calls = await Promise.allSettled([bad(), bad()]);
+      return calls.map(({ status, reason }) => reason?.kind ?? status);
+    });
+    assert.deepEqual(kinds, ["aborted", "not-an-archive"]);
+    await page.getByRole("button", { name: "Stay here" }).click();
+    assert.equal((await state(page)).ready, true);
   });
 
   it("a full storage is named, nothing is left in it, and the open scene stays", async () => {
@@ -258,11 +282,7 @@ describe("scans on the page", () => {
     await dialog.getByText("The browser's storage is full.").waitFor();
     await dialog.getByRole("button", { name: "Cancel" }).click();
     assert.equal((await state(page)).ready, true);
-    const left = await page.evaluate(async () => {
-      const root = await (await navigator.storage.getDirectory()).getDirectoryHandle("slicewalk-conversions");
-      return Array.fromAsync(root.keys());
-    });
-    assert.deepEqual(left, []);
+    assert.deepEqual(await kept(page), []);
   });
 
   it("the next page removes what a conversion leaves that its page did not outlive", async () => {
@@ -273,13 +293,9 @@ describe("scans on the page", () => {
     await page.locator("#conversion-pixel").fill("0.005");
     await page.getByRole("button", { name: "Convert and walk in" }).click();
     await page.waitForFunction(() => window.slicewalk.state().converting !== null);
-    const files = async () => {
-      const root = await (await navigator.storage.getDirectory()).getDirectoryHandle("slicewalk-conversions");
-      return Array.fromAsync(root.keys());
-    };
-    while ((await page.evaluate(files)).length === 0) await page.waitForTimeout(20);
+    while ((await kept(page)).length === 0) await page.waitForTimeout(20);
     await page.reload();
-    while ((await page.evaluate(files)).length > 0) await page.waitForTimeout(20);
+    while ((await kept(page)).length > 0) await page.waitForTimeout(20);
     await page.waitForFunction(() => window.slicewalk !== undefined);
   });
 
@@ -315,6 +331,11 @@ describe("kiosk", () => {
 
   it("walks the tour until someone touches, and returns when nobody does", async () => {
     const { page } = tests;
+    await page.addInitScript(() => {
+      const buttons = Array.from({ length: 17 }, () => ({ pressed: false, value: 0 }));
+      window.pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0], buttons };
+      navigator.getGamepads = () => [window.pad];
+    });
     await page.goto(`${server.address}?archive=house.slices&kiosk=4&tour=route.csv&lang=de`);
     const { kiosk } = await until(page, "the tour", ({ ready, kiosk }) => ready && kiosk?.touring);
     assert.equal(kiosk.seconds, 4);
@@ -329,6 +350,48 @@ describe("kiosk", () => {
     assert.equal(await page.getByRole("button", { name: "Von außen" }).count(), 0);
     const back = await until(page, "the start", ({ kiosk }) => kiosk.touring);
     assert.ok(Math.hypot(back.at[0] - 1.5, back.at[1] - 2) < 1, JSON.stringify(back.at));
+    await page.evaluate(() => (window.pad.axes[2] = 1));
+    await until(page, "the tour ended by a gamepad", ({ kiosk }) => !kiosk.touring);
+  });
+
+  it("stays while a control is held, returns to the first view, and offers no other views", async () => {
+    const { page } = tests;
+    await page.goto(`${server.address}?archive=house.slices&kiosk=6&settings=walk.json&lang=en`);
+    const walkIn = page.getByRole("button", { name: "Walk in" });
+    const forward = page.getByRole("button", { name: "Forward" });
+    await walkIn.click({ force: true });
+    const { at: from } = await until(page, "the walk", ({ mode, ready }) => ready && mode === "walk");
+    await forward.hover();
+    await page.mouse.down();
+    await page.waitForTimeout(7900);
+    const { at, mode, kiosk } = await state(page);
+    assert.ok(mode === "walk" && kiosk.idle < 1.6, JSON.stringify({ mode, kiosk }));
+    assert.ok(Math.hypot(at[0] - from[0], at[1] - from[1]) > 0.3, `${from} to ${at}`);
+    await page.mouse.up();
+    for (const key of ["m", "o", "f"]) await page.keyboard.press(key);
+    await page.waitForTimeout(300);
+    const still = await state(page);
+    assert.ok(still.mode === "walk" && still.ground !== "flying", JSON.stringify(still));
+    await walkIn.waitFor();
+    assert.equal((await state(page)).mode, "orbit");
+    // By a key, as by a finger.
+    await forward.focus();
+    await page.keyboard.down("Enter");
+    await until(page, "walking", ({ speed }) => speed > 0.5);
+    await page.keyboard.up("Enter");
+    await until(page, "standing", ({ speed }) => speed === 0);
+  });
+
+  it("opens again what did not open at first, with its tour, and offers nothing else", async () => {
+    const { page } = tests;
+    await page.goto(`${server.address}?archive=later.slices&kiosk=60&tour=route.csv&lang=en`);
+    const again = page.getByRole("dialog").getByRole("button", { name: "Open again" });
+    await again.waitFor();
+    assert.equal(await page.getByRole("button", { name: "Open another archive" }).count(), 0);
+    server.files["/later.slices"] = house();
+    await again.click();
+    await until(page, "the tour", ({ ready, kiosk }) => ready && kiosk?.touring);
+    page.failedRequests.length = 0;
   });
 
   it("runs with settings that make no sense", async () => {

@@ -201,8 +201,10 @@ describe("places", () => {
     );
     assert.deepEqual(again.look, look);
     await page.goto("about:blank");
-    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await walkIn(page, `${address(server, { at: WAY.start, view: "plan" })}&lang=de`);
     assert.equal((await state(page)).mode, "plan");
+    await tool("Link kopieren").click();
+    await page.waitForURL(/look=.*view=plan&lang=de/);
   });
 
   it("goes where a program sends it, and is loaded then", async () => {
@@ -213,6 +215,12 @@ describe("places", () => {
     });
     assert.deepEqual([at[0], at[1], look, missing], [9.25, 4.5, [90, 10], 0]);
     await until(page, "on the floor", ({ at: now }) => Math.abs(now[2] - 6) < 0.02);
+    // Numbers that are none are refused, and the archive stays open, whatever is looked at next.
+    const nowhere = () => window.slicewalk.goto({ look: [Number.NaN, 0] }).catch(({ kind, message }) => `${kind}: ${message}`);
+    assert.match(await page.evaluate(nowhere), /^invalid: a look is two finite numbers/);
+    await page.keyboard.press("o");
+    const { mode, look: kept, error } = await until(page, "from outside", (now) => now.mode === "orbit");
+    assert.deepEqual([mode, kept, error], ["orbit", [90, 10], null]);
   });
 
   it("walks there by a click and is there at once by two", async () => {
@@ -225,6 +233,16 @@ describe("places", () => {
     await until(page, "walking there", ({ speed }) => speed > 0.5);
     const there = await until(page, "arrived", ({ at, speed }) => at[1] !== near.at[1] && speed === 0);
     assert.equal(there.ground, "walking");
+    // A search for a route that fails does not keep the pawn waiting.
+    await page.evaluate(() => {
+      const post = Worker.prototype.postMessage;
+      Worker.prototype.postMessage = function (message, ...rest) {
+        const isRoute = message?.call === "route";
+        return post.call(this, isRoute ? { ...message, to: new Float64Array(3).fill(NaN) } : message, ...rest);
+      };
+    });
+    await page.mouse.click(middle.x, middle.y - 30);
+    await until(page, "on its way", ({ at }) => Math.hypot(at[0] - there.at[0], at[1] - there.at[1]) > 0.3);
   });
 
   it("walks through the door to where the straight way is blocked", async () => {
@@ -471,11 +489,21 @@ describe("tools", () => {
 
   it("opens a file of this computer, dropped or chosen, without the network", async () => {
     await page.goto(server.address);
-    await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
+    const heading = page.getByRole("heading", { name: "Walk in a laser scan" });
+    await heading.waitFor();
+    // Without a scan, nothing to act on would remain.
+    for (let n = 0; n < 2; n++) {
+      await page.keyboard.press("Escape");
+      await page.waitForTimeout(100);
+      await heading.waitFor();
+    }
     await page.locator("input[type=file]").setInputFiles(house());
     await until(page, "ready", ({ ready }) => ready);
     const { requests, bytesLoaded } = await state(page);
     assert.ok(requests > 0 && bytesLoaded > 0);
+    await tool("Open another archive").click();
+    await page.getByRole("button", { name: "Close" }).click();
+    await heading.waitFor({ state: "hidden" });
     await page.keyboard.down("w");
     await until(page, "walking", ({ speed }) => speed > 0.5);
     await page.keyboard.up("w");
@@ -587,5 +615,10 @@ describe("for everyone", () => {
     for (const name of ["Walk", "Orbit", "Plan", "Fly", "Measure", "Slices", "Settings", "Copy link", "Screenshot", "Help"]) {
       assert.ok(reached.has(name), `${name} is not among ${[...reached]}`);
     }
+    await tool("Settings").click();
+    await page.getByLabel("Walking speed (m/s)").focus();
+    await page.keyboard.press("Escape");
+    await page.locator(".right .panel:not([hidden])").waitFor({ state: "detached" });
+    assert.equal(await page.evaluate(() => document.activeElement?.textContent), "Settings");
   });
 });

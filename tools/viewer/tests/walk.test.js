@@ -131,6 +131,16 @@ describe("walking", () => {
     const { look } = await state(page);
     await hold(page, ["ArrowRight"], "turned", ({ look: now }) => now[0] - look[0] > 20);
     await hold(page, ["PageDown"], "looking down", ({ look: now }) => now[1] < -15);
+    // A view that rests is drawn no more, apart from a picture each few seconds.
+    const drawn = async (ms) => {
+      const { pictures } = await state(page);
+      await page.waitForTimeout(ms);
+      return (await state(page)).pictures - pictures;
+    };
+    for (const end = Date.now() + 60_000; (await drawn(2500)) > 1;) assert.ok(Date.now() < end, "it is drawn on and on");
+    const { pictures, frames } = await state(page);
+    const now = await hold(page, ["ArrowRight"], "drawn again", (now) => now.pictures > pictures + 2);
+    assert.ok(now.frames > frames);
   });
 
   it("runs with shift", async () => {

@@ -37,7 +37,7 @@ const LOOK: Duration = Duration::from_millis(20);
 /// The page runs its own scripts and wasm, and reads archives from this server and from hosts in its address.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self' blob:; \
                       style-src 'self'; img-src 'self' blob: data:; \
-                      connect-src 'self' blob: https: http://127.0.0.1:* http://localhost:*; manifest-src 'self'; \
+                      connect-src 'self' blob: https: http:; manifest-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Options of `slicetool serve`.

@@ -207,6 +207,8 @@ fn the_page_comes_with_its_types_and_policy_and_knows_the_archives() {
         policy.contains("script-src 'self' 'wasm-unsafe-eval';") && policy.contains("default-src 'none'"),
         "{policy}"
     );
+    // The address may name archives of other hosts.
+    assert!(policy.contains("connect-src 'self' blob: https: http:;"), "{policy}");
     assert_eq!(index.header("x-content-type-options"), "nosniff");
     assert_eq!(server.get("/assets/engine.wasm", "").header("content-type"), "application/wasm");
     assert_eq!(server.get("/assets/main.js?v=1", "").header("content-type"), "text/javascript; charset=utf-8");

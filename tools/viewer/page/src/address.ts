@@ -1,5 +1,6 @@
 // The page's address holds the archive, the place and the view: ?archive=URL&at=X,Y,Z&look=HEADING,PITCH&view=plan, and
 // Gaussian splats to draw over the archive: &splats=URL&align=X,Y,Z,TURN,SCALE&up=z
+// Other fields say how the page is, such as its language, and stay in it.
 
 import type { Vec3 } from "slicewalk";
 import { clamp, wrap, type Look } from "./geometry";
@@ -42,8 +43,14 @@ function alignment(fields: URLSearchParams): Alignment {
   return { at: [x, y, z], turn, scale: scale > 0 ? scale : ALIGNED.scale, up: isUp(up) ? up : ALIGNED.up };
 }
 
-/** Rounds to millimetres and hundredths of a degree; heights are rounded up so that the feet stay above the floor. */
-export function formatAddress({ archive, at, look, mode, splats }: Place): string {
+/** Fields that say how the page is. */
+const KEPT = ["lang", "kiosk", "tour", "settings"] as const;
+
+/**
+ * Rounds to millimetres and hundredths of a degree; heights are rounded up so that the feet stay above the floor. Keeps the fields
+ * of `search` that say how the page is.
+ */
+export function formatAddress({ archive, at, look, mode, splats }: Place, search: string = location.search): string {
   const round = (value: number, digits: number): string => String(Number(value.toFixed(digits)));
   const url = (text: string): string => encodeURIComponent(text).replaceAll("%2F", "/").replaceAll("%3A", ":");
   const fields: string[] = [];
@@ -54,6 +61,11 @@ export function formatAddress({ archive, at, look, mode, splats }: Place): strin
   if (splats !== null) {
     const { at: origin, turn, scale, up } = splats.alignment;
     fields.push(`splats=${url(splats.url)}`, `align=${[...origin, turn, scale].join(",")}`, `up=${up}`);
+  }
+  const before = new URLSearchParams(search);
+  for (const name of KEPT) {
+    const value = before.get(name);
+    if (value !== null) fields.push(`${name}=${url(value)}`);
   }
   return `?${fields.join("&")}`;
 }

@@ -4,9 +4,9 @@
 import { SlicewalkError, type Stats, type Vec3 } from "slicewalk";
 import { formatAddress, type Mode, type Place } from "./address";
 import { Canvas } from "./canvas";
-import { clamp, distance, metres, wrap, type Look, type Ray } from "./geometry";
+import { clamp, distance, isNumbers, metres, wrap, type Look, type Ray } from "./geometry";
 import { readGamepad } from "./input/gamepad";
-import { joined, moves } from "./input/intent";
+import { joined, moves, steers } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
 import { Pointer } from "./input/pointer";
 import { findObstacle, type Obstacle, PATIENCE_MS } from "./obstacle";
@@ -18,6 +18,7 @@ import { Orbit } from "./modes/orbit";
 import { Plan } from "./modes/plan";
 import { Walk } from "./modes/walk";
 import { Overlays } from "./overlays";
+import type { Pawn } from "./pawn";
 import { Places } from "./places";
 import { ALIGNED } from "./scene/alignment";
 import { Cameras } from "./scene/cameras";
@@ -36,6 +37,7 @@ import { copyLink, savePicture, savePlan, toggleFullscreen } from "./share";
 import { Sight } from "./sight";
 import type { Table } from "./table";
 import { texts } from "./languages";
+import type { Action } from "./ui/messages";
 import { Minimap } from "./ui/minimap";
 import { Shell } from "./ui/shell";
 import { Stops } from "./ui/stops";
@@ -56,6 +58,8 @@ const NO_STATS = {
   bytesLoaded: 0,
   colours: { missing: 0, requests: 0, bytes: 0 },
 } satisfies Partial<Stats>;
+
+const overtaken = (): SlicewalkError => new SlicewalkError("aborted", "another archive was opened meanwhile");
 
 const blockedBy = (obstacle: Obstacle | null): string =>
   obstacle === null ? texts.news.gaveUp : texts.obstacles[obstacle.reason](metres(obstacle.needs));
@@ -84,9 +88,13 @@ export class App implements Stage {
   #minimap: Minimap | null = null;
   #sheet: Sheet | null = null;
   #opening: AbortController | null = null;
+  /** Reads what an address holds, until something else is chosen. */
+  #fetching: AbortController | null = null;
   #last: Source | null = null;
   #mode: Mode = "walk";
   #ready = false;
+  /** Whether a person waits for a place to walk in. */
+  #entering = false;
   #error: string | null = null;
   #troubled = false;
   /** The first damage found in the open archive. */
@@ -110,11 +118,11 @@ export class App implements Stage {
       fullscreen: () => void toggleFullscreen(),
       headset: () => void this.#wear(),
       help: () => this.shell.help(),
-      open: () => this.shell.welcome.show(),
+      open: () => this.#choose(),
       home: () => this.#home(),
       walkIn: () => void this.#walkIn(null),
       save: () => void this.conversions.download(),
-      files: (files) => void this.conversions.take(files),
+      files: (files) => this.#take(files),
       address: (url) => void this.#openAddress(url),
       close: () => this.shell.canvas.focus(),
       settings: (settings) => void this.#change(settings),
@@ -129,7 +137,7 @@ export class App implements Stage {
       matter: (shown) => this.#overlays.showMatter(shown),
       align: (alignment) => this.#overlays.align(alignment),
       splatsFile: (file) => {
-        if (this.session === null) void this.conversions.take([file]);
+        if (this.session === null) this.#take([file]);
         else this.#overlays.take(file, ALIGNED);
       },
     });
@@ -171,7 +179,13 @@ export class App implements Stage {
       },
       refused: () => this.shell.messages.say(texts.news.refused),
     });
-    this.conversions = new Conversions(parent, this.shell.foot, this.#opener(), () => this.shell.welcome.show());
+    this.conversions = new Conversions(parent, this.shell.foot, this.#opener(), () => this.#choose());
+    this.shell.messages.dismissed = () => {
+      // Without a scan there is nothing to act on but the choice.
+      if (this.session !== null) return;
+      if (this.#isKiosk) this.shell.messages.dialog.showModal();
+      else this.#choose();
+    };
     this.#watchTasks();
     let last = performance.now();
     this.canvas.loop((now) => {
@@ -183,36 +197,54 @@ export class App implements Stage {
     window.setInterval(() => {
       this.#fps = this.#frames - counted;
       counted = this.#frames;
-      if (this.session !== null && !document.hidden) this.sight?.adapt(this.#fps);
+      const rate = this.canvas.rate();
+      if (this.session !== null && !document.hidden) this.sight?.adapt(rate);
     }, SECOND_MS);
   }
 
   /**
    * Opens an archive, at a place if given, and then closes the previous one: an archive that cannot be opened leaves the
-   * walk as it is.
+   * walk as it is. Resolves to null, or to the reason why it is not open, which the page shows unless another archive was
+   * opened meanwhile.
    */
-  async open(source: Source, place: Partial<Pick<Place, "at" | "look" | "mode">> | null): Promise<void> {
+  async open(source: Source, place: Partial<Pick<Place, "at" | "look" | "mode">> | null): Promise<SlicewalkError | null> {
     this.#opening?.abort();
+    this.#fetching?.abort();
     const opening = new AbortController();
     this.#opening = opening;
-    const before = this.session;
-    if (before === null) this.#last = source;
+    if (this.session === null) this.#last = source;
     this.shell.messages.clear();
     this.shell.messages.wait(texts.loading.opening(source.name));
     try {
       const session = await Session.open(source, place?.at ?? null, place?.look ?? null, this.settings, opening.signal);
       if (opening.signal.aborted) {
         session.close();
-        return;
+        return overtaken();
       }
       this.#last = source;
       this.#leave();
       this.#enter(session, place ?? {});
+      this.conversions.entered(source);
+      return null;
     } catch (error) {
-      if (opening.signal.aborted) return;
-      if (before === null || this.#error !== null) this.#fail(error);
-      else this.#refuse(error);
+      if (opening.signal.aborted) return overtaken();
+      this.#report(error);
+      return error instanceof SlicewalkError ? error : new SlicewalkError("engine", String(error), { cause: error });
     }
+  }
+
+  /** Opens or converts files that a person chose. */
+  #take(files: readonly File[]): void {
+    this.#fetching?.abort();
+    this.shell.messages.wait(null);
+    void this.conversions.take(files);
+  }
+
+  /** The scan at an address, null for an archive; fails with `aborted` if something else is chosen meanwhile. */
+  #fetch(source: Source): Promise<File | null> {
+    this.#fetching?.abort();
+    this.#fetching = new AbortController();
+    return fetchScan(source, this.#fetching.signal);
   }
 
   async #openAddress(url: string): Promise<void> {
@@ -220,15 +252,14 @@ export class App implements Stage {
     try {
       source = fromAddress(url);
       this.shell.messages.wait(texts.loading.opening(source.name));
-      const scan = await fetchScan(source);
+      const scan = await this.#fetch(source);
       this.shell.messages.wait(null);
       if (scan !== null) {
         await this.conversions.take([scan]);
         return;
       }
     } catch (error) {
-      if (this.session === null) this.#fail(error);
-      else this.#refuse(error);
+      if (!(error instanceof SlicewalkError && error.kind === "aborted")) this.#report(error);
       return;
     }
     await this.open(source, null);
@@ -271,6 +302,7 @@ export class App implements Stage {
         ...this.#overlays.counts,
       },
       frames: this.#frames,
+      pictures: this.canvas.pictures,
       longestTaskMs: this.#longestTask,
       converting: this.conversions.converting,
       kiosk: this.kiosk?.state ?? null,
@@ -280,6 +312,9 @@ export class App implements Stage {
   async goto({ at, look }: { at?: Vec3; look?: readonly [number, number] }): Promise<void> {
     const { session } = this;
     if (session === null) throw new SlicewalkError("invalid", "no archive is open");
+    if (look !== undefined && !isNumbers(look, 2)) {
+      throw new SlicewalkError("invalid", `a look is two finite numbers, heading and pitch, found ${String(look)}`);
+    }
     if (this.#first.shown) this.setMode("walk");
     if (look !== undefined) this.#look({ heading: look[0], pitch: look[1] });
     if (at === undefined) return;
@@ -292,7 +327,18 @@ export class App implements Stage {
     this.#overlays.offer(cloud);
     if (splats !== null) this.#overlays.take(splats.url, splats.alignment);
     this.shell.welcome.offer(archives);
-    if (welcome) this.shell.welcome.show();
+    if (!welcome) return;
+    if (this.#isKiosk) this.#fail(new SlicewalkError("invalid", "neither the address nor archives.json names an archive"));
+    else this.#choose();
+  }
+
+  get #isKiosk(): boolean {
+    return this.kiosk?.isKiosk === true;
+  }
+
+  /** Offers a choice of what to open; a kiosk shows one archive. */
+  #choose(): void {
+    if (!this.#isKiosk) this.shell.welcome.show();
   }
 
   /** Opens what an address names, unless it is open already. */
@@ -307,7 +353,7 @@ export class App implements Stage {
         });
       } else await this.open(source, place);
     } catch (error) {
-      this.#fail(error);
+      this.#report(error);
     }
   }
 
@@ -325,7 +371,7 @@ export class App implements Stage {
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
     pawn.onNoRoute = (to, signal) => this.#explain(to, signal);
-    pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : blockedBy(pawn.obstacle));
+    this.#tellArrivals(pawn);
     this.#sheet = new Sheet(archive);
     this.canvas.marks.add(this.#sheet.group);
     this.#minimap = new Minimap(
@@ -355,6 +401,11 @@ export class App implements Stage {
     if (!this.#first.shown) this.#welcome(pawn.flying);
     this.shell.canvas.focus({ preventScroll: true });
     void session.describe();
+    void this.kiosk?.opened(session.source.link);
+  }
+
+  #tellArrivals(pawn: Pawn): void {
+    pawn.onArrival = (how) => this.shell.messages.say(how === "arrived" ? texts.news.arrived : blockedBy(pawn.obstacle));
   }
 
   /** Ends the first view: at its best place, or at one that was pointed at. */
@@ -362,7 +413,9 @@ export class App implements Stage {
     const { session } = this;
     if (session === null || !this.#first.shown) return;
     this.shell.messages.wait(texts.loading.place);
+    this.#entering = true;
     const { at, look, flies } = await this.#first.start();
+    this.#entering = false;
     if (session !== this.session || !this.#first.shown) return;
     if (place === null) {
       session.pawn.flying = flies;
@@ -408,7 +461,7 @@ export class App implements Stage {
   #leave(): void {
     this.#ready = false;
     this.#minimap = null;
-    this.#sheet?.group.removeFromParent();
+    this.#sheet?.close();
     this.#sheet = null;
     this.#first.end();
     this.#overlays.left();
@@ -435,6 +488,17 @@ export class App implements Stage {
     }
   }
 
+  /** Says why something was not opened; an archive in which one can walk stays. */
+  #report(error: unknown): void {
+    if (this.#ready) this.#refuse(error);
+    else this.#fail(error);
+  }
+
+  /** Ways out beside those of the archive. */
+  get #others(): Action[] {
+    return this.#isKiosk ? [] : [{ label: texts.actions.other, act: () => this.#choose() }];
+  }
+
   /** Says why something cannot be opened while the open archive stays. */
   #refuse(error: unknown): void {
     const message = error instanceof Error ? error.message : String(error);
@@ -442,7 +506,7 @@ export class App implements Stage {
     const kind = error instanceof SlicewalkError ? error.kind : "page";
     this.shell.messages.trouble(kind, message, [
       { label: texts.actions.stay, act: () => this.shell.canvas.focus({ preventScroll: true }) },
-      { label: texts.actions.other, act: () => this.shell.welcome.show() },
+      ...this.#others,
     ]);
   }
 
@@ -458,8 +522,7 @@ export class App implements Stage {
     const source = this.#last;
     const place = this.#place();
     const again = source === null ? [] : [{ label: texts.actions.again, act: () => void this.open(source, place) }];
-    const other = { label: texts.actions.other, act: () => this.shell.welcome.show() };
-    this.shell.messages.trouble(kind, message, [...again, other]);
+    this.shell.messages.trouble(kind, message, [...again, ...this.#others]);
   }
 
   /** Where the pawn is, as part of an address. */
@@ -476,7 +539,10 @@ export class App implements Stage {
   }
 
   #key(code: string): void {
-    const toggle = (mode: Mode): void => this.setMode(this.#mode === mode ? "walk" : mode);
+    const toggle = (mode: Mode): void => {
+      const to = this.#mode === mode ? "walk" : mode;
+      if (this.kiosk?.permits(to) ?? true) this.setMode(to);
+    };
     const keys: Record<string, () => void> = {
       KeyM: () => toggle("plan"),
       KeyO: () => (this.#first.shown ? void this.#walkIn(null) : toggle("orbit")),
@@ -495,18 +561,23 @@ export class App implements Stage {
     const { start } = this.#places;
     const pawn = this.session?.pawn;
     if (pawn === undefined || start === null) return;
-    if (!this.#first.shown && this.#mode === "walk" && distance(pawn.at, start.at) > 1) {
-      void this.#places.home();
-      return;
-    }
+    if (!this.#first.shown && this.#mode === "walk" && distance(pawn.at, start.at) > 1) void this.#places.home();
+    else this.#frameAll();
+  }
+
+  /** Shows the first view. */
+  #frameAll(): void {
+    const pawn = this.session?.pawn;
+    if (pawn === undefined) return;
     this.setMode("orbit");
     this.#first.begin(!pawn.flying);
     this.#see();
   }
 
+  /** Flies, or walks again; visitors of a kiosk do not fly through its walls. */
   #flight(): void {
     const pawn = this.session?.pawn;
-    if (pawn === undefined) return;
+    if (pawn === undefined || this.#isKiosk) return;
     if (this.#first.shown) this.setMode("walk");
     pawn.stop();
     pawn.flying = !pawn.flying;
@@ -606,6 +677,7 @@ export class App implements Stage {
       headset.read(),
       ...(this.kiosk ? [this.kiosk.intent] : []),
     ]);
+    if (steers(intent) || this.#entering) this.kiosk?.touch();
     if (this.#first.shown && moves(intent) && this.#ready) void this.#walkIn(null);
     if (intent.turn !== 0 || intent.tilt !== 0) {
       this.#first.touch();
@@ -640,7 +712,8 @@ export class App implements Stage {
     this.#seenTriangles = world.cull(this.canvas.camera, from);
     this.#overlays.follow(from, outside ? this.cameras.orbit.distance : null, this.cameras.focal(this.canvas.element.height));
     const metresHigh = this.cameras.orbit.distance;
-    this.canvas.mark(outside && !this.#first.shown, world, pawn.state, pawn.look, this.settings.width, metresHigh);
+    const isMarked = outside && !this.#first.shown;
+    this.canvas.mark(isMarked, world, pawn.state, pawn.look, this.settings.width, metresHigh);
     this.#goal.show(world, pawn.way, pawn.obstacle, outside ? metresHigh : 0);
     this.#drawPlan(world, pawn.at[2]);
     const { min, max } = session.content;
@@ -650,8 +723,29 @@ export class App implements Stage {
       from[2] - min[2],
       Math.hypot(max[0] - min[0], max[1] - min[1]),
     );
+    this.canvas.show(this.#pictured(world, pawn, isMarked));
     this.canvas.render(performance.now(), this.#overlays.bringColours);
     this.#minimap?.update(pawn.at, pawn.look.heading);
+  }
+
+  /** All that the picture depends on, as a text. */
+  #pictured(world: World, pawn: Pawn, isMarked: boolean): string {
+    const { element, camera, quality, sky } = this.canvas;
+    const all = [
+      this.#mode,
+      quality,
+      sky.theme,
+      [element.width, element.height],
+      camera.matrixWorld.elements,
+      camera.projectionMatrix.elements,
+      [world.revision, world.group.visible, world.shading.shown],
+      isMarked ? [...pawn.at, pawn.state.height, pawn.look.heading, this.settings.width] : null,
+      [pawn.way, pawn.obstacle?.at],
+      this.shell.measure.revision,
+      [this.#sheet?.revision, this.#sheet?.group.visible],
+      this.#overlays.revision,
+    ];
+    return all.join(";");
   }
 
   /** Draws the storey around the pawn, except while slices are shown. */
@@ -673,12 +767,10 @@ export class App implements Stage {
     const page = this;
     return {
       open: (source) => page.open(source, null),
+      fetch: (source) => page.#fetch(source),
       say: (text) => page.shell.messages.say(text),
       get source() {
         return page.session?.source ?? null;
-      },
-      get error() {
-        return page.#error;
       },
     };
   }
@@ -696,7 +788,11 @@ export class App implements Stage {
       get mode() {
         return page.#mode;
       },
+      get first() {
+        return page.#first.shown;
+      },
       setMode: (mode) => page.setMode(mode),
+      frame: () => page.#frameAll(),
       goto: (place) => page.goto(place),
       walkTo: (place, arrived) => {
         const pawn = page.session?.pawn;
@@ -705,7 +801,12 @@ export class App implements Stage {
         pawn.onArrival = arrived;
         void pawn.walkTo(place);
       },
-      stop: () => page.session?.pawn.stop(),
+      stop: () => {
+        const pawn = page.session?.pawn;
+        if (pawn === undefined) return;
+        pawn.stop();
+        page.#tellArrivals(pawn);
+      },
     };
   }
 

@@ -27,8 +27,14 @@ import type { Look } from "./geometry";
 import type { WalkerState } from "slicewalk";
 
 const MOST_PIXELS = 2;
-/** Interval of pictures while the view rests and graphics are slow. */
-const RESTING_MS = 700;
+/** A picture in which nothing changes is drawn again after this time (ms), in case the browser lost it. */
+const AGAIN_MS = 4_000;
+/** The same for splats, which are sorted between pictures; longer where graphics are computed by the processor. */
+const SORTED_MS = 100;
+const SORTED_SOFTWARE_MS = 700;
+/** Pictures follow one another if they are at most so many frames apart; for so long (ms) they tell how fast graphics are. */
+const FOLLOWS = 3;
+const TELLING_MS = 500;
 
 /** How much a picture may cost: as little as possible, a finish from its depth, and smooth outlines as well. */
 export type Quality = "lowest" | "finished" | "smooth";
@@ -41,9 +47,17 @@ export class Canvas {
   /** Whether graphics are computed by the processor. */
   readonly isSoftware: boolean;
   quality: Quality = "finished";
-  /** Whether the view rests: where graphics are slow, it is then drawn less often, which leaves time for inputs. */
-  resting = false;
+  /** Number of pictures drawn. */
+  pictures = 0;
+  /** What the last picture depends on. */
+  #shown = "";
   #drawnAt = Number.NEGATIVE_INFINITY;
+  /** Number of frames of the screen, and the frame and the time (ms) of the last picture. */
+  #frames = 0;
+  #pictureIn = Number.NEGATIVE_INFINITY;
+  #pictureAt = 0;
+  /** Frames and time (ms) between pictures that followed one another. */
+  #pace = { frames: 0, ms: 0 };
   readonly #finish = new Finish();
   readonly #covered: Covered;
   readonly headset: Headset;
@@ -87,8 +101,16 @@ export class Canvas {
     });
     element.addEventListener("webglcontextrestored", () => {
       this.lost = false;
+      this.refresh();
       graphics(false);
     });
+    // A hidden page draws nothing, and may lose its picture.
+    const returned = (): void => {
+      this.#pictureIn = Number.NEGATIVE_INFINITY;
+      this.refresh();
+    };
+    document.addEventListener("visibilitychange", returned);
+    window.addEventListener("pageshow", returned);
     new ResizeObserver(() => this.resize()).observe(element);
     this.resize();
   }
@@ -100,6 +122,7 @@ export class Canvas {
     this.renderer.setPixelRatio(this.quality === "lowest" ? 1 : Math.min(devicePixelRatio, MOST_PIXELS));
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
+    this.refresh();
   }
 
   /** Marks where the pawn stands, for views from outside. */
@@ -133,12 +156,18 @@ export class Canvas {
     if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(scene, this.cameras.current);
     else renderer.compile(scene, this.cameras.current);
     // The first use of a shader waits for the graphics card.
-    if (use && !this.lost) renderer.render(scene, this.cameras.current);
+    if (use && !this.lost) {
+      renderer.render(scene, this.cameras.current);
+      this.refresh();
+    }
   }
 
   /** Calls back for each frame of the screen or the headset. */
   loop(frame: (now: number) => void): void {
-    this.renderer.setAnimationLoop(frame);
+    this.renderer.setAnimationLoop((now: number) => {
+      this.#frames += 1;
+      frame(now);
+    });
   }
 
   get camera(): Camera {
@@ -150,17 +179,39 @@ export class Canvas {
     return this.#covered.share;
   }
 
-  /** Number of pictures for which it was measured. */
+  /** Number of the picture for which it was measured: soon that of the last one. */
   get measured(): number {
-    return this.#covered.count;
+    return this.#covered.picture;
   }
 
-  /** Draws; `bare`: without a finish, for overlays that bring their own colours. */
+  /** Frames a second since the last call, while pictures followed one another; null if too few did to tell. */
+  rate(): number | null {
+    const { frames, ms } = this.#pace;
+    this.#pace = { frames: 0, ms: 0 };
+    return ms < TELLING_MS ? null : (1000 * frames) / ms;
+  }
+
+  /** Tells what the next picture depends on: it is drawn if that has changed. */
+  show(what: string): void {
+    if (what === this.#shown) return;
+    this.#shown = what;
+    this.refresh();
+  }
+
+  /** Draws if there is a reason to; `bare`: without a finish, for overlays that bring their own colours, which are splats. */
   render(now = performance.now(), bare = false): void {
     if (this.lost) return;
     const { renderer, camera } = this;
-    if (this.resting && this.isSoftware && now - this.#drawnAt < RESTING_MS) return;
-    this.#drawnAt = now;
+    const again = !bare ? AGAIN_MS : this.isSoftware ? SORTED_SOFTWARE_MS : SORTED_MS;
+    if (!this.headset.worn && now - this.#drawnAt < again && !this.#covered.lacks(now)) return;
+    const apart = this.#frames - this.#pictureIn;
+    if (apart > 0 && apart <= FOLLOWS) {
+      this.#pace.frames += apart;
+      this.#pace.ms += now - this.#pictureAt;
+    }
+    this.#pictureIn = this.#frames;
+    this.#pictureAt = this.#drawnAt = now;
+    this.pictures += 1;
     renderer.info.reset();
     if (this.headset.worn || bare || this.quality === "lowest") renderer.render(this.scene, camera);
     else this.#finish.render(renderer, this.scene, camera, this.quality === "smooth");
@@ -170,17 +221,17 @@ export class Canvas {
       renderer.render(this.marks, camera);
       renderer.autoClear = true;
     }
-    this.#covered.measure(now);
+    this.#covered.measure(now, this.pictures);
   }
 
-  /** Empties the picture, now and then: nothing moves while nothing is open, and a conversion needs the processor. */
+  /** Empties the picture: nothing moves while nothing is open, and a conversion needs the processor. */
   clear(now = performance.now()): void {
-    if (now - this.#drawnAt < RESTING_MS) return;
+    if (now - this.#drawnAt < AGAIN_MS) return;
     this.sky.mesh.visible = false;
     this.render(now, true);
   }
 
-  /** Draws the next frame also while the view rests. */
+  /** Draws the next frame, whatever has changed. */
   refresh(): void {
     this.#drawnAt = Number.NEGATIVE_INFINITY;
   }
@@ -189,6 +240,7 @@ export class Canvas {
   paint(theme: Theme): void {
     this.sky.theme = theme;
     this.renderer.setClearColor(new Color().setStyle(this.sky.paper, "srgb-linear"), NO_SCAN);
+    this.refresh();
   }
 
   /** The current picture. */

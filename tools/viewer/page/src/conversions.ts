@@ -25,12 +25,12 @@ export interface Converting {
 
 /** The page, as far as it opens and shows. */
 export interface Opener {
-  /** Opens an archive; resolves when it is open or has failed. */
-  open(source: Source): Promise<void>;
+  /** Opens an archive; resolves to null, or to the reason why it is not open, which the page shows. */
+  open(source: Source): Promise<SlicewalkError | null>;
+  /** The scan at an address, null for an archive; fails with `aborted` if something else is chosen meanwhile. */
+  fetch(source: Source): Promise<File | null>;
   /** Source of the open archive. */
   readonly source: Source | null;
-  /** Reason why the last archive did not open. */
-  readonly error: string | null;
   say(text: string): void;
 }
 
@@ -62,8 +62,12 @@ export class Conversions {
   readonly #made = h("aside", { class: "made", hidden: true });
   #running: Converter | null = null;
   #now: Converting | null = null;
-  /** The archive that was converted last, while it is open. */
+  /** The open archive, if it was converted here. */
   #converted: Converted | null = null;
+  /** Reads the files that the form asks about. */
+  #asking: Converter | null = null;
+  /** The reason why the last archive did not open. */
+  #shown: SlicewalkError | null = null;
 
   constructor(
     parent: HTMLElement,
@@ -75,6 +79,7 @@ export class Conversions {
     const cancel = h("button", { type: "button", class: "plain", onclick: () => this.cancel() }, convert.cancel);
     const quiet = h("small", { class: "quiet" }, convert.privacy);
     this.#working = h("div", { class: "converting", hidden: true }, this.#words, this.#bar, quiet, cancel);
+    this.#dialog.addEventListener("close", () => this.#offer());
     parent.append(this.#dialog);
     foot.prepend(this.#working, this.#made);
   }
@@ -95,20 +100,17 @@ export class Conversions {
       this.#trouble(texts.convert.failed, texts.convert.unreadable(first.name), null);
       return;
     }
-    if (takesArchive) {
-      await this.#opened({ archive: first, link: null, name: first.name });
-      return;
-    }
-    await this.#ask(files, {});
+    if (takesArchive) await this.opener.open({ archive: first, link: null, name: first.name });
+    else await this.#ask(files, {});
   }
 
-  /** Opens an archive, or converts a scan; resolves when one can walk in it. */
+  /** Opens an archive, or converts a scan; resolves when one can walk in it, or rejects with the reason why not. */
   async open(input: File | readonly File[] | URL | string, options: ConversionOptions = {}): Promise<void> {
     if (typeof input === "string" || input instanceof URL) {
       const source = fromAddress(String(input));
-      const files = await fetchScan(source);
-      if (files === null) await this.#walkIn(source);
-      else await this.#convert([files], options);
+      const scan = await this.opener.fetch(source);
+      if (scan === null) await this.#walkIn(source);
+      else await this.#convert([scan], options);
       return;
     }
     const files = input instanceof Blob ? [input] : [...input];
@@ -176,6 +178,14 @@ export class Conversions {
     }
   }
 
+  /** Called when an archive is open: forgets the one before, if that was converted here. */
+  entered(source: Source): void {
+    this.#hide();
+    if (this.#converted?.archive === source.archive) return;
+    this.#converted?.release();
+    this.#converted = null;
+  }
+
   // Conversion -------------------------------------------------------------------------------------------------------------------
 
   async #convert(files: readonly File[], options: ConversionOptions): Promise<void> {
@@ -190,18 +200,14 @@ export class Conversions {
       converter.close();
       this.#show(null);
     }
-    const before = this.#converted;
-    this.#converted = converted;
     const { archive } = converted;
     try {
       await this.#walkIn({ archive, link: null, name: archive.name });
     } catch (error) {
       converted.release();
-      this.#converted = null;
       throw error;
-    } finally {
-      before?.release();
     }
+    this.#converted = converted;
     const { convert } = texts;
     const save = h("button", { type: "button", class: "primary", onclick: () => void this.download() }, convert.save);
     const hide = h("button", { type: "button", class: "plain", "aria-label": "×", onclick: () => this.#hide() }, "×");
@@ -216,14 +222,8 @@ export class Conversions {
   }
 
   async #walkIn(source: Source): Promise<void> {
-    this.#hide();
-    await this.opener.open(source);
-    if (this.opener.error !== null) throw new SlicewalkError("invalid", this.opener.error);
-  }
-
-  async #opened(source: Source): Promise<void> {
-    this.#hide();
-    await this.opener.open(source);
+    this.#shown = await this.opener.open(source);
+    if (this.#shown !== null) throw this.#shown;
   }
 
   #show(now: Converting | null, canCancel = true): void {
@@ -244,7 +244,9 @@ export class Conversions {
   /** Shows what the files are, and converts them once a person agrees. */
   async #ask(files: readonly File[], options: ConversionOptions): Promise<void> {
     const { convert } = texts;
+    this.#asking?.close();
     const converter = new Converter(files);
+    this.#asking = converter;
     const cancel = h("button", { type: "button", class: "plain", onclick: () => this.#dialog.close() }, convert.cancel);
     this.#fill(convert.title(named(files)), h("p", {}, convert.reading(named(files))), cancel);
     // The event of an earlier close may come when the dialog is open again.
@@ -262,7 +264,8 @@ export class Conversions {
       this.#refused(error, this.#remedy(error, files, options, []));
       return;
     }
-    if (!this.#dialog.open) return;
+    // Closed, or other files were chosen meanwhile.
+    if (!this.#dialog.open || this.#asking !== converter) return;
     const unit = h("select", { id: "conversion-unit" });
     const isStated = facts.unit_stated === true && facts.unit != null;
     const stated = isStated ? convert.unitAuto(facts.unit?.name ?? "") : convert.unitUnknown;
@@ -331,12 +334,13 @@ export class Conversions {
   /** Says why files were not converted, and offers the remedy; the open scene stays. */
   #refused(error: unknown, remedy: HTMLElement | null): void {
     const { convert } = texts;
+    // The page shows already why the archive did not open.
+    if (error === this.#shown) return;
     if (error instanceof SlicewalkError && error.kind === "aborted") {
       this.opener.say(convert.cancelled);
+      this.#offer();
       return;
     }
-    // A reason that the page shows already, because the archive did not open.
-    if (!(error instanceof ConversionError) && this.opener.error !== null) return;
     const message = error instanceof Error ? error.message : String(error);
     const isFull = /space|storage full|no storage/i.test(message);
     this.#trouble(convert.failed, message, isFull ? convert.full : null, remedy);
@@ -355,6 +359,11 @@ export class Conversions {
     this.#fill(title, detailText, ...more, h("div", { class: "actions" }, ...(remedy ? [remedy] : []), again, close));
   }
 
+  /** Offers a choice where nothing else can be acted on: no scan, no question and no conversion. */
+  #offer(): void {
+    if (!this.#dialog.open && this.#running === null && this.opener.source === null) this.chooseOther();
+  }
+
   #fill(title: string, ...content: readonly Node[]): void {
     this.#dialog.replaceChildren(h("h2", { id: "conversion-title" }, title), ...content);
     if (!this.#dialog.open) this.#dialog.showModal();
@@ -371,23 +380,27 @@ function hasMagic(bytes: Uint8Array): boolean {
   return MAGICS.some((magic) => start.startsWith(magic));
 }
 
-/** The scan at an address as a file; null for an archive, which is read by ranges. */
-export async function fetchScan(source: Source): Promise<File | null> {
+/** The scan at an address as a file; null for an archive, which is read by ranges. Fails with `aborted` by the signal. */
+export async function fetchScan(source: Source, signal: AbortSignal): Promise<File | null> {
   const url = String(source.archive);
   if (/\.slices$/i.test(new URL(url).pathname)) return null;
-  const stop = new AbortController();
-  let answer: Response;
+  const ask = async (how: RequestInit): Promise<Response> => {
+    const answer = await fetch(url, how);
+    if (!answer.ok) throw new SlicewalkError("network", `${url}: the host answered ${answer.status}`);
+    return answer;
+  };
   try {
-    answer = await fetch(url, { headers: { Range: "bytes=0-7" }, signal: stop.signal });
+    const stop = new AbortController();
+    const answer = await ask({ headers: { Range: "bytes=0-7" }, signal: AbortSignal.any([signal, stop.signal]) });
+    const reader = answer.body?.getReader();
+    const first = (await reader?.read())?.value ?? new Uint8Array();
+    stop.abort();
+    if (hasMagic(first)) return null;
+    const whole = await ask({ signal });
+    return new File([await whole.blob()], source.name);
   } catch (cause) {
+    if (signal.aborted) throw new SlicewalkError("aborted", `${url}: something else was chosen meanwhile`, { cause });
+    if (cause instanceof SlicewalkError) throw cause;
     throw new SlicewalkError("network", `${url}: the host does not answer`, { cause });
   }
-  if (!answer.ok) throw new SlicewalkError("network", `${url}: the host answered ${answer.status}`);
-  const reader = answer.body?.getReader();
-  const first = (await reader?.read())?.value ?? new Uint8Array();
-  stop.abort();
-  if (hasMagic(first)) return null;
-  const whole = await fetch(url);
-  if (!whole.ok) throw new SlicewalkError("network", `${url}: the host answered ${whole.status}`);
-  return new File([await whole.blob()], source.name);
 }

@@ -15,6 +15,10 @@ export interface Ray {
 
 const RADIANS = Math.PI / 180;
 
+/** Whether a value is a list of this many finite numbers: files and programs may give anything. */
+export const isNumbers = (value: unknown, count: number): boolean =>
+  Array.isArray(value) && value.length === count && value.every(Number.isFinite);
+
 export const clamp = (value: number, low: number, high: number): number => Math.min(high, Math.max(low, value));
 
 export const add = (a: Vec3, b: Vec3, scale = 1): Vec3 => [a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]];

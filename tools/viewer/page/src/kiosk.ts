@@ -3,7 +3,7 @@
 
 import type { Vec3 } from "slicewalk";
 import type { Mode } from "./address";
-import type { Look } from "./geometry";
+import { isNumbers, type Look } from "./geometry";
 import { nothing, type Intent } from "./input/intent";
 import { texts, translated } from "./languages";
 import type { Arrival } from "./pawn";
@@ -15,6 +15,8 @@ const NEAR_M = 3;
 /** Pause at the end of a tour before it begins again, and at a place that cannot be reached (ms). */
 const PAUSE_MS = 4_000;
 const LOOK_MS = 250;
+/** Time for which a control that is clicked without a pointer is held (ms). */
+const CLICK_MS = 400;
 /** Degrees that the eye turns at most towards the way, at once and for each look. */
 const TURN_DEGREES = 12;
 const MODES: readonly Mode[] = ["walk", "orbit", "plan"];
@@ -35,7 +37,11 @@ export interface Driven {
   readonly at: Vec3 | null;
   readonly look: Look | null;
   readonly mode: Mode;
+  /** Whether the first view is shown. */
+  readonly first: boolean;
   setMode(mode: Mode): void;
+  /** Shows the first view. */
+  frame(): void;
   goto(place: { at?: Vec3; look?: readonly [number, number] }): Promise<void>;
   /** Walks straight to a place; `arrived` is called at its end. */
   walkTo(place: Vec3, arrived: (how: Arrival) => void): void;
@@ -43,6 +49,8 @@ export interface Driven {
 }
 
 export interface KioskOptions {
+  /** Address of the archive that they are about. */
+  readonly archive: string | null;
   /** Idle time after which the page returns to its start (s); null: no kiosk, texts only. */
   readonly seconds: number | null;
   readonly tour: readonly Vec3[];
@@ -51,10 +59,7 @@ export interface KioskOptions {
 
 const isObject = (value: unknown): value is object => typeof value === "object" && value !== null;
 
-const triple = (numbers: unknown): Vec3 | null =>
-  Array.isArray(numbers) && numbers.length === 3 && numbers.every((number) => Number.isFinite(number))
-    ? (numbers as unknown as Vec3)
-    : null;
+const triple = (numbers: unknown): Vec3 | null => (isNumbers(numbers, 3) ? (numbers as Vec3) : null);
 
 /** Reads what the address and the host's table ask for. */
 export async function readKiosk(
@@ -68,11 +73,20 @@ export async function readKiosk(
   const isKiosk = seconds !== null && Number.isFinite(seconds) && seconds > 0;
   const tourUrl = fields.get("tour") ?? table.tour ?? null;
   // Beside the archive; plain hosts are asked only where a kiosk stands, as they may not have such a file.
-  const beside = isKiosk && archive !== null ? new URL("settings.json", new URL(archive, location.href)).href : null;
+  const beside = isKiosk && archive !== null ? besideOf(archive) : null;
   const settingsUrl = fields.get("settings") ?? table.settings ?? beside;
   if (!isKiosk && tourUrl === null && settingsUrl === null) return null;
   const [settings, tour] = await Promise.all([readSettings(settingsUrl), readTour(tourUrl)]);
-  return { seconds: isKiosk ? seconds : null, tour, settings };
+  return { archive, seconds: isKiosk ? seconds : null, tour, settings };
+}
+
+/** Address of the settings beside an archive; null if the archive's is none, which is reported when it is opened. */
+function besideOf(archive: string): string | null {
+  try {
+    return new URL("settings.json", new URL(archive, location.href)).href;
+  } catch {
+    return null;
+  }
 }
 
 async function readSettings(url: string | null): Promise<PlaceSettings> {
@@ -101,7 +115,15 @@ export async function readTour(url: string | null): Promise<Vec3[]> {
 
 export function parseTour(text: string): Vec3[] {
   const rows = text.split(/\r\n|\r|\n/).filter((row) => row.trim() !== "" && !row.startsWith("#"));
-  const cells = rows.map((row) => row.split(",").map((cell) => cell.trim()));
+  // Cells may be quoted; numbers hold no commas.
+  const cells = rows.map((row) =>
+    row.split(",").map((cell) =>
+      cell
+        .trim()
+        .replace(/^"(.*)"$/, "$1")
+        .trim(),
+    ),
+  );
   const head = cells[0]?.map((name) => name.toLowerCase()) ?? [];
   const columns = ["x", "y", "z"].map((name) => head.indexOf(name));
   if (columns.includes(-1)) return [];
@@ -119,7 +141,9 @@ export class Kiosk {
   readonly #held = nothing();
   readonly #modes = new Map<Mode, HTMLButtonElement>();
   #touched = performance.now();
-  #home: { at: Vec3; look: readonly [number, number]; mode: Mode } | null = null;
+  /** Whether it has returned since it was touched. */
+  #rests = false;
+  #home: { at: Vec3; look: readonly [number, number]; mode: Mode; first: boolean } | null = null;
   #next = -1;
   #resume = 0;
 
@@ -147,8 +171,13 @@ export class Kiosk {
     }
     this.#hint.textContent = texts.kiosk.touch;
     for (const event of ["pointerdown", "keydown", "wheel", "touchstart"]) {
-      window.addEventListener(event, () => this.#touch(), { capture: true, passive: true });
+      window.addEventListener(event, () => this.touch(), { capture: true, passive: true });
     }
+    // A mouse that rests may be reported, too, when something moves below it.
+    const moved = ({ pointerType, movementX, movementY }: PointerEvent): void => {
+      if (pointerType !== "mouse" || movementX !== 0 || movementY !== 0) this.touch();
+    };
+    window.addEventListener("pointermove", moved, { capture: true, passive: true });
     if (seconds !== null || tour.length > 0 || (settings.stops?.length ?? 0) > 0) {
       window.setInterval(() => this.#look(), LOOK_MS);
     }
@@ -171,18 +200,31 @@ export class Kiosk {
     return { ...this.#held };
   }
 
-  /** Remembers where the page begins, and starts the tour. */
-  async opened(): Promise<void> {
+  /** Whether it is a kiosk, not only texts of a place or a tour. */
+  get isKiosk(): boolean {
+    return this.options.seconds !== null;
+  }
+
+  /** Whether a visitor may choose a view. */
+  permits(mode: Mode): boolean {
+    return !this.isKiosk || this.modes.includes(mode);
+  }
+
+  /** Called when an archive is open: remembers where the page begins, and starts the tour. */
+  async opened(link: string | null): Promise<void> {
+    if (link === null || link !== this.options.archive) return;
     const { start } = this.options.settings;
     const at = triple(start?.at);
     const look = start?.look;
-    const isLook = Array.isArray(look) && look.length === 2 && look.every(Number.isFinite);
+    const isLook = isNumbers(look, 2);
     const place = { ...(at && { at }), ...(isLook && { look: look as unknown as [number, number] }) };
     if (at !== null || isLook) await this.driven.goto(place).catch(() => {});
     const mode = MODES.find((mode) => mode === start?.view) ?? this.driven.mode;
     if (mode !== this.driven.mode) this.driven.setMode(mode);
     const { at: now, look: looked } = this.driven;
-    if (now !== null && looked !== null) this.#home = { at: now, look: [looked.heading, looked.pitch], mode };
+    if (now !== null && looked !== null) {
+      this.#home = { at: now, look: [looked.heading, looked.pitch], mode, first: this.driven.first };
+    }
     if (this.options.tour.length > 0) this.#begin();
   }
 
@@ -204,7 +246,17 @@ export class Kiosk {
           this.#held[key] = held ? value : 0;
         };
       button.addEventListener("pointerdown", set(true));
-      for (const end of ["pointerup", "pointercancel", "pointerleave"]) button.addEventListener(end, set(false));
+      button.addEventListener("keydown", (event) => {
+        if (event.code === "Space" || event.code === "Enter") set(true)(event);
+      });
+      const ends = ["pointerup", "pointercancel", "pointerleave", "keyup", "blur"];
+      for (const end of ends) button.addEventListener(end, set(false));
+      // Switches and voices only click.
+      button.addEventListener("click", (event) => {
+        if (event.detail > 0) return;
+        set(true)(event);
+        window.setTimeout(() => set(false)(event), CLICK_MS);
+      });
       button.addEventListener("contextmenu", (event) => event.preventDefault());
       return button;
     };
@@ -224,7 +276,7 @@ export class Kiosk {
         others.append(button);
       }
     }
-    others.append(h("button", { type: "button", class: "home", onclick: () => void this.#return() }, home));
+    others.append(h("button", { type: "button", class: "home", onclick: () => void this.#return(false) }, home));
     return h("div", { class: "kiosk-controls", role: "group", "aria-label": label }, steps, others);
   }
 
@@ -232,30 +284,36 @@ export class Kiosk {
     this.#modes.forEach((button, mode) => button.setAttribute("aria-pressed", String(mode === this.driven.mode)));
   }
 
-  #touch(): void {
+  /** Somebody is there. */
+  touch(): void {
     this.#touched = performance.now();
+    this.#rests = false;
     if (this.#next < 0) return;
     this.#next = -1;
     this.driven.stop();
     this.#hint.hidden = true;
   }
 
-  async #return(): Promise<void> {
+  /** Goes back to the start; if nobody asked for it, until somebody comes. */
+  async #return(isIdle: boolean): Promise<void> {
     const home = this.#home;
     if (home === null) return;
     this.driven.stop();
     await this.driven.goto({ at: home.at, look: home.look }).catch(() => {});
-    this.driven.setMode(home.mode);
+    if (isIdle && !this.#rests) return;
+    if (home.first) this.driven.frame();
+    else this.driven.setMode(home.mode);
   }
 
   /** Looks after idle time, tour, captions and the view that is marked. */
   #look(): void {
     const now = performance.now();
     const { seconds, tour } = this.options;
-    if (seconds !== null && this.#next < 0 && now - this.#touched > 1000 * seconds && this.#home !== null) {
-      this.#touched = now;
-      void this.#return().then(() => {
-        if (tour.length > 0) this.#begin();
+    const isIdle = seconds !== null && this.#next < 0 && now - this.#touched > 1000 * seconds;
+    if (isIdle && !this.#rests && this.#home !== null) {
+      this.#rests = true;
+      void this.#return(true).then(() => {
+        if (tour.length > 0 && this.#rests) this.#begin();
       });
     }
     if (this.#next >= 0 && this.#resume > 0 && now > this.#resume) this.#walk();

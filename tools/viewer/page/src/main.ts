@@ -60,19 +60,18 @@ async function start(parent: HTMLElement): Promise<void> {
     return { place, url: place.archive ?? table.archives[0]?.url ?? null };
   };
   const { place, url } = named();
+  const kiosk = await readKiosk(location.search, table, url);
+  if (kiosk !== null) app.kiosk = new Kiosk(parent, kiosk, app.drive);
   app.offer(table, place.splats, url === null);
   window.addEventListener("popstate", () => {
     const { place, url } = named();
     if (url !== null) void app.visit(url, place);
   });
-  const kiosk = await readKiosk(location.search, table, url);
-  if (kiosk !== null) app.kiosk = new Kiosk(parent, kiosk, app.drive);
   const conversions = table.archives.filter((archive) => archive.converting !== undefined);
   const followed = conversions.map((archive) => ({ url: archive.url, done: app.conversions.follow(archive.converting ?? "") }));
   const awaited = followed.find((conversion) => conversion.url === url);
   if (url === null || (awaited !== undefined && !(await awaited.done))) return;
   await app.visit(url, place);
-  if (app.state["ready"] === true) await app.kiosk?.opened();
 }
 
 const parent = document.getElementById("app");

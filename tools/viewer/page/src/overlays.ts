@@ -26,6 +26,7 @@ export class Overlays {
   #splats: Splats | null = null;
   /** Number of the latest request for splats; results of earlier ones are dropped. */
   #reading = 0;
+  #changes = 0;
 
   constructor(
     readonly canvas: Canvas,
@@ -40,6 +41,11 @@ export class Overlays {
   /** Whether something is drawn whose colours the finish would change. */
   get bringColours(): boolean {
     return this.#splats !== null;
+  }
+
+  /** Another text after each change of what is drawn. */
+  get revision(): string {
+    return `${this.#changes} ${this.#cloud?.revision ?? ""}`;
   }
 
   /** Part of a link; null without splats, or for a local file. */
@@ -66,6 +72,7 @@ export class Overlays {
 
   /** Follows the scene's local origin. */
   place(): void {
+    this.#changes += 1;
     if (this.#session !== null) this.#splats?.place(this.#alignment, this.#session.world);
   }
 
@@ -76,6 +83,7 @@ export class Overlays {
 
   showCloud(shown: boolean): void {
     const session = this.#session;
+    this.#changes += 1;
     if (this.#cloud !== null) {
       this.canvas.scene.remove(this.#cloud.group);
       this.#cloud.close();
@@ -84,11 +92,15 @@ export class Overlays {
     if (shown && session !== null && this.#cloudUrl !== null) {
       const url = new URL(this.#cloudUrl, location.href).href;
       const most = this.canvas.isSoftware ? SOFTWARE_POINTS : MOST_POINTS;
-      this.#cloud = new Cloud(url, session.pawn.at, session.unit, session.world, most, (told) => {
-        const { cloud, noCloud } = texts.news;
-        this.shell.messages.say(typeof told === "number" ? cloud(thousands(told)) : noCloud(told));
+      const { cloud: counted, noCloud } = texts.news;
+      const cloud: Cloud = new Cloud(url, session.pawn.at, session.unit, session.world, most, (told) => {
+        if (this.#cloud !== cloud) return;
+        this.shell.messages.say(typeof told === "number" ? counted(thousands(told)) : noCloud(told));
+        // Its switch tries again.
+        if (typeof told === "string") this.showCloud(false);
       });
-      this.canvas.scene.add(this.#cloud.group);
+      this.#cloud = cloud;
+      this.canvas.scene.add(cloud.group);
     }
     this.#tell();
   }
@@ -103,6 +115,7 @@ export class Overlays {
 
   async showSplats(shown: boolean): Promise<void> {
     const reading = ++this.#reading;
+    this.#changes += 1;
     if (this.#splats !== null) {
       this.canvas.scene.remove(this.#splats.group);
       this.#splats.close();

@@ -11,8 +11,9 @@ const FLIGHT_PACE = 4;
 const LONGEST_STEP_S = 0.25;
 /** Delay with which the eye follows stairs. */
 const EYE_DELAY_S = 0.07;
-/** Distance beyond which the eye jumps. */
+/** Distances beyond which, and within which, the eye jumps: it would approach for ever. */
 const EYE_JUMP_M = 1;
+const EYE_NEAR_M = 1e-4;
 const ARRIVED_M = 0.05;
 /** Time without progress after which a walk to a place ends. */
 const PATIENCE_S = 1;
@@ -74,11 +75,12 @@ export class Pawn {
     this.#walk = walk;
     this.#stuck = 0;
     if (walk.route !== null) return;
-    // A closed or failed archive is reported elsewhere.
     const found = await this.walker.route(place, { signal: search.signal }).catch(() => null);
-    if (this.#walk !== walk || found === null) return;
+    if (this.#walk !== walk) return;
+    // Without an answer, such as for want of memory for its pages, it goes straight on: a pawn never waits for nothing. A closed
+    // or failed archive is reported elsewhere.
     if (typeof found !== "string") {
-      this.#follow(walk, found.points);
+      this.#follow(walk, found === null ? "straight" : found.points);
       return;
     }
     const obstacle = await this.onNoRoute(place, search.signal);
@@ -125,8 +127,9 @@ export class Pawn {
   /** Height of the eye, smoothed over steps. */
   eye(height: number, seconds: number): Vec3 {
     const { at, crouched, height: body, ground } = this.state;
-    const far = Math.abs(at[2] - this.#eyeZ) > EYE_JUMP_M;
-    const share = ground === "falling" || far ? 1 : 1 - Math.exp(-seconds / EYE_DELAY_S);
+    const apart = Math.abs(at[2] - this.#eyeZ);
+    const jumps = ground === "falling" || apart > EYE_JUMP_M || apart < EYE_NEAR_M;
+    const share = jumps ? 1 : 1 - Math.exp(-seconds / EYE_DELAY_S);
     this.#eyeZ += (at[2] - this.#eyeZ) * share;
     return [at[0], at[1], this.#eyeZ + (crouched ? Math.min(height, body - 0.1) : height)];
   }

@@ -1,7 +1,7 @@
 // An open archive with its pawn and the geometry around it.
 
 import { openArchive, SlicewalkError, type Archive, type Bounds, type Vec3, type View } from "slicewalk";
-import { standing, type Look } from "./geometry";
+import { isNumbers, standing, type Look } from "./geometry";
 import { Pawn } from "./pawn";
 import { contentBounds } from "./scene/framing";
 import { World } from "./scene/world";
@@ -46,7 +46,7 @@ export class Session {
   boxes = new Float64Array();
   content: Bounds = NOTHING;
   crs = "";
-  /** Metres per unit of the input. */
+  /** Metres per unit of the input; 1 if it is unknown, or if inputs have several. */
   unit = 1;
 
   private constructor(
@@ -97,7 +97,7 @@ export class Session {
     try {
       const { crs, unit } = await this.archive.reference();
       this.crs = crsName(crs);
-      this.unit = unit.factor;
+      this.unit = unit.factor ?? 1;
     } catch {
       // A failed archive is reported elsewhere.
     }
@@ -105,7 +105,7 @@ export class Session {
 
   /** Moves the pawn elsewhere; resolves when the place is loaded. */
   async goto(at: Vec3, settings: Settings): Promise<void> {
-    if (!at.every(Number.isFinite)) throw new SlicewalkError("invalid", "a place is three finite numbers");
+    if (!isNumbers(at, 3)) throw new SlicewalkError("invalid", `a place is three finite numbers, found ${String(at)}`);
     await this.pawn.place(at);
     await this.archive.load(around(at, settings));
     await this.#stands();

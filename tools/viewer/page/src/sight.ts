@@ -102,11 +102,14 @@ export class Sight {
     this.colour(settings);
   }
 
-  /** Draws less where the graphics are slow, and more where they have time. Call it once a second. */
-  adapt(fps: number): void {
+  /**
+   * Draws less where the graphics are slow, and more where they have time, by frames a second; null while nothing moves. Call it
+   * once a second.
+   */
+  adapt(fps: number | null): void {
     const { view, world } = this.session;
-    const slow = fps < SLOW_FPS && world.triangles > this.#triangles / 2;
-    const fast = fps > FAST_FPS;
+    const slow = fps !== null && fps < SLOW_FPS && world.triangles > this.#triangles / 2;
+    const fast = fps !== null && fps > FAST_FPS;
     if (slow && this.#triangles <= LEAST_TRIANGLES) this.#slow = true;
     if (slow) this.#triangles = Math.max(LEAST_TRIANGLES, this.#triangles / 2);
     else if (fast) this.#triangles = Math.min(MOST_TRIANGLES, this.#triangles * 1.5);
@@ -185,7 +188,6 @@ export class Sight {
     const seen = [...from, look.heading, look.pitch, orbit.look.heading, orbit.look.pitch].map((n) => n.toFixed(3)).join();
     this.#restsS = seen === this.#seen ? this.#restsS + seconds : 0;
     this.#seen = seen;
-    this.canvas.resting = this.#restsS > REST_S;
     const best = this.canvas.isSoftware ? "finished" : "smooth";
     const free = this.#wanted === "best" || !this.#slow || this.#restsS > REST_S;
     const quality = this.#wanted === "lowest" || !free ? "lowest" : best;

@@ -21,7 +21,8 @@ export async function readTable(): Promise<Table> {
   const none = { archives: [], cloud: null };
   try {
     const answer = await fetch("archives.json");
-    return answer.ok ? { ...none, ...((await answer.json()) as Partial<Table>) } : none;
+    const table: Partial<Table> = answer.ok ? await answer.json() : {};
+    return { ...none, ...table, archives: Array.isArray(table.archives) ? table.archives : [] };
   } catch {
     return none;
   }

@@ -40,4 +40,8 @@ export function joined(intents: readonly Intent[]): Intent {
   return all;
 }
 
+/** Whether a person steers. Not by crouching, which may last without a hand. */
+export const steers = ({ forward, right, turn, tilt, lift, jump }: Intent): boolean =>
+  forward !== 0 || right !== 0 || turn !== 0 || tilt !== 0 || lift !== 0 || jump;
+
 export const moves = ({ forward, right, jump }: Intent): boolean => forward !== 0 || right !== 0 || jump;

@@ -22,13 +22,15 @@ const HELD = new Set([
 ]);
 
 /**
- * Returns whether a key belongs to the focused element: a text field, a slider, a list, or a button that it presses.
+ * Returns whether a key belongs to the focused element: a text field, a slider, a list, or a button that it presses. Escape
+ * belongs to dialogs only.
  */
 function isTaken(event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.altKey || event.metaKey) return true;
   const { target } = event;
   if (!(target instanceof HTMLElement)) return false;
   if (target.closest("dialog[open]") !== null) return true;
+  if (event.code === "Escape") return false;
   if (target instanceof HTMLInputElement && target.type === "checkbox") return event.code === "Space";
   if (target.matches("input, select, textarea")) return true;
   return target.matches("button, a, summary") && (event.code === "Space" || event.code === "Enter");

@@ -18,7 +18,9 @@ const LESS = 0.28;
 const MORE = 0.36;
 const NEARER = 0.7;
 const NEAREST = 0.35;
-/** Pictures without news after which the picture counts as complete. */
+/** The camera moves by at least this share. */
+const STEP = 1e-3;
+/** Frames without news after which the picture counts as complete. */
 const QUIET = 3;
 /** Longest wait for a place that shows enough (ms). */
 const LONGEST_MS = 15_000;
@@ -32,14 +34,18 @@ const POOR = 0.35;
 
 export class First {
   #shown = false;
+  /** Time for which it has turned (s); null: a person has taken over. */
   #swayed: number | null = null;
+  /** Whether it stands still, for people who wish no motion. */
+  #still = false;
   #best: Start | null = null;
   #looking: AbortController | null = null;
   #done: Promise<void> = Promise.resolve();
   #found: Promise<void> = Promise.resolve();
   #loaded = -1;
   #quiet = 0;
-  #measured = 0;
+  /** Number of the last picture that does not show all of the scan from where the camera is. */
+  #before = 0;
 
   constructor(
     readonly stage: Stage,
@@ -56,8 +62,10 @@ export class First {
     if (session === null) return;
     this.orbit.frame();
     this.#shown = true;
+    this.#quiet = 0;
     this.#best = null;
-    this.#swayed = matchMedia("(prefers-reduced-motion: reduce)").matches ? null : 0;
+    this.#swayed = 0;
+    this.#still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     shell.first.show(session.source.name, session.content);
     const looking = new AbortController();
     this.#looking = looking;
@@ -73,26 +81,31 @@ export class First {
     );
   }
 
-  /** Turns on, unless a person has taken over. */
+  /** Approaches what is thin or open, and turns on, unless a person has taken over. */
   advance(seconds: number): void {
     if (!this.#shown || this.#swayed === null) return;
-    this.#swayed += seconds;
     const { cameras, canvas, session } = this.stage;
     const { orbit, framed } = cameras;
     const { unbuilt = 1, pending = 1, loaded = 0 } = session?.archive.stats ?? {};
-    const still = unbuilt === 0 && pending === 0 && loaded === this.#loaded && session?.world.waiting === 0;
-    this.#quiet = still ? this.#quiet + 1 : 0;
+    const quiet = unbuilt === 0 && pending === 0 && loaded === this.#loaded && session?.world.waiting === 0;
+    this.#quiet = quiet ? this.#quiet + 1 : 0;
     this.#loaded = loaded;
     const isDrawn = this.#quiet > QUIET && this.#isOutlined;
-    if (isDrawn && canvas.measured > this.#measured + 1 && framed !== null) {
+    if (!isDrawn) this.#before = canvas.pictures;
+    // A view that stands still needs another picture to be measured by.
+    else if (canvas.pictures === this.#before) canvas.refresh();
+    else if (canvas.measured > this.#before && framed !== null) {
       const { covered } = canvas;
       const now = orbit.distance / framed.distance;
       const wanted = covered < LESS || covered > MORE ? now * Math.max(NEARER, Math.sqrt(covered / ENOUGH)) : now;
       const share = clamp(wanted, NEAREST, 1);
-      // The next measure is of a picture from there.
-      if (share !== now) this.#measured = canvas.measured;
-      cameras.approach(share);
+      if (Math.abs(share - now) > STEP) {
+        this.#before = canvas.pictures;
+        cameras.approach(share);
+      }
     }
+    if (this.#still) return;
+    this.#swayed += seconds;
     cameras.sway(SWAY_DEGREES * Math.sin(SWAY_PER_S * this.#swayed));
   }
 

@@ -56,6 +56,8 @@ export class Sheet {
   readonly group = new Group();
   /** Metres between two lines of the grid. */
   step = 1;
+  /** Another number after each change of what is drawn. */
+  revision = 0;
   readonly #page: Mesh<BufferGeometry, MeshBasicMaterial>;
   readonly #grid = new LineSegments(
     new BufferGeometry(),
@@ -81,13 +83,23 @@ export class Sheet {
     this.group.visible = false;
   }
 
-  /** Shows the drawing, or null: hides it. Call it with every picture. */
+  /** Shows the drawing, or null: hides it. Call it with every frame. */
   update(world: World, shown: Shown | null): void {
     this.group.visible = shown !== null;
     if (shown === null) return;
     if (!this.#busy && this.#isOld(shown)) void this.#draw(shown);
     this.#paint(shown);
     this.#place(world, shown);
+  }
+
+  /** Frees what it drew. */
+  close(): void {
+    this.group.removeFromParent();
+    this.#page.material.map?.dispose();
+    for (const part of [this.#page, this.#grid]) {
+      part.geometry.dispose();
+      part.material.dispose();
+    }
   }
 
   #isOld(shown: Shown): boolean {
@@ -122,6 +134,7 @@ export class Sheet {
     const drawing = this.#drawing;
     if (drawing === null || this.#painted === key) return;
     this.#painted = key;
+    this.revision += 1;
     const inks = INKS[theme];
     const pixels = new Uint8Array(4 * drawing.cells.length);
     drawing.cells.forEach((kind, n) => {
@@ -148,6 +161,7 @@ export class Sheet {
     const key = [origin, theme, ...area, this.#painted, this.#drawing?.min.join()].join();
     if (key === this.#gridded) return;
     this.#gridded = key;
+    this.revision += 1;
     const local = (x: number, y: number): readonly [number, number, number] => {
       const { x: i, y: j, z } = world.local([x, y, floor]);
       return [i, j, z];

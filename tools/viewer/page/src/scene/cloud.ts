@@ -78,6 +78,8 @@ export class Cloud {
   #told = false;
   /** Number of points drawn. */
   count = 0;
+  /** Another number after each change of what is drawn. */
+  revision = 0;
 
   /**
    * A cloud of which at most `most` points are drawn. `told` receives the number of points when those of the first look are drawn,
@@ -108,6 +110,7 @@ export class Cloud {
       else if ("gone" in data) this.#remove(data.gone);
       else if ("done" in data) {
         this.#uniforms.gap.value = data.gap;
+        this.revision += 1;
         if (!this.#told) told(data.done);
         this.#told = true;
       } else {
@@ -126,6 +129,7 @@ export class Cloud {
     const points = new Points(geometry, this.#material);
     this.#parts.set(name, points);
     this.count += positions.length / 3;
+    this.revision += 1;
     this.group.add(points);
   }
 
@@ -134,6 +138,7 @@ export class Cloud {
     if (points === undefined) return;
     this.#parts.delete(name);
     this.count -= points.geometry.getAttribute("position").count;
+    this.revision += 1;
     this.group.remove(points);
     points.geometry.dispose();
   }

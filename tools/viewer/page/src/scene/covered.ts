@@ -1,4 +1,4 @@
-// Share of the last picture that shows the scan, read from a small copy of it without waiting for the graphics card.
+// Share of a picture that shows the scan, read from a small copy of it without waiting for the graphics card.
 
 const WIDTH = 64;
 const HEIGHT = 36;
@@ -7,13 +7,16 @@ const EVERY_MS = 250;
 export class Covered {
   /** 0 to 1. */
   share = 0;
-  /** Number of pictures measured. */
-  count = 0;
+  /** Number of the picture that it is of. */
+  picture = 0;
   #copy: WebGLFramebuffer | null = null;
   /** Receives the pixels; a new one each time, because browsers warn about one that is used again. */
   #pixels: WebGLBuffer | null = null;
   #fence: WebGLSync | null = null;
   #asked = 0;
+  /** Numbers of the picture that is being read, and of the last one drawn. */
+  #reading = 0;
+  #last = 0;
 
   constructor(readonly gl: WebGL2RenderingContext) {}
 
@@ -22,15 +25,18 @@ export class Covered {
     this.#copy = this.#pixels = this.#fence = null;
   }
 
-  /** Call it after a picture is drawn on the canvas. */
-  measure(now: number): void {
+  /** Whether the last picture still has to be measured, and can be now: it must be drawn once more for that. */
+  lacks(now: number): boolean {
+    return this.#isFree(now) && this.picture < this.#last;
+  }
+
+  /** Call it after a picture is drawn on the canvas; `picture` is its number. */
+  measure(now: number, picture: number): void {
     const { gl } = this;
-    if (this.#fence !== null) {
-      if (gl.getSyncParameter(this.#fence, gl.SYNC_STATUS) === gl.SIGNALED) this.#read();
-      return;
-    }
-    if (now - this.#asked < EVERY_MS) return;
+    this.#last = picture;
+    if (!this.#isFree(now)) return;
     this.#asked = now;
+    this.#reading = picture;
     const copy = (this.#copy ??= this.#make());
     this.#pixels = gl.createBuffer();
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, copy);
@@ -44,6 +50,13 @@ export class Covered {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     this.#fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
+  }
+
+  /** Reads what has arrived; returns whether another picture can be measured. */
+  #isFree(now: number): boolean {
+    const { gl } = this;
+    if (this.#fence !== null && gl.getSyncParameter(this.#fence, gl.SYNC_STATUS) === gl.SIGNALED) this.#read();
+    return this.#fence === null && now - this.#asked >= EVERY_MS;
   }
 
   #make(): WebGLFramebuffer {
@@ -71,6 +84,6 @@ export class Covered {
     let shown = 0;
     for (let at = 3; at < found.length; at += 4) shown += found[at] === 255 ? 1 : 0;
     this.share = shown / (WIDTH * HEIGHT);
-    this.count++;
+    this.picture = this.#reading;
   }
 }

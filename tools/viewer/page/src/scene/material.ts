@@ -316,6 +316,11 @@ export class Shading {
     };
   }
 
+  /** The uniforms that all pages share, as a text: another one after each change. */
+  get shown(): string {
+    return JSON.stringify(Object.entries(this.uniforms).filter(([name]) => !name.startsWith("paint")));
+  }
+
   /** Materials of pages and of an overview that take this effort. */
   of(effort: Effort): readonly ShaderMaterial[] {
     return [false, true].map((overview) => this.#material(overview, effort));

@@ -47,6 +47,8 @@ export class World {
   matter = true;
   triangles = 0;
   bytes = 0;
+  /** Another number after each change of what is drawn. */
+  revision = 0;
   readonly #drawn = new Map<number, Drawn>();
   readonly #waiting = new Map<number, PageGeometry>();
   /** Colours by page, and those that arrived since. */
@@ -122,6 +124,7 @@ export class World {
     if (paint === undefined) return;
     this.#paints.delete(id);
     this.bytes -= paint.bytes;
+    this.revision += 1;
     forget(paint);
   }
 
@@ -136,6 +139,7 @@ export class World {
     drawn.mesh.geometry.dispose();
     this.triangles -= drawn.page.indices.length / 3;
     this.bytes -= drawn.bytes;
+    this.revision += 1;
     this.#cover.set(drawn.page, false);
   }
 
@@ -147,6 +151,7 @@ export class World {
   /** Sets what the shaders do. */
   set effort(effort: Effort) {
     this.shading.effort = effort;
+    this.revision += 1;
     this.#drawn.forEach(({ mesh, page }) => (mesh.material = this.shading.material(page.key.level)));
   }
 
@@ -168,6 +173,7 @@ export class World {
       if ((this.#drawn.get(id)?.page.key.level ?? 0) > 0) this.#usuals.clear();
       this.shading.uniforms.exposure.value.set(...this.#exposure.range);
       this.#paints.set(id, paint);
+      this.revision += 1;
       this.bytes += paint.bytes;
       bytes += paint.bytes;
       if (bytes > UPLOAD_BYTES || performance.now() > end) return;
@@ -225,6 +231,7 @@ export class World {
     this.group.add(mesh);
     this.triangles += page.indices.length / 3;
     this.bytes += drawn.bytes;
+    this.revision += 1;
     return drawn.bytes;
   }
 

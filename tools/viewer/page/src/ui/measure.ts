@@ -1,7 +1,7 @@
 // The measuring tool: values at the cursor, the distance of two clicked places, and a list of all that were measured.
 
 import type { Archive, Vec3 } from "slicewalk";
-import { BufferGeometry, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, SphereGeometry } from "three";
+import { BufferGeometry, Group, Line, LineBasicMaterial, Mesh, MeshBasicMaterial, type Object3D, SphereGeometry } from "three";
 import { metres, type Ray } from "../geometry";
 import { between, pick, surroundings, type Measured, type Value } from "../measure";
 import type { World } from "../scene/world";
@@ -11,13 +11,17 @@ import { h, icons, picture, write } from "./dom";
 
 const ROWS = ["place", "headroom", "width", "step", "distance", "across", "height"] as const;
 const BALL = new SphereGeometry(0.04, 12, 8);
-const INK = "#ffb547";
+const INK = { color: "#ffb547", depthTest: false, transparent: true } as const;
+const DOT = new MeshBasicMaterial(INK);
+const STROKE = new LineBasicMaterial(INK);
 
 type Row = (typeof ROWS)[number];
 
 export class MeasurePanel {
   readonly element = h("section", { class: "panel measure", "aria-label": texts.tools.measure, hidden: true });
   readonly marks = new Group();
+  /** Another number after each change of the marks. */
+  revision = 0;
   readonly #values = new Map<Row, HTMLElement>();
   readonly #list = h("ol", { class: "measures" });
   readonly #save: HTMLButtonElement;
@@ -57,7 +61,7 @@ export class MeasurePanel {
     this.#asking?.abort();
     this.#values.forEach((value) => write(value, "–"));
     this.#tell();
-    this.marks.clear();
+    this.#unmark(this.marks.children);
   }
 
   /** Measures at the cursor; while an answer is pending, the newest ray waits. */
@@ -126,7 +130,7 @@ export class MeasurePanel {
       const text = `${metres(measured.straight.metres)} m`;
       const remove = (): void => {
         this.#measured.splice(n, 1);
-        this.marks.remove(...this.marks.children.filter((mark) => mark.userData["measured"] === measured));
+        this.#unmark(this.marks.children.filter((mark) => mark.userData["measured"] === measured));
         this.#tell();
       };
       const button = h(
@@ -139,24 +143,29 @@ export class MeasurePanel {
     this.#list.replaceChildren(...entries);
   }
 
+  /** Removes marks; each line has a geometry of its own. */
+  #unmark(marks: readonly Object3D[]): void {
+    for (const mark of marks) if (mark instanceof Line) mark.geometry.dispose();
+    this.marks.remove(...marks);
+    this.revision += 1;
+  }
+
   #mark(world: World): void {
-    this.marks.clear();
-    const material = new MeshBasicMaterial({ color: INK, depthTest: false, transparent: true });
-    const line = new LineBasicMaterial({ color: INK, depthTest: false, transparent: true });
+    this.#unmark(this.marks.children);
     const add = (mark: Mesh | Line, measured: Measured | null): void => {
       mark.renderOrder = 2;
       mark.userData["measured"] = measured;
       this.marks.add(mark);
     };
     const point = (place: Vec3, measured: Measured | null): void => {
-      const ball = new Mesh(BALL, material);
+      const ball = new Mesh(BALL, DOT);
       ball.position.copy(world.local(place));
       add(ball, measured);
     };
     for (const measured of this.#measured) {
       measured.ends.forEach((end) => point(end, measured));
       const ends = measured.ends.map((end) => world.local(end));
-      add(new Line(new BufferGeometry().setFromPoints(ends), line), measured);
+      add(new Line(new BufferGeometry().setFromPoints(ends), STROKE), measured);
     }
     if (this.#first !== null) point(this.#first, null);
   }

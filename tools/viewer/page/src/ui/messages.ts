@@ -19,7 +19,17 @@ export class Messages {
     h("span"),
   );
   readonly dialog = h("dialog", { class: "trouble", "aria-labelledby": "trouble-title" });
+  /** Called when a problem is closed without a decision, as by Escape. */
+  dismissed: () => void = () => {};
+  #decided = false;
   #timer = 0;
+
+  constructor() {
+    this.dialog.addEventListener("close", () => {
+      // The event may come when another problem is shown.
+      if (!this.dialog.open && !this.#decided) this.dismissed();
+    });
+  }
 
   /** Shows news for as long as reading takes. */
   say(text: string, ms = NEWS_MS): void {
@@ -55,7 +65,7 @@ export class Messages {
           type: "button",
           class: n === 0 ? "primary" : "plain",
           onclick: () => {
-            this.dialog.close();
+            this.clear();
             act();
           },
         },
@@ -68,10 +78,12 @@ export class Messages {
       h("p", {}, wayOut),
       h("div", { class: "actions" }, ...buttons),
     );
+    this.#decided = false;
     if (!this.dialog.open) this.dialog.showModal();
   }
 
   clear(): void {
+    this.#decided = true;
     if (this.dialog.open) this.dialog.close();
   }
 }

@@ -108,6 +108,7 @@ export class Shell {
     this.section.open(content);
     this.#map.replaceChildren(minimap.element);
     this.#parent.classList.remove("empty");
+    this.welcome.opened();
   }
 
   help(): void {

@@ -91,8 +91,12 @@ export class Toolbars {
   }
 
   show(name: PanelName | null): void {
+    // From a panel that closes, the focus goes back to its tool.
+    const isWithin = Boolean(document.activeElement?.closest(".right .panel"));
+    const closed = name === null && this.#open !== null && isWithin ? this.#panels.get(this.#open) : undefined;
     this.#open = name;
     this.#panels.forEach((button, panel) => button.setAttribute("aria-expanded", String(panel === name)));
     this.events.panel(name);
+    closed?.focus();
   }
 }

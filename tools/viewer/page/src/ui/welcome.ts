@@ -2,7 +2,7 @@
 
 import { isSplats } from "../scene/alignment";
 import { texts } from "../languages";
-import { h } from "./dom";
+import { h, icons, picture } from "./dom";
 
 export interface WelcomeEvents {
   files(files: readonly File[]): void;
@@ -16,6 +16,14 @@ export interface WelcomeEvents {
 export class Welcome {
   readonly element: HTMLDialogElement;
   readonly #offered = h("div", { class: "offered", role: "group", "aria-label": texts.open.archives, hidden: true });
+  readonly #close = h(
+    "button",
+    { type: "button", class: "tool close", "aria-label": texts.tools.close, hidden: true, onclick: () => this.hide() },
+    picture(icons.close),
+  );
+  /** Whether there is a scan to return to, and whether something was chosen. */
+  #returns = false;
+  #taken = false;
   readonly curtain = h("div", { class: "curtain", hidden: true, "aria-hidden": "true" }, h("p", {}, texts.open.drop));
 
   constructor(readonly events: WelcomeEvents) {
@@ -48,6 +56,7 @@ export class Welcome {
       "dialog",
       { class: "welcome", "aria-labelledby": "welcome-title" },
       h("h1", { id: "welcome-title" }, texts.open.heading),
+      this.#close,
       h("p", {}, texts.open.lead),
       this.#offered,
       h(
@@ -60,7 +69,14 @@ export class Welcome {
       form,
       h("p", { class: "quiet" }, texts.open.convert),
     );
-    this.element.addEventListener("close", () => events.close());
+    this.element.addEventListener("cancel", (event) => {
+      if (!this.#returns) event.preventDefault();
+    });
+    this.element.addEventListener("close", () => {
+      // At a second Escape, browsers close a dialog whatever its page says; nothing to act on would remain.
+      if (this.#taken || this.#returns) events.close();
+      else this.show();
+    });
     this.#listen();
   }
 
@@ -74,7 +90,15 @@ export class Welcome {
     this.#offered.hidden = archives.length === 0;
   }
 
+  /** An archive is open: closes, and may be closed without a choice from now on. */
+  opened(): void {
+    this.#returns = true;
+    this.#close.hidden = false;
+    this.hide();
+  }
+
   show(): void {
+    this.#taken = false;
     if (!this.element.open) this.element.showModal();
   }
 
@@ -83,6 +107,7 @@ export class Welcome {
   }
 
   #take(act: () => void): void {
+    this.#taken = true;
     this.hide();
     act();
   }
