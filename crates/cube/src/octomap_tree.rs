@@ -130,6 +130,14 @@ impl OctomapTree {
         }
     }
 
+    /// Encodes the tile of the last column, then at each call one tile of free cubes alone; returns false after the last.
+    /// [`finish`](Self::finish) does so, too: callers that may have to stop do it before, once all columns are added.
+    pub fn encode_next(&mut self) -> bool {
+        self.finish_tile();
+        self.tile = self.seen.first_tile();
+        self.tile.is_some()
+    }
+
     /// Ends the tree, whose cubes have the edge `size` (m). `None` if it is larger than
     /// [`MOST_CUBES`](Self::MOST_CUBES) along an axis.
     ///
@@ -137,11 +145,7 @@ impl OctomapTree {
     ///
     /// The columns of a tile were not added one after another.
     pub fn finish(mut self, size: f64) -> Option<Octomap> {
-        self.finish_tile();
-        while let Some(tile) = self.seen.first_tile() {
-            self.tile = Some(tile);
-            self.finish_tile();
-        }
+        while self.encode_next() {}
         let Self { mut nodes, counts: [occupied, free], .. } = self;
         let by = shift(&nodes)?;
         nodes.iter_mut().for_each(|(at, _)| *at = [0, 1, 2].map(|axis| at[axis] - by[axis] + BLOCKS / 2));

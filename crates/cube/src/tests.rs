@@ -323,14 +323,24 @@ fn free_cubes_of_any_tile_are_added_once() {
     let frame = Frame::new(0.1, 0.1).unwrap();
     // Tiles before, at, between and after those with occupied cubes, in an order of their own.
     let cells = [[128, 0], [-64, 60], [0, 0], [64, 64], [0, 64], [256, 0], [-128, 0]];
-    let free = FreeCubes::new(&frame, 4, cells.map(|cell| (cell, [3, 7])), Some([[-62, 0, 5], [200, 200, 200]]));
-    let mut tree = OctomapTree::new().with_free(free);
-    for at in [[64, 0], [65, 2], [0, 0], [64, 64]] {
-        tree.occupy(at, (5, 6));
-    }
-    let octomap = tree.finish(0.1).unwrap();
+    let octomap = |is_stepped: bool| {
+        let free = FreeCubes::new(&frame, 4, cells.map(|cell| (cell, [3, 7])), Some([[-62, 0, 5], [200, 200, 200]]));
+        let mut tree = OctomapTree::new().with_free(free);
+        for at in [[64, 0], [65, 2], [0, 0], [64, 64]] {
+            tree.occupy(at, (5, 6));
+        }
+        if is_stepped {
+            let steps = std::iter::repeat_with(|| tree.encode_next()).take_while(|&is_left| is_left).count();
+            assert_eq!(steps, 3, "tiles of free cubes alone");
+        }
+        let (octomap, mut bytes) = (tree.finish(0.1).unwrap(), Vec::new());
+        octomap.write(&mut bytes).unwrap();
+        (octomap.occupied, octomap.free, bytes)
+    };
+    let (occupied, free, bytes) = octomap(false);
     // Five cells of 4 × 4 × 2, one of them cut to half, and two of their cubes are occupied; two more lie outside.
-    assert_eq!((octomap.occupied, octomap.free), (4, 5 * 32 - 16 - 2));
+    assert_eq!((occupied, free), (4, 5 * 32 - 16 - 2));
+    assert!(octomap(true) == (occupied, free, bytes), "step by step");
 }
 
 #[test]

@@ -13,7 +13,7 @@ use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyByteArray, PyBytes, PyDict, PyTuple};
 use slicewalk::Error;
 use slicewalk::archive::{Archive as Inner, ColourReader, Finding};
-use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource, interruptible, stop_of_thread};
+use slicewalk::bytes::{ByteSource, FileId, FileSource, RemoteOptions, RemoteSource, interruptible, stop_of_thread};
 use slicewalk::seen::SeenSpace as Space;
 use slicewalk::store::Snapshot;
 use std::collections::HashMap;
@@ -85,7 +85,8 @@ impl Opened {
     /// Returns the seen space, which the first call reads into at most `most_bytes` of memory; `None` if there is none.
     pub fn seen_space(&self, py: Python<'_>, most_bytes: u64) -> PyResult<Option<Arc<Space>>> {
         if self.seen.get().is_none() {
-            let space = self.read(py, |opened| opened.archive.seen_space(most_bytes))?;
+            let name = self.name.as_deref();
+            let space = attended(py, &Audience::default(), name, |_| Ok(self.archive.seen_space(most_bytes)?))?;
             // Another thread may have read it, too.
             let _ = self.seen.set(space.map(Arc::new));
         }
@@ -155,6 +156,26 @@ impl Opened {
         let mut checksum = [0; 4];
         self.source.read_at(header.bytes.head.saturating_sub(4), &mut checksum)?;
         Ok(format!("{:x}-{:032x}-{:08x}", header.file_len, header.plan_hash, u32::from_le_bytes(checksum)))
+    }
+}
+
+/// Bytes on this machine. Like those of a server, they cannot be read on a thread that should stop.
+struct Local<S>(S);
+
+impl<S: ByteSource> ByteSource for Local<S> {
+    fn len(&self) -> u64 {
+        self.0.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> slicewalk::Result<()> {
+        match stop_of_thread() {
+            Some(stop) if stop() => Err(Error::Interrupted),
+            _ => self.0.read_at(offset, buf),
+        }
+    }
+
+    fn file_id(&self) -> Option<FileId> {
+        self.0.file_id()
     }
 }
 
@@ -235,20 +256,20 @@ pub fn open<'py>(
         let opened = attended(py, &Audience::default(), Some(&public(url)), |_| Ok(Opened::remote(url, &options)?))?;
         return Archive::bound(py, opened, source.unbind(), None);
     } else if source.is_instance_of::<PyBytes>() || source.is_instance_of::<PyByteArray>() {
-        (None, Arc::new(Held(source.extract()?)) as Arc<dyn ByteSource>)
+        (None, Arc::new(Local(Held(source.extract()?))) as Arc<dyn ByteSource>)
     } else if let Ok(path) = source.extract::<PathBuf>() {
         let name = path.to_string_lossy().into_owned();
         let opened =
             py.detach(|| FileSource::open(&path)).map_err(|error| Failure::from(error).raise(py, Some(&name)))?;
         file = Some(std::path::absolute(&path)?.into_os_string());
-        (Some(name), Arc::new(opened))
+        (Some(name), Arc::new(Local(opened)))
     } else {
         let bytes =
             py.import("builtins")?.call_method1("memoryview", (&source,)).and_then(|view| view.call_method0("tobytes"));
         source = bytes.map_err(|_| {
             wrong_type(py, "source", &format!("expected a path, an address or bytes, found {}", short(&source)))
         })?;
-        (None, Arc::new(Held(source.extract()?)))
+        (None, Arc::new(Local(Held(source.extract()?))))
     };
     let opened = py.detach(|| Opened::new(given, name.clone(), None));
     let opened = opened.map_err(|error| Failure::from(error).raise(py, name.as_deref()))?;

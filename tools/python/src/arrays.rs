@@ -4,26 +4,57 @@
 //! slice of an array outlives the time in which the interpreter is held: a block of rows is copied, answered with the
 //! interpreter released, and the next block follows. A block fits the cache, so the copy costs about 5 ns a row.
 
+use crate::attend::{CheckTimer, LOOK, check_signals};
 use crate::errors::{Failure, of_row};
 use crate::options::{refuse, wrong_type};
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyInt, PyString};
 use slicewalk::Result;
 use slicewalk::frame::PageKey;
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
 
 /// Rows copied at a time.
 pub const BLOCK: usize = 1 << 16;
 /// Rows below which a batch uses one thread only.
 const LEAST_ROWS: usize = 1 << 13;
+/// Most rows that a thread answers between two looks whether to stop.
+const LOOK_ROWS: usize = 64;
 
 /// Returns whether an array hides some of its numbers: numpy drops the mask, and they would count as any others.
 pub fn is_masked(given: &Bound<'_, PyAny>) -> PyResult<bool> {
     Ok(given.hasattr("mask")?
         && given.py().import("numpy")?.getattr("ma")?.call_method1("is_masked", (given,))?.extract()?)
+}
+
+/// Converts to an array of numbers, which fit `float64` without loss; `expected` describes it.
+pub fn numeric<'py>(
+    numpy: &Bound<'py, PyModule>,
+    given: &Bound<'py, PyAny>,
+    what: &str,
+    expected: impl Fn() -> String,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = given.py();
+    let found = numpy.call_method1("asarray", (given,)).map_err(|error| {
+        if !error.is_instance_of::<PyValueError>(py) {
+            return error;
+        }
+        let refused = refuse(what, format!("expected {}, found {}", expected(), short(given)));
+        refused.set_cause(py, Some(error));
+        refused
+    })?;
+    let untyped = found.cast::<PyUntypedArray>()?;
+    let lossless: bool = numpy.call_method1("can_cast", (untyped.dtype(), "f8", "safe"))?.extract()?;
+    if !lossless && untyped.len() > 0 {
+        let dtype = untyped.dtype();
+        let reason = format!("expected numbers (float64), found {dtype}; convert with numpy.asarray(..., float)");
+        return Err(wrong_type(py, what, &reason));
+    }
+    Ok(found)
 }
 
 /// Rows of `N` numbers in a caller's array.
@@ -42,21 +73,8 @@ impl<'py, const N: usize> Rows<'py, N> {
             let way_out = format!("take the rows that count, such as {what}[~{what}.mask.any(axis=1)].data");
             return Err(refuse(what, format!("expected numbers, found masked ones; {way_out}")));
         }
-        let found = numpy.call_method1("asarray", (given,)).map_err(|error| {
-            if !error.is_instance_of::<PyValueError>(py) {
-                return error;
-            }
-            let refused = refuse(what, format!("expected rows of {N} numbers, found {}", short(given)));
-            refused.set_cause(py, Some(error));
-            refused
-        })?;
+        let found = numeric(&numpy, given, what, || format!("rows of {N} numbers"))?;
         let untyped = found.cast::<PyUntypedArray>()?;
-        let lossless: bool = numpy.call_method1("can_cast", (untyped.dtype(), "f8", "safe"))?.extract()?;
-        if !lossless && untyped.len() > 0 {
-            let dtype = untyped.dtype();
-            let reason = format!("expected numbers (float64), found {dtype}; convert with numpy.asarray(..., float)");
-            return Err(wrong_type(py, what, &reason));
-        }
         let corners = N == 6 && matches!(untyped.shape(), [_, 2, 3]);
         let found = if corners { found.call_method1("reshape", ((-1, 6),))? } else { found.clone() };
         let untyped = found.cast::<PyUntypedArray>()?;
@@ -149,7 +167,10 @@ fn answers<const N: usize, A: Copy + Default + Send>(
         rows.copy(first, BLOCK.min(rows.len() - first), &mut block)?;
         answers.resize(first + block.len(), A::default());
         let answered = py.detach(|| on_threads(&block, &mut answers[first..], threads, &answer));
-        answered.map_err(|(row, error)| of_row(py, what, first + row, error))?;
+        answered.map_err(|halt| match halt {
+            Halt::Row(row, error) => of_row(py, what, first + row, error),
+            Halt::Raised(error) => error,
+        })?;
     }
     Ok(answers)
 }
@@ -166,32 +187,70 @@ pub fn reserve<T>(vec: &mut Vec<T>, count: usize, what: impl FnOnce() -> String)
         .map_err(|_| PyMemoryError::new_err(format!("no memory for {}; ask for less at once", what())))
 }
 
-/// Index of a row, and what is wrong with it.
-type Wrong = (usize, slicewalk::Error);
+/// Reason why a block has no answers.
+enum Halt {
+    /// Index of a row, and what is wrong with it.
+    Row(usize, slicewalk::Error),
+    /// Exception of a signal handler.
+    Raised(PyErr),
+}
 
+/// Computes `answer` for the rows of a block. Only the calling thread can check for Ctrl-C, and stops the others.
 fn on_threads<R: Sync, A: Send>(
     rows: &[R],
     answers: &mut [A],
     threads: Option<NonZeroUsize>,
     answer: &(impl Fn(&R) -> Result<A> + Sync),
-) -> std::result::Result<(), Wrong> {
-    let run = |first: usize, rows: &[R], answers: &mut [A]| {
+) -> std::result::Result<(), Halt> {
+    let stop = AtomicBool::new(false);
+    let raised = |error: PyErr| {
+        stop.store(true, Ordering::Relaxed);
+        Halt::Raised(error)
+    };
+    let run = |first: usize, rows: &[R], answers: &mut [A], is_caller: bool| -> std::result::Result<(), Halt> {
+        let (mut timer, mut next, mut step) = (CheckTimer::start(), 1, 1);
         for (number, (row, place)) in rows.iter().zip(answers).enumerate() {
-            *place = answer(row).map_err(|error| (first + number, error))?;
+            if number == next {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(());
+                }
+                let is_due = timer.is_due();
+                if is_due && is_caller {
+                    check_signals().map_err(raised)?;
+                }
+                // While rows take long, such as huge boxes, it looks after each.
+                step = if is_due { 1 } else { LOOK_ROWS.min(2 * step) };
+                next += step;
+            }
+            *place = answer(row).map_err(|error| Halt::Row(first + number, error))?;
         }
         Ok(())
     };
     let threads = if rows.len() <= LEAST_ROWS { 1 } else { threads.unwrap_or_else(cores).get() };
     let each = rows.len().div_ceil(threads).max(LEAST_ROWS);
     if each >= rows.len() {
-        return run(0, rows, answers);
+        return run(0, rows, answers, true);
     }
     std::thread::scope(|scope| {
+        let (running, ended) = channel::<()>();
         let parts = rows.chunks(each).zip(answers.chunks_mut(each)).enumerate();
         let mut parts = parts.map(|(part, (rows, answers))| (part * each, rows, answers));
         let own = parts.next();
-        let others: Vec<_> = parts.map(|(first, rows, out)| scope.spawn(move || run(first, rows, out))).collect();
-        let own = own.map_or(Ok(()), |(first, rows, answers)| run(first, rows, answers));
+        let others: Vec<_> = parts
+            .map(|(first, rows, out)| {
+                let running = running.clone();
+                scope.spawn(move || {
+                    let _running = running;
+                    run(first, rows, out, false)
+                })
+            })
+            .collect();
+        drop(running);
+        let mut own = own.map_or(Ok(()), |(first, rows, answers)| run(first, rows, answers, true));
+        // The other parts may take longer than this one.
+        while ended.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+            own = check_signals().map_err(raised).and(own);
+        }
         let joined =
             others.into_iter().map(|other| other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
         std::iter::once(own).chain(joined).collect()
@@ -201,33 +260,56 @@ fn on_threads<R: Sync, A: Send>(
 /// Reads `N` numbers, such as a place or a box. A box may also come as its two corners, like `Archive.bounds`.
 pub fn numbers<const N: usize>(given: &Bound<'_, PyAny>, what: &str) -> PyResult<[f64; N]> {
     let mut values = Vec::new();
-    if take_numbers(given, N == 6, N, &mut values).is_some()
+    let taken = take_numbers(given, N == 6, N, &mut values);
+    if taken.is_ok()
         && let Ok(values) = <[f64; N]>::try_from(values)
         && values.iter().all(|value| value.is_finite())
     {
         return Ok(values);
     }
-    Err(refuse(what, format!("expected {N} finite numbers, found {}", short(given))))
+    let reason = format!("expected {N} finite numbers, found {}", short(given));
+    Err(match taken {
+        Err(Misfit::Type) => wrong_type(given.py(), what, &reason),
+        _ => refuse(what, reason),
+    })
 }
 
-/// Appends the numbers of a sequence, or of its two sequences if `nested`; `None` if it holds anything else or more
-/// than `most` numbers.
-fn take_numbers(given: &Bound<'_, PyAny>, nested: bool, most: usize, values: &mut Vec<f64>) -> Option<()> {
+/// Reason why something does not hold the numbers that are expected.
+enum Misfit {
+    /// It is no sequence, or an element is neither a number nor a sequence.
+    Type,
+    /// There are too many numbers, one is too large, or they are nested otherwise.
+    Value,
+}
+
+/// Appends the numbers of a sequence, or of its two sequences if `nested`; fails if it holds anything else or more than
+/// `most` numbers.
+fn take_numbers(
+    given: &Bound<'_, PyAny>,
+    nested: bool,
+    most: usize,
+    values: &mut Vec<f64>,
+) -> std::result::Result<(), Misfit> {
     let before = values.len();
-    for (number, item) in given.try_iter().ok()?.enumerate() {
-        let item = item.ok()?;
+    for (number, item) in given.try_iter().map_err(|_| Misfit::Type)?.enumerate() {
+        let item = item.map_err(|_| Misfit::Value)?;
         match item.extract() {
             Ok(value) => values.push(value),
+            // A text is a sequence of texts.
+            Err(_) if item.is_instance_of::<PyString>() => return Err(Misfit::Type),
+            // A whole number that is too large for a float.
+            Err(_) if item.is_instance_of::<PyInt>() => return Err(Misfit::Value),
             Err(_) if nested && number < 2 && values.len() == before + number * (most / 2) => {
                 take_numbers(&item, false, most, values)?;
             }
-            Err(_) => return None,
+            Err(_) if item.try_iter().is_ok() => return Err(Misfit::Value),
+            Err(_) => return Err(Misfit::Type),
         }
         if values.len() > most {
-            return None;
+            return Err(Misfit::Value);
         }
     }
-    Some(())
+    Ok(())
 }
 
 /// Reads the key of a page: a tuple, or a row of `Pages.keys`.

@@ -1,4 +1,5 @@
 //! Runs long work on its own thread, while the calling thread checks for Ctrl-C and passes on progress and warnings.
+//! Loops that stay on the calling thread use a [`CheckTimer`].
 //!
 //! Callbacks and warnings run only on the calling thread, so no other thread waits for the interpreter, but once: before
 //! work puts its output in place, it waits until they have run. An exception that they raise leaves no output behind.
@@ -13,10 +14,38 @@ use std::ffi::CString;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::Thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Interval between two checks.
-const LOOK: Duration = Duration::from_millis(50);
+pub const LOOK: Duration = Duration::from_millis(50);
+
+/// Raises what a signal handler raises; for work on the calling thread with the interpreter released.
+pub fn check_signals() -> PyResult<()> {
+    Python::attach(|py| py.check_signals())
+}
+
+/// Time since a loop last checked whether to stop.
+pub struct CheckTimer(Instant);
+
+impl CheckTimer {
+    pub fn start() -> Self {
+        Self(Instant::now())
+    }
+
+    /// Returns whether the next check is due, and starts again if so.
+    pub fn is_due(&mut self) -> bool {
+        let is_due = self.0.elapsed() >= LOOK;
+        if is_due {
+            self.0 = Instant::now();
+        }
+        is_due
+    }
+
+    /// Checks for Ctrl-C if that is due, as [`check_signals`] does.
+    pub fn check(&mut self) -> PyResult<()> {
+        if self.is_due() { check_signals() } else { Ok(()) }
+    }
+}
 
 /// Progress and warnings that the work passes to the calling thread.
 struct News {

@@ -4,6 +4,7 @@
 //! read-only views of that memory.
 
 use crate::arrays::{lend, numbers};
+use crate::attend::CheckTimer;
 use crate::errors::Failure;
 use numpy::ndarray::{Array1, Array2, ArrayViewMut3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
@@ -15,13 +16,9 @@ use slicewalk::page::Span;
 use slicewalk::seen::{CELL_PIXELS, SeenSpace};
 use slicewalk::store::Snapshot;
 use slicewalk_cube::{FreeCubes, OctomapTree, SpanCubes};
-use std::time::{Duration, Instant};
 
 /// Most voxels of a region.
 const MOST_VOXELS: i64 = 1 << 31;
-
-/// Interval between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(20);
 
 fn absent(key: PageKey) -> Failure {
     Failure::NotLoaded(vec![key])
@@ -278,8 +275,13 @@ pub fn octomap<'py>(
     let [first, last] = extent(set.frame(), bounds, wrong)?;
     let made = py.detach(|| {
         let within = [first, last].map(|[z, y, x]| [x, y, z]);
-        let runs = seen.into_iter().flat_map(SeenSpace::runs);
+        let (mut timer, mut checked) = (CheckTimer::start(), Ok(()));
+        let runs = seen.into_iter().flat_map(SeenSpace::runs).take_while(|_| {
+            checked = timer.check();
+            checked.is_ok()
+        });
         let free = FreeCubes::new(set.frame(), CELL_PIXELS, runs, Some(within));
+        checked?;
         let (mut tree, cubes) = (OctomapTree::new().with_free(free), SpanCubes::of(set.frame()));
         each_span(set, [first, last], |pixel, base, span| {
             let (lowest, highest) = span.slices();
@@ -291,6 +293,9 @@ pub fn octomap<'py>(
             let ends = (first[0] * SLICE_QUANTA, (last[0] + 1) * SLICE_QUANTA);
             tree.occupy(pixel, cubes.of_span(bottom.max(ends.0), top.min(ends.1)));
         })?;
+        while tree.encode_next() {
+            timer.check()?;
+        }
         let tree = tree.finish(set.frame().pixel_m()).ok_or_else(|| {
             let most = OctomapTree::MOST_CUBES;
             Error::limit("cubes along an axis of an OctoMap tree (take a smaller region)", format!("over {most}"), most)
@@ -306,7 +311,7 @@ pub fn octomap<'py>(
 /// Calls `give` with pixel, first slice of the page, and span of everything in the pixels of an extent, tile by tile.
 /// Called with the interpreter released; takes it to check for Ctrl-C.
 fn each_span(set: &Snapshot, [first, last]: Extent, mut give: impl FnMut([i64; 2], i64, Span)) -> Result<(), Failure> {
-    let mut looked = Instant::now();
+    let mut timer = CheckTimer::start();
     let Some(bounds) = set.bounds() else { return Ok(()) };
     let tiles = |axis: usize, own: usize| {
         let (least, most) = (i64::from(bounds.min[own]), i64::from(bounds.max[own]));
@@ -324,10 +329,7 @@ fn each_span(set: &Snapshot, [first, last]: Extent, mut give: impl FnMut([i64; 2
             let page = slot.page().ok_or_else(|| absent(PageKey { tx, ty, layer: slot.layer() }))?;
             let corner = [i64::from(ty) * TILE_PIXELS, i64::from(tx) * TILE_PIXELS];
             for (px, py, spans) in page.columns() {
-                if looked.elapsed() >= LOOK {
-                    Python::attach(|py| py.check_signals())?;
-                    looked = Instant::now();
-                }
+                timer.check()?;
                 let (i, j) = (corner[1] + i64::from(px), corner[0] + i64::from(py));
                 if !(first[2]..=last[2]).contains(&i) || !(first[1]..=last[1]).contains(&j) {
                     continue;

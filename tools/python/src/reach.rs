@@ -1,9 +1,9 @@
 //! `Pages.reach` and `Pages.route`: where a pawn can walk, and how to get there.
 
-use crate::arrays::numbers;
+use crate::arrays::{numbers, short};
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
-use crate::options::refuse;
+use crate::options::{refuse, wrong_type};
 use crate::pages::{Pages, needs};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
@@ -19,14 +19,14 @@ use slicewalk::walk::Body;
 use slicewalk::{Error, Monitor};
 use std::sync::Arc;
 
-/// Reads a pawn, given as on the command line or as its sizes; by default the pawn of the thesis.
+/// Reads a pawn, given as on the command line; by default the pawn of the thesis.
 pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
     let Some(given) = given else { return Ok(Body::Box { x: 0.5, y: 0.5, height: 1.8 }) };
     if let Ok(text) = given.cast::<PyString>() {
         return text.to_string().parse().map_err(|reason: String| refuse("pawn", reason));
     }
-    let reason = "expected \"box:0.5x0.5x1.8\" or \"cylinder:0.25x1.8\" (m, above 0)";
-    Err(refuse("pawn", reason))
+    let expected = "expected \"box:0.5x0.5x1.8\" or \"cylinder:0.25x1.8\" (m, above 0)";
+    Err(wrong_type(given.py(), "pawn", &format!("{expected}, found {}", short(given))))
 }
 
 /// Limits of a pawn: arguments of `reach` and `route`.

@@ -1,6 +1,6 @@
 //! `SeenSpace`: which places, boxes and rays the scanners saw.
 
-use crate::arrays::{Rows, batch, is_masked, refused};
+use crate::arrays::{Rows, batch, is_masked, numeric, refused};
 use crate::options::{argument, refuse};
 use numpy::{PyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -149,7 +149,7 @@ impl SeenSpace {
                     "expected numbers, found masked ones; fill them, with nan for no answer",
                 ));
             }
-            Some(given) => numpy.call_method1("asarray", (given,))?,
+            Some(given) => numeric(&numpy, given, "distances", || format!("{count} numbers, or one"))?,
             None => numpy.call_method1("asarray", (f64::INFINITY,))?,
         };
         let untyped = distances.cast::<PyUntypedArray>()?;

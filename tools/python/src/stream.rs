@@ -2,7 +2,7 @@
 
 use crate::archive::{Archive, Opened};
 use crate::arrays::{BLOCK, Rows, numbers};
-use crate::attend::{Audience, attended};
+use crate::attend::{Audience, LOOK, attended};
 use crate::errors::{Failure, of_row, plain};
 use crate::options::{argument, refuse, size};
 use crate::pages::{Pages, Set};
@@ -10,9 +10,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::store::{LoadReport, MotionHint, PawnHandle, Prefetch, Stream as Inner, StreamOptions};
-use slicewalk::{Error, Result};
+use slicewalk::{Error, Monitor};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The pages of an archive around moving bodies, under a byte budget that is never exceeded.
 ///
@@ -83,6 +83,21 @@ impl Stream {
         all.retain(|hints| hints.strong_count() > 0);
         all.push(Arc::downgrade(&hints));
         Ok(Hints(hints))
+    }
+
+    /// Waits like [`Inner::settle`], but ends when `monitor` asks to stop or the stream is closed.
+    pub fn settled(&self, inner: &Inner, most: Duration, monitor: &dyn Monitor) -> Result<bool, Failure> {
+        let start = Instant::now();
+        loop {
+            self.inner()?;
+            let rest = most.saturating_sub(start.elapsed());
+            if inner.settle(rest.min(LOOK)) {
+                return Ok(true);
+            }
+            if rest.is_zero() || monitor.cancelled() {
+                return Ok(false);
+            }
+        }
     }
 
     /// Name of the archive, for errors.
@@ -176,19 +191,7 @@ impl Stream {
         let stream = self.inner()?;
         let wrong = |_| refuse("seconds", format!("expected seconds, 0 or more, found {seconds}"));
         let most = Duration::try_from_secs_f64(seconds).map_err(wrong)?;
-        attended(py, &Audience::default(), None, |monitor| {
-            let start = std::time::Instant::now();
-            loop {
-                self.inner()?;
-                let rest = most.saturating_sub(start.elapsed());
-                if stream.settle(rest.min(Duration::from_millis(50))) {
-                    return Ok(true);
-                }
-                if rest.is_zero() || monitor.cancelled() {
-                    return Ok(false);
-                }
-            }
-        })
+        attended(py, &Audience::default(), None, |monitor| self.settled(&stream, most, monitor))
     }
 
     /// Returns counters since the start as a dict: ``loaded``, ``evicted``, ``failed``, ``reads``, ``read_bytes``,
@@ -293,12 +296,12 @@ impl Body {
     }
 }
 
-fn motion([x0, y0, z0, x1, y1, z1]: [f64; 6], velocity: [f64; 3]) -> Result<MotionHint> {
+fn motion([x0, y0, z0, x1, y1, z1]: [f64; 6], velocity: [f64; 3]) -> slicewalk::Result<MotionHint> {
     valid(MotionHint::walking([x0, y0, z0].into(), [x1, y1, z1].into(), velocity.into()))
 }
 
 /// Returns a motion hint unless its box or velocity is invalid.
-fn valid(hint: MotionHint) -> Result<MotionHint> {
+fn valid(hint: MotionHint) -> slicewalk::Result<MotionHint> {
     if hint.is_valid() {
         return Ok(hint);
     }

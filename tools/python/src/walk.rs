@@ -8,18 +8,17 @@ use crate::pages::Pages;
 use crate::reach::body;
 use crate::stream::{Hints, Stream};
 use numpy::{IntoPyArray, PyArrayMethods};
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError};
 use pyo3::prelude::*;
 use slicewalk::nalgebra::{Point2, Vector2};
 use slicewalk::store::{MotionHint, Snapshot, Stream as Inner};
 use slicewalk::walk::{Config, MoveInput, Response, State, StepReport, Stop, Walker as Pawn3, Waypoints};
 use slicewalk::{Error, Monitor};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError, Weak};
 use std::time::Duration;
 
 /// Longest time that a pawn may stay blocked before its path ends (s), as in `slicetool walk`.
 const BLOCKED_S: f64 = 2.0;
-/// Frames between two checks for cancellation.
-const BETWEEN_LOOKS: u64 = 64;
 
 /// Pages that a walker walks on.
 enum Ground<'py> {
@@ -43,6 +42,8 @@ impl<'py> Ground<'py> {
 /// A pawn with gravity that walks on floors and stairs and minds walls and ledges. Its path does not depend on the
 /// frame rate.
 ///
+/// While :meth:`path` runs, any other use of the walker, in another thread or in a signal handler, raises RuntimeError.
+///
 /// Args:
 ///     feet: ``x, y, z`` of the middle of its bottom face (m); a pawn in the air falls
 ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
@@ -61,8 +62,12 @@ impl<'py> Ground<'py> {
 /// ...     report = walker.step(archive, 1 / 60, direction=(1, 0))
 /// >>> report.state, round(walker.feet[0], 1)
 /// ('walking', 2.4)
-#[pyclass(module = "slicewalk")]
+#[pyclass(frozen, module = "slicewalk")]
 pub struct Walker {
+    walking: Mutex<Walking>,
+}
+
+struct Walking {
     walker: Pawn3,
     /// Hints, and the stream that they are for.
     hints: Option<(Weak<Inner>, Hints)>,
@@ -117,34 +122,35 @@ impl Walker {
         let response = self::response(response)?;
         let config = Config { speed, climb, gravity, max_drop, response, ..Config::new(body(pawn)?) };
         let walker = Pawn3::new(config, numbers::<3>(feet, "feet")?.into()).map_err(Failure::from)?;
-        Ok(Self { walker, hints: None })
+        Ok(Self { walking: Mutex::new(Walking { walker, hints: None }) })
     }
 
     /// Middle of the bottom face: ``x, y, z`` (m).
     #[getter]
-    fn feet(&self) -> (f64, f64, f64) {
-        let feet = self.walker.feet();
-        (feet.x, feet.y, feet.z)
+    fn feet(&self) -> PyResult<(f64, f64, f64)> {
+        let feet = self.lock()?.walker.feet();
+        Ok((feet.x, feet.y, feet.z))
     }
 
     /// ``"walking"``, ``"falling"``, ``"blocked"`` or ``"arrived"``.
     #[getter]
-    fn state(&self) -> &'static str {
-        self.walker.state().name()
+    fn state(&self) -> PyResult<&'static str> {
+        Ok(self.lock()?.walker.state().name())
     }
 
     /// Speed of fall (m/s).
     #[getter]
-    fn falling(&self) -> f64 {
-        self.walker.falling()
+    fn falling(&self) -> PyResult<f64> {
+        Ok(self.lock()?.walker.falling())
     }
 
     /// Moves the pawn to another place, within ±10⁹ m, at rest.
-    fn place(&mut self, feet: &Bound<'_, PyAny>) -> PyResult<()> {
+    fn place(&self, feet: &Bound<'_, PyAny>) -> PyResult<()> {
         let place = numbers::<3>(feet, "feet")?;
-        self.walker.place(place.into());
+        let mut walking = self.lock()?;
+        walking.walker.place(place.into());
         // The walker ignores other places.
-        if self.walker.feet() != place.into() {
+        if walking.walker.feet() != place.into() {
             return Err(refuse("feet", format!("expected numbers within ±1e9 m, found {}", short(feet))));
         }
         Ok(())
@@ -163,7 +169,7 @@ impl Walker {
     ///     :class:`StepReport`. If pages are missing, the pawn waits in place and ``report.waits`` is true
     #[pyo3(signature = (pages, dt, *, direction=None, toward=None))]
     fn step<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         pages: &Bound<'py, PyAny>,
         #[pyo3(from_py_with = argument::dt)] dt: f64,
@@ -183,14 +189,14 @@ impl Walker {
         let done = match &pages {
             Ground::Pages(pages) => {
                 let set = pages.get().set.pages(py)?;
-                self.walker.step(set, dt, wish)
+                self.lock()?.walker.step(set, dt, wish)
             }
             Ground::Stream(stream) => {
-                let inner = stream.get().inner()?;
-                let motion_hint = self.walker.motion_hint(inner.archive().frame());
-                let hints = self.hints_for(stream.get(), &inner)?;
+                let (inner, mut walking) = (stream.get().inner()?, self.lock()?);
+                let motion_hint = walking.walker.motion_hint(inner.archive().frame());
+                let hints = walking.hints_for(stream.get(), &inner)?;
                 hints.with(|pawn| pawn.hint(&motion_hint))?;
-                let done = self.walker.step(&inner.snapshot(), dt, wish);
+                let done = walking.walker.step(&inner.snapshot(), dt, wish);
                 if let Some(missing) = &done.missing {
                     hints.with(|pawn| pawn.need(missing))?;
                 }
@@ -214,6 +220,7 @@ impl Walker {
     ///
     /// Raises:
     ///     NotLoadedError: a page of a view is not in memory
+    ///     MemoryError: the system lacks memory for the frames
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> path = slicewalk.Walker((1, 1, 0.1)).path(archive, [(7, 1), (7, 5)])
@@ -221,7 +228,7 @@ impl Walker {
     /// ('arrived', 3, array([7., 5., 0.]))
     #[pyo3(signature = (pages, waypoints, *, hz=60.0, max_seconds=300.0))]
     fn path<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         pages: &Bound<'py, PyAny>,
         waypoints: &Bound<'py, PyAny>,
@@ -238,10 +245,11 @@ impl Walker {
         let mut route = Waypoints::new(places(waypoints)?).map_err(Failure::from)?;
         let most = (max_seconds * hz).ceil().max(1.0) as u64;
         let walk = Walk { frame_s: 1.0 / hz, most };
-        let frames = match &pages {
+        let mut walking = self.lock()?;
+        let walker = &mut walking.walker;
+        let Frames { feet, states } = match &pages {
             Ground::Pages(pages) => {
                 let set = pages.get().set.pages(py)?;
-                let walker = &mut self.walker;
                 attended(py, &Audience::default(), pages.get().name(), |monitor| {
                     walk.frames(monitor, walker, |walker, dt| follow(walker, set, dt, &mut route))
                 })?
@@ -250,36 +258,48 @@ impl Walker {
                 let (ground, name) = (stream.get(), stream.get().name());
                 let stream = ground.inner()?;
                 let mut hints = stream.pawn();
-                let walker = &mut self.walker;
                 attended(py, &Audience::default(), name, |monitor| {
                     let frame = *stream.archive().frame();
                     stream.load_around(&walker.motion_hint(&frame))?;
                     walk.frames(monitor, walker, |walker, dt| {
-                        ground.inner()?;
                         hints.hint(&walker.motion_hint(&frame));
-                        stream.settle(Duration::from_secs_f64(dt));
+                        ground.settled(&stream, Duration::from_secs_f64(dt), monitor)?;
                         follow_loading(walker, &stream, dt, &mut route)
                     })
                 })?
             }
         };
-        let count = frames.len();
-        let times: Vec<f64> = (1..=count).map(|frame| frame as f64 / hz).collect();
-        let feet: Vec<f64> = frames.iter().flat_map(|frame| frame.0).collect();
-        let codes: Vec<u8> = frames.iter().map(|frame| frame.1 as u8).collect();
-        let feet = feet.into_pyarray(py).reshape([count, 3])?;
+        let (count, mut times) = (states.len(), Vec::new());
+        reserve(&mut times, count, || format!("the times of {count} frames"))?;
+        times.extend((1..=count).map(|frame| frame as f64 / hz));
+        let feet = feet.into_flattened().into_pyarray(py).reshape([count, 3])?;
         py.import("slicewalk._results")?
             .getattr("Path")?
-            .call_method1("_of", (times.into_pyarray(py), feet, codes.into_pyarray(py), route.next()))
+            .call_method1("_of", (times.into_pyarray(py), feet, states.into_pyarray(py), route.next()))
     }
 
     fn __repr__(&self) -> String {
-        let feet = self.walker.feet();
-        format!("<slicewalk.Walker {} at ({}, {}, {})>", self.walker.state().name(), feet.x, feet.y, feet.z)
+        let Ok(walking) = self.lock() else { return "<slicewalk.Walker on a path>".into() };
+        let (feet, state) = (walking.walker.feet(), walking.walker.state().name());
+        format!("<slicewalk.Walker {state} at ({}, {}, {})>", feet.x, feet.y, feet.z)
     }
 }
 
 impl Walker {
+    /// Returns the pawn, unless a path of it runs.
+    fn lock(&self) -> PyResult<MutexGuard<'_, Walking>> {
+        match self.walking.try_lock() {
+            Ok(walking) => Ok(walking),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => {
+                let reason = "walker: its path has not ended yet; wait for the end, or use one walker for each thread";
+                Err(PyRuntimeError::new_err(reason))
+            }
+        }
+    }
+}
+
+impl Walking {
     /// Returns the hints for this stream.
     fn hints_for(&mut self, stream: &Stream, inner: &Arc<Inner>) -> PyResult<Hints> {
         let known = self.hints.take().filter(|(own, _)| own.as_ptr() == Arc::as_ptr(inner));
@@ -317,8 +337,25 @@ struct Walk {
     most: u64,
 }
 
-/// Feet (m) and state after a frame.
-type Frame = ([f64; 3], State);
+/// Feet (m) and state after each frame.
+#[derive(Default)]
+struct Frames {
+    feet: Vec<[f64; 3]>,
+    states: Vec<u8>,
+}
+
+impl Frames {
+    fn push(&mut self, feet: [f64; 3], state: State) -> PyResult<()> {
+        let reserved = self.feet.try_reserve(1).and_then(|()| self.states.try_reserve(1));
+        reserved.map_err(|_| {
+            let count = self.states.len();
+            PyMemoryError::new_err(format!("no memory for a path of over {count} frames; lower hz or max_seconds"))
+        })?;
+        self.feet.push(feet);
+        self.states.push(state as u8);
+        Ok(())
+    }
+}
 
 impl Walk {
     fn frames(
@@ -326,15 +363,15 @@ impl Walk {
         monitor: &dyn Monitor,
         walker: &mut Pawn3,
         mut frame: impl FnMut(&mut Pawn3, f64) -> Result<(), Failure>,
-    ) -> Result<Vec<Frame>, Failure> {
-        let (mut frames, mut blocked) = (Vec::new(), 0.0);
-        for number in 0..self.most {
-            if number % BETWEEN_LOOKS == 0 && monitor.cancelled() {
+    ) -> Result<Frames, Failure> {
+        let (mut frames, mut blocked) = (Frames::default(), 0.0);
+        for _ in 0..self.most {
+            if monitor.cancelled() {
                 return Err(Error::Interrupted.into());
             }
             frame(walker, self.frame_s)?;
             let (feet, state) = (walker.feet(), walker.state());
-            frames.push(([feet.x, feet.y, feet.z], state));
+            frames.push(feet.into(), state)?;
             blocked = if state == State::Blocked { blocked + self.frame_s } else { 0.0 };
             if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
                 break;

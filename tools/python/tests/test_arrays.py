@@ -197,12 +197,14 @@ def limited(script, folder):
     """Run a script in a process with 2 GiB of address space beyond that of its imports."""
     head = """
         import pathlib, re, resource, numpy as np, slicewalk
-        size = int(re.search(r"VmSize:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]) << 10
+        def size():
+            return int(re.search(r"VmSize:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]) << 10
+        before = size()
         archive = slicewalk.open("rubble.slices")
         stream = slicewalk.Stream(archive, "16MiB")
         archive.load()
         low, high = archive.bounds
-        resource.setrlimit(resource.RLIMIT_AS, (size + (2 << 30),) * 2)
+        resource.setrlimit(resource.RLIMIT_AS, (before + (2 << 30),) * 2)
     """
     code = textwrap.dedent(head) + textwrap.dedent(script)
     return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=300)
@@ -235,6 +237,23 @@ def test_memory_that_cannot_be_had_is_an_error(folder, rubble, work):
     done = limited(script, folder)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("MemoryError"), done.stdout + done.stderr
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
+def test_a_path_without_memory_for_its_frames_is_an_error(folder, rubble):
+    # Beside the scan the pawn falls for ever. Smaller limits end the path sooner.
+    script = """
+        walker = slicewalk.Walker((1000, 1000, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (size() + (128 << 20),) * 2)
+        try:
+            walker.path(archive, [(0, 0)], hz=1e5, max_seconds=1e6)
+        except MemoryError as error:
+            print("MemoryError", error)
+        assert walker.state == "falling"
+    """
+    done = limited(script, folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("MemoryError no memory for a path of over "), done.stdout + done.stderr
 
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")

@@ -143,6 +143,30 @@ def test_cancelled_work_goes_on_with_the_next_call(scans, tmp_path, client):
     assert os.listdir(tmp_path) == ["out.slices"]
 
 
+@pytest.mark.parametrize("option", ["free_space", "remove_moving"])
+def test_parts_get_the_stations(folder, tmp_path, client, option):
+    room, table = folder / "room.las", tmp_path / "stations.csv"
+
+    def equals_a_single_run(**more):
+        given = {option: True, "stations": table, **tiles.OPTIONS}
+        slicewalk.convert(room, tmp_path / "single.slices", force=True, **given)
+        report = sut.convert(room, tmp_path / "out.slices", client, parts=2, force=True, **given, **more)
+        assert (tmp_path / "out.slices").read_bytes() == (tmp_path / "single.slices").read_bytes()
+        return report
+
+    def enough(stage, *_):
+        if stage == "verify":
+            raise KeyboardInterrupt
+
+    table.write_text("file,x,y,z\nroom.las,4,3,1.5\n")
+    with pytest.raises(KeyboardInterrupt):
+        equals_a_single_run(progress=enough)
+    # Steps of other stations are of no use.
+    table.write_text("file,x,y,z\nroom.las,2,2,1.2\n")
+    assert equals_a_single_run()["skipped"] == 0
+    assert sorted(os.listdir(tmp_path)) == ["out.slices", "single.slices", "stations.csv"]
+
+
 def test_errors_of_workers_come_with_their_facts_and_a_repaired_input_converts(scans, tmp_path, client):
     inputs = [Path(shutil.copy(path, tmp_path)) for path in scans[0]]
     good = inputs[5].read_bytes()
@@ -234,24 +258,36 @@ def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path
     ("options", "error", "says"),
     [
         ({"memory": "lots"}, slicewalk.ParameterError, "memory: expected a whole number of bytes, .* found 'lots'"),
-        ({"memory": 1e9}, slicewalk.ParameterError, "memory: expected a whole number of bytes, .* found 1000000000.0"),
+        ({"memory": 1e9}, slicewalk.ParameterTypeError, "memory: expected a whole number of bytes, .* 1000000000.0"),
+        ({"memory": True}, slicewalk.ParameterTypeError, "memory: expected a whole number of bytes, .* found True"),
         ({"memory": 5}, slicewalk.ParameterError, "64MiB"),
         ({"pixel": -1}, slicewalk.ParameterError, "pixel"),
         ({"pixels": 1}, TypeError, "pixels"),
         ({"exclude_class": "7,x"}, slicewalk.ParameterError, "exclude_class: "),
         ({"drop_isolated": True, "drop_floaters": 3}, slicewalk.ParameterError, "drop_isolated: "),
-        ({"parts": 2.5}, slicewalk.ParameterError, "parts: expected a whole number"),
-        ({"threads": "1"}, slicewalk.ParameterError, "threads: expected a whole number"),
-        ({"client": None}, slicewalk.ParameterError, "client: expected a synchronous .*Client, found None"),
+        ({"parts": 2.5}, slicewalk.ParameterTypeError, "parts: expected a whole number"),
+        ({"threads": "1"}, slicewalk.ParameterTypeError, "threads: expected a whole number"),
+        ({"fan_in": None}, slicewalk.ParameterTypeError, "fan_in: expected a whole number, 2 or more, found None"),
+        ({"patience": "600"}, slicewalk.ParameterTypeError, "patience: expected seconds, 0 or more, found '600'"),
+        ({"patience": float("nan")}, slicewalk.ParameterError, "patience: expected seconds, 0 or more, found nan"),
+        ({"patience": -1}, slicewalk.ParameterError, "patience: expected seconds, 0 or more, found -1"),
+        ({"progress": 3}, slicewalk.ParameterTypeError, "progress: expected a function, or None, found 3"),
+        ({"force": 1}, slicewalk.ParameterTypeError, "force: expected True or False, found 1"),
+        ({"temp_dir": 5}, slicewalk.ParameterTypeError, "temp_dir: expected a path, found 5"),
+        ({"free_space": True, "stations": 5}, slicewalk.ParameterTypeError, "stations: expected a path, found 5"),
+        ({"free_space": True, "stations": "none.csv"}, slicewalk.MissingFileError, "none.csv: cannot read"),
+        ({"output": None}, slicewalk.ParameterTypeError, "output: expected a path, found None"),
+        ({"client": None}, slicewalk.ParameterTypeError, "client: expected a synchronous .*Client, found None"),
         ({"inputs": "none.las"}, slicewalk.Error, "none.las"),
         ({"inputs": []}, slicewalk.ParameterError, "inputs: "),
-        ({"inputs": 5}, TypeError, "inputs: "),
+        ({"inputs": 5}, slicewalk.ParameterTypeError, "inputs: expected a path, or several, found 5"),
+        ({"inputs": [b"a.las"]}, slicewalk.ParameterTypeError, "inputs: item 0: expected a path, found b'a.las'"),
     ],
 )
 def test_errors_before_the_first_step_leave_nothing(scans, tmp_path, client, options, error, says):  # noqa: PLR0917
-    given = {"parts": 2, "memory": "64MiB", "client": client, "inputs": scans[0], **tiles.OPTIONS, **options}
+    given = {"parts": 2, "memory": "64MiB", "client": client, "inputs": scans[0], **tiles.OPTIONS}
     with pytest.raises(error, match=says):
-        sut.convert(output=tmp_path / "out.slices", **given)
+        sut.convert(**{"output": tmp_path / "out.slices", **given, **options})
     assert os.listdir(tmp_path) == []
 
 

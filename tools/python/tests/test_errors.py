@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
 import pickle
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 import slicewalk
 
 BOX, NAN = [[3, 2, 0.5, 3.5, 2.5, 1.8]], float("nan")
-START = (1, 1, 0.1)
+START, RAY = (1, 1, 0.1), [[4, 3, 1.2, 1, 0, 0, 2]]
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +24,13 @@ def streamed(call):
     def run(room):
         with slicewalk.Stream(room, "16MiB") as stream:
             call(stream)
+
+    return run
+
+
+def seen(call):
+    def run(room):
+        call(slicewalk.open(pathlib.Path(room.path).with_name("seen.slices")).seen_space())
 
     return run
 
@@ -43,6 +52,12 @@ VALUES = {
     "bounds": lambda room: room.region([NAN] * 6),
     "start": lambda room: room.reach((NAN, 0, 0)),
     "goal": lambda room: room.route(START, (1, 2)),
+    "goal nested": lambda room: room.route(START, [(1, 2, 3)]),
+    "goal huge": lambda room: room.route(START, (1, 2, 10**400)),
+    "bounds huge": lambda room: room.region([10**400] * 6),
+    "bounds of a grid": lambda room: slicewalk.to_occupancy_grid(room, 0, bounds=[10**400] * 6),
+    "pawn": lambda room: room.reach(START, pawn="box:1"),
+    "distances": seen(lambda space: space.rays(RAY, [[1], [1, 2]])),
     "feet": lambda _: slicewalk.Walker((NAN, 0, 0)),
     "feet far": lambda _: slicewalk.Walker((1e300, 0, 0)),
     "speed": lambda _: slicewalk.Walker(START, speed=-1),
@@ -75,6 +90,26 @@ TYPES = {
     "response": lambda _: slicewalk.Walker(START, response=None),
     "speed": lambda _: slicewalk.Walker(START, speed="fast"),
     "pages": lambda _: slicewalk.Walker(START).step(None, 0.1),
+    "pawn": lambda room: room.reach(START, pawn=3),
+    "pawn sizes": lambda _: slicewalk.Walker(START, pawn=(0.5, 0.5, 1.8)),
+    "bounds": lambda room: room.region(None),
+    "bounds text": lambda room: room.region("room"),
+    "bounds elements": lambda room: room.region([[0, 0, 0], [1, 1, None]]),
+    "start": lambda room: room.reach(5),
+    "goal": lambda room: room.route(START, ("1", "1", "0")),
+    "feet": lambda _: slicewalk.Walker(5),
+    "feet later": lambda _: slicewalk.Walker(START).place(None),
+    "direction": lambda room: slicewalk.Walker(START).step(room, 0.1, direction=1),
+    "toward": lambda room: slicewalk.Walker(START).step(room, 0.1, toward="there"),
+    "waypoints": lambda room: slicewalk.Walker(START).path(room, "there"),
+    "box": streamed(lambda stream: stream.body().hint(1, (0, 0, 0))),
+    "velocity": streamed(lambda stream: stream.body().hint(BOX[0], None)),
+    "distances": seen(lambda space: space.rays(RAY, ["far"])),
+    "z": lambda room: slicewalk.to_occupancy_grid(room, "high"),
+    "climb of a grid": lambda room: slicewalk.to_occupancy_grid(room, 0, climb=True),
+    "pawn of a grid": lambda room: slicewalk.to_occupancy_grid(room, 0, pawn=3),
+    "bounds of a grid": lambda room: slicewalk.to_occupancy_grid(room, 0, bounds="room"),
+    "bounds of a tree": lambda room: slicewalk.to_octomap(room, "a.bt", bounds=[None] * 6),
     "dt": lambda room: slicewalk.Walker(START).step(room, None),
     "hz": lambda room: slicewalk.Walker(START).path(room, [(1, 2)], hz="60"),
     "archive": lambda _: slicewalk.Stream("room.slices", "16MiB"),
@@ -150,3 +185,21 @@ def test_a_file_that_cannot_be_written_is_named(room, tmp_path):
     with pytest.raises(slicewalk.MissingFileError):
         grid.save(tmp_path / "none" / "a")
     assert [path.name for path in tmp_path.iterdir()] == ["a.bt"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs permissions")
+def test_a_new_file_has_the_permissions_of_any_and_another_no_more_than_what_it_replaces(tmp_path):
+    grid = slicewalk.OccupancyGrid(np.zeros((1, 1), np.int8), 0.1, (0.0, 0.0))
+
+    def modes():
+        grid.save(tmp_path / "a")
+        return [(tmp_path / name).stat().st_mode & 0o777 for name in ("a.pgm", "a.yaml")]
+
+    before = os.umask(0o027)
+    try:
+        assert modes() == [0o640, 0o640]
+        (tmp_path / "a.pgm").chmod(0o600)
+        (tmp_path / "a.yaml").chmod(0o666)
+        assert modes() == [0o600, 0o640]
+    finally:
+        os.umask(before)

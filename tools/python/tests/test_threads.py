@@ -119,35 +119,95 @@ def test_a_stream_can_be_closed_after_a_fork(rubble):
         assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 0
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer")
+def interrupted(work, handler):
+    """Do some work, which a signal handler interrupts soon."""
+    before = signal.signal(signal.SIGALRM, handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+        work()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def check_that_signals_end(work):
+    """Check that an exception of a signal handler ends some work before its own end."""
+
+    def stop(*_):
+        raise KeyError
+
+    start = time.perf_counter()
+    work()
+    whole = time.perf_counter() - start
+    if whole < 0.2:
+        pytest.skip("too fast to be stopped")
+    start = time.perf_counter()
+    with pytest.raises(KeyError):
+        interrupted(work, stop)
+    assert time.perf_counter() - start < 0.75 * whole
+
+
+HAS_TIMER = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer")
+
+
+@HAS_TIMER
 def test_a_region_hears_signals(tmp_path):
     axes = [np.arange(100) * 0.1 + 0.05] * 3
     with slicewalk.Writer(tmp_path / "solid.slices", pixel=0.1, slice=0.1) as writer:
         writer.write(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3))
     archive = slicewalk.open(tmp_path / "solid.slices")
     archive.load()
-    start = time.perf_counter()
     assert archive.region(archive.bounds).occupied.all()
-    whole = time.perf_counter() - start
-    if whole < 0.2:
-        pytest.skip("too fast to be stopped")
+    check_that_signals_end(lambda: archive.region(archive.bounds))
 
-    def stop(*_):
+
+@HAS_TIMER
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_batch_hears_signals(tmp_path, threads):
+    # A solid cube of 10 m: one voxel in each pixel, with a point at either end.
+    x, y, z = np.meshgrid(np.arange(100) * 0.1 + 0.05, np.arange(100) * 0.1 + 0.05, [0.01, 9.99])
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    archive = slicewalk.from_numpy(points, tmp_path / "cube.slices", pixel=0.1, slice=10)
+    # In its middle, thousands of pixels are as near as the surface.
+    assert archive.nearest_surfaces([[5, 5, 5]], 6.0).distance[0] == pytest.approx(-5, abs=0.1)
+    places = np.full((5000, 3), 5.0)
+    if threads == 2:
+        # The calling thread answers the first half, which is far from everything, and waits for the other thread.
+        half = 1 << 13
+        places = np.vstack([np.full((half, 3), 1000.0), places, np.full((half - len(places), 3), 1000.0)])
+    check_that_signals_end(lambda: archive.nearest_surfaces(places, 6.0, threads=threads))
+
+
+@HAS_TIMER
+def test_a_walker_on_a_path_refuses_all_other_uses(folder):
+    room, walker = slicewalk.open(folder / "room.slices"), slicewalk.Walker((1, 1, 0.1))
+    room.load()
+    refused = []
+
+    def interrupt(*_):
+        if repr(walker) != "<slicewalk.Walker on a path>":
+            # The path has not begun.
+            signal.setitimer(signal.ITIMER_REAL, 0.01)
+            return
+        for use in (
+            lambda: walker.feet,
+            lambda: walker.state,
+            lambda: walker.falling,
+            lambda: walker.place((1, 1, 0.1)),
+            lambda: walker.step(room, 0.1),
+            lambda: walker.path(room, [(1, 1)]),
+        ):
+            with pytest.raises(RuntimeError, match=r"^walker: its path has not ended yet; ") as raised:
+                use()
+            refused.append(raised.value)
         raise KeyError
 
-    def ask():
-        signal.setitimer(signal.ITIMER_REAL, 0.01)
-        archive.region(archive.bounds)
-
-    before = signal.signal(signal.SIGALRM, stop)
-    try:
-        start = time.perf_counter()
-        with pytest.raises(KeyError):
-            ask()
-        assert time.perf_counter() - start < 0.75 * whole
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+    # Keeps turning.
+    waypoints = np.tile([(1.0, 1.0), (7.0, 5.0)], (100_000, 1))
+    with pytest.raises(KeyError):
+        interrupted(lambda: walker.path(room, waypoints, hz=1000, max_seconds=1e6), interrupt)
+    assert len(refused) == 6
+    assert walker.path(room, [walker.feet[:2]]).state == "arrived"
 
 
 @pytest.mark.parametrize("first", ["", "import slicewalk"])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
-import os
 import reprlib
-import tempfile
+import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +15,11 @@ import numpy as np
 
 from slicewalk._slicewalk import Pages, Writer
 from slicewalk._slicewalk import open as open_archive
-from slicewalk.errors import FileError, LimitError, MissingFileError, ParameterError, ParameterTypeError
+from slicewalk.errors import LimitError, ParameterError, ParameterTypeError, file_error
 
 if TYPE_CHECKING:
+    import os
+
     from numpy.typing import ArrayLike, NDArray
     from typing_extensions import Unpack
 
@@ -39,22 +41,24 @@ def _path(given: str | os.PathLike[str]) -> Path:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Write a file all or nothing: beside its target, then renamed."""
+    """Write a file all or nothing: beside its target, then renamed.
+
+    A new file gets the default permissions; one that replaces another is at most as open as that file was.
+    """
+    made = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}"
     try:
-        handle, made = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        mode = 0o666
+        with contextlib.suppress(FileNotFoundError):
+            mode = path.stat().st_mode & 0o666 | 0o600
+        made.touch(mode, exist_ok=False)
         try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-            Path(made).chmod(0o644)
-            Path(made).replace(path)
+            made.write_bytes(data)
+            made.replace(path)
         except BaseException:
-            Path(made).unlink(missing_ok=True)
+            made.unlink(missing_ok=True)
             raise
     except OSError as error:
-        kind = MissingFileError if isinstance(error, FileNotFoundError) else FileError
-        facts = {"path": str(path), "errno": error.errno, "strerror": error.strerror, "action": "write"}
-        # Without the error of the system, which names the temporary file.
-        raise kind(f"{path}: cannot write: {error.strerror}", **facts) from None
+        raise file_error(str(path), "write", error) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +104,26 @@ class OccupancyGrid:
 
 def _numbers(name: str, given: Any, count: int, expected: str) -> NDArray[np.float64]:
     """Return finite numbers, or raise an error that names the argument."""
+
+    def wrong(kind: type[ParameterError]) -> ParameterError:
+        return kind(f"{name}: expected {expected}, found {reprlib.repr(given)}", at=name)
+
     try:
         # numpy drops masks.
         array = np.empty(0) if np.ma.is_masked(given) else np.asarray(given)
         # Texts would be parsed, and truth values would count as numbers.
-        numbers = array.astype(np.float64) if array.dtype.kind in "iufO" else np.empty(0)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
+        is_type = array.dtype.kind in "iufO" and (count == 1 or array.ndim > 0)
+        # None would become NaN.
+        is_type = is_type and not (array.dtype.kind == "O" and None in array.ravel().tolist())
+        numbers = array.astype(np.float64) if is_type else np.empty(0)
+    except TypeError:
+        is_type = False
+    except (ValueError, OverflowError):
+        is_type, numbers = True, np.empty(0)
+    if not is_type:
+        raise wrong(ParameterTypeError)
     if numbers.size != count or not np.isfinite(numbers).all():
-        raise ParameterError(f"{name}: expected {expected}, found {reprlib.repr(given)}", at=name)
+        raise wrong(ParameterError)
     return numbers.ravel()
 
 

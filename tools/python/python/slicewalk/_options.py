@@ -44,6 +44,9 @@ class ClusterOptions(_ArchiveOptions, total=False):
     fill_holes: float | Literal["auto"] | None
     up: Literal["auto", "z", "y", "x", "-z", "-y", "-x"]
     exclude_class: str | int | Iterable[int]
+    remove_moving: bool
+    free_space: bool
+    stations: StrPath | None
     units: float | Literal["auto", "m", "ft", "us-ft"]
     scale_from: tuple[Place, Place, float]
     transform: StrPath | None
@@ -61,10 +64,6 @@ class ClusterOptions(_ArchiveOptions, total=False):
 
 class PlanOptions(ClusterOptions, _WorkOptions, total=False):
     """Options of `write_plan`."""
-
-    remove_moving: bool
-    free_space: bool
-    stations: StrPath | None
 
 
 class ConvertOptions(PlanOptions, total=False):

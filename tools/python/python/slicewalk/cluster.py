@@ -37,7 +37,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, TypeGuard, Unpack
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex, TypeGuard, Unpack
 
 import slicewalk
 from slicewalk import _slicewalk
@@ -50,6 +50,7 @@ from slicewalk.errors import (
     ParameterRangeError,
     ParameterTypeError,
     SlicewalkWarning,
+    file_error,
 )
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ class _Job:
     memory: int | None
     threads: int
     temp_dir: str | None
+    stations: str | None
     allow_incomplete: bool
     version: str
 
@@ -155,7 +157,8 @@ def convert(  # noqa: PLR0913
             invalid otherwise. It needs space for the parts and the whole archive
         temp_dir: folder for temporary data on the workers; by default that of the Dask worker, which removes the files
             of a killed worker
-        options: those of `slicewalk.write_plan`, which runs on the client: with ``pixel="auto"`` it reads all points
+        options: those of `slicewalk.write_plan`, which runs on the client: with ``pixel="auto"`` it reads all points.
+            ``stations`` is a file that the workers see too
 
     Returns:
         ``parts``; ``retries`` (steps that ran again, because their worker was lost or a file could not be read or
@@ -178,11 +181,23 @@ def convert(  # noqa: PLR0913
     """
     started = time.monotonic()
     if not isinstance(client, distributed.Client) or client.asynchronous:
-        raise ParameterError(f"client: expected a synchronous distributed.Client, found {client!r}", at="client")
-    _check_number("parts", parts, 1, _MOST_PARTS)
+        kind = ParameterError if isinstance(client, distributed.Client) else ParameterTypeError
+        raise kind(f"client: expected a synchronous distributed.Client, found {client!r}", at="client")
+    if parts is not None:
+        _check_number("parts", parts, 1, _MOST_PARTS)
     _check_number("threads", threads, 1)
     _check_number("fan_in", fan_in, 2)
     _check_number("failures", failures, 0)
+    _check_seconds("patience", patience)
+    if progress is not None and not callable(progress):
+        raise ParameterTypeError(f"progress: expected a function, or None, found {progress!r}", at="progress")
+    if not isinstance(force, bool):
+        raise ParameterTypeError(f"force: expected True or False, found {force!r}", at="force")
+    scratch = None if temp_dir is None else _path("temp_dir", temp_dir)
+    table = options.get("stations")
+    stations = None if table is None else os.path.abspath(_path("stations", table))
+    # The plan lacks the stations, but the parts depend on them.
+    seen_from = b"" if stations is None else _content(stations)
     budget = None if memory is None else _bytes(memory)
     target = _checked_target(output, force)
     folder = _work(target, work)
@@ -192,7 +207,7 @@ def convert(  # noqa: PLR0913
     run = uuid.uuid4().hex[:12]
     with _at_work(folder, run, output, force):
         plan, planned = _plan(folder, paths, plan_options, progress)
-        key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode() + seen_from).hexdigest()[:16]
         _put(folder / f"{key}-inputs.json", json.dumps(paths))
         _put(folder / f"{key}-plan.json", plan)
         job = _Job(
@@ -202,7 +217,8 @@ def convert(  # noqa: PLR0913
             count=count,
             memory=budget,
             threads=threads,
-            temp_dir=None if temp_dir is None else os.fspath(temp_dir),
+            temp_dir=scratch,
+            stations=stations,
             allow_incomplete=bool(options.get("allow_incomplete")),
             version=slicewalk.__version__,
         )
@@ -245,8 +261,25 @@ def discard(output: StrPath, work: StrPath | None = None) -> bool:
 # ---- files
 
 
+def _path(name: str, given: object) -> str:
+    """Return a path as text, or raise an error that names the argument."""
+    path = os.fspath(given) if isinstance(given, (str, os.PathLike)) else None
+    if not isinstance(path, str):
+        raise ParameterTypeError(f"{name}: expected a path, found {given!r}", at=name)
+    return path
+
+
+def _content(path: str) -> bytes:
+    """Return what a file holds."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise file_error(path, "read", error) from None
+
+
 def _target(output: StrPath) -> Path | str:
     """Return the path of a file with links resolved, or an address in a store."""
+    output = _path("output", output)
     if not _is_address(output):
         return Path(os.path.realpath(output))
     parts = urllib.parse.urlsplit(output)
@@ -254,9 +287,7 @@ def _target(output: StrPath) -> Path | str:
 
 
 def _check_number(name: str, value: object, least: int, most: int | None = None) -> None:
-    """Refuse an argument that is neither None nor a whole number from `least` to `most`."""
-    if value is None:
-        return
+    """Refuse an argument that is no whole number from `least` to `most`."""
     expected = f"a whole number, {least} or more" if most is None else f"a whole number from {least} to {most}"
     text = f"{name}: expected {expected}, found {value!r}"
     if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -265,6 +296,15 @@ def _check_number(name: str, value: object, least: int, most: int | None = None)
     if number < 0 or (most is not None and number > most):
         raise ParameterRangeError(text, at=name)
     if number < least:
+        raise ParameterError(text, at=name)
+
+
+def _check_seconds(name: str, value: object) -> None:
+    """Refuse an argument that is no time."""
+    text = f"{name}: expected seconds, 0 or more, found {value!r}"
+    if isinstance(value, bool) or not isinstance(value, SupportsFloat):
+        raise ParameterTypeError(text, at=name)
+    if not float(value) >= 0:
         raise ParameterError(text, at=name)
 
 
@@ -277,7 +317,7 @@ def _work(target: Path | str, work: StrPath | None) -> Path:
     if work is None:
         message = "work: an output in a store needs a folder for the finished steps that client and workers see"
         raise ParameterError(message, at="work")
-    folder = Path(os.path.realpath(work))
+    folder = Path(os.path.realpath(_path("work", work)))
     if not folder.is_dir():
         raise ParameterError(f"work: {work}: expected a folder that is there", at="work")
     name = re.sub(r"[^A-Za-z0-9._-]", "_", target.rpartition("/")[2])[:100]
@@ -288,14 +328,12 @@ def _paths(inputs: StrPath | Iterable[StrPath]) -> list[str]:
     """Return the inputs, with paths made absolute."""
     if isinstance(inputs, (str, os.PathLike)):
         inputs = [inputs]
-    try:
-        given = [path if _is_address(path) else os.path.abspath(path) for path in inputs]
-    except TypeError as error:
-        message = f"inputs: expected a path, or several ({error})"
-        raise ParameterTypeError(message, at="inputs") from None
+    if not isinstance(inputs, Iterable):
+        raise ParameterTypeError(f"inputs: expected a path, or several, found {inputs!r}", at="inputs")
+    given = [_path(f"inputs: item {number}", path) for number, path in enumerate(inputs)]
     if not given:
         raise ParameterError("inputs: expected a path, or several, found none", at="inputs")
-    return given
+    return [path if _is_address(path) else os.path.abspath(path) for path in given]
 
 
 @contextlib.contextmanager
@@ -499,6 +537,7 @@ def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> tuple[boo
             memory=memory,
             threads=job.threads,
             temp_dir=job.temp_dir or scratch,
+            stations=job.stations,
             allow_incomplete=job.allow_incomplete,
             quiet=True,
             force=True,
@@ -569,14 +608,16 @@ def _lost(job: _Job) -> int:
     return sum(1 for path in Path(job.work).iterdir() if path.name.startswith(f"began-{job.run}-"))
 
 
-def _bytes(memory: int | str) -> int:
-    if isinstance(memory, int):
-        return memory
-    try:
-        return int(parse_bytes(memory)) if isinstance(memory, str) else operator.index(memory)
-    except (TypeError, ValueError):
-        message = f'memory: expected a whole number of bytes, or a text such as "512MiB", found {memory!r}'
-        raise ParameterError(message, at="memory") from None
+def _bytes(memory: object) -> int:
+    message = f'memory: expected a whole number of bytes, or a text such as "512MiB", found {memory!r}'
+    if isinstance(memory, str):
+        try:
+            return int(parse_bytes(memory))
+        except ValueError:
+            raise ParameterError(message, at="memory") from None
+    if isinstance(memory, bool) or not isinstance(memory, SupportsIndex):
+        raise ParameterTypeError(message, at="memory")
+    return operator.index(memory)
 
 
 # ---- the client's side

@@ -70,6 +70,13 @@ class MissingFileError(FileError, FileNotFoundError):
     """There is no such file or object."""
 
 
+def file_error(path: str, action: str, error: OSError) -> FileError:
+    """Return the error for a file that the system refuses, without the system's own, which may name another file."""
+    kind = MissingFileError if isinstance(error, FileNotFoundError) else FileError
+    facts = {"path": path, "errno": error.errno, "strerror": error.strerror, "action": action}
+    return kind(f"{path}: cannot {action}: {error.strerror}", **facts)
+
+
 class InputError(Error, ValueError):
     """A scan or mesh cannot be used; `at` says where in it."""
 
