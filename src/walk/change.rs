@@ -27,8 +27,12 @@ impl Walker {
         Ok(())
     }
 
-    /// Returns whether `body` would overlap nothing solid at the pawn's feet. Touching is not overlapping.
+    /// Returns whether `body` would overlap nothing solid at the pawn's feet. Touching is not overlapping. False for a body
+    /// with a size outside the limits of [`Body`].
     pub fn has_room(&self, set: &Snapshot, body: &Body) -> Answer<bool> {
+        if body.check().is_err() {
+            return Answer::Known(false);
+        }
         match body.sweep(set, self.motion.feet, Vector3::zeros()) {
             Answer::Known(hit) => Answer::Known(hit.is_none()),
             Answer::NotLoaded(missing) => Answer::NotLoaded(missing),

@@ -162,6 +162,27 @@ pub(crate) fn pixels_beside(pixel: f64) -> i32 {
     ((BESIDE_M / pixel + 1e-6) as i32).max(1)
 }
 
+/// A step that missing pages may interrupt: the time that is left for it, and what of it has passed.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PendingStep {
+    /// Time that is left (s).
+    left_s: f64,
+    /// Place of the feet where it began; `None` before that.
+    from: Option<Point3<f64>>,
+    /// Ticks that have passed, the length of the moves that were wanted in them (m), and what stopped the last of these.
+    ticks: u32,
+    wanted: f64,
+    stop: Option<Stop>,
+}
+
+impl PendingStep {
+    /// Creates a step of `dt` (s). A `dt` that is negative or not finite counts as 0.
+    pub(crate) fn of(dt: f64) -> Self {
+        let left_s = if dt.is_finite() { dt.max(0.0) } else { 0.0 };
+        Self { left_s, from: None, ticks: 0, wanted: 0.0, stop: None }
+    }
+}
+
 /// Most ticks of one step. Bounds its work however long the frame was: a machine may have slept for hours.
 pub const MOST_TICKS: u32 = 256;
 
@@ -363,23 +384,43 @@ impl Walker {
     /// interactive program drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a
     /// microsecond on a floor at 5 cm.
     pub fn step(&mut self, set: &Snapshot, dt: f64, wish: MoveInput) -> StepReport {
-        self.run(set, dt, |_, _| Some(wish))
+        self.run(set, &mut PendingStep::of(dt), |_, _| Some(wish))
     }
 
     /// Like [`step`](Self::step), but the pawn follows `waypoints`; it has [`Arrived`](State::Arrived) when it is on
     /// its feet at the last one.
     pub fn follow(&mut self, set: &Snapshot, dt: f64, waypoints: &mut Waypoints) -> StepReport {
-        self.run(set, dt, |feet, stalled| waypoints.wish(feet, stalled))
+        self.follow_on(set, &mut PendingStep::of(dt), waypoints)
+    }
+
+    /// Like [`follow`](Self::follow), for a step that missing pages may have interrupted. It continues with the tick that
+    /// needed them, and its last report is that of the whole step, as if all pages had been in memory.
+    pub(crate) fn follow_on(
+        &mut self,
+        set: &Snapshot,
+        step: &mut PendingStep,
+        waypoints: &mut Waypoints,
+    ) -> StepReport {
+        let mut before = waypoints.next;
+        let report = self.run(set, step, |feet, stalled| {
+            before = waypoints.next;
+            waypoints.wish(feet, stalled)
+        });
+        // A postponed tick asks again, and a pawn that stalled has reached one waypoint by that, not two.
+        if report.waits() {
+            waypoints.next = before;
+        }
+        report
     }
 
     /// Runs ticks, each with its own move input; `None` at the end of the waypoints.
     fn run(
         &mut self,
         set: &Snapshot,
-        dt: f64,
+        step: &mut PendingStep,
         mut wish: impl FnMut(Point3<f64>, bool) -> Option<MoveInput>,
     ) -> StepReport {
-        let (from, tick) = (self.motion.feet, self.config.tick_s);
+        let (from, tick) = (*step.from.get_or_insert(self.motion.feet), self.config.tick_s);
         let mut report = StepReport {
             state: self.state,
             stop: None,
@@ -388,18 +429,17 @@ impl Walker {
             ticks: 0,
             moved: Vector3::zeros(),
         };
-        let mut time = self.rest_s + if dt.is_finite() { dt.max(0.0) } else { 0.0 };
-        let mut wanted = 0.0;
+        let mut time = self.rest_s + step.left_s;
         // As many ticks as fit, but for rounding errors.
         while time >= tick * (1.0 - 1e-9) {
-            if report.ticks == MOST_TICKS {
+            if step.ticks == MOST_TICKS {
                 (report.unspent, time) = (time, 0.0);
                 break;
             }
             let (wish, before) = (wish(self.motion.feet, self.stalled), self.motion.feet.xy());
             let way = wish.map_or(Vector2::zeros(), |wish| self.way(wish));
             match self.tick(set, way) {
-                ControlFlow::Continue(stop) => report.stop = stop.or(report.stop),
+                ControlFlow::Continue(stop) => step.stop = stop.or(step.stop),
                 ControlFlow::Break(missing) => {
                     report.missing = Some(missing);
                     (report.unspent, time) = (time, 0.0);
@@ -408,17 +448,18 @@ impl Walker {
             }
             self.note_progress(way, before);
             time = (time - tick).max(0.0);
-            report.ticks += 1;
-            wanted += way.norm();
+            step.ticks += 1;
+            step.wanted += way.norm();
             self.state = match self.motion.ground {
                 Ground::Air => State::Falling,
                 _ if wish.is_none() => State::Arrived,
                 _ => State::Walking,
             };
         }
-        self.rest_s = time;
+        (self.rest_s, step.left_s) = (time, report.unspent);
+        (report.ticks, report.stop) = (step.ticks, step.stop);
         report.moved = self.motion.feet - from;
-        let stands = report.moved.xy().norm() < BLOCKED_BELOW * wanted;
+        let stands = report.moved.xy().norm() < BLOCKED_BELOW * step.wanted;
         if self.state == State::Walking && (stands || self.progress.is_stuck()) {
             self.state = State::Blocked;
         }

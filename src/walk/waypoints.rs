@@ -15,7 +15,7 @@ const EXACT_M: f64 = 1e-15;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Waypoints {
     places: Vec<Point2<f64>>,
-    next: usize,
+    pub(super) next: usize,
 }
 
 impl Waypoints {

@@ -233,6 +233,27 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
 }
 
 #[test]
+fn a_pawn_that_waits_at_a_wall_reaches_one_waypoint_at_a_time() {
+    // The wall begins at 1 m and keeps the pawn 4, 5 and 6 mm from its waypoints.
+    let store = room(2, |(i, _)| i >= 20);
+    let nothing = store.keep_loaded(|_| false);
+    let mut walker = Walker::new(config(BOX), Point3::new(0.5, 0.025, 0.03)).unwrap();
+    let mut way = route(&[0.754, 0.755, 0.756].map(|x| [x, 0.025]));
+    let tick = walker.config().tick_s;
+    for _ in 0..200 {
+        if way.next() == 0 {
+            walker.follow(&store, tick, &mut way);
+        }
+    }
+    for _ in 0..3 {
+        let report = walker.follow(&nothing, tick, &mut way);
+        assert!(report.waits() && way.next() == 1, "{report:?}: {}", way.next());
+    }
+    walker.follow(&store, tick, &mut way);
+    assert_eq!(way.next(), 2);
+}
+
+#[test]
 fn who_asks_for_the_next_place_in_each_tick_walks_as_one_who_follows() {
     let store = room(2, |_| false);
     let pawn = || Walker::new(config(CYLINDER), Point3::new(-1.0, -1.0, 0.03)).unwrap();
