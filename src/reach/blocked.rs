@@ -23,9 +23,9 @@ use crate::query::Answer;
 use crate::seen::SeenSpace;
 use crate::store::{Missing, Snapshot};
 use crate::walk::Body;
-use crate::{Monitor, Result};
+use crate::{Error, Monitor, Result};
 use nalgebra::{Point3, Vector3};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -34,7 +34,7 @@ use std::task::{Context, Poll, Waker};
 /// Ways are at most this many times as long as the straight line, plus a detour (m).
 const LONGEST: f64 = 2.0;
 const DETOUR_M: f64 = 30.0;
-/// Least height of a body, and least height above the climb height (m).
+/// Least height of a body, or half of its own if that is less; and least height above the climb height (m).
 const LOWEST_M: f64 = 0.3;
 const ABOVE_CLIMB_M: f64 = 0.05;
 /// Steepest grade that is tried.
@@ -48,8 +48,10 @@ const PRECISION_M: f64 = 0.01;
 const RAMP_PRECISION_M: f64 = 0.1;
 /// How far a changed pawn may be moved to stand at an end (m).
 const SNAP_M: f64 = 0.5;
-/// Cell in which the nearest ground is looked for (m).
+/// Cell in which the nearest ground is looked for (m), edge of a block of them, and cells between two checks of the monitor.
 const CELL_M: f64 = 1.0;
+const BLOCK: i64 = 16;
+const BETWEEN_LOOKS: usize = 1 << 16;
 
 /// Reason why a pawn does not get to its goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -279,8 +281,12 @@ impl Change {
         let half = pawn.body.half();
         match self {
             Self::Width => [2.0 * half.min(), pixel_m.min(2.0 * half.min()) * half.min() / half.max()],
-            Self::Headroom => [pawn.body.height(), (pawn.climb + ABOVE_CLIMB_M).max(LOWEST_M)],
-            Self::Step => [pawn.climb, (pawn.body.height() - ABOVE_CLIMB_M).min(HIGHEST_STEP_M)],
+            Self::Headroom => {
+                let height = pawn.body.height();
+                let lowest = LOWEST_M.min(height / 2.0).max(pawn.climb + ABOVE_CLIMB_M);
+                [height, lowest.min(height)]
+            }
+            Self::Step => [pawn.climb, (pawn.body.height() - ABOVE_CLIMB_M).min(HIGHEST_STEP_M).max(pawn.climb)],
             Self::Slope if pawn.max_grade.is_finite() => [pawn.max_grade, STEEPEST],
             Self::Ramp if pawn.max_ramp.is_finite() => [pawn.max_ramp, LONGEST_RAMP_M],
             Self::Slope | Self::Ramp => [0.0; 2],
@@ -579,8 +585,11 @@ impl Ways<'_> {
 
     /// Finds where what the pawn reaches from the start comes nearest to what it reaches from the end.
     async fn missing_ground(&self, pawn: &Pawn, own: &Ground) -> Result<Option<Obstruction>> {
-        let beyond = self.reached(pawn, self.ends[1]).await?.map(|reached| Ground::of(&reached.region()));
-        let Some((at, needs)) = beyond.and_then(|beyond| own.nearest(&beyond)) else { return Ok(None) };
+        let nearest = match self.reached(pawn, self.ends[1]).await? {
+            Some(beyond) => own.nearest(&Ground::of(&beyond.region()), self.monitor)?,
+            None => None,
+        };
+        let Some((at, needs)) = nearest else { return Ok(None) };
         // The ground is missing because it is deeper, or because nothing was scanned.
         let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(None) };
         let region = reached.region();
@@ -678,27 +687,44 @@ impl Ground {
     }
 
     /// The place of this ground that is nearest to another ground, and the distance between them (m); of several pairs
-    /// the first by the cells.
-    fn nearest(&self, other: &Self) -> Option<(Point3<f64>, f64)> {
-        let mut cells: Vec<&[i64; 2]> = self.cells.keys().collect();
-        cells.sort_unstable();
-        let along = |axis: usize| {
-            let beyond = other.cells.keys().map(move |cell| cell[axis]);
-            let (first, last) = (beyond.clone().min()?, beyond.max()?);
-            cells.iter().map(|own| (own[axis] - first).abs().max((own[axis] - last).abs())).max()
+    /// the first by the cells. Fails only if `monitor` asks to stop.
+    fn nearest(&self, other: &Self, monitor: &dyn Monitor) -> Result<Option<(Point3<f64>, f64)>> {
+        let (blocks, beyond) = (self.blocks(), other.blocks());
+        let (Some(own), Some(all)) = (around(&blocks), around(&beyond)) else { return Ok(None) };
+        // How far the other ground is at least: in cells along x or y, and in metres.
+        let away = |own: &Extent| {
+            let gaps = beyond.values().map(|other| gaps(own, other));
+            let cells = gaps.clone().map(|[x, y]| x.max(y)).min().unwrap_or(0);
+            // Places may lie at the near sides of their cells.
+            let between = |gap: i64| (gap - 1).max(0) as f64 * CELL_M;
+            let squared = gaps.map(|[x, y]| between(x).powi(2) + between(y).powi(2));
+            (cells, squared.fold(f64::INFINITY, f64::min).sqrt())
         };
-        let furthest = along(0)?.max(along(1)?);
-        let mut best: Option<(Point3<f64>, f64)> = None;
+        let least: BTreeMap<[i64; 2], (i64, f64)> = blocks.iter().map(|(at, own)| (*at, away(own))).collect();
+        let mut cells: Vec<(&[i64; 2], (i64, f64))> = self.cells.keys().map(|at| (at, least[&block(at)])).collect();
+        cells.sort_unstable_by_key(|(at, _)| *at);
+        let nearest = least.values().map(|least| least.0).min().unwrap_or(0);
+        let furthest = (0..2).map(|axis| (all[1][axis] - own[0][axis]).max(own[1][axis] - all[0][axis])).max();
+        let (mut best, mut looks): (Option<(Point3<f64>, f64)>, usize) = (None, 0);
         // The cells of the other ground that are `far` cells away, then those farther off.
-        for far in 0..=furthest {
-            let least = (far - 1).max(0) as f64 * CELL_M;
-            for own in &cells {
-                for [x, y] in ring(far) {
-                    if best.is_some_and(|(_, distance)| distance <= least) {
-                        return best;
+        for far in nearest..=furthest.unwrap_or(0) {
+            if best.is_some_and(|(_, distance)| distance <= (far - 1).max(0) as f64 * CELL_M) {
+                break;
+            }
+            // To ask all blocks pays if they are few, compared with the cells that far away.
+            let is_worth_it = (beyond.len() as i64) < 64 * far;
+            for &(at, least) in &cells {
+                let is_off = |(cells, metres): (i64, f64)| cells > far || best.is_some_and(|(_, best)| best < metres);
+                if is_off(least) || is_worth_it && is_off(away(&[*at; 2])) {
+                    continue;
+                }
+                let own = &self.cells[at];
+                for to in ring(at, far, &all) {
+                    looks += 1;
+                    if looks.is_multiple_of(BETWEEN_LOOKS) && monitor.cancelled() {
+                        return Err(Error::Interrupted);
                     }
-                    let Some(beyond) = other.cells.get(&[own[0] + x, own[1] + y]) else { continue };
-                    let own = &self.cells[*own];
+                    let Some(beyond) = other.cells.get(&to) else { continue };
                     if best.is_some_and(|(_, distance)| distance <= own.least_distance(beyond)) {
                         continue;
                     }
@@ -711,18 +737,123 @@ impl Ground {
                 }
             }
         }
-        best
+        Ok(best)
+    }
+
+    /// The extent of the cells in each block.
+    fn blocks(&self) -> BTreeMap<[i64; 2], Extent> {
+        let mut blocks = BTreeMap::new();
+        for own in self.cells.keys() {
+            extend(blocks.entry(block(own)).or_insert([*own; 2]), &[*own; 2]);
+        }
+        blocks
     }
 }
 
-/// Offsets of the cells on the border of a square around one, in order.
-fn ring(far: i64) -> impl Iterator<Item = [i64; 2]> {
-    (-far..=far).flat_map(move |x| {
-        let step = if x.abs() == far { 1 } else { 2 * far };
-        (-far..=far).step_by(step.max(1) as usize).map(move |y| [x, y])
+/// Lowest and highest cell along x and y.
+type Extent = [[i64; 2]; 2];
+
+fn extend([low, high]: &mut Extent, other: &Extent) {
+    *low = [0, 1].map(|axis| low[axis].min(other[0][axis]));
+    *high = [0, 1].map(|axis| high[axis].max(other[1][axis]));
+}
+
+/// The extent of all blocks; `None` without any.
+fn around(blocks: &BTreeMap<[i64; 2], Extent>) -> Option<Extent> {
+    let mut all = *blocks.values().next()?;
+    blocks.values().for_each(|own| extend(&mut all, own));
+    Some(all)
+}
+
+/// Distances along x and y (cells); 0 where both have the same cells.
+fn gaps(a: &Extent, b: &Extent) -> [i64; 2] {
+    [0, 1].map(|axis| (b[0][axis] - a[1][axis]).max(a[0][axis] - b[1][axis]).max(0))
+}
+
+/// Cells on the border of a square around one, in order, those within an extent.
+fn ring([x, y]: &[i64; 2], far: i64, [low, high]: &Extent) -> impl Iterator<Item = [i64; 2]> + use<> {
+    let ([x, y], [low, high]) = ([*x, *y], [*low, *high]);
+    (low[0].max(x - far)..=high[0].min(x + far)).flat_map(move |to| {
+        let rows = |from: i64, to: i64| from.max(low[1])..=to.min(high[1]);
+        let is_side = (to - x).abs() == far;
+        let first = if is_side { rows(y - far, y + far) } else { rows(y - far, y - far) };
+        // A side is complete.
+        let second = if is_side { rows(1, 0) } else { rows(y + far, y + far) };
+        first.chain(second).map(move |row| [to, row])
     })
+}
+
+fn block(cell: &[i64; 2]) -> [i64; 2] {
+    cell.map(|at| at.div_euclid(BLOCK))
 }
 
 fn cell(at: &Point3<f64>) -> [i64; 2] {
     [at.x, at.y].map(|v| (v / CELL_M).floor() as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoMonitor;
+    use proptest::prelude::*;
+
+    struct Stops;
+
+    impl Monitor for Stops {
+        fn cancelled(&self) -> bool {
+            true
+        }
+    }
+
+    fn ground(places: impl IntoIterator<Item = [f64; 3]>) -> Ground {
+        let mut ground = Ground { pixel_m: 0.1, climb: 0.35, pixels: HashMap::new(), cells: HashMap::new() };
+        for place in places.into_iter().map(Point3::from) {
+            ground.cells.entry(cell(&place)).or_default().add(place);
+        }
+        ground
+    }
+
+    /// Ground with a place in each of 60 × 60 cells from one on.
+    fn square(x: i32, y: i32, z: f64) -> Ground {
+        let all = (x..x + 60).flat_map(|i| (y..y + 60).map(move |j| (i, j)));
+        ground(all.map(|(i, j)| [f64::from(i) + 0.5, f64::from(j) + 0.5, z]))
+    }
+
+    #[test]
+    fn ground_far_off_is_found_at_once_and_a_search_for_it_stops_when_it_is_asked_to() {
+        let own = square(0, 0, 0.0);
+        for (x, y, distance) in [(600, 10, 541.0), (-600, 600, 541.0f64.hypot(541.0)), (20, 70, 11.0), (30, 30, 0.0)] {
+            let (at, found) = own.nearest(&square(x, y, 0.0), &NoMonitor).unwrap().unwrap();
+            assert!((found - distance).abs() < 1e-9 && own.cells.contains_key(&cell(&at)), "{x}, {y}: {found}");
+        }
+        // Along a diagonal, most of its box is empty.
+        let street = ground((0..600).map(|n| [f64::from(n), f64::from(n) - 300.0, 0.0]));
+        let (_, found) = own.nearest(&street, &NoMonitor).unwrap().unwrap();
+        assert!((found - 241.0 * 0.5f64.sqrt()).abs() < 1.0, "{found}");
+        // Far above it, no cell is too far off.
+        assert!(matches!(own.nearest(&square(0, 0, 30.0), &Stops), Err(Error::Interrupted)));
+        let nothing = ground([]);
+        assert_eq!(own.nearest(&nothing, &NoMonitor).unwrap(), None);
+        assert_eq!(nothing.nearest(&own, &NoMonitor).unwrap(), None);
+    }
+
+    proptest! {
+        #[test]
+        fn the_nearest_ground_is_that_of_all_pairs(
+            own in prop::collection::vec(any::<[i8; 3]>(), 1..40),
+            other in prop::collection::vec(any::<[i8; 3]>(), 1..40),
+            apart in 0..300i32,
+        ) {
+            let places = |all: &[[i8; 3]], by: i32| {
+                let place = move |[x, y, z]: &[i8; 3]| [f64::from(*x) * 0.4 + f64::from(by), f64::from(*y) * 0.4, f64::from(*z) * 0.1];
+                all.iter().map(place).collect::<Vec<_>>()
+            };
+            let (own, other) = (places(&own, 0), places(&other, apart));
+            let far = |a: &[f64; 3], b: &[f64; 3]| (Point3::from(*a) - Point3::from(*b)).norm();
+            let least = own.iter().flat_map(|a| other.iter().map(move |b| far(a, b))).fold(f64::INFINITY, f64::min);
+            let (at, found) = ground(own).nearest(&ground(other.clone()), &NoMonitor).unwrap().unwrap();
+            prop_assert_eq!(found, least);
+            prop_assert!(other.iter().any(|b| (at - Point3::from(*b)).norm() == found));
+        }
+    }
 }

@@ -16,7 +16,7 @@
 use super::distance::to_line;
 use super::intervals::Columns;
 use super::pawn::Grid;
-use super::{MOST_SPANS, Needs, Pawn, Planned, Refusal, Route, Stop};
+use super::{Needs, Pawn, Planned, Refusal, Route, Stop};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::query::Answer;
 use crate::store::{PageSlot, Snapshot};
@@ -362,9 +362,9 @@ impl Coarse {
     fn read(&mut self, level: &Snapshot, at: [i32; 2]) -> Needs<Box<[u32]>> {
         let corner = at.map(|at| at * 64);
         let columns = Columns::under(level, &self.grid, corner, corner)?;
-        let spans = columns.spans();
-        if spans > MOST_SPANS || self.nodes.len() + spans >= NO_NODE as usize {
-            return ControlFlow::Break(Stop::Spans(spans));
+        let (spans, most) = columns.spans();
+        if spans > most || self.nodes.len() + spans >= NO_NODE as usize {
+            return ControlFlow::Break(Stop::Spans(spans, most));
         }
         let slots = columns.at(corner[0], corner[1]);
         let units: Vec<i32> = slots.iter().map(unit).collect();

@@ -8,9 +8,10 @@ use super::Region;
 use super::distance::{End, clearances};
 use super::region::NO_PLACE;
 
-/// Length over which the grade of the ground is measured (m), and most pixels to each side.
+/// Length over which the grade of the ground is measured (m), and most pixels to each side: enough for pixels of 1.5 mm,
+/// and so few that no sum overflows.
 const GRADE_M: f64 = 1.0;
-const MOST_PIXELS: i64 = 64;
+const MOST_PIXELS: i64 = 512;
 /// Length over which the grade of a landing is measured (m), and the steepest one: up to 3 %, ground is no ramp (DIN 18040).
 const LANDING_M: f64 = 1.5;
 const LANDING_GRADE: f64 = 0.03;

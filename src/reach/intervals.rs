@@ -5,7 +5,7 @@
 //! set with itself changes nothing (van Herk's windows without the inverse).
 
 use super::pawn::Grid;
-use super::{MOST_PAGES, MOST_SPANS, Needs, Stop};
+use super::{MOST_PAGES, MOST_SPANS, Needs, SPANS_OF_A_PIXEL, Stop};
 use crate::frame::{PAGE_QUANTA, PageKey};
 use crate::store::{Missing, PageSlot, Snapshot, note};
 use std::ops::ControlFlow;
@@ -61,9 +61,9 @@ impl Lists {
     pub fn read(set: &Snapshot, grid: &Grid, corner: [i32; 2], [width, height]: [usize; 2]) -> Needs<(Self, Floors)> {
         let last = [corner[0] + width as i32 - 1, corner[1] + height as i32 - 1];
         let columns = Columns::under(set, grid, corner, last)?;
-        let spans = columns.spans();
-        if spans > MOST_SPANS {
-            return ControlFlow::Break(Stop::Spans(spans));
+        let (spans, most) = columns.spans();
+        if spans > most {
+            return ControlFlow::Break(Stop::Spans(spans, most));
         }
         let mut lists = Self::with_room(width, height, 2 * width * height);
         let mut floors = Floors { width, starts: Vec::with_capacity(width * height + 1), tops: Vec::new() };
@@ -206,16 +206,18 @@ impl<'a> Columns<'a> {
         }
     }
 
-    /// Returns the number of spans in all pages; stops counting after the page that exceeds the limit.
-    pub fn spans(&self) -> usize {
+    /// Returns the number of spans in all pages and the most that are allowed; stops counting after the page that exceeds
+    /// these.
+    pub fn spans(&self) -> (usize, usize) {
+        let most = MOST_SPANS.max(SPANS_OF_A_PIXEL * 64 * 64 * self.slots.len());
         let mut sum = 0;
         for page in self.slots.iter().copied().flatten().filter_map(PageSlot::page) {
             sum += page.span_count();
-            if sum > MOST_SPANS {
+            if sum > most {
                 break;
             }
         }
-        sum
+        (sum, most)
     }
 
     pub fn at(&self, i: i32, j: i32) -> &'a [PageSlot] {

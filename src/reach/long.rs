@@ -26,7 +26,7 @@
 use super::footprints::{ANGLES, DIRECTIONS, Footprints, HEADINGS, kind_of_turn};
 use super::region::{NO_PLACE, Region};
 use super::route::{
-    BETWEEN_LOOKS, DIAGONAL, Follower, KNIGHT, MOST_SEARCHES, STRAIGHT, UNREACHED, Walkers, follow_heights, goes,
+    BETWEEN_LOOKS, DIAGONAL, Follower, Going, KNIGHT, Leg, MOST_SEARCHES, STRAIGHT, UNREACHED, follow_heights,
     least_cost, walkers_at,
 };
 use super::standing::{PlaceId, StandingPlaces};
@@ -143,7 +143,10 @@ struct Trial {
     /// Index of the state of the walkers, and the indices of those to go to, the next one last.
     at: usize,
     next: Vec<usize>,
-    walkers: Option<[Walkers; 3]>,
+    /// Two walkers each at the middle, the front and the rear; `None` until they stand there in the first state.
+    walkers: Option<[Follower; 6]>,
+    /// The same walkers on their way to the next state.
+    going: Option<Going<6>>,
     searches: usize,
 }
 
@@ -392,7 +395,7 @@ impl<R: Borrow<Region>> LongSearch<R> {
         };
         let is_end = |at: &usize| *at + 1 == way.len() || step(*at).is_none() || step(*at) != step(*at - 1);
         let next = (1..way.len()).rev().filter(is_end).collect();
-        Ok(Some(Trial { ends, headings, at: 0, next, walkers: None, searches, way }))
+        Ok(Some(Trial { ends, headings, at: 0, next, walkers: None, going: None, searches, way }))
     }
 
     /// Returns the state in which the cheapest way ends.
@@ -445,82 +448,76 @@ impl<R: Borrow<Region>> LongSearch<R> {
     }
 
     /// Follows a way to its end with walkers. Returns the moves that they could not follow, both ways; none at the end.
+    /// Nothing that was walked is walked again after a wait for pages.
     fn follow(&mut self, set: &Snapshot, trial: &mut Trial) -> Needs<Vec<[u32; 2]>> {
-        let mut walkers = match trial.walkers.take() {
-            Some(walkers) => walkers,
-            None => match self.walkers_at(set, trial, 0)? {
-                Some(walkers) => walkers,
-                None => return ControlFlow::Continue(vec![[trial.way[0]; 2]]),
-            },
-        };
+        if trial.walkers.is_none() {
+            let first = trial.way[0];
+            if trial.going.is_none() {
+                trial.going = self.setting_out(first / HEADINGS as u32);
+            }
+            if !self.walk(set, trial, 0, 0)? {
+                return ControlFlow::Continue(vec![[first; 2]]);
+            }
+            trial.walkers = trial.going.take().map(|going| going.walkers);
+        }
         while let Some(&next) = trial.next.last() {
-            match self.walked(set, trial, walkers.clone(), trial.at, next) {
-                ControlFlow::Break(stop) => {
-                    trial.walkers = Some(walkers);
-                    return ControlFlow::Break(stop);
-                }
-                ControlFlow::Continue(Some(moved)) => {
-                    walkers = moved;
-                    (trial.at, _) = (next, trial.next.pop());
-                }
-                ControlFlow::Continue(None) if next - trial.at > 1 => trial.next.push(trial.at.midpoint(next)),
-                ControlFlow::Continue(None) => {
-                    let [a, b] = [trial.way[trial.at], trial.way[next]];
-                    return ControlFlow::Continue(vec![[a, b], [b, a]]);
-                }
+            if trial.going.is_none() {
+                trial.going = trial.walkers.clone().map(Going::from);
+            }
+            let at = trial.at;
+            let arrive = self.walk(set, trial, at, next)?;
+            let going = trial.going.take();
+            if arrive {
+                trial.walkers = going.map(|going| going.walkers);
+                (trial.at, _) = (next, trial.next.pop());
+            } else if next - at > 1 {
+                trial.next.push(at.midpoint(next));
+            } else {
+                let [a, b] = [trial.way[at], trial.way[next]];
+                return ControlFlow::Continue(vec![[a, b], [b, a]]);
             }
         }
-        trial.walkers = Some(walkers);
         ControlFlow::Continue(Vec::new())
     }
 
-    /// Returns walkers at the middle, the front and the rear of a state, all of which went there from its place; `None`
-    /// if one did not get there.
-    fn walkers_at(&mut self, set: &Snapshot, trial: &Trial, at: usize) -> Needs<Option<[Walkers; 3]>> {
-        let place = trial.way[at] / HEADINGS as u32;
-        let Ok(middle) = walkers_at(self.region(), place) else { return ControlFlow::Continue(None) };
-        // `walk` moves the middle of the pawn.
-        let end = middle.clone().map(Follower::on_any_grade);
-        let all = [middle, end.clone(), end];
-        self.walked(set, trial, all, at, at)
+    /// Returns walkers at a place that are to go to the middle, the front and the rear of a pawn there.
+    fn setting_out(&self, place: u32) -> Option<Going<6>> {
+        let middle = walkers_at(self.region(), place).ok()?;
+        let walker = |number: usize| {
+            let own = middle[number % 2].clone();
+            // `slicetool walk` moves the middle of a pawn: its grade counts.
+            if number < 2 { own } else { own.on_any_grade() }
+        };
+        Some(Going::from(std::array::from_fn(walker)))
     }
 
-    /// Returns the walkers after each went from its place in one state to that in another, if all got there.
-    fn walked(
-        &mut self,
-        set: &Snapshot,
-        trial: &Trial,
-        mut walkers: [Walkers; 3],
-        at: usize,
-        next: usize,
-    ) -> Needs<Option<[Walkers; 3]>> {
+    /// Moves walkers from their places in one state to those in another, and returns whether all got there. If pages are
+    /// missing, call it again.
+    fn walk(&mut self, set: &Snapshot, trial: &mut Trial, at: usize, next: usize) -> Needs<bool> {
         let place = trial.way[next] / HEADINGS as u32;
         let heading = trial.headings[next];
         // The heights under the ends: those of the nearest pixels.
         let mask = &self.footprints.stand[heading % HEADINGS];
         let region = self.region.borrow();
         if !mask.follow(region, place, &mut self.under) {
-            return ControlFlow::Continue(None);
+            return ControlFlow::Continue(false);
         }
         let (grid, middle) = (&region.grid, region.feet(place));
         let quantum = grid.frame.quantum_m();
-        for (walkers, side) in walkers.iter_mut().zip([0.0, 1.0, -1.0]) {
-            let pixels = ahead(heading) * (self.half * side);
+        let (half, under, from) = (self.half, &self.under, trial.headings[at]);
+        let leg = |number: usize, walker: &Follower| {
+            let side = [0.0, 1.0, -1.0][number / 2];
+            let pixels = ahead(heading) * (half * side);
             let nearest = mask.number([pixels.x, pixels.y].map(|by| by.round() as i32)).unwrap_or(0);
-            let z = region.feet(self.under[nearest]).z;
-            let place = |heading: Vector2<f64>| middle.xy() + heading * (self.half * side * grid.frame.pixel_m());
-            let line: Vec<Point2<f64>> = match trial.headings[at] == heading || side == 0.0 {
+            let place = |heading: Vector2<f64>| middle.xy() + heading * (half * side * grid.frame.pixel_m());
+            let line: Vec<Point2<f64>> = match from == heading || side == 0.0 {
                 true => vec![place(ahead(heading))],
-                false => arc(trial.headings[at], heading, self.half).map(place).collect(),
+                false => arc(from, heading, half).map(place).collect(),
             };
             let off = if side == 0.0 { quantum } else { (f64::from(grid.up) + 1.0) * quantum };
-            for walker in walkers {
-                if !goes(set, walker, line.clone(), z, off)? {
-                    return ControlFlow::Continue(None);
-                }
-            }
-        }
-        ControlFlow::Continue(Some(walkers))
+            Leg::new(walker, line, region.feet(under[nearest]).z, off)
+        };
+        trial.going.as_mut().map_or(ControlFlow::Continue(false), |going| going.follow(set, leg))
     }
 
     /// Returns the route of a way.

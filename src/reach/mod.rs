@@ -14,6 +14,9 @@
 //! and does no I/O. For long distances, plan on a coarse [level](crate::archive::Level) of the archive with [`Coarse`],
 //! and let [`RouteRefiner`] find the exact route along the result, piece by piece.
 //!
+//! A search that reports missing pages continues where it was once they are loaded. Other pages may be evicted meanwhile:
+//! as long as all pages around one place fit in memory at once, it ends, with the same answer.
+//!
 //! [`LongSearch`] finds what a pawn that is longer than wide reaches, such as a wheelchair, and its routes as places with
 //! headings.
 //!
@@ -86,6 +89,8 @@ use std::ops::ControlFlow;
 /// computed: some hundred MiB. Scans have a hundredth of that.
 const MOST_PAGES: usize = 4096;
 const MOST_SPANS: usize = 1 << 21;
+/// Under a footprint of many pixels, more spans are no sign of a forged archive: so many for each pixel are allowed.
+const SPANS_OF_A_PIXEL: usize = 4;
 
 /// Reason why a value is unknown.
 enum Stop {
@@ -93,8 +98,8 @@ enum Stop {
     Missing(Missing),
     /// Too many pages lie above one another: their number.
     Pages(usize),
-    /// Too many spans: at least this number.
-    Spans(usize),
+    /// Too many spans: at least this number, and the most that are allowed.
+    Spans(usize, usize),
 }
 
 impl Stop {
@@ -110,7 +115,7 @@ impl Stop {
         match self {
             Self::Missing(missing) => Ok(Answer::NotLoaded(missing)),
             Self::Pages(found) => limit("pages", found, MOST_PAGES),
-            Self::Spans(found) => limit("spans", found, MOST_SPANS),
+            Self::Spans(found, most) => limit("spans", found, most),
         }
     }
 }

@@ -51,7 +51,6 @@ impl Planner {
     /// Creates a plan for the route of `pawn` between two places (m); in the air, the floor below counts. Fails like
     /// [`StandingPlaces::new`] for an invalid pawn or a set of pages that is too large.
     pub fn new(set: &Snapshot, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
-        let length = STRETCH * (to - from).xy().norm() + ROUND_M;
         let standing = StandingPlaces::new(set, pawn)?;
         Ok(Self {
             ends: [from, to],
@@ -60,7 +59,7 @@ impl Planner {
             snap: 0.0,
             flood: None,
             finder: Box::new(RoundFinder { region: None, search: Search::new() }),
-            length,
+            length: first_length(&[from, to]),
             is_bounded: false,
             peak_bytes: 0,
         })
@@ -107,7 +106,12 @@ impl Planner {
         for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
             if self.spots[end].is_none() {
                 match self.standing.snapped(set, self.ends[end], self.snap)? {
-                    Answer::Known(Some(snapped)) => self.spots[end] = Some(snapped.spot),
+                    Answer::Known(Some(snapped)) => {
+                        self.spots[end] = Some(snapped.spot);
+                        if snapped.moved > 0.0 {
+                            self.move_end(end, snapped.feet);
+                        }
+                    }
                     Answer::Known(None) => return Ok(Planned::Done(Err(refusal))),
                     Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
                 }
@@ -135,6 +139,14 @@ impl Planner {
         })
     }
 
+    /// Moves an end: the search lies around the places where the route begins and ends.
+    fn move_end(&mut self, end: usize, feet: Point3<f64>) {
+        self.ends[end] = feet;
+        if !self.is_bounded {
+            self.length = first_length(&self.ends);
+        }
+    }
+
     /// Returns a route if no better one can lie outside of what was searched; otherwise widens the search.
     fn judged(&mut self, route: Option<Route>, cost_m: f64) -> Planned {
         // Everything that a route of this cost can touch has been searched, and so every better route.
@@ -147,6 +159,11 @@ impl Planner {
         }
         Planned::Unfinished
     }
+}
+
+/// Returns the length up to which routes are searched first (m).
+fn first_length([from, to]: &[Point3<f64>; 2]) -> f64 {
+    STRETCH * (to - from).xy().norm() + ROUND_M
 }
 
 /// Search for a route in what was reached. An object, so that a program that never draws a pawn out, such as the engine of the
@@ -255,5 +272,34 @@ impl Finder for LongFinder {
         let bytes = search.region().memory_bytes() + search.memory_bytes();
         let cost_m = route.as_ref().map_or(0.0, |route| search.cost_m(route));
         Ok(Answer::Known(Found { route: Ok(route), cost_m, bytes }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoMonitor;
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, Span};
+    use crate::walk::Body;
+
+    #[test]
+    fn the_search_lies_around_ends_that_were_moved() {
+        let mut floor = PageBuilder::default();
+        for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+            assert!(floor.set_column(x, y, &[Span::new(0, 10, false).unwrap()]));
+        }
+        let key = PageKey { tx: 0, ty: 0, layer: 0 };
+        let set = Snapshot::from_pages(Frame::new(0.05, 0.15).unwrap(), [(key, floor.build())]);
+        let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 });
+        let (from, to) = (Point3::new(-0.4, 1.0, 0.1), Point3::new(2.0, 1.0, 0.1));
+        let found = StandingPlaces::new(&set, pawn).unwrap().snapped(&set, from, 0.6).unwrap();
+        let Answer::Known(Some(moved)) = found else { panic!("{found:?}") };
+        let plan = || Planner::new(&set, pawn, from, to).unwrap().snapping(0.6);
+        let length = STRETCH * (to - moved.feet).xy().norm() + ROUND_M;
+        for (mut planner, length) in [(plan(), length), (plan().within(9.0), 9.0)] {
+            planner.advance(&set, 1, &NoMonitor).unwrap();
+            assert_eq!((planner.ends, planner.length), ([moved.feet, to], length));
+        }
     }
 }

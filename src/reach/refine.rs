@@ -21,7 +21,7 @@ const MOST_WIDENINGS: u32 = 4;
 
 /// Search for the exact route along a coarse one.
 ///
-/// Memory: about 53 bytes for each standing place in 120 m of the corridor, and 16 KiB for each tile that it touches.
+/// Memory: about 69 bytes for each standing place in 120 m of the corridor, and 16 KiB for each tile that it touches.
 ///
 /// Every place of the route was checked at full resolution. Each piece is the shortest one within its corridor; a
 /// shorter route may lead elsewhere.
@@ -178,6 +178,10 @@ impl RouteRefiner {
 
     /// Keeps the first stretch of a piece, or all of the last one. Returns whether that was the last one.
     fn keep(&mut self, route: &Route, is_last: bool) -> bool {
+        // The start may have been in the air.
+        if self.points.len() == 1 {
+            self.points[0] = route.points[0];
+        }
         let mut length = 0.0;
         for pair in route.points.windows(2) {
             self.points.push(pair[1]);
@@ -243,12 +247,19 @@ fn stretch(line: &[Point3<f64>], low: f64, high: f64, at: Point2<f64>) -> Vec<Po
     stretch
 }
 
-/// Returns the standing place nearest to `at` on the ground plan, if one lies within `distance` (m).
+/// Returns the standing place nearest to `at` on the ground plan, if one lies within `distance` (m): on the storey of `at` if
+/// there is one.
 fn nearest(region: &Region, at: Point3<f64>, distance: f64) -> Option<u32> {
-    let far = |place: u32| (region.feet(place) - at).xy().norm();
-    let all = (0..region.len() as u32).filter(|place| region.standing[*place as usize]);
-    let nearest = all.map(|place| (far(place), place)).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    nearest.filter(|(far, _)| *far <= distance).map(|(_, place)| place)
+    let height = region.pawn().body.height();
+    let far = |place: u32| {
+        let by = region.feet(place) - at;
+        // Places above one another are at least as far apart as the pawn is high.
+        ((by.z.abs() / height) as u32, by.xy().norm(), place)
+    };
+    let all = (0..region.len() as u32).filter(|place| region.standing[*place as usize]).map(far);
+    let near = all.filter(|(_, far, _)| *far <= distance);
+    let nearest = near.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+    nearest.map(|(_, _, place)| place)
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ use super::standing::PlaceId;
 use super::{Needs, Stop};
 use crate::query::Answer;
 use crate::store::Snapshot;
-use crate::walk::{Config, Grade, State, Walker, Waypoints};
+use crate::walk::{Config, Grade, PendingStep, State, Walker, Waypoints};
 use crate::{Error, Monitor, Result};
 use nalgebra::{Point2, Point3};
 use std::cmp::Reverse;
@@ -41,9 +41,10 @@ pub(super) const BETWEEN_LOOKS: usize = 1 << 12;
 pub(super) const LANDMARKS: usize = 8;
 /// Cost of a place that cannot be reached.
 pub(super) const UNREACHED: u32 = u32::MAX;
-/// Edge of the square over which heights are averaged, approximately (m), and most pixels to each side.
+/// Edge of the square over which heights are averaged, approximately (m), and most pixels to each side: enough for pixels
+/// of 1.5 mm.
 const LEVEL_M: f64 = 0.6;
-const MOST_LEVELLED: i32 = 16;
+const MOST_LEVELLED: i32 = 200;
 /// Most searches for one route, each without the steps that the walker could not take before.
 pub(super) const MOST_SEARCHES: usize = 1 << 7;
 /// A walker fails if it takes longer than `PATIENCE` times the time of the path plus `PATIENCE_S` (s).
@@ -149,8 +150,21 @@ struct Trial {
     at: usize,
     next: Vec<usize>,
     walkers: Walkers,
+    /// The same walkers on their way to the next place.
+    going: Option<Going<2>>,
+    /// The rest of the path, once a step of it was refused.
+    rest: Option<Rest>,
     points: Vec<Point3<f64>>,
     searches: usize,
+}
+
+/// The steps of a path from a refused one on, tested one by one to save searches.
+#[derive(Debug)]
+struct Rest {
+    refused: Vec<(u32, u32)>,
+    /// Index in the path of the place where the next step begins, and walkers that have come there.
+    at: usize,
+    going: Option<Going<2>>,
 }
 
 /// Goal of a search.
@@ -301,6 +315,8 @@ impl Search {
             at: 0,
             next,
             walkers,
+            going: None,
+            rest: None,
             points: vec![region.feet(first)],
             searches,
         }))
@@ -625,12 +641,15 @@ fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
 }
 
 impl Trial {
-    /// Follows the path to its end. Returns the route, or the steps that the walker could not take.
+    /// Follows the path to its end. Returns the route, or the steps that the walker could not take. Nothing that was walked
+    /// is walked again after a wait for pages.
     fn follow(&mut self, set: &Snapshot, region: &Region) -> Needs<std::result::Result<Route, Vec<(u32, u32)>>> {
-        while let Some(&next) = self.next.last() {
+        while let (None, Some(&next)) = (&self.rest, self.next.last()) {
             let [from, to] = [self.at, next].map(|at| self.way[at]);
-            if let Some(walkers) = walked(set, region, self.walkers.clone(), to)? {
-                self.walkers = walkers;
+            let going = self.going.get_or_insert_with(|| Going::from(self.walkers.clone()));
+            let arrives = going.walk(set, region, to)?;
+            if let Some(going) = self.going.take().filter(|_| arrives) {
+                self.walkers = going.walkers;
                 (self.at, _) = (next, self.next.pop());
                 let mut profile = Vec::new();
                 region.is_straight(from, to, |place| profile.push(region.feet(place)));
@@ -640,23 +659,37 @@ impl Trial {
             } else if next - self.at > 1 {
                 self.next.push(self.at.midpoint(next));
             } else {
-                // Test the rest of the path at once, to save searches. A grade shows only over many steps.
-                let has_grade = region.pawn().max_grade.is_finite();
-                let (mut refused, mut before) = (vec![(from, to)], None);
-                for pair in self.way[next..].windows(2) {
-                    let [from, to] = [pair[0], pair[1]];
-                    let walkers = before.take().filter(|_| has_grade).map_or_else(|| walkers_at(region, from), Ok);
-                    let Ok(walkers) = walkers else { continue };
-                    before = walked(set, region, walkers, to)?;
-                    if before.is_none() {
-                        refused.push((from, to));
-                    }
-                }
-                return ControlFlow::Continue(Err(refused));
+                self.rest = Some(Rest { refused: vec![(from, to)], at: next, going: None });
             }
+        }
+        if let Some(rest) = &mut self.rest {
+            return ControlFlow::Continue(Err(rest.test(set, region, &self.way)?));
         }
         let points = std::mem::take(&mut self.points);
         ControlFlow::Continue(Ok(Route::along(points, Vec::new())))
+    }
+}
+
+impl Rest {
+    /// Returns the refused steps of the path, the first one included.
+    fn test(&mut self, set: &Snapshot, region: &Region, way: &[u32]) -> Needs<Vec<(u32, u32)>> {
+        // A grade shows only over many steps.
+        let has_grade = region.pawn().max_grade.is_finite();
+        while let Some(&[from, to]) = way.get(self.at..self.at + 2) {
+            if self.going.is_none() {
+                self.going = walkers_at(region, from).ok().map(Going::from);
+            }
+            let arrives = match &mut self.going {
+                Some(going) => Some(going.walk(set, region, to)?),
+                None => None,
+            };
+            if arrives == Some(false) {
+                self.refused.push((from, to));
+            }
+            let come = self.going.take().filter(|_| arrives == Some(true) && has_grade);
+            (self.going, self.at) = (come.map(|going| Going::from(going.walkers)), self.at + 1);
+        }
+        ControlFlow::Continue(std::mem::take(&mut self.refused))
     }
 }
 
@@ -671,53 +704,99 @@ pub(super) fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
     Ok([follower(config)?, follower(Config { tick_s: LONG_TICK_S, ..config })?])
 }
 
-/// Returns the walkers after each went straight to a place, if both got there.
-fn walked(set: &Snapshot, region: &Region, mut walkers: Walkers, place: u32) -> Needs<Option<Walkers>> {
-    for walker in &mut walkers {
-        if !arrives(set, region, walker, place)? {
-            return ControlFlow::Continue(None);
-        }
+/// Walkers that each go along a line of their own, one after the other.
+#[derive(Debug)]
+pub(super) struct Going<const N: usize> {
+    pub walkers: [Follower; N],
+    /// Number of walkers at their ends, and the way of the next one.
+    there: usize,
+    leg: Option<Leg>,
+}
+
+impl<const N: usize> From<[Follower; N]> for Going<N> {
+    fn from(walkers: [Follower; N]) -> Self {
+        Self { walkers, there: 0, leg: None }
     }
-    ControlFlow::Continue(Some(walkers))
 }
 
-/// Moves a walker straight to a place and returns whether it got there.
-fn arrives(set: &Snapshot, region: &Region, walker: &mut Follower, place: u32) -> Needs<bool> {
-    let to = region.feet(place);
-    goes(set, walker, vec![to.xy()], to.z, region.grid.frame.quantum_m())
-}
-
-/// Moves a walker along `line` and returns whether it got to the end of it, at a height of `z` or at most `off` from that
-/// (m).
-pub(super) fn goes(set: &Snapshot, follower: &mut Follower, line: Vec<Point2<f64>>, z: f64, off: f64) -> Needs<bool> {
-    let Follower { walker, grade } = follower;
-    let Some(&end) = line.last() else { return ControlFlow::Continue(true) };
-    let start = walker.feet();
-    let length: f64 = line.iter().fold((0.0, start.xy()), |(sum, at), to| (sum + (to - at).norm(), *to)).0;
-    let Ok(mut waypoints) = Waypoints::new(line) else { return ControlFlow::Continue(false) };
-    let (speed, tick_s) = (walker.config().speed, walker.config().tick_s);
-    let mut left = (PATIENCE * length.hypot(z - start.z) / speed + PATIENCE_S) / tick_s;
-    let look_s = if grade.is_limited() { LONG_TICK_S } else { 8.0 * tick_s };
-    while left > 0.0 {
-        let report = walker.follow(set, look_s, &mut waypoints);
-        if let Some(missing) = report.missing {
-            return ControlFlow::Break(Stop::Missing(missing));
-        }
-        left -= f64::from(report.ticks);
-        let feet = walker.feet();
-        if grade.exceeds(feet, report.state) {
-            return ControlFlow::Continue(false);
-        }
-        match report.state {
-            State::Arrived => {
-                let is_there = (end - feet.xy()).norm() <= THERE_M && (z - feet.z).abs() <= off;
-                return ControlFlow::Continue(is_there);
+impl<const N: usize> Going<N> {
+    /// Moves each walker along the way that `leg` returns for its number, and returns whether all got to their ends. If
+    /// pages are missing, call it again: it continues where it was.
+    pub fn follow(&mut self, set: &Snapshot, leg: impl Fn(usize, &Follower) -> Option<Leg>) -> Needs<bool> {
+        while let Some(walker) = self.walkers.get_mut(self.there) {
+            if self.leg.is_none() {
+                self.leg = leg(self.there, walker);
             }
-            State::Blocked => return ControlFlow::Continue(false),
-            _ => {}
+            let Some(leg) = &mut self.leg else { return ControlFlow::Continue(false) };
+            if !leg.follow(set, walker)? {
+                return ControlFlow::Continue(false);
+            }
+            (self.there, self.leg) = (self.there + 1, None);
         }
+        ControlFlow::Continue(true)
     }
-    ControlFlow::Continue(false)
+}
+
+impl Going<2> {
+    /// Moves the walkers straight to a place, like [`follow`](Self::follow).
+    fn walk(&mut self, set: &Snapshot, region: &Region, place: u32) -> Needs<bool> {
+        let (to, off) = (region.feet(place), region.grid.frame.quantum_m());
+        self.follow(set, |_, walker| Leg::new(walker, vec![to.xy()], to.z, off))
+    }
+}
+
+/// The way of a walker along a line.
+#[derive(Debug)]
+pub(super) struct Leg {
+    line: Waypoints,
+    /// End of the line, and how far from its height the walker may end (m).
+    end: Point3<f64>,
+    off: f64,
+    /// Ticks that are left for it.
+    left: f64,
+    /// A step that waits for pages.
+    step: Option<PendingStep>,
+}
+
+impl Leg {
+    /// Creates the way of `follower` along `line` to the end of it, at a height of `z` or at most `off` from that (m); `None`
+    /// if the line has no place.
+    pub fn new(follower: &Follower, line: Vec<Point2<f64>>, z: f64, off: f64) -> Option<Self> {
+        let (start, config) = (follower.walker.feet(), follower.walker.config());
+        let end = *line.last()?;
+        let length: f64 = line.iter().fold((0.0, start.xy()), |(sum, at), to| (sum + (to - at).norm(), *to)).0;
+        let left = (PATIENCE * length.hypot(z - start.z) / config.speed + PATIENCE_S) / config.tick_s;
+        let line = Waypoints::new(line).ok()?;
+        Some(Self { line, end: Point3::new(end.x, end.y, z), off, left, step: None })
+    }
+
+    /// Moves the walker to the end and returns whether it got there. If pages are missing, call it again: the walker
+    /// continues with the tick that needs them, so the outcome does not depend on what is in memory.
+    fn follow(&mut self, set: &Snapshot, Follower { walker, grade }: &mut Follower) -> Needs<bool> {
+        let look_s = if grade.is_limited() { LONG_TICK_S } else { 8.0 * walker.config().tick_s };
+        while self.left > 0.0 {
+            let step = self.step.get_or_insert_with(|| PendingStep::of(look_s));
+            let report = walker.follow_on(set, step, &mut self.line);
+            if let Some(missing) = report.missing {
+                return ControlFlow::Break(Stop::Missing(missing));
+            }
+            self.step = None;
+            self.left -= f64::from(report.ticks);
+            let feet = walker.feet();
+            if grade.exceeds(feet, report.state) {
+                return ControlFlow::Continue(false);
+            }
+            match report.state {
+                State::Arrived => {
+                    let off = self.end - feet;
+                    return ControlFlow::Continue(off.xy().norm() <= THERE_M && off.z.abs() <= self.off);
+                }
+                State::Blocked => return ControlFlow::Continue(false),
+                _ => {}
+            }
+        }
+        ControlFlow::Continue(false)
+    }
 }
 
 /// Adds points between the last of `points` and `to` so that the line stays within the climb height of the `profile`.

@@ -126,6 +126,11 @@ fn cases() -> Vec<Case> {
         },
         Case { pawn: disc, ..case(hall(door(30, 33, plain)), 0.0, Reason::Width, 0.3, 0.05) },
         Case { pawn: disc, ..case(hall(door(30, 42, Over::Beam(1.5))), 0.0, Reason::Headroom, 1.5, 0.03) },
+        // A pawn lower than the least height that is tried for others.
+        Case {
+            pawn: Pawn { climb: 0.02, max_drop: 0.02, ..Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 0.1 }) },
+            ..case(hall(door(30, 42, Over::Beam(0.085))), 0.0, Reason::Headroom, 0.08, 0.011)
+        },
         // A door of half a metre for the longer of its sides.
         Case {
             pawn: Pawn::new(Body::Box { x: 0.4, y: 0.8, height: 1.8 }),

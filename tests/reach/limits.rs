@@ -93,6 +93,18 @@ fn more_pages_or_spans_over_a_tile_than_any_scan_has_are_refused() {
 }
 
 #[test]
+#[ignore = "slow: .ci/run"]
+fn a_pawn_stands_between_a_floor_and_a_ceiling_at_pixels_of_a_millimetre() {
+    let page = floors(2);
+    let keys = (0..17).flat_map(|tx| (0..17).map(move |ty| key(tx, ty, 0)));
+    let set = Snapshot::from_pages(Frame::new(0.001, 0.003).unwrap(), keys.map(|key| (key, page.clone())));
+    let mut standing = StandingPlaces::new(&set, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 })).unwrap();
+    // Under the tile in the middle and 501 pixels around it: all pages.
+    let middle = 8.5 * 0.064;
+    assert!(known(standing.spot(&set, Point3::new(middle, middle, 0.1)).unwrap()).is_some());
+}
+
+#[test]
 fn a_floor_at_the_first_and_the_last_tile_is_as_large_as_anywhere() {
     for (tx, ty) in [(0, 0), (i32::MAX, i32::MIN), (i32::MIN, i32::MAX)] {
         let set = Snapshot::from_pages(frame(), [(key(tx, ty, 0), floors(1))]);

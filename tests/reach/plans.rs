@@ -1,11 +1,13 @@
 //! Routes as tasks, guided searches, and long routes along coarse ones.
 
-use super::flat::{FLOOR, T, room};
-use super::{everywhere, known, spot, way};
+use super::flat::{self, FLOOR, T, room};
+use super::{everywhere, known, reached, spot, way};
 use crate::common::part::Part;
 use crate::common::random::Random;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
+use slicewalk::frame::Frame;
+use slicewalk::page::Span;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Pawn, Planned, Planner, Refusal, Route, RouteRefiner, Search};
 use slicewalk::store::Snapshot;
@@ -225,25 +227,28 @@ fn with_few_pages<T>(store: &Snapshot, mut ask: impl FnMut(&Snapshot) -> Answer<
 
 #[test]
 fn a_search_continues_where_it_was_if_pages_are_evicted_meanwhile() {
-    let store = hall(420, 12);
-    let (from, to) = (at(5, 30), at(415, 30));
+    let (store, (from, to)) = (hall(420, 12), (at(5, 30), at(415, 30)));
+    // A single stretch over more pages than fit.
+    let (open, ends) = (room(420, 20, |_, _| None), (at(8, 10), at(410, 10)));
     let round = Pawn::new(Body::Cylinder { radius: 0.25, height: 1.0 });
-    for (pawn, length) in [(thin(), None), (round, Some(0.9))] {
-        let planner = || Planner::new(&store, pawn, from, to).unwrap().drawn_out(length);
-        let mut few = planner();
-        let (found, again) = with_few_pages(&store, |set| {
-            loop {
-                match few.advance(set, 1000, &NoMonitor).unwrap() {
-                    Planned::Done(found) => return Answer::Known(found),
-                    Planned::NotLoaded(missing) => return Answer::NotLoaded(missing),
-                    _ => {}
+    for (store, (from, to)) in [(&store, (from, to)), (&open, ends)] {
+        for (pawn, length) in [(thin(), None), (round, Some(0.9))] {
+            let planner = || Planner::new(store, pawn, from, to).unwrap().drawn_out(length);
+            let mut few = planner();
+            let (found, again) = with_few_pages(store, |set| {
+                loop {
+                    match few.advance(set, 1000, &NoMonitor).unwrap() {
+                        Planned::Done(found) => return Answer::Known(found),
+                        Planned::NotLoaded(missing) => return Answer::NotLoaded(missing),
+                        _ => {}
+                    }
                 }
-            }
-        });
-        let expected = finish(&mut planner(), &store, usize::MAX).0;
-        assert!(expected.is_ok() && found == expected, "{length:?}: {found:?}, {expected:?}");
-        // Walkers follow the route from its start, whose pages the search has left behind.
-        assert!(again > 0, "{length:?}: no page was missing again");
+            });
+            let expected = finish(&mut planner(), store, usize::MAX).0;
+            assert!(expected.is_ok() && found == expected, "{length:?}: {found:?}, {expected:?}");
+            // Walkers follow the route from its start, whose pages the search has left behind.
+            assert!(again > 0, "{length:?}: no page was missing again");
+        }
     }
     let guide = finish(&mut Planner::new(&store, thin(), from, to).unwrap(), &store, usize::MAX).0.unwrap();
     let refiner = || RouteRefiner::new(thin(), from, to, &guide, 1.0);
@@ -252,6 +257,61 @@ fn a_search_continues_where_it_was_if_pages_are_evicted_meanwhile() {
     let expected = known(refiner().advance(&store, &NoMonitor).unwrap());
     assert!(expected.is_ok() && found == expected, "{found:?}, {expected:?}");
     assert!(again > 0, "no page was missing again");
+}
+
+#[test]
+fn steps_that_only_walkers_refuse_are_the_same_with_few_pages() {
+    // A corridor over seven pages. Walkers sink behind a sill and would have to climb 0.38 m, more than from place to place.
+    const SILL: i64 = 19;
+    let pixels = (0..420i64).flat_map(|i| (0..5i64).map(move |j| (i, j)));
+    let columns = pixels.map(|(i, j)| {
+        let is_wall = i == 0 || j == 0 || i == 419 || j == 4;
+        let height = match i {
+            _ if is_wall => 2.7,
+            SILL => 0.06,
+            _ if i > SILL + 2 => 0.38,
+            _ => 0.0,
+        };
+        let top = 2550 + (height / 0.3 * 255.0f64).round() as u32;
+        ((i, j), vec![Span::new(2547, top, is_wall).unwrap()])
+    });
+    let store = flat::store(Frame::new(T, 0.3).unwrap(), columns);
+    let pawn = Pawn::new(Body::Cylinder { radius: 0.083, height: 0.8 });
+    let (from, to) = (at(8, 2), at(410, 2) + Vector3::z() * 0.4);
+    let (mut standing, region) = reached(&store, pawn, from.into());
+    let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
+    assert!(region.holds(&b));
+    assert_eq!(way(&mut Search::new(), &store, &region, &a, &b), None);
+    let mut few = Search::new();
+    let (found, _) = with_few_pages(&store, |set| few.route(set, &region, &a, &b, &NoMonitor).unwrap());
+    assert_eq!(found, None);
+}
+
+#[test]
+fn a_way_along_a_coarse_one_stays_on_its_storey() {
+    // Two floors of 170 m, 2.4 m above one another, and a ramp between them at the start.
+    const EDGE: f64 = 0.25;
+    let top = |z: f64| 2550 + (z / 0.3 * 255.0).round() as u32;
+    let floor = |z: f64| Span::new(top(z) - 3, top(z), false).unwrap();
+    let pixels = (0..680i64).flat_map(|i| (0..6i64).map(move |j| (i, j)));
+    let columns = pixels.map(|(i, j)| {
+        let spans = match i {
+            ..48 => vec![floor(0.0)],
+            48..60 if j < 3 => vec![Span::new(2547, top((i - 47) as f64 * 0.2), false).unwrap()],
+            48..60 => vec![floor(0.0)],
+            _ => vec![floor(0.0), floor(2.4)],
+        };
+        ((i, j), spans)
+    });
+    let store = flat::store(Frame::new(EDGE, 0.3).unwrap(), columns);
+    let pawn = Pawn::new(Body::Box { x: EDGE, y: EDGE, height: 1.0 });
+    let at = |i: i64, z: f64| Point3::new((i as f64 + 0.5) * EDGE, 1.5 * EDGE, FLOOR + z);
+    let (from, to) = (at(2, 0.0), at(670, 2.4));
+    let mut guide = finish(&mut Planner::new(&store, pawn, from, at(9, 0.0)).unwrap(), &store, usize::MAX).0.unwrap();
+    guide.points = vec![at(46, 0.0), at(62, 2.4)];
+    let found = known(RouteRefiner::new(pawn, from, to, &guide, 1.0).advance(&store, &NoMonitor).unwrap()).unwrap();
+    assert!((found.length_m - 167.9).abs() < 1.0, "{} m", found.length_m);
+    assert!((found.points[found.points.len() - 1] - to).norm() < 0.01);
 }
 
 #[test]
@@ -271,4 +331,10 @@ fn a_way_along_a_coarse_one_is_refused_if_an_end_is_in_a_wall_or_the_coarse_one_
             known(RouteRefiner::new(thin(), ends[0], ends[1], &guide, 1.0).advance(&store, &NoMonitor).unwrap());
         assert_eq!(found.err(), refusal, "{ends:?} along {:?}", guide.points);
     }
+    // From the air, it begins on the floor below.
+    guide.points.clear();
+    let [low, high] = [from, from + Vector3::z()].map(|from| {
+        known(RouteRefiner::new(thin(), from, to, &guide, 1.0).advance(&store, &NoMonitor).unwrap()).unwrap()
+    });
+    assert_eq!(low, high);
 }

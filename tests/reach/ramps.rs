@@ -159,6 +159,25 @@ fn grades_are_those_of_the_planes_that_fit_best() {
 }
 
 #[test]
+fn a_grade_is_that_over_a_metre_at_fine_pixels_too() {
+    // A strip of 3 m that rises by 5.5 %, with 0.4 m of level ground in its middle.
+    const PIXEL: f64 = 0.005;
+    let frame = Frame::new(PIXEL, 0.015).unwrap();
+    let columns = (0..600i64).flat_map(|i| {
+        let x = (i as f64 + 0.5 - 300.0) * PIXEL;
+        let height = 0.055 * (x.abs() - 0.2).max(0.0) * x.signum() + 0.2;
+        let top = (height / frame.quantum_m()).round() as u32;
+        (0..8i64).map(move |j| ((i, j), vec![Span::new(top - 2, top, false).unwrap()]))
+    });
+    let pawn = Pawn::new(Body::Box { x: PIXEL, y: PIXEL, height: 1.0 });
+    let (_, region) = everywhere(&flat::store(frame, columns), pawn);
+    let mut grades = region.places().zip(region.grades());
+    let (_, grade) = grades.find(|(place, _)| (place.feet.x - 1.5).abs() < PIXEL).unwrap();
+    // 0.055 (1 - 1.5 · 0.4 + 0.5 · 0.4³); over 0.64 m it would be 0.010.
+    assert!((grade - 0.0238).abs() < 0.002, "{grade}");
+}
+
+#[test]
 fn headroom_and_steps_beyond_steep_ground_do_not_count() {
     let height = |along: f64| match along {
         ..0.0 => 0.0,

@@ -1,7 +1,7 @@
 //! Map of a region: a panel for each storey, the highest on top, north up.
 //!
 //! Standing places are coloured by height, from blue (lowest of the region) through green to yellow (highest). Pixels
-//! with solid at the height of the body are grey, leaks are red dots of their width, passages orange dots, and the requested route is
+//! with solid at the height of the body are grey, leaks are red dots, larger for wider ones, passages orange dots, and the requested route is
 //! a black line. Each panel shows its height; the bar at the bottom shows a length.
 
 use super::Reach;
