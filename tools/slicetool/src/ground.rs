@@ -13,6 +13,7 @@ use slicewalk::store::{MISSING_KEYS, Missing, Prefetch, Snapshot, Stream, Stream
 use slicewalk::walk::Body;
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -144,6 +145,16 @@ impl Pawns {
         self.seen
     }
 
+    /// The option that overview levels cannot follow, if one was given.
+    pub fn unknown_to_levels(&self) -> Option<&'static str> {
+        let given = [
+            (self.max_grade.is_some(), "max-grade"),
+            (self.max_ramp.is_some(), "max-ramp"),
+            (self.variant.ignore_inferred, "ignore-inferred"),
+        ];
+        given.into_iter().find(|(is_given, _)| *is_given).map(|(_, option)| option)
+    }
+
     /// Memory for pages (bytes).
     pub fn cache(&self) -> u64 {
         self.cache
@@ -224,7 +235,9 @@ impl Walks {
         if search.stands_at(&near.spot) {
             return Ok(Some(near));
         }
-        let far = |feet: &Point3<f64>| (feet - at).norm();
+        // In the air, the floor below counts.
+        let from = Point3::new(at.x, at.y, at.z.min(near.feet.z));
+        let far = |feet: &Point3<f64>| (feet - from).norm();
         let mut others: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
         others.retain(|feet| far(feet) <= self.snap.metres);
         others.sort_by(|a, b| far(a).total_cmp(&far(b)));
@@ -256,16 +269,27 @@ pub fn above_zero(text: &str) -> Result<f64, String> {
 const AROUND_M: f64 = 2.0;
 /// Queries near one place after which more pages are loaded than those reported missing.
 const MANY: u32 = 16;
-/// How often all pages near one place may be loaded, each evicting others, before the cache counts as too small.
-const AGAIN: usize = 16;
+/// How often one question may begin anew with the same page before the cache counts as too small: it does so for a tile
+/// around the page, or for a walker that comes by, and a route is searched up to 128 times.
+const AGAIN: u32 = 1 << 9;
+
+/// Pages that one question has missed.
+#[derive(Default)]
+struct Missed {
+    /// Those that stay in memory together.
+    kept: Vec<PageKey>,
+    /// How often each page was among those with which `kept` began anew.
+    again: HashMap<PageKey, u32>,
+    /// Where it missed pages last.
+    place: Option<Place>,
+}
 
 /// A tile column, with the loads for it and its neighbours.
 struct Place {
     column: [i32; 2],
     asked: u32,
-    loaded: usize,
-    /// Number of its pages, as far as known.
-    pages: Option<usize>,
+    /// False once pages had to be evicted for others near it.
+    has_room: bool,
 }
 
 impl Place {
@@ -288,6 +312,8 @@ pub fn seen_space(archive: &Archive, path: &Path, most_bytes: u64) -> Result<Arc
 pub struct Loader {
     stream: Stream,
     archive: PathBuf,
+    /// Memory for pages (bytes).
+    cache: u64,
     /// Space in which the pawn must stay.
     seen: Option<Arc<SeenSpace>>,
     /// Seen space, where it only matters for what is reported.
@@ -300,7 +326,7 @@ impl Loader {
         let budget = usize::try_from(cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
         let stream = Stream::open(archive, options).map_err(|error| crate::broken(path, &error))?;
-        Ok(Self { stream, archive: path.to_path_buf(), seen: None, known: None })
+        Ok(Self { stream, archive: path.to_path_buf(), cache, seen: None, known: None })
     }
 
     /// The pages in memory now.
@@ -339,43 +365,72 @@ impl Loader {
         &self.archive
     }
 
-    /// Repeats `ask` and loads the missing pages until it gives an answer.
+    /// Repeats `ask` and loads the missing pages until it gives an answer. Fails if the pages of one of its steps do not fit
+    /// in the cache at once.
     pub fn known<T>(&self, mut ask: impl FnMut(&Snapshot) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
-        let mut place = None;
+        let mut missed = Missed::default();
         loop {
             crate::go_on()?;
-            match ask(&self.stream.snapshot()).map_err(|error| self.broken(&error))? {
+            // A statement of its own: the snapshot would keep evicted pages in memory.
+            let answer = ask(&self.stream.snapshot()).map_err(|error| self.broken(&error))?;
+            match answer {
                 Answer::Known(known) => return Ok(known),
-                Answer::NotLoaded(missing) => self.load(&missing, &mut place)?,
+                Answer::NotLoaded(missing) => self.load(&missing, &mut missed)?,
             }
         }
     }
 
-    /// Loads `missing` pages; `place` is where the same question missed pages before.
-    fn load(&self, missing: &Missing, place: &mut Option<Place>) -> Result<(), Failure> {
+    /// Loads `missing` pages. A step of a question needs all of its pages at once and does not say when it is done, so those
+    /// that the question missed before stay until they no longer fit.
+    fn load(&self, missing: &Missing, missed: &mut Missed) -> Result<(), Failure> {
+        let (keys, around) = (missing.keys(), missing.keys()[0]);
         let broken = |error| self.broken(&error);
-        let around = missing.keys()[0];
-        let here = match place {
+        let load = |keys: &[PageKey]| self.stream.load(keys, around).map_err(broken);
+        let here = match &mut missed.place {
             Some(here) if here.is_near(around) => here,
-            other => other.insert(Place { column: [around.tx, around.ty], asked: 0, loaded: 0, pages: None }),
+            other => other.insert(Place { column: [around.tx, around.ty], asked: 0, has_room: true }),
         };
         here.asked += 1;
-        let mut loaded = 0;
-        if here.asked > MANY {
+        let mut evicted = 0;
+        if here.asked > MANY && here.has_room {
             // In a tall column, load more of it each time.
             let most = MISSING_KEYS << (here.asked - MANY).min(24);
             let others = nearest(self.archive(), around, most, |key| here.is_near(key)).map_err(broken)?;
-            here.pages = here.pages.max(Some(others.len()));
-            loaded = self.stream.load(&[missing.keys(), &others].concat(), around).map_err(broken)?.loaded;
+            let report = load(&[keys, &others].concat())?;
+            here.has_room = report.left_out == 0 && report.evicted == 0;
+            evicted = report.evicted;
         }
-        if loaded == 0 {
-            loaded = self.stream.load_missing(missing).map_err(broken)?.loaded;
+        missed.kept.extend(keys);
+        let mut report = load(keys)?;
+        if report.left_out > 0 || evicted + report.evicted > 0 && !self.holds(&missed.kept) {
+            report = load(&missed.kept)?;
         }
-        here.loaded += loaded;
-        if loaded == 0 || here.pages.is_some_and(|pages| here.loaded > AGAIN * (pages + MISSING_KEYS)) {
-            return Err(Failure::Text("the pages around one place do not fit in memory; give more --cache".into()));
+        if report.left_out == 0 {
+            return Ok(());
+        }
+        // Pages of earlier steps are among them, or this step does not fit.
+        missed.kept = keys.to_vec();
+        let alone = load(keys)?;
+        if alone.left_out > 0 {
+            return Err(self.too_small(alone.needed_bytes));
+        }
+        for key in keys {
+            let again = missed.again.entry(*key).or_default();
+            *again += 1;
+            if *again > AGAIN {
+                return Err(self.too_small(report.needed_bytes));
+            }
         }
         Ok(())
+    }
+
+    fn holds(&self, keys: &[PageKey]) -> bool {
+        let view = self.snapshot();
+        keys.iter().all(|key| view.is_loaded(*key) == Some(true))
+    }
+
+    fn too_small(&self, needed_bytes: usize) -> Failure {
+        crate::cache_too_small("one place", self.cache, needed_bytes)
     }
 
     fn broken(&self, error: &slicewalk::Error) -> Failure {

@@ -61,6 +61,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two("-o", arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let is_long = arguments.walks.length()?.is_some() && !arguments.coarse;
+    if arguments.coarse
+        && let Some(option) = arguments.walks.unknown_to_levels()
+    {
+        let text = format!("--coarse: the overview levels do not know --{option}; leave out one of them");
+        return Err(Failure::Usage(text));
+    }
     if arguments.coarse && arguments.walks.has_length() {
         let text = "--coarse: the overview levels do not have headings; leave out --coarse or --length";
         return Err(Failure::Usage(text.into()));

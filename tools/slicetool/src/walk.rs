@@ -287,8 +287,9 @@ fn ends(arguments: &Arguments, last: Point2<f64>, z: Option<f64>) -> Result<(Poi
     let pawn = arguments.pawn();
     let archive = arguments.variant.open_for_pawns(&arguments.archive)?;
     let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
-    let mut standing = StandingPlaces::new(&loader.snapshot(), pawn)?;
-    // If a search does not fit in memory, that end stays; the walk itself reports how much it needs.
+    // A scan or a pawn may be too large for standing places: then both ends stay. If a search does not fit in memory, that
+    // end stays; the walk itself reports how much it needs.
+    let Ok(mut standing) = StandingPlaces::new(&loader.snapshot(), pawn) else { return Ok((asked, 0.0, goal)) };
     let found = loader.known(|view| standing.snapped(view, asked, snap)).ok().flatten();
     let (start, moved) =
         found.filter(|found| found.moved > 0.0).map_or((asked, 0.0), |found| (found.feet, found.moved));

@@ -98,6 +98,23 @@ fn a_bend_too_narrow_for_a_wheelchair_is_named() {
 }
 
 #[test]
+fn a_start_in_the_air_is_moved_like_one_on_the_floor() {
+    // In the outer corner, the pawn has room in no heading.
+    let folder = archive_of(bend(1.6));
+    let from = |z: &str| {
+        let at = format!("0.47,0.47,{z}");
+        let options = ["a.slices", "--from", &at, "--profile", "wheelchair", "--length", "1.5", "--json"];
+        let out = slicetool(&folder, "reach", &options);
+        assert!(out.status.success(), "{z}: {}", String::from_utf8_lossy(&out.stderr));
+        let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+        found["from"].clone()
+    };
+    let low = from("0.1");
+    assert!(low["moved"].as_f64().is_some_and(|moved| (0.2..0.5).contains(&moved)), "{low}");
+    assert_eq!(from("1.1"), low);
+}
+
+#[test]
 fn doors_wide_enough_let_a_wheelchair_through_all_rooms() {
     for seed in 0..2 {
         let house = House::new(3, seed);
@@ -128,6 +145,9 @@ fn lengths_that_no_pawn_can_have_are_refused_in_one_line() {
         (&["--length", "1.2"][..], 2, "--length 1.2: only a cylinder can be drawn out"),
         (&["--length", "0.5", "--profile", "wheelchair"], 2, "--length 0.5: the pawn is 0.8 m wide"),
         (&["--length", "1.2", "--profile", "wheelchair", "--coarse"], 2, "leave out --coarse or --length"),
+        (&["--max-grade", "6", "--coarse"], 2, "the overview levels do not know --max-grade"),
+        (&["--max-ramp", "6", "--coarse"], 2, "the overview levels do not know --max-ramp"),
+        (&["--ignore-inferred", "--coarse"], 2, "the overview levels do not know --ignore-inferred"),
         (&["--length", "500", "--profile", "wheelchair"], 2, "--length: 500 m is not allowed"),
         (&["--length", "x"], 2, "--length"),
     ] {

@@ -6,6 +6,10 @@ use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use serde_json::Value;
 use slicewalk::NoMonitor;
+use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
+use slicewalk::frame::{Frame, PageKey};
+use slicewalk::page::{PageBuilder, Span};
+use slicewalk::plan::Plan;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
 use slicewalk_input::Units;
 use std::path::{Path, PathBuf};
@@ -156,6 +160,35 @@ fn without_prefetch_there_are_misses_and_the_path_is_the_same() {
     assert!(said.contains("one step needs") && (60..4096).contains(&enough), "{said}");
     // Steps elsewhere need slightly more.
     assert_eq!(walk("off", &format!("{}KiB", 2 * enough)).last().unwrap().state, "arrived");
+}
+
+#[test]
+fn a_scan_too_high_for_standing_places_is_walked_all_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let (archive, way, out) = (dir.path().join("a.slices"), dir.path().join("w.csv"), dir.path().join("path.csv"));
+    let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+    let mut floor = PageBuilder::default();
+    for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+        assert!(floor.set_column(x, y, &[Span::new(0, 10, false).unwrap()]));
+    }
+    let page = floor.build();
+    let (mut writer, mut encoder) =
+        (ArchiveWriter::create(&archive, &plan, false).unwrap(), PageEncoder::new(plan.frame));
+    // The floor, and something 672 km above it.
+    for layer in [0, 70_000] {
+        let key = PageKey { tx: 0, ty: 0, layer };
+        writer.put(key, encoder.encode(key, &page)).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    std::fs::write(&way, "2,2\n").unwrap();
+    let archive = archive.to_str().unwrap();
+    let walk = ["walk", archive, "--start", "1,1,0.1", "--waypoints", way.to_str().unwrap()];
+    let done = slicetool(&[&walk[..], &["-o", out.to_str().unwrap()]].concat());
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(rows(&out).last().unwrap().state, "arrived");
+    let done = slicetool(&["reach", archive, "--from", "1,1,0.1"]);
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.code() == Some(1) && said.contains("extract a region first"), "{said}");
 }
 
 #[test]
