@@ -54,9 +54,14 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let dir = &arguments.output;
     std::fs::create_dir_all(dir).map_err(|e| Failure::Text(format!("{}: cannot create: {e}", dir.display())))?;
     let (scan, output) = (dir.join("house.laz"), dir.join("house.slices"));
-    if scan.exists() && !is_generated(&scan)? {
+    // Without its scan, the archive is that of another one.
+    let other = match scan.exists() {
+        true => (!is_generated(&scan)?).then_some(&scan),
+        false => output.symlink_metadata().is_ok().then_some(&output),
+    };
+    if let Some(other) = other {
         let reason = "exists and was not written by the demonstration, so it is not replaced; choose another folder";
-        return Err(Failure::Text(format!("{}: {reason}", scan.display())));
+        return Err(Failure::Text(format!("{}: {reason}", other.display())));
     }
     let mut table = Table::default();
 

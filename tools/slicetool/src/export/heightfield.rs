@@ -36,6 +36,8 @@ const ENDING: &str = ".heightfield.json";
 /// heights of one storey.
 pub fn write(output: &Path, path: &Path, pawns: &Pawns, which: Which) -> Result<String, Failure> {
     let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?;
+    // Before the work, which would be lost if it must not be replaced.
+    let to = crate::output(output, loader.archive(), &[])?;
     let ground = Ground::of(&loader, pawns.pawn())?;
     let chosen = ground.chosen(which)?;
     let (mut storeys, mut count) = (Vec::new(), 0);
@@ -52,7 +54,7 @@ pub fn write(output: &Path, path: &Path, pawns: &Pawns, which: Which) -> Result<
         "samples": STRIDE + 1,
         "storeys": storeys,
     });
-    let mut file = BufWriter::new(crate::output(output, loader.archive(), &[])?);
+    let mut file = BufWriter::new(to);
     writeln!(file, "{about:#}")?;
     file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
     let storeys = counted(storeys.len() as u64, "storey");

@@ -161,10 +161,15 @@ fn formats_of(option: &str, has_layers: bool) -> (&'static [Format], &'static st
         "error" | "triangles" => (&[Format::Glb, Format::Obj], ".glb and .obj"),
         "layer" => (&[Format::Tif], ".tif"),
         "esdf" | "bounds" | "step" | "within" => (&[Format::Npy], ".npy"),
-        "cache" | "edits" | "ignore-inferred" if has_layers => {
+        "edits" => {
+            (&[Format::Nav2, Format::Npy], ".yaml and .npy; for others, `slicetool extract --edits` makes a copy")
+        }
+        "seen" => (&[], "`reach` and `route`"),
+        "max-grade" | "max-ramp" | "max-drop" => (&[Format::Nav2, Format::Heightfield], ".yaml and .heightfield.json"),
+        "cache" | "ignore-inferred" if has_layers => {
             (&[Format::Nav2, Format::Heightfield, Format::Npy, Format::Tif], "maps, heightfields, layers and distances")
         }
-        "cache" | "edits" | "ignore-inferred" => {
+        "cache" | "ignore-inferred" => {
             (&[Format::Nav2, Format::Heightfield, Format::Npy], ".yaml, .heightfield.json, .npy and layers of .tif")
         }
         "storey" => (&[Format::Nav2, Format::Heightfield], ".yaml and .heightfield.json"),
@@ -210,7 +215,8 @@ pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
     if arguments.esdf {
         let loader = Loader::new(arguments.pawns.open(path)?, path, arguments.pawns.cache())?;
         let samples = esdf::Samples { bounds: arguments.bounds, step_m: arguments.step, within_m: arguments.within };
-        let about = esdf::npy(&loader, &samples, crate::output(output, loader.archive(), &[])?)?;
+        let edits = arguments.pawns.edits().path();
+        let about = esdf::npy(&loader, &samples, crate::output(output, loader.archive(), edits.as_slice())?)?;
         return crate::standard::written(output, &format!("{}: {about}\n", one_line(&output.to_string_lossy())));
     }
     if matches!(format, Format::Nav2 | Format::Heightfield) {
@@ -221,7 +227,8 @@ pub fn run(arguments: &Arguments, given: &ArgMatches) -> Outcome {
             _ => heightfield::write(output, path, &arguments.pawns, which),
         };
     }
-    let archive = crate::open(path)?;
+    // Other formats refuse the options that change what an archive holds.
+    let archive = if format == Format::Tif { arguments.pawns.open(path)? } else { crate::open(path)? };
     points::check_count(&archive, path)?;
     let crs = match format {
         Format::Ply

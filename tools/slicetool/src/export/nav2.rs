@@ -10,11 +10,13 @@ use crate::ground::{Loader, Pawns, tidy};
 use crate::{Failure, Quiet};
 use nalgebra::{Point3, Vector3};
 use serde_json::{Value, json};
+use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Cylinder, Overlap, overlaps};
 use slicewalk::reach::{Flood, Pawn, Region, StandingPlaces, Storey, Storeys};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
+use slicewalk_base::output::Output;
 use slicewalk_base::text::{grouped, number, one_line};
 use std::collections::{HashMap, VecDeque};
 use std::io::{BufWriter, IntoInnerError, Write};
@@ -60,17 +62,41 @@ pub struct Ground<'a> {
 /// cache, and one grid.
 pub fn write(output: &Path, path: &Path, pawns: &Pawns, which: Which) -> Result<String, Failure> {
     let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?.knowing_seen(pawns.cache())?;
-    let ground = Ground::of(&loader, pawns.pawn())?;
-    let (all, chosen) = (&ground.storeys.all, ground.chosen(which)?);
-    if let Some(storey) = chosen {
-        return ground.grid(storey, output);
-    }
+    let (archive, edits) = (loader.archive(), pawns.edits().path());
     let named = |storey: usize| beside(output, &format!("_storey{storey}.yaml"));
-    let mut about = String::new();
-    for storey in 0..all.len() {
-        about += &ground.grid(storey, &named(storey))?;
+    // Before the work, which would be lost if one of these must not be replaced.
+    let is_all = matches!(which, Which::All);
+    let first = GridFiles::begin(&if is_all { named(0) } else { output.to_path_buf() }, archive, edits)?;
+    let links = is_all.then(|| crate::output(&beside(output, "_links.geojson"), archive, edits.as_slice()));
+    let links = links.transpose()?;
+    let ground = Ground::of(&loader, pawns.pawn())?;
+    let chosen = ground.chosen(which)?;
+    let mut about = ground.grid(chosen.unwrap_or(0), first)?;
+    if let Some(links) = links {
+        for storey in 1..ground.storeys.all.len() {
+            about += &ground.grid(storey, GridFiles::begin(&named(storey), archive, edits)?)?;
+        }
+        about += &ground.write_links(links, &named)?;
     }
-    Ok(about + &ground.write_links(&beside(output, "_links.geojson"), &named)?)
+    Ok(about)
+}
+
+/// The files of a grid.
+struct GridFiles {
+    image: Output,
+    yaml: Output,
+}
+
+impl GridFiles {
+    /// Begins `yaml`, and the image beside it. Neither may replace what the command reads.
+    fn begin(yaml: &Path, archive: &Archive, edits: Option<&Path>) -> Result<Self, Failure> {
+        let image = yaml.with_extension("pgm");
+        let also: Vec<&Path> = edits.into_iter().chain([image.as_path()]).collect();
+        Ok(Self {
+            image: crate::output(&image, archive, edits.as_slice())?,
+            yaml: crate::output(yaml, archive, &also)?,
+        })
+    }
 }
 
 /// Returns the name of `output` with another end in place of its extension.
@@ -86,13 +112,14 @@ fn file_name(path: &Path) -> String {
 impl<'a> Ground<'a> {
     /// Finds where the pawn can stand.
     pub fn of(loader: &'a Loader, pawn: Pawn) -> Result<Self, Failure> {
-        let archive = loader.archive();
+        let view = loader.snapshot();
         let (mut low, mut high) = ([i64::MAX; 2], [i64::MIN; 2]);
-        for entry in crate::entries(archive, loader.path()) {
-            let key = entry?.key;
-            for (axis, tile) in [key.tx, key.ty].into_iter().enumerate() {
-                low[axis] = low[axis].min(i64::from(tile) * TILE_PIXELS);
-                high[axis] = high[axis].max(i64::from(tile + 1) * TILE_PIXELS);
+        // Those of edits included.
+        for number in 0..view.column_count() {
+            let (tx, ty, _) = view.column_at(number);
+            for (axis, tile) in [tx, ty].map(i64::from).into_iter().enumerate() {
+                low[axis] = low[axis].min(tile * TILE_PIXELS);
+                high[axis] = high[axis].max((tile + 1) * TILE_PIXELS);
             }
         }
         let size = [0, 1].map(|axis| high[axis].saturating_sub(low[axis]).max(0));
@@ -100,7 +127,9 @@ impl<'a> Ground<'a> {
             let reason = format!("a map of {} × {} pixels, more than {MOST_PIXELS}", size[0], size[1]);
             return Err(Failure::Text(format!("{}: {reason}; extract a region first", loader.path().display())));
         }
-        let mut standing = StandingPlaces::new(&loader.snapshot(), pawn)?;
+        let mut standing = StandingPlaces::new(&view, pawn)?;
+        // It would keep evicted pages in memory.
+        drop(view);
         let mut flood = loader.known(|view| Flood::everywhere(&mut standing, view))?;
         loader.known(|view| flood.grow(&mut standing, view, &Quiet))?;
         let region = flood.region(&standing);
@@ -155,30 +184,26 @@ impl<'a> Ground<'a> {
         })
     }
 
-    /// Writes the grid of a storey: `yaml`, and the image beside it. Returns a line about it.
-    fn grid(&self, storey: usize, yaml: &Path) -> Result<String, Failure> {
-        let image = yaml.with_extension("pgm");
-        let archive = self.loader.archive();
-        let outputs = [crate::output(&image, archive, &[])?, crate::output(yaml, archive, &[&image])?];
+    /// Writes the grid of a storey. Returns a line about it.
+    fn grid(&self, storey: usize, files: GridFiles) -> Result<String, Failure> {
+        let (image, name) = (file_name(files.image.name()), files.yaml.name().to_string_lossy().into_owned());
         let samples = self.samples(storey)?;
         let (frame, [width, height]) = (self.frame(), self.size);
         let origin = self.first.map(|pixel| number(frame.edge_of_pixel(pixel)));
         let Storey { z, .. } = self.storeys.all[storey];
-        let [pgm, text] = outputs;
-        let mut file = BufWriter::new(pgm);
+        let mut file = BufWriter::new(files.image);
         write!(file, "P5\n{width} {height}\n255\n")?;
         for row in samples.chunks_exact(width as usize).rev() {
             file.write_all(row)?;
         }
         file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
-        let mut file = BufWriter::new(text);
-        let name = serde_json::to_string(&file_name(&image))?;
+        let mut file = BufWriter::new(files.yaml);
+        let image = serde_json::to_string(&image)?;
         writeln!(file, "# floor at z = {} m", number(tidy(z)))?;
-        writeln!(file, "image: {name}\nmode: trinary\nresolution: {}", number(frame.pixel_m()))?;
+        writeln!(file, "image: {image}\nmode: trinary\nresolution: {}", number(frame.pixel_m()))?;
         writeln!(file, "origin: [{}, {}, 0.0]", origin[0], origin[1])?;
         writeln!(file, "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.1")?;
         file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
-        let name = yaml.to_string_lossy();
         let pixel = number(frame.pixel_m());
         let [width, height] = [width, height].map(|edge| grouped(edge as u64));
         Ok(format!("{}: {width} × {height} pixels of {pixel} m, floor at z = {z:.2} m\n", one_line(&name)))
@@ -265,9 +290,9 @@ impl<'a> Ground<'a> {
         })
     }
 
-    /// Writes the links between storeys; returns a line about the file.
-    fn write_links(&self, output: &Path, map: &dyn Fn(usize) -> PathBuf) -> Result<String, Failure> {
-        let to = crate::output(output, self.loader.archive(), &[])?;
+    /// Writes the links between storeys to `to`; returns a line about the file.
+    fn write_links(&self, to: Output, map: &dyn Fn(usize) -> PathBuf) -> Result<String, Failure> {
+        let name = to.name().to_string_lossy().into_owned();
         let links = self.links();
         let features: Vec<Value> = links
             .iter()
@@ -288,7 +313,7 @@ impl<'a> Ground<'a> {
         writeln!(file, "{}", json!({ "type": "FeatureCollection", "features": features }))?;
         file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
         let count = slicewalk_base::text::counted(links.len() as u64, "link");
-        Ok(format!("{}: {count} between storeys\n", one_line(&output.to_string_lossy())))
+        Ok(format!("{}: {count} between storeys\n", one_line(&name)))
     }
 
     /// Returns where steps lead from one storey to another: neighbouring pairs of places, joined if they are within two

@@ -247,6 +247,43 @@ fn bad_edits_are_refused_in_one_line() {
     fs::write(at.join("e.json"), "{}").unwrap();
     refused(&["--edits", "e.json", "-o", "e.json"], 1);
     assert_eq!(fs::read_to_string(at.join("e.json")).unwrap(), "{}");
+    // Maps say so before they look for places, of which this pawn has none.
+    let nowhere = ["--pawn", "box:9x9x1.8"];
+    for (edits, output, more) in [
+        ("e.npy", "e.npy", &["--esdf"][..]),
+        ("e.yaml", "e.yaml", &[&["--storey", "0"], &nowhere[..]].concat()[..]),
+        ("e.pgm", "e.yaml", &[&["--z", "0"], &nowhere[..]].concat()[..]),
+        ("e_storey0.yaml", "e.yaml", &nowhere),
+        ("e_links.geojson", "e.yaml", &nowhere),
+    ] {
+        fs::write(at.join(edits), "{}").unwrap();
+        let out = slicetool(&folder, "export", &[&["a.slices", "-o", output, "--edits", edits], more].concat());
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert!(out.status.code() == Some(1) && said.contains("this command reads"), "{edits}: {said}");
+        assert_eq!(fs::read_to_string(at.join(edits)).unwrap(), "{}");
+        fs::remove_file(at.join(edits)).unwrap();
+    }
+}
+
+#[test]
+fn maps_show_what_edits_add_beyond_the_scan() {
+    let folder = archive_of(hall());
+    // A floor that leads out of the scan, and beyond the tiles of 6.4 m in which it lies.
+    write(&folder, &json!({ "add": [{ "box": [7, 1, -0.3, 16, 3, 0] }] }));
+    let map = |more: &[&str]| {
+        let out = slicetool(&folder, "export", &[&["a.slices", "-o", "m.yaml", "--storey", "0"], more].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        let image = fs::read(folder.path().join("m.pgm")).unwrap();
+        let mut lines = image.splitn(4, |byte| *byte == b'\n');
+        let size = String::from_utf8(lines.nth(1).unwrap().to_vec()).unwrap();
+        let width: usize = size.split(' ').next().unwrap().parse().unwrap();
+        let samples = lines.nth(1).unwrap();
+        let beyond = samples.chunks(width).flat_map(|row| row.iter().skip(128));
+        (width, beyond.filter(|sample| **sample == 254).count())
+    };
+    assert_eq!(map(&[]), (128, 0));
+    let (width, free) = map(&["--edits", "e.json"]);
+    assert!(width == 192 && free > 300, "{width} {free}");
 }
 
 #[test]
@@ -320,4 +357,15 @@ fn a_copy_with_edits_keeps_the_marks_of_filled_holes_elsewhere() {
     let found: Value = serde_json::from_slice(&out.stdout).unwrap();
     let marks = ["inferred_only_a", "inferred_only_b"].map(|key| found["voxels"][key].clone());
     assert_eq!(marks, [json!(9), json!(0)], "{found}");
+    // Layers ignore the marks as other answers do.
+    let without_floor = |more: &[&str]| {
+        let layers = ["a.slices", "-o", "a.tif", "--layer", "height,slope"];
+        let out = slicetool(&folder, "export", &[&layers[..], more].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        let file = fs::File::open(folder.path().join("a.tif")).unwrap();
+        let samples = tiff::decoder::Decoder::new(file).unwrap().read_image().unwrap();
+        let tiff::decoder::DecodingResult::F32(samples) = samples else { panic!("expected f32") };
+        samples.iter().step_by(2).filter(|height| height.is_nan()).count()
+    };
+    assert_eq!(without_floor(&["--ignore-inferred"]), without_floor(&[]) + 18);
 }

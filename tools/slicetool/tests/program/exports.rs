@@ -342,7 +342,7 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
         "a.voxel.json",
     ];
     // Each option, a value, the formats that it is for, and how the message names them.
-    let options: [(&[&str], &[&str], &str); 12] = [
+    let options: [(&[&str], &[&str], &str); 15] = [
         (&["--slice", "1"], &["a.svg", "a.dxf"], ".svg and .dxf"),
         (
             &["--z", "1"],
@@ -359,8 +359,11 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
         ),
         (&["--profile", "foot"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
         (&["--climb", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
-        (&["--max-drop", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
-        (&["--max-grade", "90"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json and layers of .tif"),
+        (&["--max-drop", "0.35"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--max-grade", "90"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--max-ramp", "6"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
+        (&["--seen"], &[], "`reach` and `route`"),
+        (&["--edits", "e.json"], &["a.yaml"], ".yaml and .npy; for others, `slicetool extract --edits` makes a copy"),
         (
             &["--ignore-inferred"],
             &["a.yaml", "a.heightfield.json"],

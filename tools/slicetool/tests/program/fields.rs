@@ -149,6 +149,10 @@ fn layers_are_the_slopes_and_clearances_of_the_scene() {
         (&["-o", "b.tif", "--layer", "slope,slope"][..], "named twice"),
         (&["-o", "b.ply", "--layer", "slope"], "only for .tif"),
         (&["-o", "b.tif", "--layer", "colour"], "possible values"),
+        (&["-o", "b.tif", "--layer", "slope", "--edits", "none.json"], "only for .yaml and .npy"),
+        (&["-o", "b.tif", "--layer", "clearance", "--seen"], "only for `reach` and `route`"),
+        (&["-o", "b.tif", "--layer", "slope", "--max-grade", "6"], "only for .yaml and .heightfield.json"),
+        (&["-o", "b.tif", "--layer", "slope", "--max-ramp", "6"], "only for .yaml and .heightfield.json"),
     ] {
         let out = run(at, arguments);
         assert!(out.status.code() == Some(2) && String::from_utf8_lossy(&out.stderr).contains(said), "{arguments:?}");

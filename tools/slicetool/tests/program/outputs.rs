@@ -354,6 +354,16 @@ fn a_voxel_is_one_point_even_with_two_spans_in_it() {
 }
 
 #[test]
+fn the_demonstration_replaces_no_archive_of_another_scan() {
+    let folder = folder();
+    let at = folder.path();
+    fs::copy(at.join("a.slices"), at.join("house.slices")).unwrap();
+    let before = contents(at);
+    assert!(refuses(at, &["demo", "-o", "."]).contains("house.slices"));
+    assert!(contents(at) == before);
+}
+
+#[test]
 fn the_demonstration_replaces_its_own_scan_alone() {
     let folder = folder();
     let at = folder.path();
