@@ -10,7 +10,7 @@ use crate::ground::{Loader, seen_space, tidy};
 use crate::{Failure, Outcome};
 use nalgebra::{Point3, Vector3};
 use serde_json::json;
-use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
+use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, floor_under, overlaps};
 use slicewalk::seen::{CELL_PIXELS, SeenPage, SeenSpace};
 use slicewalk_base::text::{counted, grouped};
@@ -28,6 +28,8 @@ const MOST_PLACES: usize = 1000;
 /// Most parts of the border that are looked at, and most that are checked for solid near by.
 const MOST_LOOKED_AT: usize = 2000;
 const MOST_CHECKED: usize = 200_000;
+/// Most places that are held before those without a floor are left out.
+const MOST_HELD: usize = 1 << 17;
 /// Distance beyond which a station does not count as looking at the border (m).
 const FAR_M: f64 = 30.0;
 /// Stations named, and the least share of the border that one must see.
@@ -42,6 +44,8 @@ const PAGES_BYTES: u64 = 256 << 20;
 const COLOURS: [[u8; 3]; 4] = [[0; 3], [0, 0, 96], [255, 64, 0], [255; 3]];
 /// Greatest edge of a picture (pixels).
 const MAX_EDGE: i64 = 65_500;
+/// Most pixels of a picture, a byte each in memory.
+const MOST_PIXELS: i64 = 1 << 28;
 
 type Cell = [i64; 3];
 
@@ -61,6 +65,7 @@ struct Survey<'a> {
 
 /// Reports the coverage of the archive at `path`; draws a plan of it to `output`.
 pub fn run(path: &Path, output: Option<&Path>, json: bool) -> Outcome {
+    crate::standard::refuse_two("-o", output, json)?;
     let archive = crate::open(path)?;
     let seen = seen_space(&archive, path, MOST_SEEN_BYTES)?;
     let to = output.map(|output| crate::output(output, &archive, &[])).transpose()?;
@@ -104,16 +109,23 @@ pub fn run(path: &Path, output: Option<&Path>, json: bool) -> Outcome {
     output.map_or(Ok(text.clone()), |output| crate::standard::written(output, &text))
 }
 
-/// Calls `give` with each seen cell.
-fn each_cell(seen: &SeenSpace, mut give: impl FnMut(Cell)) {
-    let per_page = TILE_PIXELS / CELL_PIXELS;
+/// Calls `give` with each seen cell, until a signal asks to stop.
+fn each_cell(seen: &SeenSpace, mut give: impl FnMut(Cell)) -> Result<(), Failure> {
     for (key, page) in seen.pages() {
-        let first = [i64::from(key.tx) * per_page, i64::from(key.ty) * per_page, i64::from(key.layer) * PAGE_SLICES];
-        for at in 0..SeenPage::CELLS as usize {
-            let by = [at % 16, at / 16 % 16, at / 256];
-            if page.is_seen(by.map(|at| [at; 2])) {
-                give([0, 1, 2].map(|axis| first[axis] + by[axis] as i64));
-            }
+        crate::go_on()?;
+        each_cell_of(key, &page, &mut give);
+    }
+    Ok(())
+}
+
+/// Calls `give` with each seen cell of a page.
+fn each_cell_of(key: PageKey, page: &SeenPage, mut give: impl FnMut(Cell)) {
+    let per_page = TILE_PIXELS / CELL_PIXELS;
+    let first = [i64::from(key.tx) * per_page, i64::from(key.ty) * per_page, i64::from(key.layer) * PAGE_SLICES];
+    for at in 0..SeenPage::CELLS as usize {
+        let by = [at % 16, at / 16 % 16, at / 256];
+        if page.is_seen(by.map(|at| [at; 2])) {
+            give([0, 1, 2].map(|axis| first[axis] + by[axis] as i64));
         }
     }
 }
@@ -125,20 +137,32 @@ impl Survey<'_> {
 
     /// Returns seen cells at the border with the area that each stands for (m²), and the area of the border.
     fn border(&self) -> Result<(Vec<(Cell, f64)>, f64), Failure> {
-        let mut ends = Vec::new();
+        // Evenly spread over space, since cells come along the curve of the archive. All of them may take far more memory
+        // than the space itself.
+        let (mut ends, mut every, mut number) = (Vec::new(), 1usize, 0usize);
         each_cell(self.seen, |cell| {
             for (axis, by) in (0..3).flat_map(|axis| [(axis, -1), (axis, 1)]) {
                 let mut beyond = cell;
                 beyond[axis] += by;
-                if !self.seen.is_seen(self.middle(beyond)) {
+                if self.seen.is_seen(self.middle(beyond)) {
+                    continue;
+                }
+                if number.is_multiple_of(every) {
                     ends.push((cell, beyond, axis));
                 }
+                number += 1;
+                if ends.len() > MOST_CHECKED {
+                    let mut place = 0;
+                    ends.retain(|_| {
+                        place += 1;
+                        place % 2 == 1
+                    });
+                    every *= 2;
+                }
             }
-        });
-        // Evenly spread over space, since cells come along the curve of the archive.
-        let every = ends.len().div_ceil(MOST_CHECKED).max(1);
+        })?;
         let mut faces: Vec<(Cell, f64)> = Vec::new();
-        for (cell, beyond, axis) in ends.into_iter().step_by(every) {
+        for (cell, beyond, axis) in ends {
             let around = Vector3::from(self.size) * (0.5 + CLEAR_CELLS);
             let middle = self.middle(beyond);
             let shape = Aabb::new(middle - around, middle + around)?;
@@ -163,28 +187,44 @@ impl Survey<'_> {
         let mut apart = APART_M;
         loop {
             let mut best: BTreeMap<Cell, (i64, Cell)> = BTreeMap::new();
-            each_cell(self.seen, |cell| {
-                let at = self.middle(cell);
-                let square = [(at.x / apart).floor(), (at.y / apart).floor(), (at.z / 0.5).floor()].map(|v| v as i64);
-                let off = |v: f64| ((v / apart).fract() - 0.5).abs();
-                let away = ((off(at.x) + off(at.y)) * 1000.0) as i64;
-                let own = best.entry(square).or_insert((away, cell));
-                *own = (*own).min((away, cell));
-            });
             let mut places = Vec::new();
-            for (_, cell) in best.into_values() {
-                let at = self.middle(cell);
-                let foot = Aabb::new(at, at)?;
-                let floor = self.loader.known(|view| Ok(floor_under(view, &foot, at.z, EYE_M + EYE_WITHIN_M)))?;
-                if floor.is_some_and(|floor| (at.z - floor - EYE_M).abs() <= EYE_WITHIN_M) {
-                    places.push(at);
+            for (key, page) in self.seen.pages() {
+                crate::go_on()?;
+                each_cell_of(key, &page, |cell| {
+                    let at = self.middle(cell);
+                    let square =
+                        [(at.x / apart).floor(), (at.y / apart).floor(), (at.z / 0.5).floor()].map(|v| v as i64);
+                    let off = |v: f64| ((v / apart).fract() - 0.5).abs();
+                    let away = ((off(at.x) + off(at.y)) * 1000.0) as i64;
+                    let own = best.entry(square).or_insert((away, cell));
+                    *own = (*own).min((away, cell));
+                });
+                if best.len() > MOST_HELD {
+                    self.add_places(std::mem::take(&mut best), &mut places)?;
+                }
+                if places.len() > MOST_PLACES {
+                    break;
                 }
             }
+            self.add_places(best, &mut places)?;
             if places.len() <= MOST_PLACES {
                 return Ok(places);
             }
             apart *= 1.5;
         }
+    }
+
+    /// Adds those of these cells that lie at eye height above a floor.
+    fn add_places(&self, cells: BTreeMap<Cell, (i64, Cell)>, places: &mut Vec<Point3<f64>>) -> Result<(), Failure> {
+        for (_, cell) in cells.into_values() {
+            let at = self.middle(cell);
+            let foot = Aabb::new(at, at)?;
+            let floor = self.loader.known(|view| Ok(floor_under(view, &foot, at.z, EYE_M + EYE_WITHIN_M)))?;
+            if floor.is_some_and(|floor| (at.z - floor - EYE_M).abs() <= EYE_WITHIN_M) {
+                places.push(at);
+            }
+        }
+        Ok(())
     }
 
     fn stations(&self, faces: &[(Cell, f64)], border_m2: f64) -> Result<Vec<Station>, Failure> {
@@ -232,21 +272,26 @@ impl Survey<'_> {
             for axis in 0..2 {
                 (low[axis], high[axis]) = (low[axis].min(cell[axis] - 4), high[axis].max(cell[axis] + 4));
             }
-        });
+        })?;
         let size = [0, 1].map(|axis| high[axis].saturating_sub(low[axis]) + 1);
         if seen_nothing(&size) || size.iter().any(|edge| *edge > MAX_EDGE) {
             let reason = format!("a plan of {} × {} cells; expected 1 to {MAX_EDGE} each", size[0], size[1]);
             return Err(Failure::Text(format!("{}: {reason}", path.display())));
         }
         let [width, height] = size;
-        let mut pixels = vec![COLOURS[0]; (width * height) as usize];
-        let mut set = |[x, y]: [i64; 2], colour: usize| {
+        if width * height > MOST_PIXELS {
+            let reason = format!("a plan of {width} × {height} cells; expected at most {MOST_PIXELS} in all");
+            return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
+        }
+        // Numbers of colours.
+        let mut pixels = vec![0u8; (width * height) as usize];
+        let mut set = |[x, y]: [i64; 2], colour: u8| {
             let [column, row] = [x - low[0], high[1] - y];
             if (0..width).contains(&column) && (0..height).contains(&row) {
-                pixels[(row * width + column) as usize] = COLOURS[colour];
+                pixels[(row * width + column) as usize] = colour;
             }
         };
-        each_cell(self.seen, |[x, y, _]| set([x, y], 1));
+        each_cell(self.seen, |[x, y, _]| set([x, y], 1))?;
         faces.iter().for_each(|([x, y, _], _)| set([*x, *y], 2));
         for Station { at, .. } in stations {
             let middle = [(at.x / self.size[0]).floor() as i64, (at.y / self.size[1]).floor() as i64];
@@ -261,7 +306,10 @@ impl Survey<'_> {
         encoder.set_depth(png::BitDepth::Eight);
         let mut writer = encoder.write_header()?;
         let mut stream = writer.stream_writer()?;
-        stream.write_all(pixels.as_flattened())?;
+        for row in pixels.chunks_exact(width as usize) {
+            let row: Vec<[u8; 3]> = row.iter().map(|colour| COLOURS[usize::from(*colour)]).collect();
+            stream.write_all(row.as_flattened())?;
+        }
         stream.finish()?;
         writer.finish()?;
         Ok(image)

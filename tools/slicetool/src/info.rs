@@ -43,9 +43,7 @@ pub fn run(paths: &[PathBuf], json: bool) -> Outcome {
             for failure in failures.into_iter().chain([last]) {
                 match failure {
                     Failure::Text(line) | Failure::Usage(line) | Failure::Result(line) => say(&line),
-                    // `info` is never interrupted.
-                    #[cfg(feature = "serve")]
-                    Failure::Interrupted(_) => {}
+                    Failure::Interrupted(code) => return Err(Failure::Interrupted(code)),
                 }
             }
             Err(Failure::Result(result))

@@ -30,7 +30,19 @@ pub struct ConversionArguments {
     up: Axis,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
+impl ConversionArguments {
+    /// An option that has another value than its default.
+    pub fn given(&self) -> Option<&'static str> {
+        let given = [
+            (self.pixel != PixelSize::Auto, "pixel"),
+            (self.units != Units::Auto, "units"),
+            (self.up != Axis::Z, "up"),
+        ];
+        given.into_iter().find(|(is_given, _)| *is_given).map(|(_, option)| option)
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
 enum Axis {
     Z,
     Y,

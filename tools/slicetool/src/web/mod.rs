@@ -136,6 +136,12 @@ impl Show {
         if settings.is_file() && are_settings(&settings)? {
             named.push((settings, SETTINGS.into(), Kind::Settings));
         }
+        if scans.is_empty()
+            && let Some(option) = arguments.conversion.given()
+        {
+            let reason = "only for scans, and none is given; archives are shown as they are";
+            return Err(Failure::Usage(format!("--{option}: {reason}")));
+        }
         let first = scans.first().map(|(_, place)| *place);
         if let Some(place) = first {
             let scans = scans.into_iter().map(|(path, _)| path).collect();

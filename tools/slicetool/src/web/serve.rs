@@ -13,6 +13,10 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::header::{self, HeaderName, HeaderValue};
 use axum::http::{HeaderMap, Method, Response, StatusCode, Uri};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::service::TowerToHyperService;
 use std::io::{SeekFrom, Write};
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
@@ -21,11 +25,12 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::net::TcpListener;
-use tokio::sync::oneshot;
 use tokio_util::io::ReaderStream;
 
 /// Time that pending answers get after a request to stop.
 const GRACE: Duration = Duration::from_secs(1);
+/// Time that a connection gets for the head of its next request.
+const HEAD: Duration = Duration::from_secs(10);
 /// Bytes of a file held in memory for each answer.
 const CHUNK: usize = 1 << 17;
 /// Wait for the inputs of a conversion to be opened: until then, a bad one is reported before anything is served.
@@ -246,22 +251,37 @@ async fn serve(arguments: &Arguments, table: Arc<Table>, converting: Option<&Con
     {
         say(&format!("cannot open a browser: {error}; open {address} yourself"));
     }
-    let (stop, stopped) = oneshot::channel::<()>();
-    let router = Router::new().fallback(answer).with_state(table);
-    let server = axum::serve(listener, router).with_graceful_shutdown(async {
-        let _ = stopped.await;
-    });
-    let serving = tokio::spawn(server.into_future());
+    let router: Router = Router::new().fallback(answer).with_state(table);
+    let connections = GracefulShutdown::new();
     let failed = async {
         match converting {
             Some(converting) => converting.failed().await,
             None => std::future::pending().await,
         }
     };
-    let signal = first(signals.next(), failed).await;
-    let _ = stop.send(());
-    let _ = tokio::time::timeout(GRACE, serving).await;
-    Ok(signal)
+    let code = first(first(signals.next(), failed), accept(listener, &router, &connections)).await;
+    let _ = tokio::time::timeout(GRACE, connections.shutdown()).await;
+    Ok(code)
+}
+
+/// Answers the requests of all connections, without end.
+async fn accept(listener: TcpListener, router: &Router, connections: &GracefulShutdown) {
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // As with too many open files, until some are closed.
+            tokio::time::sleep(LOOK).await;
+            continue;
+        };
+        let mut builder = http1::Builder::new();
+        // Only a timer ends connections that never send a whole request.
+        builder.timer(TokioTimer::new()).header_read_timeout(HEAD);
+        let service = TowerToHyperService::new(router.clone());
+        let served = connections.watch(builder.serve_connection(TokioIo::new(stream), service));
+        tokio::spawn(async move {
+            // A browser that leaves is no failure.
+            let _ = served.await;
+        });
+    }
 }
 
 /// Waits for a signal and returns its exit code, or for `failed`: 0.

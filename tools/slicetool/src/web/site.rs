@@ -7,8 +7,11 @@ use super::page::INDEX;
 use super::{Kind, Show, ShowArguments, Shown, TABLE};
 use crate::{Failure, Outcome};
 use slicewalk_base::output::{Existing, Output, OutputKind, Protected};
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+
+/// Bytes copied between two looks whether to stop.
+const PIECE: u64 = 16 << 20;
 
 /// Options of `slicetool site`.
 #[derive(clap::Args)]
@@ -25,6 +28,8 @@ pub struct Arguments {
 
 /// Writes the site and reports where it is.
 pub fn run(arguments: &Arguments) -> Outcome {
+    // From now on signals only ask to stop, so that no temporary file stays.
+    crate::go_on()?;
     let (show, folder) = (Show::new(&arguments.show)?, &arguments.output);
     if !arguments.force {
         keep_start_page(folder)?;
@@ -46,6 +51,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         copy(file, &folder.join(&file.name), arguments.force, &protected)?;
     }
     let write = |name: &str, bytes: &[u8]| -> Result<(), Failure> {
+        crate::go_on()?;
         let path = folder.join(name);
         path.parent().map_or(Ok(()), create)?;
         let mut output = Output::create(&path, OutputKind::Result, protected.clone())?;
@@ -92,7 +98,10 @@ fn copy(file: &Shown, to: &Path, force: bool, protected: &Protected) -> Result<(
     let failed = |error: std::io::Error| {
         Failure::Text(format!("{}: cannot copy to {}: {error}", file.path.display(), to.display()))
     };
-    std::io::copy(&mut std::fs::File::open(&file.path).map_err(failed)?, &mut writer).map_err(failed)?;
+    let mut from = std::fs::File::open(&file.path).map_err(failed)?;
+    while std::io::copy(&mut (&mut from).take(PIECE), &mut writer).map_err(failed)? > 0 {
+        crate::go_on()?;
+    }
     writer.flush().map_err(failed)?;
     drop(writer);
     output.publish()?;

@@ -38,6 +38,31 @@ fn a_signal_ends_the_wait_for_a_server() {
 }
 
 #[test]
+fn an_interrupted_site_leaves_no_part_of_a_file() {
+    let folder = converted(floor_wall_roof(), 0.05, None);
+    let at = folder.path();
+    fs::create_dir(at.join("page")).unwrap();
+    fs::write(at.join("page/index.html"), "page").unwrap();
+    // COPC by its head, and far more than can be copied before the signal. It takes no space.
+    let mut head = vec![0; 589];
+    head[..4].copy_from_slice(b"LASF");
+    head[377..381].copy_from_slice(b"copc");
+    fs::write(at.join("c.copc.laz"), head).unwrap();
+    fs::File::options().write(true).open(at.join("c.copc.laz")).unwrap().set_len(64 << 30).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_slicetool"));
+    command.current_dir(at).args(["site", "a.slices", "--cloud", "c.copc.laz", "--page", "page", "-o", "site"]);
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let is_copied = |name: &String| name.contains("c.copc") && name.ends_with(".part");
+    while !at.join("site").is_dir() || !names(&at.join("site")).iter().any(is_copied) {
+        std::thread::yield_now();
+    }
+    let sent = Command::new("kill").args(["-s", "INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let out = child.wait_with_output().unwrap();
+    assert_eq!((out.status.code(), names(&at.join("site"))), (Some(130), vec!["a.slices".to_owned()]));
+}
+
+#[test]
 fn interrupted_exports_say_so_and_leave_nothing() {
     let folder = converted(floor_wall_roof(), 0.05, None);
     let at = folder.path();

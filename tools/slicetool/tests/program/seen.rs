@@ -184,4 +184,6 @@ fn the_next_station_stands_where_seen_space_ends() {
     assert!(said.contains("station 1: ") && at.join("plan.png").exists(), "{said}");
     let out = tool(at, &["stats", "plain.slices", "--coverage"], "");
     assert_eq!(out.status.code(), Some(1));
+    let out = tool(at, &["stats", "a.slices", "--coverage", "--json", "-o", "-"], "");
+    assert!(out.status.code() == Some(2) && out.stdout.is_empty(), "a picture and JSON into one stream");
 }

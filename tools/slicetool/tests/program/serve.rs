@@ -296,6 +296,27 @@ fn nothing_else_of_the_disk_is_served() {
     assert_eq!(nameless.status, 403);
 }
 
+#[test]
+#[ignore = "slow: .ci/run"]
+fn connections_that_send_no_whole_request_are_closed() {
+    let folder = folder();
+    let server = Server::start(folder.path(), &["a.slices"]);
+    let sent = ["", "G", "GET / HTTP/1.1\r\n", "GET / HTTP/1.1\r\nHost: localhost\r\nAccept: *"];
+    let mut open = sent.map(|text| {
+        let mut stream = TcpStream::connect(&server.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(40))).unwrap();
+        stream.write_all(text.as_bytes()).unwrap();
+        stream
+    });
+    // Each ends, with an answer or without one.
+    for stream in &mut open {
+        let mut said = Vec::new();
+        stream.read_to_end(&mut said).unwrap();
+        assert!(!said.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&said));
+    }
+    assert_eq!(server.get("/", "").status, 200);
+}
+
 #[cfg(unix)]
 #[test]
 fn links_in_the_page_are_not_followed() {
@@ -356,6 +377,12 @@ fn what_cannot_be_served_is_one_line() {
     let said = refuses(at, &["serve", "a.slices", "--page", "page", "--port", &port]);
     assert!(said.contains(&format!("--port {port}: cannot listen")), "{said}");
     assert_eq!(run(at, &["serve"]).status.code(), Some(2));
+    for option in [["--pixel", "0.1"], ["--units", "ft"], ["--up", "y"]] {
+        let out = run(at, &[&["site", "a.slices", "--page", "page", "-o", "site"][..], &option].concat());
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(2) && said.contains("only for scans"), "{option:?}: {said}");
+    }
+    assert!(!at.join("site").exists());
 }
 
 /// Arguments that write the archive's site, plus `more`.
