@@ -231,16 +231,21 @@ pub(super) fn scope(
 }
 
 /// Explains why the archive of a scan with points is empty.
-fn nothing_kept(header: &Header, voxels_dropped: u64, points_moving: u64) -> String {
+fn nothing_kept(header: &Header, voxels_dropped: u64, points_moving: u64, splats: &SplatCounts) -> String {
     let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
+    let left_out = points_excluded + points_withheld + points_moving + splats.left_out();
+    let of_splats = match splats.left_out() {
+        0 => String::new(),
+        count => format!(", {} by limits of splats or unusable", counted(count, "splat")),
+    };
     let why = match points_kept {
         0 => format!(
-            "all {} are left out ({} by class, {} withheld, {} moving, {} without a finite position)",
+            "all {} are left out ({} by class, {} withheld, {} moving{of_splats}, {} without a finite position)",
             counted(points_read, "point"),
             grouped(points_excluded),
             grouped(points_withheld),
             grouped(points_moving),
-            grouped(points_read - points_excluded - points_withheld - points_moving)
+            grouped(points_read - left_out)
         ),
         _ => format!("all {} have too few points or no neighbours", counted(voxels_dropped, "voxel")),
     };
@@ -323,7 +328,10 @@ impl Conversion<'_> {
         }
         let header = writer.finish(Totals { noise: self.noise, ..own.totals(&crs, self.units) })?;
         if reads_all(scope) && header.points_read > 0 && header.voxels.occupied == 0 {
-            monitor.warn(&nothing_kept(&header, left_out.voxels, left_out.moving).into());
+            // The part that counts splats counts those left out.
+            let is_counted = scope.is_none_or(ShardScope::owns_meshes);
+            let splats = if is_counted { all.splat_counts } else { SplatCounts::default() };
+            monitor.warn(&nothing_kept(&header, left_out.voxels, left_out.moving, &splats).into());
         }
         let bytes = [scans.bytes(), meshes.bytes(), splats.bytes(), cubes.bytes()];
         Ok(Report {

@@ -5,8 +5,8 @@ use super::points::{Own, Read, out_of_reach};
 use super::work::{FirstPass, SourceRead, StopFlag};
 use crate::bytes::{is_file_at, open_named};
 use crate::disk::Files;
-use crate::input::Units;
 use crate::input::scenes::Scene;
+use crate::input::{Units, each_once};
 use crate::plan::{Plan, Up};
 use crate::text::grouped;
 use crate::unit::LengthUnit;
@@ -80,16 +80,21 @@ impl Placed {
 impl CubeSet {
     /// Sets the files of cubes among the inputs aside. Returns them and the paths of all other inputs.
     pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Vec<PathBuf>)> {
-        let (mut paths, rest): (Vec<_>, Vec<_>) =
+        let (paths, rest): (Vec<_>, Vec<_>) =
             options.inputs.iter().cloned().partition(|path| format_of(path).is_some());
         if let Some(path) = rest.iter().find(|path| is_words(path)) {
             let reason = "the words of a voxel octree; name its .voxel.json, which lies beside it";
             return Err(Error::input(path, "name", reason));
         }
-        paths.sort();
-        if let Some(first) = paths.first().filter(|_| options.shard.is_some() || options.plan_file.is_some()) {
+        let paths = each_once(paths, monitor);
+        let parameter = match (&options.shard, &options.plan_file) {
+            (Some(_), _) => Some(Parameter::Shard),
+            (None, Some(_)) => Some(Parameter::Other("plan file".into())),
+            (None, None) => None,
+        };
+        if let (Some(first), Some(parameter)) = (paths.first(), parameter) {
             let reason = format!("{}: cubes are converted in one run, without a plan", first.display());
-            return Err(Error::parameter(Parameter::Shard, reason));
+            return Err(Error::parameter(parameter, reason));
         }
         let (mut beside, mut bytes, mut finest_m) = (Vec::new(), 0, None::<f64>);
         for path in &paths {

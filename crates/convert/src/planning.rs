@@ -88,7 +88,12 @@ pub(crate) fn plan(
         return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
     }
     let mut plan = options.plan_of(pixel_m)?;
-    if options.grid.fill_holes == Some(HoleWidth::Auto) && !set.files().is_empty() {
+    let fills_auto = options.grid.fill_holes == Some(HoleWidth::Auto);
+    if fills_auto && set.files().is_empty() {
+        let text = "--fill-holes auto: the input has no points whose spacing counts, so no hole is closed; give the width in \
+                    metres";
+        monitor.warn(&text.into());
+    } else if fills_auto {
         let spacing_m = match surveyed.spacing {
             Some(spacing) => spacing.spacing_m,
             None => read_survey(options, set, "spacing", monitor)?.spacing()?.spacing_m,

@@ -16,8 +16,9 @@ pub fn parse_size(text: &str) -> Result<u64, String> {
         other => return Err(format!("unknown unit {other:?}: expected B, KiB, MiB, GiB, KB, MB or GB")),
     };
     let value: f64 = digits.trim().parse().map_err(|_| "expected a size such as 512MiB".to_owned())?;
-    if (0.0..1e18).contains(&value) {
-        Ok((value * unit as f64) as u64)
+    let bytes = value * unit as f64;
+    if (0.0..1e18).contains(&bytes) {
+        Ok(bytes as u64)
     } else {
         Err("expected a size from 0 to less than 1e18 bytes".into())
     }
@@ -42,7 +43,7 @@ mod tests {
         ] {
             assert_eq!(parse_size(text), Ok(bytes), "{text}");
         }
-        for text in ["", "MiB", "-1", "12parsecs", "nan", "1e30"] {
+        for text in ["", "MiB", "-1", "12parsecs", "nan", "1e30", "20000000T", "1e17k"] {
             assert!(parse_size(text).is_err(), "{text}");
         }
     }

@@ -7,7 +7,7 @@ use super::work::{Colouring, FirstPass, SourceRead, StopFlag};
 use crate::archive::Bounds;
 use crate::bytes::{HAS_THREADS, is_file_at, len_at, open_named, spawn_in};
 use crate::input::scenes::Scene;
-use crate::input::{InputOptions, InputSet, PointCounts, Units, expand_inputs};
+use crate::input::{InputOptions, InputSet, PointCounts, Units, each_once, expand_inputs};
 use crate::placement::Similarity;
 use crate::plan::{Plan, Up};
 use crate::unit::LengthUnit;
@@ -141,18 +141,18 @@ impl Divided {
         let mut others =
             if rest.is_empty() && !splats.is_empty() { Vec::new() } else { expand_inputs(&rest, monitor)? };
         splats.extend(others.extract_if(.., |path| is_splat(path)));
-        Ok(Self { splats, others })
+        Ok(Self { splats: each_once(splats, monitor), others })
     }
 
     /// Opens the scans among inputs; returns them and the files of splats.
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<(InputSet, Vec<PathBuf>)> {
         let (mut splats, rest) = apart(inputs);
         if rest.is_empty() && !splats.is_empty() {
-            return Ok((InputSet::of_paths(Vec::new(), options, monitor)?, splats));
+            return Ok((InputSet::of_paths(Vec::new(), options, monitor)?, each_once(splats, monitor)));
         }
         let (scans, mut more) = InputSet::open_apart(&rest, &is_splat, options, monitor)?;
         splats.append(&mut more);
-        Ok((scans, splats))
+        Ok((scans, each_once(splats, monitor)))
     }
 }
 
@@ -182,10 +182,8 @@ pub(crate) struct SplatSurvey {
 const VOLUME_STEPS: f64 = (1u64 << 50) as f64;
 
 impl SplatSet {
-    /// Opens files of splats.
-    pub fn open(mut paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
-        paths.sort();
-        paths.dedup();
+    /// Opens files of splats, each named once.
+    pub fn open(paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         if let (Some(first), Units::Auto) = (paths.first(), options.reading.units) {
             let text = format!("{}: splats state no unit; metres are assumed", first.display());
             monitor.warn(&crate::Warning::from(text).with_suggestion(Parameter::Units));

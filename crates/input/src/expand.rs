@@ -50,6 +50,11 @@ pub(super) fn expand(
         let none = || Error::parameter("INPUT", "no file was given; name scans, meshes, directories or patterns");
         return Err(left_out.unwrap_or_else(none));
     }
+    Ok(each_once(found, monitor))
+}
+
+/// Sorts paths and leaves out files that are named again. Those under another name are reported to `monitor`.
+pub fn each_once(mut found: Vec<PathBuf>, monitor: &dyn Monitor) -> Vec<PathBuf> {
     found.sort();
     found.dedup();
     let mut seen: HashMap<FileId, usize> = HashMap::new();
@@ -66,7 +71,7 @@ pub(super) fn expand(
             None => once.push(path),
         }
     }
-    Ok(once)
+    once
 }
 
 /// Reports that an input is left out.

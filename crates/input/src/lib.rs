@@ -67,6 +67,7 @@ pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
 pub use self::source::{ReadLog, Reads};
 pub use diagnostics::{incomplete, warn_incomplete};
+pub use expand::each_once;
 
 /// Maximum number of points in one [`PointBatch`].
 pub const BATCH_POINTS: usize = 1 << 16;

@@ -8,7 +8,7 @@ use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use slicewalk::bytes::interruptible;
 use slicewalk::plan::Classifier;
 use slicewalk::{Error, Monitor, Parameter};
-use slicewalk_base::output::{Existing, Output, OutputKind, is_standard};
+use slicewalk_base::output::{Existing, Output, OutputKind, check, is_standard};
 use slicewalk_base::text::{counted, finite_number, whole_number};
 use slicewalk_convert::size::parse_size;
 use slicewalk_convert::values::{UpChoice, class_range, epsg, length, part, scale_from, transform};
@@ -248,23 +248,25 @@ fn main() -> ExitCode {
     let stop = move || asked.load(Ordering::Relaxed) != 0;
     let result = interruptible(Some(Arc::new(stop)), || run(&arguments, &given, &terminal));
     drop(terminal);
-    match result {
-        Ok(Done::Archive(report)) => {
-            report::of_conversion(&arguments, &report, started.elapsed().as_secs_f64());
-            ExitCode::SUCCESS
-        }
-        Ok(Done::Plan(file)) => {
-            report::of_plan(&arguments, &file);
-            ExitCode::SUCCESS
-        }
-        Ok(Done::Preview(preview)) => {
-            report::of_preview(&arguments, &preview);
-            ExitCode::SUCCESS
-        }
+    told(match result {
+        Ok(Done::Archive(report)) => report::of_conversion(&arguments, &report, started.elapsed().as_secs_f64()),
+        Ok(Done::Plan(file)) => report::of_plan(&arguments, &file),
+        Ok(Done::Preview(preview)) => report::of_preview(&arguments, &preview),
         Err(failed) => {
             let (line, code) = failure(&failed, signal.load(Ordering::Relaxed));
             say(&format!("sliceconv: {line}"));
-            code
+            return code;
+        }
+    })
+}
+
+/// Returns the exit code once the result is printed, or could not be.
+fn told(printed: std::io::Result<()>) -> ExitCode {
+    match printed {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            say(&format!("sliceconv: cannot write to standard output: {error}"));
+            ExitCode::FAILURE
         }
     }
 }
@@ -277,9 +279,7 @@ fn describe_program(arguments: &Arguments) -> Option<ExitCode> {
         None if arguments.man => clap_mangen::Man::new(Arguments::command()).render(&mut text).ok()?,
         None => return None,
     }
-    // A reader may close the pipe early.
-    let _ = std::io::Write::write_all(&mut std::io::stdout(), &text);
-    Some(ExitCode::SUCCESS)
+    Some(told(report::print_bytes(&text)))
 }
 
 /// Reason why nothing was done.
@@ -363,6 +363,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::ColourError => "--colour-error",
         Parameter::Other(name) if name == "mesh" => "--mesh",
         Parameter::Other(name) if name == "up" => "--up",
+        Parameter::Other(name) if name == "plan file" => "--plan",
         Parameter::Splats("opacity") => "--opacity",
         Parameter::Splats("least opacity") => "--min-opacity",
         Parameter::Splats("greatest size") => "--max-size",
@@ -375,6 +376,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         return Err(Failure::Usage(
             "-: scans are read in pieces from everywhere, not from standard input; name a file".into(),
         ));
+    }
+    if arguments.json && arguments.removed.as_deref().is_some_and(is_standard) {
+        let text = "--removed - and --json both write to standard output; name a file for --removed";
+        return Err(Failure::Usage(text.into()));
     }
     let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone().unwrap_or_default());
     options.grid.pixel = arguments.pixel;
@@ -408,6 +413,11 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.reading.splats.max_size_m = arguments.max_size;
     if let Some(path) = &arguments.transform {
         options.reading.placement = Some(transform(path)?);
+    }
+    // The library knows the content of these two, not their names.
+    let texts = [&arguments.transform, &arguments.plan].into_iter().flatten();
+    if let Some(removed) = arguments.removed.as_deref().filter(|removed| removed.is_file()) {
+        check(removed, OutputKind::Result, texts.collect())?;
     }
     options.reading.epsg = arguments.crs;
     options.reading.columns = arguments.columns;

@@ -10,29 +10,40 @@ use slicewalk_input::spacing::Spacing;
 use slicewalk_terminal::say;
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::io::{BufWriter, Write};
+use std::io::{self, Write};
 
 /// Most files that a preview lists by name; there may be thousands.
 const MOST_LISTED: usize = 10;
 /// Memory that a conversion may take in addition to `--memory` (bytes).
 const BESIDE_MEMORY: u64 = 64 << 20;
 
-/// Prints a result on standard output. A reader that is gone is not a failure, because the work is done.
-pub fn print(result: impl Display) {
-    let _ = writeln!(std::io::stdout(), "{}", lines(&result.to_string()));
+/// Prints a result on standard output.
+fn print(result: impl Display) -> io::Result<()> {
+    print_bytes(format!("{}\n", lines(&result.to_string())).as_bytes())
 }
 
-pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
+/// Writes bytes to standard output. A reader that is gone is not a failure, because the work is done.
+pub fn print_bytes(bytes: &[u8]) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written,
+    }
+}
+
+pub fn of_plan(arguments: &Arguments, file: &PlanFile) -> io::Result<()> {
     say_up(arguments, file.up.as_ref());
     if arguments.json {
-        let mut out = BufWriter::new(std::io::stdout().lock());
-        let _ = file.write_text(&mut out).and_then(|()| out.flush());
+        let mut text = Vec::new();
+        file.write_text(&mut text)?;
+        print(String::from_utf8_lossy(&text).trim_end())?;
     } else if !arguments.quiet {
         let frame = &file.plan.frame;
         let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
         say(&format!("plan: pixels of {pixel} m, slices of {slice} m, {}", counted(file.inputs.len() as u64, "input")));
         file.noise.iter().for_each(|noise| say(&of_tolerance(&file.plan, noise)));
     }
+    Ok(())
 }
 
 /// Describes the source of an automatic pixel size.
@@ -53,15 +64,16 @@ fn say_up(arguments: &Arguments, up: Option<&UpFound>) {
     up.filter(|_| !arguments.quiet).iter().for_each(|up| say(&format!("--up auto: {}", up_in_words(up))));
 }
 
-pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
+pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) -> io::Result<()> {
     say_up(arguments, report.up.as_ref());
     if arguments.json {
         let mut facts = report.info();
         facts["seconds"] = seconds.into();
-        print(format!("{facts:#}"));
+        print(format!("{facts:#}"))?;
     } else if !arguments.quiet {
         summary(arguments, report, seconds);
     }
+    Ok(())
 }
 
 /// Describes how many splats would be left out, and why.
@@ -106,6 +118,9 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     ));
     if points_read > points_kept {
         let moving = report.points_moving;
+        // Each part reports all splats; they count in the first.
+        let none = SplatCounts::default();
+        let splats = if report.shard.is_some_and(|part| part.index > 1) { &none } else { splats };
         let unsolid = splats.left_out() - splats.unusable;
         let unusable = points_read - points_kept - points_excluded - points_withheld - moving - unsolid;
         let reasons = [
@@ -174,7 +189,7 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     say(&format!("{sizes}{temporary}, {seconds:.2} s, {:.2} M {many}/s", points_read as f64 / seconds / 1e6));
 }
 
-pub fn of_preview(arguments: &Arguments, preview: &Preview) {
+pub fn of_preview(arguments: &Arguments, preview: &Preview) -> io::Result<()> {
     say_up(arguments, preview.up.as_ref());
     let bytes: u64 = preview.inputs.iter().map(|input| input.bytes).sum();
     let points = preview.inputs.iter().filter_map(|input| input.points).fold(0, u64::saturating_add);
@@ -227,5 +242,5 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
         },
     ));
     let rows = rows.iter().map(|(name, value)| one_line(format!("{name:10}{value}").trim_end()).into_owned());
-    print(rows.collect::<Vec<_>>().join("\n"));
+    print(rows.collect::<Vec<_>>().join("\n"))
 }

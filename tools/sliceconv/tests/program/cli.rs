@@ -275,6 +275,22 @@ fn nobody_reading_the_output_is_no_failure_and_no_panic() {
     assert_eq!(names(folder.path()), ["a.slices", "scan.las", "scan.laz"]);
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_result_that_cannot_be_written_is_a_failure_of_one_line() {
+    let folder = folder();
+    let dry = ["scan.las", "--dry-run", "--json", "--units", "m", "--pixel", "0.1"];
+    for arguments in
+        [&dry[..], &["--man"], &["--completions", "bash"], &with(&["scan.las"], &["--json", "--quiet"])[..]]
+    {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let out = command(folder.path()).args(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let said = String::from_utf8(out.stderr).unwrap();
+        assert_eq!((out.status.code(), said.lines().count()), (Some(1), 1), "{arguments:?}: {said}");
+        assert!(said.contains("cannot write to standard output"), "{said}");
+    }
+}
+
 #[test]
 fn a_scan_without_points_is_an_empty_archive_and_a_warning() {
     let folder = tempfile::tempdir().unwrap();

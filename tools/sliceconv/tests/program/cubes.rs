@@ -137,6 +137,11 @@ fn both_formats_make_the_same_bytes_whatever_threads_and_memory() {
     for arguments in [&["--threads", "3", "--memory", "64MiB"][..], &["--threads", "2"]] {
         assert!(archive(at, "a.bt", arguments) == expected, "{arguments:?}");
     }
+    fs::hard_link(at.join("a.bt"), at.join("b.bt")).unwrap();
+    let twice = ["a.bt", "./a.bt", "b.bt", "-o", "twice.slices"];
+    let said = converts(at, &twice);
+    assert!(said.matches("it is read once").count() == 2, "{said}");
+    assert!(fs::read(at.join("twice.slices")).unwrap() == expected, "the same file under three names");
     // Counts of cubes differ, what is solid does not: all of the file but its metadata.
     archive(at, "a.voxel.json", &[]);
     let pages = |name: &str| {
@@ -282,6 +287,10 @@ fn hostile_cubes_get_one_line() {
         assert!(!code.status.success());
     }
     refuses(at, &["a.bt", "--write-plan", "p.json"], 1);
+    fs::write(at.join("s.xyz"), "0 0 0\n1 1 0\n").unwrap();
+    converts(at, &["s.xyz", "--write-plan", "p.json", "--pixel", "0.1", "--units", "m"]);
+    let said = refuses(at, &["a.bt", "--plan", "p.json", "-o", "out.slices"], 2);
+    assert!(said.contains("--plan: a.bt: cubes are converted in one run"), "{said}");
     fs::write(at.join("m.txt"), "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n").unwrap();
     for moved in [["--up", "x"], ["--up", "auto"], ["--transform", "m.txt"]] {
         let said = refuses(at, &[&["a.bt", "-o", "out.slices"][..], &moved].concat(), 2);

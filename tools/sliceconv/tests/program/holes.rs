@@ -305,6 +305,11 @@ fn gaps_between_sparse_points_are_closed_by_the_measured_width() {
     converts(at, &["a.las", "--pixel", "0.1", "--fill-holes", "auto", "--quiet", "--write-plan", "p.json"]);
     let said = refuses(at, &["a.las", "--plan", "p.json", "--fill-holes", "auto", "-o", "b.slices"], 2);
     assert!(said.contains("--fill-holes: contradicts the plan"), "{said}");
+    // Meshes have no spacing.
+    fs::write(at.join("m.obj"), "v 0 0 0\nv 4 0 0\nv 4 4 0\nf 1 2 3\n").unwrap();
+    let said = converts(at, &["m.obj", "--pixel", "0.1", "--units", "m", "--fill-holes", "auto", "-o", "m.slices"]);
+    assert!(said.contains("--fill-holes auto: the input has no points"), "{said}");
+    assert_eq!(Archive::open(at.join("m.slices")).unwrap().plan().options.fill_holes, 0);
 }
 
 #[test]

@@ -506,7 +506,11 @@ fn a_scan_without_one_usable_point_is_refused_even_where_gaps_are_allowed() {
     let far = format!("ply\nformat ascii 1.0\nelement vertex 2\n{axes}end_header\n1e13 1 2\n1e13 2 3\n");
     let before = fs::read(folder.path().join("a.slices")).unwrap();
     for (name, text, words) in [
-        ("far.ply", &*far, "far.ply: points: no point has a finite position within 1e12 m; fetch or write the file again"),
+        (
+            "far.ply",
+            &*far,
+            "far.ply: points: no point has a finite position within 1e12 m; fetch or write the file again",
+        ),
         ("none.pts", "5\n", "INPUT: nothing of it can be read; fetch or write it again"),
     ] {
         fs::write(folder.path().join(name), text).unwrap();

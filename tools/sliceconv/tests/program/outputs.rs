@@ -195,6 +195,22 @@ fn a_plan_that_cannot_be_written_is_refused_before_the_work_and_a_killed_one_lea
     }
 }
 
+#[test]
+fn removed_points_replace_no_text_that_the_command_reads_and_share_no_stream() {
+    let folder = folder();
+    let at = folder.path();
+    let matrix = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n";
+    fs::write(at.join("m.txt"), matrix).unwrap();
+    let removing = ["-o", "a.slices", "--remove-moving", "--stations", "s.csv"];
+    let arguments = [&removing[..], &["--transform", "m.txt", "--removed", "m.txt"]].concat();
+    let said = refuses(at, &with(&["scan.las"], &arguments), 1);
+    assert!(said.contains("m.txt: is a file that this command reads"), "{said}");
+    assert_eq!(fs::read_to_string(at.join("m.txt")).unwrap(), matrix);
+    let arguments = [&removing[..], &["--removed", "-", "--json"]].concat();
+    let said = refuses(at, &with(&["scan.las"], &arguments), 2);
+    assert!(said.contains("--removed - and --json both write to standard output"), "{said}");
+}
+
 /// Runs the program under a tracer that makes a system call fail: `fault` is `call:error=E:when=N`. `None`, with a line
 /// on standard error, without a tracer.
 #[cfg(target_os = "linux")]

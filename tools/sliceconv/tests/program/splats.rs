@@ -105,6 +105,11 @@ fn options_leave_out_what_they_say() {
     assert_eq!([&all["splats_faint"], &all["splats_large"]], [0, 0]);
     let few = facts(&["--opacity", "0.3", "--min-opacity", "0.2"]);
     assert_eq!([&few["splats_faint"], &few["splats_transparent"]], [count(0.0, 0.2), count(0.2, 0.3)]);
+    let said = converts(
+        folder.path(),
+        &["a.ply", "-o", "none.slices", "--units", "m", "--pixel", "0.1", "--min-opacity", "0.99"],
+    );
+    assert!(said.contains("1,000 splats by limits of splats or unusable, 0 without a finite position"), "{said}");
     let none = facts(&["--min-opacity", "0.99"]);
     assert_eq!((&none["splats_faint"], &none["voxels"]["occupied"]), (&1000.into(), &0.into()));
     let size = |splat: &Splat| {
