@@ -105,7 +105,7 @@ def varint(value):
 
 
 def unpack_frame(data, content_len, rule, most=0):
-    """The content of exactly one zstd frame, of `content_len` bytes, or of up to `most` bytes if that is None."""
+    """Unpack exactly one zstd frame of `content_len` bytes, or of at most `most` bytes if `content_len` is None."""
     need(data[:4] == b"\x28\xb5\x2f\xfd", rule, "no zstd frame")
     try:
         frame = zstandard.get_frame_parameters(data)

@@ -145,7 +145,7 @@ struct Trial {
     next: Vec<usize>,
     /// Two walkers each at the middle, the front and the rear; `None` until they stand there in the first state.
     walkers: Option<[Follower; 6]>,
-    /// The same walkers on their way to the next state.
+    /// The same walkers, moving to the next state.
     going: Option<Going<6>>,
     searches: usize,
 }

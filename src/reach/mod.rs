@@ -89,7 +89,7 @@ use std::ops::ControlFlow;
 /// computed: some hundred MiB. Scans have a hundredth of that.
 const MOST_PAGES: usize = 4096;
 const MOST_SPANS: usize = 1 << 21;
-/// Under a footprint of many pixels, more spans are no sign of a forged archive: so many for each pixel are allowed.
+/// Spans allowed for each pixel under a large footprint, where more than [`MOST_SPANS`] do not mean a forged archive.
 const SPANS_OF_A_PIXEL: usize = 4;
 
 /// Reason why a value is unknown.

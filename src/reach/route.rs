@@ -150,7 +150,7 @@ struct Trial {
     at: usize,
     next: Vec<usize>,
     walkers: Walkers,
-    /// The same walkers on their way to the next place.
+    /// The same walkers, moving to the next place.
     going: Option<Going<2>>,
     /// The rest of the path, once a step of it was refused.
     rest: Option<Rest>,
@@ -158,7 +158,7 @@ struct Trial {
     searches: usize,
 }
 
-/// The steps of a path from a refused one on, tested one by one to save searches.
+/// The steps of a path from a refused one on, each tested by itself to save searches.
 #[derive(Debug)]
 struct Rest {
     refused: Vec<(u32, u32)>,
@@ -704,7 +704,7 @@ pub(super) fn walkers_at(region: &Region, place: u32) -> Result<Walkers> {
     Ok([follower(config)?, follower(Config { tick_s: LONG_TICK_S, ..config })?])
 }
 
-/// Walkers that each go along a line of their own, one after the other.
+/// Walkers that follow a line each, in turn.
 #[derive(Debug)]
 pub(super) struct Going<const N: usize> {
     pub walkers: [Follower; N],

@@ -123,7 +123,7 @@ fn under_a_low_ceiling_there_is_no_room_to_stand_up() {
     walker.place(walker.feet() - Vector3::new(3.0, 0.0, 0.0));
     walker.step(&store, FRAME_S, MoveInput::Stay);
     assert_eq!(walker.has_room(&store, &BOX), Answer::Known(true));
-    // What is no body has room nowhere.
+    // An invalid body has no room anywhere.
     for body in [Body::Cylinder { radius: -1.0, height: 1.8 }, Body::Box { x: f64::NAN, y: 0.5, height: 1.8 }] {
         assert_eq!(walker.has_room(&store, &body), Answer::Known(false));
     }

@@ -221,7 +221,7 @@ fn sparse_values_whose_indices_do_not_ascend_are_refused() {
             }
         }
     }
-    // Colours that nobody wants are not read.
+    // Colours are only read if they are requested.
     hold(&path, text([2, 1], colours).into_bytes());
     let set = MeshSet::open(&[path], MeshOptions::default(), &NoMonitor).unwrap();
     let (mut feed, mut batch) = (set.feed(), Vec::new());

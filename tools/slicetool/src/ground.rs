@@ -269,7 +269,7 @@ pub fn above_zero(text: &str) -> Result<f64, String> {
 const AROUND_M: f64 = 2.0;
 /// Queries near one place after which more pages are loaded than those reported missing.
 const MANY: u32 = 16;
-/// How often one question may begin anew with the same page before the cache counts as too small: it does so for a tile
+/// How often one question may restart with the same page before the cache counts as too small: it restarts for a tile
 /// around the page, or for a walker that comes by, and a route is searched up to 128 times.
 const AGAIN: u32 = 1 << 9;
 
@@ -278,7 +278,7 @@ const AGAIN: u32 = 1 << 9;
 struct Missed {
     /// Those that stay in memory together.
     kept: Vec<PageKey>,
-    /// How often each page was among those with which `kept` began anew.
+    /// How often each page was among those with which `kept` restarted.
     again: HashMap<PageKey, u32>,
     /// Where it missed pages last.
     place: Option<Place>,

@@ -164,7 +164,7 @@ impl Triangles for StlReader {
                             Err(error) => {
                                 watch.lose(1, error)?;
                                 corners.clear();
-                                // The word that is no number may begin the next facet.
+                                // An invalid number may be the first word of the next facet.
                                 let is_facet = words.word().eq_ignore_ascii_case(b"facet");
                                 *place = if is_facet { Place::Facet } else { Place::Broken };
                             }

@@ -287,7 +287,7 @@ def _target(output: StrPath) -> Path | str:
 
 
 def _check_number(name: str, value: object, least: int, most: int | None = None) -> None:
-    """Refuse an argument that is no whole number from `least` to `most`."""
+    """Refuse an argument other than a whole number from `least` to `most`."""
     expected = f"a whole number, {least} or more" if most is None else f"a whole number from {least} to {most}"
     text = f"{name}: expected {expected}, found {value!r}"
     if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -300,7 +300,7 @@ def _check_number(name: str, value: object, least: int, most: int | None = None)
 
 
 def _check_seconds(name: str, value: object) -> None:
-    """Refuse an argument that is no time."""
+    """Refuse an argument other than a number of seconds, 0 or more."""
     text = f"{name}: expected seconds, 0 or more, found {value!r}"
     if isinstance(value, bool) or not isinstance(value, SupportsFloat):
         raise ParameterTypeError(text, at=name)
