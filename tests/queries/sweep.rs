@@ -533,7 +533,7 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
         ];
         hits.map(|hit| hit.known().unwrap())
     };
-    for hit in standing(top, down) {
+    for hit in [down, Vector3::new(1.0, 0.0, -1.0)].into_iter().flat_map(|motion| standing(top, motion)) {
         let hit = hit.unwrap();
         assert!(hit.fraction == 0.0 && hit.normal == Vector3::z() && !hit.begins_inside(), "{hit:?}");
     }
@@ -623,6 +623,144 @@ fn of_contacts_at_the_same_moment_landing_counts() {
         let hit = sweep(&store(&[(4, wall)]), &shape, motion).known().unwrap().unwrap();
         assert!((hit.fraction - 0.5).abs() < 1e-9 && hit.normal == -side * Vector3::x(), "{hit:?}");
     }
+}
+
+/// Spans of pixels of 1 m and quanta of 1 m.
+fn metres(spans: &[((i64, i64), scene::Matter)]) -> Snapshot {
+    let columns = spans.iter().map(|&(pixel, span)| (pixel, vec![span])).collect();
+    Snapshot::from_pages(Frame::new(1.0, 255.0).unwrap(), scene::pages_of(&columns))
+}
+
+#[test]
+fn of_spans_met_at_the_same_moment_the_obstacle_is_reported() {
+    let shape = Aabb::new([0.0, 0.0, 6.0].into(), [2.0, 2.0, 8.0].into()).unwrap();
+    for (pixels, low, high, motion) in [
+        ([(0, 0), (1, 1)], 2, 4, Vector3::new(0.0, 0.0, -4.0)),
+        ([(0, 0), (1, 1)], 10, 12, Vector3::new(0.0, 0.0, 4.0)),
+        ([(4, 0), (4, 1)], 6, 8, Vector3::new(4.0, 0.0, 0.0)),
+    ] {
+        for obstacle in [0, 1] {
+            let store = metres(&[0, 1].map(|n| (pixels[n], (low, high, n == obstacle))));
+            let hit = sweep(&store, &shape, motion).known().flatten().unwrap();
+            let (i, j) = pixels[obstacle];
+            assert_eq!((hit.fraction, hit.obstacle, hit.pixel), (0.5, true, [i, j]), "{motion:?}");
+        }
+    }
+}
+
+#[test]
+fn of_walls_met_at_the_same_moment_that_across_x_is_reported() {
+    let shape = Aabb::new([0.0; 3].into(), [1.0; 3].into()).unwrap();
+    let motion = Vector3::new(4.0, 4.0, 0.0);
+    // Also if only the other is an obstacle.
+    for obstacle in [false, true] {
+        let store = metres(&[((3, 2), (0, 2, false)), ((2, 3), (0, 2, obstacle))]);
+        let hit = sweep(&store, &shape, motion).known().flatten().unwrap();
+        assert_eq!((hit.fraction, hit.normal, hit.pixel), (0.5, -Vector3::x(), [3, 2]));
+        assert!(!hit.obstacle);
+    }
+}
+
+#[test]
+fn a_cylinder_meets_walls_with_its_side_and_floors_with_its_bottom() {
+    let hit = |store: &Snapshot, z: f64, motion: Vector3<f64>| {
+        let cylinder = Cylinder::new([0.0, 0.5, z].into(), 1.0, 1.0).unwrap();
+        let hit = sweep(store, &cylinder, motion).known().flatten().unwrap();
+        (hit.fraction, hit.normal)
+    };
+    let wall = metres(&[((3, 0), (0, 10, true))]);
+    for rise in [0.5, -0.25, 0.0] {
+        assert_eq!(hit(&wall, 0.5, Vector3::new(4.0, 0.0, rise)), (0.5, -Vector3::x()), "{rise}");
+    }
+    let floor = metres(&[((0, 0), (0, 2, false))]);
+    for aside in [1.0, -1.0, 0.0] {
+        assert_eq!(hit(&floor, 4.0, Vector3::new(aside, 0.0, -4.0)), (0.5, Vector3::z()), "{aside}");
+    }
+    // Both at once, on an edge: it lands.
+    let edge = metres(&[((3, 0), (0, 2, false))]);
+    assert_eq!(hit(&edge, 3.0, Vector3::new(4.0, 0.0, -2.0)), (0.5, Vector3::z()));
+}
+
+#[test]
+fn round_shapes_of_no_radius_land_and_begin_inside_like_boxes() {
+    let store = metres(&[((0, 0), (0, 2, false))]);
+    let hits = |z: f64, motion: Vector3<f64>| {
+        let at = Point3::new(0.5, 0.5, z);
+        let hits = [
+            sweep(&store, &Aabb::new(at, at).unwrap(), motion),
+            sweep(&store, &Cylinder::new(at, 0.0, 0.0).unwrap(), motion),
+            sweep(&store, &Sphere::new(at, 0.0).unwrap(), motion),
+        ];
+        hits.map(|hit| hit.known().flatten().unwrap())
+    };
+    for hit in hits(4.0, Vector3::new(0.0, 0.0, -4.0)) {
+        assert_eq!((hit.fraction, hit.normal), (0.5, Vector3::z()));
+    }
+    for motion in [Vector3::zeros(), Vector3::new(0.0, 0.0, -4.0), Vector3::new(1.0, 1.0, 1.0)] {
+        assert!(hits(1.0, motion).iter().all(SweepHit::begins_inside), "{motion:?}");
+    }
+}
+
+/// The normal is that of the place of contact, not of the begin.
+#[test]
+fn round_shapes_meet_a_corner_halfway() {
+    let store = metres(&[((0, 0), (0, 2, false))]);
+    // Its corner is 3 m and 4 m away after half of the motion.
+    let motion = Vector3::new(8.0, 0.0, 0.0);
+    let hits = [
+        sweep(&store, &Cylinder::new([-7.0, -4.0, 0.5].into(), 5.0, 1.0).unwrap(), motion),
+        sweep(&store, &Sphere::new([-7.0, -4.0, 1.0].into(), 5.0).unwrap(), motion),
+    ];
+    for hit in hits {
+        let hit = hit.known().flatten().unwrap();
+        assert!((hit.fraction - 0.5).abs() < 1e-9, "{hit:?}");
+        assert!((hit.normal - Vector3::new(-0.6, -0.8, 0.0)).norm() < 1e-9, "{hit:?}");
+    }
+}
+
+#[test]
+fn a_point_is_stopped_against_its_way() {
+    let store = metres(&[((3, 4), (0, 2, false))]);
+    let motion = Vector3::new(6.0, 8.0, 0.0);
+    let hit = |x: f64, y: f64, radius: f64| {
+        let point = Sphere::new([x, y, 1.0].into(), radius).unwrap();
+        sweep(&store, &point, motion).known().flatten().unwrap()
+    };
+    let outside = hit(0.0, 0.5, 0.0);
+    assert!((outside.fraction, outside.distance) == (0.5, 5.0), "{outside:?}");
+    assert!((outside.normal - Vector3::new(-0.6, -0.8, 0.0)).norm() < 1e-12, "{outside:?}");
+    // From there, and from inside, it goes nowhere.
+    for (x, radius) in [(3.0, 0.0), (3.0, 1e-20), (3.5, 0.0), (3.5, 1e-20)] {
+        assert_eq!(hit(x, 4.5, radius).fraction, 0.0, "{x} {radius}");
+    }
+}
+
+#[test]
+fn only_pages_that_could_hold_an_earlier_contact_are_missing() {
+    let key = |tx, ty| PageKey { tx, ty, layer: 0 };
+    // A span in each of two pages, and one of the pages in memory.
+    let ask = |spans: [((i64, i64), scene::Matter); 2], loaded: PageKey, shape: &Aabb, motion: Vector3<f64>| {
+        let mut part = scene::Part::new(metres(&spans));
+        assert_eq!(part.load(&[loaded]), 1);
+        sweep(&part, shape, motion)
+    };
+    let cube = Aabb::new([0.0; 3].into(), [1.0; 3].into()).unwrap();
+    let walls = [((10, 0), (0, 2, true)), ((70, 0), (0, 2, true))];
+    let behind = ask(walls, key(0, 0), &cube, Vector3::new(100.0, 0.0, 0.0));
+    assert_eq!(behind.known().flatten().unwrap().pixel, [10, 0]);
+    let before = ask(walls, key(1, 0), &cube, Vector3::new(100.0, 0.0, 0.0));
+    assert_eq!(missing(before).unwrap().keys(), [key(0, 0)]);
+    // The page of the higher ceiling is visited first.
+    let wide = Aabb::new([0.0, 60.0, 0.0].into(), [1.0, 68.0, 1.0].into()).unwrap();
+    let ceilings = [((0, 60), (2550, 2560, false)), ((0, 65), (1275, 1280, false))];
+    let above = ask(ceilings, key(0, 1), &wide, Vector3::new(0.0, 0.0, 4000.0));
+    assert_eq!(above.known().flatten().unwrap().pixel, [0, 65]);
+    let below = ask(ceilings, key(0, 0), &wide, Vector3::new(0.0, 0.0, 4000.0));
+    assert_eq!(missing(below).unwrap().keys(), [key(0, 1)]);
+    // Nothing is earlier than a begin inside.
+    let inside = Aabb::new([63.25, 0.0, 0.0].into(), [64.75, 1.0, 1.0].into()).unwrap();
+    let begin = ask([((63, 0), (0, 2, true)), ((64, 0), (0, 2, true))], key(1, 0), &inside, Vector3::x());
+    assert!(begin.known().flatten().unwrap().begins_inside());
 }
 
 #[test]

@@ -279,7 +279,9 @@ impl Moving {
         }
         if let Form::Cylinder { radius } = self.rest.form {
             let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
-            if norm(round.away(0.0)) >= radius - 2.0 * round.slack {
+            let distance = norm(round.away(0.0));
+            // A radius below the margin: what the bounding box meets, the centre is in.
+            if distance > 0.0 && distance >= radius - 2.0 * round.slack {
                 return None;
             }
         }
@@ -301,17 +303,14 @@ impl Moving {
             }
             Form::Cylinder { radius } => {
                 let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
-                let contact = round.contact(radius, meetings[2])?;
-                Some(
-                    if contact.at >= 0.0 && meetings[2].enter >= contact.at && meetings[2].enter > round.enter(radius) {
-                        Contact { at: meetings[2].enter, normal: self.face(2) }
-                    } else {
-                        contact
-                    },
-                )
+                let contact = round.contact(radius, meetings[2], hull.enter < 0.0)?;
+                // On a tie z wins, as for a box. Inside, it has entered before all times.
+                let lands = meetings[2].enter >= contact.at;
+                Some(if lands { Contact { normal: self.face(2), ..contact } } else { contact })
             }
             Form::Sphere { radius, scale } => {
-                Round::new(self, cell, [1.0, 1.0, scale], 3).contact(radius, Meeting::ALWAYS)
+                let round = Round::new(self, cell, [1.0, 1.0, scale], 3);
+                round.contact(radius, Meeting::ALWAYS, hull.enter < 0.0)
             }
         }
     }
@@ -353,11 +352,11 @@ impl Round {
         }
     }
 
-    /// Returns the vector from the nearest point of the box to the centre at time `t`.
+    /// Returns the vector from the nearest point of the box to the centre at time `t`; 0 along axes that do not count.
     fn away(&self, t: f64) -> [f64; 3] {
         std::array::from_fn(|a| {
             let p = self.p[a] + t * self.v[a];
-            if a < self.axes { p - p.clamp(self.lo[a], self.hi[a]) } else { 0.0 }
+            p - p.clamp(self.lo[a], self.hi[a])
         })
     }
 
@@ -403,15 +402,13 @@ impl Round {
         all
     }
 
-    fn enter(&self, radius: f64) -> f64 {
-        self.within(radius).enter
-    }
-
-    /// Returns the first contact while `also` holds.
-    fn contact(&self, radius: f64, also: Meeting) -> Option<Contact> {
+    /// Returns the first contact while `also` holds; the bounding box `begins_inside` or not.
+    fn contact(&self, radius: f64, also: Meeting, begins_inside: bool) -> Option<Contact> {
         let begin = self.away(0.0);
         let distance = norm(begin);
-        if distance < radius - 2.0 * self.slack && also.enter < 0.0 {
+        // A shape without extent is never nearer than its radius.
+        let is_inside = distance < radius - 2.0 * self.slack && also.enter < 0.0;
+        if is_inside || distance == 0.0 && begins_inside {
             return Some(Contact::INSIDE);
         }
         if distance < radius - self.slack {
@@ -425,7 +422,7 @@ impl Round {
         if !(reached.is_some() && reached.enter <= 1.0 && reached.leave > 0.0) {
             return None;
         }
-        let at = self.enter(radius).max(also.enter).clamp(0.0, 1.0);
+        let at = self.within(radius).enter.max(also.enter).clamp(0.0, 1.0);
         let normal = self.away(at);
         let length = norm(normal);
         // The centre is inside the box, which only a shape without extent can reach before a contact.
@@ -458,3 +455,6 @@ fn unit_against(v: [f64; 3]) -> [f64; 3] {
     let length = norm(v);
     v.map(|v| if length > 0.0 { -v / length } else { 0.0 })
 }
+
+#[cfg(test)]
+mod tests;
