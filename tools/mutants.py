@@ -10,7 +10,10 @@ that promise most for their time, until one fails or takes far too long.
 Constants, and functions that run while the compiler does, have no switches: *not switchable*.
 
 FOLDER keeps the copy, the build and `results.tsv`, from which the next run of the same code continues; remove the lines to
-be tried again. Needs cargo-mutants and the Python packages tree-sitter and tree-sitter-rust.
+be tried again. `mutants.toml`, beside this script, says by file why tests notice some mutants not: `function: words; words`,
+each of the words in the mutant's line or in cargo-mutants' name of the change. `survivors.txt` in FOLDER lists the others
+that were not noticed, and the reasons that fit nothing. Needs cargo-mutants and the Python packages tree-sitter and
+tree-sitter-rust.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ import sys
 import tempfile
 import threading
 import time
+import tomllib
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -596,24 +600,51 @@ def main() -> None:
     except KeyboardInterrupt:
         workers.shutdown(wait=False, cancel_futures=True)
         sys.exit("interrupted; the next run continues")
-    summary(path)
+    summary(path, mutants)
 
 
 def part_of(name: str) -> str:
     return next(part for part, prefix in PARTS.items() if name.startswith(prefix))
 
 
-def summary(path: Path) -> None:
+def reason(mutant: Mutant, line: str, reasons: dict[str, str]) -> str | None:
+    """The key of the reason that fits a mutant, if any."""
+    for key in reasons:
+        function, _, words = key.partition(": ")
+        if function == re.split(r"[ :]", mutant.function)[-1] and all(w in line or w in mutant.name for w in words.split("; ")):
+            return key
+    return None
+
+
+def summary(path: Path, mutants: list[Mutant]) -> None:
+    """Prints what became of the mutants of each part, and lists those that were not noticed and have no reason."""
+    by_name = {mutant.name: mutant for mutant in mutants}
+    reasons = tomllib.loads((ROOT / "tools/mutants.toml").read_text())
+    unfit = {(file, key) for file, of_file in reasons.items() for key in of_file}
     states: dict[str, Counter[str]] = defaultdict(Counter)
-    for line in path.read_text().splitlines():
-        state, name, _ = line.split("\t")
-        part = part_of(name)
-        states[part][state] += 1
+    survivors = []
+    for entry in path.read_text().splitlines():
+        state, name, _ = entry.split("\t")
+        mutant = by_name[name]
+        if state in ("missed", "not passed", "left"):
+            source = (ROOT / mutant.file).read_bytes()
+            line = source[source.rfind(b"\n", 0, mutant.start) + 1 :].split(b"\n", 1)[0].decode()
+            key = reason(mutant, line, reasons.get(mutant.file, {}))
+            if key is None:
+                survivors.append(f"{state}: {name}: {line.strip()}")
+            else:
+                unfit.discard((mutant.file, key))
+                state += ", with a reason"
+        states[part_of(name)][state] += 1
         states["all"][state] += 1
     for part, counts in states.items():
         noticed = counts["caught"] + counts["too slow"]
-        ran = noticed + counts["missed"] + counts["not passed"]
-        print(f"{part}: {noticed} of {ran} noticed ({100 * noticed / max(ran, 1):.1f} %)", dict(counts))
+        built = sum(counts.values()) - counts["does not compile"] - counts["not switchable"]
+        explained = sum(count for state, count in counts.items() if state.endswith("reason"))
+        shares = f"{100 * noticed / max(built, 1):.1f} % noticed, {100 * explained / max(built, 1):.1f} % have a reason"
+        print(f"{part}: {noticed} of {built}, {shares};", dict(counts))
+    fits_nothing = [f"fits nothing: {file}: {key}" for file, key in sorted(unfit)]
+    path.with_name("survivors.txt").write_text("".join(f"{line}\n" for line in survivors + fits_nothing))
 
 
 if __name__ == "__main__":

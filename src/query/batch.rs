@@ -76,7 +76,7 @@ pub(super) fn overlaps_each<H: Shape>(set: &Snapshot, shapes: &[H], answers: &mu
 /// become neighbours. `None` if their own order is as good: few questions, few pages under them, or neighbours already
 /// close together.
 ///
-/// Memory: 12 bytes a question. Cost: about two looks at each question.
+/// Memory: 12 bytes a question, and up to 4 for the cells. Cost: about two looks at each question.
 fn order<Q>(set: &Snapshot, questions: &[Q], pixel: impl Fn(&Q) -> [i64; 2]) -> Option<Vec<u32>> {
     let bounds = set.bounds()?;
     let count = u32::try_from(questions.len()).ok().filter(|&count| count as usize >= 4 * SAMPLE)?;
@@ -144,6 +144,10 @@ mod tests {
 
     /// `edge` × `edge` pages of about 50 kB.
     fn store(edge: i32) -> Snapshot {
+        store_of((0..edge * edge).map(|n| [n % edge - edge / 2, n / edge - edge / 2]))
+    }
+
+    fn store_of(tiles: impl Iterator<Item = Tile>) -> Snapshot {
         let mut builder = PageBuilder::default();
         for at in 0..64 * 64 {
             let spans = [(100, 120 + at % 50), (400, 500 + at % 90), (2000, 2100)];
@@ -154,7 +158,7 @@ mod tests {
             ));
         }
         let page: Page = builder.build();
-        let keys = (0..edge * edge).map(|n| PageKey { tx: n % edge - edge / 2, ty: n / edge - edge / 2, layer: 0 });
+        let keys = tiles.map(|[tx, ty]| PageKey { tx, ty, layer: 0 });
         Snapshot::from_pages(Frame::new(0.1, 0.3).unwrap(), keys.map(|key| (key, page.clone())))
     }
 
@@ -186,6 +190,38 @@ mod tests {
         let mut again = vec![Overlap::Clear; boxes.len()];
         answer_each(&store, &boxes, &mut again, |shape| pixel_of(&store, shape), |shape| overlaps(&store, shape));
         assert_eq!(again, answers);
+    }
+
+    #[test]
+    fn the_cells_of_an_order_are_the_smallest_that_are_no_more_than_the_questions() {
+        let store = store(40);
+        // 1600 tiles: cells of one tile for 3000 questions, of 2 × 2 tiles for 1000.
+        for (count, edge) in [(3000u32, 1), (1000, 2)] {
+            let boxes = boxes(count as usize, 40);
+            let cell = |number: &u32| {
+                let [i, j] = pixel_of(&store, &boxes[*number as usize]);
+                [j, i].map(|first| (first.div_euclid(64).clamp(-20, 19) + 20) / edge)
+            };
+            let mut expected: Vec<u32> = (0..count).collect();
+            expected.sort_by_key(cell);
+            assert_eq!(order(&store, &boxes, |shape| pixel_of(&store, shape)), Some(expected), "{count} questions");
+        }
+    }
+
+    #[test]
+    fn boxes_along_a_passage_of_one_tile_are_ordered() {
+        for axis in [0, 1] {
+            let store = store_of((0..1600).map(|n| if axis == 0 { [n, 0] } else { [0, n] }));
+            let standing = |n: usize| {
+                let mut at = [3.0; 3];
+                at[axis] = (n as f64 * 0.618_033_9).fract() * 1600.0 * 6.4;
+                Aabb::standing(at.into(), Vector3::new(0.05, 0.05, 0.02)).unwrap()
+            };
+            let boxes: Vec<Aabb> = (0..3000).map(standing).collect();
+            let order = order(&store, &boxes, |shape| pixel_of(&store, shape)).unwrap();
+            let tiles = order.iter().map(|&number| pixel_of(&store, &boxes[number as usize])[axis].max(0) >> 6);
+            assert!(tiles.is_sorted(), "along axis {axis}");
+        }
     }
 
     #[test]
@@ -263,6 +299,8 @@ mod tests {
         assert!(none(&store(4), &boxes(3000, 4)), "small");
         assert!(none(&large, &boxes(100, 40)), "few");
         assert!(none(&large, &boxes(3000, 3)), "near each other");
+        let pairs: Vec<Aabb> = boxes(1500, 40).into_iter().flat_map(|shape| [shape; 2]).collect();
+        assert!(none(&large, &pairs), "in pairs");
         let mut sorted = boxes(3000, 40);
         sorted.sort_by_key(|shape| pixel_of(&large, shape).map(|first| first >> 6));
         assert!(none(&large, &sorted), "in order");

@@ -20,9 +20,6 @@ use std::ops::ControlFlow;
 ///
 /// Cost: like [`overlaps`](super::overlaps), over the layers from `from` up to the first ceiling.
 pub fn ceiling_above<H: Shape>(set: &Snapshot, shape: &H, from: f64, height: f64) -> Answer<Option<f64>> {
-    if from.is_nan() || height.is_nan() {
-        return Answer::Known(None);
-    }
     // A separate case, because infinity minus infinity is NaN.
     let highest = if height == f64::INFINITY { f64::INFINITY } else { from + height };
     ceiling_between(set, shape, from, highest)
@@ -160,6 +157,70 @@ fn hangs_on(below: Option<&PageSlot>, px: u32, py: u32, unknown: &mut impl FnMut
         None => {
             unknown();
             true
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, Span};
+    use crate::query::Aabb;
+    use nalgebra::Point3;
+
+    const LOWEST: PageKey = PageKey { tx: 0, ty: 0, layer: 0 };
+
+    /// Pixels of 2⁻⁴ m and quanta of 2⁻¹⁰ m; each page has one span, in all its pixels.
+    fn store(pages: &[(PageKey, [u32; 2])]) -> Snapshot {
+        let page = |&(key, [bottom, top]): &(PageKey, [u32; 2])| {
+            let mut builder = PageBuilder::default();
+            for n in 0..64 * 64 {
+                assert!(builder.set_column(n % 64, n / 64, &[Span::new(bottom, top, false).unwrap()]));
+            }
+            (key, builder.build())
+        };
+        Snapshot::from_pages(Frame::new(0.0625, 255.0 / 1024.0).unwrap(), pages.iter().map(page))
+    }
+
+    /// The ceiling above `from` (quanta) over the last pixels of tile column (0, 0) and the first ones of (1, 0).
+    fn ceiling(store: &Snapshot, from: i64) -> Answer<Option<f64>> {
+        let shape = Aabb::new(Point3::new(3.9, 1.0, 0.0), Point3::new(4.1, 1.2, 0.0)).unwrap();
+        ceiling_above(store, &shape, from as f64 / 1024.0, f64::INFINITY)
+    }
+
+    fn known(bottom: i64) -> Answer<Option<f64>> {
+        Answer::Known(Some(bottom as f64 / 1024.0))
+    }
+
+    fn waits_for(answer: Answer<Option<f64>>, key: PageKey) -> bool {
+        matches!(answer, Answer::NotLoaded(missing) if missing.keys() == [key])
+    }
+
+    #[test]
+    fn a_missing_page_that_ends_where_the_search_begins_matters_only_to_what_may_hang_on_it() {
+        let without_lowest = |pages: &[(PageKey, [u32; 2])]| store(pages).keep_loaded(|key| key != LOWEST);
+        let above = (PageKey { layer: 1, ..LOWEST }, [0, 50]);
+        let full = (LOWEST, [16000, 16320]);
+        let alone = without_lowest(&[full]);
+        assert_eq!(ceiling(&alone, PAGE_QUANTA), Answer::Known(None));
+        assert!(waits_for(ceiling(&alone, PAGE_QUANTA - 1), LOWEST));
+        assert!(waits_for(ceiling(&without_lowest(&[full, above]), PAGE_QUANTA), LOWEST));
+        // Nothing in the page's last slice, so nothing hangs on it.
+        let low = (LOWEST, [100, 140]);
+        assert_eq!(ceiling(&without_lowest(&[low, above]), PAGE_QUANTA), known(PAGE_QUANTA));
+        assert_eq!(ceiling(&store(&[full, above]), PAGE_QUANTA), Answer::Known(None));
+        assert_eq!(ceiling(&store(&[low, above]), PAGE_QUANTA), known(PAGE_QUANTA));
+    }
+
+    #[test]
+    fn a_missing_page_above_the_ceiling_is_no_hindrance_wherever_the_search_begins() {
+        let key = |tx, layer| PageKey { tx, ty: 0, layer };
+        for [low, high] in [[key(0, 0), key(1, 1)], [key(1, 0), key(0, 1)]] {
+            let all = store(&[(low, [100, 140]), (high, [100, 140])]);
+            assert_eq!(ceiling(&all, 0), known(100));
+            assert_eq!(ceiling(&all.keep_loaded(|key| key == low), 0), known(100), "{high} is not needed");
+            assert!(waits_for(ceiling(&all.keep_loaded(|key| key == high), 0), low), "{low} is needed");
         }
     }
 }

@@ -22,9 +22,6 @@ use std::ops::ControlFlow;
 ///
 /// Cost: like [`overlaps`](super::overlaps), over the layers from `from` down to the first floor.
 pub fn floor_under<H: Shape>(set: &Snapshot, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
-    if from.is_nan() || depth.is_nan() {
-        return Answer::Known(None);
-    }
     // A separate case, because infinity minus infinity is NaN.
     let lowest = if depth == f64::INFINITY { f64::NEG_INFINITY } else { from - depth };
     floor_between(set, shape, lowest, from)
@@ -221,4 +218,43 @@ fn goes_on(above: Option<&PageSlot>, px: u32, py: u32) -> bool {
 
 fn starts_with_floor(page: &Page, px: u32, py: u32) -> bool {
     page.column(px, py).first().is_some_and(|span| span.bottom() == 0 && !span.is_obstacle())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::PageKey;
+    use crate::page::PageBuilder;
+    use crate::query::{Cylinder, Sphere};
+    use nalgebra::Point3;
+
+    #[test]
+    fn the_floor_under_a_round_shape_is_that_of_the_pixels_that_it_touches() {
+        // Pixels of 2⁻⁴ m and quanta of 2⁻¹⁰ m, so that all numbers are exact.
+        let frame = Frame::new(0.0625, 255.0 / 1024.0).unwrap();
+        // A bowl around the middle of the page: a block that the rim cuts has higher floor outside.
+        let top = |px: u32, py: u32| 10 + ((2 * px).abs_diff(63).pow(2) + (2 * py).abs_diff(63).pow(2)) / 8;
+        let pixels = || (0..64).flat_map(|py| (0..64).map(move |px| (px, py)));
+        let mut page = PageBuilder::default();
+        for (px, py) in pixels() {
+            assert!(page.set_column(px, py, &[Span::new(top(px, py) - 5, top(px, py), false).unwrap()]));
+        }
+        let store = Snapshot::from_pages(frame, [(PageKey { tx: 0, ty: 0, layer: 0 }, page.build())]);
+        let middle = Point3::new(2.0, 2.0, 0.0);
+        // From the middle to the nearest edge of a row or column of pixels.
+        let away = |p: u32| f64::from(p.saturating_sub(32).max(31u32.saturating_sub(p)));
+        for radius in [0.5, 1.3, 2.7, 5.6, 10.4, 20.9, 30.2] {
+            let cylinder = Cylinder::new(middle, radius / 16.0, 1.0).unwrap();
+            let sphere = Sphere::new(middle, radius / 16.0).unwrap();
+            for limit in [9, 12, 100, 300, 2000] {
+                let touched = pixels().filter(|&(px, py)| away(px).hypot(away(py)) <= radius);
+                let highest = touched.map(|(px, py)| top(px, py)).filter(|&top| top <= limit).max();
+                let expected = Answer::Known(highest.map(|top| f64::from(top) / 1024.0));
+                let from = f64::from(limit) / 1024.0;
+                let what = format!("radius {radius}, from {limit}");
+                assert_eq!(floor_under(&store, &cylinder, from, f64::INFINITY), expected, "cylinder, {what}");
+                assert_eq!(floor_under(&store, &sphere, from, f64::INFINITY), expected, "sphere, {what}");
+            }
+        }
+    }
 }

@@ -196,3 +196,93 @@ impl Touch {
         ControlFlow::Continue(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+    use crate::page::{PageBuilder, Span};
+    use crate::query::{Aabb, Answer, Overlap, Probe, ceiling_above, floor_under, overlaps, probe};
+    use nalgebra::{Point3, Vector3};
+
+    /// Pages with a span in one pixel, from height 1000 to 1100; quanta of 2⁻¹⁰ m.
+    fn store(keys: impl IntoIterator<Item = PageKey>) -> Snapshot {
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(0, 0, &[Span::new(1000, 1100, false).unwrap()]));
+        let page = builder.build();
+        let frame = Frame::new(0.0625, 255.0 / 1024.0).unwrap();
+        Snapshot::from_pages(frame, keys.into_iter().map(|key| (key, page.clone())))
+    }
+
+    #[test]
+    fn layers_are_those_whose_pages_can_hold_a_span_at_the_heights() {
+        for count in [1, 8, 9, 30] {
+            // Every other layer has no page.
+            let numbers: Vec<i32> = (0..count).map(|n| 2 * n - 5).collect();
+            let set = store(numbers.iter().map(|&layer| PageKey { tx: 0, ty: 0, layer }));
+            for low in (-7..2 * count - 3).flat_map(|layer| [-1, 0, 1].map(|n| floor_of(layer) + n)) {
+                for high in [-1, 0, 1, PAGE_QUANTA, 5 * PAGE_QUANTA, 1 << 40].map(|height| low + height) {
+                    let found = layers(set.column(0, 0), Heights { low, high }).map(PageSlot::layer);
+                    let meets = |&layer: &i32| floor_of(layer) <= high && low <= floor_of(layer + 1);
+                    assert!(found.eq(numbers.iter().copied().filter(meets)), "{count} layers, {low} to {high}");
+                }
+            }
+        }
+    }
+
+    /// A rectangle across the whole grid would take minutes tile by tile, however narrow it is.
+    #[test]
+    fn the_columns_under_a_rectangle_are_visited_and_no_more_tiles_than_the_set_has_columns() {
+        let end = (1 << 30) - 1;
+        let columns = [[-end, -end], [0, 0], [0, 5], [3, 0], [end, end]];
+        let set = store(columns.map(|[tx, ty]| PageKey { tx, ty, layer: 0 }));
+        let check = |[i0, i1]: [i64; 2], [j0, j1]: [i64; 2], expected: &[[i32; 2]]| {
+            let mut visited = Vec::new();
+            for_each_column(&set, Rect { i0, i1, j0, j1 }, |tile, _| {
+                visited.push([tile.tx, tile.ty]);
+                ControlFlow::Continue(())
+            });
+            visited.sort_unstable();
+            assert_eq!(visited, expected, "{i0} to {i1}, {j0} to {j1}");
+        };
+        let all = [-1 << 50, 1 << 50];
+        check(all, all, &columns);
+        check([0, 127], [0, 127], &[[0, 0]]);
+        check([0, 192], [0, 10], &[[0, 0], [3, 0]]);
+        check([-1, 192], [63, 64], &[[0, 0], [3, 0]]);
+        check([63, 64], [-1, 320], &[[0, 0], [0, 5]]);
+        for first in [0, 20, 40] {
+            check([first, first + 9], all, &[[0, 0], [0, 5]]);
+            check(all, [first, first + 9], &[[0, 0], [3, 0]]);
+            check([first + 192, first + 200], all, &[[3, 0]]);
+            check(all, [first + 320, first + 328], &[[0, 5]]);
+        }
+    }
+
+    #[test]
+    fn a_missing_page_without_solid_at_the_heights_does_not_matter() {
+        let key = PageKey { tx: 0, ty: 0, layer: 0 };
+        let set = store([key]).keep_loaded(|_| false);
+        let metres = |quanta: u32| f64::from(quanta) / 1024.0;
+        // In one pixel, in one tile, and across tiles.
+        for size in [0.0, 0.5, 20.0] {
+            let at = |low: u32, high: u32| {
+                let min = Point3::new(0.01, 0.01, metres(low));
+                Aabb::new(min, min + Vector3::new(size, size, metres(high - low))).unwrap()
+            };
+            for shape in [at(0, 500), at(2000, 3000)] {
+                assert_eq!(overlaps(&set, &shape), Overlap::Clear, "{shape:?}");
+            }
+            assert!(matches!(overlaps(&set, &at(1050, 1060)), Overlap::NotLoaded(missing) if missing.keys() == [key]));
+            assert_eq!(probe(&set, &at(0, 500)), Answer::Known(Probe::default()));
+            for (from, depth, waits) in [(500, f64::INFINITY, false), (3000, 1.0, false), (3000, 2.0, true)] {
+                let answer = floor_under(&set, &at(0, 0), metres(from), depth);
+                assert_eq!(answer.known(), (!waits).then_some(None), "floor from {from} by {depth}");
+            }
+            for (from, height, waits) in [(2000, f64::INFINITY, false), (0, 0.5, false), (0, 1.0, true)] {
+                let answer = ceiling_above(&set, &at(0, 0), metres(from), height);
+                assert_eq!(answer.known(), (!waits).then_some(None), "ceiling from {from} by {height}");
+            }
+        }
+    }
+}

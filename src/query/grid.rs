@@ -134,4 +134,11 @@ mod tests {
         let huge = Rect { i0: -end, i1: end, j0: -end, j1: end };
         assert_eq!(huge.bits(64, 64, 3), u64::MAX);
     }
+
+    #[test]
+    fn rectangles_hold_their_edges_and_nothing_beyond() {
+        let rect = Rect { i0: -3, i1: 9, j0: 5, j1: 6 };
+        assert!([(-3, 5), (9, 5), (-3, 6), (9, 6), (0, 5)].iter().all(|&(i, j)| rect.holds(i, j)));
+        assert!(![(-4, 5), (10, 5), (-3, 4), (9, 7), (0, 4), (0, 7)].iter().any(|&(i, j)| rect.holds(i, j)));
+    }
 }

@@ -99,8 +99,7 @@ pub fn overlaps<H: Shape>(set: &Snapshot, shape: &H) -> Overlap {
 /// Runs [`overlaps`] for each of `shapes`, in order, into `answers`.
 ///
 /// If the pages exceed the processor's caches and successive shapes lie apart, the shapes are processed in order of
-/// place, which takes 13 bytes of memory per shape; otherwise no memory is allocated. The other batches do the same
-/// with 12 bytes.
+/// place, which takes up to 16 bytes of memory per shape; otherwise no memory is allocated. The other batches do the same.
 ///
 /// # Panics
 /// If `answers` is shorter than `shapes`.

@@ -415,7 +415,7 @@ mod portable {
         #[inline]
         pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
             let met = spans.iter().filter(|span| span.meets(low, high));
-            met.fold(Self((1 << 14) - 1, 0), |ends, span| ends.join(Self(span.bottom(), span.top())))
+            met.fold(Self(u32::MAX, 0), |ends, span| ends.join(Self(span.bottom(), span.top())))
         }
 
         #[inline]
@@ -522,6 +522,15 @@ mod tests {
                 prop_assert_eq!(lesser.to_bits(), portable::lesser(a, b).to_bits());
                 prop_assert_eq!(greater.to_bits(), portable::greater(a, b).to_bits());
                 prop_assert_eq!((lesser, greater), (a.min(b), a.max(b)));
+            }
+        }
+
+        #[test]
+        fn every_platform_finds_the_same_of_two_pairs(x in prop::array::uniform2(-1e9..1e9f64)) {
+            // Of two zeros, it is the second one, whatever its sign.
+            for (x, y) in [(x, x), ([0.0, -0.0], [-0.0, 0.0]), ([x[0], 0.0], [-0.0, x[1]])] {
+                let bits = |pairs: [[f64; 2]; 5]| pairs.map(|pair| pair.map(f64::to_bits));
+                prop_assert_eq!(bits(of_pairs!(lanes, x, y)), bits(of_pairs!(portable, x, y)));
             }
         }
 

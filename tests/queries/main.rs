@@ -21,6 +21,7 @@ mod scan;
 #[path = "../oracle/scene.rs"]
 mod scene;
 
+mod clearance;
 mod heights;
 mod objects;
 mod oracle;

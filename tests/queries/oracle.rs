@@ -103,6 +103,35 @@ fn floors_and_ceilings_are_those_of_the_spans_whatever_the_pages() {
     }
 }
 
+/// Equal, except for solid within rounding errors of the rim.
+#[test]
+fn floors_and_ceilings_of_round_shapes_are_those_of_the_pixels_they_touch() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        for _ in 0..12 {
+            let c = scene.random_point(&mut random);
+            let most = [0.0, 5.0, 40.0][random.below(3)];
+            let r = scene.frame.pixel_m() * random.between(0.0, most);
+            let (from, reach) = (scene.random_point(&mut random).z, [f64::INFINITY, 3.0][random.below(2)]);
+            let (cylinder, sphere) = (Cylinder::new(c, r, 1.0).unwrap(), Sphere::new(c, r).unwrap());
+            let what = format!("at {c}, radius {r}, from {from} by {reach}");
+
+            let floor = |r: f64| scene.floor(scene.pixels_near(c.x, c.y, r), scene.quanta(from - reach, from));
+            let (least, most) = (floor(r - SLACK), floor(r + SLACK));
+            let found = floor_under(&store, &cylinder, from, reach).known().unwrap();
+            assert!(least <= found && found <= most, "{what}: {found:?}, not {least:?} to {most:?}");
+            assert_eq!(floor_under(&store, &sphere, from, reach), Answer::Known(found), "{what}");
+
+            let ceiling = |r: f64| scene.ceiling(scene.pixels_near(c.x, c.y, r), scene.quanta(from, from + reach));
+            let height = |ceiling: Option<f64>| ceiling.unwrap_or(f64::INFINITY);
+            let (most, least) = (height(ceiling(r - SLACK)), height(ceiling(r + SLACK)));
+            let found = ceiling_above(&store, &cylinder, from, reach).known().unwrap();
+            assert!((least..=most).contains(&height(found)), "{what}: {found:?}, not {least} to {most}");
+            assert_eq!(ceiling_above(&store, &sphere, from, reach), Answer::Known(found), "{what}");
+        }
+    }
+}
+
 /// Their distance from the other end, taken from that end, rounds beyond them.
 #[test]
 fn floors_and_ceilings_at_the_last_height_of_a_search_are_found() {

@@ -4,7 +4,10 @@ use crate::scene;
 
 use nalgebra::{Point3, Vector3};
 use scene::{Matter, Random, Scene};
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::page::{PageBuilder, Span};
 use slicewalk::query::*;
+use slicewalk::store::Snapshot;
 use std::collections::BTreeMap;
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
@@ -99,9 +102,6 @@ fn the_nearest_surface_is_that_of_brute_force() {
 
 #[test]
 fn thick_solid_is_left_by_the_shortest_way_in_any_direction() {
-    use slicewalk::frame::{Frame, PageKey};
-    use slicewalk::page::{PageBuilder, Span};
-    use slicewalk::store::Snapshot;
     // A block of 20 × 30 pixels and 2 m beside a notch, across the border of two pages.
     let frame = Frame::new(0.1, 0.3).unwrap();
     let mut builder = PageBuilder::default();
@@ -135,12 +135,79 @@ fn thick_solid_is_left_by_the_shortest_way_in_any_direction() {
     assert!((gradient - Vector3::new(0.6, 0.8, 0.0)).norm() < 1e-9);
     let on_it = from(0.0, 1.0, 2.0);
     assert!(on_it.0 == 0.0 && on_it.2 == Vector3::zeros());
+    let at_once = nearest_surface(&store, Point3::new(0.0, 1.0, 2.0), 0.0).known().flatten();
+    assert!(at_once.is_some_and(|found| found.distance == 0.0), "{at_once:?}");
     let none = |at: Point3<f64>, max: f64| nearest_surface(&store, at, max) == Answer::Known(None);
     assert!(none([1.0, 1.5, 2.4].into(), 0.3) && none([9.0, 9.0, 9.0].into(), 1.0));
     for at in [[f64::NAN, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]] {
         assert!(none(at.into(), 1.0));
     }
     assert!(none([0.3, 1.0, 2.0].into(), f64::NAN) && none([0.3, 1.0, 2.0].into(), -1.0));
+}
+
+/// Columns of spans, in pixels of 1/4 m and quanta of 1/1024 m.
+fn exact(columns: scene::Columns) -> Snapshot {
+    Snapshot::from_pages(Frame::new(0.25, 255.0 / 1024.0).unwrap(), scene::pages_of(&columns))
+}
+
+#[test]
+fn a_hole_in_any_pixel_around_is_found() {
+    let holes = (-2i64..=2).flat_map(|a| (-2i64..=2).map(move |b| (a, b))).filter(|hole| *hole != (0, 0));
+    for (a, b) in holes {
+        let mut columns = scene::Columns::new();
+        columns.extend((-4..=4).flat_map(|i| (-4..=4).map(move |j| ((24 + i, 24 + j), vec![(0, 16_000, true)]))));
+        columns.remove(&(24 + a, 24 + b));
+        let store = exact(columns);
+        // From the middle of a pixel, half the height of the solid: other places outside are further away.
+        let at = Point3::new(6.125, 6.125, 8.0);
+        let gap = |pixels: i64| pixels.signum() as f64 * (pixels.abs() as f64 - 0.5).max(0.0) * 0.25;
+        let way = Vector3::new(gap(a), gap(b), 0.0);
+        let found = nearest_surface(&store, at, 5.0).known().flatten().unwrap();
+        assert!((found.distance + way.norm()).abs() < 1e-9, "{a} {b}: {found:?}");
+        assert!((found.point - (at + way)).norm() < 1e-9, "{a} {b}: {found:?}");
+    }
+}
+
+/// Three pages over one another, all solid in one wide pixel: at their borders nothing ends.
+#[test]
+fn solid_that_goes_on_in_another_page_has_no_surface_at_its_border() {
+    let frame = Frame::new(100.0, 0.3).unwrap();
+    let columns = scene::Columns::from([((0, 0), vec![(-PAGE_QUANTA, 2 * PAGE_QUANTA, true)])]);
+    let store = Snapshot::from_pages(frame, scene::pages_of(&columns));
+    let quantum = frame.quantum_m();
+    for n in (100..8000).step_by(157) {
+        let at = Point3::new(50.0, 50.0, f64::from(n) * quantum);
+        let height = frame.quanta(at.z);
+        // Exactly as far as the borders.
+        for max in [height * quantum, (PAGE_QUANTA as f64 - height) * quantum] {
+            assert_eq!(nearest_surface(&store, at, max), Answer::Known(None), "{at:?} {max}");
+        }
+        let found = nearest_surface(&store, at, 40.0).known().flatten().unwrap();
+        let expected = (f64::from(n) + PAGE_QUANTA as f64) * quantum;
+        assert!((found.distance + expected).abs() < 1e-9, "{at:?}: {found:?}");
+    }
+}
+
+/// The place lies inside solid at the border to a page that is not in memory, and free space begins on its other side.
+#[test]
+fn a_missing_page_matters_only_where_it_could_hold_a_nearer_place() {
+    let missing = PageKey { tx: -1, ty: 0, layer: 0 };
+    let half = |bottom: i64, top: i64| {
+        let mut columns = scene::Columns::new();
+        columns.extend((20..40).map(|j| ((0, j), vec![(0, 4096, true)])));
+        columns.extend((20..40).map(|j| ((-1, j), vec![(bottom, top, true)])));
+        exact(columns).keep_loaded(|key| key != missing)
+    };
+    let from = |store: &Snapshot, pixels: f64| nearest_surface(store, Point3::new(pixels * 0.25, 7.625, 2.0), 1.0);
+    let distance = |answer: Answer<Option<SurfacePoint>>| answer.known().flatten().map(|found| found.distance);
+    // An eighth of a pixel from one side or the other.
+    let beside = half(0, 4096);
+    assert_eq!(distance(from(&beside, 0.875)), Some(-0.03125));
+    let Answer::NotLoaded(needed) = from(&beside, 0.125) else { panic!("it could be free there") };
+    assert_eq!(needed.keys(), [missing]);
+    // A page without solid at these heights is free there.
+    let elsewhere = half(10_000, 10_100);
+    assert_eq!(distance(from(&elsewhere, 0.125)), Some(-0.03125));
 }
 
 #[test]

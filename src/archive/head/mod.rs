@@ -178,3 +178,38 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     }
     bytes.iter().take(32).map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::{ArchiveWriter, Totals};
+    use crate::frame::Frame;
+    use crate::plan::{Plan, PlanOptions};
+
+    /// The header of an archive without pages.
+    fn header() -> Header {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = Plan { frame: Frame::new(0.05, 0.15).unwrap(), options: PlanOptions::default() };
+        let writer = ArchiveWriter::create(&folder.path().join("empty.slices"), &plan, true).unwrap();
+        writer.finish(Totals::default()).unwrap()
+    }
+
+    #[test]
+    fn bounds_of_minus_zero_are_written_as_zero() {
+        let zero = Header { bounds: Some(([0.0; 3], [0.0; 3])), ..header() };
+        let minus = Header { bounds: Some(([-0.0; 3], [-0.0, 0.0, -0.0])), ..zero.clone() };
+        assert_eq!(encode(&minus, &[]), encode(&zero, &[]));
+    }
+
+    #[test]
+    fn a_file_holds_at_least_the_shortest_head_and_a_footer() {
+        // Lengths of the specification, rule H2.
+        let (head, file) = (388, 412);
+        let bytes = Sections { head, ..Sections::default() };
+        let header = Header { bytes, file_len: file, ..header() };
+        let whole = [encode(&header, &[]), vec![0; FOOTER]].concat();
+        assert_eq!(decode(&whole, file).unwrap(), (header, Vec::new()));
+        let error = decode(&whole[..whole.len() - 1], file - 1).unwrap_err().to_string();
+        assert!(error.contains("rule H2") && error.contains("at least 412 bytes"), "{error}");
+    }
+}

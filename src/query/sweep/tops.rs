@@ -124,3 +124,65 @@ impl Visit for Mean {
         note(&mut self.missing, key);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+    use crate::page::{PageBuilder, Span};
+    use crate::query::Aabb;
+    use nalgebra::Point3;
+
+    /// Pages of layer 0, full of one span each; pixels of 2⁻⁴ m and quanta of 2⁻¹⁰ m.
+    fn store(tiles: &[i32], [bottom, top]: [u32; 2], obstacle: bool) -> Snapshot {
+        let mut builder = PageBuilder::default();
+        for n in 0..64 * 64 {
+            assert!(builder.set_column(n % 64, n / 64, &[Span::new(bottom, top, obstacle).unwrap()]));
+        }
+        let page = builder.build();
+        let key = |&tx| PageKey { tx, ty: 0, layer: 0 };
+        Snapshot::from_pages(
+            Frame::new(0.0625, 255.0 / 1024.0).unwrap(),
+            tiles.iter().map(|tx| (key(tx), page.clone())),
+        )
+    }
+
+    fn metres(quanta: u32) -> f64 {
+        f64::from(quanta) / 1024.0
+    }
+
+    /// Over the last pixels of tile column (0, 0) and the first ones of (1, 0).
+    fn shape() -> Aabb {
+        Aabb::new(Point3::new(3.9, 1.0, 0.0), Point3::new(4.1, 1.2, 0.0)).unwrap()
+    }
+
+    #[test]
+    fn tops_at_either_end_of_the_heights_count() {
+        for obstacle in [false, true] {
+            let store = store(&[0, 1], [100, 140], obstacle);
+            for (from, depth, found) in
+                [(140, 0, true), (140, 20, true), (240, 100, true), (240, 99, false), (139, 100, false)]
+            {
+                let top = top_under(&store, &shape(), metres(from), metres(depth));
+                assert_eq!(top, Answer::Known(found.then(|| metres(140))), "top from {from} by {depth}");
+                let mean = mean_floor_under(&store, &shape(), metres(from), metres(depth)).known().unwrap();
+                assert_eq!(mean.is_some(), found && !obstacle, "mean from {from} by {depth}");
+                assert!(mean.is_none_or(|mean| (mean - metres(140)).abs() < 1e-12), "{mean:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_missing_page_that_ends_at_the_highest_top_is_no_hindrance() {
+        let scene = store(&[0, 1], [16000, 16320], false);
+        for missing in [0, 1] {
+            let part = scene.keep_loaded(|key| key.tx != missing);
+            let top = top_under(&part, &shape(), metres(17000), metres(5000));
+            assert_eq!(top, Answer::Known(Some(metres(16320))), "tile {missing} is missing");
+        }
+        assert!(matches!(
+            top_under(&scene.keep_loaded(|_| false), &shape(), metres(17000), metres(5000)),
+            Answer::NotLoaded(_)
+        ));
+    }
+}
