@@ -5,8 +5,8 @@
 //! reason; the place is where the way of the changed pawn leaves what the pawn itself reaches. If no single change helps,
 //! a narrow pawn that is also low, or climbs high, finds a way; the reason is then the least change that leads past the
 //! first place where this way leaves what the pawn reaches, or the width that passes there once the other measure does
-//! not matter. If that fails, too, ground is missing: where what is reached from the start comes nearest to what is
-//! reached from the end.
+//! not matter. If that fails, too, a wall has no way through, or ground is missing: where what is reached from the start
+//! comes nearest to what is reached from the end.
 //!
 //! A long pawn that does not get where the round one does is too long: the length is bisected in what the round one
 //! reaches.
@@ -19,7 +19,7 @@
 //! Ways are looked for within an ellipse around both ends.
 
 use super::{Flood, LeakKind, LeakSearch, LongSearch, Pawn, Region, Route, Search, Snapped, StandingPlaces};
-use crate::query::Answer;
+use crate::query::{Aabb, Answer, sweep};
 use crate::seen::SeenSpace;
 use crate::store::{Missing, Snapshot};
 use crate::walk::Body;
@@ -69,7 +69,7 @@ pub enum Reason {
     Slope,
     /// A ramp is longer than it goes without a landing.
     Ramp,
-    /// The ground between is deeper than it steps down.
+    /// The ground between is deeper than it steps down, or a wall without a way through.
     Gap,
     /// The ground between was not scanned, or no scanner saw the pawn there and it must stay in seen space.
     Unseen,
@@ -586,10 +586,13 @@ impl Ways<'_> {
     /// Finds where what the pawn reaches from the start comes nearest to what it reaches from the end.
     async fn missing_ground(&self, pawn: &Pawn, own: &Ground) -> Result<Option<Obstruction>> {
         let nearest = match self.reached(pawn, self.ends[1]).await? {
-            Some(beyond) => own.nearest(&Ground::of(&beyond.region()), self.monitor)?,
+            Some(beyond) => own.nearest(&Ground::of(&beyond.region()), &self.ends, self.monitor)?,
             None => None,
         };
-        let Some((at, needs)) = nearest else { return Ok(None) };
+        let Some(([at, to], needs)) = nearest else { return Ok(None) };
+        if self.is_walled(pawn, at, to).await? {
+            return Ok(Some(Obstruction { at, reason: Reason::Gap, needs }));
+        }
         // The ground is missing because it is deeper, or because nothing was scanned.
         let Some(mut reached) = self.reached(pawn, self.ends[0]).await? else { return Ok(None) };
         let region = reached.region();
@@ -598,6 +601,17 @@ impl Ways<'_> {
         let nearest = leaks.iter().min_by(|a, b| (a.at - at).norm().total_cmp(&(b.at - at).norm()));
         let is_deeper = nearest.is_some_and(|leak| leak.kind == LeakKind::Ledge || leak.drop.is_some());
         Ok(Some(Obstruction { at, reason: if is_deeper { Reason::Gap } else { Reason::Unseen }, needs }))
+    }
+
+    /// Whether something solid stands between two places, at a height at which the body would pass from one to the other.
+    async fn is_walled(&self, pawn: &Pawn, at: Point3<f64>, to: Point3<f64>) -> Result<bool> {
+        let (low, high) = (at.z.max(to.z) + pawn.climb, at.z.min(to.z) + pawn.body.height());
+        if low >= high {
+            return Ok(false);
+        }
+        let upright = Aabb::new(Point3::new(at.x, at.y, low), Point3::new(at.x, at.y, high))?;
+        let by = (to - at).xy().push(0.0);
+        Ok(self.known(|set| Ok(sweep(set, &upright, by))).await?.is_some())
     }
 }
 
@@ -634,6 +648,10 @@ struct Cell {
 }
 
 impl Cell {
+    fn of(place: Point3<f64>) -> Self {
+        Self { places: vec![place], bounds: Some([place; 2]) }
+    }
+
     fn add(&mut self, place: Point3<f64>) {
         self.places.push(place);
         let [low, high] = self.bounds.unwrap_or([place; 2]);
@@ -686,35 +704,38 @@ impl Ground {
         (last + 1 < way.len()).then_some(last)
     }
 
-    /// The place of this ground that is nearest to another ground, and the distance between them (m); of several pairs
-    /// the first by the cells. Fails only if `monitor` asks to stop.
-    fn nearest(&self, other: &Self, monitor: &dyn Monitor) -> Result<Option<(Point3<f64>, f64)>> {
+    /// The place of this ground that is nearest to another ground, to within half a pixel, and the place there; of
+    /// several, such as along a wall, the one on the shortest way between two `ends`. Also the least distance between the
+    /// grounds (m). Fails only if `monitor` asks to stop.
+    fn nearest(
+        &self,
+        other: &Self,
+        ends: &[Point3<f64>; 2],
+        monitor: &dyn Monitor,
+    ) -> Result<Option<([Point3<f64>; 2], f64)>> {
         let (blocks, beyond) = (self.blocks(), other.blocks());
         let (Some(own), Some(all)) = (around(&blocks), around(&beyond)) else { return Ok(None) };
         // How far the other ground is at least: in cells along x or y, and in metres.
         let away = |own: &Extent| {
             let gaps = beyond.values().map(|other| gaps(own, other));
             let cells = gaps.clone().map(|[x, y]| x.max(y)).min().unwrap_or(0);
-            // Places may lie at the near sides of their cells.
-            let between = |gap: i64| (gap - 1).max(0) as f64 * CELL_M;
-            let squared = gaps.map(|[x, y]| between(x).powi(2) + between(y).powi(2));
-            (cells, squared.fold(f64::INFINITY, f64::min).sqrt())
+            (cells, gaps.map(metres).fold(f64::INFINITY, f64::min))
         };
         let least: BTreeMap<[i64; 2], (i64, f64)> = blocks.iter().map(|(at, own)| (*at, away(own))).collect();
         let mut cells: Vec<(&[i64; 2], (i64, f64))> = self.cells.keys().map(|at| (at, least[&block(at)])).collect();
         cells.sort_unstable_by_key(|(at, _)| *at);
         let nearest = least.values().map(|least| least.0).min().unwrap_or(0);
         let furthest = (0..2).map(|axis| (all[1][axis] - own[0][axis]).max(own[1][axis] - all[0][axis])).max();
-        let (mut best, mut looks): (Option<(Point3<f64>, f64)>, usize) = (None, 0);
+        let (mut best, mut looks): (Option<f64>, usize) = (None, 0);
         // The cells of the other ground that are `far` cells away, then those farther off.
         for far in nearest..=furthest.unwrap_or(0) {
-            if best.is_some_and(|(_, distance)| distance <= (far - 1).max(0) as f64 * CELL_M) {
+            if best.is_some_and(|best| best <= (far - 1).max(0) as f64 * CELL_M) {
                 break;
             }
             // To ask all blocks pays if they are few, compared with the cells that far away.
             let is_worth_it = (beyond.len() as i64) < 64 * far;
             for &(at, least) in &cells {
-                let is_off = |(cells, metres): (i64, f64)| cells > far || best.is_some_and(|(_, best)| best < metres);
+                let is_off = |(cells, metres): (i64, f64)| cells > far || best.is_some_and(|best| best < metres);
                 if is_off(least) || is_worth_it && is_off(away(&[*at; 2])) {
                     continue;
                 }
@@ -725,19 +746,48 @@ impl Ground {
                         return Err(Error::Interrupted);
                     }
                     let Some(beyond) = other.cells.get(&to) else { continue };
-                    if best.is_some_and(|(_, distance)| distance <= own.least_distance(beyond)) {
+                    if best.is_some_and(|best| best <= own.least_distance(beyond)) {
                         continue;
                     }
                     for (a, b) in own.places.iter().flat_map(|a| beyond.places.iter().map(move |b| (a, b))) {
                         let distance = (a - b).norm();
-                        if best.is_none_or(|(_, best)| distance < best) {
-                            best = Some((*a, distance));
+                        if best.is_none_or(|best| distance < best) {
+                            best = Some(distance);
                         }
                     }
                 }
             }
         }
-        Ok(best)
+        let Some(best) = best else { return Ok(None) };
+        let most = best + self.pixel_m / 2.0;
+        let from_ends = ends.map(Cell::of);
+        let bound = |cell: &Cell| from_ends.iter().map(|end| end.least_distance(cell)).sum::<f64>();
+        let near = cells.into_iter().filter(|(_, (_, metres))| *metres <= most);
+        let mut cells: Vec<(f64, &[i64; 2])> = near.map(|(at, _)| (bound(&self.cells[at]), at)).collect();
+        cells.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut found: Option<(f64, [Point3<f64>; 2])> = None;
+        for (bound, at) in cells {
+            if found.is_some_and(|(way, _)| way <= bound) {
+                break;
+            }
+            if monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            let own = &self.cells[at];
+            let blocks = beyond.values().filter(|block| metres(gaps(&[*at; 2], block)) <= most);
+            let near = blocks.flat_map(cells_of).filter_map(|to| other.cells.get(&to));
+            let near: Vec<&Cell> = near.filter(|cell| own.least_distance(cell) <= most).collect();
+            for place in &own.places {
+                let way = ends.iter().map(|end| (end - place).norm()).sum::<f64>();
+                if found.is_some_and(|(best, _)| best <= way) {
+                    continue;
+                }
+                let beyond = near.iter().flat_map(|cell| &cell.places).map(|to| ((to - place).norm(), *to));
+                let nearest = beyond.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(distance, _)| *distance <= most);
+                found = nearest.map(|(_, to)| (way, [*place, to])).or(found);
+            }
+        }
+        Ok(found.map(|(_, places)| (places, best)))
     }
 
     /// The extent of the cells in each block.
@@ -770,6 +820,18 @@ fn gaps(a: &Extent, b: &Extent) -> [i64; 2] {
     [0, 1].map(|axis| (b[0][axis] - a[1][axis]).max(a[0][axis] - b[1][axis]).max(0))
 }
 
+/// A distance (m) that no places in cells this many apart along x and y fall below: they may lie at the near sides.
+fn metres(gaps: [i64; 2]) -> f64 {
+    let [x, y] = gaps.map(|gap| (gap - 1).max(0) as f64 * CELL_M);
+    (x * x + y * y).sqrt()
+}
+
+/// The cells of an extent, in order.
+fn cells_of([low, high]: &Extent) -> impl Iterator<Item = [i64; 2]> + use<> {
+    let ([x, y], [to_x, to_y]) = (*low, *high);
+    (x..=to_x).flat_map(move |x| (y..=to_y).map(move |y| [x, y]))
+}
+
 /// Cells on the border of a square around one, in order, those within an extent.
 fn ring([x, y]: &[i64; 2], far: i64, [low, high]: &Extent) -> impl Iterator<Item = [i64; 2]> + use<> {
     let ([x, y], [low, high]) = ([*x, *y], [*low, *high]);
@@ -797,6 +859,8 @@ mod tests {
     use crate::NoMonitor;
     use proptest::prelude::*;
 
+    const ENDS: [Point3<f64>; 2] = [Point3::new(10.0, 20.0, 0.0), Point3::new(90.0, 40.0, 1.0)];
+
     struct Stops;
 
     impl Monitor for Stops {
@@ -823,18 +887,20 @@ mod tests {
     fn ground_far_off_is_found_at_once_and_a_search_for_it_stops_when_it_is_asked_to() {
         let own = square(0, 0, 0.0);
         for (x, y, distance) in [(600, 10, 541.0), (-600, 600, 541.0f64.hypot(541.0)), (20, 70, 11.0), (30, 30, 0.0)] {
-            let (at, found) = own.nearest(&square(x, y, 0.0), &NoMonitor).unwrap().unwrap();
+            let ([at, _], found) = own.nearest(&square(x, y, 0.0), &ENDS, &NoMonitor).unwrap().unwrap();
             assert!((found - distance).abs() < 1e-9 && own.cells.contains_key(&cell(&at)), "{x}, {y}: {found}");
         }
         // Along a diagonal, most of its box is empty.
         let street = ground((0..600).map(|n| [f64::from(n), f64::from(n) - 300.0, 0.0]));
-        let (_, found) = own.nearest(&street, &NoMonitor).unwrap().unwrap();
+        let (_, found) = own.nearest(&street, &ENDS, &NoMonitor).unwrap().unwrap();
         assert!((found - 241.0 * 0.5f64.sqrt()).abs() < 1.0, "{found}");
         // Far above it, no cell is too far off.
-        assert!(matches!(own.nearest(&square(0, 0, 30.0), &Stops), Err(Error::Interrupted)));
+        assert!(matches!(own.nearest(&square(0, 0, 30.0), &ENDS, &Stops), Err(Error::Interrupted)));
+        let near = ground([[0.0; 3]]).nearest(&ground([[1.0; 3]]), &ENDS, &Stops);
+        assert!(matches!(near, Err(Error::Interrupted)));
         let nothing = ground([]);
-        assert_eq!(own.nearest(&nothing, &NoMonitor).unwrap(), None);
-        assert_eq!(nothing.nearest(&own, &NoMonitor).unwrap(), None);
+        assert_eq!(own.nearest(&nothing, &ENDS, &NoMonitor).unwrap(), None);
+        assert_eq!(nothing.nearest(&own, &ENDS, &NoMonitor).unwrap(), None);
     }
 
     proptest! {
@@ -850,10 +916,18 @@ mod tests {
             };
             let (own, other) = (places(&own, 0), places(&other, apart));
             let far = |a: &[f64; 3], b: &[f64; 3]| (Point3::from(*a) - Point3::from(*b)).norm();
-            let least = own.iter().flat_map(|a| other.iter().map(move |b| far(a, b))).fold(f64::INFINITY, f64::min);
-            let (at, found) = ground(own).nearest(&ground(other.clone()), &NoMonitor).unwrap().unwrap();
-            prop_assert_eq!(found, least);
-            prop_assert!(other.iter().any(|b| (at - Point3::from(*b)).norm() == found));
+            let nearest = |a: &[f64; 3]| other.iter().map(|b| far(a, b)).fold(f64::INFINITY, f64::min);
+            let least = own.iter().map(nearest).fold(f64::INFINITY, f64::min);
+            let way = |a: &[f64; 3]| ENDS.iter().map(|end| (end - Point3::from(*a)).norm()).sum::<f64>();
+            let near = own.iter().filter(|&a| nearest(a) <= least + 0.05);
+            let shortest = near.map(way).fold(f64::INFINITY, f64::min);
+            let found = ground(own.clone()).nearest(&ground(other.clone()), &ENDS, &NoMonitor).unwrap();
+            let (places, distance) = found.unwrap();
+            let [at, to] = places.map(|place| <[f64; 3]>::from(place.coords));
+            prop_assert_eq!(distance, least);
+            prop_assert!(own.contains(&at) && other.contains(&to));
+            prop_assert!(far(&at, &to) == nearest(&at) && far(&at, &to) <= least + 0.05);
+            prop_assert!((way(&at) - shortest).abs() < 1e-9);
         }
     }
 }

@@ -116,6 +116,19 @@ fn cases() -> Vec<Case> {
         },
         case(pit(Over::Floor(-2.0)), 0.0, Reason::Gap, 1.5, 0.4),
         case(pit(Over::Nothing), 0.0, Reason::Unseen, 1.5, 0.4),
+        // A wall without a door, and the same with a hole in a corner of the first room. The place is on the way.
+        case(hall(|_| None), 0.0, Reason::Gap, 0.6, 0.11),
+        case(
+            scene(HALL, |i, j| match i {
+                MIDDLE => Over::Wall,
+                _ if i < 12 && j < 12 => Over::Nothing,
+                _ => plain,
+            }),
+            0.0,
+            Reason::Gap,
+            0.6,
+            0.11,
+        ),
         // Another storey is as far as it is high.
         case(scene(HALL, |_, _| Over::Deck(3.4)), 3.4, Reason::Unseen, 3.4, 0.01),
         Case {
@@ -218,6 +231,18 @@ fn obstructions_are_found_whatever_pages_are_in_memory() {
         let (bounded, asked, waits) = sought(case, Memory::Bounded(Vec::new()));
         assert_eq!((bounded, asked), (found, questions), "case {number}");
         assert!(waits >= 1 && waits <= 8 * questions + pages, "case {number}: {waits} waits, {questions} questions");
+    }
+}
+
+#[test]
+fn a_wall_is_met_on_the_straight_line() {
+    for over in [Over::Wall, Over::Nothing] {
+        let store = scene(HALL, |i, _| if (MIDDLE..MIDDLE + 15).contains(&i) { over } else { Over::Floor(0.0) });
+        let ends = [at([20, 65], 0.0), at([150, 65], 0.0)];
+        let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 });
+        let found = sought(&Case { store, pawn, length: None, ends, expected: None }, Memory::All).0.unwrap();
+        assert!((found.at.y - ends[0].y).abs() < T && (found.at.x - MIDDLE as f64 * T).abs() < 0.5, "{found:?}");
+        assert_eq!(found.reason, if matches!(over, Over::Wall) { Reason::Gap } else { Reason::Unseen });
     }
 }
 
