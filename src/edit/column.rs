@@ -57,6 +57,15 @@ impl<'a> EditedColumn<'a> {
     pub fn apply(&self, pages: &[(i32, &Page)]) -> Result<Vec<(i32, Page)>> {
         let mut layers: Vec<i32> = pages.iter().map(|(layer, _)| *layer).collect();
         let mut changed: Vec<Option<Vec<Run>>> = vec![None; (TILE_PIXELS * TILE_PIXELS) as usize];
+        // Heights in pages of a level are rounded outwards to a unit, by which readers know how far. Edits keep to it.
+        let of_page = |(layer, page): &(i32, &Page)| (i64::from(*layer), i64::from(page.height_unit()));
+        let units: Vec<(i64, i64)> = pages.iter().filter(|_| self.is_of_level).map(of_page).collect();
+        let unit = |at: i64| {
+            let layer = at.div_euclid(PAGE_QUANTA);
+            units.iter().find(|unit| unit.0 == layer).map_or(1, |unit| unit.1)
+        };
+        let down = |at: i64| at - at.rem_euclid(unit(at));
+        let up = |at: i64| at + (unit(at) - at.rem_euclid(unit(at))) % unit(at);
         for (prism, change) in &self.edits.all {
             let [low, high] = prism.pixels(self.frame, *change);
             let first = [0, 1].map(|axis| (low[axis] - self.corner[axis]).clamp(0, TILE_PIXELS));
@@ -76,10 +85,12 @@ impl<'a> EditedColumn<'a> {
                 let (floor, ceil) = (self.frame.quantum_floor(prism.bottom), self.frame.quantum_ceil(prism.top));
                 match *change {
                     Change::Removed => {
-                        remove(runs, self.frame.quantum_ceil(prism.bottom), self.frame.quantum_floor(prism.top));
+                        let [low, high] = [self.frame.quantum_ceil(prism.bottom), self.frame.quantum_floor(prism.top)];
+                        remove(runs, up(low), down(high));
                     }
                     Change::Added { is_floor } => {
-                        add(runs, Run { bottom: floor, top: ceil.max(floor + 1), is_obstacle: !is_floor });
+                        let [bottom, top] = [down(floor), up(ceil.max(floor + 1))];
+                        add(runs, Run { bottom, top, is_obstacle: !is_floor });
                     }
                 }
             }

@@ -17,7 +17,7 @@ mod builder;
 mod unions;
 
 use super::span::Span;
-use crate::frame::{PAGE_QUANTA, TILE_PIXELS};
+use crate::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
 
 pub use builder::PageBuilder;
 pub use builder::RowBuilder;
@@ -195,6 +195,23 @@ impl Page {
                 row.chunk_by(|a, b| a.lane() == b.lane()).map(move |spans| (bx << 3 | spans[0].lane(), py, spans))
             })
         })
+    }
+
+    /// Returns the greatest common divisor of a slice and all heights (quanta). In a page of an overview level, whose
+    /// heights are rounded, about a third of a slice, and in sparse ones a slice.
+    pub(crate) fn height_unit(&self) -> u32 {
+        let mut unit = SLICE_QUANTA as u32;
+        for (.., column) in self.columns() {
+            for mut height in column.iter().flat_map(|span| [span.bottom(), span.top()]) {
+                while height != 0 {
+                    (unit, height) = (height, unit % height);
+                }
+            }
+            if unit == 1 {
+                break;
+            }
+        }
+        unit
     }
 
     /// Returns the occupied slices of the page as a mask.
