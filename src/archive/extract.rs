@@ -66,7 +66,7 @@ pub fn extract(
     if levels {
         writer.set_levels();
     }
-    let edited = edited_pages(archive)?.unwrap_or_default();
+    let edited = edited_pages(archive, monitor)?.unwrap_or_default();
     let mut colours = ColourReader::new(archive)?;
     if let Some(colours) = header.colours {
         writer.set_colours(colours.plan);

@@ -62,7 +62,7 @@ mod recover;
 pub use catalog::Catalog;
 pub use colour_section::{ColourEntry, ColourHead, ColourReader, ColourTable, EncodedColours};
 pub use directory::{Content, Extent, PageEntry, Storage};
-pub(crate) use edited::edited_pages;
+pub(crate) use edited::{each_edited_page, edited_pages};
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use levels::{Level, Levels};

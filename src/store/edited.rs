@@ -3,28 +3,31 @@
 use super::budget::Budget;
 use super::index::Index;
 use super::snapshot::{Edited, Held, PageSlot};
-use crate::archive::{Archive, edited_pages};
-use crate::frame::PageKey;
-use crate::page::Page;
+use crate::archive::{Archive, each_edited_page};
 use crate::text::counted;
-use crate::{Error, Parameter, Result};
+use crate::{Error, NoMonitor, Parameter, Result};
 use std::sync::Arc;
 
 #[cfg_attr(target_family = "wasm", allow(dead_code, reason = "of streams, which need threads"))]
 /// Reads and edits the columns that the archive's edits touch; `None` without edits. Their pages count against the budget.
 pub(super) fn edited_columns(archive: &Archive, index: &Index, budget: &Arc<Budget>) -> Result<Option<Edited>> {
-    let Some(pages) = edited_pages(archive)? else { return Ok(None) };
-    let needed: usize = pages.values().map(Page::weight_bytes).sum();
-    let count = pages.len();
-    let slot = |(key, page): (PageKey, Page)| {
+    let (mut slots, mut needed, mut count, mut fits) = (Vec::new(), 0, 0, true);
+    let has_edits = each_edited_page(archive, &NoMonitor, |key, page| {
         let bytes = page.weight_bytes() + size_of::<PageSlot>() + size_of::<Held>();
-        let room = budget.take(bytes).ok_or_else(|| {
-            let (own, count) = (budget.budget(), counted(count as u64, "page"));
-            let reason = format!("{own} bytes do not hold the {count} with edits ({needed} bytes)");
-            Error::parameter(Parameter::Cache, reason)
-        })?;
-        Ok((key, PageSlot::of(key.layer, Held { page, room: Some(room) })))
-    };
-    let slots = pages.into_iter().map(slot).collect::<Result<_>>()?;
-    Ok(Some(Edited::new(slots, index.table())))
+        (needed, count) = (needed + bytes, count + 1);
+        match budget.take(bytes).filter(|_| fits) {
+            Some(room) => slots.push((key, PageSlot::of(key.layer, Held { page, room: Some(room) }))),
+            // The rest is only counted.
+            None => (slots, fits) = (Vec::new(), false),
+        }
+    })?;
+    if !fits {
+        // What the budget holds besides them stays.
+        let (own, needed, pages) = (budget.budget(), budget.used() + needed, counted(count, "page"));
+        let reason = format!(
+            "{own} bytes do not hold the {pages} with edits; give {needed} bytes or more, or draw smaller shapes"
+        );
+        return Err(Error::parameter(Parameter::Cache, reason));
+    }
+    Ok(has_edits.then(|| Edited::new(slots, index.table())))
 }

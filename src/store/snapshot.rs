@@ -200,7 +200,9 @@ impl Snapshot {
         check_memory(weights.fold(0, usize::saturating_add), entries.len())?;
         monitor.stage("loading", entries.len() as u64, "pages");
         let pages = entries.iter().map(|entry| entry.key).zip(archive.pages(&entries, monitor)?);
-        let Some(edited) = edited_pages(archive)? else { return Ok(Self::from_pages(*archive.frame(), pages)) };
+        let Some(edited) = edited_pages(archive, monitor)? else {
+            return Ok(Self::from_pages(*archive.frame(), pages));
+        };
         let mut all: BTreeMap<PageKey, Page> = pages.collect();
         all.extend(edited);
         Ok(Self::from_pages(*archive.frame(), all))

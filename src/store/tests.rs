@@ -4,6 +4,7 @@ use super::fetch::{Cargo, Decode};
 use super::*;
 use crate::archive::{Archive, ArchiveWriter, ColourReader, EncodedColours, PageEncoder, Totals};
 use crate::bytes::ByteSource;
+use crate::bytes::testing::Strike;
 use crate::codec::ColourEncoder;
 use crate::colour::{ColourPlan, ColourScale};
 use crate::edit::{Edits, Prism};
@@ -532,8 +533,24 @@ fn a_stream_of_an_edited_archive_has_the_columns_of_a_resident_snapshot() {
         assert_eq!(regions(&found), regions(&expected));
     }
     // Pages with edits stay in memory, so they must fit.
-    let edited = Archive::from_bytes(SCENE.0.clone()).unwrap().with_edits(edits[0].clone());
-    let error = Stream::open(edited, StreamOptions::new(10_000)).unwrap_err();
-    assert!(matches!(error, Error::Parameter { what: Parameter::Cache, .. }), "{error}");
-    assert!(error.to_string().contains("10000 bytes do not hold the 1 page with edits"), "{error}");
+    for (edits, pages) in edits.iter().zip(["1 page", "3 pages"]) {
+        let open = |budget: usize| {
+            let edited = Archive::from_bytes(SCENE.0.clone()).unwrap().with_edits(edits.clone());
+            Stream::open(edited, StreamOptions::new(budget)).map(drop)
+        };
+        let error = open(10_000).unwrap_err();
+        assert!(matches!(error, Error::Parameter { what: Parameter::Cache, .. }), "{error}");
+        let said = error.to_string();
+        let enough = said.split(&format!("10000 bytes do not hold the {pages} with edits; give ")).nth(1);
+        let enough = enough.and_then(|rest| rest.split(' ').next()?.parse().ok()).expect(&said);
+        open(enough).unwrap();
+        assert!(open(enough - 1).is_err());
+    }
+    // A stop is heard while they are edited, too.
+    let stops = |archive: Archive| {
+        let is_stopped = |at: &u64| matches!(Snapshot::resident(&archive, &*Strike::at(*at)), Err(Error::Interrupted));
+        (0..).take_while(is_stopped).count()
+    };
+    let plain = || Archive::from_bytes(SCENE.0.clone()).unwrap();
+    assert!(stops(plain().with_edits(edits[0].clone())) > stops(plain()));
 }
