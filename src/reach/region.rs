@@ -72,20 +72,18 @@ impl Flood {
     }
 
     fn all(standing: &mut StandingPlaces, set: &Snapshot) -> Needs<Self> {
-        // The feet are supported within a pixel of their middle, so a place may lie in the next tile.
-        let mut corners: Vec<[i32; 2]> = (0..set.column_count())
-            .flat_map(|number| {
-                let (tx, ty, _) = set.column_at(number);
-                let at = [tx - standing.grid.origin[0], ty - standing.grid.origin[1]];
-                (-1..=1).flat_map(move |y| (-1..=1).map(move |x| [64 * (at[0] + x), 64 * (at[1] + y)]))
-            })
-            .filter(|corner| standing.grid.is_inside(*corner))
-            .collect();
-        corners.sort_unstable_by_key(|corner| [corner[1], corner[0]]);
-        corners.dedup();
+        let (corners, mut tiles) = standing.begun.take().unwrap_or_else(|| (corners(&standing.grid, set), Vec::new()));
+        while let Some(&corner) = corners.get(tiles.len()) {
+            match standing.tile(set, corner) {
+                ControlFlow::Continue(tile) => tiles.push(tile),
+                ControlFlow::Break(stop) => {
+                    standing.begun = Some((corners, tiles));
+                    return ControlFlow::Break(stop);
+                }
+            }
+        }
         let mut open = Vec::new();
-        for corner in corners {
-            let tile = standing.tile(set, corner)?;
+        for (corner, tile) in corners.into_iter().zip(tiles) {
             for cell in 0..64 * 64 {
                 let pixel = [corner[0] + (cell & 63), corner[1] + (cell >> 6)];
                 let blocks = standing.tiles[tile].column(pixel).iter().enumerate();
@@ -324,6 +322,22 @@ impl Flood {
     }
 }
 
+/// Returns the first pixels of all tiles with standing places, by y, then x.
+fn corners(grid: &Grid, set: &Snapshot) -> Vec<[i32; 2]> {
+    // The feet are supported within a pixel of their middle, so a place may lie in the next tile.
+    let mut corners: Vec<[i32; 2]> = (0..set.column_count())
+        .flat_map(|number| {
+            let (tx, ty, _) = set.column_at(number);
+            let at = [tx - grid.origin[0], ty - grid.origin[1]];
+            (-1..=1).flat_map(move |y| (-1..=1).map(move |x| [64 * (at[0] + x), 64 * (at[1] + y)]))
+        })
+        .filter(|corner| grid.is_inside(*corner))
+        .collect();
+    corners.sort_unstable_by_key(|corner| [corner[1], corner[0]]);
+    corners.dedup();
+    corners
+}
+
 /// A place of a [`Region`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
@@ -513,4 +527,36 @@ pub(super) fn middle<T: Copy>(items: &[T], pixel: impl Fn(&T) -> [i32; 2]) -> Op
         (gap[0] * gap[0] + gap[1] * gap[1], own[1], own[0])
     };
     items.iter().min_by_key(far).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, Span};
+    use crate::walk::Body;
+
+    #[test]
+    fn a_flood_from_everywhere_continues_where_pages_were_missing() {
+        let mut builder = PageBuilder::default();
+        for (px, py) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+            assert!(builder.set_column(px, py, &[Span::new(0, 10, false).unwrap()]));
+        }
+        let keys = [0, 1, 2].map(|tx| PageKey { tx, ty: 0, layer: 0 });
+        let page = builder.build();
+        let set = Snapshot::from_pages(Frame::new(0.05, 0.15).unwrap(), keys.map(|key| (key, page.clone())));
+        let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 });
+        let mut standing = StandingPlaces::new(&set, pawn).unwrap();
+        let (mut computed, mut loaded) = (Vec::new(), Vec::new());
+        let flood = loop {
+            match Flood::everywhere(&mut standing, &set.keep_loaded(|key| loaded.contains(&key))).unwrap() {
+                Answer::Known(flood) => break flood,
+                Answer::NotLoaded(missing) => loaded.extend(missing.keys().iter().take(1)),
+            }
+            computed.push(standing.begun.as_ref().unwrap().1.len());
+        };
+        assert!(computed.is_sorted() && computed[1] > computed[0], "{computed:?}");
+        let Answer::Known(whole) = Flood::everywhere(&mut standing, &set).unwrap() else { panic!("all is loaded") };
+        assert!(flood.open == whole.open && flood.open.len() > 3 * 64 * 64);
+    }
 }

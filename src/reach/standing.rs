@@ -111,6 +111,8 @@ pub struct StandingPlaces {
     numbers: TileNumbers,
     /// Space in which the pawn must stay.
     seen: Option<Arc<SeenSpace>>,
+    /// First pixels of all tiles, and the numbers of those that are computed: what a flood from everywhere has begun.
+    pub(super) begun: Option<(Vec<[i32; 2]>, Vec<usize>)>,
 }
 
 impl StandingPlaces {
@@ -118,7 +120,7 @@ impl StandingPlaces {
     /// set of pages larger than 2²⁴ tiles or 2¹⁶ layers.
     pub fn new(set: &Snapshot, pawn: Pawn) -> Result<Self> {
         let grid = Grid::new(set, pawn)?;
-        Ok(Self { grid, tiles: Vec::new(), numbers: TileNumbers::default(), seen: None })
+        Ok(Self { grid, tiles: Vec::new(), numbers: TileNumbers::default(), seen: None, begun: None })
     }
 
     /// Counts as standing places only those where a scanner saw the middle of the pawn
