@@ -172,6 +172,26 @@ fn a_crowd_settles_in_a_corner_and_in_front_of_a_wall_too() {
 
 /// Each pawn on its own thread, while a stream loads pages: the paths are those of one thread.
 #[test]
+fn a_pawn_that_waits_for_pages_is_neither_blocked_nor_there() {
+    let store = hall(8.0);
+    let nothing = store.keep_loaded(|_| false);
+    let config = Config { tick_s: TICK, ..config(BOX) };
+    let mut crowd = Crowd::new(vec![Walker::new(config, Point3::new(0.5, 0.5, 0.02)).unwrap()]).unwrap();
+    for _ in 0..60 {
+        crowd.step(&store, TICK, |_, _| MoveInput::Toward(Point2::new(0.5, 0.5)));
+    }
+    // Near enough to count as arrived where others are in the way.
+    for _ in 0..11 * 60 {
+        let report = crowd.step(&nothing, TICK, |_, _| MoveInput::Toward(Point2::new(0.8, 0.5)));
+        assert_eq!((report.waits, report.blocked, report.arrived), (report.ticks as usize, 0, 0), "{report:?}");
+    }
+    for _ in 0..60 {
+        crowd.step(&store, TICK, |_, _| MoveInput::Toward(Point2::new(0.8, 0.5)));
+    }
+    assert!(crowd.walkers()[0].state() == State::Arrived && (crowd.walkers()[0].feet().x - 0.8).abs() < 0.02);
+}
+
+#[test]
 fn pawns_walk_on_threads_of_their_own() {
     let scene = scene(|b| {
         b.level("floor", [-8.0, -8.0, 8.0, 8.0], 0.0, &[]);

@@ -304,6 +304,7 @@ impl Crowd {
             (motion.hand, motion.changes, motion.detours) = (0.0, 0, 0);
         }
         self.outlines[n] = Outline::of(&self.walkers[n]);
+        let waits = outcome.is_break();
         if let ControlFlow::Break(missing) = outcome {
             report.waits += 1;
             report.missing = Some(missing);
@@ -318,10 +319,16 @@ impl Crowd {
             self.strays.push(n as u32);
         }
         let wanted = if aim.settled { Vector2::zeros() } else { aim.way };
-        walker.note_progress(wanted, before.feet.xy());
+        if waits {
+            // Time without pages is no time in which it got no nearer.
+            aim.since = (aim.since - self.tick_s).max(0.0);
+        } else {
+            walker.note_progress(wanted, before.feet.xy());
+        }
         walker.state = match walker.motion.ground {
             Ground::Air => State::Falling,
             _ if aim.settled => State::Arrived,
+            _ if waits => State::Walking,
             _ if moved < BLOCKED_BELOW * wanted.norm() || walker.progress.is_stuck() => State::Blocked,
             _ => State::Walking,
         };
