@@ -56,6 +56,8 @@ pub struct Coarse {
     tiles: HashMap<[i32; 2], Box<[u32]>>,
     nodes: Vec<Node>,
     heap: BinaryHeap<(Reverse<u32>, u32, u32)>,
+    /// The node to expand next, before those of the heap: its turn was cut short.
+    next: Option<(Reverse<u32>, u32, u32)>,
     goal: Option<u32>,
     doubt_m: f64,
     looked_at: usize,
@@ -107,6 +109,7 @@ impl Coarse {
             tiles: HashMap::new(),
             nodes: Vec::new(),
             heap: BinaryHeap::new(),
+            next: None,
             goal: None,
             doubt_m: 0.0,
             looked_at: 0,
@@ -170,7 +173,7 @@ impl Coarse {
             }
         };
         let mut taken = 0;
-        while let Some((estimate, cost, node)) = self.heap.pop() {
+        while let Some((estimate, cost, node)) = self.next.take().or_else(|| self.heap.pop()) {
             if node == goal {
                 let route = self.route(goal);
                 return done(Ok(route));
@@ -179,7 +182,7 @@ impl Coarse {
                 continue;
             }
             if taken == steps {
-                self.heap.push((estimate, cost, node));
+                self.next = Some((estimate, cost, node));
                 return ControlFlow::Continue(Ok(Planned::Unfinished));
             }
             taken += 1;
@@ -188,7 +191,9 @@ impl Coarse {
                 return ControlFlow::Continue(Err(Error::Interrupted));
             }
             if let ControlFlow::Break(stop) = self.expand(level, node, goal) {
-                self.heap.push((estimate, cost, node));
+                // It counts once, however often it waits for pages, and what it has offered does not go before it.
+                self.looked_at -= 1;
+                self.next = Some((estimate, cost, node));
                 return ControlFlow::Break(stop);
             }
         }
@@ -367,6 +372,7 @@ impl Coarse {
             return ControlFlow::Break(Stop::Spans(spans, most));
         }
         let slots = columns.at(corner[0], corner[1]);
+        let unit = |slot: &PageSlot| slot.page().map_or(SLICE_QUANTA as i32, |page| page.height_unit() as i32);
         let units: Vec<i32> = slots.iter().map(unit).collect();
         let mut starts = Vec::with_capacity(64 * 64 + 1);
         starts.push(self.nodes.len() as u32);
@@ -409,7 +415,8 @@ impl Coarse {
             let [from, to] = [0, 1].map(|at| &self.nodes[pair[at] as usize]);
             self.step(from, to).map(|step| step.doubt)
         });
-        self.doubt_m = steps.map(f64::from).sum::<f64>() * self.grid.frame.quantum_m();
+        // The sum of nothing is -0.
+        self.doubt_m = (0.0 + steps.map(f64::from).sum::<f64>()) * self.grid.frame.quantum_m();
         // As level as the spans allow it.
         let mut z = self.ends[0].z;
         let place = |&node: &u32| {
@@ -465,23 +472,4 @@ impl Coarse {
         }
         at == to
     }
-}
-
-/// Returns the greatest common divisor of all heights in a page (quanta): about a third of a slice, in sparse pages a
-/// slice.
-fn unit(slot: &PageSlot) -> i32 {
-    let mut unit = SLICE_QUANTA as u32;
-    for (.., column) in slot.page().into_iter().flat_map(|page| page.columns()) {
-        for span in column {
-            for mut height in [span.bottom(), span.top()] {
-                while height != 0 {
-                    (unit, height) = (height, unit % height);
-                }
-            }
-        }
-        if unit == 1 {
-            break;
-        }
-    }
-    unit as i32
 }

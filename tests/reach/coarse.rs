@@ -182,8 +182,10 @@ fn a_way_without_doubt_and_none_through_a_wall() {
     }
     // Both ends in one pixel of the level.
     let beside = from + Vector3::new(0.05, 0.0, 0.0);
-    let found = finish(&mut Coarse::new(&open, pawn(), from, beside).unwrap(), &open, usize::MAX).unwrap();
+    let mut planner = Coarse::new(&open, pawn(), from, beside).unwrap();
+    let found = finish(&mut planner, &open, usize::MAX).unwrap();
     assert!(found.points.len() == 2 && (found.length_m - 0.05).abs() < 1e-9, "{found:?}");
+    assert!(planner.doubt_m() == 0.0 && planner.doubt_m().is_sign_positive());
     // If pixels are wider than the pawn, a route may pass any wall: it is found, and reports its doubt.
     let thin = Pawn::new(Body::Box { x: 0.2, y: 0.2, height: 1.7 });
     let mut planner = Coarse::new(&closed, thin, from, to).unwrap();
@@ -282,21 +284,24 @@ fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     }
     // The archive itself used like a level, with more pages.
     let store = Snapshot::resident(&rooms(3), &NoMonitor).unwrap();
-    let mut partly = Part::new(store.clone());
-    let [from, to] = [[1.0, 1.0, FLOOR], [1.2, 3.0, FLOOR]].map(Point3::from);
-    let mut planner = Coarse::new(&partly, pawn(), from, to).unwrap();
-    let mut loaded = 0;
-    let found = loop {
-        match planner.advance(&partly, usize::MAX, &NoMonitor).unwrap() {
-            Planned::Done(found) => break found,
-            Planned::NotLoaded(missing) => loaded += partly.load(missing.keys()),
-            _ => {}
-        }
-    };
-    assert!((1..=16).contains(&loaded), "{loaded}");
-    let mut whole = Coarse::new(&store, pawn(), from, to).unwrap();
-    assert_eq!(found, finish(&mut whole, &store, 100));
-    let far = Point3::new(12.0, 12.0, FLOOR);
+    let [from, near, far] = [[1.0, 1.0, FLOOR], [1.2, 3.0, FLOOR], [12.0, 12.0, FLOOR]].map(Point3::from);
+    for to in [near, far] {
+        let mut partly = Part::new(store.clone());
+        let mut planner = Coarse::new(&partly, pawn(), from, to).unwrap();
+        let mut loaded = 0;
+        let found = loop {
+            match planner.advance(&partly, usize::MAX, &NoMonitor).unwrap() {
+                Planned::Done(found) => break found,
+                Planned::NotLoaded(missing) => loaded += partly.load(missing.keys()),
+                _ => {}
+            }
+        };
+        assert!((1..=16).contains(&loaded), "{loaded}");
+        let mut whole = Coarse::new(&store, pawn(), from, to).unwrap();
+        assert_eq!(found, finish(&mut whole, &store, 100));
+        // A span that waits for pages counts once.
+        assert_eq!(planner.looked_at(), whole.looked_at());
+    }
     let mut planner = Coarse::new(&store, pawn(), from, far).unwrap();
     assert!(matches!(planner.advance(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
 }

@@ -50,7 +50,8 @@ impl Way {
     pub fn turned_deg(&self) -> f64 {
         let pairs = self.points.windows(2).zip(self.headings.windows(2));
         let turns = pairs.filter(|(points, _)| points[0] == points[1]);
-        turns.map(|(_, pair)| ((pair[1] - pair[0] + 180.0).rem_euclid(360.0) - 180.0).abs()).sum()
+        // The sum of nothing is -0.
+        0.0 + turns.map(|(_, pair)| ((pair[1] - pair[0] + 180.0).rem_euclid(360.0) - 180.0).abs()).sum::<f64>()
     }
 
     /// A way that has not begun.

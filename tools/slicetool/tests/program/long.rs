@@ -68,6 +68,9 @@ fn a_wheelchair_turns_where_there_is_room() {
         lines[0] == "x,y,z" && lines.len() < headings && lines.windows(2).all(|pair| pair[0] != pair[1]),
         "{table}"
     );
+    let straight = ["a.slices", "--profile", "wheelchair", "--from", "0.55,4.5,0.1", "--to", "0.55,3.5,0.1", "--json"];
+    let straight: Value = serde_json::from_slice(&slicetool(&folder, "route", &straight).stdout).unwrap();
+    assert_eq!(straight["turned_deg"].to_string(), "0.0", "{straight}");
     // The round pawn has neither the column nor the key.
     let round = route(&folder, &[&ROUND[..], &["-o", "r.csv"]].concat());
     assert!(round.get("turned_deg").is_none(), "{round}");
