@@ -296,9 +296,8 @@ fn is_plane(heights: &[[f64; 3]], off: f64) -> bool {
     let (dx, dy) = if determinant.abs() > 1e-9 * (xx * yy).max(1.0) {
         ((xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant)
     } else if xx + yy > 0.0 {
-        // All pixels on one line: any plane through the line's fit.
-        let slope = (xz + yz) / (xx + 2.0 * xy + yy).max(f64::MIN_POSITIVE);
-        (slope, slope)
+        // All pixels on one line: the plane through the line's fit that is level across it.
+        (xz / (xx + yy), yz / (xx + yy))
     } else {
         (0.0, 0.0)
     };
@@ -392,8 +391,11 @@ mod tests {
         assert!(!is_level(&ramp, 1.0) && is_plane(&ramp, 1.0));
         let noise = field(|x, y| (x * 37.0 + y * 91.0) % 64.0);
         assert!(!is_plane(&noise, 1.0) && is_plane(&noise, 64.0));
-        let line: Heights = (0..9).map(|n| [f64::from(n), f64::from(n), f64::from(5 * n)]).collect();
-        assert!(is_plane(&line, 1.0));
+        for way in [[1, 1], [1, -1], [1, 0], [0, -1], [2, -1]] {
+            let [x, y] = way.map(f64::from);
+            let line: Heights = (0..9).map(f64::from).map(|n| [x * n, y * n, 5.0 * n]).collect();
+            assert!(is_plane(&line, 1.0), "{way:?}");
+        }
         assert!(is_plane(&[], 1.0) && is_level(&[], 1.0));
     }
 }
