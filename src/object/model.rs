@@ -26,6 +26,9 @@ impl Model {
     ///
     /// Fails if a page is not in memory or the set exceeds the limits of a model.
     pub fn from_pages(set: &Snapshot) -> Result<Self> {
+        // Before a list of them takes more memory than the pages.
+        let slots = (0..set.column_count()).flat_map(|number| set.column_at(number).2);
+        check_count(slots.filter_map(|slot| slot.page()).map(|page| page.span_count()).sum())?;
         let mut spans: Vec<PixelInterval> = Vec::new();
         for number in 0..set.column_count() {
             let (tx, ty, slots) = set.column_at(number);
@@ -72,9 +75,7 @@ impl Model {
     }
 
     fn new(frame: Frame, spans: Vec<PixelInterval>) -> Result<Self> {
-        if spans.len() > MOST_ITEMS {
-            return Err(too_large("spans", spans.len(), MOST_ITEMS));
-        }
+        check_count(spans.len())?;
         let ends = |span: &PixelInterval| [(span.0.0, span.0.0 + 1), (span.0.1, span.0.1 + 1), span.1];
         let bounds = [0, 1, 2].map(|axis| {
             let low = spans.iter().map(|span| ends(span)[axis].0).min().unwrap_or(0);
@@ -130,6 +131,11 @@ impl Model {
     pub(super) fn tree(&self) -> &Tree {
         &self.tree
     }
+}
+
+/// Fails if a model of so many spans is too large.
+fn check_count(spans: usize) -> Result<()> {
+    if spans > MOST_ITEMS { Err(too_large("spans", spans, MOST_ITEMS)) } else { Ok(()) }
 }
 
 fn too_large(what: &str, value: impl ToString, max: impl ToString) -> Error {
