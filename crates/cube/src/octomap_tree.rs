@@ -48,6 +48,8 @@ pub struct OctomapTree {
     /// Blocks of the tile by their place along z.
     blocks: BTreeMap<i64, Block>,
     tile: Option<[i64; 2]>,
+    /// Lowest cube along z that was added, and the one after the highest.
+    ends: Option<(i64, i64)>,
     seen: FreeCubes,
     nodes: Vec<([i64; 3], Node)>,
     counts: [u64; 2],
@@ -91,6 +93,14 @@ impl OctomapTree {
     }
 
     fn add(&mut self, [x, y]: [i64; 2], (first, end): (i64, i64), set: impl Fn(&mut Block, usize, u64)) {
+        if first >= end {
+            return;
+        }
+        self.ends = Some(self.ends.map_or((first, end), |(low, high)| (low.min(first), high.max(end))));
+        // No tree holds them, and their blocks could take any amount of memory.
+        if self.is_too_high() {
+            return;
+        }
         let tile = [x.div_euclid(EDGE), y.div_euclid(EDGE)];
         if self.tile != Some(tile) {
             self.finish_tile();
@@ -105,6 +115,10 @@ impl OctomapTree {
             set(self.blocks.entry(number).or_insert_with(Block::new), column, bits);
             at = last;
         }
+    }
+
+    fn is_too_high(&self) -> bool {
+        self.ends.is_some_and(|(low, high)| high.saturating_sub(low) > Self::MOST_CUBES)
     }
 
     /// Encodes the blocks of the tile.
@@ -146,6 +160,9 @@ impl OctomapTree {
     /// The columns of a tile were not added one after another.
     pub fn finish(mut self, size: f64) -> Option<Octomap> {
         while self.encode_next() {}
+        if self.is_too_high() {
+            return None;
+        }
         let Self { mut nodes, counts: [occupied, free], .. } = self;
         let by = shift(&nodes)?;
         nodes.iter_mut().for_each(|(at, _)| *at = [0, 1, 2].map(|axis| at[axis] - by[axis] + BLOCKS / 2));
@@ -218,7 +235,8 @@ fn shift(nodes: &[([i64; 3], Node)]) -> Option<[i64; 3]> {
             return None;
         }
         if low < -BLOCKS / 2 || high >= BLOCKS / 2 {
-            *by = low.midpoint(high);
+            // Where all of it is needed, half of it is below the origin.
+            *by = low.midpoint(high).max(high + 1 - BLOCKS / 2);
         }
     }
     Some(by)

@@ -309,6 +309,27 @@ fn trees_without_cubes_and_too_large_ones() {
 }
 
 #[test]
+fn spans_higher_than_a_tree_take_no_memory() {
+    for spans in [&[(0, 1 << 40)][..], &[(0, 1), (1 << 40, (1 << 40) + 1)]] {
+        let mut tree = OctomapTree::new();
+        spans.iter().for_each(|&span| tree.occupy([0, 0], span));
+        assert!(tree.finish(0.1).is_none());
+    }
+    // As high as a tree, wherever it begins. A run of no cubes counts nowhere.
+    const MOST: i64 = OctomapTree::MOST_CUBES;
+    for first in [-MOST / 2, 0, -64, 64 * 1001, -64 * 2047] {
+        let mut tree = OctomapTree::new();
+        for cubes in [(first, first + 1), (first + MOST - 1, first + MOST), (1 << 40, 1 << 40)] {
+            tree.occupy([0, 0], cubes);
+        }
+        let mut bytes = Vec::new();
+        tree.finish(0.1).unwrap().write(&mut bytes).unwrap();
+        let heights: Vec<i64> = read(&bytes).unwrap().iter().map(|cube| cube.corner[2]).collect();
+        assert_eq!(heights, [first, first + MOST - 1]);
+    }
+}
+
+#[test]
 #[should_panic(expected = "two turns")]
 fn tiles_in_two_turns_are_a_mistake() {
     let mut tree = OctomapTree::new();

@@ -9,6 +9,8 @@
 
 use super::cubes::each_span;
 use crate::Failure;
+use crate::ground::stored_seen;
+use slicewalk::Parameter;
 use slicewalk::archive::Archive;
 use slicewalk::seen::{CELL_PIXELS, SeenSpace};
 use slicewalk_base::output::Output;
@@ -22,10 +24,13 @@ const MOST_SEEN_BYTES: u64 = 4 << 30;
 
 /// Writes the tree; returns a message about it. Memory: the tree, and the blocks of a tile column (64 KiB each).
 pub fn bt(archive: &Archive, path: &Path, to: Output) -> Result<String, Failure> {
-    let seen = archive.seen_space(MOST_SEEN_BYTES).map_err(|error| crate::broken(path, &error))?;
+    let seen = stored_seen(archive, path, MOST_SEEN_BYTES, Parameter::Bounds)?;
     let free = FreeCubes::new(archive.frame(), CELL_PIXELS, seen.iter().flat_map(SeenSpace::runs), None);
     let mut tree = OctomapTree::new().with_free(free);
     each_span(archive, path, |pixel, cubes| tree.occupy(pixel, cubes))?;
+    while tree.encode_next() {
+        crate::go_on()?;
+    }
     let size = archive.frame().pixel_m();
     let tree = tree.finish(size).ok_or_else(|| {
         let reason = format!("larger than the {} cubes of an OctoMap tree along an axis", OctomapTree::MOST_CUBES);

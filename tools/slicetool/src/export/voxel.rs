@@ -27,6 +27,8 @@ const MARGIN_M: f64 = 2.0;
 const MOST: usize = 1 << 24;
 /// Most blocks along an axis.
 const MOST_BLOCKS: i64 = 1 << 20;
+/// Most blocks in memory. Blocks that join to larger solid cubes take no nodes, so more than the format has may fit.
+const MOST_HELD: usize = 1 << 25;
 const SOLID: u32 = 0xFF00_0000;
 
 /// A node of one level of the tree.
@@ -46,15 +48,29 @@ enum Kind {
     Inner(u8, usize),
 }
 
-/// Writes header and tree; returns a message about them. Memory: the tree, about 30 bytes for each block.
+/// Writes header and tree; returns a message about them. Memory: the tree, up to 70 bytes for each of at most 2²⁵
+/// blocks.
 pub fn write(archive: &Archive, path: &Path, [header, binary]: [Output; 2]) -> Result<String, Failure> {
     let size = archive.frame().pixel_m();
     let (mut blocks, mut cubes) = (HashMap::<[i64; 3], u64>::new(), 0u64);
     let (mut low, mut high) = ([i64::MAX; 3], [i64::MIN; 3]);
+    let too_large = |what: &str| {
+        Failure::Text(format!("{}: {what} than the format can address; extract a region first", path.display()))
+    };
+    // Limits count before the cubes of a span: there may be any number of them.
+    let mut beyond = None;
     each_span(archive, path, |[i, j], (first, end)| {
         let [x, z] = [i, -j - 1];
         for (axis, (from, to)) in [(x, x), (first, end - 1), (z, z)].into_iter().enumerate() {
             (low[axis], high[axis]) = (low[axis].min(from), high[axis].max(to));
+        }
+        if (0..3).any(|axis| high[axis].saturating_sub(low[axis]) >= MOST_BLOCKS * BLOCK) {
+            beyond = Some("longer along an axis");
+        } else if blocks.len() > MOST_HELD {
+            beyond = Some("more detailed");
+        }
+        if beyond.is_some() {
+            return;
         }
         for y in first..end {
             let at = [x, y, z];
@@ -64,6 +80,9 @@ pub fn write(archive: &Archive, path: &Path, [header, binary]: [Output; 2]) -> R
             *block |= 1 << bit;
         }
     })?;
+    if let Some(what) = beyond {
+        return Err(too_large(what));
+    }
     let margin = (MARGIN_M / size / BLOCK as f64).ceil().clamp(1.0, MOST_BLOCKS as f64) as i64;
     let is_empty = blocks.is_empty();
     let ends = |axis: usize| match is_empty {
@@ -72,9 +91,6 @@ pub fn write(archive: &Archive, path: &Path, [header, binary]: [Output; 2]) -> R
     };
     let ends = [ends(0), ends(1), ends(2)];
     let longest = ends.iter().map(|(low, high)| high - low).max().unwrap_or(0);
-    let too_large = |what: &str| {
-        Failure::Text(format!("{}: {what} than the format can address; extract a region first", path.display()))
-    };
     if longest > MOST_BLOCKS {
         return Err(too_large("longer along an axis"));
     }

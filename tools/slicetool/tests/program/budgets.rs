@@ -197,6 +197,25 @@ fn a_cache_too_small_for_a_high_place_is_refused() {
     assert!(ask(3 * named).status.success());
 }
 
+#[test]
+fn a_span_of_a_billion_cubes_is_refused_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = Plan::new(Frame::new(0.001, 1e6).unwrap());
+    let mut writer = ArchiveWriter::create(&folder.path().join("a.slices"), &plan, false).unwrap();
+    let mut page = PageBuilder::default();
+    assert!(page.set_column(0, 0, &[Span::new(0, 255, true).unwrap()]));
+    let key = PageKey { tx: 0, ty: 0, layer: 0 };
+    writer.put(key, PageEncoder::new(plan.frame).encode(key, &page.build())).unwrap();
+    writer.finish(Totals::default()).unwrap();
+    for output in ["a.bt", "a.voxel.json"] {
+        let arguments = ["export", "a.slices", "-o", output];
+        let out = limited(folder.path(), SURFACE_MIB, &arguments);
+        is_handled(&arguments, &out);
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(1) && said.contains("extract a region first"), "{said}");
+    }
+}
+
 /// Seen space of a few hundred bytes, with millions of cells; and a plan of gigabytes.
 #[test]
 #[ignore = "slow: .ci/run"]

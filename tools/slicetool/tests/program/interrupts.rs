@@ -1,6 +1,10 @@
 //! Signals end long work with their exit code and leave nothing behind.
 
 use crate::scene::{converted, floor_wall_roof};
+use slicewalk::archive::{ArchiveWriter, Totals};
+use slicewalk::frame::{Frame, PageKey};
+use slicewalk::plan::Plan;
+use slicewalk::seen::{SeenBlock, SeenPage};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -85,4 +89,31 @@ fn interrupted_exports_say_so_and_leave_nothing() {
         assert!(said == "slicetool: interrupted\n" && out.stdout.is_empty(), "{arguments:?}: {said}");
         assert_eq!(names(at), ["a.slices"], "{arguments:?}");
     }
+}
+
+#[test]
+fn a_signal_ends_a_tree_of_free_cubes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
+    let mut writer = ArchiveWriter::create(&at.join("a.slices"), &plan, false).unwrap();
+    writer.set_seen();
+    let mut keys: Vec<_> = (0..100).map(|tx| PageKey { tx, ty: 0, layer: 0 }).collect();
+    keys.sort_unstable();
+    for key in keys {
+        let mut block = SeenBlock::new(key);
+        (0..64).for_each(|layer| block.push(layer, &SeenPage::ALL));
+        writer.put_seen(&block).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_slicetool"));
+    command.current_dir(at).args(["export", "a.slices", "-o", "a.bt"]).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    while !names(at).iter().any(|name| name.ends_with(".part")) {
+        std::thread::yield_now();
+    }
+    let sent = Command::new("kill").args(["-s", "INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let out = child.wait_with_output().unwrap();
+    assert_eq!((out.status.code(), names(at)), (Some(130), vec!["a.slices".to_owned()]));
 }
