@@ -131,6 +131,21 @@ impl Edits {
         self.all.is_empty()
     }
 
+    /// Returns the lower and the upper corner (m) around the pixels and quanta that added prisms fill; `None` if nothing is
+    /// added.
+    pub fn added_bounds(&self, frame: &Frame) -> Option<([f64; 3], [f64; 3])> {
+        let added = self.all.iter().filter(|(_, change)| *change != Change::Removed);
+        let boxes = added.map(|(prism, change)| {
+            let [[x0, y0], [x1, y1]] = prism.pixels(frame, *change);
+            let [bottom, top] = [frame.quantum_floor(prism.bottom), frame.quantum_ceil(prism.top)];
+            let low = [frame.edge_of_pixel(x0), frame.edge_of_pixel(y0), frame.bottom_height(bottom)];
+            (low, [frame.edge_of_pixel(x1 + 1), frame.edge_of_pixel(y1 + 1), frame.top_height(top)])
+        });
+        boxes.reduce(|(low, high), (min, max)| {
+            ([0, 1, 2].map(|axis| low[axis].min(min[axis])), [0, 1, 2].map(|axis| high[axis].max(max[axis])))
+        })
+    }
+
     /// Returns the number of edits.
     pub fn len(&self) -> usize {
         self.all.len()

@@ -55,6 +55,33 @@ fn pixels_are_cut_level_and_what_is_added_joins_what_it_touches() {
 }
 
 #[test]
+fn edits_of_a_level_keep_to_the_unit_of_its_heights() {
+    let mut edits = Edits::default();
+    edits.add(prism(13.0, 77.7), false).unwrap();
+    edits.remove(Prism::of_box([-9.0, -9.0, 201.3], [9.0, 9.0, 400.3]).unwrap()).unwrap();
+    // In a page that the level does not have.
+    edits.add(prism(16_400.5, 16_433.2), false).unwrap();
+    let level = page(&[(0, 85, false), (170, 16_320, true)]);
+    let runs = |page: &Page| -> Vec<Run> {
+        page.column(0, 0).iter().map(|span| (span.bottom(), span.top(), span.is_obstacle())).collect()
+    };
+    let pages = EditedColumn::new(&edits, &frame(), true, [0, 0]).apply(&[(0, &level)]).unwrap();
+    assert_eq!(runs(&pages[0].1), [(0, 85, false), (170, 255, false), (340, 16_320, true)]);
+    assert_eq!(runs(&pages[1].1), [(80, 114, true)]);
+}
+
+#[test]
+fn bounds_of_added_solid_are_those_of_its_pixels() {
+    let mut edits = Edits::default();
+    edits.remove(Prism::of_box([-90.0, -90.0, -90.0], [90.0, 90.0, 90.0]).unwrap()).unwrap();
+    assert_eq!(edits.added_bounds(&frame()), None);
+    edits.add(prism(3.5, 4.5), true).unwrap();
+    edits.add(Prism::of_box([-1.5, 2.5, -7.0], [2.0, 3.5, 0.5]).unwrap(), false).unwrap();
+    // A box that ends on the border of two pixels touches both.
+    assert_eq!(edits.added_bounds(&frame()), Some(([-2.0, 0.0, -7.0], [3.0, 4.0, 5.0])));
+}
+
+#[test]
 fn solid_that_ends_on_the_border_of_pixels_fills_those_on_both_sides() {
     let mut edits = Edits::default();
     edits.add(Prism::of_box([-1.0, 0.0, 0.0], [1.0, 2.5, 1.0]).unwrap(), false).unwrap();

@@ -23,7 +23,7 @@ const SLACK: f64 = 1.0 + 1e-6;
 
 /// Grid of samples.
 pub struct Samples {
-    /// Region that they cover; by default the bounds of the archive.
+    /// Region that they cover; by default the bounds of the archive and of what its edits add.
     pub bounds: Option<Bounds>,
     /// Distance between samples (m); by default a pixel.
     pub step_m: Option<f64>,
@@ -36,7 +36,11 @@ pub fn npy(loader: &Loader, samples: &Samples, to: Output) -> Result<String, Fai
     let refused = |reason: String| Failure::Text(format!("{}: {reason}", loader.path().display()));
     let archive = loader.archive();
     let step = samples.step_m.unwrap_or(archive.frame().pixel_m());
-    let Some((min, max)) = samples.bounds.or(archive.header().bounds) else {
+    let added = archive.edits().and_then(|edits| edits.added_bounds(archive.frame()));
+    let whole = [archive.header().bounds, added].into_iter().flatten().reduce(|(low, high), (min, max)| {
+        ([0, 1, 2].map(|axis| low[axis].min(min[axis])), [0, 1, 2].map(|axis| high[axis].max(max[axis])))
+    });
+    let Some((min, max)) = samples.bounds.or(whole) else {
         return Err(refused("holds no points, so there are no distances; give --bounds".into()));
     };
     let ends = [0, 1, 2].map(|axis| ((min[axis] / step).floor(), (max[axis] / step).ceil()));

@@ -49,6 +49,8 @@ const WITHIN_M: f64 = 2.0;
 
 /// Options of `slicetool export`.
 #[derive(clap::Args)]
+// Only `reach` and `route` take it, which the refusal says.
+#[command(mut_arg("seen", |seen| seen.hide(true)))]
 pub struct Arguments {
     /// Slice archive
     archive: PathBuf,
@@ -84,7 +86,7 @@ pub struct Arguments {
     /// y, x; sample k along an axis, counted from the origin, lies at (k + 1/2) times the step
     #[arg(long)]
     esdf: bool,
-    /// With --esdf, lowest and highest corner of the region in metres [default: all of the archive]
+    /// With --esdf, lowest and highest corner of the region in metres [default: all of the archive, and what --edits adds]
     #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = crate::extract::bounds)]
     bounds: Option<Bounds>,
     /// With --esdf, metres between samples [default: a pixel]
@@ -166,10 +168,13 @@ fn formats_of(option: &str, has_layers: bool) -> (&'static [Format], &'static st
         }
         "seen" => (&[], "`reach` and `route`"),
         "max-grade" | "max-ramp" | "max-drop" => (&[Format::Nav2, Format::Heightfield], ".yaml and .heightfield.json"),
-        "cache" | "ignore-inferred" if has_layers => {
+        "ignore-inferred" => {
+            (&[Format::Nav2, Format::Heightfield, Format::Npy, Format::Tif], ".yaml, .heightfield.json, .npy and .tif")
+        }
+        "cache" if has_layers => {
             (&[Format::Nav2, Format::Heightfield, Format::Npy, Format::Tif], "maps, heightfields, layers and distances")
         }
-        "cache" | "ignore-inferred" => {
+        "cache" => {
             (&[Format::Nav2, Format::Heightfield, Format::Npy], ".yaml, .heightfield.json, .npy and layers of .tif")
         }
         "storey" => (&[Format::Nav2, Format::Heightfield], ".yaml and .heightfield.json"),

@@ -10,7 +10,7 @@ use crate::Failure;
 use crate::figures::{figures, round_length};
 use crate::ground::Loader;
 use nalgebra::Point3;
-use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
+use slicewalk::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 
 /// Narrower maps are enlarged to this width, wider ones are reduced (pixels).
 const WIDTH: i64 = 900;
@@ -94,15 +94,23 @@ fn matter(map: &mut Map, reach: &Reach, loader: &Loader) -> Result<(), Failure> 
         .map(|storey| [frame.quantum_floor(storey.z + pawn.climb), frame.quantum_floor(storey.z + pawn.body.height())])
         .collect();
     let broken = |error| crate::broken(loader.path(), &error);
-    for entry in crate::entries(archive, loader.path()) {
-        let entry = entry?;
-        let base = i64::from(entry.key.layer) * PAGE_QUANTA;
-        let corner = [i64::from(entry.key.tx) * TILE_PIXELS, i64::from(entry.key.ty) * TILE_PIXELS];
+    let view = loader.snapshot();
+    let columns = (0..view.column_count()).map(|number| view.column_at(number));
+    for (tx, ty, slot) in columns.flat_map(|(tx, ty, slots)| slots.iter().map(move |slot| (tx, ty, slot))) {
+        crate::go_on()?;
+        let base = i64::from(slot.layer()) * PAGE_QUANTA;
+        let corner = [i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS];
         let is_near = bands.iter().any(|band| band[0] <= base + PAGE_QUANTA && band[1] >= base);
         if !is_near || !map.meets(corner) {
             continue;
         }
-        let page = archive.page(&entry).map_err(broken)?;
+        // Pages with edits are in memory; the archive holds them as they were scanned.
+        let read = match slot.page() {
+            Some(_) => None,
+            None => archive.find(PageKey { tx, ty, layer: slot.layer() }).map_err(broken)?,
+        };
+        let read = read.map(|entry| archive.page(&entry)).transpose().map_err(broken)?;
+        let Some(page) = slot.page().or(read.as_ref()) else { continue };
         for (px, py, spans) in page.columns() {
             for (number, band) in bands.iter().enumerate() {
                 let meets = |low: u32, high: u32| base + i64::from(low) <= band[1] && base + i64::from(high) >= band[0];

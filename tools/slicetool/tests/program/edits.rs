@@ -206,7 +206,10 @@ fn queries_and_walks_meet_the_edits() {
     assert!((3.4..4.0).contains(&found["end"][0].as_f64().unwrap()), "{found}");
     let found = summary(&folder, "route", &[&ENDS[..], &["--edits", "e.json"]].concat());
     assert_eq!(found["reason"], json!("not_connected"), "{found}");
-    assert!(!found["blocked"].is_null(), "{found}");
+    // Something stands there: it is not missing from the scan. The wall beside the door is thinner than the door.
+    let blocked = &found["blocked"];
+    let [x, y] = ["x", "y"].map(|axis| blocked[axis].as_f64().unwrap());
+    assert!(blocked["reason"] == "gap" && (3.4..4.0).contains(&x) && (1.0..3.0).contains(&y), "{found}");
     let ends = [&["a.slices"], &ENDS[..], &["--edits", "e.json", "-o", "r.geojson"]].concat();
     assert!(slicetool(&folder, "route", &ends).status.success());
     let features: Value = serde_json::from_slice(&fs::read(at.join("r.geojson")).unwrap()).unwrap();
@@ -287,6 +290,46 @@ fn maps_show_what_edits_add_beyond_the_scan() {
 }
 
 #[test]
+fn a_map_of_places_shows_the_walls_of_the_edits() {
+    let folder = archive_of(hall());
+    let map = |archive: &str, more: &[&str]| {
+        let out = slicetool(&folder, "reach", &[&[archive, "--from", "1,2,0.1", "-o", "m.png"], more].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        fs::read(folder.path().join("m.png")).unwrap()
+    };
+    let door = json!({ "name": "door", "box": [3.9, 1.4, 0.0, 4.1, 2.6, 2.2], "open": false });
+    write(&folder, &json!({ "doors": [door], "remove": [{ "box": [3.8, 0.0, 0.02, 4.2, 1.0, 2.5] }] }));
+    let copy = slicetool(&folder, "extract", &["a.slices", "-o", "b.slices", "--edits", "e.json"]);
+    assert!(copy.status.success(), "{}", String::from_utf8_lossy(&copy.stderr));
+    let edited = map("a.slices", &["--edits", "e.json"]);
+    assert!(edited == map("b.slices", &[]), "a copy with the edits");
+    assert!(edited != map("a.slices", &[]), "without them");
+}
+
+#[test]
+fn distances_reach_to_what_edits_add_beyond_the_scan() {
+    let folder = archive_of(hall());
+    write(
+        &folder,
+        &json!({ "add": [{ "box": [20.1, 0.5, 0.0, 20.75, 3.5, 2.0] }], "remove": [{ "box": [90, 0, 0, 91, 1, 1] }] }),
+    );
+    let copy = slicetool(&folder, "extract", &["a.slices", "-o", "b.slices", "--edits", "e.json"]);
+    assert!(copy.status.success(), "{}", String::from_utf8_lossy(&copy.stderr));
+    let samples = |archive: &str, more: &[&str]| {
+        let fixed = [archive, "-o", "d.npy", "--esdf", "--step", "0.5"];
+        let out = slicetool(&folder, "export", &[&fixed[..], more].concat());
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        let said = String::from_utf8(out.stdout).unwrap();
+        (said, fs::read(folder.path().join("d.npy")).unwrap())
+    };
+    let (said, distances) = samples("a.slices", &["--edits", "e.json"]);
+    // From 0 to 20.8 m along x; the scan ends at 8 m.
+    assert!(said.starts_with("d.npy: 42 × "), "{said}");
+    assert!(samples("a.slices", &[]).0.starts_with("d.npy: 16 × "));
+    assert!((said, distances) == samples("b.slices", &[]), "a copy with the edits");
+}
+
+#[test]
 fn a_copy_with_edits_answers_as_the_archive_with_them() {
     let house = House::new(ROOMS, 3);
     let folder = archive_of(house.points());
@@ -358,14 +401,17 @@ fn a_copy_with_edits_keeps_the_marks_of_filled_holes_elsewhere() {
     let marks = ["inferred_only_a", "inferred_only_b"].map(|key| found["voxels"][key].clone());
     assert_eq!(marks, [json!(9), json!(0)], "{found}");
     // Layers ignore the marks as other answers do.
-    let without_floor = |more: &[&str]| {
-        let layers = ["a.slices", "-o", "a.tif", "--layer", "height,slope"];
-        let out = slicetool(&folder, "export", &[&layers[..], more].concat());
+    let without_floor = |layers: &str, more: &[&str]| {
+        let fixed = ["a.slices", "-o", "a.tif", "--layer", layers];
+        let out = slicetool(&folder, "export", &[&fixed[..], more].concat());
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
         let file = fs::File::open(folder.path().join("a.tif")).unwrap();
         let samples = tiff::decoder::Decoder::new(file).unwrap().read_image().unwrap();
         let tiff::decoder::DecodingResult::F32(samples) = samples else { panic!("expected f32") };
-        samples.iter().step_by(2).filter(|height| height.is_nan()).count()
+        let bands = layers.split(',').count();
+        samples.iter().step_by(bands).filter(|height| height.is_nan()).count()
     };
-    assert_eq!(without_floor(&["--ignore-inferred"]), without_floor(&[]) + 18);
+    for layers in ["height,slope", "height"] {
+        assert_eq!(without_floor(layers, &["--ignore-inferred"]), without_floor(layers, &[]) + 18, "{layers}");
+    }
 }

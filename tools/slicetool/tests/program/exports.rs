@@ -364,11 +364,7 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
         (&["--max-ramp", "6"], &["a.yaml", "a.heightfield.json"], ".yaml and .heightfield.json"),
         (&["--seen"], &[], "`reach` and `route`"),
         (&["--edits", "e.json"], &["a.yaml"], ".yaml and .npy; for others, `slicetool extract --edits` makes a copy"),
-        (
-            &["--ignore-inferred"],
-            &["a.yaml", "a.heightfield.json"],
-            ".yaml, .heightfield.json, .npy and layers of .tif",
-        ),
+        (&["--ignore-inferred"], &["a.yaml", "a.heightfield.json", "a.tif"], ".yaml, .heightfield.json, .npy and .tif"),
         (&["--cache", "64MiB"], &["a.yaml", "a.heightfield.json"], ".yaml, .heightfield.json, .npy and layers of .tif"),
     ];
     for (option, accepting, named) in options {
@@ -382,6 +378,8 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
             assert_eq!(said, format!("slicetool: {}: this option is only for {named}\n", option[0]), "{format}");
         }
     }
+    let help = String::from_utf8(export(at, &["--help"]).stdout).unwrap();
+    assert!(help.contains("--edits") && !help.contains("--seen"), "no option without a use: {help}");
     assert_eq!(export(at, &["-o", "a.svg", "--slice", "1", "--z", "1"]).status.code(), Some(2));
     let out = export(at, &["-o", "a.dxf", "--z", "99"]);
     assert!(out.status.code() == Some(1) && String::from_utf8_lossy(&out.stderr).contains("no such slice"));
