@@ -1,6 +1,6 @@
 //! Preview of a conversion: what it would read and write.
 
-use super::conversion::{Limits, check_free_space, scope, temp_bytes};
+use super::conversion::{Limits, check_free_space, protected_from_removed, scope, temp_bytes};
 use super::inputs::open_inputs;
 use super::options::ConvertOptions;
 use super::planning::{Surveyed, plan};
@@ -105,6 +105,9 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     if !options.output.as_os_str().is_empty() {
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
         check(&options.output, kind, opened.paths().collect())?;
+    }
+    if let Some(removed) = &options.removed {
+        check(removed, OutputKind::Result, protected_from_removed(options, &opened))?;
     }
     let limits = Limits::of(options);
     let temp_bytes = temp_bytes(options, &opened.scans, limits.retain_bytes).1;

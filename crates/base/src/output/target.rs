@@ -7,6 +7,7 @@ use crate::bytes::{ByteSource, FileId, address, local};
 use crate::bytes::{check_upload, open_named};
 use crate::disk::{Access, FileKind, Files, OpenFile, OpenFolder, STANDARD_OUTPUT, split};
 use crate::{Error, Parameter, Result};
+use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -76,21 +77,31 @@ impl OutputKind {
     }
 }
 
-/// Files that no output replaces, because the command reads them.
+/// Files that no output replaces, because the command reads them or writes them as another output.
 #[derive(Debug, Clone, Default)]
 pub struct Protected {
     files: Vec<FileId>,
+    /// Files that do not exist yet: their folder, and their name in it.
+    names: Vec<(FileId, OsString)>,
     addresses: Vec<String>,
 }
 
 impl Protected {
-    /// Protects the file or object at `path`; does nothing if there is no such file.
+    /// Protects the file or object at `path`, and the name of a file that does not exist yet; does nothing if there is no
+    /// such folder.
     pub fn add(&mut self, path: impl AsRef<Path>) {
         let file = local(path.as_ref());
         let path = file.as_deref().unwrap_or(path.as_ref());
         match address(path) {
             Some(address) => self.addresses.push(same_address(address)),
-            None => self.files.extend(FileId::at(path)),
+            None => match FileId::at(path) {
+                Some(file) => self.files.push(file),
+                None => {
+                    let files = Files::current();
+                    let followed = follow(&files, path).ok().filter(|(_, is_descriptor)| !is_descriptor);
+                    self.names.extend(followed.and_then(|(path, _)| name_of(&files, &path)));
+                }
+            },
         }
     }
 
@@ -104,9 +115,19 @@ impl Protected {
         !self.files.is_empty() && files.id(path).is_some_and(|id| self.files.contains(&id))
     }
 
+    fn holds_name(&self, files: &Files, path: &Path) -> bool {
+        !self.names.is_empty() && name_of(files, path).is_some_and(|name| self.names.contains(&name))
+    }
+
     fn holds_address(&self, address: &str) -> bool {
         self.addresses.contains(&same_address(address))
     }
+}
+
+/// Returns the folder of a file and its name in it; `None` if there is no such folder.
+fn name_of(files: &Files, path: &Path) -> Option<(FileId, OsString)> {
+    let (folder, name) = split(path).ok()?;
+    Some((files.id(folder)?, name.to_owned()))
 }
 
 /// Returns an address in one canonical spelling.
@@ -226,6 +247,9 @@ pub(super) fn judge(
     let refuse = |reason: String| Err(Error::output(name, reason));
     let about = match files.about(path) {
         Ok(Some(about)) => about,
+        Ok(None) if protected.holds_name(files, path) => {
+            return refuse("is another output of this command; choose another name".into());
+        }
         Ok(None) => return Ok(Judged::Free),
         Err(error) => return Err(Error::io(name, "examine the existing file", error)),
     };

@@ -347,6 +347,26 @@ fn what_a_source_reads_is_not_replaced_and_its_neighbours_are() {
 }
 
 #[test]
+fn a_name_that_another_output_takes_is_refused_before_it_exists() {
+    let (folder, target) = place(None);
+    fs::create_dir(folder.path().join("sub")).unwrap();
+    let protected: Protected = [&target].into_iter().collect();
+    for name in [target.clone(), folder.path().join("./target.x"), folder.path().join("sub/../target.x")] {
+        let said = publish_beside(&name, OutputKind::Result, b"new", protected.clone()).unwrap_err().to_string();
+        assert!(said.contains("is another output of this command"), "{said}");
+        assert_eq!(names(&folder), ["sub"]);
+    }
+    for name in ["other.x", "sub/target.x"] {
+        assert!(publish_beside(&folder.path().join(name), OutputKind::Result, b"new", protected.clone()).unwrap());
+    }
+    // Standard input is no file of that name, and nothing can be written to a folder that is missing.
+    for read in ["-", "missing/target.x"] {
+        let protected: Protected = [read].into_iter().collect();
+        assert!(publish_beside(&target, OutputKind::Result, b"new", protected).unwrap());
+    }
+}
+
+#[test]
 fn archives_and_plans_are_not_written_to_standard_output() {
     for (kind, name) in [(ARCHIVE, "a slice archive"), (PLAN_OVER, "a plan")] {
         let said = check(Path::new("-"), kind, Protected::default()).unwrap_err().to_string();

@@ -479,8 +479,15 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
     scans::write(&at.join("a.las"), &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [900.0, 0.0, 0.0]]);
     scans::write(&at.join("b.las"), &[[0.0, 1.0, 0.0]]);
     fs::write(at.join("s.csv"), good).unwrap();
-    let said = refuses(at, &[&names[..], &OPTIONS, &moving, &["--removed", "s.csv"]].concat(), 1);
-    assert!(said.contains("s.csv"), "{said}");
+    // An input, the archive itself, and a folder that is missing, with and without the work.
+    for removed in ["s.csv", "a.las", "new.slices", "./new.slices", "none/r.las"] {
+        let outputs = ["-o", "new.slices", "--removed", removed];
+        let whole = [&["a.las", "b.las"][..], &outputs, &OPTIONS, &moving].concat();
+        for more in [&[][..], &["--dry-run"]] {
+            let said = refuses(at, &[&whole[..], more].concat(), 1);
+            assert!(said.contains(removed) && !at.join("new.slices").exists(), "{removed}: {said}");
+        }
+    }
     let out = sliceconv(at, &[&names[..], &OPTIONS, &moving, &["--json"]].concat());
     let report: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!((&report["points_kept"], &report["points_moving"]), (&5.into(), &0.into()));
