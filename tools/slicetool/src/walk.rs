@@ -9,12 +9,16 @@ use slicewalk::store::{MotionHint, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Grade, Response, State, Stop, Walker, Waypoints};
 use slicewalk_base::text::finite_number;
 use slicewalk_convert::size::parse_size;
+use std::collections::HashSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Longest time that a pawn may stay blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
+
+/// Longest way between two places that a limited grade sees, as long as a tick allows (m).
+const LOOK_M: f64 = 0.025;
 
 /// How often a tick may miss pages that were loaded for it: prefetching may evict them before the pawn asks again.
 const ATTEMPTS: usize = 64;
@@ -155,6 +159,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let (mut times, mut hits, mut late) = (Vec::new(), 0, 0);
     let (mut distance, mut blocked, mut stop) = (0.0, 0.0, None);
     let mut grade = Grade::new(pawn.max_grade, start);
+    // The grade counts over a metre of the way, however far the pawn gets in a frame.
+    let steps = if pawn.max_grade.is_finite() { (frame_s * arguments.speed / LOOK_M).ceil().max(1.0) } else { 1.0 };
     let mut pawn = stream.pawn();
     for frame in 1..=most {
         crate::go_on()?;
@@ -166,7 +172,14 @@ pub fn run(arguments: &Arguments) -> Outcome {
         hits += stream.count_loaded(&walker.motion_hint(stream.archive().frame()));
         let before = walker.feet();
         let started = Instant::now();
-        let (missing, hit) = step(&stream, &mut walker, &mut route, frame_s, arguments.cache)?;
+        let (mut missing, mut hit) = (0, None);
+        for _ in 0..steps as u64 {
+            let (more, stopped) = step(&stream, &mut walker, &mut route, frame_s / steps, arguments.cache)?;
+            (missing, hit) = (missing + more, stopped.or(hit));
+            if walker.state() == State::Arrived || grade.exceeds(walker.feet(), walker.state()) {
+                break;
+            }
+        }
         let frame_us = started.elapsed().as_secs_f64() * 1e6;
         late += missing;
         times.push(frame_us);
@@ -179,7 +192,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             stop = Some(Stop::Void);
             break;
         }
-        if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 || grade.exceeds(feet, state) {
+        if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 || grade.is_exceeded() {
             break;
         }
     }
@@ -340,7 +353,7 @@ fn prepare(stream: &Stream, motion_hint: &MotionHint, frame: u64, frame_s: f64) 
     Ok(())
 }
 
-/// Advances one frame; returns how many needed pages were not in memory, and what blocked the pawn. Missing pages are
+/// Advances a frame or a part of it; returns how many needed pages were not in memory, and what blocked the pawn. Missing pages are
 /// loaded at once and stay until they have been used.
 fn step(
     stream: &Stream,
@@ -350,7 +363,8 @@ fn step(
     cache: u64,
 ) -> Result<(usize, Option<Stop>), Failure> {
     let (mut dt, mut late, mut stop) = (frame_s, 0, None);
-    let (mut needed, mut attempts) = (Vec::new(), 0);
+    // The pages in order, and the same ones to look them up.
+    let (mut needed, mut known, mut attempts) = (Vec::new(), HashSet::new(), 0);
     loop {
         let report = walker.follow(&stream.snapshot(), dt, route);
         stop = report.stop.or(stop);
@@ -359,6 +373,7 @@ fn step(
         if report.ticks > 0 {
             attempts = 0;
             needed.clear();
+            known.clear();
         }
         let Some(missing) = report.missing else {
             if dt > 0.0 {
@@ -366,13 +381,11 @@ fn step(
             }
             return Ok((late, stop));
         };
-        late += missing.count();
-        attempts += 1;
-        for key in missing.keys() {
-            if !needed.contains(key) {
-                needed.push(*key);
-            }
-        }
+        // An answer names some of the pages that it misses, so the next one may name others.
+        let before = needed.len();
+        needed.extend(missing.keys().iter().copied().filter(|key| known.insert(*key)));
+        late += needed.len() - before;
+        attempts += usize::from(needed.len() == before);
         let loaded = stream.load(&needed, needed[0])?;
         if loaded.left_out > 0 || attempts > ATTEMPTS {
             let around = stream.load_around(&walker.motion_hint(stream.archive().frame()))?;

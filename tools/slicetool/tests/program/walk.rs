@@ -191,6 +191,43 @@ fn a_scan_too_high_for_standing_places_is_walked_all_the_same() {
     assert!(done.status.code() == Some(1) && said.contains("extract a region first"), "{said}");
 }
 
+/// A pawn of 800 m beside a mast, in pages of 0.64 m: an answer names a few of those that it misses.
+#[test]
+fn a_step_that_needs_more_pages_than_any_answer_names_is_walked() {
+    const LAYERS: i32 = 1300;
+    let dir = tempfile::tempdir().unwrap();
+    let (archive, way, out) = (dir.path().join("a.slices"), dir.path().join("w.csv"), dir.path().join("path.csv"));
+    let plan = Plan::new(Frame::new(0.1, 0.01).unwrap());
+    let page = |has_floor: bool| {
+        let mut builder = PageBuilder::default();
+        for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+            let span = match (x, y) {
+                (60, 60) => Span::new(0, 16_319, true),
+                _ if has_floor => Span::new(0, 0, false),
+                _ => continue,
+            };
+            assert!(builder.set_column(x, y, &[span.unwrap()]));
+        }
+        builder.build()
+    };
+    let (floor, mast) = (page(true), page(false));
+    let (mut writer, mut encoder) =
+        (ArchiveWriter::create(&archive, &plan, false).unwrap(), PageEncoder::new(plan.frame));
+    for layer in 0..LAYERS {
+        let key = PageKey { tx: 0, ty: 0, layer };
+        writer.put(key, encoder.encode(key, if layer == 0 { &floor } else { &mast })).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    std::fs::write(&way, "2.3,2\n").unwrap();
+    let walk = ["walk", archive.to_str().unwrap(), "--start", "2,2,0", "--waypoints", way.to_str().unwrap()];
+    let pawn = ["--pawn", "box:0.5x0.5x800", "--snap", "0", "--prefetch", "off", "--json"];
+    let done = slicetool(&[&walk[..], &pawn, &["-o", out.to_str().unwrap()]].concat());
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let found: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let late = found["late"].as_u64().unwrap();
+    assert!(found["state"] == "arrived" && (1025..=u64::from(LAYERS.unsigned_abs())).contains(&late), "{found}");
+}
+
 #[test]
 fn a_blocked_pawn_ends_after_two_seconds_and_a_slow_one_after_the_time_given() {
     let dir = tempfile::tempdir().unwrap();
