@@ -4,7 +4,9 @@
 
 use crate::diff::{Named, each_pair, voxel};
 use crate::export::Ply;
+use crate::ground::stored_seen;
 use crate::{Failure, say};
+use slicewalk::Parameter;
 use slicewalk::archive::{Archive, PageEntry, PageReader};
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::nalgebra::Point3;
@@ -230,7 +232,7 @@ pub fn write(a: Named<'_>, b: Named<'_>, path: &Path, within_m: Option<f64>) -> 
     let frame = *a.0.frame();
     let reach = Reach::new(within_m, &frame)?;
     let mut file = File::begin(path, a.0, b.1)?;
-    let seen = b.0.seen_space(MOST_SEEN_BYTES).map_err(|error| crate::broken(b.1, &error))?;
+    let seen = stored_seen(b.0, b.1, MOST_SEEN_BYTES, Parameter::Bounds)?;
     if seen.is_none() {
         let name = b.1.display();
         say(&format!("{name}: it does not say which space was seen, so what was not scanned counts as gone"));

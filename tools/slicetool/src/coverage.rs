@@ -10,6 +10,7 @@ use crate::ground::{Loader, seen_space, tidy};
 use crate::{Failure, Outcome};
 use nalgebra::{Point3, Vector3};
 use serde_json::json;
+use slicewalk::Parameter;
 use slicewalk::frame::{PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, floor_under, overlaps};
 use slicewalk::seen::{CELL_PIXELS, SeenPage, SeenSpace};
@@ -25,6 +26,8 @@ const EYE_WITHIN_M: f64 = 0.3;
 /// Distance between places at which stations are tried, at least (m), and the most of them.
 const APART_M: f64 = 1.0;
 const MOST_PLACES: usize = 1000;
+/// Greatest distance of places: squares larger than any scan (m).
+const FARTHEST_M: f64 = 1e7;
 /// Most parts of the border that are looked at, and most that are checked for solid near by.
 const MOST_LOOKED_AT: usize = 2000;
 const MOST_CHECKED: usize = 200_000;
@@ -67,7 +70,7 @@ struct Survey<'a> {
 pub fn run(path: &Path, output: Option<&Path>, json: bool) -> Outcome {
     crate::standard::refuse_two("-o", output, json)?;
     let archive = crate::open(path)?;
-    let seen = seen_space(&archive, path, MOST_SEEN_BYTES)?;
+    let seen = seen_space(&archive, path, MOST_SEEN_BYTES, Parameter::Bounds)?;
     let to = output.map(|output| crate::output(output, &archive, &[])).transpose()?;
     let frame = *archive.frame();
     let across = CELL_PIXELS as f64 * frame.pixel_m();
@@ -97,8 +100,8 @@ pub fn run(path: &Path, output: Option<&Path>, json: bool) -> Outcome {
         return Ok(format!("{facts:#}\n"));
     }
     let mut text = String::new();
-    let cells = counted(seen.cells(), "cell");
-    writeln!(text, "seen: {cells}, {} m³; it ends in the open over {border_m2:.1} m²", grouped(volume_m3 as u64))?;
+    let (cells, volume) = (counted(seen.cells(), "cell"), grouped(volume_m3.round() as u64));
+    writeln!(text, "seen: {cells}, {volume} m³; it ends in the open over {border_m2:.1} m²")?;
     for (number, Station { at, border_m2: own }) in (1..).zip(&stations) {
         let share = 100.0 * own / border_m2;
         writeln!(text, "station {number}: {:.2},{:.2},{:.2} sees {own:.1} m² of that, {share:.0} %", at.x, at.y, at.z)?;
@@ -207,7 +210,9 @@ impl Survey<'_> {
                 }
             }
             self.add_places(best, &mut places)?;
-            if places.len() <= MOST_PLACES {
+            // Floors above one another stay, however far apart places are.
+            if places.len() <= MOST_PLACES || apart > FARTHEST_M {
+                places.truncate(MOST_PLACES);
                 return Ok(places);
             }
             apart *= 1.5;

@@ -4,6 +4,7 @@ use crate::edits::EditOption;
 use crate::nearest::nearest;
 use crate::{Failure, Quiet};
 use nalgebra::Point3;
+use slicewalk::Parameter;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
@@ -134,7 +135,7 @@ impl Pawns {
     /// Makes a loader of the archive, which knows its seen space if the pawn must stay in it.
     pub fn loader(&self, archive: Archive, path: &Path) -> Result<Loader, Failure> {
         let seen = match self.seen {
-            true => Some(seen_space(&archive, path, self.cache)?),
+            true => Some(seen_space(&archive, path, self.cache, Parameter::Cache)?),
             false => None,
         };
         Ok(Loader { seen, ..Loader::new(archive, path, self.cache)? })
@@ -299,9 +300,28 @@ impl Place {
     }
 }
 
-/// Reads the seen space of an archive into at most `most_bytes` of memory.
-pub fn seen_space(archive: &Archive, path: &Path, most_bytes: u64) -> Result<Arc<SeenSpace>, Failure> {
-    let seen = archive.seen_space(most_bytes).map_err(|error| crate::broken(path, &error))?;
+/// Reads the seen space of an archive, if it has any, into at most `most_bytes` of memory. If that is too little, the
+/// failure names what helps, `way_out`.
+pub fn stored_seen(
+    archive: &Archive,
+    path: &Path,
+    most_bytes: u64,
+    way_out: Parameter,
+) -> Result<Option<SeenSpace>, Failure> {
+    archive.seen_space(most_bytes).map_err(|error| match error {
+        slicewalk::Error::Limit { .. } => crate::broken(path, &error.with_suggestion(way_out)),
+        _ => crate::broken(path, &error),
+    })
+}
+
+/// Like [`stored_seen`], and fails if the archive has none.
+pub fn seen_space(
+    archive: &Archive,
+    path: &Path,
+    most_bytes: u64,
+    way_out: Parameter,
+) -> Result<Arc<SeenSpace>, Failure> {
+    let seen = stored_seen(archive, path, most_bytes, way_out)?;
     seen.map(Arc::new).ok_or_else(|| {
         let suggestion = "convert the scan with --free-space";
         Failure::Text(format!("{}: it does not say which space was seen; {suggestion}", path.display()))
@@ -334,9 +354,9 @@ impl Loader {
         self.stream.snapshot()
     }
 
-    /// Reads the seen space of the archive, if it has any, into at most `most_bytes` of memory.
-    pub fn knowing_seen(self, most_bytes: u64) -> Result<Self, Failure> {
-        let known = self.archive().seen_space(most_bytes).map_err(|error| crate::broken(&self.archive, &error))?;
+    /// Reads the seen space of the archive, if it has any, into as much memory again as the cache has.
+    pub fn knowing_seen(self) -> Result<Self, Failure> {
+        let known = stored_seen(self.archive(), &self.archive, self.cache, Parameter::Cache)?;
         Ok(Self { known: known.map(Arc::new), ..self })
     }
 

@@ -101,6 +101,7 @@ fn suggestion(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Overwrite => "--force replaces it",
         Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
         Parameter::Cache => "give more --cache",
+        Parameter::Bounds => "extract a region first",
         Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
         Parameter::Units => "set the unit with --units",
         _ => return None,

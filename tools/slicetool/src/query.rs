@@ -1,9 +1,11 @@
 //! `slicetool query`: answers boxes or rays from a CSV file as CSV, line by line.
 
+use crate::ground::stored_seen;
 use crate::nearest::nearest;
 use crate::standard::table;
 use crate::{Failure, Outcome, cache_too_small};
 use nalgebra::Point3;
+use slicewalk::Parameter;
 use slicewalk::edit::Edits;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
@@ -56,7 +58,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let archive = arguments.variant.open(&arguments.archive)?;
     // Two sets of pages share the memory.
     let sets = 1 + u64::from(arguments.show_inferred || arguments.show_edits);
-    let space = archive.seen_space(arguments.cache / 2).map_err(|error| crate::broken(&arguments.archive, &error))?;
+    let space = stored_seen(&archive, &arguments.archive, arguments.cache / 2, Parameter::Cache)?;
     let left = arguments.cache - space.as_ref().map_or(0, |space| space.bytes() as u64);
     let cache = usize::try_from(left / sets).unwrap_or(usize::MAX);
     let open = |archive| {

@@ -318,8 +318,11 @@ fn on_levels(
     }
     if archive.levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
         let path = arguments.archive.display();
-        let text = format!("{path}: it has no overview levels; convert with --levels on, or leave out --coarse");
-        return Err(Failure::Text(text));
+        let reason = match archive.header().levels {
+            Some(_) => "it is too small for overview levels; leave out --coarse",
+            None => "it has no overview levels; convert with --levels on, or leave out --coarse",
+        };
+        return Err(Failure::Text(format!("{path}: {reason}")));
     }
     let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
     let standing = stand(arguments, &loader, ends)?;

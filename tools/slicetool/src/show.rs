@@ -1,6 +1,8 @@
 //! `slicetool show`: draws one slice, in the thesis' colours or in those of the scan.
 
+use crate::ground::seen_space;
 use crate::{Failure, Outcome, figures};
+use slicewalk::Parameter;
 use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::page::Span;
@@ -159,7 +161,10 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -
                 .map_or(String::new(), |level| format!("draw --level {level}, or "))
         )));
     }
-    let seen = if look == Look::Seen { Some(crate::ground::seen_space(archive, path, MOST_SEEN_BYTES)?) } else { None };
+    let seen = match look {
+        Look::Seen => Some(seen_space(archive, path, MOST_SEEN_BYTES, Parameter::Bounds)?),
+        _ => None,
+    };
     let mut colours = if look == Look::Colour { Some(colours(archive, path)?) } else { None };
     let mut output = crate::output(to, archive, &[])?;
     let kinds = if archive.plan().options.fill_holes > 0 { &BLUES[..] } else { &BLUES[..INFERRED] };

@@ -22,7 +22,7 @@ use std::collections::{HashMap, VecDeque};
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::{Path, PathBuf};
 
-/// Most pixels of a grid: each takes five bytes of memory.
+/// Most pixels of a grid: each takes five bytes of memory, or sixteen in a heightfield, besides the queue of a search.
 const MOST_PIXELS: i64 = 1 << 26;
 /// Grey values of map files.
 const FREE: u8 = 254;
@@ -61,7 +61,7 @@ pub struct Ground<'a> {
 /// Writes the grids of an archive at `path`; returns a line about each file. Memory: the region, the pages in the
 /// cache, and one grid.
 pub fn write(output: &Path, path: &Path, pawns: &Pawns, which: Which) -> Result<String, Failure> {
-    let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?.knowing_seen(pawns.cache())?;
+    let loader = Loader::new(pawns.open(path)?, path, pawns.cache())?.knowing_seen()?;
     let (archive, edits) = (loader.archive(), pawns.edits().path());
     let named = |storey: usize| beside(output, &format!("_storey{storey}.yaml"));
     // Before the work, which would be lost if one of these must not be replaced.
@@ -246,8 +246,8 @@ impl<'a> Ground<'a> {
                 }
             }
         }
-        for at in (0..samples.len()).filter(|at| samples[*at] != FREE).collect::<Vec<_>>() {
-            if levels[at].is_nan() {
+        for at in 0..samples.len() {
+            if samples[at] == FREE || levels[at].is_nan() {
                 continue;
             }
             let middle = |axis: usize, offset: i64| {

@@ -362,7 +362,7 @@ fn missing(path: &Path, error: &std::io::Error) -> StatusCode {
 /// Returns whether a request names this machine; a foreign site whose name resolves to 127.0.0.1 does not (DNS
 /// rebinding). HTTP/2 names it in the address instead of a header; a request that names none is refused.
 fn is_own_host(uri: &Uri, headers: &HeaderMap) -> bool {
-    let in_header = headers.get(header::HOST).map(|host| host.to_str().unwrap_or(""));
+    let in_headers = headers.get_all(header::HOST).iter().map(|host| host.to_str().unwrap_or(""));
     let in_address = uri.authority().map(|authority| authority.as_str());
     let is_own = |host: &str| {
         let name = host
@@ -371,7 +371,7 @@ fn is_own_host(uri: &Uri, headers: &HeaderMap) -> bool {
             .map_or(host, |(name, _)| name);
         name == "127.0.0.1" || name.eq_ignore_ascii_case("localhost")
     };
-    let mut hosts = in_header.into_iter().chain(in_address).peekable();
+    let mut hosts = in_headers.chain(in_address).peekable();
     hosts.peek().is_some() && hosts.all(is_own)
 }
 

@@ -7,6 +7,7 @@ use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk_convert::{ConvertOptions, PixelSize, convert};
+use slicewalk_input::Units;
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::path::Path;
@@ -344,6 +345,17 @@ fn bounds_that_cannot_be_meant_are_refused() {
     let said = String::from_utf8(out.stderr).unwrap();
     assert!(out.status.code() == Some(1) && said.contains("too small") && said.lines().count() == 1, "{said}");
     assert_eq!(fs::read_dir(at).unwrap().count(), 1);
+    // Heights can be coarser than pixels: slices of 1000 m.
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("high.xyz"), "0 0 0\n0.1 0 0\n0 0 3000\n").unwrap();
+    let mut options = ConvertOptions::new(vec![folder.path().join("high.xyz")], folder.path().join("a.slices"));
+    (options.grid.pixel, options.grid.slice_m) = (PixelSize::Metres(0.1), Some(1000.0));
+    options.reading.units = Units::Factor(1.0);
+    convert(&options, &NoMonitor).unwrap();
+    let out = run(folder.path(), &["-o", "a.glb", "--error", "0.02"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    // A 128th of a quantum.
+    assert!(said.ends_with("pixels of 0.1 m and slices of 1000 m; give at least 0.030638\n"), "{said}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_las, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk_convert::{ConvertOptions, HoleWidth, PixelSize, convert};
+use slicewalk_input::Units;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -259,6 +260,16 @@ fn a_long_route_is_planned_on_levels_first_and_a_coarse_one_says_that_it_is() {
     let out = slicetool(at, &[&base[..], &["--coarse"]].concat());
     let said = String::from_utf8(out.stderr).unwrap();
     assert!(out.status.code() == Some(1) && said.contains("--levels on") && said.lines().count() == 1, "{said}");
+    // One page has no levels, whatever the conversion was asked for.
+    fs::write(at.join("small.xyz"), "0 0 0\n1 0 0\n0 1 0\n").unwrap();
+    let mut options = ConvertOptions::new(vec![at.join("small.xyz")], at.join("small.slices"));
+    (options.grid.pixel, options.reading.units, options.sections.levels) =
+        (PixelSize::Metres(0.1), Units::Factor(1.0), true);
+    convert(&options, &NoMonitor).unwrap();
+    let out = slicetool(at, &["route", "small.slices", "--from", "0,0,0.1", "--to", "1,0,0.1", "--coarse"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    let reason = "small.slices: it is too small for overview levels; leave out --coarse\n";
+    assert!(out.status.code() == Some(1) && said.ends_with(reason), "{said}");
 }
 
 /// A house blocks the straight line: levels show the way around it, and no shorter route is searched farther out.

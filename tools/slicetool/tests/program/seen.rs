@@ -124,6 +124,23 @@ fn routes_can_stay_in_seen_space_and_say_where_it_ends() {
 }
 
 #[test]
+fn seen_space_beyond_the_cache_asks_for_more_of_it() {
+    let folder = folder();
+    let at = folder.path();
+    // A page of seen space takes 2 KiB; the table of the archive's pages, 3,093 bytes.
+    for (arguments, limit) in [
+        (&["query", "a.slices", "--boxes", "-", "--cache", "3000"][..], "1500"),
+        (&["reach", "a.slices", "--from", "1.5,3.5,0.5", "--seen", "--cache", "3500"], "3500"),
+        (&["export", "a.slices", "-o", "map.yaml", "--cache", "3500"], "3500"),
+    ] {
+        let out = tool(at, arguments, "");
+        let said = String::from_utf8(out.stderr).unwrap();
+        let end = format!(" is beyond the limit of {limit}; give more --cache\n");
+        assert!(out.status.code() == Some(1) && said.contains("seen space") && said.ends_with(&end), "{said}");
+    }
+}
+
+#[test]
 fn octrees_have_free_cubes_and_maps_unknown_ground() {
     let folder = folder();
     let at = folder.path();
@@ -182,6 +199,8 @@ fn the_next_station_stands_where_seen_space_ends() {
     assert!(report["border_m2"].as_f64().unwrap() > 1.0);
     let said = answer(at, &["stats", "a.slices", "--coverage", "-o", "plan.png"], "");
     assert!(said.contains("station 1: ") && at.join("plan.png").exists(), "{said}");
+    let volume = report["seen"]["m3"].as_f64().unwrap().round();
+    assert!(said.contains(&format!(", {volume} m³; ")), "{said}");
     let out = tool(at, &["stats", "plain.slices", "--coverage"], "");
     assert_eq!(out.status.code(), Some(1));
     let out = tool(at, &["stats", "a.slices", "--coverage", "--json", "-o", "-"], "");

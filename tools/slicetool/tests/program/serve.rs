@@ -292,6 +292,8 @@ fn nothing_else_of_the_disk_is_served() {
     assert_eq!(address.status, 403);
     let own = server.ask(&format!("GET http://{}/a.slices HTTP/1.1\r\n{host}", server.address));
     assert_eq!(own.status, 200);
+    let second = server.ask(&format!("GET /a.slices HTTP/1.1\r\nHost: localhost\r\nHost: example.com\r\n{host}"));
+    assert_eq!(second.status, 403);
     let nameless = server.ask("GET /a.slices HTTP/1.0\r\n\r\n");
     assert_eq!(nameless.status, 403);
 }

@@ -11,6 +11,13 @@ const PIXELS_OF_GROUP: f64 = 6.0;
 /// Most parts of a pixel along an axis, and of a quantum.
 const MOST_PARTS: f64 = 24.0;
 const MOST_FINE: f64 = 4096.0;
+/// Units of height in the error, at least.
+const UNITS: f64 = 32.0;
+
+/// Returns the least error bound for a grid of an archive (m).
+pub fn least_error_m(frame: &Frame) -> f64 {
+    (frame.pixel_m() * CELLS / MOST_PARTS).max(frame.quantum_m() * UNITS / MOST_FINE)
+}
 
 /// Sizes for one error bound.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +47,7 @@ impl Grid {
         // A cell is solid if any of its pixels is.
         let reach_m = error_m - std::f64::consts::SQRT_2 * (group - 1) as f64 * pixel;
         let parts = if group > 1 { 1.0 } else { (CELLS / ratio - 1e-9).ceil().max(1.0) };
-        let fine = (frame.quantum_m() * 32.0 / reach_m).ceil().max(1.0);
+        let fine = (frame.quantum_m() * UNITS / reach_m).ceil().max(1.0);
         if !(parts <= MOST_PARTS * finer as f64 && fine <= MOST_FINE) {
             return None;
         }

@@ -67,9 +67,12 @@ impl Collider {
         match bound {
             Bound::Error(error_m) => {
                 if grid::Grid::new(archive.frame(), error_m, 1).is_none() {
-                    let pixel = number(archive.frame().pixel_m());
+                    let frame = archive.frame();
+                    let [pixel, slice] = [frame.pixel_m(), frame.slice_m()].map(number);
+                    // To a millionth, as the option takes it.
+                    let least = number((grid::least_error_m(frame) * 1e6 - 1e-6).ceil() / 1e6);
                     let reason = format!(
-                        "--error {error_m}: too small for pixels of {pixel} m; give at least an eighth of that"
+                        "--error {error_m}: too small for pixels of {pixel} m and slices of {slice} m; give at least {least}"
                     );
                     return Err(Failure::Text(format!("{}: {reason}", path.display())));
                 }
