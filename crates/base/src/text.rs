@@ -183,7 +183,7 @@ pub fn quoted_len(text: &[u8]) -> Option<usize> {
 
 /// Formats a word of a file for an error message: short, on one line.
 pub fn shown(word: &[u8]) -> String {
-    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();
+    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_debug).collect();
     format!("\"{text}\"")
 }
 
@@ -252,6 +252,12 @@ mod tests {
         assert_eq!(one_line("Größe 測量 א"), "Größe 測量 א");
         let json = serde_json::json!({ "name": name }).to_string();
         assert_eq!(serde_json::from_str::<serde_json::Value>(&lines(&json)).unwrap()["name"], name);
+    }
+
+    #[test]
+    fn words_of_a_file_keep_their_letters() {
+        assert_eq!(shown("Höhe".as_bytes()), "\"Höhe\"");
+        assert_eq!(shown(b"a\"\x1b[31m\n"), r#""a\"\u{1b}[31m\n""#);
     }
 
     #[test]
