@@ -14,12 +14,8 @@ const LOOK_BYTES: usize = 1 << 16;
 /// Returns the number of readable points: the stated count, or fewer if the file is too short.
 pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findings: &mut Findings) -> Result<u64> {
     let stated = header.points_stated;
-    let extended_at = header.first_extended;
-    let end = if header.extended > 0 && extended_at >= header.points_at { extended_at } else { file_bytes };
-    let waveforms_at = header.waveforms_at;
-    let is_in_file = (header.points_at..file_bytes).contains(&waveforms_at);
-    let end = if is_in_file && is_of_waveforms(source, waveforms_at)? { end.min(waveforms_at) } else { end };
-    let room = end.min(file_bytes).saturating_sub(header.points_at) / u64::from(header.record_bytes);
+    let end = end(source, header, file_bytes)?;
+    let room = end.saturating_sub(header.points_at) / u64::from(header.record_bytes);
     if stated == 0 && room > 0 {
         let reason = format!(
             "the header states 0 points but room for {room} follows: the program that wrote this file was interrupted; \
@@ -37,11 +33,20 @@ pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findi
     Ok(stated.min(room))
 }
 
+/// Returns where the room for points ends: at the next part of the file, or where the file does.
+pub(super) fn end(source: &Source, header: &LasHeader, file_bytes: u64) -> Result<u64> {
+    let LasHeader { points_at, first_extended, waveforms_at, .. } = *header;
+    let end = if header.extended > 0 && first_extended >= points_at { first_extended } else { file_bytes };
+    let is_in_file = (points_at..file_bytes).contains(&waveforms_at);
+    let end = if is_in_file && is_of_waveforms(source, waveforms_at)? { end.min(waveforms_at) } else { end };
+    Ok(end.min(file_bytes))
+}
+
 /// Returns whether a record of waveforms begins at byte `at`. Some writers leave other bytes in the field of the header
-/// that states its place.
+/// that states its place; some write the owner of the record as `LAS_Spec` instead of `LASF_Spec`.
 fn is_of_waveforms(source: &Source, at: u64) -> Result<bool> {
     let head = source.bytes_at(at, 20)?;
-    Ok(head.is_some_and(|head| head[2..].starts_with(b"LASF_Spec") && u16_at(&head, 18) == u16::MAX))
+    Ok(head.is_some_and(|head| head[2..].starts_with(b"LAS") && u16_at(&head, 18) == u16::MAX))
 }
 
 /// Checks that no whole record fits between the stated `points` and the next part of the file. Zeros there are padding.
@@ -55,9 +60,7 @@ pub(super) fn check_end(
 ) -> Result<()> {
     let len = u64::from(header.record_bytes);
     let at = header.points_at.saturating_add(points.saturating_mul(len));
-    let extended_at = if header.extended > 0 { header.first_extended } else { 0 };
-    let others = [extended_at, header.waveforms_at].into_iter().filter(|&other| other >= header.points_at);
-    let end = others.fold(file_bytes, u64::min);
+    let end = end(source, header, file_bytes)?;
     let room = end.saturating_sub(at) / len;
     if points == 0 || room == 0 {
         return Ok(());
@@ -75,9 +78,9 @@ pub(super) fn check_end(
         }
         if block[..got].iter().any(|&byte| byte != 0) {
             let most = points.saturating_add(room);
-            return findings.lose(format!(
-                "the header states {points} points, but its records have room for {most}, up to byte {end}"
-            ));
+            let text =
+                format!("the header states {points} points, but its records have room for {most}, up to byte {end}");
+            return findings.lose_points(room, text);
         }
         next += got as u64;
     }

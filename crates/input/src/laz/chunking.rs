@@ -10,6 +10,7 @@ use super::packed::PackedBytes;
 use super::{EMPTY_CODE_BYTES, Numbers, Packing, too_much};
 use crate::diagnostics::Findings;
 use crate::header::{LasHeader, u32_at, u64_at};
+use crate::las;
 use crate::source::Source;
 use crate::{Error, Result};
 
@@ -92,8 +93,7 @@ impl Packing {
             }
         };
         if self.whole {
-            let others = [header.first_extended, header.waveforms_at].into_iter().filter(|&other| other > data_at);
-            return sequence(data_at, others.fold(file_bytes, u64::min), None);
+            return sequence(data_at, las::end(source, header, file_bytes)?, None);
         }
         let start = data_at + 8;
         let Lost { reason, table_at } = match self.table(source, data_at, file_bytes, most_chunks)? {

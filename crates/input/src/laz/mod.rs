@@ -172,9 +172,12 @@ impl Packing {
         let mut slab = vec![0; self.record_bytes * CHECKED_POINTS];
         let mut sink = |_: &[u8]| if monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) };
         match packed.decode(false, &mut slab, &mut sink) {
-            Ok(()) => findings.lose(format!(
-                "the header states {stated} points, but {by_return} by return, after which the data end soundly"
-            )),
+            Ok(()) => findings.lose_points(
+                by_return.saturating_sub(stated),
+                format!(
+                    "the header states {stated} points, but {by_return} by return, after which the data end soundly"
+                ),
+            ),
             Err(error) if is_of_input(&error) => Ok(()),
             Err(error) => Err(error),
         }

@@ -286,8 +286,8 @@ fn a_cloud_that_cannot_be_read_does_not_take_the_others_with_it() {
         ("<z type=\"Float\">1</z>", "<z type=\"Float\">x</z>", "expected a finite number in z", 1, 800, 100),
         ("cartesianX", "cartesianU", "neither cartesian nor spherical", 2, 600, 300),
         ("recordCount=\"300\"", "recordCount=\"900\"", "its packets hold 300 whole ones", 1, 900, 600),
-        ("recordCount=\"300\"", "recordCount=\"299\"", "it states 299 points, its packets hold 300 whole", 1, 899, 0),
-        ("recordCount=\"300\"", "recordCount=\"000\"", "it states 0 points, its packets hold 300 whole", 1, 600, 0),
+        ("recordCount=\"300\"", "recordCount=\"299\"", "it states 299 points, its packets hold 300 whole", 1, 899, 1),
+        ("recordCount=\"300\"", "recordCount=\"000\"", "it states 0 points, its packets hold 300 whole", 1, 600, 300),
     ];
     for (from, to, words, times, left, missing) in cases {
         with(&content, from, to, times);
