@@ -110,9 +110,19 @@ pub(super) fn walk(
     Ok(())
 }
 
-/// Returns whether an error says that a path does not exist or leads through a file: then it matches nothing.
+/// Number of the system's error for a link that leads back to itself.
+const LOOP: i32 = if cfg!(any(target_os = "linux", target_os = "android")) {
+    40
+} else if cfg!(windows) {
+    1921
+} else {
+    62
+};
+
+/// Returns whether an error says that a path does not exist, leads through a file or is a link to itself: then it
+/// matches nothing.
 fn is_nothing(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) || error.raw_os_error() == Some(LOOP)
 }
 
 /// Returns the folder to list: `.` for an empty path.
@@ -194,7 +204,9 @@ mod tests {
             symlink("..", dir.path().join(format!("a/up{n}"))).unwrap();
             symlink(dir.path(), dir.path().join(format!("a/b/top{n}"))).unwrap();
         }
+        symlink("self", dir.path().join("self")).unwrap();
         assert_eq!(all(&dir.path().join("*.las")), std::slice::from_ref(&odd));
+        assert!(all(&dir.path().join("self/*.las")).is_empty());
         assert_eq!(all(&dir.path().join(OsStr::from_bytes(b"Gr\xF6*"))), std::slice::from_ref(&odd));
         let mut found = all(&dir.path().join("**/*.las"));
         found.sort();
