@@ -125,6 +125,9 @@ impl ScanFile {
             if let Some(reason) = other_format(path) {
                 return Err(Error::input(path, "name", reason));
             }
+            if path != cloud::unpacked_name(path) {
+                return Err(Error::input(path, "name", cloud::PACKED));
+            }
         }
         let mut header = LasHeader::read(&source, bytes)?;
         findings.notes.append(&mut header.notes);
@@ -474,22 +477,22 @@ fn settle(
     };
     if let Some(code) = options.epsg {
         let note = georeference.complete(code).map_err(|reason| Error::input(path, "reference system", reason))?;
-        findings.notes.extend(note);
+        georeference.notes.extend(note);
+    }
+    if let Units::Factor(_) = options.units {
+        georeference.drop_notes_of_units();
     }
     let mut reference = Reference {
         crs: georeference.text.take(),
         codes: std::mem::take(&mut georeference.codes),
+        degrees: georeference.degrees,
         ..Reference::default()
     };
     reference.odd.extend(other.map(|(other, factor)| {
         format!("it states a unit of {} m; the given one, {} m, counts", number(other), number(factor))
     }));
     let unit = match options.units {
-        Units::Factor(factor) => {
-            // Notes about units are of no use here, but the system is lost.
-            findings.notes.extend(georeference.notes.drain(..).filter(|note| note == crs::UNREADABLE));
-            [factor; 3]
-        }
+        Units::Factor(factor) => [factor; 3],
         Units::Auto => {
             if let Some(unit) = georeference.absurd_unit() {
                 let unit = number(unit);
@@ -497,8 +500,6 @@ fn settle(
                     format!("it states a unit of {unit} m, which scans do not have (expected 0.001 to 10000 m)");
                 return Err(Error::input(path, "reference system", reason).with_suggestion(Parameter::Units));
             }
-            findings.notes.append(&mut georeference.notes);
-            reference.degrees = georeference.degrees;
             reference.no_unit = georeference.horizontal.is_none() && !georeference.degrees;
             let horizontal = georeference.horizontal.unwrap_or(1.0);
             // Heights without a unit of their own use the map's, as is usual with surveys in feet; never degrees.
@@ -506,6 +507,7 @@ fn settle(
             [horizontal, horizontal, vertical]
         }
     };
+    findings.notes.append(&mut georeference.notes);
     Ok((reference, unit))
 }
 

@@ -447,7 +447,7 @@ impl InputSet {
         no_unit.tell(&files, "no unit of length is stated; metres are assumed", Some(Parameter::Units), monitor);
         degrees.tell(
             &files,
-            "x and y are longitude and latitude in degrees, which are taken as metres; project the scan first",
+            "x and y are longitude and latitude in degrees, which are taken as lengths; project the scan first",
             None,
             monitor,
         );

@@ -47,7 +47,7 @@ const LENGTHS_FOR_ANGLES: &str = "its coordinates are lengths, but its reference
 /// Warning about text that cannot be read to its end.
 const DAMAGED: &str = "the well-known text of its reference system is damaged";
 /// Warning about a record that holds no text.
-pub(super) const UNREADABLE: &str = "the well-known text of its reference system is unreadable; it is passed over";
+const UNREADABLE: &str = "the well-known text of its reference system is unreadable; it is passed over";
 /// Warning about a system of depths.
 const DOWNWARD: &str = "its reference system counts depths, downwards; z is taken as height";
 
@@ -57,13 +57,14 @@ impl Georeference {
         [self.horizontal, self.vertical].into_iter().flatten().find(|unit| !BELIEVED_M.contains(unit))
     }
 
-    /// Adds the system `code` if the file names none. Returns a note if the unit of `code` is unknown or the two
-    /// systems cannot be compared; fails if the file states another system.
+    /// Adds the system `code` if the file names none. Returns a note if nothing states a unit or the two systems
+    /// cannot be compared; fails if the file states another system.
     pub(super) fn complete(&mut self, code: u32) -> Result<Option<String>, String> {
         match &self.text {
             None => {
                 if epsg::system(code).is_none() {
-                    return Ok(Some(format!("the unit of EPSG:{code} is unknown; set it with --units")));
+                    let is_open = self.horizontal.is_none();
+                    return Ok(is_open.then(|| format!("the unit of EPSG:{code} is unknown; set it with --units")));
                 }
                 self.take_code(code);
             }
@@ -107,13 +108,17 @@ impl Georeference {
     pub(super) fn take_metres(&mut self) {
         let units = [self.horizontal, self.vertical];
         if self.degrees || units.into_iter().flatten().any(|unit| unit != 1.0) {
-            // Warnings about units that count elsewhere mean nothing here.
-            self.notes.retain(|note| [DAMAGED, DOWNWARD].contains(&note.as_str()));
+            self.drop_notes_of_units();
             self.note(
                 "its reference system is not in metres, but coordinates in E57 are, by its standard: metres are taken",
             );
         }
-        (self.horizontal, self.vertical, self.degrees) = (Some(1.0), None, false);
+        (self.horizontal, self.vertical, self.degrees) = (Some(1.0), Some(1.0), false);
+    }
+
+    /// Drops the warnings about units, where others count than the stated ones.
+    pub(super) fn drop_notes_of_units(&mut self) {
+        self.notes.retain(|note| !note.contains("unit"));
     }
 
     /// Adds the unit of a vertical axis of a system that is named by code, negative if it points down.

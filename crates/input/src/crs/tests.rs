@@ -270,6 +270,8 @@ fn a_code_alone_gives_the_axes_of_its_system() {
     assert_eq!(of(5555), (false, Some(1.0), Some(1.0), false));
     assert_eq!(of(6360), (false, None, Some(US_SURVEY_FOOT), false));
     assert_eq!(of(900_913), (false, None, None, true));
+    let mut of_metres = Georeference { horizontal: Some(1.0), ..Georeference::default() };
+    assert_eq!(of_metres.complete(900_913), Ok(None));
     let text = |text: &str| Georeference::of_text(text.to_owned());
     assert_eq!(text("EPSG:2229+5703").codes, [2229, 5703]);
     assert_eq!((text("EPSG:2229+5703").horizontal, text("EPSG:2229+5703").vertical), (Some(US_SURVEY_FOOT), Some(1.0)));

@@ -147,7 +147,8 @@ fn units_follow_the_reference_system_of_each_file() {
         let heard = Listener::default();
         let set = InputSet::open(&[data.join(name)], options, &heard).unwrap();
         assert_eq!(set.files()[0].unit_m(), [2.0; 3], "an explicit unit overrides {name}");
-        assert!(!heard.said().concat().contains("degrees"));
+        // Other units than lengths are told of all the same.
+        assert_eq!(heard.said().concat().contains("degrees"), crs == "EPSG:4326", "{name}");
     }
 }
 
@@ -490,6 +491,9 @@ fn waveforms_behind_the_points_are_no_points() {
     bytes[227..235].copy_from_slice(&(plain.len() as u64).to_le_bytes());
     let strictly = |bytes: &[u8]| read_strictly(&[folder.file("a.las", bytes)], InputOptions::default());
     assert_eq!(strictly(&bytes).unwrap().points, scan.expected());
+    // Some programs write another owner of the record.
+    bytes[plain.len() + 2..plain.len() + 11].copy_from_slice(b"LAS_Spec\0");
+    assert_eq!(strictly(&bytes).unwrap().points, scan.expected());
     bytes[107] = 12;
     let said = refusal(&folder.file("a.las", &bytes));
     assert!(said.contains("the header states 12 points, the file holds 10 whole ones"), "{said}");
@@ -497,6 +501,10 @@ fn waveforms_behind_the_points_are_no_points() {
     let mut stray = plain.clone();
     stray[227..235].copy_from_slice(&(plain.len() as u64 / 2).to_le_bytes());
     assert_eq!(strictly(&stray).unwrap().points, scan.expected());
+    // Nor does it hide points that the header does not count.
+    stray[107] = 5;
+    let said = refusal(&folder.file("a.las", &stray));
+    assert!(said.contains("the header states 5 points, but its records have room for 10"), "{said}");
 }
 
 #[test]

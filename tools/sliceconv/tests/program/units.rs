@@ -38,6 +38,9 @@ fn the_unit_applied_is_recorded_and_said() {
     scan(at, "metres.las", METRES, 0.0);
     let with_heights = format!(r#"COMPD_CS["C",{METRES},VERT_CS["V",UNIT["foot",0.3048]]]"#);
     scan(at, "heights.las", &with_heights, 0.0);
+    scan(at, "degrees.las", r#"GEOGCS["G",UNIT["degree",0.0174532925199433]]"#, 0.0);
+    let with_depths = format!(r#"COMPD_CS["C",{METRES},VERT_CS["V",UNIT["metre",1],AXIS["Depth",DOWN]]]"#);
+    scan(at, "depths.las", &with_depths, 0.0);
     write(&at.join("plain.las"), &points(500));
     fs::write(at.join("floor.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
     let us_foot = json!({ "name": "us-ft", "factor": US_SURVEY_FOOT_M });
@@ -49,6 +52,8 @@ fn the_unit_applied_is_recorded_and_said() {
         (&["feet.las", "--units", "m"], metre.clone(), "feet.las: it states a unit of 0.30480060960121"),
         (&["feet.las", "--units", "ft"], foot.clone(), "feet (0.3048 m);"),
         (&["heights.las", "--units", "m"], metre.clone(), "it states a unit of 0.3048 m; the given one, 1 m, counts"),
+        (&["degrees.las", "--units", "m"], metre.clone(), "longitude and latitude in degrees"),
+        (&["depths.las", "--units", "m"], metre.clone(), "its reference system counts depths, downwards"),
         (&["plain.las", "--units", "2.5"], json!({ "name": "other", "factor": 2.5 }), "units of 2.5 m;"),
         (&["plain.las"], metre.clone(), "metres;"),
         (&["floor.obj"], metre.clone(), "metres;"),
