@@ -5,7 +5,7 @@
 
 use super::watch::{Digest, Watch};
 use crate::bytes::Regular;
-use crate::input::beside::path_beside;
+use crate::input::beside::Beside;
 use crate::paint::{Image, Texture, Wrap};
 use crate::{Error, Parameter, Result};
 use std::collections::HashMap;
@@ -115,9 +115,9 @@ impl<K: Eq + Hash> Textures<K> {
     }
 }
 
-/// Reads a file that the mesh at `of` refers to, beside it or in a folder below.
-pub(super) fn read_beside(of: &Path, name: &str, most_bytes: u64) -> Result<Vec<u8>, Fault> {
-    let path = path_beside(of, name)?;
+/// Reads a file that the mesh refers to, beside it or in a folder below.
+pub(super) fn read_beside(files: &mut Beside, name: &str, most_bytes: u64) -> Result<Vec<u8>, Fault> {
+    let path = files.path(name)?;
     let refused = |e: std::io::Error| format!("cannot read {}: {e}", path.display());
     let (file, about) = Regular::open(&path).map_err(refused)?;
     if about.len() > most_bytes {

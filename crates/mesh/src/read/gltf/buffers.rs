@@ -2,7 +2,7 @@
 
 use super::structure::Buffer;
 use crate::bytes::{Regular, Stamp};
-use crate::input::beside::{decode_percent, path_beside};
+use crate::input::beside::{Beside, decode_percent};
 use crate::read::blocks::{Blocks, fill_block};
 use crate::read::watch::Digest;
 use crate::{Error, Result};
@@ -49,6 +49,7 @@ pub struct Buffers {
     /// Open files, the most recently used last.
     open: Vec<(u32, Regular)>,
     all: Vec<Data>,
+    beside: Beside,
     cache: Blocks,
     digest: Digest,
 }
@@ -63,7 +64,8 @@ impl Buffers {
         let (file, stamp) = Regular::open(path).map_err(own)?;
         let files = vec![(path.to_path_buf(), stamp)];
         let (open, all) = (vec![(0, file)], Vec::with_capacity(buffers.len()));
-        let mut found = Self { files, open, all, cache: Blocks::new(), digest: digest.clone() };
+        let (beside, cache) = (Beside::new(path), Blocks::new());
+        let mut found = Self { files, open, all, beside, cache, digest: digest.clone() };
         for (number, buffer) in buffers.iter().enumerate() {
             // The binary chunk of a file is its first buffer.
             let data =
@@ -103,7 +105,7 @@ impl Buffers {
         if uri.contains(':') {
             return Err(ELSEWHERE.into());
         }
-        let path = path_beside(&self.files[0].0, &decode_percent(uri))?;
+        let path = self.beside.path(&decode_percent(uri))?;
         let refused = |e| format!("cannot open {}: {e}", path.display());
         let (file, stamp) = Regular::open(&path).map_err(refused)?;
         let number = self.files.len() as u32;
