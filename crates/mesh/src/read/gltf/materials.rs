@@ -6,13 +6,13 @@
 use super::buffers::{Buffers, ELSEWHERE};
 use super::structure::{BufferView, Material, Structure};
 use crate::colour::from_linear;
-use crate::input::beside::decode_percent;
+use crate::input::beside::{Beside, decode_percent};
 use crate::paint::{Texture, Wrap};
 use crate::read::placing::Placing;
 use crate::read::texture::{Fault, Textures, read_beside};
 use crate::read::watch::Watch;
 use crate::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Where an image is.
@@ -26,7 +26,7 @@ enum Source {
 
 /// The materials of a file.
 pub struct Materials {
-    path: PathBuf,
+    beside: Beside,
     sources: Vec<Source>,
     textures: Textures<(u32, [Wrap; 2])>,
 }
@@ -61,7 +61,12 @@ impl Materials {
             (None, Some(view)) => Source::View(structure.views.get(view as usize).copied()),
             (None, None) => Source::None("it has neither an address nor a place in a buffer".into()),
         };
-        Self { path: path.to_path_buf(), sources: structure.images.iter().map(source).collect(), textures }
+        Self { beside: Beside::new(path), sources: structure.images.iter().map(source).collect(), textures }
+    }
+
+    /// Warns about the colours of the file.
+    pub fn warn(&mut self, watch: &Watch, text: &str) {
+        self.textures.warn(watch, text);
     }
 
     /// Returns the coat of material `number`; warns and returns `None` if there is no such material.
@@ -93,11 +98,11 @@ impl Materials {
             _ => Wrap::Repeat,
         };
         let wraps = [wrap(sampler.and_then(|s| s.wrap_s)), wrap(sampler.and_then(|s| s.wrap_t))];
-        let (path, source) = (&self.path, self.sources.get(image as usize));
+        let (beside, source) = (&mut self.beside, self.sources.get(image as usize));
         let read = |most: u64| match source {
             None => Err(Fault::Unusable(format!("there is no image {image}"))),
             Some(Source::None(reason)) => Err(Fault::Unusable(reason.clone())),
-            Some(Source::File(name)) => read_beside(path, name, most),
+            Some(Source::File(name)) => read_beside(beside, name, most),
             // Already in memory.
             Some(Source::Memory(bytes)) => Ok(bytes.clone()),
             Some(Source::View(view)) => of_view(*view, buffers, most),

@@ -419,6 +419,11 @@ impl Checked {
         // A stride of zero means tightly packed.
         let stride = view.byte_stride.map_or(0, u64::from);
         let stride = if stride == 0 { whole } else { stride };
+        if stride < whole {
+            return Err(format!(
+                "its view {number} has values {stride} bytes apart; expected {whole} or more; write the file again"
+            ));
+        }
         let start = view.byte_offset.checked_add(offset);
         let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(whole));
         let end = start.zip(needed).and_then(|(start, needed)| start.checked_add(needed));
@@ -553,27 +558,43 @@ impl Checked {
         Ok(if part.colours.is_some() { Paint::Corners(tints) } else { Paint::Flat(*factor) })
     }
 
-    /// Returns the colour source of a primitive; `None` if it has no colours.
+    /// Returns the colour source of a primitive; `None` if it has no colours. Warns of those that cannot be used.
     fn colours(&mut self, number: usize, materials: &mut Materials, watch: &Watch) -> Result<Option<PartColours>> {
         let primitive: Primitive = self.structure.primitives[number];
         let coat = match primitive.material() {
             Some(material) => materials.coat(material, &self.structure, &mut self.buffers, watch)?,
             None => None,
         };
-        if coat.is_none() && primitive.colours().is_none() {
-            return Ok(None);
-        }
-        let coat = coat.unwrap_or(Coat::of_factor(WHITE));
-        let kinds = [F32, U8, U16, I8, I16];
-        let places = primitive.places(coat.set).map(|of| self.values(of, AccessorShape::Vec2, &kinds)).transpose()?;
+        // Triangles do not need colours, so those that cannot be used are warnings.
+        let mut usable = |values: Option<Result<Values>>| match values.transpose() {
+            Err(Error::Input { at, reason, .. }) => {
+                materials.warn(watch, &format!("{at}: {reason}; its triangles get the colour of their material"));
+                Ok(None)
+            }
+            values => values,
+        };
         let kinds = [F32, U8, U16];
         let of_corners = |of: usize| match self.structure.accessors.get(of).map(|accessor| accessor.shape) {
             Some(AccessorShape::Vec4) => self.values(of, AccessorShape::Vec4, &kinds),
             _ => self.values(of, AccessorShape::Vec3, &kinds),
         };
-        let colours = primitive.colours().map(of_corners).transpose()?;
+        let colours = usable(primitive.colours().map(of_corners))?;
         // Integer colours are normalized, whether the file says so or not.
         let colours = colours.map(|values| Values { normalized: true, ..values });
+        if coat.is_none() && colours.is_none() {
+            return Ok(None);
+        }
+        let coat = coat.unwrap_or(Coat::of_factor(WHITE));
+        let kinds = [F32, U8, U16, I8, I16];
+        let missing = || {
+            let reason = "a part has a texture whose coordinates are missing, or of a set other than 0 and 1";
+            self.error(format!("TEXCOORD_{}", coat.set), reason)
+        };
+        let places = coat.texture.is_some().then(|| {
+            let of = primitive.places(coat.set).ok_or_else(missing)?;
+            self.values(of, AccessorShape::Vec2, &kinds)
+        });
+        let places = usable(places)?;
         Ok(Some(PartColours { coat, places, colours }))
     }
 
