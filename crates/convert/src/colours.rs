@@ -158,6 +158,10 @@ pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: 
     }
     // If colours are wanted, reading the meshes then reports why they have none.
     inputs.meshes.set_colours(wanted.contains(&ColourSource::Rgb));
+    if let ColourMode::Of(ColourSource::Rgb) = options.sections.colour {
+        // Nothing else reads them: the conversion fails below.
+        inputs.meshes.report_colours(monitor)?;
+    }
     match options.sections.colour {
         ColourMode::Off => Ok(None),
         ColourMode::Of(source) if !inputs.scans.files().is_empty() => {

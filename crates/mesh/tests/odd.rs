@@ -70,6 +70,11 @@ fn odd_gltfs_are_refused() {
         (r#"[{"buffer":0"#, r#"[{"buffer":5"#, "there is no buffer 5"),
         (r#""POSITION":0"#, r#""POSITION":8"#, "it names accessor 8, which does not exist"),
         (r#""count":3,"type":"VEC3""#, r#""count":4,"type":"VEC3""#, "accessor 0"),
+        (
+            r#"[{"buffer":0,"byteLength":36"#,
+            r#"[{"buffer":0,"byteStride":8,"byteLength":36"#,
+            "accessor 0: its view 0 has values 8 bytes apart; expected 12 or more; write the file again",
+        ),
         (r#""byteLength":36}]"#, r#""byteLength":37}]"#, "it should have 37 bytes and has 36: it is cut"),
         (r#""uri":"data:;base64,"#, r#""uri":"data:;base64,?"#, "its base64 text is damaged"),
         (r#""uri":"data:;base64,"#, r#""uri":"https://host/"#, "it lies elsewhere"),
@@ -216,6 +221,14 @@ fn files_that_are_handed_over_belong_to_the_mesh_beside_them() {
     let (_, behind) = data.split_once('"').unwrap();
     let (triangles, _) = read("a.gltf", format!("{before}buffers/corners.bin\"{behind}")).unwrap();
     assert_eq!(triangles.len(), 1);
+    // Without folders, files of one name cannot be told apart.
+    let two = format!("{before}a/corners.bin\",\"byteLength\":36}},{{\"uri\":\"b/corners.bin\"{behind}");
+    refuse("a.gltf", two, "buffer 1: \"b/corners.bin\" and \"a/corners.bin\" differ in their folders");
+    hold("odd/walls.mtl", *b"newmtl wall\nmap_Kd a/wall.png\nnewmtl floor\nmap_Kd b/wall.png\n");
+    let corners = "mtllib walls.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n";
+    let (triangles, notes) = read("a.obj", format!("{corners}usemtl wall\nf 1 2 3\nusemtl floor\nf 3 2 1\n")).unwrap();
+    let is_told = |note: &String| note.contains("\"b/wall.png\" and \"a/wall.png\" differ in their folders");
+    assert!(triangles.len() == 2 && notes.iter().any(is_told), "{notes:?}");
 }
 
 #[test]

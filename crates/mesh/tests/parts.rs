@@ -300,6 +300,46 @@ fn colours_and_places_of_a_gltf_may_be_fewer_than_its_corners() {
     assert!(Arc::ptr_eq(texture, again));
 }
 
+/// Triangles do not need colours.
+#[test]
+fn without_usable_colours_the_triangles_of_a_gltf_have_the_colour_of_their_material() {
+    let mut bytes = floats(&[0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 1.]);
+    let image = bytes.len();
+    bytes.extend(png());
+    let views = format!(
+        r#"{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":24}},
+        {{"buffer":0,"byteOffset":{image},"byteLength":{}}}"#,
+        bytes.len() - image
+    );
+    let accessors = r#"{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
+        {"bufferView":1,"componentType":5126,"count":3,"type":"VEC2"}"#;
+    let primitives = r#"{"attributes":{"POSITION":0,"TEXCOORD_0":1},"material":0},{"attributes":{"POSITION":0}}"#;
+    let rest = r#","materials":[{"pbrMetallicRoughness":{"baseColorFactor":[1,0,0,1],"baseColorTexture":{"index":0}}}],
+        "textures":[{"source":0}],"images":[{"bufferView":2}]"#;
+    let base = gltf(primitives, accessors, &views, &in_text(&bytes), rest);
+    let missing = "a part has a texture whose coordinates are missing, or of a set other than 0 and 1";
+    for (from, to, words, has_texture) in [
+        (r#""type":"VEC2""#, r#""type":"VEC4""#, "accessor 1: expected Vec2".to_owned(), false),
+        (r#""TEXCOORD_0":1"#, r#""TEXCOORD_0":7"#, "it names accessor 7, which does not exist".into(), false),
+        (r#","TEXCOORD_0":1"#, "", format!("TEXCOORD_0: {missing}"), false),
+        (r#"{"index":0}"#, r#"{"index":0,"texCoord":2}"#, format!("TEXCOORD_2: {missing}"), false),
+        (r#""TEXCOORD_0":1"#, r#""TEXCOORD_0":1,"COLOR_0":1"#, "accessor 1: expected Vec3".into(), true),
+    ] {
+        assert!(base.contains(from), "{from}");
+        let text = base.replacen(from, to, 1);
+        let (_, paints) = read_painted("without.gltf", &text);
+        match &paints[..] {
+            [Paint::Flat([255, 0, 0]), Paint::None] => assert!(!has_texture, "{words}"),
+            [Paint::Texture { tints: [[255, 0, 0], ..], .. }, Paint::None] => assert!(has_texture, "{words}"),
+            _ => panic!("{words}: {paints:?}"),
+        }
+        for allow_incomplete in [false, true] {
+            let (found, notes) = read_and(Path::new("parts/without.gltf"), allow_incomplete, || ()).unwrap();
+            assert!(found.len() == 2 && notes.len() == 1 && notes[0].contains(&words), "{words}: {notes:?}");
+        }
+    }
+}
+
 #[test]
 fn faces_of_an_obj_are_white_if_they_have_no_place_in_their_texture() {
     hold("parts/a.png", png());
@@ -307,6 +347,31 @@ fn faces_of_an_obj_are_white_if_they_have_no_place_in_their_texture() {
     let text = "mtllib a.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1 2 3\nf 1/1 2/2 3/3\n";
     let (_, paints) = read_painted("a.obj", text);
     assert!(matches!(paints[..], [Paint::Flat([255, 255, 255]), Paint::Texture { .. }]), "{paints:?}");
+}
+
+#[test]
+fn materials_of_an_obj_may_begin_with_a_byte_order_mark() {
+    hold("parts/mark.mtl", "\u{feff}newmtl red\nKd 1 0 0\n".as_bytes());
+    let (_, paints) = read_painted("mark.obj", "mtllib mark.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n");
+    assert!(matches!(paints[..], [Paint::Flat([255, 0, 0])]), "{paints:?}");
+}
+
+/// One range for all corners: those that are dark have no value above 1 either.
+#[test]
+fn colours_of_an_obj_run_to_1_or_to_255_in_the_whole_file() {
+    let corners = |colour: &str| ["0 0 0", "1 0 0", "0 1 0"].map(|at| format!("v {at} {colour}\n")).concat();
+    for (first, second, expected) in [
+        ("1 1 0", "200 9 9", [[1u8, 1, 0], [200, 9, 9]]),
+        ("1 1 0", "2 0 0", [[1, 1, 0], [2, 0, 0]]),
+        ("1 1 0", "1 0.2 -3", [[255, 255, 0], [255, 51, 0]]),
+        // Slightly beyond white.
+        ("0.2 1 0", "1.004 0.2 0", [[51, 255, 0], [255, 51, 0]]),
+    ] {
+        let text = format!("{}{}f 1 2 3\nf 4 5 6\n", corners(first), corners(second));
+        let (_, paints) = read_painted("range.obj", &text);
+        let [Paint::Corners(dark), Paint::Corners(bright)] = &paints[..] else { panic!("{paints:?}") };
+        assert_eq!([*dark, *bright], expected.map(|colour| [colour; 3]), "{second}");
+    }
 }
 
 #[test]
@@ -325,6 +390,13 @@ fn the_colour_of_a_corner_of_an_obj_stands_behind_its_weight() {
 fn a_backslash_in_a_comment_of_an_obj_joins_no_lines() {
     let text = "# C:\\scans\\\nv 0 0 0\nv 1 0 0\nv 0 1 0 # D:\\\nf 1 2 3\n  # E:\\\nf 1 \\\n2 3\n";
     assert_eq!(read_painted("comment.obj", text).0.len(), 2);
+}
+
+/// Each byte is looked at a few times, however many lines are joined.
+#[test]
+fn many_joined_lines_of_an_obj_take_no_longer_than_others() {
+    let text = format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 \\\n{}3 \\\n# \\\n", "\\\n".repeat(200_000));
+    assert_eq!(read_painted("joined.obj", &text).0.len(), 1);
 }
 
 #[test]

@@ -8,9 +8,9 @@ use super::texture::{Fault, Textures, read_beside};
 use super::watch::Watch;
 use crate::Result;
 use crate::bytes::is_file_at;
-use crate::input::beside::path_beside;
+use crate::input::beside::Beside;
 use crate::paint::{Texture, WHITE, Wrap};
-use crate::text::shown;
+use crate::text::{behind_mark, shown};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -50,6 +50,7 @@ pub(super) struct Material {
 
 /// The materials of one OBJ file.
 pub(super) struct Materials {
+    beside: Beside,
     stated: HashMap<Vec<u8>, Stated>,
     textures: Textures<(String, Wrap)>,
     files: usize,
@@ -57,29 +58,29 @@ pub(super) struct Materials {
 }
 
 impl Materials {
-    pub(super) fn new(textures: Textures<(String, Wrap)>) -> Self {
-        Self { stated: HashMap::new(), textures, files: 0, bytes_left: MOST_BYTES }
+    /// Creates the materials of the mesh at `path`: none yet.
+    pub(super) fn new(path: &Path, textures: Textures<(String, Wrap)>) -> Self {
+        Self { beside: Beside::new(path), stated: HashMap::new(), textures, files: 0, bytes_left: MOST_BYTES }
     }
 
-    /// Reads the MTL files that an `mtllib` line of the mesh at `of` names: one, whose name may contain blanks, or
-    /// several.
-    pub(super) fn read_all(&mut self, of: &Path, names: &[u8], watch: &Watch) -> Result<()> {
-        let whole = path_beside(of, &String::from_utf8_lossy(names));
+    /// Reads the MTL files that an `mtllib` line of the mesh names: one, whose name may contain blanks, or several.
+    pub(super) fn read_all(&mut self, names: &[u8], watch: &Watch) -> Result<()> {
+        let whole = self.beside.path(&String::from_utf8_lossy(names));
         if whole.is_ok_and(|path| is_file_at(&path)) {
-            return self.read(of, names, watch);
+            return self.read(names, watch);
         }
         let words = names.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
-        words.take(MOST_FILES).try_for_each(|name| self.read(of, name, watch))
+        words.take(MOST_FILES).try_for_each(|name| self.read(name, watch))
     }
 
-    /// Reads the MTL file that the mesh at `of` calls `name`.
-    fn read(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<()> {
+    /// Reads the MTL file that the mesh calls `name`.
+    fn read(&mut self, name: &[u8], watch: &Watch) -> Result<()> {
         watch.check_cancelled()?;
         self.files += 1;
         if self.files > MOST_FILES {
             return Ok(());
         }
-        let text = read_beside(of, &String::from_utf8_lossy(name), self.bytes_left);
+        let text = read_beside(&mut self.beside, &String::from_utf8_lossy(name), self.bytes_left);
         let parsed = text.and_then(|text| {
             self.bytes_left = self.bytes_left.saturating_sub(text.len() as u64);
             self.textures.add_to_digest(&text);
@@ -99,7 +100,7 @@ impl Materials {
     }
 
     /// Returns the material called `name`, with its texture loaded.
-    pub(super) fn get(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<Material> {
+    pub(super) fn get(&mut self, name: &[u8], watch: &Watch) -> Result<Material> {
         let Some(Stated { colour, map }) = self.stated.get(name).cloned() else {
             self.textures.warn(watch, &format!("materials: no material is called {}", shown(name)));
             return Ok(Material::default());
@@ -111,14 +112,14 @@ impl Materials {
             let name = shown(name);
             self.textures.warn(watch, &format!("materials: {name}: map_Kd {option} is not supported and is left out"));
         }
-        let read = |most: u64| read_beside(of, &file, most);
+        let read = |most: u64| read_beside(&mut self.beside, &file, most);
         let texture = self.textures.get((file.clone(), wrap), (&shown(file.as_bytes()), [wrap; 2]), watch, read)?;
         Ok(Material { colour, texture, placing })
     }
 
     fn parse(&mut self, text: &[u8]) -> Result<(), String> {
         let mut current = None;
-        for line in text.split(|byte| matches!(byte, b'\n' | b'\r')) {
+        for line in behind_mark(text).split(|byte| matches!(byte, b'\n' | b'\r')) {
             let line = line.trim_ascii();
             let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
             let (key, rest) = (&line[..end], line[end..].trim_ascii());
@@ -158,19 +159,21 @@ fn colour_of(text: &[u8]) -> Option<[u8; 3]> {
     Some([red, green, channel()?])
 }
 
+/// Returns the first word, and what follows behind it and the blanks.
+fn next_word(text: &str) -> (&str, &str) {
+    let (word, behind) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
+    (word, behind.trim_start())
+}
+
 /// Parses the options and the name of the texture, which may contain blanks.
 fn map_of(text: &[u8]) -> Option<Map> {
     let text = String::from_utf8_lossy(text);
-    let (mut rest, mut map) = (text.trim().to_owned(), Map::default());
+    let (mut rest, mut map) = (text.trim(), Map::default());
     let (mut scale, mut offset) = ([1.0; 2], [0.0; 2]);
-    let next = |rest: &str| {
-        let (word, behind) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
-        (word.to_owned(), behind.trim_start().to_owned())
-    };
     while rest.starts_with('-') {
-        let (option, mut behind) = next(&rest);
+        let (option, mut behind) = next_word(rest);
         // Least number of words that follow, and how many more numbers may.
-        let (least, more) = match &option[..] {
+        let (least, more) = match option {
             "-blendu" | "-blendv" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-bm" | "-boost" | "-type" => (1, 0),
             "-mm" => (2, 0),
             "-o" | "-s" | "-t" => (1, 2),
@@ -178,7 +181,7 @@ fn map_of(text: &[u8]) -> Option<Map> {
         };
         let mut words = Vec::new();
         while words.len() < least + more {
-            let (word, after) = next(&behind);
+            let (word, after) = next_word(behind);
             if words.len() >= least && word.parse::<f64>().is_err() {
                 break;
             }
@@ -191,7 +194,7 @@ fn map_of(text: &[u8]) -> Option<Map> {
             None => Some(absent),
         };
         let pair = |absent: f64| Some([number(0, absent)?, number(1, absent)?]);
-        let is_followed = match &option[..] {
+        let is_followed = match option {
             "-clamp" => {
                 map.wrap = if words[0] == "on" { Wrap::Clamp } else { Wrap::Repeat };
                 true
@@ -207,7 +210,7 @@ fn map_of(text: &[u8]) -> Option<Map> {
             map.ignored = Some(format!("{option} {}", words.join(" ")));
         }
     }
-    (!rest.is_empty()).then(|| Map { file: rest, placing: Placing::of_mtl(scale, offset), ..map })
+    (!rest.is_empty()).then(|| Map { file: rest.to_owned(), placing: Placing::of_mtl(scale, offset), ..map })
 }
 
 #[cfg(test)]
@@ -229,6 +232,8 @@ mod tests {
         assert_eq!(map("-clamp on -clamp off 7.png"), Some(("7.png".into(), false)));
         assert_eq!(map("-strange.png"), Some(("-strange.png".into(), false)));
         assert_eq!(map("-s"), None);
+        // No option costs more behind many others.
+        assert_eq!(map(&("-cc on ".repeat(200_000) + "a.png")), Some(("a.png".into(), false)));
         assert_eq!(map(""), None);
     }
 

@@ -269,6 +269,13 @@ impl MeshSet {
         Ok(false)
     }
 
+    /// Reads all files with their colours, for the warnings that say why there are none.
+    pub fn report_colours(&self, monitor: &dyn Monitor) -> Result<()> {
+        let (mut feed, mut batch) = (MeshFeed::new(self, true), MeshBatch::default());
+        while feed.next_painted(&mut batch, monitor)? {}
+        Ok(())
+    }
+
     /// Reads all files and returns the bounds of all usable triangles (m), or `None` without any. Does not warn;
     /// reading the triangles themselves does.
     pub fn bounds(&self, monitor: &dyn Monitor) -> Result<Option<Bounds>> {

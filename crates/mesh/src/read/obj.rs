@@ -16,7 +16,7 @@ use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
 use crate::Result;
 use crate::paint::{Paint, WHITE};
 use crate::text::shown;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Keywords of the format besides `v`, `f` and `fo`; the last line has obsolete ones.
 const OTHERS: &str = "vt vn vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con g s mg o bevel \
@@ -41,9 +41,10 @@ type CornerColour = (Option<[u8; 3]>, Option<[f64; 2]>);
 
 /// Colours of the faces of a file.
 struct ObjColours {
-    path: PathBuf,
-    /// Vertex colours; the first value is below 0 if a vertex has none.
+    /// Vertex colours as stated, but at least 0; below 0 if a vertex has none.
     corners: Vertices,
+    /// Greatest value of all vertex colours.
+    greatest: f64,
     /// Texture coordinates.
     places: Vertices,
     /// Texture coordinates defined before the current line.
@@ -78,15 +79,19 @@ fn corner_of<'a>(lines: &Lines, mut words: impl Iterator<Item = &'a [u8]>) -> Re
 }
 
 impl ObjColours {
-    /// Returns the colour of a vertex in 8 bits. Programs write it as 0 to 1 or 0 to 255.
-    fn of_corner(colour: Option<[f64; 3]>) -> [f64; 3] {
-        match colour.filter(|colour| colour.iter().all(|value| value.is_finite())) {
-            Some([r, g, b]) => {
-                let white = if r.max(g).max(b) > 1.0 { 255.0 } else { 1.0 };
-                [r, g, b].map(|value| (value / white * 255.0 + 0.5).clamp(0.0, 255.0).floor())
-            }
-            None => [-1.0; 3],
-        }
+    /// Adds the colour of the next vertex.
+    fn add(&mut self, colour: Option<[f64; 3]>) -> Result<()> {
+        let colour = colour.filter(|colour| colour.iter().all(|value| value.is_finite()));
+        self.greatest = colour.iter().flatten().fold(self.greatest, |greatest, value| greatest.max(*value));
+        self.corners.push(colour.map_or([-1.0; 3], |colour| colour.map(|value| value.max(0.0))))
+    }
+
+    /// Returns the colour of a vertex in 8 bits, if it has one. Programs write it as 0 to 1, which some exceed a little,
+    /// or as 0 to 255; the greatest value of the file decides, because dark corners fit both.
+    fn of_corner(&mut self, number: u64) -> Result<Option<[u8; 3]>> {
+        let white = if self.greatest < 2.0 { 1.0 } else { 255.0 };
+        let colour = self.corners.get(number)?.filter(|colour| colour[0] >= 0.0);
+        Ok(colour.map(|colour| colour.map(|value| (value / white * 255.0 + 0.5).clamp(0.0, 255.0) as u8)))
     }
 
     /// Returns the paint of the triangle with these corners of the face.
@@ -127,11 +132,11 @@ impl ObjReader {
         let share = MeshOptions { memory_bytes: options.memory_bytes / 3, ..options.clone() };
         let mut vertices = Vertices::new(if wants.colours.is_some() { &share } else { options });
         let mut colours = wants.colours.map(|alive| ObjColours {
-            path: path.to_path_buf(),
             corners: Vertices::new(&share),
+            greatest: 0.0,
             places: Vertices::new(&share),
             places_before: 0,
-            materials: Materials::new(Textures::new(path, options.texture_bytes, wants.digest, alive)),
+            materials: Materials::new(path, Textures::new(path, options.texture_bytes, wants.digest, alive)),
             material: None,
             of_face: Vec::new(),
         });
@@ -143,7 +148,7 @@ impl ObjReader {
                     let (corner, colour) = corner_of(&lines, words)?;
                     vertices.push(corner)?;
                     if let Some(colours) = colours {
-                        colours.corners.push(ObjColours::of_corner(colour))?;
+                        colours.add(colour)?;
                     }
                 }
                 (Some(b"vt"), Some(colours)) => {
@@ -195,10 +200,9 @@ impl ObjReader {
             let missing = || self.lines.error(format!("there is no corner {}: the file has {all}", shown(index)));
             self.polygon.push(corner.ok_or_else(missing)?);
             if let (Some(colours), Some(number)) = (&mut self.colours, number) {
-                let colour = colours.corners.get(number)?.filter(|colour| colour[0] >= 0.0);
+                let colour = colours.of_corner(number)?;
                 let place = parts.next().and_then(|part| number_of(part, colours.places_before)).flatten();
                 let place = place.map(|place| colours.places.get(place)).transpose()?.flatten();
-                let colour = colour.map(|colour| colour.map(|value| value as u8));
                 colours.of_face.push((colour, place.map(|[u, v, _]| [u, v])));
             }
         }
@@ -244,12 +248,12 @@ impl ObjReader {
         let line = lines.line().trim_ascii();
         let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
         let rest = line[end..].trim_ascii();
-        let ObjColours { path, materials, material, places_before, .. } = colours;
+        let ObjColours { materials, material, places_before, .. } = colours;
         match &line[..end] {
             b"vt" => *places_before += 1,
-            b"usemtl" => *material = Some(materials.get(path, rest, watch)?),
+            b"usemtl" => *material = Some(materials.get(rest, watch)?),
             // One name with blanks, or several names.
-            b"mtllib" => materials.read_all(path, rest, watch)?,
+            b"mtllib" => materials.read_all(rest, watch)?,
             _ => {}
         }
         Ok(())

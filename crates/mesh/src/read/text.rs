@@ -145,7 +145,8 @@ impl Lines {
             if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
                 self.line.drain(..BYTE_ORDER_MARK.len());
             }
-            let has_comment = || self.words().any(|word| word.starts_with(b"#"));
+            // Looks only at what is new: a comment before would have ended the line.
+            let has_comment = || self.line[begin..].split(u8::is_ascii_whitespace).any(|word| word.starts_with(b"#"));
             // A comment may end with a backslash, as paths of Windows do.
             if !self.continued || self.line.last() != Some(&b'\\') || has_comment() {
                 return Ok(true);

@@ -403,6 +403,11 @@ fn materials_factors_and_faces_colour_whole_triangles() {
         let said = refuses(at, &arguments("a.obj", &["--colour", colour]), 2);
         assert!(said.contains(word), "{said}");
     }
+    // The texture that would have been one may be missing.
+    fs::write(at.join("b.mtl"), "newmtl first\nnewmtl wood\nmap_Kd wall.png\n").unwrap();
+    write_obj(&at.join("b.obj"), &quad(1), "b.mtl");
+    let said = refuses(at, &arguments("b.obj", &["--colour", "rgb"]), 2);
+    assert!(said.contains("no triangle has a colour") && said.matches("wall.png: ").count() == 1, "{said}");
 }
 
 #[test]
