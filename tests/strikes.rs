@@ -66,9 +66,9 @@ fn mesh(path: &Path, monitor: &dyn Monitor, batches: &Strike) -> Result<u64> {
 
 /// With incomplete input allowed, which must not hide a failure either.
 fn splats(path: &Path, monitor: &dyn Monitor, batches: &Strike) -> Result<u64> {
-    let options = SplatOptions { allow_incomplete: true, ..SplatOptions::default() };
+    let options = SplatOptions { allow_incomplete: true, memory_bytes: 16 << 20, ..SplatOptions::default() };
     let mut reader = SplatReader::open(path, &options)?;
-    Ok(reader.for_each_batch(monitor, 16 << 20, &mut |_| refused(batches))?.splats)
+    Ok(reader.for_each_batch(monitor, &mut |_| refused(batches))?.splats)
 }
 
 fn plan(path: &Path, _: &dyn Monitor, _: &Strike) -> Result<u64> {

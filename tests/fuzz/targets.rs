@@ -310,11 +310,12 @@ pub fn e57(bytes: &[u8]) -> Read {
 
 /// Opens any bytes as splats, in the format recognised from their first bytes; `.splat`, which has no signature, by default.
 pub fn splats(bytes: &[u8]) -> Read {
-    let options = SplatOptions { allow_incomplete: bytes.len().is_multiple_of(2), ..SplatOptions::default() };
+    let allow_incomplete = bytes.len().is_multiple_of(2);
+    let options = SplatOptions { allow_incomplete, memory_bytes: 16 << 20, ..SplatOptions::default() };
     let mut reader =
         SplatReader::of_source(Arc::new(MemorySource::new(bytes)), "/no folder/fuzz.splat", &options).ok()?;
     let (mut splats, mut hasher) = (0, Sum::default());
-    let read = reader.for_each_batch(&NoMonitor, 16 << 20, &mut |batch| {
+    let read = reader.for_each_batch(&NoMonitor, &mut |batch| {
         splats += batch.len();
         for splat in batch {
             assert!(splat.mean.iter().all(|v| v.abs() <= 1e12));

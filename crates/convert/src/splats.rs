@@ -7,7 +7,8 @@ use super::work::{Colouring, FirstPass, SourceRead, StopFlag};
 use crate::archive::Bounds;
 use crate::bytes::{HAS_THREADS, is_file_at, len_at, open_named, spawn_in};
 use crate::input::scenes::Scene;
-use crate::input::{InputOptions, InputSet, PointCounts, Units, each_once, expand_inputs};
+use crate::input::singles::Singles;
+use crate::input::{InputOptions, InputSet, PointCounts, Units, each_once, expand_inputs, is_of_input};
 use crate::placement::Similarity;
 use crate::plan::{Plan, Up};
 use crate::unit::LengthUnit;
@@ -105,6 +106,8 @@ pub(crate) struct SplatSet {
     colours: bool,
     /// Placement after unit and axes.
     placement: Option<Similarity>,
+    /// True if a file was left out.
+    is_partial: bool,
 }
 
 /// Returns the file that describes the folder of splats at `path`; `None` for other folders.
@@ -182,22 +185,41 @@ pub(crate) struct SplatSurvey {
 const VOLUME_STEPS: f64 = (1u64 << 50) as f64;
 
 impl SplatSet {
-    /// Opens files of splats, each named once.
+    /// Opens files of splats, each named once. If incomplete input is allowed, warns about each that cannot be opened.
     pub fn open(paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
-        if let (Some(first), Units::Auto) = (paths.first(), options.reading.units) {
+        let (mut set, mut left_out) = (Self::default(), None);
+        for path in paths {
+            match SplatReader::open(&path, &reading(options)) {
+                Ok(reader) => {
+                    set.count = set.count.saturating_add(reader.count());
+                    set.bytes += len_at(&path).unwrap_or(0);
+                    set.paths.push(path);
+                }
+                Err(error) if options.allow_incomplete && is_of_input(&error) => {
+                    monitor.warn(&format!("incomplete: left out: {error}").into());
+                    left_out = Some(error);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        set.is_partial = left_out.is_some();
+        if let Some(error) = left_out.filter(|_| set.is_empty()) {
+            return Err(error);
+        }
+        if let (Some(first), Units::Auto) = (set.paths.first(), options.reading.units) {
             let text = format!("{}: splats state no unit; metres are assumed", first.display());
             monitor.warn(&crate::Warning::from(text).with_suggestion(Parameter::Units));
         }
-        let mut set = Self::default();
-        for path in &paths {
-            set.count = set.count.saturating_add(SplatReader::open(path, &reading(options))?.count());
-            set.bytes += len_at(path).unwrap_or(0);
-        }
-        Ok(Self { paths, ..set })
+        Ok(set)
     }
 
     pub fn is_empty(&self) -> bool {
         self.paths.is_empty()
+    }
+
+    /// Returns true if no file was left out.
+    pub fn is_complete(&self) -> bool {
+        !self.is_partial
     }
 
     pub fn paths(&self) -> impl Iterator<Item = &Path> {
@@ -245,14 +267,13 @@ impl SplatSet {
         for path in &self.paths {
             let mut reader = SplatReader::open(path, &reading(options))?;
             let placing = Placing::of(options, self.placement, reader.format());
-            let summary =
-                reader.for_each_batch(&Silent(monitor), options.resources.memory_bytes / 8, &mut |batch| {
-                    if monitor.cancelled() {
-                        return Err(Error::Interrupted);
-                    }
-                    batch.iter().filter_map(|splat| placing.solid(splat, &mut counts)).for_each(|solid| give(&solid));
-                    Ok(())
-                })?;
+            let summary = reader.for_each_batch(&Silent(monitor), &mut |batch| {
+                if monitor.cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                batch.iter().filter_map(|splat| placing.solid(splat, &mut counts)).for_each(|solid| give(&solid));
+                Ok(())
+            })?;
             counts.lose(&summary);
         }
         Ok(counts)
@@ -274,7 +295,19 @@ impl SplatSet {
 }
 
 fn reading(options: &ConvertOptions) -> SplatOptions {
-    SplatOptions { allow_incomplete: options.allow_incomplete, temp_dir: options.resources.temp_dir.clone() }
+    SplatOptions {
+        allow_incomplete: options.allow_incomplete,
+        temp_dir: options.resources.temp_dir.clone(),
+        memory_bytes: options.resources.memory_bytes / 8,
+    }
+}
+
+/// Returns the length of a unit of the files (m).
+fn unit_m(options: &ConvertOptions) -> f64 {
+    match options.reading.units {
+        Units::Auto => 1.0,
+        Units::Factor(factor) => factor,
+    }
 }
 
 /// Monitor that forwards cancellation and drops all messages.
@@ -295,10 +328,7 @@ struct Placing<'a> {
 
 impl<'a> Placing<'a> {
     fn of(options: &'a ConvertOptions, placement: Option<Similarity>, format: SplatFormat) -> Self {
-        let factor = match options.reading.units {
-            Units::Auto => 1.0,
-            Units::Factor(factor) => factor,
-        };
+        let factor = unit_m(options);
         // As for meshes: glTF fixes its axes.
         let is_turned = options.plan.up == Up::Y || format == SplatFormat::Gltf;
         let axes = if is_turned { Similarity::raising([0.0, 1.0, 0.0]) } else { Similarity::IDENTITY };
@@ -408,7 +438,8 @@ pub(super) fn read_splats<'a>(
     }
     let FirstPass { options, scope, monitor, .. } = pass;
     monitor.stage("reading splats", set.count, "splats");
-    for path in &set.paths {
+    let mut singles = Singles::default();
+    for (number, path) in set.paths.iter().enumerate() {
         let mut reader = SplatReader::open(path, &reading(options))?;
         let placing = Placing::of(options, set.placement, reader.format());
         let flag = StopFlag::new(monitor);
@@ -423,7 +454,7 @@ pub(super) fn read_splats<'a>(
         let alone = |reader: &mut SplatReader| -> Result<_> {
             let mut rasteriser = start();
             let sink = &mut |batch: &[Splat]| rasteriser.take(batch, &cancelled);
-            let summary = reader.for_each_batch(monitor, options.resources.memory_bytes / 8, sink)?;
+            let summary = reader.for_each_batch(monitor, sink)?;
             Ok((Ok(summary), rasteriser.finish().map(|done| vec![done])))
         };
         let together = |mut reader: SplatReader| {
@@ -434,7 +465,7 @@ pub(super) fn read_splats<'a>(
                         true => Err(Error::Interrupted),
                         false => send.send(batch.to_vec()).map_err(|_| Error::Interrupted),
                     };
-                    reader.for_each_batch(monitor, options.resources.memory_bytes / 8, sink)
+                    reader.for_each_batch(monitor, sink)
                 };
                 let producer =
                     spawn_in(scope, produce).map_err(|error| Error::io(path, "start a thread that reads it", error))?;
@@ -459,6 +490,7 @@ pub(super) fn read_splats<'a>(
             counted.add(&counts);
         }
         counted.lose(&summary);
+        singles.note(number, summary.singles);
         all.complete &= summary.is_complete();
         if of_file.min[0] <= of_file.max[0] {
             all.scenes.push(Scene { path, min: of_file.min, max: of_file.max });
@@ -466,6 +498,9 @@ pub(super) fn read_splats<'a>(
         all.hashes.push(of_hash);
         all.read.merge(&of_file);
     }
+    let unit = unit_m(options) * set.placement.map_or(1.0, |placement| placement.factor());
+    let coarse = singles.warning(pass.plan.frame.pixel_m(), |file| (&*set.paths[file], [unit; 3]));
+    coarse.iter().for_each(|text| monitor.warn(&text.as_str().into()));
     let (read, left_out) = (counted.read, counted.left_out());
     all.read.counts.read = read;
     if scope.is_none_or(ShardScope::owns_meshes) {

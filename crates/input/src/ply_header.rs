@@ -12,6 +12,14 @@ const MOST_PARTS: usize = 1024;
 
 const NO_PLY: &str = "expected \"ply\": this is no PLY file";
 
+/// Returns the byte that ends each line of the file that begins with `start`: CR if it alone ends the first one.
+pub fn line_end(start: &[u8]) -> u8 {
+    // A LF behind the last line may belong to a binary body.
+    let first = memchr::memchr2(b'\n', b'\r', start);
+    let is_return = first.is_some_and(|at| start[at] == b'\r' && start.get(at + 1) != Some(&b'\n'));
+    if is_return { b'\r' } else { b'\n' }
+}
+
 /// Encoding of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {

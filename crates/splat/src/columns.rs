@@ -2,7 +2,7 @@
 
 use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::BYTE_ORDER_MARK;
-use slicewalk_base::{Error, Result};
+use slicewalk_base::{Error, Parameter, Result};
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::Arc;
@@ -11,6 +11,8 @@ use std::sync::Arc;
 const BLOCK_BYTES: u64 = 1 << 20;
 /// Most bytes of JSON: a set of levels has thousands of nodes, and a glTF may hold its values as text.
 const MOST_JSON: u64 = 256 << 20;
+/// Share of the memory that the structure of JSON may have: a byte of it becomes up to 50 in memory.
+const STRUCTURE_SHARE: u64 = 8;
 
 /// A part of a source.
 pub struct Part {
@@ -128,17 +130,54 @@ pub fn read_error(path: &Path, at: impl Into<String>, error: io::Error) -> Error
     }
 }
 
-/// Parses the JSON of a whole source.
-pub fn json<T: serde::de::DeserializeOwned>(source: &Arc<dyn ByteSource>, path: &Path) -> Result<T> {
+/// Reader of JSON that fails if there is too much outside of its strings.
+struct Structure<'a> {
+    column: Column,
+    path: &'a Path,
+    /// Bytes of structure that may follow.
+    left: u64,
+    in_string: bool,
+    is_escaped: bool,
+}
+
+impl Read for Structure<'_> {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        let len = self.column.read(buf)?;
+        for &byte in &buf[..len] {
+            match byte {
+                _ if self.is_escaped => self.is_escaped = false,
+                b'\\' => self.is_escaped = self.in_string,
+                b'"' => self.in_string = !self.in_string,
+                _ if self.in_string || byte.is_ascii_whitespace() => {}
+                _ if self.left == 0 => {
+                    let reason = "its structure takes more than its share of the memory";
+                    return Err(io::Error::other(
+                        Error::input(self.path, "JSON", reason).with_suggestion(Parameter::Memory),
+                    ));
+                }
+                _ => self.left -= 1,
+            }
+        }
+        Ok(len)
+    }
+}
+
+/// Parses the JSON of a whole source. Its text takes at most `memory` bytes.
+pub fn json<T: serde::de::DeserializeOwned>(source: &Arc<dyn ByteSource>, path: &Path, memory: u64) -> Result<T> {
     if source.len() > MOST_JSON {
         let found = slicewalk_base::text::file_size(source.len());
         return Err(Error::input(path, "JSON", format!("expected at most 256 MiB, found {found}")));
+    }
+    if source.len() > memory {
+        return Err(super::too_large(path, "its JSON", source.len(), memory));
     }
     let mut reader = Column::rest(source, 0);
     let start = reader.fill_buf().map_err(|e| read_error(path, "JSON", e))?;
     if start.starts_with(BYTE_ORDER_MARK) {
         reader.consume(BYTE_ORDER_MARK.len());
     }
+    let left = memory / STRUCTURE_SHARE;
+    let reader = Structure { column: reader, path, left, in_string: false, is_escaped: false };
     serde_json::from_reader(reader).map_err(|e| match e.is_io() {
         true => read_error(path, "JSON", e.into()),
         false => Error::input(path, "JSON", format!("{e}; fetch or write it again")),
@@ -207,11 +246,27 @@ mod tests {
 
     #[test]
     fn json_that_is_too_long_is_refused_and_a_mark_before_it_is_skipped() {
-        let of = |source: Arc<dyn ByteSource>| json::<Vec<u32>>(&source, Path::new("a.json"));
+        let of = |source: Arc<dyn ByteSource>| json::<Vec<u32>>(&source, Path::new("a.json"), 1 << 30);
         let error = of(Arc::new(Long)).unwrap_err().to_string();
         assert!(error.starts_with("a.json: JSON: expected at most 256 MiB"), "{error}");
         for text in ["[1,2]", "\u{feff}[1,2]"] {
             assert_eq!(of(Arc::new(MemorySource::new(text.as_bytes()))).unwrap(), [1, 2]);
         }
+    }
+
+    /// Strings take their length in memory, what is around them takes more.
+    #[test]
+    fn json_takes_no_more_than_its_memory() {
+        let of = |text: &str, memory: u64| {
+            let source: Arc<dyn ByteSource> = Arc::new(MemorySource::new(text.as_bytes()));
+            json::<Vec<String>>(&source, Path::new("a.json"), memory).map_err(|error| error.to_string())
+        };
+        let text = r#"["{}\"[]\\ 1234567890 1234567890", ""]"#;
+        let len = text.len() as u64;
+        assert_eq!(of(text, len).unwrap(), [r#"{}"[]\ 1234567890 1234567890"#, ""]);
+        let error = of(text, len - 1).unwrap_err();
+        assert!(error.starts_with("a.json: memory for its JSON") && error.contains("more memory"), "{error}");
+        let error = of(r#"["a","b","c","d"]"#, 32).unwrap_err();
+        assert!(error.starts_with("a.json: JSON: its structure takes") && error.contains("more memory"), "{error}");
     }
 }

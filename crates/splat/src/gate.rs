@@ -12,7 +12,7 @@ pub const BATCH_SPLATS: usize = 1 << 14;
 const SH_CONSTANT: f64 = 0.282_094_791_773_878_14;
 
 /// Result of reading a file.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SplatSummary {
     /// Splats passed on.
@@ -29,6 +29,8 @@ pub struct SplatSummary {
     pub missing: u64,
     /// True if the file holds more than it states, or is damaged behind its splats.
     pub contradicts: bool,
+    /// How far from 0 coordinates lie that are floats of 32 bits in the file (its units); 0 without any.
+    pub singles: [f64; 3],
 }
 
 impl SplatSummary {
@@ -94,7 +96,9 @@ pub struct Gate<'a> {
     work: &'a Work<'a>,
     sink: &'a mut dyn FnMut(&[Splat]) -> Result<()>,
     batch: Vec<Splat>,
+    /// Splats of the file up to the end of its present part.
     expected: u64,
+    are_singles: [bool; 3],
     summary: SplatSummary,
     /// Number of the first lost splat.
     first_lost: u64,
@@ -102,13 +106,24 @@ pub struct Gate<'a> {
 }
 
 impl<'a> Gate<'a> {
-    pub fn new(work: &'a Work<'a>, expected: u64, sink: &'a mut dyn FnMut(&[Splat]) -> Result<()>) -> Self {
+    pub fn new(
+        work: &'a Work<'a>,
+        expected: u64,
+        are_singles: [bool; 3],
+        sink: &'a mut dyn FnMut(&[Splat]) -> Result<()>,
+    ) -> Self {
         let batch = Vec::with_capacity(expected.min(BATCH_SPLATS as u64) as usize);
-        Self { work, sink, batch, expected, summary: SplatSummary::default(), first_lost: 0, placing: None }
+        let summary = SplatSummary::default();
+        Self { work, sink, batch, expected, are_singles, summary, first_lost: 0, placing: None }
     }
 
     fn taken(&self) -> u64 {
         self.summary.splats.saturating_add(self.summary.lost())
+    }
+
+    /// Begins a part of the file, of so many splats: damage within it loses none of the next.
+    pub fn begin(&mut self, splats: u64) {
+        self.expected = self.taken().saturating_add(splats);
     }
 
     /// Sets where the next splats are placed; `None` leaves them as they are.
@@ -123,6 +138,9 @@ impl<'a> Gate<'a> {
         match check(&raw) {
             Ok(splat) => {
                 self.summary.splats += 1;
+                for axis in (0..3).filter(|axis| self.are_singles[*axis]) {
+                    self.summary.singles[axis] = self.summary.singles[axis].max(splat.mean[axis].abs());
+                }
                 self.batch.push(splat);
                 if self.batch.len() == BATCH_SPLATS {
                     self.flush()?;
@@ -149,7 +167,7 @@ impl<'a> Gate<'a> {
         if splats == 0 { Ok(()) } else { self.lose() }
     }
 
-    /// Handles damage behind which nothing can be read: an error, unless incomplete input is allowed.
+    /// Handles damage behind which nothing of the present part can be read: an error, unless incomplete input is allowed.
     pub fn break_off(&mut self, error: Error) -> Result<()> {
         self.refuse(error)?;
         let missing = self.expected.saturating_sub(self.taken());
@@ -208,7 +226,7 @@ fn check(raw: &Raw) -> Result<Splat, Fault> {
     let scale = raw.scale.map(|v| v as f32);
     let far = raw.mean.iter().any(|v| v.abs() > FARTHEST_M);
     let huge = scale.iter().any(|v| !v.is_finite());
-    if !finite(&raw.mean) || far || huge || !finite(&raw.rotation) || raw.opacity.is_nan() {
+    if !finite(&raw.mean) || far || huge || !finite(&raw.rotation) || raw.opacity.is_nan() || !finite(&raw.colour) {
         return Err(Fault::NotFinite);
     }
     if scale.iter().any(|v| *v < 0.0) {

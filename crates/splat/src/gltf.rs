@@ -20,7 +20,7 @@ use slicewalk_base::bytes::{ByteSource, MemorySource, open_named};
 use slicewalk_base::colour::from_linear;
 use slicewalk_base::text::{counted, grouped, shown};
 use slicewalk_base::{Error, Result};
-use slicewalk_input::beside::{decode_percent, path_beside};
+use slicewalk_input::beside::{Beside, decode_percent};
 use slicewalk_input::gltf::{check_matrix, is_harmless, moves};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -55,10 +55,11 @@ struct Scene {
 struct Node {
     children: Vec<usize>,
     mesh: Option<usize>,
-    matrix: Option<[f64; 16]>,
-    translation: Option<[f64; 3]>,
-    rotation: Option<[f64; 4]>,
-    scale: Option<[f64; 3]>,
+    // In boxes, because most nodes have none of them.
+    matrix: Option<Box<[f64; 16]>>,
+    translation: Option<Box<[f64; 3]>>,
+    rotation: Option<Box<[f64; 4]>>,
+    scale: Option<Box<[f64; 3]>>,
     extensions: BTreeMap<String, serde::de::IgnoredAny>,
 }
 
@@ -133,9 +134,11 @@ fn wrong(path: &Path, at: impl Into<String>, reason: impl std::fmt::Display) -> 
 }
 
 impl Gltf {
-    pub fn open(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
-        let (document, binary, glb) = read_document(source, path)?;
-        let mut loader = Loader { path, document: &document, binary, buffers: BTreeMap::new() };
+    pub fn open(source: Arc<dyn ByteSource>, path: &Path, memory: u64) -> Result<Self> {
+        let (mut document, binary, glb) = read_document(source, path, memory)?;
+        let stated = std::mem::take(&mut document.buffers);
+        let (buffers, beside) = (BTreeMap::new(), Beside::new(path));
+        let mut loader = Loader { path, document: &document, stated, binary, buffers, beside };
         let instances = instances(&document, path)?;
         let (mut parts, mut by_mesh) = (Vec::new(), vec![0u64; document.meshes.len()]);
         let mut others = Vec::new();
@@ -152,18 +155,20 @@ impl Gltf {
         }
         let count = instances.iter().fold(0u64, |count, (mesh, _)| count.saturating_add(by_mesh[*mesh]));
         if parts.is_empty() {
-            return Err(refuse(path, "meshes", "expected Gaussian splats, found none; convert it as a mesh"));
+            let reason = format!("expected primitives with the extension {EXTENSION}, found none; export it again");
+            return Err(refuse(path, "meshes", reason));
         }
-        let is_placed = |mesh: usize| instances.iter().any(|(placed, _)| *placed == mesh);
-        let elsewhere = (0..by_mesh.len()).filter(|mesh| !is_placed(*mesh)).map(|mesh| by_mesh[mesh]);
-        let elsewhere = elsewhere.fold(0u64, u64::saturating_add);
+        let mut is_placed = vec![false; by_mesh.len()];
+        instances.iter().for_each(|(mesh, _)| is_placed[*mesh] = true);
+        let elsewhere = by_mesh.iter().zip(&is_placed).filter(|(_, is_placed)| !**is_placed);
+        let elsewhere = elsewhere.fold(0u64, |sum, (splats, _)| sum.saturating_add(*splats));
         if count == 0 && elsewhere > 0 {
             let reason =
                 format!("no node of the scene has a mesh of splats, of which there are {}", grouped(elsewhere));
             return Err(wrong(path, "scene", reason));
         }
         document.check_extensions(&by_mesh, path)?;
-        let other = others.into_iter().find(|mesh| is_placed(*mesh));
+        let other = others.into_iter().find(|mesh| is_placed[*mesh]);
         Ok(Self { path: path.to_path_buf(), parts, instances, count, elsewhere, other, glb })
     }
 }
@@ -213,6 +218,7 @@ impl Body for Gltf {
         }
         for (mesh, placing) in &self.instances {
             for (_, part) in self.parts.iter_mut().filter(|(number, _)| number == mesh) {
+                gate.begin(part.count());
                 gate.place(Some(*placing));
                 match part {
                     Content::Spz(spz) => spz.read(work, gate)?,
@@ -288,15 +294,15 @@ impl Attributes {
 /// A structure, the binary part of a GLB, and the GLB with the length that it states (bytes).
 type Parsed = (Document, Option<Arc<dyn ByteSource>>, Option<(Arc<dyn ByteSource>, u64)>);
 
-/// Reads the JSON of a glTF or GLB.
-fn read_document(source: Arc<dyn ByteSource>, path: &Path) -> Result<Parsed> {
+/// Reads the JSON of a glTF or GLB, which takes at most `memory` bytes.
+fn read_document(source: Arc<dyn ByteSource>, path: &Path, memory: u64) -> Result<Parsed> {
     let mut head = [0; 12];
     if source.len() < 12 {
         return Err(wrong(path, "header", "expected glTF, found fewer than 12 bytes"));
     }
     source.read_at(0, &mut head)?;
     if &head[..4] != b"glTF" {
-        return Ok((json(&source, path)?, None, None));
+        return Ok((json(&source, path, memory)?, None, None));
     }
     let word = |bytes: &[u8], at: usize| {
         u64::from(u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
@@ -322,7 +328,7 @@ fn read_document(source: Arc<dyn ByteSource>, path: &Path) -> Result<Parsed> {
         );
         at += 8 + part.len().next_multiple_of(4);
         match &chunk[4..] {
-            b"JSON" if document.is_none() => document = Some(json(&part, path)?),
+            b"JSON" if document.is_none() => document = Some(json(&part, path, memory)?),
             b"BIN\0" => binary = Some(part),
             _ => {}
         }
@@ -347,19 +353,22 @@ fn instances(document: &Document, path: &Path) -> Result<Vec<(usize, Placing)>> 
         (None, Some(number)) => return Err(wrong(path, "scene", format!("there is no scene {number}"))),
         (None, None) => (0..nodes.len()).filter(|node| !is_child[*node]).collect(),
     };
-    let mut open: Vec<(usize, Placing)> = roots.into_iter().rev().map(|node| (node, Placing::IDENTITY)).collect();
-    let (mut found, mut seen) = (Vec::new(), vec![false; nodes.len()]);
-    while let Some((number, parent)) = open.pop() {
+    let mut roots = roots.into_iter().map(|node| (node, Placing::IDENTITY));
+    let (mut open, mut found, mut seen) = (Vec::new(), Vec::new(), vec![false; nodes.len()]);
+    while let Some((number, parent)) = open.pop().or_else(|| roots.next()) {
         let node = nodes.get(number).ok_or_else(|| wrong(path, "nodes", format!("there is no node {number}")))?;
         if std::mem::replace(&mut seen[number], true) {
             return Err(wrong(path, format!("node {number}"), "it occurs twice in the scene"));
         }
-        let own = match node.matrix {
+        let own = match node.matrix.as_deref() {
             Some(matrix) => {
-                check_matrix(&matrix).map_err(|reason| refuse(path, format!("node {number}"), reason))?;
-                Placing::of_matrix(matrix)
+                check_matrix(matrix).map_err(|reason| refuse(path, format!("node {number}"), reason))?;
+                Placing::of_matrix(*matrix)
             }
-            None => Placing::of_parts(node.translation, node.rotation, node.scale),
+            None => {
+                let [translation, scale] = [&node.translation, &node.scale].map(|of| of.as_deref().copied());
+                Placing::of_parts(translation, node.rotation.as_deref().copied(), scale)
+            }
         };
         let placing = parent.then(&own);
         if !placing.is_finite() {
@@ -380,8 +389,11 @@ fn instances(document: &Document, path: &Path) -> Result<Vec<(usize, Placing)>> 
 struct Loader<'a> {
     path: &'a Path,
     document: &'a Document,
+    /// Buffers of the document, but those that are open.
+    stated: Vec<Buffer>,
     binary: Option<Arc<dyn ByteSource>>,
     buffers: BTreeMap<usize, Arc<dyn ByteSource>>,
+    beside: Beside,
 }
 
 impl Loader<'_> {
@@ -463,9 +475,12 @@ impl Loader<'_> {
             return Ok(open.clone());
         }
         let at = || format!("buffer {number}");
-        let stated = self.document.buffers.get(number);
+        // The text of one that is embedded is dropped here: what it holds is in memory then.
+        let stated = self.stated.get_mut(number).map(std::mem::take);
         let stated = stated.ok_or_else(|| wrong(self.path, at(), "there is no such buffer"))?;
-        let source: Arc<dyn ByteSource> = match &stated.uri {
+        let Buffer { uri, byte_length } = stated;
+        let in_binary = uri.is_none();
+        let source: Arc<dyn ByteSource> = match uri {
             None => {
                 let own = self.binary.clone().filter(|_| number == 0);
                 own.ok_or_else(|| wrong(self.path, at(), "it should lie in this file, which has no binary part"))?
@@ -484,16 +499,16 @@ impl Loader<'_> {
                     return Err(refuse(self.path, at(), reason));
                 }
                 None => {
-                    let path = path_beside(self.path, &decode_percent(uri));
+                    let path = self.beside.path(&decode_percent(&uri));
                     open_named(&path.map_err(|reason| refuse(self.path, at(), reason))?)?.into()
                 }
             },
         };
-        let cut = || format!("it should have {} bytes and has {}: it is cut", stated.byte_length, source.len());
-        let own = Part::new(&source, 0, stated.byte_length).ok_or_else(|| wrong(self.path, at(), cut()))?;
+        let cut = || format!("it should have {byte_length} bytes and has {}: it is cut", source.len());
+        let own = Part::new(&source, 0, byte_length).ok_or_else(|| wrong(self.path, at(), cut()))?;
         // The binary part is padded to a multiple of four bytes; another file may hold more than the buffer.
-        if stated.uri.is_none() && source.len() - stated.byte_length > 3 {
-            let reason = format!("it states {} bytes, and the binary part has {}", stated.byte_length, source.len());
+        if in_binary && source.len() - byte_length > 3 {
+            let reason = format!("it states {byte_length} bytes, and the binary part has {}", source.len());
             return Err(wrong(self.path, at(), reason));
         }
         let own: Arc<dyn ByteSource> = Arc::new(own);

@@ -149,6 +149,7 @@ impl Ksplat {
 
     fn read_section(&self, section: &Section, path: &Path, gate: &mut Gate<'_>) -> Result<()> {
         let there = (self.source.len().saturating_sub(section.rows_at) / section.row).min(section.splats);
+        gate.begin(section.splats);
         gate.miss(section.splats - there)?;
         let mut rows = Column::new(&self.source, section.rows_at, section.row * there);
         let mut lengths = Column::new(&self.source, section.start, section.partial * 4);
@@ -207,6 +208,10 @@ impl Ksplat {
 impl Body for Ksplat {
     fn count(&self) -> u64 {
         self.count
+    }
+
+    fn are_singles(&self) -> [bool; 3] {
+        [self.level == 0; 3]
     }
 
     fn read(&mut self, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {

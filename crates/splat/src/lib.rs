@@ -3,7 +3,7 @@
 //! In: a file or folder of any size. Out: batches of [`Splat`]s in the order of the file, in its own axes and units.
 //! Spherical harmonics beyond the base colour are skipped. The bytes are untrusted: a damaged file gives a one-line
 //! [`Error::Input`], and no number in it sizes an allocation before it is checked. Memory: 1 MiB for each column of a
-//! file, and more for compressed formats ([`SplatReader::for_each_batch`]); what does not fit goes to a temporary file.
+//! file, and more for compressed formats ([`SplatOptions::memory_bytes`]); what does not fit goes to a temporary file.
 //!
 //! Sources: "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (Kerbl et al., 2023) and its PLY files;
 //! PlayCanvas, splat-transform and the SOG format; Niantic, the SPZ format; Kellogg, GaussianSplats3D; Kwok, splat;
@@ -78,11 +78,24 @@ pub struct SplatOptions {
     pub allow_incomplete: bool,
     /// Folder for temporary data.
     pub temp_dir: PathBuf,
+    /// Memory for reading (bytes); less than 16 MiB counts as 16 MiB.
+    ///
+    /// PLY, `.splat`, `.ksplat`, SPZ and the values of glTF need less than that for any number of splats; gzipped SPZ
+    /// beyond half of it goes to a temporary file (20 bytes a splat). SOG decodes whole images, of at most 8 bytes a pixel.
+    /// Images, texts of glTF and levels of SOG beyond it are refused, and so are texts with a structure (what they have
+    /// outside of strings) beyond an eighth of it.
+    pub memory_bytes: u64,
 }
 
 impl Default for SplatOptions {
     fn default() -> Self {
-        Self { allow_incomplete: false, temp_dir: slicewalk_base::disk::temp_dir() }
+        Self { allow_incomplete: false, temp_dir: slicewalk_base::disk::temp_dir(), memory_bytes: 64 << 20 }
+    }
+}
+
+impl SplatOptions {
+    fn memory(&self) -> u64 {
+        self.memory_bytes.max(16 << 20)
     }
 }
 
@@ -91,7 +104,12 @@ trait Body: Send {
     /// Number of splats that the file states, or that its length gives.
     fn count(&self) -> u64;
 
-    /// Passes every splat to `gate`. `memory` bounds what it holds (bytes).
+    /// Returns which coordinates are floats of 32 bits in the file, which nothing in it moves.
+    fn are_singles(&self) -> [bool; 3] {
+        [false; 3]
+    }
+
+    /// Passes every splat to `gate`.
     fn read(&mut self, work: &Work<'_>, gate: &mut gate::Gate<'_>) -> Result<()>;
 }
 
@@ -99,6 +117,7 @@ trait Body: Send {
 struct Work<'a> {
     path: &'a Path,
     options: &'a SplatOptions,
+    /// At most so much is held (bytes).
     memory: u64,
     monitor: &'a dyn Monitor,
 }
@@ -143,16 +162,17 @@ impl SplatReader {
                  another format",
             )
         })?;
+        let memory = options.memory();
         let body: Box<dyn Body> = match format {
             SplatFormat::Ply => Box::new(ply::Rows::open(source, path)?),
             SplatFormat::CompressedPly => Box::new(ply::Packed::open(source, path)?),
             SplatFormat::Spz => Box::new(spz::Spz::open(source, path)?),
             SplatFormat::Sog => Box::new(sog::Sog::open_zip(source, path)?),
-            SplatFormat::SogFolder => Box::new(sog::Sog::open_folder(source, path)?),
-            SplatFormat::SogLevels => Box::new(sog::Levels::open(source, path)?),
+            SplatFormat::SogFolder => Box::new(sog::Sog::open_folder(source, path, memory)?),
+            SplatFormat::SogLevels => Box::new(sog::Levels::open(source, path, memory)?),
             SplatFormat::Splat => Box::new(splat::Splats::open(source, path, options.allow_incomplete)?),
             SplatFormat::Ksplat => Box::new(ksplat::Ksplat::open(source, path)?),
-            SplatFormat::Gltf => Box::new(gltf::Gltf::open(source, path)?),
+            SplatFormat::Gltf => Box::new(gltf::Gltf::open(source, path, memory)?),
         };
         Ok(Self { path: path.to_path_buf(), options: options.clone(), format, body })
     }
@@ -170,20 +190,15 @@ impl SplatReader {
     /// Passes all splats to `sink`, in the order of the file, in batches of at most [`BATCH_SPLATS`]; may be called more
     /// than once. Calls `monitor.advance` with the number of splats.
     ///
-    /// Memory: `memory` bytes, at least 16 MiB. PLY, `.splat`, `.ksplat`, glTF and SPZ need less than that for any number
-    /// of splats; gzipped SPZ beyond half of it goes to a temporary file (20 bytes a splat). SOG decodes whole images,
-    /// of at most 8 bytes a pixel: images beyond the budget are refused.
-    ///
     /// Fails if splats are missing or unusable, unless [`SplatOptions::allow_incomplete`] is set: then the summary counts
     /// them, and `monitor` is warned.
     pub fn for_each_batch(
         &mut self,
         monitor: &dyn Monitor,
-        memory: u64,
         sink: &mut dyn FnMut(&[Splat]) -> Result<()>,
     ) -> Result<SplatSummary> {
-        let work = Work { path: &self.path, options: &self.options, memory: memory.max(16 << 20), monitor };
-        let mut gate = gate::Gate::new(&work, self.body.count(), sink);
+        let work = Work { path: &self.path, options: &self.options, memory: self.options.memory(), monitor };
+        let mut gate = gate::Gate::new(&work, self.body.count(), self.body.are_singles(), sink);
         self.body.read(&work, &mut gate)?;
         gate.finish()
     }
@@ -212,7 +227,7 @@ fn is_all(mut rest: columns::Column, is_such: impl Fn(&u8) -> bool, work: &Work<
     }
 }
 
-/// Error for an image or window that needs more memory than allowed.
+/// Error for an image or text that needs more memory than allowed.
 fn too_large(path: &Path, what: &str, needed: u64, memory: u64) -> Error {
     let [needed, memory] = [needed, memory].map(slicewalk_base::text::memory_size);
     Error::limit(format!("{}: memory for {what}", path.display()), needed, memory).with_suggestion(Parameter::Memory)

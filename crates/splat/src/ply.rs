@@ -8,7 +8,7 @@ use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::{behind_mark, grouped, shown};
 use slicewalk_base::{Error, Result};
 use slicewalk_input::number::{Number, decimal};
-use slicewalk_input::ply_header::{Element, Encoding, HeaderReader, MOST_HEADER};
+use slicewalk_input::ply_header::{self, Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
 use std::io::{BufRead, Read};
 use std::path::Path;
 use std::sync::Arc;
@@ -23,6 +23,8 @@ const SHARES: [u32; 3] = [11, 10, 11];
 struct File {
     source: Arc<dyn ByteSource>,
     encoding: Encoding,
+    /// Byte at the end of each line.
+    line_end: u8,
     elements: Vec<Element>,
     /// Where the rows begin (bytes).
     body: u64,
@@ -50,19 +52,21 @@ impl File {
     fn open(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
         let wrong = |reason: String| refuse(path, "header", reason);
         let mut reader = Column::new(&source, 0, 2 * MOST_HEADER as u64);
+        let line_end = ply_header::line_end(reader.fill_buf().map_err(|e| read_error(path, "header", e))?);
         let mut header = HeaderReader::default();
         let (mut line, mut body) = (Vec::new(), 0);
         loop {
             line.clear();
-            let read = (&mut reader).take(MOST_HEADER as u64 + 1).read_until(b'\n', &mut line);
+            let read = (&mut reader).take(MOST_HEADER as u64 + 1).read_until(line_end, &mut line);
             body += read.map_err(|e| read_error(path, "header", e))? as u64;
-            if line.last() != Some(&b'\n') {
+            if line.last() != Some(&line_end) {
                 return Err(wrong(if line.len() > MOST_HEADER { HeaderReader::LONG } else { header.cut() }.into()));
             }
             let text = if body == line.len() as u64 { behind_mark(&line) } else { &line };
             if let Some(found) = header.take(text.trim_ascii_end()).map_err(wrong)? {
                 found.check().map_err(wrong)?;
-                return Ok(Self { source, encoding: found.encoding, elements: found.elements, body });
+                let Header { encoding, elements } = found;
+                return Ok(Self { source, encoding, line_end, elements, body });
             }
         }
     }
@@ -77,7 +81,8 @@ impl File {
                 let name = shown(element.name.as_bytes());
                 return Err(wrong(format!("expected no list in or before the splats, found one in element {name}")));
             }
-            let is_twice = |at: usize| element.properties[..at].iter().any(|p| p.name == element.properties[at].name);
+            let names_same = |a: &Property, b: &Property| a.name.eq_ignore_ascii_case(&b.name);
+            let is_twice = |at: usize| element.properties[..at].iter().any(|p| names_same(p, &element.properties[at]));
             if let Some(at) = (0..element.properties.len()).filter(|_| found).find(|at| is_twice(*at)) {
                 let [element, property] = [name, &element.properties[at].name].map(|name| shown(name.as_bytes()));
                 return Err(wrong(format!(
@@ -139,7 +144,7 @@ impl File {
     fn check_lines(&self, table: &Table, rows: &mut RowReader, work: &Work<'_>) -> Result<()> {
         let stated = self.elements.iter().fold(0u64, |sum, element| sum.saturating_add(element.count));
         let mut lines = table.lines_before.saturating_add(table.count);
-        while next_line(&mut rows.column, &mut rows.row, lines, work.path)? {
+        while next_line(&mut rows.column, &mut rows.row, (lines, self.line_end), work.path)? {
             lines += 1;
             if lines.is_multiple_of(1 << 12) && work.monitor.cancelled() {
                 return Err(Error::Interrupted);
@@ -158,21 +163,22 @@ impl File {
         let mut column = Column::rest(&self.source, if is_text { self.body } else { table.start });
         let mut row = Vec::new();
         let mut lines = 0;
-        while is_text && lines < table.lines_before && next_line(&mut column, &mut row, lines, path)? {
+        while is_text && lines < table.lines_before && next_line(&mut column, &mut row, (lines, self.line_end), path)? {
             lines += 1;
         }
         if !is_text {
             row.resize(table.width, 0);
         }
-        Ok(RowReader { column, encoding: self.encoding, row, words: Vec::new(), columns: table.columns, number: 0 })
+        let Self { encoding, line_end, .. } = *self;
+        Ok(RowReader { column, encoding, line_end, row, words: Vec::new(), columns: table.columns, number: 0 })
     }
 }
 
-/// Reads the next line that is not empty; returns whether there is one.
-fn next_line(column: &mut Column, line: &mut Vec<u8>, number: u64, path: &Path) -> Result<bool> {
+/// Reads the next line that is not empty and ends with `end`, of row `number`; returns whether there is one.
+fn next_line(column: &mut Column, line: &mut Vec<u8>, (number, end): (u64, u8), path: &Path) -> Result<bool> {
     loop {
         line.clear();
-        let read = column.take(MOST_LINE).read_until(b'\n', line);
+        let read = column.take(MOST_LINE).read_until(end, line);
         let read = read.map_err(|e| read_error(path, format!("row {number}"), e))?;
         if read as u64 == MOST_LINE {
             return Err(refuse(
@@ -191,6 +197,7 @@ fn next_line(column: &mut Column, line: &mut Vec<u8>, number: u64, path: &Path) 
 struct RowReader {
     column: Column,
     encoding: Encoding,
+    line_end: u8,
     row: Vec<u8>,
     words: Vec<f64>,
     columns: usize,
@@ -209,7 +216,7 @@ impl RowReader {
                 Err(e) => Err(read_error(path, format!("row {number}"), e)),
             };
         }
-        if !next_line(&mut self.column, &mut self.row, number, path)? {
+        if !next_line(&mut self.column, &mut self.row, (number, self.line_end), path)? {
             return Ok(false);
         }
         self.words.clear();
@@ -222,7 +229,7 @@ impl RowReader {
         if self.words.len() != self.columns {
             let (expected, found) = (self.columns, self.words.len());
             // A cut file may end within a row, even within a number.
-            if found < expected && self.row.last() != Some(&b'\n') {
+            if found < expected && self.row.last() != Some(&self.line_end) {
                 return Ok(false);
             }
             return Err(refuse(path, format!("row {number}"), format!("expected {expected} numbers, found {found}")));
@@ -244,8 +251,9 @@ impl RowReader {
     }
 }
 
+/// Returns the property of this name, in upper or lower case.
 fn field(element: &Element, name: &str) -> Option<Field> {
-    let column = element.properties.iter().position(|p| p.name == name)?;
+    let column = element.properties.iter().position(|p| p.name.eq_ignore_ascii_case(name))?;
     let at = element.properties[..column].iter().map(|p| p.number.bytes()).sum();
     Some(Field { at, column, number: element.properties[column].number })
 }
@@ -319,6 +327,10 @@ impl Rows {
 impl Body for Rows {
     fn count(&self) -> u64 {
         self.table.count
+    }
+
+    fn are_singles(&self) -> [bool; 3] {
+        self.mean.map(|field| self.file.encoding != Encoding::Text && field.number == Number::F32)
     }
 
     fn read(&mut self, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {

@@ -1,7 +1,7 @@
 //! The format of a file, by its content and name.
 
 use super::{HEAD_BYTES, SplatFormat};
-use memchr::memmem::find;
+use memchr::memmem::{find, find_iter};
 use slicewalk_base::Result;
 use slicewalk_base::bytes::ByteSource;
 use slicewalk_base::text::behind_mark;
@@ -9,9 +9,10 @@ use std::path::Path;
 
 /// Names of the extensions of glTF for splats begin with these.
 const EXTENSIONS: [&[u8]; 2] = [b"KHR_gaussian_splatting", b"KHR_spz"];
-/// Bytes of a structure of glTF searched at once, and bytes in which two such pieces overlap: longer than these names.
+/// Bytes of a structure of glTF searched at once, and bytes in which two such pieces overlap: longer than such a name and
+/// what follows it up to its colon.
 const PIECE_BYTES: u64 = 1 << 20;
-const OVERLAP_BYTES: usize = 32;
+const OVERLAP_BYTES: usize = 256;
 
 /// Returns the format of the file that `path` names; `None` if it holds no Gaussian splats. The structure of a glTF is
 /// searched whole, because programs that sort its keys write buffers of any length in front of its extensions.
@@ -35,9 +36,14 @@ pub fn format_of(source: &dyn ByteSource, path: &Path) -> Result<Option<SplatFor
     Ok(None)
 }
 
-/// Returns whether bytes of a glTF name an extension for splats.
+/// Returns whether bytes of a glTF have the name of an extension for splats as a key: files may list extensions that they
+/// do not use.
 fn names_splats(bytes: &[u8]) -> bool {
-    EXTENSIONS.iter().any(|name| find(bytes, name).is_some())
+    let is_key = |at: usize| {
+        let mut rest = bytes[at..].iter().take(OVERLAP_BYTES).skip_while(|byte| **byte != b'"').skip(1);
+        rest.find(|byte| !byte.is_ascii_whitespace()) == Some(&b':')
+    };
+    EXTENSIONS.iter().any(|name| find_iter(bytes, *name).any(is_key))
 }
 
 /// Returns the ending of a name, in lower case.

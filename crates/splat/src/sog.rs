@@ -11,7 +11,7 @@ use super::{Body, Work, refuse, too_large};
 use image_webp::{DecodingError, WebPDecoder};
 use serde::Deserialize;
 use slicewalk_base::bytes::{ByteSource, open_named};
-use slicewalk_base::text::{grouped, one_line};
+use slicewalk_base::text::{file_size, grouped, one_line};
 use slicewalk_base::{Error, Result};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -26,6 +26,8 @@ const IMAGES: usize = 5;
 const QUATERNIONS: usize = 2;
 /// Least alpha of a quaternion: the place of its largest component.
 const TAG: u8 = 252;
+/// Most bytes of a `meta.json` in a zip; real ones have some ten thousand.
+const MOST_META: u64 = 4 << 20;
 /// Pixels read at once.
 const ROWS: u64 = 1 << 13;
 
@@ -92,8 +94,8 @@ pub struct Sog {
 }
 
 impl Sog {
-    pub fn open_folder(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
-        Self::of_meta(json(&source, path)?, path, Files::Folder)
+    pub fn open_folder(source: Arc<dyn ByteSource>, path: &Path, memory: u64) -> Result<Self> {
+        Self::of_meta(json(&source, path, memory)?, path, Files::Folder)
     }
 
     pub fn open_zip(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
@@ -109,10 +111,17 @@ impl Sog {
                 format!("expected one meta.json, found {found}; unpack it, and convert its folders or lod-meta.json");
             return Err(refuse(path, "zip", reason));
         }
+        if entry.size > MOST_META {
+            let found = file_size(entry.size);
+            let reason = format!("expected at most 4 MiB, found {found}; fetch or write it again");
+            return Err(refuse(path, "meta.json", reason));
+        }
         let options = super::SplatOptions::default();
         let monitor = &slicewalk_base::NoMonitor;
         let work = Work { path, options: &options, memory: 0, monitor };
-        let meta = json(&zip.read(&entry, path, &work, 1 << 24)?, path)?;
+        // All of it in memory, of which a store uses a third: there is no folder for temporary data here. Parsing it
+        // takes no more than its length allows.
+        let meta = json(&zip.read(&entry, path, &work, 3 * MOST_META)?, path, 8 * MOST_META)?;
         let folder = entry.name.strip_suffix("meta.json").unwrap_or_default().to_owned();
         Self::of_meta(meta, path, Files::Zip(zip, folder))
     }
@@ -334,9 +343,9 @@ pub struct Levels {
 }
 
 impl Levels {
-    pub fn open(source: Arc<dyn ByteSource>, path: &Path) -> Result<Self> {
+    pub fn open(source: Arc<dyn ByteSource>, path: &Path, memory: u64) -> Result<Self> {
         let wrong = |reason: String| refuse(path, "levels", format!("{reason}; fetch or write it again"));
-        let Set { version, counts, environment, filenames: names, tree }: Set = json(&source, path)?;
+        let Set { version, counts, environment, filenames: names, tree }: Set = json(&source, path, memory)?;
         if version.is_some_and(|version| version != 1) {
             return Err(wrong(format!("expected version 1, found {}", version.unwrap_or(0))));
         }
@@ -367,11 +376,11 @@ impl Levels {
         Ok(Self { path: path.to_path_buf(), names, ranges, count, has_environment: environment.is_some() })
     }
 
-    fn open_file(&self, file: usize) -> Result<Sog> {
+    fn open_file(&self, file: usize, memory: u64) -> Result<Sog> {
         let path = beside(&self.path, &self.names[file])?;
         let source: Arc<dyn ByteSource> = open_named(&path)?.into();
         match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
-            true => Sog::open_folder(source, &path),
+            true => Sog::open_folder(source, &path, memory),
             false => Sog::open_zip(source, &path),
         }
     }
@@ -389,7 +398,7 @@ impl Body for Levels {
         }
         for (&file, ranges) in &self.ranges {
             let wanted: u64 = ranges.iter().map(|(start, end)| end - start).sum();
-            let sog = self.open_file(file).and_then(|sog| match ranges.last() {
+            let sog = self.open_file(file, work.memory).and_then(|sog| match ranges.last() {
                 Some(&(_, end)) if end > sog.count => {
                     let [expected, found] = [end, sog.count].map(grouped);
                     let reason = format!("expected at least {expected} splats, found {found}; fetch or write it again");

@@ -34,6 +34,10 @@ impl Body for Splats {
         self.source.len().div_ceil(ROW_BYTES)
     }
 
+    fn are_singles(&self) -> [bool; 3] {
+        [true; 3]
+    }
+
     fn read(&mut self, work: &Work<'_>, gate: &mut Gate<'_>) -> Result<()> {
         let whole = self.source.len() / ROW_BYTES;
         let mut column = Column::rest(&self.source, 0);

@@ -33,7 +33,8 @@ pub struct Entry {
     is_encrypted: bool,
     crc: u32,
     packed: u64,
-    size: u64,
+    /// Unpacked length (bytes).
+    pub size: u64,
     at: u64,
 }
 

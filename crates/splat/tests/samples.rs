@@ -16,7 +16,7 @@ fn folder() -> Option<PathBuf> {
 fn read(path: &Path) -> Result<(SplatFormat, u64, Vec<Splat>, SplatSummary)> {
     let mut reader = SplatReader::open(path, &SplatOptions::default())?;
     let mut all = Vec::new();
-    let summary = reader.for_each_batch(&NoMonitor, 1 << 30, &mut |batch| {
+    let summary = reader.for_each_batch(&NoMonitor, &mut |batch| {
         all.extend_from_slice(batch);
         Ok(())
     })?;

@@ -10,7 +10,7 @@ use super::text::Lines;
 use super::values::Channels;
 use super::{Opened, Opening, SPLATS, shown};
 use crate::diagnostics::without_path;
-use crate::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
+use crate::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property, line_end};
 use crate::text::BYTE_ORDER_MARK;
 use crate::{Error, Result};
 use std::io::Read;
@@ -29,10 +29,7 @@ impl Start {
     fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
         let mark = if start.starts_with(BYTE_ORDER_MARK) { BYTE_ORDER_MARK.len() } else { 0 };
         let (mut reader, mut at, mut number) = (HeaderReader::default(), mark, 0);
-        // Lines end with CR alone if the first one does. A LF behind the last may belong to a binary body.
-        let first = memchr::memchr2(b'\n', b'\r', start);
-        let is_return = first.is_some_and(|at| start[at] == b'\r' && start.get(at + 1) != Some(&b'\n'));
-        let line_end = if is_return { b'\r' } else { b'\n' };
+        let line_end = line_end(start);
         loop {
             number += 1;
             let Some(len) = memchr::memchr(line_end, &start[at..]) else {

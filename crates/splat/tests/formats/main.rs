@@ -72,7 +72,7 @@ fn read(bytes: &[u8], name: &str, allow_incomplete: bool) -> Result<(u64, Vec<Sp
 
 fn collect(reader: &mut SplatReader) -> Result<(u64, Vec<Splat>, SplatSummary)> {
     let mut all = Vec::new();
-    let summary = reader.for_each_batch(&NoMonitor, 1 << 28, &mut |batch| {
+    let summary = reader.for_each_batch(&NoMonitor, &mut |batch| {
         all.extend_from_slice(batch);
         Ok(())
     })?;
@@ -124,19 +124,21 @@ fn a_second_pass_reads_the_same() {
 #[test]
 fn little_memory_gives_the_same_splats() {
     let splats = write::random_splats(450_000, 11);
+    let somewhere = SplatOptions::default();
     let nowhere = SplatOptions { temp_dir: "no/such/folder".into(), ..SplatOptions::default() };
     let files = [("a.spz", write::spz(&splats, 3, 1, true)), ("a.sog", write::zip(&write::sog(&splats, 2), true))];
     for (name, bytes) in files {
-        let pass = |memory: u64, options: &SplatOptions| {
-            let mut reader = SplatReader::of_source(Arc::new(MemorySource::new(&bytes[..])), name, options)?;
+        let pass = |memory_bytes: u64, options: &SplatOptions| {
+            let options = SplatOptions { memory_bytes, ..options.clone() };
+            let mut reader = SplatReader::of_source(Arc::new(MemorySource::new(&bytes[..])), name, &options)?;
             let mut all = Vec::with_capacity(splats.len());
-            reader.for_each_batch(&NoMonitor, memory, &mut |batch| {
+            reader.for_each_batch(&NoMonitor, &mut |batch| {
                 all.extend_from_slice(batch);
                 Ok(())
             })?;
             Ok::<_, Error>(all)
         };
-        let [large, small] = [1 << 30, 1].map(|memory| pass(memory, &SplatOptions::default()).unwrap());
+        let [large, small] = [1 << 30, 1].map(|memory| pass(memory, &somewhere).unwrap());
         assert!(large == small && large.len() == splats.len(), "{name}");
         assert!(pass(1 << 30, &nowhere).unwrap() == large, "{name}");
         let error = pass(1, &nowhere).unwrap_err().to_string();
@@ -236,6 +238,11 @@ fn unusable_splats_are_counted_or_refused() {
     let (stated, found, summary) = read(&bytes, "a.splat", true).unwrap();
     let counts = [summary.not_finite, summary.negative, summary.no_rotation, summary.missing, summary.splats];
     assert_eq!((stated, found.len(), counts), (6, 1, [2, 1, 1, 1, 1]));
+    // Also one without a colour.
+    let mut ply = write::ply(&good, Kind::Little, "float", 0);
+    let colours = ply.len() - good.len() * 17 * 4 + 6 * 4;
+    ply[colours..colours + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    assert_eq!(read(&ply, "a.ply", true).unwrap().2.not_finite, 1);
     let mut glb = write::gltf(&good);
     let opacities = glb.len() - good.len() * 16;
     glb[opacities..opacities + 4].copy_from_slice(&1.5f32.to_le_bytes());
@@ -344,6 +351,7 @@ fn ambiguous_files_are_refused() {
         ("b.sog", twice("meta.json"), "expected one meta.json, found 2"),
         ("c.sog", write::zip(&folders, false), "expected one meta.json, found 2; unpack it"),
         ("d.ply", text.replace("f_rest_3", "opacity").into(), "has the property \"opacity\" more than once"),
+        ("i.ply", text.replace("f_rest_3", "Opacity").into(), "has the property \"opacity\" more than once"),
         ("f.glb", edited("\"mesh\":0,", instances), "node 0: EXT_mesh_gpu_instancing of splats is not read"),
         ("g.glb", has_more, "mesh 0: it has triangles, lines or points that are not splats"),
         ("h.glb", required("ABC_moves"), "it needs \"ABC_moves\", which is not read"),
@@ -454,12 +462,17 @@ fn splats_of_a_gltf_are_found_behind_buffers_in_its_text() {
     assert!(read(&long, "late.glb", false).unwrap().1 == expected);
     let format = |bytes: &[u8]| format_of(&MemorySource::new(bytes), Path::new("late.gltf")).unwrap();
     assert_eq!(format(text.replace("KHR_gaussian_splatting", "KHR_other").as_bytes()), None);
+    // A file may list the extension, or have its name elsewhere, and hold triangles.
+    let name = "KHR_gaussian_splatting";
+    let listed = format!("{{\"extensionsUsed\":[\"{name}\"],\"meshes\":[{{\"name\":\"{name}:\"}}]");
+    assert_eq!(format(listed.as_bytes()), None);
+    assert_eq!(format(format!("{listed},\"a\":{{\"{name}\" : 1").as_bytes()), Some(SplatFormat::Gltf));
     // Across the ends of the pieces that are searched.
     for end in [HEAD_BYTES, HEAD_BYTES + (1 << 20)] {
-        for before in [0, 1, 21, 22, 40] {
+        for before in [0, 1, 21, 22, 24, 25, 40] {
             let mut bytes = vec![b' '; end - before];
             bytes[0] = b'{';
-            bytes.extend(b"KHR_gaussian_splatting");
+            bytes.extend(b"KHR_gaussian_splatting\" :");
             assert_eq!(format(&bytes), Some(SplatFormat::Gltf), "{before} bytes before {end}");
         }
     }

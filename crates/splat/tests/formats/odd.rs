@@ -48,7 +48,14 @@ fn odd_plys_are_refused() {
     let many = |line: &str, count: usize| with(&text, "end_header", &(line.repeat(count) + "end_header"));
     // Lines that say nothing.
     let blank = with(&text, "comment a test\n", "obj_info a test\n\ncomment\n");
-    assert!(read(&blank, "a.ply", false).unwrap().1 == read(&text, "a.ply", false).unwrap().1);
+    // Coordinates in capitals, and lines that end with CR, or CR and LF.
+    let upper = with(&with(&text, "float x\n", "float X\n"), "float z\n", "float Z\n");
+    let returns = text.iter().map(|byte| if *byte == b'\n' { b'\r' } else { *byte }).collect();
+    let both = String::from_utf8(text.clone()).unwrap().replace('\n', "\r\n").into_bytes();
+    let expected = read(&text, "a.ply", false).unwrap().1;
+    for (number, bytes) in [blank, upper, returns, both].into_iter().enumerate() {
+        assert!(read(&bytes, "a.ply", false).unwrap().1 == expected, "{number}");
+    }
     refuse(
         ".ply",
         [
@@ -263,6 +270,12 @@ fn odd_ksplats_are_refused() {
         let two = [&two[..5120], &[0; 1024], &two[5120..]].concat();
         assert!(read(&two, "a.ksplat", false).unwrap().1 == read(bytes, "a.ksplat", false).unwrap().1);
     }
+    // Damage of a section loses no splat of the next.
+    let head = put(&put(&packed[..5120], 4, &[word(2), word(2)].concat()), 16, &word(22));
+    let broken = put(&packed, 5120, &word(2));
+    let two = [&head[..], &packed[4096..5120], &broken[5120..], &packed[5120..]].concat();
+    let (_, found, summary) = read(&two, "a.ksplat", true).unwrap();
+    assert_eq!((found.len(), summary.splats, summary.missing), (21, 21, 1));
 }
 
 /// Notes all warnings.
@@ -300,10 +313,15 @@ fn odd_sogs_are_refused() {
             (meta("\"count\":40,", ""), "expected a count, found none"),
             (meta("{", "["), "JSON: "),
             (meta("\"codebook\":[", "\"codebook\":[],\"a\":["), "expected a codebook of scales, found none"),
+            (meta("\"sh0\":{\"codebook\":[", "\"sh0\":{\"codebook\":[0],\"a\":["), "a number that is not finite"),
             (meta("\"mins\":[", "\"mins\":[],\"a\":["), "expected 3 mins and maxs of means, found fewer"),
             (meta("\"mins\":[", "\"mins\":[1000,0,0],\"a\":["), "found numbers beyond 100"),
             (meta("\"s.webp\"", ""), "expected the names of all images, found fewer"),
             (meta("s.webp", "x.webp"), "zip: expected x.webp, found no such entry"),
+            (
+                write::zip(&of(&files, "meta.json", vec![b' '; (4 << 20) + 1]), true),
+                "meta.json: expected at most 4 MiB, found 4.19 MB",
+            ),
             (meta_1("\"scales\":{\"mins\":[", "\"scales\":{\"mins\":[],\"a\":["), "mins and maxs of scales"),
             (meta_1("\"sh0\":{\"mins\":[", "\"sh0\":{\"mins\":[],\"a\":["), "expected 4 mins and maxs of sh0"),
             (image(b"RIFF".to_vec()), "q.webp: "),
@@ -334,9 +352,9 @@ fn images_of_sog_beyond_the_memory_are_refused() {
     files[0].1 = meta.replace("\"count\":9", &format!("\"count\":{}", side * side)).into_bytes();
     files[1].1 = write::webp(&vec![[0; 4]; side * side]);
     let zip = write::zip(&files, true);
-    let options = SplatOptions::default();
+    let options = SplatOptions { memory_bytes: 1, ..SplatOptions::default() };
     let mut reader = SplatReader::of_source(Arc::new(MemorySource::new(zip)), "big.sog", &options).unwrap();
-    let error = reader.for_each_batch(&slicewalk_base::NoMonitor, 1, &mut |_| Ok(())).unwrap_err();
+    let error = reader.for_each_batch(&slicewalk_base::NoMonitor, &mut |_| Ok(())).unwrap_err();
     assert!(matches!(error, Error::Limit { .. }) && error.to_string().contains("the image l.webp"), "{error}");
 }
 
@@ -358,7 +376,7 @@ fn odd_levels_of_sog_are_refused() {
         let notes = Notes::default();
         let mut reader = SplatReader::open(path, &options)?;
         let mut found = 0;
-        let summary = reader.for_each_batch(&notes, 1 << 28, &mut |batch| {
+        let summary = reader.for_each_batch(&notes, &mut |batch| {
             found += batch.len();
             Ok(())
         })?;
@@ -437,7 +455,7 @@ fn odd_zips_are_refused() {
             (put(&zip, meta + 42, &[9]), "expected its header where the directory says"),
             (put(&zip, meta + 20, &[0, 0, 0, 0x7F]), "it ends behind the end of the zip"),
             (put(&zip, meta + 24, &[1, 0, 0, 0]), "found more"),
-            (put(&zip, meta + 24, &[0, 0, 0, 1]), "expected 16.8 MB, found"),
+            (put(&zip, meta + 24, &[0, 0, 1, 0]), "expected 65.5 kB, found"),
             (put(&zip, meta + 16, &[1, 2, 3, 4]), "its checksum does not match"),
             (long(&|record, _| record[0] = b'Q'), broken),
             (long(&|_, locator| locator[0] = b'Q'), broken),
@@ -514,7 +532,7 @@ fn odd_gltfs_are_refused() {
             (change("\"mode\":0", "\"mode\":4"), "mesh 0: expected splats as points (mode 0), found mode 4"),
             (
                 change("\"extensions\":{\"KHR_gaussian_splatting\"", "\"extensions\":{\"other\""),
-                "expected Gaussian splats, found none; convert it as a mesh",
+                "expected primitives with the extension KHR_gaussian_splatting, found none; export it again",
             ),
             (change("\"POSITION\":0,", ""), "expected positions, rotations and sizes of splats, found fewer"),
             (change("\"POSITION\":0,", "\"POSITION\":9,"), "accessor 9: there is no such accessor"),
@@ -571,12 +589,17 @@ fn odd_gltfs_are_refused() {
             (of_spz("\"count\":20", "\"count\":21"), "mesh 0: expected 21 splats in SPZ, found 20"),
         ],
     );
+    // A node takes more memory than text.
+    let many = change("\"nodes\":[", &("\"nodes\":[".to_owned() + &"{},".repeat(1 << 20)));
+    let options = SplatOptions { memory_bytes: 1, ..SplatOptions::default() };
+    let error = SplatReader::of_source(Arc::new(MemorySource::new(many)), "a.glb", &options).map(drop).unwrap_err();
+    assert!(error.to_string().contains("JSON: its structure takes") && is_one_line(&error), "{error}");
     let head = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
     let text = glb[20..20 + head].to_vec();
     refuse(
         ".gltf",
         [
-            (b"{\"KHR_spz\"".to_vec(), "expected glTF, found fewer than 12 bytes"),
+            (b"{\"KHR_spz\":".to_vec(), "expected glTF, found fewer than 12 bytes"),
             (text.clone(), "buffer 0: it should lie in this file, which has no binary part"),
         ],
     );
@@ -607,7 +630,7 @@ fn splats_that_the_scene_does_not_show_are_left_out_with_a_warning() {
     let source = Arc::new(MemorySource::new(twice));
     let mut reader = SplatReader::of_source(source, "two.glb", &SplatOptions::default()).unwrap();
     let mut found = Vec::new();
-    let summary = reader.for_each_batch(&notes, 1 << 28, &mut |batch| {
+    let summary = reader.for_each_batch(&notes, &mut |batch| {
         found.extend_from_slice(batch);
         Ok(())
     });

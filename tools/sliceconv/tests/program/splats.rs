@@ -139,6 +139,38 @@ fn cut_files_count_what_is_missing() {
     assert_eq!((counts, &facts["complete"]), ([Some(97), Some(3), Some(0)], &false.into()));
 }
 
+#[test]
+fn a_file_that_cannot_be_opened_is_left_out_if_incomplete_input_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("a.ply"), &scene(20));
+    fs::write(folder.path().join("b.ksplat"), [0; 10]).unwrap();
+    let fixed = ["b.ksplat", "-o", "out.slices", "--pixel", "0.1", "--units", "m"];
+    let said = refuses(folder.path(), &[&fixed[..], &["a.ply"]].concat(), 1);
+    assert!(said.contains("b.ksplat: header"), "{said}");
+    refuses(folder.path(), &[&fixed[..], &["--allow-incomplete"]].concat(), 1);
+    let out = scans::sliceconv(folder.path(), &[&fixed[..], &["a.ply", "--json", "--allow-incomplete"]].concat());
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(said.contains("incomplete: left out: b.ksplat: header"), "{said}");
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!((&facts["splats_read"], &facts["complete"]), (&20.into(), &false.into()));
+}
+
+/// An empty archive would silently replace a good one.
+#[test]
+fn splats_of_which_none_is_usable_replace_no_archive() {
+    let folder = tempfile::tempdir().unwrap();
+    let nowhere = ([f64::NAN, 0.0, 0.0], [0.1; 3], [1.0, 0.0, 0.0, 0.0], 0.9);
+    write(&folder.path().join("a.ply"), &balls(&[0.9]));
+    write(&folder.path().join("b.ply"), &[nowhere; 2]);
+    let before = archive(folder.path(), "a.ply", &[]);
+    let fixed = ["b.ply", "-o", "out.slices", "--force", "--pixel", "0.1", "--units", "m", "--allow-incomplete"];
+    let said = refuses(folder.path(), &fixed, 1);
+    assert!(said.contains("b.ply: splats: none of 2 can be used; fetch or write it again"), "{said}");
+    assert!(fs::read(folder.path().join("out.slices")).unwrap() == before);
+    // Beside usable ones they are only left out.
+    converts(folder.path(), &[&fixed[..], &["a.ply"]].concat());
+}
+
 /// Balls of the same solid part, of these opacities, each far from the others.
 fn balls(opacities: &[f64]) -> Vec<Splat> {
     let ball = |(number, &opacity): (usize, &f64)| {
@@ -276,6 +308,23 @@ fn a_folder_of_splats_counts_by_the_file_that_describes_it() {
         assert!(line.contains("meta.json"), "{line}");
     }
     assert!(!folder.path().join("x.slices").exists());
+}
+
+#[test]
+fn floats_that_are_coarse_for_the_pixels_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let ball = |x: f64| ([x, 0.0, 0.0], [0.1; 3], [1.0, 0.0, 0.0, 0.0], 0.9);
+    let said = |x: f64, pixel: &str| {
+        write(&folder.path().join("a.ply"), &[ball(x), ball(x + 1.0)]);
+        let fixed = ["a.ply", "-o", "out.slices", "--force", "--units", "m", "--pixel", pixel];
+        converts(folder.path(), &fixed)
+    };
+    let far = said(5_711_234.0, "0.1");
+    assert!(far.contains("a.ply: coordinates are floats of 32 bits, which are 0.5 m apart at 5,711,235"), "{far}");
+    for (x, pixel) in [(5_711_234.0, "4"), (1000.0, "0.1")] {
+        let near = said(x, pixel);
+        assert!(!near.contains("floats of 32 bits"), "{near}");
+    }
 }
 
 #[test]
