@@ -3,7 +3,7 @@
 //! A row with more or fewer values than the header states is refused: its coordinates could be other values. If every
 //! point starts on a line of its own but takes several lines, the lines are joined; one thread reads such a file.
 
-use super::text::{Lines, short};
+use super::text::{Fault, Lines, Step, short};
 use super::values::{Channels, SAMPLE_PLACES, SAMPLE_POINTS, Sample, bytes_of};
 use super::{Cloud, Depth, Opening, Piece, Source, Taker, shown};
 use crate::colour::ColourSource;
@@ -165,7 +165,7 @@ impl Form {
         Some(match (source, self.rgb) {
             (ColourSource::Intensity, _) => [scale.of(self.intensity.map(|_| *red)?), 0, 0],
             (ColourSource::Rgb, Some(RgbPlaces::Each(_))) => [red, green, blue].map(|v| scale.of(*v)),
-            (ColourSource::Rgb, Some(RgbPlaces::Whole(_))) => bytes_of(*red as u32),
+            (ColourSource::Rgb, Some(RgbPlaces::Whole(_))) => bytes_of(*red as i64 as u32),
             (ColourSource::Rgb, Some(RgbPlaces::Float(_))) => bytes_of((*red as f32).to_bits()),
             _ => return None,
         })
@@ -318,13 +318,19 @@ impl Body {
         };
         let mut fold = Fold::default();
         while lines.position() < piece.end {
-            let Some((at, line)) = lines.next_row()? else { break };
+            let Some(step) = lines.step()? else { break };
+            let (at, line) = match step {
+                Step::Row(at, line) => (at, Some(lines.at(line))),
+                Step::TooLong(at) => (at, None),
+                Step::Pause => continue,
+            };
             if at >= piece.end {
                 break;
             }
-            let row = match self.folded {
-                false => self.form.parse(line, &roles),
-                true => match fold.add(line, &self.form) {
+            let row = match line.ok_or_else(|| Fault::too_long().reason) {
+                Ok(line) if !self.folded => self.form.parse(line, &roles),
+                Err(reason) if !self.folded => Err(reason),
+                line => match line.and_then(|line| fold.add(line, &self.form)) {
                     Ok(true) => self.form.parse(&fold.row, &roles),
                     Ok(false) => continue,
                     Err(reason) => return Err(lines.error(reason)),

@@ -19,14 +19,14 @@ mod text;
 mod values;
 
 use super::crs::Georeference;
-use super::diagnostics::{Findings, without_path};
+use super::diagnostics::{Findings, incomplete, without_path};
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts, TextLayout};
 use crate::colour::ColourSource;
 use crate::placement::Similarity;
 use crate::plan::{ClassSet, Up};
 use crate::text::shown;
-use crate::{Error, Monitor, Parameter, Result};
+use crate::{Error, Monitor, Result};
 use std::fmt::Debug;
 use std::path::Path;
 
@@ -181,6 +181,9 @@ pub(super) fn splat_named(path: &Path) -> Option<&'static str> {
 const SPLATS: &str = "Gaussian splats are no point cloud: their centres lie beside the surfaces; convert the scan that \
                       they were made from, or their voxels or mesh";
 
+/// Error for packed files of other formats than text.
+pub(super) const PACKED: &str = "only text is read compressed (XYZ, CSV, PTS, PTX); unpack this file first";
+
 /// Opens the file as a cloud of the given format.
 pub(super) fn open(format: Format, mut opening: Opening<'_, '_>) -> Result<Opened> {
     if opening.bytes == 0 {
@@ -189,7 +192,7 @@ pub(super) fn open(format: Format, mut opening: Opening<'_, '_>) -> Result<Opene
     let is_text = matches!(format, Format::Pts | Format::Ptx | Format::Rows);
     let path = opening.source.path();
     if !is_text && path != unpacked_name(path) {
-        return Err(opening.error("name", "only text is read compressed (XYZ, CSV, PTS, PTX); unpack this file first"));
+        return Err(opening.error("name", PACKED));
     }
     match format {
         Format::E57 => e57::open(&mut opening),
@@ -351,7 +354,10 @@ impl<'a> Taker<'a> {
     #[cold]
     pub fn leave_out(&mut self, records: u64, error: Error) -> Result<()> {
         if !self.allow_incomplete {
-            return Err(error.with_suggestion(Parameter::Incomplete));
+            return Err(match error {
+                Error::Input { path, at, reason, .. } => incomplete(&path, &at, reason),
+                error => error,
+            });
         }
         self.counts.missing += records;
         self.reason.get_or_insert_with(|| without_path(error));

@@ -354,6 +354,37 @@ fn values_of_an_e57_without_limits_are_read_by_their_range() {
     }
 }
 
+#[test]
+fn the_range_of_e57_colours_shows_in_the_whole_cloud() {
+    let number = |name: &str| format!("<{name} type=\"Float\" precision=\"single\"/>");
+    let columns = [AXES.to_owned(), number("colorRed"), number("colorGreen"), number("colorBlue")].concat();
+    let packets: Vec<Vec<u8>> = (0..5)
+        .map(|part| {
+            let colour = singles((0..1000).map(|n| if 1000 * part + n < 4096 { 0.0 } else { 200.0 }));
+            packed_points(1000, &[&colour, &colour, &colour])
+        })
+        .collect();
+    let found = coloured("a.e57", &e57(&packets, &[cloud(5000, &columns)]), ColourSource::Rgb).unwrap();
+    assert_eq!((found.values[0], found.values[4999]), (Some([0; 3]), Some([200; 3])));
+    // Invalid colours do not show it.
+    let columns = format!("{columns}<isColorInvalid type=\"Integer\" minimum=\"0\" maximum=\"255\"/>");
+    let colour = singles([900.0, 0.5]);
+    let packets = [packed_points(2, &[&colour, &colour, &colour, &[1, 0]])];
+    let found = coloured("a.e57", &e57(&packets, &[cloud(2, &columns)]), ColourSource::Rgb).unwrap();
+    assert_eq!(found.values, [None, Some([32_768; 3])]);
+}
+
+#[test]
+fn columns_of_an_e57_are_unique_and_no_scale_of_a_coordinate_is_0() {
+    let axis =
+        |axis: &str| format!("<cartesian{axis} type=\"ScaledInteger\" minimum=\"0\" maximum=\"255\" scale=\"0\"/>");
+    let flat = e57(&[packet(&[&[1, 2], &[1, 2], &[1, 2]])], &[cloud(2, &["X", "Y", "Z"].map(axis).concat())]);
+    is_refused("a.e57", &flat, "the scale of cartesianX is 0");
+    let twice = format!("{AXES}<cartesianX type=\"Float\" precision=\"single\"/>");
+    let twice = e57(&[packed_points(2, &[&singles([1.0; 2])])], &[cloud(2, &twice)]);
+    is_refused("a.e57", &twice, "the column cartesianX more than once");
+}
+
 /// Name, type and bytes of a PCD's field of one number.
 type PcdField<'a> = (&'a str, char, usize);
 
@@ -410,6 +441,15 @@ fn coordinates_of_a_pcd_may_be_of_any_type() {
             let found = read("a.pcd", &pcd(&fields, &rows, data)).unwrap();
             assert_eq!(found.points, [[first, 2.0, 3.0], [4.0, first, 6.0]], "{kind} {size} {data}");
         }
+    }
+}
+
+#[test]
+fn packed_colours_of_a_pcd_may_be_negative() {
+    let fields = [("x", 'F', 4), ("y", 'F', 4), ("z", 'F', 4), ("rgb", 'I', 4)];
+    for data in ["ascii", "binary", "binary_compressed"] {
+        let file = pcd(&fields, &[vec![1.0, 2.0, 3.0, f64::from(0xFF7F_7F7F_u32 as i32)]], data);
+        assert_eq!(coloured("a.pcd", &file, ColourSource::Rgb).unwrap().values, [Some([127; 3])], "{data}");
     }
 }
 
@@ -600,8 +640,23 @@ fn rows_that_cannot_be_read_are_left_out_and_no_sample() {
         InputOptions { colour: Some(ColourSource::Intensity), allow_incomplete: true, ..InputOptions::default() };
     let found = read_with("a.csv", text.as_bytes(), options).unwrap();
     assert_eq!(found.values, [Some([32_768, 0, 0]), Some([65_535, 0, 0])]);
-    let said = read("a.ply.gz", &gzip(b"ply\n")).unwrap_err().to_string();
-    assert!(said.contains("only text is read compressed"), "{said}");
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let long = " ".repeat(70_000);
+    for (rows, words) in [
+        (format!("1 2 3\n4 5 6{long}\n7 8 9\n"), "line 9: a line of more than 65536 bytes"),
+        (format!("1 2 3{long}\n4 5 6\n7 8 9\n"), "line 8: a line of more than 65536 bytes"),
+        ("1 2 3\n4 five 6\n7 8 9\n".to_owned(), "line 9: value 2: expected a number, found \"five\""),
+    ] {
+        let text = format!("{header}{rows}");
+        is_incomplete("a.ply", text.as_bytes(), words, 2, 1);
+        let said = read("a.ply", text.as_bytes()).unwrap_err().to_string();
+        assert!(said.contains("; fetch or write it again"), "{said}");
+    }
+    for name in ["a.ply.gz", "a.las.gz", "a.laz.zst"] {
+        let said = read(name, &gzip(b"ply\n")).unwrap_err().to_string();
+        assert!(said.contains("only text is read compressed"), "{name}: {said}");
+    }
 }
 
 #[test]
@@ -709,6 +764,59 @@ fn the_first_row_of_a_ptx_may_have_no_return_and_another_width() {
     // Rows with a return must all have the same width.
     let mixed = ptx(3, "0 0 0", ["0", "0 0 0"], "0 0 0 0.5\n1 2 3 0.5 10 20 30\n4 5 6 0.5\n");
     is_incomplete("a.ptx", mixed.as_bytes(), "expected 7 columns, found 4", 1, 1);
+    // However many rows have no return before these, and if the first of them is cut.
+    let sky = "0 0 0 0.5\n".repeat(300);
+    let cut = ptx(302, "0 0 0", ["0", "0 0 0"], &format!("{sky}1 2 3 0.5 10 20 30\n4 5 0.5 10 20 30\n"));
+    is_incomplete("a.ptx", cut.as_bytes(), "expected 7 columns, found 6", 1, 1);
+    let cut = ptx(3, "0 0 0", ["0", "0 0 0"], "1 2 0.5\n4 5 6 0.5\n7 8 9 0.5\n");
+    is_incomplete("a.ptx", cut.as_bytes(), "expected 4 columns, found 3", 2, 1);
+    // A single word begins the next cloud only if it is a whole number.
+    let cut = ptx(3, "0 0 0", ["0", "0 0 0"], "1 2 3 0.5\n4.5\n7 8 9 0.5\n");
+    is_incomplete("a.ptx", cut.as_bytes(), "expected 4 columns, found 1", 2, 1);
+}
+
+#[test]
+fn clouds_of_a_ptx_without_returns_do_not_show_decimal_commas() {
+    let cloud = |rows: &str| ptx(1, "0 0 0", ["0", "0 0 0"], rows);
+    let text = [cloud("0 0 0 0\n"), cloud("1,5 2,5 3,5 0,5\n")].concat();
+    let found = read("a.ptx", text.as_bytes()).unwrap();
+    assert_eq!((&found.points[..], found.counts.withheld), (&[[1.5, 2.5, 3.5]][..], 1));
+}
+
+#[test]
+fn a_cut_first_row_of_a_pts_does_not_take_the_others_with_it() {
+    let text = b"4\n1 2 3 5\n4 5 6 5 1 2 3\n7 8 9 5 1 2 3\n1 1 1 5 1 2 3\n";
+    is_incomplete("a.pts", text, "line 3: expected 4 columns, found 7", 3, 1);
+    // One row of another width does not end a cloud that differs from the first one.
+    let text = b"2\n1 2 3 5 1 2 3\n4 5 6 5 1 2 3\n4\n1 2 3 5\n4 5 6 5\n4 5 6 5 1 2 3\n7 8 9 5\n";
+    is_incomplete("a.pts", text, "line 7: expected 4 columns, found 7", 5, 1);
+}
+
+#[test]
+fn clouds_of_a_pts_have_their_own_colours() {
+    let rgb = Some([10, 20, 300]);
+    for (text, values) in [
+        (&b"1\n1 2 3 5\n1\n7 8 9 5 10 20 300\n"[..], [None, rgb]),
+        (b"1\n1 2 3 5 10 20 300\n1\n7 8 9 5\n", [rgb, None]),
+    ] {
+        let found = coloured("a.pts", text, ColourSource::Rgb).unwrap();
+        assert_eq!((found.points, &found.values[..]), (vec![[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]], &values[..]));
+        let found = coloured("a.pts", text, ColourSource::Intensity).unwrap();
+        assert_eq!(found.values, [Some([5, 0, 0]); 2]);
+    }
+}
+
+#[test]
+fn e57_and_ptx_are_in_metres_whatever_system_is_given() {
+    let text = ptx(2, "0 0 0", ["0", "0 0 0"], "1 2 3 0.5\n4 5 6 0.5\n");
+    // Two systems with heights in feet, and one with all axes in feet.
+    for code in [8700, 6360, 2277] {
+        let options = InputOptions { epsg: Some(code), ..InputOptions::default() };
+        let found = read_with("a.ptx", text.as_bytes(), options).unwrap();
+        assert_eq!(found.points, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "{code}");
+        let found = read_with("a.e57", &e57(&[packed_points(2, &[])], &[cloud(2, AXES)]), options).unwrap();
+        assert_eq!(found.points, line_of_points(2), "{code}");
+    }
 }
 
 /// Opens a file and makes all checks that need its points, none of which are decoded here.

@@ -16,7 +16,7 @@ mod bits;
 mod description;
 mod pages;
 
-use super::values::{SAMPLE_POINTS, Sample, Scale};
+use super::values::{SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale};
 use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker, loss_unless_absent};
 use crate::colour::ColourSource;
 use crate::crs::Georeference;
@@ -302,6 +302,18 @@ impl Scan {
             limits: [cloud.limits(3, columns[0])],
             invalid,
         });
+        for (place, &Needed { number, kind, bits }) in scan.needed.iter().enumerate() {
+            let column = &columns[number].name;
+            if columns.iter().filter(|other| other.name == *column).count() > 1 {
+                let reason = format!("it has the column {column} more than once; write it once");
+                return Err(opening.error(scan.name.clone(), reason));
+            }
+            let is_flat = matches!(kind, Kind::Integer { scale, .. } if scale == 0.0);
+            if is_flat && bits > 0 && place < scan.of_place {
+                let reason = format!("the scale of {column} is 0; expected another number; write the file again");
+                return Err(opening.error(scan.name.clone(), reason));
+            }
+        }
         let per_point: u64 = columns.iter().map(|column| u64::from(column.kind.bits())).sum();
         scan.index(at, records, per_point, pages, opening)?;
         Ok(scan)
@@ -512,7 +524,8 @@ impl Scan {
         };
         if let Some(held) = columns.iter().filter_map(surplus).min() {
             let text = format!("{}: it states {records} points, its packets hold {held} whole ones", self.name);
-            return opening.findings.lose(text);
+            let more = u64::try_from(held - u128::from(records)).unwrap_or(u64::MAX);
+            return opening.findings.lose_points(more, text);
         }
         if packet != end {
             let (end, found) = (physical(end), physical(packet));
@@ -580,25 +593,31 @@ impl Scan {
 
     /// Samples points to find the range of colours or intensities without limits.
     fn look(&mut self, of: ColourSource, source: &Source) -> Result<()> {
-        let open = match of {
-            ColourSource::Rgb => self.rgb.iter().flat_map(Values::open).collect::<Vec<_>>(),
-            ColourSource::Intensity => self.intensity.iter().flat_map(Values::open).collect(),
-            ColourSource::Class => Vec::new(),
+        let values = match of {
+            ColourSource::Rgb => self.rgb.map(|values| (values.open(), values.invalid)),
+            ColourSource::Intensity => self.intensity.map(|values| (values.open(), values.invalid)),
+            ColourSource::Class => None,
         };
-        if open.is_empty() {
-            return Ok(());
-        }
-        let end = self.records.min(16 * SAMPLE_POINTS as u64);
-        let piece = Piece { points: end, part: 0, first: 0, end };
+        let Some((open, invalid)) = values.filter(|(open, _)| !open.is_empty()) else { return Ok(()) };
+        let wanted: Vec<usize> = open.iter().copied().chain(invalid).collect();
         let mut pages = Pages::new(source, source.stamp().len());
         let mut sample = Sample::NOTHING;
-        // Damage is reported when the points are read in full.
-        let columns = match self.gather(&piece, &open, &mut pages, source) {
-            Err(Error::Input { .. }) => Vec::new(),
-            columns => columns?,
-        };
-        for column in columns.iter().skip(self.of_place) {
-            (0..end as usize).for_each(|number| sample.add(column.value(number)));
+        let places = SAMPLE_PLACES.min(self.records.div_ceil(SAMPLE_POINTS as u64));
+        for place in 0..places {
+            let first = (u128::from(self.records) * u128::from(place) / u128::from(places)) as u64;
+            let end = self.records.min(first + SAMPLE_POINTS as u64);
+            let piece = Piece { points: end - first, part: 0, first, end };
+            // Damage is reported when the points are read in full.
+            let columns = match self.gather(&piece, &wanted, &mut pages, source) {
+                Err(Error::Input { .. }) => continue,
+                columns => columns?,
+            };
+            let values = columns.get(self.of_place..).and_then(|values| values.split_at_checked(open.len()));
+            let (numbers, invalid) = values.unwrap_or_default();
+            let is_valid = |number: &usize| invalid.iter().all(|invalid| invalid.value(*number) == 0.0);
+            for number in (0..(end - first) as usize).filter(is_valid) {
+                numbers.iter().for_each(|column| sample.add(column.value(number)));
+            }
         }
         if of == ColourSource::Rgb {
             let limits = Limits::of((0.0, sample.white())).unwrap_or(Limits::Unstated);

@@ -44,8 +44,8 @@ pub(super) enum Custom {
 impl Custom {
     pub fn places(self, cells: usize) -> Places {
         let (intensity, rgb) = match (self, cells) {
-            (Self::Ptx, _) | (Self::Pts, 7..) => (Some(3), Some([4, 5, 6])),
-            (Self::Pts, 4) => (Some(3), None),
+            // Where one cloud of a PTS has intensities alone, another may have colours behind them.
+            (Self::Ptx, _) | (Self::Pts, 4 | 7..) => (Some(3), Some([4, 5, 6])),
             (Self::Pts, 6) | (Self::XyzRgb, _) => (None, Some([3, 4, 5])),
             _ => (None, None),
         };
@@ -190,7 +190,7 @@ fn numbers(cells: &[&[u8]], separator: Separator) -> usize {
 }
 
 /// Returns the most frequent value, the first of several.
-fn most_frequent(values: impl Iterator<Item = usize> + Clone) -> usize {
+pub(super) fn most_frequent(values: impl Iterator<Item = usize> + Clone) -> usize {
     let count = |value: usize| values.clone().filter(|other| *other == value).count();
     let counts: Vec<(usize, usize)> = values.clone().map(|value| (count(value), value)).collect();
     counts.iter().rev().max_by_key(|(count, _)| *count).map_or(0, |(_, value)| *value)

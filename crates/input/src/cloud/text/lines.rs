@@ -6,10 +6,12 @@
 
 use super::super::shown;
 use super::layout::Fault;
+use super::whole_word;
 use crate::source::{Source, Window};
 use crate::unzstd::unzstd;
 use crate::{Error, Monitor, Result};
-use std::io::{self, Read};
+use flate2::bufread::GzDecoder;
+use std::io::{self, BufRead, BufReader, Read};
 use std::ops::Range;
 use std::path::Path;
 
@@ -54,6 +56,36 @@ impl Packing {
 pub fn unpacked_name(path: &Path) -> &Path {
     let is_packed = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gz") || e.eq_ignore_ascii_case("zst"));
     path.file_stem().filter(|_| is_packed).map_or(path, Path::new)
+}
+
+/// Members of a gzip file, one after the other; `None` behind the last. Zeros behind one are padding, as in the program
+/// gzip.
+struct Members<'a>(Option<GzDecoder<BufReader<Window<'a>>>>);
+
+impl Read for Members<'_> {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        while let Some(member) = &mut self.0 {
+            let read = member.read(buf)?;
+            if read > 0 || buf.is_empty() {
+                return Ok(read);
+            }
+            let has_more = pass_zeros(member.get_mut())?;
+            self.0 = self.0.take().filter(|_| has_more).map(|member| GzDecoder::new(member.into_inner()));
+        }
+        Ok(0)
+    }
+}
+
+/// Skips zeros; returns whether other bytes follow.
+fn pass_zeros(packed: &mut impl BufRead) -> io::Result<bool> {
+    loop {
+        let held = packed.fill_buf()?;
+        let (zeros, len) = (held.iter().take_while(|byte| **byte == 0).count(), held.len());
+        packed.consume(zeros);
+        if zeros < len || len == 0 {
+            return Ok(len > 0);
+        }
+    }
 }
 
 enum Input<'a> {
@@ -121,13 +153,11 @@ impl<'a> Lines<'a> {
     pub fn open(source: &'a Source, bytes: u64, packing: Packing, monitor: Option<&'a dyn Monitor>) -> Result<Self> {
         let window = Window::new(source, 0, bytes);
         let failed = |e| Error::io(source.path(), "unpack it", e);
+        let packed = || BufReader::with_capacity(PACKED_BYTES, window);
         let input = match packing {
             Packing::Plain => Input::Plain,
-            Packing::Gzip => Input::Packed(Box::new(flate2::read::MultiGzDecoder::new(window))),
-            Packing::Zstd => {
-                let packed = std::io::BufReader::with_capacity(PACKED_BYTES, window);
-                Input::Packed(unzstd(packed, MOST_WINDOW_LOG).map_err(failed)?)
-            }
+            Packing::Gzip => Input::Packed(Box::new(Members(Some(GzDecoder::new(packed()))))),
+            Packing::Zstd => Input::Packed(unzstd(packed(), MOST_WINDOW_LOG).map_err(failed)?),
         };
         let mut lines = Self { input, monitor, ..Self::begin(source, 0) };
         lines.fill()?;
@@ -290,25 +320,33 @@ impl<'a> Lines<'a> {
         Ok(self.next_row()?.map(|(_, line)| line.to_vec()))
     }
 
-    /// Returns a copy of the next row without advancing; `None` for compressed text.
+    /// Returns a copy of the next row without advancing; `None` if it is too long or far away, and for compressed text.
     pub fn peek(&self) -> Result<Option<Vec<u8>>> {
         match self.input {
-            Input::Plain => Self::begin(self.source, self.position()).row(),
+            Input::Plain => {
+                let mut lines = Self::begin(self.source, self.position());
+                Ok(match lines.step()? {
+                    Some(Step::Row(_, line)) => Some(lines.at(line).to_vec()),
+                    _ => None,
+                })
+            }
             Input::Packed(_) => Ok(None),
         }
     }
 
-    /// Skips up to `most` rows and returns how many there were; if requested, stops before a row of a single word.
-    pub fn count_rows(&mut self, most: u64, stop_at_word: bool, monitor: &dyn Monitor) -> Result<u64> {
-        self.keep_rows(most, stop_at_word, 0, monitor).map(|(rows, _)| rows)
+    /// Skips up to `most` rows and returns how many there were; if requested, stops before a row of a single whole
+    /// number.
+    pub fn count_rows(&mut self, most: u64, stop_at_number: bool, monitor: &dyn Monitor) -> Result<u64> {
+        self.keep_rows(most, stop_at_number, (0, |_| false), monitor).map(|(rows, _)| rows)
     }
 
-    /// Like [`count_rows`](Self::count_rows), but also returns the first `keep` rows.
+    /// Like [`count_rows`](Self::count_rows), but also returns `keep` rows: the first, and those behind it for which
+    /// `is_wanted` is true.
     pub fn keep_rows(
         &mut self,
         most: u64,
-        stop_at_word: bool,
-        keep: usize,
+        stop_at_number: bool,
+        (keep, is_wanted): (usize, fn(&[u8]) -> bool),
         monitor: &dyn Monitor,
     ) -> Result<(u64, Vec<Vec<u8>>)> {
         let mut kept = Vec::new();
@@ -323,12 +361,12 @@ impl<'a> Lines<'a> {
             if !is_row(text) {
                 continue;
             }
-            if stop_at_word && is_whole && is_word(text) {
+            if stop_at_number && is_whole && whole_word(text).is_some() {
                 self.next = line.start;
                 self.number -= 1;
                 break;
             }
-            if is_whole && kept.len() < keep {
+            if is_whole && kept.len() < keep && (kept.is_empty() || is_wanted(text)) {
                 kept.push(text.to_vec());
             }
             rows += 1;
@@ -446,12 +484,17 @@ mod tests {
                 (at - line.len() as u64 - 1, line.to_owned())
             })
             .collect();
-        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        gzip.write_all(text.as_bytes()).unwrap();
+        let gzip = |bytes: &[u8]| {
+            let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+            out.write_all(bytes).unwrap();
+            out.finish().unwrap()
+        };
+        let (first, second) = text.as_bytes().split_at(text.len() / 2);
+        let members = [&gzip(first)[..], &[0; 300_000], &gzip(second), &[0; 512]].concat();
         let frame = zstd::encode_all(text.as_bytes(), 3).unwrap();
         let skipped = |magic: u8| [&[magic, 0x2A, 0x4D, 0x18, 2, 0, 0, 0, 7, 7], &frame[..]].concat();
-        let packed = [text.clone().into_bytes(), gzip.finish().unwrap(), skipped(0x50), skipped(0x5F), frame.clone()];
-        for bytes in packed {
+        let plain = text.clone().into_bytes();
+        for bytes in [plain, gzip(text.as_bytes()), members.clone(), skipped(0x50), skipped(0x5F), frame.clone()] {
             let (_file, source) = source(&bytes);
             let packing = Packing::of(&source).unwrap();
             assert_eq!(all(Lines::open(&source, bytes.len() as u64, packing, None).unwrap()).unwrap(), expected);
@@ -459,6 +502,12 @@ mod tests {
         let (_file, source) = source(text.as_bytes());
         let from = expected[1000].0;
         assert_eq!(all(Lines::begin(&source, from)).unwrap(), expected[1000..]);
+        // Other bytes behind the members are none of them.
+        let more = [&members[..], b"more"].concat();
+        let (_file, source) = super::tests::source(&more);
+        let lines = Lines::open(&source, more.len() as u64, Packing::Gzip, None).unwrap();
+        let error = all(lines).unwrap_err().to_string();
+        assert!(error.contains("cannot be unpacked"), "{error}");
     }
 
     #[test]
@@ -549,10 +598,10 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_counted_up_to_a_word() {
-        let (_file, source) = source(b"1 2 3\r\n\n4 5 6\n  7\n8 9 10\n");
+    fn rows_are_counted_up_to_a_whole_number() {
+        let (_file, source) = source(b"1 2 3\r\n\n4.5\n4 5 6\n  7\n8 9 10\n");
         let mut lines = Lines::begin(&source, 0);
-        assert_eq!(lines.count_rows(100, true, &NoMonitor).unwrap(), 2);
+        assert_eq!(lines.count_rows(100, true, &NoMonitor).unwrap(), 3);
         assert_eq!(lines.row().unwrap().unwrap(), b"  7");
         assert_eq!(lines.count_rows(100, false, &NoMonitor).unwrap(), 1);
         let cut = zstd::encode_all(&b"1 2 3\n".repeat(100_000)[..], 3).unwrap();

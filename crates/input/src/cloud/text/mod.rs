@@ -23,17 +23,17 @@ use crate::diagnostics::Findings;
 use crate::{Error, Monitor, Parameter, Result};
 use decision::{Beginning, Custom, Decision, decide, is_header};
 use heading::NameUnit;
-use layout::{Cell, Fault, Parsed, Places, RgbPlaces, RowLayout, Separator, ValueLayout};
-use lines::{Step, is_word};
+use layout::{Cell, Parsed, Places, RgbPlaces, RowLayout, Separator, ValueLayout};
+use lines::is_word;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use tally::{Count, Tally};
 
 pub(super) use decimal::short;
-pub(super) use lines::Lines;
-pub(super) use lines::Packing;
+pub(super) use layout::Fault;
 pub use lines::unpacked_name;
+pub(super) use lines::{Lines, Packing, Step};
 pub(super) use ptx::open_ptx;
 
 /// Bytes per piece of plain text.
@@ -285,7 +285,9 @@ impl Cloud for Rows {
                 self.each_row(&piece, file, |_, part, next, _| {
                     // Invalid rows are refused when they are read in full.
                     let Next::Row(row) = next else { return Ok(false) };
-                    if let Ok((_, _, Some(numbers))) = values.parse(row, self.segments[part].cells) {
+                    let segment = &self.segments[part];
+                    let cells = self.other_width(segment, row).or(segment.cells);
+                    if let Ok((_, _, Some(numbers))) = values.parse(row, cells) {
                         values.look(&numbers, &mut sample);
                     }
                     left -= 1;
@@ -305,15 +307,16 @@ impl Cloud for Rows {
         let (layout, scale) = (&self.layout, self.channels.scale());
         let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
         let mut tally = Tally::default();
-        // Cells per row of the current cloud, if not those of the first; and whether none of its rows has been read.
-        let (mut width, mut is_first) = (None, self.count.is_some());
+        // Cells per row of the current cloud, if not those of the first; whether none of its rows has been read; and
+        // whether only the first has been, which had another width.
+        let (mut width, mut is_first, mut is_new) = (None, self.count.is_some(), false);
         let done = self.each_row(piece, source, |at, part, next, lines| {
             taker.begin_cloud(part)?;
             let segment = &self.segments[part];
             let fault = match next {
                 Next::Row(row) => match reading.parse(row, width.or(segment.cells)) {
                     Ok(row) => {
-                        is_first = false;
+                        (is_first, is_new) = (false, false);
                         tally.add_row();
                         match self.point(segment, row) {
                             Some((at, class, value)) => taker.push(at, class, value)?,
@@ -330,7 +333,7 @@ impl Cloud for Rows {
                     }
                     Err(fault) => match self.count_in(row) {
                         Some(stated) => {
-                            (width, is_first) = (None, true);
+                            (width, is_first, is_new) = (None, true, false);
                             tally.add_count(stated);
                             return Ok(true);
                         }
@@ -338,11 +341,16 @@ impl Cloud for Rows {
                             let other = is_first.then(|| self.other_width(segment, row)).flatten();
                             match other.map(|other| reading.parse(row, Some(other))) {
                                 Some(Ok((at, class, value))) => {
-                                    (width, is_first) = (other, false);
+                                    (width, is_first, is_new) = (other, false, true);
                                     tally.add_row();
                                     return taker.push(at, class, value).map(|()| true);
                                 }
-                                _ => fault,
+                                _ => {
+                                    // The first row was cut, and the others have the usual width.
+                                    width = width.filter(|_| !is_new || reading.parse(row, segment.cells).is_err());
+                                    is_new = false;
+                                    fault
+                                }
                             }
                         }
                     },
@@ -586,7 +594,9 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     // In compressed text and with several clouds, the first line or the guess may be far off.
     let near = count.filter(|count| (guess / 2..=guess.saturating_mul(2)).contains(count));
     let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess).max(1)) };
-    let text = text_layout(&layout, &places, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
+    let is_seen = custom != Custom::Pts || cells != Some(4);
+    let shown = Places { rgb: places.rgb.filter(|_| is_seen), ..places };
+    let text = text_layout(&layout, &shown, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
     let may_repeat = custom == Custom::Pts;
     let count = count.map(|stated| Count { stated: Some(stated), may_repeat });
     let rows = Rows {

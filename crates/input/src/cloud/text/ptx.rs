@@ -3,7 +3,7 @@
 //! Columns, rows, four lines about the scanner, four rows of a matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means
 //! no return. Source: "Leica PTX / PTS format" as Cyclone writes it.
 
-use super::decision::{Beginning, Custom, decide};
+use super::decision::{Beginning, Custom, decide, most_frequent};
 use super::layout::{Places, RowLayout, Separator};
 use super::lines::Lines;
 use super::{LOOKED_AT, Rows, Segment, begin, check_clouds, text_layout, whole_word};
@@ -11,6 +11,9 @@ use crate::cloud::values::{Channels, Kind};
 use crate::cloud::{Opened, Opening, Pose};
 use crate::number::decimal;
 use crate::{Error, Result};
+
+/// Number of rows that show the width of a cloud.
+const SHOWN_ROWS: usize = 9;
 
 /// Header of a cloud in a PTX.
 struct PtxHead {
@@ -96,7 +99,7 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
         let PtxHead { points, pose, station, .. } = head;
         decimal_comma |= head.decimal_comma;
         let start = lines.position();
-        let (found, first) = lines.keep_rows(points, true, LOOKED_AT, opening.monitor)?;
+        let (found, first) = lines.keep_rows(points, true, (LOOKED_AT, |row| !is_absent(row)), opening.monitor)?;
         stated = stated.saturating_add(points);
         if found < points {
             let text = format!("cloud {number}: its header states {points} points, {found} lines follow");
@@ -104,12 +107,9 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
         }
         let pose = Some(pose).filter(|pose| *pose != Pose::IDENTITY);
         check_clouds(segments.len(), opening)?;
-        segments.push((
-            Segment { pose, station, ..Segment::plain(start, lines.position(), found) },
-            // Rows without a return may end before the colours, so they do not show the width.
-            first.iter().find(|row| !is_absent(row)).cloned(),
-        ));
-        if sample.is_empty() {
+        segments.push((Segment { pose, station, ..Segment::plain(start, lines.position(), found) }, typical(&first)));
+        // Rows without a return do not show decimal commas.
+        if !first.is_empty() && sample.iter().all(|row: &Vec<u8>| is_absent(row)) {
             sample = first;
         }
     }
@@ -121,10 +121,10 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
         let decimal_comma = decided.layout.decimal_comma() || decimal_comma && !has_points;
         layout = RowLayout::new(decided.places, decided.layout.separator(), decimal_comma);
     }
-    // Intensity alone or with colours; clouds may differ in that.
+    // Intensity alone, with colours, or neither; clouds may differ in that.
     let cells = |row: Option<Vec<u8>>| {
         let cells = row.and_then(|row| layout.separator().cells(&row).ok().map(|cells| cells.len()));
-        cells.filter(|cells| [4, 7].contains(cells))
+        cells.filter(|&cells| cells >= 3)
     };
     let segments: Vec<Segment> =
         segments.into_iter().map(|(segment, first)| Segment { cells: cells(first), ..segment }).collect();
@@ -140,14 +140,27 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
     let text = text_layout(&rows.layout, &shown, &[], &sample, point);
     let mut opened = Opened { text: Some(text), ..Opened::new(rows) };
     // By convention: Cyclone writes metres.
-    opened.georeference.horizontal = Some(1.0);
+    (opened.georeference.horizontal, opened.georeference.vertical) = (Some(1.0), Some(1.0));
     Ok(opened)
+}
+
+/// Returns the words of a row, whatever separates them.
+fn words(row: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let is_gap = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b';');
+    row.split(is_gap).filter(|word| !word.is_empty())
 }
 
 /// Returns whether a row begins with `0 0 0`: it has no return.
 fn is_absent(row: &[u8]) -> bool {
-    let is_gap = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b';');
-    row.split(is_gap).filter(|word| !word.is_empty()).take(3).all(|word| decimal(word, false) == Some(0.0))
+    words(row).take(3).all(|word| decimal(word, false) == Some(0.0))
+}
+
+/// Returns one of the rows that show the width of a cloud: the first rows with a return, most of which are whole. Rows
+/// without a return may end before the colours.
+fn typical(rows: &[Vec<u8>]) -> Option<Vec<u8>> {
+    let mut shown = rows.iter().filter(|row| !is_absent(row)).take(SHOWN_ROWS);
+    let width = most_frequent(shown.clone().map(|row| words(row).count()));
+    shown.find(|row| words(row).count() == width).cloned()
 }
 
 /// Returns the scanner position of a PTX cloud: the stated position, which should be where the matrix moves the origin.
