@@ -94,6 +94,14 @@ pub(super) fn absolute(path: &Path) -> std::io::Result<PathBuf> {
     if cfg!(target_arch = "wasm32") { Ok(path.to_path_buf()) } else { std::path::absolute(path) }
 }
 
+/// Returns the files that the removed points must not replace.
+pub(super) fn protected_from_removed(options: &ConvertOptions, inputs: &Inputs) -> Protected {
+    let mut protected: Protected = inputs.paths().collect();
+    protected.add(&options.output);
+    options.stations.iter().for_each(|stations| protected.add(stations));
+    protected
+}
+
 /// Like [`convert`], but with other limits.
 pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: &dyn Monitor) -> Result<Report> {
     let mut inputs = open_chosen(options, Chosen::of(options, monitor)?, monitor)?;
@@ -101,12 +109,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
     let output = Output::create_by(&options.output, kind, inputs.paths().collect(), &options.resources.temp_dir)?;
     let mut removed = match &options.removed {
-        Some(path) => {
-            let mut protected: Protected = inputs.paths().collect();
-            protected.add(&options.output);
-            options.stations.iter().for_each(|stations| protected.add(stations));
-            Some(RemovedPoints::create(path, protected)?)
-        }
+        Some(path) => Some(RemovedPoints::create(path, protected_from_removed(options, &inputs))?),
         None => None,
     };
     let files = output.files().clone();
@@ -392,7 +395,7 @@ impl Conversion<'_> {
             let splats = splats.paths().zip(of_splats.source.hashes.iter().copied());
             writer.set_read(scope.inputs_read(of_scans.chain(meshes).chain(splats)));
         }
-        let mut complete = scans.is_complete() && meshes.is_complete();
+        let mut complete = scans.is_complete() && meshes.is_complete() && splats.is_complete();
         let mut scenes: Vec<Scene> = points::scenes(scans, &of_files).collect();
         for source in [of_meshes.source, of_splats.source, of_cubes] {
             read.merge(&source.read);
@@ -407,6 +410,9 @@ impl Conversion<'_> {
                 return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
             }
             monitor.warn(&"the input holds no points: the archive is empty".into());
+        }
+        if whole {
+            refuse_unusable_splats(splats, &of_splats.counts, read.counts.read)?;
         }
         Ok(AllRead {
             read,
@@ -490,6 +496,17 @@ fn refuse_unusable(set: &InputSet, counts: &PointCounts) -> Result<()> {
         return Err(Error::input(first.path(), "points", reason));
     }
     Ok(())
+}
+
+/// Fails if all that was `read` are splats of which none is usable: an empty archive would silently replace a good one.
+fn refuse_unusable_splats(set: &SplatSet, counts: &SplatCounts, read: u64) -> Result<()> {
+    match set.paths().next() {
+        Some(first) if counts.unusable > 0 && counts.unusable == read => {
+            let reason = format!("none of {} can be used; fetch or write it again", grouped(read));
+            Err(Error::input(first, "splats", reason))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]
