@@ -1,10 +1,10 @@
 //! Walk in laser scans that are too large for memory.
 //!
-//! Slicewalk converts scans of any size (LAS, LAZ, E57, PTX, PTS, XYZ, PCD, PLY) and meshes into one compact *slice
-//! archive*. For every pixel of the ground plan, the archive holds the bottom, the top and an obstacle flag of each
-//! vertical solid run (a *span*). A program opens the archive, keeps the pages around a moving body in memory, and asks
-//! exact collision queries that never wait for the disk. The method comes from R. K. dos Anjos, *Image Based Collision
-//! Detection* (IST Lisbon, 2011), and its future work.
+//! Slicewalk converts scans of any size (LAS, LAZ, E57, PTX, PTS, XYZ, PCD, PLY), meshes, Gaussian splats and cubes into
+//! one compact *slice archive*. For every pixel of the ground plan, the archive holds the bottom, the top and an
+//! obstacle flag of each vertical solid run (a *span*). A program opens the archive, keeps the pages around a moving body
+//! in memory, and asks exact collision queries that never wait for the disk. The method comes from R. K. dos Anjos,
+//! *Image Based Collision Detection* (IST Lisbon, 2011), and its future work.
 //!
 //! # Convert
 //!
