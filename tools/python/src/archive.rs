@@ -106,10 +106,13 @@ impl Opened {
     pub fn described(&self, class: &str) -> String {
         let (frame, header) = (self.archive.frame(), self.archive.header());
         let name = self.name.as_deref().unwrap_or("bytes");
-        let level = if header.level > 0 { format!("level {} of ", header.level) } else { String::new() };
+        // Voxels of an overview level are not counted.
+        let (level, voxels) = match header.level {
+            0 => (String::new(), format!("{} voxels, ", header.voxels.occupied)),
+            level => (format!("level {level} of "), String::new()),
+        };
         format!(
-            "<slicewalk.{class} {level}{name:?}: {} voxels, pixel {} m, {} slices of {} m>",
-            header.voxels.occupied,
+            "<slicewalk.{class} {level}{name:?}: {voxels}pixel {} m, {} slices of {} m>",
             frame.pixel_m(),
             slicewalk_convert::info::slice_count(header),
             frame.slice_m()
@@ -196,6 +199,14 @@ impl ByteSource for Held {
         };
         buf.copy_from_slice(bytes);
         Ok(())
+    }
+}
+
+/// Gives the error of a parameter the name of the argument.
+fn as_given(name: &str, error: Error) -> Error {
+    match error {
+        Error::Parameter { what, reason } => Error::parameter(name, format!("{what}: {reason}")),
+        error => error,
     }
 }
 
@@ -405,7 +416,8 @@ impl Archive {
     /// Raises:
     ///     ParameterError: the archive has no such level
     fn level(&self, py: Python<'_>, #[pyo3(from_py_with = argument::number)] number: u32) -> PyResult<Pages> {
-        let of_level = self.opened.read(py, |opened| opened.level(number))?;
+        let of_level =
+            self.opened.read(py, |opened| opened.level(number).map_err(|error| as_given("number", error)))?;
         Ok(Pages { set: Set::All(Arc::new(of_level)) })
     }
 
@@ -457,7 +469,8 @@ impl Archive {
         let key = self::key(key)?;
         let colours = self.opened.read(py, |opened| {
             let whole = &opened.archive;
-            let archive = if level == 0 { whole } else { &whole.level(level)? };
+            let archive =
+                if level == 0 { whole } else { &whole.level(level).map_err(|error| as_given("level", error))? };
             let Some(mut reader) = ColourReader::new(archive)? else { return Ok(None) };
             let entry = archive.find(key)?;
             entry.map(|entry| reader.colours(&entry)).transpose()

@@ -1,15 +1,19 @@
-//! `convert`, `write_plan` and `merge`: scans and meshes into an archive.
+//! `convert`, `write_plan` and `merge`: inputs into an archive.
 
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
 use crate::options::{Asked, argument, part_of, paths};
 use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyDict;
 use serde_json::Value;
 use slicewalk::archive::{merge as join, merge_run};
+use slicewalk::{Error, Parameter};
 use slicewalk_base::output::{Existing, Output, OutputKind, Protected, check, upload_archive};
 use slicewalk_convert::PlanFile;
 use slicewalk_convert::info::header_info;
+use slicewalk_input::expand_inputs;
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -18,8 +22,8 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
     py.import("json")?.call_method1("loads", (facts.to_string(),))
 }
 
-/// Converts scans (LAS, LAZ, COPC, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into
-/// one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, COPC, E57, PTX, PTS, XYZ, CSV, PCD, PLY), meshes (OBJ, PLY, STL, glTF), Gaussian splats and
+/// cubes (OctoMap, ``.voxel.json``) of any size into one slice archive, in bounded memory.
 ///
 /// Either the complete archive appears under its name, or nothing does. The same points always give the same bytes.
 /// Ctrl-C ends a conversion within a moment; nothing is left behind.
@@ -145,7 +149,7 @@ pub fn write_plan<'py>(
         let mut facts = file.facts();
         facts["inputs"] = file.inputs.len().into();
         if monitor.cancelled_at_last() {
-            return Err(slicewalk::Error::Interrupted.into());
+            return Err(Error::Interrupted.into());
         }
         file.write_to(output)?;
         Ok::<_, Failure>(facts)
@@ -191,7 +195,10 @@ pub fn merge<'py>(
     let (parts, part) = (paths("parts", parts)?, part.map(|part| part_of("part", part)).transpose()?);
     let merged = attended(py, &Audience { progress, ..Audience::default() }, None, |monitor| {
         Ok(match part {
-            Some(part) => merge_run(&parts, part, &output, force, monitor)?,
+            Some(part) => merge_run(&parts, part, &output, force, monitor).map_err(|error| match error {
+                Error::Parameter { what: Parameter::Shard, reason } => Error::parameter("part", reason),
+                error => error,
+            })?,
             None => join(&parts, &output, force, monitor)?,
         })
     })?;
@@ -212,6 +219,17 @@ pub fn check_output(py: Python<'_>, output: PathBuf, force: bool) -> PyResult<()
     })
 }
 
+/// Returns the files that local inputs name, without inputs that name none; for `slicewalk.cluster`.
+#[pyfunction]
+#[pyo3(name = "_input_files")]
+pub fn input_files(py: Python<'_>, inputs: Vec<PathBuf>) -> PyResult<Vec<OsString>> {
+    let audience = Audience { quiet: true, ..Audience::default() };
+    attended(py, &audience, None, |monitor| {
+        let files = inputs.iter().filter_map(|input| expand_inputs(std::slice::from_ref(input), monitor).ok());
+        Ok(files.flatten().map(PathBuf::into_os_string).collect())
+    })
+}
+
 /// Uploads an archive to an address, all or nothing; for `slicewalk.cluster`.
 #[pyfunction]
 #[pyo3(name = "_upload_archive", signature = (path, address, *, force=false, progress=None))]
@@ -225,5 +243,20 @@ pub fn upload(
     let existing = if force { Existing::Replace } else { Existing::KeepSame };
     attended(py, &Audience { progress, ..Audience::default() }, None, |monitor| {
         Ok(upload_archive(&path, &address, existing, monitor)?)
+    })
+}
+
+/// Writes an export, all or nothing, and never over an archive or a plan; for `slicewalk._bridges`.
+#[pyfunction]
+#[pyo3(name = "_write_export")]
+pub fn write_export(py: Python<'_>, path: PathBuf, data: PyBackedBytes) -> PyResult<()> {
+    attended(py, &Audience::default(), None, |monitor| {
+        let mut output = Output::create(&path, OutputKind::Result, Protected::default())?;
+        output.write_at(0, &data)?;
+        if monitor.cancelled_at_last() {
+            return Err(Error::Interrupted.into());
+        }
+        output.publish()?;
+        Ok(())
     })
 }

@@ -70,6 +70,8 @@ fn argument(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Threads => "threads",
         Parameter::TempDir => "temp_dir",
         Parameter::Cache => "budget",
+        // A budget that this archive's table exceeds.
+        Parameter::Other(name) if name == "cache" => "budget",
         Parameter::Incomplete => "allow_incomplete",
         Parameter::Overwrite => "force",
         Parameter::Units => "units",

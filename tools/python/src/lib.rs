@@ -24,7 +24,7 @@ mod _slicewalk {
     #[pymodule_export]
     use crate::archive::{Archive, open};
     #[pymodule_export]
-    use crate::convert::{check_output, convert, merge, upload, write_plan};
+    use crate::convert::{check_output, convert, input_files, merge, upload, write_export, write_plan};
     #[pymodule_export]
     use crate::page::{Column, Page};
     #[pymodule_export]

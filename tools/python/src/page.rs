@@ -34,8 +34,8 @@ pub struct Column {
 
 impl Column {
     pub fn of(set: &Snapshot, x: f64, y: f64) -> Result<Self, Failure> {
-        if !x.is_finite() || !y.is_finite() {
-            return Err(Error::parameter("place", format!("expected finite x and y, found {x}, {y}")).into());
+        if let Some((name, found)) = [("x", x), ("y", y)].into_iter().find(|(_, value)| !value.is_finite()) {
+            return Err(Error::parameter(name, format!("expected a finite number, found {found}")).into());
         }
         let frame = set.frame();
         let (i, j) = (frame.pixel_of(x), frame.pixel_of(y));

@@ -81,16 +81,24 @@ fn survey(
     let mut flood = Flood::from(spot);
     monitor.stage("reach", 0, "places");
     needs(flood.grow(&mut standing, set, monitor)?)?;
+    // The phases below hear no one, so there is a look between them.
+    let go_on = || if monitor.cancelled() { Err(Failure::from(Error::Interrupted)) } else { Ok(()) };
     let mut region = flood.region(&standing);
+    go_on()?;
     region.keep_linked(&standing, &[spot]);
+    go_on()?;
     if let Some(length) = length {
         let reached = LongSearch::new(&region, length)?.reached(&[spot], monitor)?;
         region.keep_reached(&standing, &reached);
     }
     let leaks = needs(LeakSearch::new(&region).find(&mut standing, set)?)?;
+    go_on()?;
+    let storeys = region.storeys();
+    go_on()?;
+    let passages = region.passages();
     Ok(Found {
-        storeys: region.storeys().all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
-        passages: region.passages().iter().map(|passage| (passage.at.into(), passage.width)).collect(),
+        storeys: storeys.all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
+        passages: passages.iter().map(|passage| (passage.at.into(), passage.width)).collect(),
         leaks: leaks.iter().map(|leak| (leak.at.into(), leak.width, leak.drop, leak.kind.name())).collect(),
         region,
     })

@@ -20,6 +20,9 @@ use std::time::Duration;
 /// Longest time that a pawn may stay blocked before its path ends (s), as in `slicetool walk`.
 const BLOCKED_S: f64 = 2.0;
 
+/// How often a tick may miss pages that were loaded for it: prefetching may evict them before the pawn asks again.
+const ATTEMPTS: usize = 64;
+
 /// Pages that a walker walks on.
 enum Ground<'py> {
     Pages(Bound<'py, Pages>),
@@ -207,7 +210,7 @@ impl Walker {
     }
 
     /// Walks along waypoints, like ``slicetool walk``, until the pawn reaches the last one, has been blocked for 2 s,
-    /// or runs out of time.
+    /// falls below everything that was scanned, or runs out of time.
     ///
     /// Args:
     ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which loads missing pages during the walk
@@ -220,6 +223,7 @@ impl Walker {
     ///
     /// Raises:
     ///     NotLoadedError: a page of a view is not in memory
+    ///     ParameterError: an argument is invalid, or the budget of the stream is too small for one step
     ///     MemoryError: the system lacks memory for the frames
     ///
     /// >>> archive = slicewalk.open("room.slices")
@@ -247,6 +251,7 @@ impl Walker {
         let walk = Walk { frame_s: 1.0 / hz, most };
         let mut walking = self.lock()?;
         let walker = &mut walking.walker;
+        let start: [f64; 3] = walker.feet().into();
         let Frames { feet, states } = match &pages {
             Ground::Pages(pages) => {
                 let set = pages.get().set.pages(py)?;
@@ -264,7 +269,7 @@ impl Walker {
                     walk.frames(monitor, walker, |walker, dt| {
                         hints.hint(&walker.motion_hint(&frame));
                         ground.settled(&stream, Duration::from_secs_f64(dt), monitor)?;
-                        follow_loading(walker, &stream, dt, &mut route)
+                        follow_loading(walker, &stream, dt, &mut route, monitor)
                     })
                 })?
             }
@@ -273,9 +278,10 @@ impl Walker {
         reserve(&mut times, count, || format!("the times of {count} frames"))?;
         times.extend((1..=count).map(|frame| frame as f64 / hz));
         let feet = feet.into_flattened().into_pyarray(py).reshape([count, 3])?;
-        py.import("slicewalk._results")?
-            .getattr("Path")?
-            .call_method1("_of", (times.into_pyarray(py), feet, states.into_pyarray(py), route.next()))
+        py.import("slicewalk._results")?.getattr("Path")?.call_method1(
+            "_of",
+            (times.into_pyarray(py), feet, states.into_pyarray(py), route.next(), <(f64, f64, f64)>::from(start)),
+        )
     }
 
     fn __repr__(&self) -> String {
@@ -315,8 +321,10 @@ impl Walking {
 fn places(waypoints: &Bound<'_, PyAny>) -> PyResult<Vec<Point2<f64>>> {
     // Without a shape, the reader of the rows says what is wrong.
     let shape = waypoints.py().import("numpy")?.call_method1("shape", (waypoints,));
-    match shape.and_then(|shape| shape.get_item(-1)?.extract::<usize>()) {
-        Ok(3) => places_of(&Rows::<3>::of(waypoints, "waypoints")?),
+    let columns = shape.as_ref().ok().and_then(|shape| shape.get_item(-1).ok()?.extract::<usize>().ok());
+    match columns {
+        Some(3) => places_of(&Rows::<3>::of(waypoints, "waypoints")?),
+        Some(1 | 4..) => Err(refuse("waypoints", format!("expected shape (N, 2) or (N, 3), found {}", shape?))),
         _ => places_of(&Rows::<2>::of(waypoints, "waypoints")?),
     }
 }
@@ -358,22 +366,23 @@ impl Frames {
 }
 
 impl Walk {
+    /// Calls `frame` for each frame, until it returns that the pawn fell out of the scan.
     fn frames(
         &self,
         monitor: &dyn Monitor,
         walker: &mut Pawn3,
-        mut frame: impl FnMut(&mut Pawn3, f64) -> Result<(), Failure>,
+        mut frame: impl FnMut(&mut Pawn3, f64) -> Result<bool, Failure>,
     ) -> Result<Frames, Failure> {
         let (mut frames, mut blocked) = (Frames::default(), 0.0);
         for _ in 0..self.most {
             if monitor.cancelled() {
                 return Err(Error::Interrupted.into());
             }
-            frame(walker, self.frame_s)?;
+            let is_lost = frame(walker, self.frame_s)?;
             let (feet, state) = (walker.feet(), walker.state());
             frames.push(feet.into(), state)?;
             blocked = if state == State::Blocked { blocked + self.frame_s } else { 0.0 };
-            if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
+            if is_lost || state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
                 break;
             }
         }
@@ -381,27 +390,61 @@ impl Walk {
     }
 }
 
-fn follow(walker: &mut Pawn3, set: &Snapshot, dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
-    walker.follow(set, dt, route).missing.map_or(Ok(()), |missing| Err(missing.into()))
-}
-
-/// Advances one frame. Missing pages are loaded at once, and stay until they have been used.
-fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
-    let mut needed = Vec::new();
+/// Advances one frame, which may be longer than the longest step of the library. Returns whether the pawn fell out of the
+/// scan.
+fn follow(walker: &mut Pawn3, set: &Snapshot, mut dt: f64, route: &mut Waypoints) -> Result<bool, Failure> {
     loop {
-        let report = walker.follow(&stream.snapshot(), dt, route);
-        let Some(missing) = report.missing else { return Ok(()) };
-        if report.ticks > 0 {
-            needed.clear();
-        }
-        needed.extend_from_slice(missing.keys());
-        let loaded = stream.load(&needed, needed[0])?;
-        if loaded.left_out > 0 {
-            let around: &MotionHint = &walker.motion_hint(stream.archive().frame());
-            let bytes = stream.load_around(around)?.needed_bytes.max(loaded.needed_bytes);
-            let (what, given) = ("budget of the stream for one step (bytes)", stream.counters().budget_bytes);
-            return Err(Error::limit(what, given, format!("at least {bytes}")).into());
+        let report = walker.follow(set, dt, route);
+        if let Some(missing) = report.missing {
+            return Err(missing.into());
         }
         dt = report.unspent;
+        if dt <= 0.0 {
+            return Ok(walker.is_lost(set));
+        }
+    }
+}
+
+/// Like [`follow`]. Missing pages are loaded at once, and stay until they have been used.
+fn follow_loading(
+    walker: &mut Pawn3,
+    stream: &Inner,
+    mut dt: f64,
+    route: &mut Waypoints,
+    monitor: &dyn Monitor,
+) -> Result<bool, Failure> {
+    let (mut needed, mut attempts) = (Vec::new(), 0);
+    loop {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted.into());
+        }
+        let report = walker.follow(&stream.snapshot(), dt, route);
+        dt = report.unspent;
+        if report.ticks > 0 {
+            attempts = 0;
+            needed.clear();
+        }
+        let Some(missing) = report.missing else {
+            if dt > 0.0 {
+                continue;
+            }
+            return Ok(walker.is_lost(&stream.snapshot()));
+        };
+        attempts += 1;
+        for key in missing.keys() {
+            if !needed.contains(key) {
+                needed.push(*key);
+            }
+        }
+        let loaded = stream.load(&needed, needed[0])?;
+        if loaded.left_out > 0 || attempts > ATTEMPTS {
+            let around: &MotionHint = &walker.motion_hint(stream.archive().frame());
+            let bytes = stream.load_around(around)?.needed_bytes.max(loaded.needed_bytes);
+            let given = stream.counters().budget_bytes;
+            let reason = format!(
+                "one step needs at least {bytes} bytes at once, found {given}; open the stream with a larger budget"
+            );
+            return Err(Error::parameter("budget", reason).into());
+        }
     }
 }

@@ -220,6 +220,8 @@ def test_what_is_printed_says_something(folder, rubble):
     for thing, text in said.items():
         assert text in repr(thing)
         assert len(repr(thing)) < 200
+    # Those of an overview level are not counted.
+    assert "voxels" not in repr(slicewalk.open(folder / "levels.slices").level(1))
 
 
 def test_a_row_of_keys_is_a_key(rubble):

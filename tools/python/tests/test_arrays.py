@@ -241,9 +241,9 @@ def test_memory_that_cannot_be_had_is_an_error(folder, rubble, work):
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
 def test_a_path_without_memory_for_its_frames_is_an_error(folder, rubble):
-    # Beside the scan the pawn falls for ever. Smaller limits end the path sooner.
+    # From that height the pawn falls for hours. Smaller limits end the path sooner.
     script = """
-        walker = slicewalk.Walker((1000, 1000, 0))
+        walker = slicewalk.Walker((1000, 1000, 1e6))
         resource.setrlimit(resource.RLIMIT_AS, (size() + (128 << 20),) * 2)
         try:
             walker.path(archive, [(0, 0)], hz=1e5, max_seconds=1e6)

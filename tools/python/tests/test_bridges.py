@@ -142,6 +142,17 @@ def test_cubes_in_seen_space_are_free(folder, tmp_path, bounds):
     assert not missed
 
 
+@pytest.mark.parametrize("far", [0.3, 0.6, 0.7, 1.2])
+def test_a_grid_ends_where_the_archive_does(tmp_path, far):
+    edge = np.round(np.arange(0, far + 0.05, 0.1), 1)
+    ground = np.stack(np.meshgrid(edge, edge, [0.0]), axis=-1).reshape(-1, 3)
+    post = np.column_stack([np.full(40, far), np.full(40, far), np.arange(40) * 0.05])
+    archive = slicewalk.from_numpy(np.vstack([ground, post]), tmp_path / "a.slices", pixel=0.1)
+    grid = slicewalk.to_occupancy_grid(archive, 0.0, pawn=(0.0, 1.0))
+    assert grid.data.shape == archive.region(archive.bounds).kind.shape[1:]
+    assert grid.data[-1, -1] == 100
+
+
 def test_grids_tell_free_occupied_and_unknown(folder, tmp_path):
     archive = slicewalk.open(folder / "room.slices")
     grid = slicewalk.to_occupancy_grid(archive, 0.0, bounds=(-1, -1, 0, 9, 7, 2))

@@ -49,6 +49,17 @@ def converted(scans, folder, client, **options):
     return sut.convert(scans[0], folder / "out.slices", client, **given)
 
 
+def stopped(call):
+    """Call with a progress callback that ends the conversion once there are only checks left."""
+
+    def enough(stage, *_):
+        if stage == "verify":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        call(progress=enough)
+
+
 def test_twelve_files_in_nine_parts_equal_the_single_run(scans, tmp_path, client):
     told = []
     report = converted(scans, tmp_path, client, progress=lambda *news: told.append(news))
@@ -105,8 +116,11 @@ def test_what_is_there_is_judged_first(scans, tmp_path, client):
     with pytest.raises(slicewalk.OutputError, match="exists already"):
         converted(scans, tmp_path, client)
     slicewalk.convert(scans[0][:1], out, force=True, **tiles.OPTIONS)
+    out.chmod(0o600)
     converted(scans, tmp_path, client, force=True)
     assert out.read_bytes() == scans[1]
+    if os.name == "posix":
+        assert out.stat().st_mode & 0o777 == 0o600
     for wrong, kind in (
         ({"parts": 0}, slicewalk.ParameterError),
         ({"fan_in": 1}, slicewalk.ParameterError),
@@ -154,17 +168,52 @@ def test_parts_get_the_stations(folder, tmp_path, client, option):
         assert (tmp_path / "out.slices").read_bytes() == (tmp_path / "single.slices").read_bytes()
         return report
 
-    def enough(stage, *_):
-        if stage == "verify":
-            raise KeyboardInterrupt
-
     table.write_text("file,x,y,z\nroom.las,4,3,1.5\n")
-    with pytest.raises(KeyboardInterrupt):
-        equals_a_single_run(progress=enough)
+    stopped(equals_a_single_run)
     # Steps of other stations are of no use.
     table.write_text("file,x,y,z\nroom.las,2,2,1.2\n")
     assert equals_a_single_run()["skipped"] == 0
     assert sorted(os.listdir(tmp_path)) == ["out.slices", "single.slices", "stations.csv"]
+
+
+def test_a_plan_of_another_matrix_is_of_no_use(scans, tmp_path, client):
+    matrix, inputs = tmp_path / "m.txt", scans[0][:2]
+    given = {"units": "m", "quiet": True, "transform": matrix}
+
+    def convert(**more):
+        return sut.convert(inputs, tmp_path / "out.slices", client, parts=2, **given, **more)
+
+    matrix.write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    stopped(convert)
+    matrix.write_text("1 0 0 100\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    assert convert()["skipped"] == 0
+    slicewalk.convert(inputs, tmp_path / "single.slices", **given)
+    assert (tmp_path / "out.slices").read_bytes() == (tmp_path / "single.slices").read_bytes()
+
+
+@pytest.mark.parametrize("pixel", [0.1, "auto"])
+def test_parts_of_an_input_that_was_changed_are_of_no_use(scans, tmp_path, client, pixel):
+    inputs = [Path(shutil.copy(path, tmp_path)) for path in scans[0][:2]]
+    given = {**tiles.OPTIONS, "pixel": pixel}
+
+    def convert(**more):
+        return sut.convert(inputs, tmp_path / "out.slices", client, parts=2, **given, **more)
+
+    stopped(convert)
+    # Records in the middle, where the plan takes no sample of a file.
+    data, first = bytearray(inputs[0].read_bytes()), 227 + 20 * 6000
+    data[first : first + 20 * 100] = data[227:247] * 100
+    inputs[0].write_bytes(data)
+    assert convert()["skipped"] == 0
+    slicewalk.convert(inputs, tmp_path / "single.slices", **given)
+    assert (tmp_path / "out.slices").read_bytes() == (tmp_path / "single.slices").read_bytes()
+
+
+def test_parts_that_may_lack_points_are_of_no_use_to_a_call_that_must_have_all(scans, tmp_path, client):
+    stopped(lambda **more: converted(scans, tmp_path, client, allow_incomplete=True, **more))
+    report = converted(scans, tmp_path, client)
+    assert (report["skipped"], report["complete"]) == (0, True)
+    assert (tmp_path / "out.slices").read_bytes() == scans[1]
 
 
 def test_errors_of_workers_come_with_their_facts_and_a_repaired_input_converts(scans, tmp_path, client):

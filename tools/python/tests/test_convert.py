@@ -470,6 +470,8 @@ def test_inputs_come_in_any_iterable(las, tmp_path):
             slicewalk.convert(inputs, tmp_path / "c.slices", pixel=0.2)
     with pytest.raises(slicewalk.ParameterError, match="parts: "):
         slicewalk.merge(iter([]), tmp_path / "c.slices")
+    with pytest.raises(slicewalk.ParameterError, match=r"^part: 1/0 cannot be"):
+        slicewalk.merge([tmp_path / "1.slices"], tmp_path / "c.slices", part=(1, 0))
 
 
 @pytest.mark.parametrize("up", ["auto", "x", "-x", "-y", "-z"])

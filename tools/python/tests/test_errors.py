@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pathlib
 import pickle
+import shutil
 
 import numpy as np
 import pytest
@@ -68,6 +69,11 @@ VALUES = {
     "max_ramp": lambda room: room.reach(START, max_ramp=0),
     "length": lambda room: room.reach(START, length=1),
     "budget": lambda room: slicewalk.Stream(room, 0),
+    "budget low": lambda room: slicewalk.Stream(room, 1),
+    "number": lambda room: room.level(9),
+    "level": lambda room: room.colours((0, 0, 0), level=9),
+    "x": lambda room: room.column(NAN, 1),
+    "y": lambda room: room.column(1, NAN),
     "pixel": lambda _: slicewalk.Writer("a.slices", pixel=-1),
     "slice": lambda _: slicewalk.Writer("a.slices", pixel=0.1, slice=-1),
     "memory": lambda _: slicewalk.Writer("a.slices", pixel=0.1, memory=1),
@@ -177,14 +183,26 @@ def test_a_file_that_cannot_be_written_is_named(room, tmp_path):
     assert type(raised.value) is slicewalk.MissingFileError
     assert raised.value.path == raised.value.filename == str(tmp_path / "none" / "a.bt")
     (tmp_path / "a.bt").mkdir()
-    with pytest.raises(OSError, match=r"a\.bt: cannot write: ") as raised:
+    with pytest.raises(OSError, match=r"a\.bt: is a folder") as raised:
         slicewalk.to_octomap(room, tmp_path / "a.bt")
-    assert type(raised.value) is slicewalk.FileError
-    assert raised.value.errno
+    assert type(raised.value) is slicewalk.OutputError
+    assert raised.value.path == str(tmp_path / "a.bt")
     grid = slicewalk.OccupancyGrid(np.zeros((1, 1), np.int8), 0.1, (0.0, 0.0))
     with pytest.raises(slicewalk.MissingFileError):
         grid.save(tmp_path / "none" / "a")
     assert [path.name for path in tmp_path.iterdir()] == ["a.bt"]
+
+
+def test_an_export_never_replaces_an_archive(room, tmp_path):
+    copy = pathlib.Path(shutil.copy(room.path, tmp_path / "a.slices"))
+    grid = slicewalk.OccupancyGrid(np.zeros((1, 1), np.int8), 0.1, (0.0, 0.0))
+    shutil.copy(room.path, tmp_path / "a.pgm")
+    before = copy.read_bytes()
+    for export in (lambda: slicewalk.to_octomap(slicewalk.open(copy), copy), lambda: grid.save(tmp_path / "a")):
+        with pytest.raises(slicewalk.OutputError, match="is a slice archive, which .* never replaces"):
+            export()
+    assert copy.read_bytes() == (tmp_path / "a.pgm").read_bytes() == before
+    assert sorted(os.listdir(tmp_path)) == ["a.pgm", "a.slices"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs permissions")

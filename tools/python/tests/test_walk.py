@@ -75,6 +75,8 @@ def test_paths(room):
     for wrong in ([], [(np.nan, 1)], [1, 2], [(1, 2), (3,)], np.ma.masked_equal([[2.0, 3], [4, 9]], 9)):
         with pytest.raises(slicewalk.ParameterError, match="waypoints"):
             walker.path(room, wrong)
+    with pytest.raises(slicewalk.ParameterError, match=r"^waypoints: expected shape \(N, 2\) or \(N, 3\), found"):
+        walker.path(room, [(1, 2, 3, 4)])
     with pytest.raises(ValueError, match="hz"):
         walker.path(room, [(1, 1)], hz=0)
 
@@ -91,6 +93,43 @@ def test_a_stream_gives_the_same_path(room):
             assert counters["loaded"] > 0
             assert counters["peak_bytes"] <= counters["budget_bytes"] == 8 << 20
             assert stream.errors() == []
+
+
+@pytest.mark.parametrize("hz", [0.1, 0.5, 1, 60])
+def test_long_frames_take_all_of_their_time(room, hz):
+    expected = slicewalk.Walker((1, 1, 0)).path(room, [(7, 1), (7, 5)], hz=1000)
+    with slicewalk.Stream(room, "16MiB") as stream:
+        for pages in (room, stream):
+            path = slicewalk.Walker((1, 1, 0)).path(pages, [(7, 1), (7, 5)], hz=hz)
+            assert path.state == "arrived"
+            assert len(path.seconds) == pytest.approx(expected.seconds[-1] * hz, abs=1.1)
+
+
+def test_the_length_of_a_path_counts_its_first_frame(room):
+    path = slicewalk.Walker((1, 1, 0)).path(room, [(2, 1)], hz=1, max_seconds=1)
+    assert path.start == (1, 1, 0)
+    assert path.length == pytest.approx(1, abs=0.02)
+
+
+def test_a_path_ends_below_the_scan(room):
+    with slicewalk.Stream(room, "16MiB") as stream:
+        for pages in (room, stream):
+            path = slicewalk.Walker((20, 20, 1)).path(pages, [(1, 1)])
+            assert (path.state, path.seconds[-1] < 2) == ("falling", True)
+
+
+def test_a_stream_too_small_for_a_step_says_how_much_it_needs(room):
+    errors = []
+    # The smallest hold not even the table of pages.
+    for kib in (1, 2, 4, 8, 16):
+        with (
+            pytest.raises(slicewalk.ParameterError) as raised,
+            slicewalk.Stream(room, f"{kib}KiB", prefetch=False) as stream,
+        ):
+            slicewalk.Walker((6, 1, 0)).path(stream, [(7, 1)])
+        errors.append(raised.value)
+    assert {error.at for error in errors} == {"budget"}
+    assert "one step needs at least" in str(errors[-1])
 
 
 def test_a_walker_in_a_stream_waits_and_goes_on(room):

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import json
 import reprlib
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slicewalk._slicewalk import Pages, Writer
+from slicewalk._slicewalk import Pages, Writer, _write_export
 from slicewalk._slicewalk import open as open_archive
-from slicewalk.errors import LimitError, ParameterError, ParameterTypeError, file_error
+from slicewalk.errors import LimitError, ParameterError, ParameterTypeError
 
 if TYPE_CHECKING:
     import os
@@ -40,27 +38,6 @@ def _path(given: str | os.PathLike[str]) -> Path:
         raise ParameterTypeError(f"path: expected a path, found {given!r}", at="path") from None
 
 
-def _write(path: Path, data: bytes) -> None:
-    """Write a file all or nothing: beside its target, then renamed.
-
-    A new file gets the default permissions; one that replaces another is at most as open as that file was.
-    """
-    made = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}"
-    try:
-        mode = 0o666
-        with contextlib.suppress(FileNotFoundError):
-            mode = path.stat().st_mode & 0o666 | 0o600
-        made.touch(mode, exist_ok=False)
-        try:
-            made.write_bytes(data)
-            made.replace(path)
-        except BaseException:
-            made.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise file_error(str(path), "write", error) from None
-
-
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
     """Free and occupied pixels of a storey, as ``nav_msgs/OccupancyGrid`` has them; see :func:`to_occupancy_grid`.
@@ -77,10 +54,14 @@ class OccupancyGrid:
     origin: tuple[float, float]
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``NAME.yaml`` and ``NAME.pgm`` for the map server of Nav2.
+        """Write ``NAME.yaml`` and ``NAME.pgm`` for the map server of Nav2, each all or nothing.
 
         Args:
             path: ``NAME``, or one of the two files
+
+        Raises:
+            OutputError: one of the files exists and is an archive, a plan or read-only
+            FileError: a file cannot be written; MissingFileError without its folder
 
         >>> grid = slicewalk.to_occupancy_grid(slicewalk.open("room.slices"), 0.0)
         >>> grid.save("room.yaml")
@@ -98,8 +79,8 @@ class OccupancyGrid:
         grey: NDArray[np.uint8] = np.full(self.data.shape, 205, np.uint8)
         grey[self.data == FREE], grey[self.data == OCCUPIED] = 254, 0
         rows, columns = grey.shape
-        _write(image, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
-        _write(path.with_name(f"{name}.yaml"), text.encode(errors="surrogateescape"))
+        _write_export(image, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
+        _write_export(path.with_name(f"{name}.yaml"), text.encode(errors="surrogateescape"))
 
 
 def _numbers(name: str, given: Any, count: int, expected: str) -> NDArray[np.float64]:
@@ -183,7 +164,9 @@ def to_occupancy_grid(
         raise ParameterError(f"climb: expected 0 to less than the pawn's height, {height} m, found {climb}", at="climb")
     pixel = pages.pixel_size
     with np.errstate(over="ignore", invalid="ignore"):
-        first, last = np.floor(low[:2] / pixel), np.floor(high[:2] / pixel)
+        # As in the archive's own grid; a quotient rounds otherwise.
+        per_metre = 1 / pixel
+        first, last = np.floor(low[:2] * per_metre), np.floor(high[:2] * per_metre)
         size = last - first + 1
         count = float(size[0] * size[1])
     if not count <= _MOST_PIXELS:
@@ -227,6 +210,7 @@ def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike 
     Raises:
         ParameterError: the region holds nothing solid, and nothing of it was seen
         LimitError: the region is larger than a tree
+        OutputError: the file exists and is an archive, a plan or read-only
         FileError: the file cannot be written; MissingFileError without its folder
 
     >>> slicewalk.to_octomap(slicewalk.open("room.slices"), "room.bt") > 10_000
@@ -240,7 +224,7 @@ def to_octomap(pages: Pages, path: str | os.PathLike[str], *, bounds: ArrayLike 
     if occupied == free == 0:
         message = "bounds: expected a region with solid, found none; give other bounds"
         raise ParameterError(message, at="bounds")
-    _write(target, data)
+    _write_export(target, data)
     return occupied
 
 

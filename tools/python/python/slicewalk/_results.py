@@ -199,8 +199,8 @@ class Obstruction(NamedTuple):
     - ``"width"``, ``"length"``, ``"headroom"``: `needs` is the width along its shorter side, the length or the height
       of the largest pawn that passes with all else as it is (m)
     - ``"step"``, ``"slope"``, ``"ramp"``: `needs` is the `climb` (m), the `max_grade` or the `max_ramp` (m) that passes
-    - ``"gap"``, ``"unseen"``: the ground between is deeper, or was not scanned, or with ``seen=True`` the pawn was not
-      seen on it; `needs` is the distance to the ground that leads to the goal (m)
+    - ``"gap"``: the ground between is deeper, or a wall without a way through; ``"unseen"``: it was not scanned, or
+      with ``seen=True`` the pawn was not seen on it; `needs` is the distance to the ground that leads to the goal (m)
     """
 
     at: _Place
@@ -272,6 +272,7 @@ class Path:
         feet: float64 of shape (N, 3): feet after each frame (m)
         states: str of shape (N,): state after each frame
         waypoints_reached: number of waypoints reached
+        start: feet before the first frame (m)
 
     """
 
@@ -279,12 +280,18 @@ class Path:
     feet: NDArray[np.float64]
     states: NDArray[np.str_]
     waypoints_reached: int
+    start: _Place
 
     @classmethod
     def _of(
-        cls, seconds: NDArray[np.float64], feet: NDArray[np.float64], codes: NDArray[np.uint8], reached: int
+        cls,
+        seconds: NDArray[np.float64],
+        feet: NDArray[np.float64],
+        codes: NDArray[np.uint8],
+        reached: int,
+        start: _Place,
     ) -> Path:
-        return cls(seconds, feet, STATES[codes], reached)
+        return cls(seconds, feet, STATES[codes], reached, start)
 
     def __repr__(self) -> str:
         """Return final state, time and length."""
@@ -297,5 +304,5 @@ class Path:
 
     @property
     def length(self) -> float:
-        """Length of the path (m)."""
-        return float(np.linalg.norm(np.diff(self.feet, axis=0), axis=1).sum())
+        """Length of the path from its start (m)."""
+        return float(np.linalg.norm(np.diff(self.feet, axis=0, prepend=[self.start]), axis=1).sum())

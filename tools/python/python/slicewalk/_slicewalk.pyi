@@ -28,7 +28,9 @@ __all__ = [
     "Writer",
     "__version__",
     "_check_output",
+    "_input_files",
     "_upload_archive",
+    "_write_export",
     "convert",
     "merge",
     "open",
@@ -56,7 +58,9 @@ def merge(
     force: bool = False,
 ) -> dict[str, Any]: ...
 def _check_output(output: _Path, force: bool) -> None: ...
+def _input_files(inputs: list[str]) -> list[str]: ...
 def _upload_archive(path: _Path, address: _Path, *, force: bool = False, progress: _Progress = None) -> bool: ...
+def _write_export(path: _Path, data: bytes) -> None: ...
 def write_plan(
     inputs: _Path | Iterable[_Path],
     path: _Path,

@@ -133,7 +133,7 @@ def convert(  # noqa: PLR0913
     temp_dir: StrPath | None = None,
     **options: Unpack[ClusterOptions],
 ) -> dict[str, Any]:
-    """Convert scans and meshes into one slice archive, in parts on the workers of a Dask cluster.
+    """Convert scans, meshes and splats into one slice archive, in parts on the workers of a Dask cluster.
 
     Args:
         inputs: as for `slicewalk.convert`: paths that the workers see too, or addresses, for which each worker needs
@@ -174,9 +174,9 @@ def convert(  # noqa: PLR0913
         Error: errors of `slicewalk.convert` and `slicewalk.merge` on the workers
 
     After any error, and even if the client dies, finished steps stay in a hidden folder beside the output or in `work`.
-    The next call with the same inputs and options continues from there; `discard` removes them. After success nothing
-    is left. Cost beyond the conversion: each page is written, read and checked once more per level of the tree, and
-    read once more at the end.
+    The next call with the same inputs and options continues from there, unless a local file has changed; `discard`
+    removes them. After success nothing is left. Cost beyond the conversion: each page is written, read and checked once
+    more per level of the tree, and read once more at the end.
 
     """
     started = time.monotonic()
@@ -196,8 +196,8 @@ def convert(  # noqa: PLR0913
     scratch = None if temp_dir is None else _path("temp_dir", temp_dir)
     table = options.get("stations")
     stations = None if table is None else os.path.abspath(_path("stations", table))
-    # The plan lacks the stations, but the parts depend on them.
-    seen_from = b"" if stations is None else _content(stations)
+    digests = [_digest("stations", table), _digest("transform", options.get("transform"))]
+    partial = bool(options.get("allow_incomplete"))
     budget = None if memory is None else _bytes(memory)
     target = _checked_target(output, force)
     folder = _work(target, work)
@@ -206,8 +206,11 @@ def convert(  # noqa: PLR0913
     count = int(parts or min(_MOST_PARTS, 4 * max(1, sum(client.nthreads().values()))))
     run = uuid.uuid4().hex[:12]
     with _at_work(folder, run, output, force):
-        plan, planned = _plan(folder, paths, plan_options, progress)
-        key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode() + seen_from).hexdigest()[:16]
+        # The parts depend on this too: the plan lacks the stations and knows files by samples of their bytes, and a
+        # part that may lack points is of no use to a call that must have all.
+        given = json.dumps([slicewalk.__version__, partial, digests, _stamps(paths)])
+        plan, planned = _plan(folder, paths, plan_options, given, progress)
+        key = hashlib.sha256(f"{given}\n{plan}".encode()).hexdigest()[:16]
         _put(folder / f"{key}-inputs.json", json.dumps(paths))
         _put(folder / f"{key}-plan.json", plan)
         job = _Job(
@@ -219,7 +222,7 @@ def convert(  # noqa: PLR0913
             threads=threads,
             temp_dir=scratch,
             stations=stations,
-            allow_incomplete=bool(options.get("allow_incomplete")),
+            allow_incomplete=partial,
             version=slicewalk.__version__,
         )
         steps = _tree(key, count, fan_in)
@@ -269,12 +272,26 @@ def _path(name: str, given: object) -> str:
     return path
 
 
-def _content(path: str) -> bytes:
-    """Return what a file holds."""
+def _digest(name: str, given: object) -> str | None:
+    """Return a hash of the file that an argument names; None without one."""
+    if given is None:
+        return None
+    path = _path(name, given)
     try:
-        return Path(path).read_bytes()
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
         raise file_error(path, "read", error) from None
+
+
+def _stamps(paths: list[str]) -> list[tuple[str, int, int]]:
+    """Return names, lengths (bytes) and times of change (ns) of the local files that the inputs name."""
+    stamps = []
+    for name in _slicewalk._input_files([path for path in paths if not _is_address(path)]):
+        # The plan reports files that cannot be read.
+        with contextlib.suppress(OSError):
+            facts = os.stat(name)
+            stamps.append((name, facts.st_size, facts.st_mtime_ns))
+    return stamps
 
 
 def _target(output: StrPath) -> Path | str:
@@ -422,6 +439,11 @@ def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress |
         return
     _checked_target(target, force)
     if force:
+        with contextlib.suppress(FileNotFoundError):
+            # At most as open as the archive that it replaces.
+            mode = whole.stat().st_mode & 0o777
+            if (narrower := mode & (target.stat().st_mode | 0o600)) != mode:
+                whole.chmod(narrower)
         os.replace(whole, target)
     else:
         try:
@@ -440,17 +462,22 @@ def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress |
             os.close(folder)
 
 
-def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Progress | None) -> tuple[str, list[str]]:
-    """Return the plan, that of an earlier call for the same work or a new one, and the warnings already raised."""
+def _plan(
+    work: Path, paths: list[str], options: dict[str, Any], given: str, progress: _Progress | None
+) -> tuple[str, list[str]]:
+    """Return the plan, that of an earlier call for the same work or a new one, and the warnings already raised.
+
+    `given` tells version and content of the inputs.
+    """
     plan, request = work / "plan.json", work / "request.json"
-    wanted = json.dumps([slicewalk.__version__, paths, options], sort_keys=True, default=str)
+    wanted = json.dumps([given, paths, options], sort_keys=True, default=str)
     reads_points = (
         options.get("pixel", "auto") == "auto"
         or options.get("tolerance") == "auto"
         or options.get("colour", "off") != "off"
     )
     with contextlib.suppress(FileNotFoundError):
-        # A plan from headers alone takes little time, and making it again notices changed inputs.
+        # A plan from headers alone takes little time, and making it again also notices changed objects.
         if reads_points and request.read_text() == wanted:
             return plan.read_text(), []
     _remove(plan)
