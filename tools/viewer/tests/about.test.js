@@ -108,6 +108,20 @@ describe("odd devices", () => {
     assert.deepEqual(look, [90, 0]);
   });
 
+  it("draws with the pixels of the screen that it is moved to", async () => {
+    // Where graphics are slow, a view that moves has fewer pixels.
+    await page.addInitScript(() => localStorage.setItem("slicewalk.settings", JSON.stringify({ quality: 2 })));
+    await walkIn(page, address(server, { at: WAY.start }));
+    const width = () => page.evaluate(() => document.querySelector("canvas.view").width);
+    const before = await width();
+    const browser = await page.context().newCDPSession(page);
+    const screen = { width: 800, height: 500, deviceScaleFactor: 2, mobile: false };
+    await browser.send("Emulation.setDeviceMetricsOverride", screen);
+    for (const end = Date.now() + 20_000; (await width()) !== 2 * before; await page.waitForTimeout(50)) {
+      assert.ok(Date.now() < end, `${await width()} pixels, ${before} before`);
+    }
+  });
+
   it("captures the mouse again after the browser refused once", async () => {
     await page.addInitScript(() => {
       window.asked = 0;

@@ -21,6 +21,7 @@ before(async () => {
   program("scangen", "corridor", "--density", "400", "-o", splats);
   writeFileSync(join(folder, "wrong.laz"), "this is no scan");
   writeFileSync(join(folder, "alone.png"), "this is no scan");
+  writeFileSync(join(folder, "empty.slices"), "");
   writeFileSync(join(folder, "wall.obj"), "mtllib wall.mtl\nusemtl wall\nv 0 0 0\nv 4 0 0\nv 0 0 3\nf 1 2 3\n");
   writeFileSync(join(folder, "wall.mtl"), "newmtl wall\nKd 0.8 0.2 0.1\n");
   writeFileSync(join(folder, "cut.laz"), readFileSync(scan).subarray(0, 200_000));
@@ -130,8 +131,10 @@ describe("scans on the page", () => {
   it("a model is converted with the materials that are dropped beside it, and says what it did without", async () => {
     const { page } = tests;
     await page.goto(server.address);
-    await choose(page, "wall.obj", "wall.mtl");
+    // Browsers list files by name, so what a model names may come first.
+    await choose(page, "wall.mtl", "wall.obj");
     await agree(page, "wall.obj");
+    await page.getByRole("heading", { name: "wall.slices", level: 1 }).waitFor();
     assert.equal(await page.getByText("What was left out or assumed").isVisible(), false);
     assert.ok((await saved(page)).equals(natively({ units: "m" }, join(folder, "wall.obj"))));
     await choose(page, "wall.obj");
@@ -141,7 +144,7 @@ describe("scans on the page", () => {
     await page.getByText("wall.obj: materials: cannot read wall.mtl: it is not among the files given").waitFor();
   });
 
-  it("the form asks for the unit that a file does not state, and takes a scan by its address", async () => {
+  it("the form asks for the unit that a file does not state and for the axis up, and takes a scan by its address", async () => {
     const { page } = tests;
     const corners = new Float32Array([0, 0, 0, 4, 0, 0, 0, 3, 0]);
     const uri = `data:;base64,${Buffer.from(corners.buffer).toString("base64")}`;
@@ -165,6 +168,12 @@ describe("scans on the page", () => {
     await choose(page, "splats.ply");
     const dialog = page.getByRole("dialog", { name: "Convert splats.ply" });
     await dialog.getByText("not stated: metres").waitFor({ state: "attached" });
+    // Training programs mostly write y down.
+    await dialog.getByLabel("Axis that points up").selectOption("-y");
+    await dialog.getByLabel("Edge of a pixel (m)").fill("0.1");
+    await dialog.getByRole("button", { name: "Convert and walk in" }).click();
+    await page.getByRole("button", { name: "Save as .slices" }).waitFor();
+    assert.ok((await saved(page)).equals(natively({ ...OPTIONS, up: "-y" }, splats)));
   });
 
   it("a refusal offers what would help: to take what can be read, or to ask again", async () => {
@@ -179,8 +188,14 @@ describe("scans on the page", () => {
     await page.getByRole("button", { name: "Take what can be read" }).click();
     await agree(page, "short.las");
     await page.getByText("What was left out or assumed").waitFor();
-    await choose(page, "point.xyz");
+    await choose(page, "wall.obj", "wall.mtl");
     const start = page.getByRole("button", { name: "Convert and walk in" });
+    await page.getByLabel("Axis that points up").selectOption("-y");
+    await start.click();
+    await page.getByText("meshes are turned by").waitFor();
+    await page.getByRole("button", { name: "Change the options" }).click();
+    await page.getByRole("button", { name: "Cancel" }).click();
+    await choose(page, "point.xyz");
     await start.click();
     await page.getByRole("button", { name: "Change the options" }).click();
     await page.getByLabel("Edge of a pixel (m)").fill("0.1");
@@ -241,6 +256,20 @@ describe("scans on the page", () => {
       await page.getByRole("dialog").getByRole("button", { name: "Cancel" }).click();
       assert.equal((await state(page)).ready, true);
     }
+    await choose(page, "wall.obj", "empty.slices");
+    await page.getByText("empty.slices is an archive. Open it alone").waitFor();
+    await page.getByRole("dialog").getByRole("button", { name: "Cancel" }).click();
+    const several = await page.evaluate(() => {
+      const files = ["a.slices", "b.laz"].map((name) => new File(["x"], name));
+      return window.slicewalk.open(files).catch((error) => error.kind);
+    });
+    assert.equal(several, "invalid");
+    const wrong = await page.evaluate(() =>
+      Promise.all(
+        [undefined, null, {}, [], ["scan.laz"], 5].map((given) => window.slicewalk.open(given).catch(({ kind }) => kind)),
+      ),
+    );
+    assert.deepEqual(wrong, Array(6).fill("invalid"));
     const reason = await page.evaluate(async () => {
       const bytes = await (await fetch("scan.laz")).arrayBuffer();
       const opening = window.slicewalk.open(new File([bytes], "scan.laz"), { units: "m", pixel: 0.02 });
@@ -392,6 +421,37 @@ describe("kiosk", () => {
     await again.click();
     await until(page, "the tour", ({ ready, kiosk }) => ready && kiosk?.touring);
     page.failedRequests.length = 0;
+  });
+
+  it("shows one archive, whatever is dropped or pressed, under its title", async () => {
+    const { page } = tests;
+    await page.goto(`${server.address}?archive=house.slices&kiosk=60&settings=settings.json&lang=en`);
+    await until(page, "ready", ({ ready }) => ready);
+    assert.equal(await page.title(), "The house");
+    await drop(page, "splats.ply", readFileSync(splats));
+    await drop(page, "points.xyz", Buffer.from("0 0 0\n1 0 0\n"));
+    await page.keyboard.press("h");
+    await page.waitForTimeout(1500);
+    assert.equal(await page.getByRole("dialog").count(), 0);
+    assert.equal((await state(page)).drawn.splats, 0);
+  });
+
+  it("does not leave the first view while nobody walks", async () => {
+    const { page } = tests;
+    await page.goto(`${server.address}?archive=house.slices&kiosk=1&settings=plain.json&lang=en`);
+    await until(page, "ready", ({ ready }) => ready);
+    // Turned once, and then left alone for longer than the idle time.
+    await page.mouse.move(400, 200);
+    await page.mouse.wheel(0, 10);
+    const modes = await page.evaluate(async () => {
+      const modes = new Set();
+      for (const end = performance.now() + 4000; performance.now() < end;) {
+        modes.add(window.slicewalk.state().mode);
+        await new Promise(requestAnimationFrame);
+      }
+      return [...modes];
+    });
+    assert.deepEqual(modes, ["orbit"]);
   });
 
   it("runs with settings that make no sense", async () => {

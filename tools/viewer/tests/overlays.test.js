@@ -86,6 +86,33 @@ describe("Gaussian splats", () => {
     assert.equal((await state(page)).drawn.splats, 0);
   });
 
+  it("are saved as they are shown, without the finish of the archive", async () => {
+    await page.addInitScript(() => localStorage.setItem("slicewalk.settings", JSON.stringify({ quality: 2 })));
+    const at = address(server, { at: WAY.start, look: [60, 0] });
+    await walkIn(page, `${at}&splats=cube.ply&align=${AHEAD.join(",")},30,1&up=-y`);
+    await until(page, "drawn", ({ drawn }) => drawn.splats === 27);
+    const saved = async () => {
+      const save = page.getByRole("button", { name: "Screenshot" });
+      const [download] = await Promise.all([page.waitForEvent("download"), save.click()]);
+      const bytes = [...Buffer.concat(await (await download.createReadStream()).toArray())];
+      return page.evaluate(async (bytes) => {
+        const image = await createImageBitmap(new Blob([new Uint8Array(bytes)]));
+        const [w, h] = [image.width, image.height];
+        const context = new OffscreenCanvas(w, h).getContext("2d");
+        context.drawImage(image, 0, 0);
+        const { data } = context.getImageData(w / 4, h / 3, w / 4, h / 3);
+        return Array.from({ length: Math.ceil(data.length / 28) }, (_, n) => [...data.subarray(28 * n, 28 * n + 3)]);
+      }, bytes);
+    };
+    // Pages may arrive between the two pictures.
+    const end = Date.now() + 30_000;
+    for (let share = 1; share > 0.002;) {
+      assert.ok(Date.now() < end, `${share} of the pixels differ`);
+      const [picture, screen] = [await saved(), await pixels(page)];
+      share = picture.filter((rgb, n) => rgb.some((value, c) => Math.abs(value - screen[n][c]) > 8)).length / picture.length;
+    }
+  });
+
   it("that cannot be read are refused in words, and the walk goes on", async () => {
     await walkIn(page, view());
     await drop(page, "broken.ply", Buffer.from("ply\nproperty float f_dc_0\nend_header\n"));

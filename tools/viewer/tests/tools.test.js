@@ -210,14 +210,18 @@ describe("places", () => {
   it("goes where a program sends it, and is loaded then", async () => {
     await walkIn(page, address(server, { at: WAY.start }));
     const { at, look, missing } = await page.evaluate(async () => {
-      await window.slicewalk.goto({ at: [9.25, 4.5, 6.2], look: [90, 10] });
+      await window.slicewalk.goto({ at: Float64Array.of(9.25, 4.5, 6.2), look: [90, 10] });
       return window.slicewalk.state();
     });
     assert.deepEqual([at[0], at[1], look, missing], [9.25, 4.5, [90, 10], 0]);
     await until(page, "on the floor", ({ at: now }) => Math.abs(now[2] - 6) < 0.02);
-    // Numbers that are none are refused, and the archive stays open, whatever is looked at next.
-    const nowhere = () => window.slicewalk.goto({ look: [Number.NaN, 0] }).catch(({ kind, message }) => `${kind}: ${message}`);
-    assert.match(await page.evaluate(nowhere), /^invalid: a look is two finite numbers/);
+    // Numbers that are none are refused before anything moves, and the archive stays open, whatever is looked at next.
+    const nowhere = (place) => window.slicewalk.goto(place).catch(({ kind, message }) => `${kind}: ${message}`);
+    assert.match(await page.evaluate(nowhere, { look: [Number.NaN, 0] }), /^invalid: a look is two finite numbers/);
+    for (const x of [Number.NaN, 1e10]) {
+      const said = await page.evaluate(nowhere, { at: [x, 0, 0], look: [0, 0] });
+      assert.match(said, /^invalid: a place is three numbers within ±1e9 m/);
+    }
     await page.keyboard.press("o");
     const { mode, look: kept, error } = await until(page, "from outside", (now) => now.mode === "orbit");
     assert.deepEqual([mode, kept, error], ["orbit", [90, 10], null]);
@@ -485,6 +489,30 @@ describe("tools", () => {
     assert.equal(await page.getByRole("slider", { name: "West" }).inputValue(), "149");
     await page.getByRole("button", { name: "All of the scan" }).click();
     assert.equal(await page.getByLabel("Show only what is inside the box").isChecked(), false);
+  });
+
+  it("draws again after each change of what is shown", async () => {
+    await walkIn(page, address(server, { at: WAY.start, view: "orbit" }));
+    const draws = async (what, act) => {
+      // A picture now; the next one comes by itself after 4 s.
+      await page.evaluate(() => window.dispatchEvent(new Event("pageshow")));
+      let [pictures, last] = [-1, -2];
+      while (pictures !== last) {
+        await page.waitForTimeout(500);
+        [pictures, last] = [(await state(page)).pictures, pictures];
+      }
+      await act();
+      await until(page, `drawn after ${what}`, (now) => now.pictures > pictures, { timeout: 2500 });
+    };
+    await tool("Colours").click();
+    await draws("other colours", () => page.getByLabel("Slope", { exact: true }).check());
+    await tool("Section").click();
+    await draws("the section", () => page.getByRole("slider", { name: "East" }).fill("150"));
+    await draws("the slices", () => tool("Slices").click());
+    await draws("one slice", () => page.getByLabel("Show one slice only").check());
+    await draws("another theme", () => page.emulateMedia({ colorScheme: "dark" }));
+    await draws("another size", () => page.setViewportSize({ width: 700, height: 500 }));
+    await draws("another view", () => page.keyboard.press("m"));
   });
 
   it("opens a file of this computer, dropped or chosen, without the network", async () => {

@@ -11,6 +11,14 @@ import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
 let page, server, folder;
+/** How saving the open archive ends. */
+const saved = () =>
+  page.evaluate(() =>
+    window.slicewalk.save().then(
+      ({ size }) => size,
+      ({ kind }) => kind,
+    ),
+  );
 const tests = pages({
   network: false,
   async begin() {
@@ -59,6 +67,7 @@ describe("trouble", () => {
     server.delayMs = 500;
     await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     await server.stop();
+    assert.equal(await saved(), "network");
     await page.evaluate(() => void window.slicewalk.goto({ at: [9.25, 4.5, 6.2] }).catch(() => {}));
     await until(page, "waiting for pages", ({ missing, at }) => missing > 0 && at[2] > 6);
     await page.getByText("Connection trouble, trying again").waitFor();
@@ -76,12 +85,29 @@ describe("trouble", () => {
     await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     copyFileSync(other(), join(folder, "new.slices"));
     renameSync(join(folder, "new.slices"), join(folder, "house.slices"));
+    assert.equal(await saved(), "replaced");
     await page.evaluate(() => void window.slicewalk.goto({ at: [9.25, 4.5, 6.2] }).catch(() => {}));
     const dialog = page.getByRole("dialog", { name: "The archive was replaced while you walked" });
     await dialog.waitFor();
     assert.match((await state(page)).error, /replaced/);
     await dialog.getByRole("button", { name: "Open again" }).click();
     await until(page, "ready again", ({ ready, error }) => ready && error === null);
+  });
+
+  it("begins a kiosk again at its start, and leaves no other way", async () => {
+    server.delayMs = 500;
+    await walkIn(page, `${address(server, { at: WAY.start, look: [0, 0] })}&kiosk=60`);
+    copyFileSync(other(), join(folder, "new.slices"));
+    renameSync(join(folder, "new.slices"), join(folder, "house.slices"));
+    await page.evaluate(() => void window.slicewalk.goto({ at: [9.25, 4.5, 6.2] }).catch(() => {}));
+    const dialog = page.getByRole("dialog", { name: "The archive was replaced while you walked" });
+    await dialog.waitFor();
+    server.delayMs = 0;
+    await page.keyboard.press("Escape");
+    await page.waitForTimeout(500);
+    await dialog.getByRole("button", { name: "Open again" }).click({ timeout: 5000 });
+    const { at } = await until(page, "ready again", ({ ready, error }) => ready && error === null);
+    assert.ok(Math.hypot(at[0] - WAY.start[0], at[1] - WAY.start[1]) < 1, `${at}`);
   });
 
   for (const [what, content, title] of [
@@ -107,6 +133,22 @@ describe("trouble", () => {
     const { error } = await until(page, "an error", (now) => now.error !== null);
     assert.match(error, /damaged/);
     await page.getByRole("dialog").getByText("slicetool verify").waitFor();
+  });
+
+  it("hatches what it cannot read in a saved plan", async () => {
+    const bytes = readFileSync(house());
+    // The end of all pages: the last one, at the corner that is farthest from the start.
+    bytes[bytes.readUInt32LE(12) + Number(bytes.readBigUInt64LE(288)) - 1] ^= 1;
+    writeFileSync(join(folder, "bad.slices"), bytes);
+    const plan = async (archive) => {
+      await walkIn(page, address(server, { archive, at: WAY.start, view: "plan" }));
+      const save = page.getByRole("button", { name: "Save as SVG" });
+      const [download] = await Promise.all([page.waitForEvent("download"), save.click()]);
+      const text = Buffer.concat(await (await download.createReadStream()).toArray()).toString("utf8");
+      return { hatched: /<path class="unknown"[^>]* d="M/.test(text), said: text.includes(" · hatched: not read\n") };
+    };
+    assert.deepEqual(await plan("bad.slices"), { hatched: true, said: true });
+    assert.deepEqual(await plan("house.slices"), { hatched: false, said: false });
   });
 
   it("says once that colours are damaged, and walks on without them", async () => {

@@ -8,10 +8,11 @@
 //! {"task": "convert", "inputs": [{"name": "scan.laz", "file": 0, "length": 1234}], "options": {"pixel": 0.05}}
 //! ```
 //!
-//! `file` is the number by which the host reads an input. `"task": "preview"` answers what `sliceconv --dry-run --json`
-//! prints, without passing over the points, and whether the input says its unit (`unit_stated`). The answer to
-//! `convert` has the `report` that `sliceconv --json` prints, and the number and length of the host's `file` that holds
-//! the archive; or an `error`, with the `parameter` that helps.
+//! `file` is the number by which the host reads an input. Names have no folders: the second input of a name is read as
+//! `2/scan.laz`, the third as `3/scan.laz`. `"task": "preview"` answers what `sliceconv --dry-run --json` prints, without
+//! passing over the points, and whether the input says its unit (`unit_stated`). The answer to `convert` has the `report`
+//! that `sliceconv --json` prints, and the number and length of the host's `file` that holds the archive; or an `error`,
+//! with the `parameter` that helps.
 //!
 //! One thread, memory by the option `memory`; the archive has the bytes that `sliceconv` writes with the same options.
 
@@ -20,7 +21,7 @@ mod options;
 
 use host::{HostDisk, HostMonitor, HostSource};
 use serde_json::{Value, json};
-use slicewalk_base::bytes::{hold_source, release_sources};
+use slicewalk_base::bytes::{held, hold_source, release_sources};
 use slicewalk_base::disk;
 use slicewalk_base::{Error, Parameter, Result};
 use slicewalk_convert::{ConvertOptions, PixelSize, convert, preview};
@@ -77,8 +78,19 @@ pub extern "C" fn answer_len() -> usize {
 
 fn answer_to(request: &Value) -> Result<Value> {
     let mut inputs = Vec::new();
-    for input in request["inputs"].as_array().into_iter().flatten() {
-        let name = PathBuf::from(input["name"].as_str().unwrap_or("scan"));
+    let given = || request["inputs"].as_array().into_iter().flatten();
+    for input in given() {
+        let own = input["name"].as_str().unwrap_or("scan");
+        let (mut name, mut number) = (PathBuf::from(own), 1);
+        while held(&name).is_some() {
+            number += 1;
+            name = PathBuf::from(format!("{number}/{own}"));
+        }
+        // Which of them a mesh names, or which mesh a file lies beside, is not known.
+        if number > 1 && given().any(|input| input["beside"] == true) {
+            let reason = format!("two files are called {own}; convert them one after the other, or rename one");
+            return Err(Error::parameter("inputs", reason));
+        }
         let file = input["file"].as_u64().unwrap_or(0) as u32;
         let len = input["length"].as_u64().unwrap_or(0);
         hold_source(&name, HostSource { name: name.clone(), file, len });

@@ -572,24 +572,21 @@ impl Engine {
     pub fn set_scene(
         &mut self, scene: u32, radius: f64, triangles: f64, detail: f64, overview: bool, blocks: bool,
     ) {
-        if let Some(scene) = self.scenes.get_mut(scene) {
-            scene.thing.set(radius, triangles, detail, overview, blocks);
+        if let Some(scenes) = self.scenes.get_mut(scene) {
+            scenes.thing.set(radius, triangles, detail, overview, blocks);
+            // A camera that has not looked yet needs nothing.
+            if scenes.hinted.is_some() {
+                self.hint_scene(scene);
+            }
         }
     }
 
     /// Sets the position of a scene's camera.
     pub fn look(&mut self, scene: u32, at: &[f64]) -> Result<(), String> {
         let at = point(at)?;
-        if let Some(scene) = self.scenes.get_mut(scene) {
-            if scene.thing.has_overview() && matches!(self.outline, Distant::Later) {
-                self.outline = Distant::Wanted;
-            }
-            scene.thing.look(at);
-            let motion_hint = scene.thing.motion_hint();
-            if scene.hinted != Some(motion_hint) {
-                scene.hinted = Some(motion_hint);
-                self.loader.hint(scene.body, &motion_hint);
-            }
+        if let Some(scenes) = self.scenes.get_mut(scene) {
+            scenes.thing.look(at);
+            self.hint_scene(scene);
         }
         Ok(())
     }
@@ -717,6 +714,19 @@ impl Engine {
         let missing = company.missing.zip(company.bodies.first().map(|(body, _)| *body));
         company.hints(frame).for_each(|(body, hint)| self.loader.hint(body, &hint));
         missing.iter().for_each(|(missing, body)| self.loader.need(*body, missing));
+    }
+
+    /// Passes the motion hint of a scene's camera to the loader, and asks for the overview level if it draws one.
+    fn hint_scene(&mut self, name: u32) {
+        let Some(scene) = self.scenes.get_mut(name) else { return };
+        if scene.thing.has_overview() && matches!(self.outline, Distant::Later) {
+            self.outline = Distant::Wanted;
+        }
+        let motion_hint = scene.thing.motion_hint();
+        if scene.hinted != Some(motion_hint) {
+            scene.hinted = Some(motion_hint);
+            self.loader.hint(scene.body, &motion_hint);
+        }
     }
 
     fn request(&mut self, keys: &[PageKey]) -> u32 {

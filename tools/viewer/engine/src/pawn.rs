@@ -233,12 +233,13 @@ impl Pawn {
         &self.walker.config().body
     }
 
-    /// Moves the pawn elsewhere (m, finite), at rest.
+    /// Moves the pawn elsewhere (m, within ±10⁹), at rest.
     pub fn place(&mut self, at: Point3<f64>) -> Result<(), String> {
-        if !at.iter().all(|v| v.is_finite()) {
-            return Err(invalid(format_args!("no pawn can stand at {at}")));
-        }
         self.walker.place(at);
+        // The walker ignores other places.
+        if self.walker.feet() != at {
+            return Err(invalid(format_args!("a place: expected three numbers within ±1e9 m, found {at}")));
+        }
         (self.rest_s, self.jumps, self.stop, self.missing, self.speed) = (0.0, false, None, None, [0.0; 2]);
         (self.ticks_here, self.goes_on, self.route) = (0, false, None);
         self.keep([0.0, at.x, at.y, 1.0, 0.0, f64::from(PLACE), at.z, 0.0]);
@@ -448,6 +449,9 @@ mod tests {
         pawn.step(&empty, TICK_S, &input);
         assert_eq!(speeds(&pawn), (0.0, 0.0));
         pawn.step(&empty, TICK_S, &input);
+        assert_eq!(speeds(&pawn), (1.4, 9.81));
+        // A place that is refused leaves the pawn as it is.
+        assert!(pawn.place(Point3::new(0.0, 1e10, 0.0)).is_err_and(|error| error.contains("±1e9 m")));
         assert_eq!(speeds(&pawn), (1.4, 9.81));
         pawn.place(Point3::origin()).unwrap();
         assert_eq!(speeds(&pawn), (0.0, 0.0));

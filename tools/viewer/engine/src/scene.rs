@@ -71,6 +71,9 @@ impl Scenes {
     pub fn set(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool, blocks: bool) {
         (self.given, self.has_overview) = ([radius, triangles, detail], overview);
         [&mut self.near, &mut self.far].into_iter().for_each(|scene| scene.set_blocks(blocks));
+        if !overview {
+            self.far.drop_all();
+        }
         let Some((level, frame)) = self.level.filter(|_| overview) else {
             return self.near.set(radius, triangles, detail);
         };
@@ -235,6 +238,13 @@ impl Scene {
         if at.iter().all(|v| v.is_finite()) && at != self.at {
             (self.at, self.stale) = (at, true);
         }
+    }
+
+    /// Drops all that is drawn.
+    fn drop_all(&mut self) {
+        self.dropped.extend(self.drawn.drain().map(|(_, drawn)| drawn.id));
+        self.queue.clear();
+        self.stale = true;
     }
 
     /// Motion hint for a loader, to load the nearest pages first.

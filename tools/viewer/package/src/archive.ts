@@ -1,7 +1,7 @@
 /** Archives as seen by the page. */
 
 import { absolute } from "./address.js";
-import { across, callable, copied, number, numbers, object, optional, place, refused, shown } from "./check.js";
+import { across, callable, copied, count, number, numbers, object, optional, place, refused, shown } from "./check.js";
 import { makeCrowd } from "./crowd.js";
 import { aborted, asError, fromFault } from "./fault.js";
 import { Link, type WorkerLike } from "./link.js";
@@ -85,7 +85,7 @@ export class OpenArchive implements Archive {
           source: source instanceof Blob ? source : absolute(source),
           wasm: typeof wasm === "string" || wasm instanceof URL ? absolute(wasm) : wasm,
           budgetBytes: number(options.budgetBytes ?? 64 << 20, "budgetBytes"),
-          requests: number(options.requests ?? 6, "requests"),
+          requests: count(options.requests ?? 6, "requests"),
           credentials: options.credentials,
         },
         options.signal,
@@ -121,6 +121,10 @@ export class OpenArchive implements Archive {
       this.referenced = undefined;
     });
     return reading;
+  }
+
+  async file(options?: { signal?: AbortSignal }): Promise<Blob> {
+    return this.link.call<Blob>({ call: "file" }, optional(options).signal);
   }
 
   overlaps(boxes: Float64Array, options?: BatchOptions): Promise<Uint8Array> {
@@ -190,7 +194,7 @@ export class OpenArchive implements Archive {
     const bytes = await this.link.call<Uint8Array>({
       call: "map",
       area: Float64Array.of(...min, ...max, ...numbers(heights, 2, "the range of heights")),
-      cells: number(cells, "cells"),
+      cells: count(cells, "cells"),
     });
     const head = new DataView(bytes.buffer, bytes.byteOffset, 24);
     const [width, height, cell] = [0, 8, 16].map((at) => head.getFloat64(at, true)) as [number, number, number];

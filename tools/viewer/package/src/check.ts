@@ -12,7 +12,11 @@ export function refused(text: string): SlicewalkError {
 
 /** Returns the elements of a list of any kind; of anything else none. */
 function listed(given: unknown): unknown[] {
-  return typeof given === "object" && given !== null ? Array.from(given as Iterable<unknown>) : [];
+  try {
+    return typeof given === "object" && given !== null ? Array.from(given as Iterable<unknown>) : [];
+  } catch {
+    return []; // such as an array whose buffer was transferred elsewhere
+  }
 }
 
 function word(value: unknown): string {
@@ -65,6 +69,14 @@ export function number(given: unknown, what: string): number {
   return given;
 }
 
+/** Returns a number of things; Infinity is the largest one that the engine takes. */
+export function count(given: unknown, what: string): number {
+  if (typeof given !== "number" || given < 1 || !(Number.isInteger(given) || given === Infinity)) {
+    throw refused(`${what} is a whole number from 1 up, found ${shown(given)}`);
+  }
+  return Math.min(given, 2 ** 32 - 1);
+}
+
 /** Returns the time of a step (s). */
 export function duration(given: unknown): number {
   if (typeof given !== "number" || !Number.isFinite(given) || given < 0) {
@@ -73,24 +85,29 @@ export function duration(given: unknown): number {
   return given;
 }
 
+/** Returns the name of a class, because objects of another frame have another class. */
+export function kindOf(given: unknown): string {
+  return Object.prototype.toString.call(given).slice(8, -1);
+}
+
 /** Returns rows of numbers, one after the other. */
 export function rows(given: unknown, what = "rows"): Float64Array {
-  // By name, because the arrays of another frame have another class.
-  const kind = Object.prototype.toString.call(given).slice(8, -1);
+  const kind = kindOf(given);
   if (kind !== "Float64Array") {
     throw refused(`${what} are a Float64Array, found ${kind}; make one with Float64Array.from`);
   }
-  return given as Float64Array;
+  const found = given as Float64Array;
+  try {
+    found.at(0);
+  } catch (cause) {
+    throw new SlicewalkError("invalid", `${what} cannot be read; their buffer may have been transferred elsewhere`, { cause });
+  }
+  return found;
 }
 
 /** Returns a copy of rows. */
 export function copied(given: unknown, what = "rows"): Float64Array<ArrayBuffer> {
-  const found = rows(given, what);
-  try {
-    return found.slice();
-  } catch (cause) {
-    throw new SlicewalkError("invalid", `${what} cannot be read; their buffer may have been transferred elsewhere`, { cause });
-  }
+  return rows(given, what).slice();
 }
 
 export function object<T extends object>(given: T, what: string): T {

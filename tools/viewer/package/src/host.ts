@@ -211,6 +211,8 @@ export class Host {
         return this.woken(plain(readState(engine.set_pawn(call.walker, call.settings))));
       case "record":
         return plain(readState(engine.record(call.walker)));
+      case "file":
+        return plain(await this.source?.file(signal));
       case "recording":
         return plain({ steps: engine.recorded_steps(call.walker), path: engine.recorded_path(call.walker) });
       case "view": {

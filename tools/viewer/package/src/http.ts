@@ -113,11 +113,50 @@ export class HttpSource implements Source {
   }
 
   private async request(start: number, end: number, signal: AbortSignal, watch: Watch): Promise<Uint8Array<ArrayBuffer>> {
-    this.requests += 1;
-    let response: Response;
+    const response = await this.ask(`bytes=${start}-${end - 1}`, signal);
+    watch.alive();
+    if (response.status === 206) {
+      return this.part(response, start, end, watch);
+    }
+    if (response.status === 200) {
+      this.whole = await this.all(response, watch);
+      return this.whole.slice(start, end);
+    }
+    throw await this.refusal(response);
+  }
+
+  async file(signal: AbortSignal): Promise<Blob> {
+    if (this.whole) {
+      return new Blob([this.whole]);
+    }
     try {
-      response = await this.outside.fetch(this.url, {
-        headers: { Range: `bytes=${start}-${end - 1}` },
+      const response = await this.ask("bytes=0-", signal);
+      if (!response.ok) {
+        throw await this.refusal(response);
+      }
+      this.check(response, undefined);
+      // Browsers keep what does not fit into memory on the disk.
+      const blob = await response.blob();
+      this.bytes += blob.size;
+      this.check(response, blob.size);
+      return blob;
+    } catch (cause) {
+      if (signal.aborted) {
+        throw aborted();
+      }
+      if (cause instanceof SlicewalkError) {
+        throw cause;
+      }
+      const reason = cause instanceof Passing ? cause.message : `${this.url}: the connection broke`;
+      throw new SlicewalkError("network", reason, { cause });
+    }
+  }
+
+  private async ask(range: string, signal: AbortSignal): Promise<Response> {
+    this.requests += 1;
+    try {
+      return await this.outside.fetch(this.url, {
+        headers: { Range: range },
         // A cache would queue requests for one file, and could return ranges of an older version.
         cache: "no-store",
         credentials: this.options.credentials ?? "same-origin",
@@ -127,21 +166,17 @@ export class HttpSource implements Source {
       const way = "the host cannot be reached, or does not let other sites read it (CORS)";
       throw new Passing(`${this.url}: ${way}`, { cause });
     }
-    watch.alive();
-    if (response.status === 206) {
-      return this.part(response, start, end, watch);
-    }
-    if (response.status === 200) {
-      this.whole = await this.all(response, watch);
-      return this.whole.slice(start, end);
-    }
+  }
+
+  /** Returns why an answer has no bytes of the file. */
+  private async refusal(response: Response): Promise<Error> {
     await response.body?.cancel().catch(() => undefined);
     if (response.status === 416) {
-      throw this.tag ? this.replaced() : new SlicewalkError("not-an-archive", `${this.url}: the file is empty`);
+      return this.tag ? this.replaced() : new SlicewalkError("not-an-archive", `${this.url}: the file is empty`);
     }
     const status = `${this.url}: the host answers ${response.status} ${response.statusText}`.trimEnd();
     const passing = response.status >= 500 || response.status === 429 || response.status === 408 || this.begun;
-    throw passing ? new Passing(status) : new SlicewalkError("network", status);
+    return passing ? new Passing(status) : new SlicewalkError("network", status);
   }
 
   /** Reads the answer to a range request. */

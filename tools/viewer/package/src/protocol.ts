@@ -29,6 +29,7 @@ export type SceneSettings = readonly [radius: number, triangles: number, detail:
 export type Call =
   | Open
   | { readonly call: "reference" }
+  | { readonly call: "file" }
   | { readonly call: "boxes" }
   | { readonly call: "batch"; readonly kind: BatchKind; readonly rows: Float64Array; readonly load: boolean }
   | ({ readonly call: "slide"; readonly load: boolean } & Sliding)

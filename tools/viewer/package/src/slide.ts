@@ -1,6 +1,6 @@
 /** Moves along surfaces, as numbers. */
 
-import { number, object, optional, place, refused, shown } from "./check.js";
+import { count, number, object, optional, place, refused, shown } from "./check.js";
 import { CONTACT_LENGTH, readContact, readSlide, SLIDE_LENGTH } from "./messages.js";
 import type { Sliding } from "./protocol.js";
 import type { Contact, PlacedShape, Slide, SlideOptions, Vec3 } from "./types.js";
@@ -30,7 +30,7 @@ function shapeNumbers(given: PlacedShape): Float64Array {
 
 export function toSliding(shape: PlacedShape, motion: Vec3, options?: SlideOptions): Sliding {
   const { iterations = CONTACTS } = optional(options);
-  const contacts = number(iterations, "iterations");
+  const contacts = count(iterations, "iterations");
   return { shape: shapeNumbers(shape), motion: Float64Array.from(place(motion, "a move")), contacts };
 }
 

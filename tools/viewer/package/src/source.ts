@@ -11,6 +11,8 @@ export interface Source {
   readonly bytes: number;
   /** Reads the bytes from `start` up to, but without, `end`; fewer only at the end of a file of unknown length. */
   read(start: number, end: number, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>>;
+  /** All bytes of the file. */
+  file(signal: AbortSignal): Promise<Blob>;
 }
 
 /** A file chosen by the user. */
@@ -37,6 +39,10 @@ export class BlobSource implements Source {
     this.bytes += bytes.length;
     return bytes;
   }
+
+  async file(): Promise<Blob> {
+    return this.blob;
+  }
 }
 
 /** Bytes read ahead at the end of a file: footer, metadata and directory of all but large archives. */
@@ -62,6 +68,10 @@ export class TailFirst implements Source {
 
   get bytes(): number {
     return this.source.bytes;
+  }
+
+  file(signal: AbortSignal): Promise<Blob> {
+    return this.source.file(signal);
   }
 
   /** Reads the first bytes; the answer also reveals the length, if the host states it. */

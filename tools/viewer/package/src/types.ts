@@ -79,7 +79,7 @@ export interface OpenOptions {
    * shows may take a quarter more.
    */
   budgetBytes?: number;
-  /** Largest number of concurrent requests; 6 by default. */
+  /** Largest number of concurrent requests, 1 or more; 6 by default, at most 64. */
   requests?: number;
   /** Cancels opening; an archive that is already open stays open. */
   signal?: AbortSignal;
@@ -201,7 +201,7 @@ export type PlacedShape =
 
 /** Options of a move along surfaces. */
 export interface SlideOptions extends BatchOptions {
-  /** Most contacts that it handles; 4 by default, at most 16. At the last one it ends. */
+  /** Most contacts that it handles, 1 or more; 4 by default, at most 16. At the last one it ends. */
   iterations?: number;
 }
 
@@ -253,6 +253,9 @@ export interface Archive {
   /** Reads the metadata, with one request the first time. */
   reference(): Promise<ArchiveReference>;
 
+  /** All bytes of the archive, such as to save it; fails with `replaced` if its host has another version now. */
+  file(options?: { signal?: AbortSignal }): Promise<Blob>;
+
   /** Boxes N×6 (min, max) → N × {@link CLEAR}, {@link HIT} or {@link NOT_LOADED}. */
   overlaps(boxes: Float64Array, options?: BatchOptions): Promise<Uint8Array>;
   /** Spheres N×4 (centre, radius) → answers like those of {@link overlaps}. */
@@ -286,7 +289,7 @@ export interface Archive {
   /** Loads the pages that a pawn needs to stand in this box; resolves once all of them are in memory. */
   load(box: Bounds, options?: { signal?: AbortSignal }): Promise<void>;
 
-  /** Floor and obstacles between two heights, from the pages in memory now; at most 1024 cells per edge. */
+  /** Floor and obstacles between two heights, from the pages in memory now; 1 to 1024 cells per edge, 512 by default. */
   map(
     area: { min: readonly [number, number]; max: readonly [number, number] },
     heights: readonly [number, number],
@@ -426,8 +429,9 @@ export interface Walker {
    * per frame without awaiting it: the state that it resolves to usually arrives before the next frame.
    */
   step(seconds: number, input?: WalkerInput): Promise<WalkerState>;
-  /** Moves the pawn elsewhere, at rest. */
+  /** Moves the pawn elsewhere, within ±10⁹ m, at rest. */
   place(at: Vec3): Promise<WalkerState>;
+  /** Changes the settings that are named, in the order of the calls. One that is refused changes nothing. */
   set(settings: WalkerSettings): Promise<WalkerState>;
   /**
    * Finds a way on foot to a place, without drops from which the pawn could not return, as `slicetool route` does:

@@ -98,6 +98,8 @@ export class WalkerHandle implements Walker {
   state: WalkerState;
   private start: Vec3;
   private closed = false;
+  /** The last change of settings, until it is answered. */
+  private setting: Promise<WalkerState> | undefined;
 
   constructor(
     private readonly link: Link,
@@ -132,10 +134,23 @@ export class WalkerHandle implements Walker {
   }
 
   async set(settings: WalkerSettings): Promise<WalkerState> {
-    const given = { ...this.given, ...defined(optional(settings)) };
-    const told = await this.told({ call: "settings", walker: this.name, settings: settingsNumbers(complete(given)) });
-    this.given = given;
-    return told;
+    const changes = defined(optional(settings));
+    const change = async (): Promise<WalkerState> => {
+      const given = { ...this.given, ...changes };
+      const told = await this.told({ call: "settings", walker: this.name, settings: settingsNumbers(complete(given)) });
+      this.given = given;
+      return told;
+    };
+    // Each begins with what the one before has changed, or with nothing of it if that was refused.
+    const changing = this.setting ? this.setting.then(change, change) : change();
+    this.setting = changing;
+    try {
+      return await changing;
+    } finally {
+      if (this.setting === changing) {
+        this.setting = undefined;
+      }
+    }
   }
 
   async route(to: Vec3, options?: { signal?: AbortSignal }): Promise<Route | RouteRefusal> {

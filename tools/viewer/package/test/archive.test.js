@@ -13,7 +13,7 @@ import {
   openArchive,
   SlicewalkError,
 } from "../dist/index.js";
-import { FileHost, numbers, read } from "./local.js";
+import { FileHost, gone, numbers, read, until } from "./local.js";
 
 const scene = read("scene.slices");
 const URL_ = "http://host/scene.slices";
@@ -22,12 +22,6 @@ const refuses =
   (kind, message = /./) =>
   (error) =>
     error instanceof SlicewalkError && error.kind === kind && message.test(error.message);
-const until = async (what, seconds = 10) => {
-  for (let n = 0; !what(); n++) {
-    assert.ok(n < seconds * 200, `never: ${what}`);
-    await new Promise((resolve) => setTimeout(resolve, 5));
-  }
-};
 
 test("opens with three requests and says what the head says", async () => {
   const host = new FileHost(scene);
@@ -106,6 +100,10 @@ test("arguments that make no sense are refused with their row", async () => {
   await assert.rejects(archive.cast(new Float64Array(7)), refuses("invalid", /row 0: ray/));
   await assert.rejects(archive.walker({ at: [0, 0, Number.NaN] }), refuses("invalid"));
   await assert.rejects(archive.walker({ at: [0, 0, 0], climb: 3 }), refuses("invalid", /climb/));
+  await assert.rejects(archive.walker({ at: [0, 0, 1e10] }), refuses("invalid", /1e9 m/));
+  const walker = await archive.walker({ at: [0, 0, 1] });
+  await assert.rejects(walker.place([1e10, 0, 0]), refuses("invalid", /1e9 m/));
+  assert.deepEqual(walker.state.at, [0, 0, 1]);
   await assert.rejects(archive.load({ min: [1, 0, 0], max: [0, 0, 0] }), refuses("invalid", /box/));
   assert.equal(archive.error, null);
   archive.close();
@@ -124,18 +122,23 @@ test("arguments of another type are refused, and the archive stays usable", asyn
     [() => archive.castHits(new Float32Array(7)), /Float64Array, found Float32Array/],
     [() => archive.floor(), /Float64Array/],
     [() => archive.overlaps(new Float64Array(6), { signal: new AbortController() }), /signal/],
+    [() => archive.overlaps(gone()), /transferred/],
     [() => archive.load(), /box/],
     [() => archive.load({ min: at }), /corner/],
     [() => archive.map(), /area/],
     [() => archive.map({ min: [0, 0], max: [1, 1] }, 2), /heights/],
     [() => archive.map({ min: [0, 0], max: [1, 1] }, [0, 2], "many"), /cells/],
+    [() => archive.map({ min: [0, 0], max: [1, 1] }, [0, 2], -1), /cells is a whole number from 1 up, found -1/],
     [() => archive.moveAndSlide(undefined, at), /shape/],
     [() => archive.moveAndSlide({ ...shape, shape: "capsule" }, at), /shape.*"capsule"/],
     [() => archive.moveAndSlide({ ...shape, x: undefined }, at), /shape\.x/],
     [() => archive.moveAndSlide(shape, "up"), /move/],
     [() => archive.moveAndSlide(shape, at, { iterations: Number.NaN }), /iterations/],
+    [() => archive.moveAndSlide(shape, at, { iterations: 0 }), /iterations/],
+    [() => archive.moveAndSlide(shape, at, { iterations: 1.5 }), /iterations/],
     [() => archive.walker(), /place/],
     [() => archive.walker({}), /place/],
+    [() => archive.walker({ at: gone() }), /place/],
     [() => archive.walker({ at: ["0", "0", "1"] }), /place/],
     [() => archive.walker({ at, body: { shape: "capsule", radius: 1, height: 2 } }), /box or a cylinder.*"capsule"/],
     [() => archive.walker({ at, body: null }), /body/],
@@ -155,12 +158,14 @@ test("arguments of another type are refused, and the archive stays usable", asyn
     [() => crowd.step(Number.NaN, new Float64Array(3)), /seconds/],
     [() => openArchive(undefined, { worker: new FileHost(scene).worker }), /address/],
     [() => open(new FileHost(scene), { budgetBytes: "all" }), /budgetBytes/],
+    [() => open(new FileHost(scene), { requests: 0.5 }), /requests/],
     // Not asynchronous.
     [async () => archive.view({ onPage: () => undefined }), /onDrop/],
     [async () => archive.view({ ...callbacks, radius: Number.NaN }), /radius/],
     [async () => view.set({ detail: "fine" }), /detail/],
     [async () => view.look([0, Number.NaN, 1]), /camera is three finite numbers, found \[0, NaN, 1\]/],
     [async () => view.look([0, 0]), /camera/],
+    [async () => view.look(gone()), /camera/],
     [async () => archive.on("progress", () => undefined), /stats, trouble, failed/],
     [async () => archive.on("stats"), /listener/],
   ]) {
@@ -220,6 +225,9 @@ test("a shape slides along what it meets, and waits for nothing that it was not 
   assert.deepEqual(await archive.moveAndSlide(bounds, motion), down);
   const once = await archive.moveAndSlide(bounds, motion, { iterations: 1 });
   assert.ok(once.contacts.length === 1 && once.motion[1] < down.motion[1]);
+  for (const iterations of [16, 2 ** 32, Infinity]) {
+    assert.deepEqual(await archive.moveAndSlide(bounds, motion, { iterations }), down);
+  }
   // Into the outer wall, whose surface lies at 8.8, along it and into the corner.
   const sphere = { shape: "sphere", radius: 0.2, at: [8.5, 8, 1.5] };
   const corner = await archive.moveAndSlide(sphere, [5, 4, 0], { load: true });
@@ -281,6 +289,16 @@ test("a walker waits for its pages and then walks, jumps, crouches and flies", a
   await assert.rejects(walker.set({ body: { shape: "cylinder", radius: 1.5, height: 3 } }), refuses("invalid", /room/));
   await walker.set({ speed: 3, body: { shape: "cylinder", radius: 0.1, height: 0.9 } });
   assert.equal((await walker.step(0.1, {})).height, 0.9);
+  // Those that are set before the answers come, beside some that are refused.
+  await Promise.all([
+    assert.rejects(walker.set({ climb: 3 }), refuses("invalid", /climb/)),
+    walker.set({ speed: 2 }),
+    walker.set({ gravity: 5 }),
+  ]);
+  const { speed } = await walker.step(0.2, { fly: true, wish: [1, 0] });
+  assert.ok(Math.abs(speed - 2) < 1e-9, `${speed} m/s`);
+  const { options } = await walker.recording();
+  assert.deepEqual([options.climb, options.speed, options.gravity], [0.35, 2, 5]);
   walker.close();
   await assert.rejects(walker.step(0.1, {}), refuses("invalid", /closed/));
   archive.close();
@@ -496,6 +514,34 @@ test("a host that goes away and comes back is waited for, and the trouble is tol
   await until(() => told.at(-1) === null);
   assert.equal(archive.error, null);
   archive.close();
+});
+
+test("the bytes of an archive are those that were opened, or none", async () => {
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  const bytes = async (opened) => new Uint8Array(await (await opened.file()).arrayBuffer());
+  assert.deepEqual(await bytes(archive), scene);
+  const gate = new AbortController();
+  const late = archive.file({ signal: gate.signal });
+  gate.abort();
+  await assert.rejects(late, refuses("aborted"));
+  host.down = true;
+  await assert.rejects(archive.file(), refuses("network", /cannot be reached/));
+  host.down = false;
+  // Another tag, or another length.
+  const { file, etag } = host;
+  for (const [other, tag] of [
+    [file, '"2"'],
+    [file.slice(0, -1), etag],
+  ]) {
+    Object.assign(host, { file: other, etag: tag });
+    await assert.rejects(archive.file(), refuses("replaced", /open it again/));
+  }
+  archive.close();
+  await assert.rejects(archive.file(), refuses("aborted"));
+  const local = await openArchive(new Blob([scene]), { worker: host.worker });
+  assert.deepEqual(await bytes(local), scene);
+  local.close();
 });
 
 test("an archive that is replaced meanwhile fails as a whole, once", async () => {

@@ -4,7 +4,7 @@
 
 import assert from "node:assert/strict";
 import { execFileSync, spawnSync } from "node:child_process";
-import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
 import { after, before, test } from "node:test";
@@ -83,6 +83,23 @@ test("generated scans, with each kind of option", async () => {
     assert.ok(await agree([laz], options));
   }
   assert.ok(await agree([scan("house.las", "demo")], { pixel: 0.1, units: "m", colour: "class" }));
+});
+
+test("files of the same name are all read, unless they lie beside a mesh", async () => {
+  const tile = (name, x) => {
+    mkdirSync(join(folder, name), { recursive: true });
+    const path = join(folder, name, "tile.xyz");
+    writeFileSync(path, Array.from({ length: 100 }, (_, n) => `${x + n / 10} 0 0\n`).join(""));
+    return path;
+  };
+  const paths = [tile("north", 0), tile("south", 50), tile("west", -50)];
+  const options = { pixel: 0.5, units: "m" };
+  assert.ok(await agree(paths, options));
+  const host = new FileHost([...paths, paths[0]], join(folder, "temporary"));
+  const inputs = host.inputs.map((input, n) => (n < 3 ? input : { ...input, name: "wall.mtl", beside: true }));
+  const answer = await runConversion(module, host, { task: "preview", inputs, options });
+  host.close();
+  assert.match(answer.error, /^inputs: two files are called tile\.xyz;/);
 });
 
 test("seen space of scans that state their stations", async () => {

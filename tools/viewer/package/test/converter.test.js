@@ -2,7 +2,8 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { ConversionError, Converter } from "../dist/convert/index.js";
+import { ConversionError, Converter, mainOf } from "../dist/convert/index.js";
+import { SlicewalkError } from "../dist/index.js";
 
 class Stub {
   requests = [];
@@ -115,5 +116,30 @@ test("files and options that cannot be used are refused", async () => {
   assert.throws(() => begin(new File(["x"], "a.laz")), refuses("invalid", /list/));
   assert.throws(() => begin(null), refuses("invalid", /list/));
   assert.deepEqual(begin(new Set()).converter.files, []);
+  for (const [file, message] of [
+    [null, /null/],
+    [undefined, /undefined/],
+    ["scan.laz", /class File, found "scan\.laz"/],
+  ]) {
+    assert.throws(() => begin([new File(["x"], "a.laz"), file]), refuses("invalid", message));
+  }
   await assert.rejects(begin().converter.preview({ pixel: () => 0.1 }), refuses("invalid", /worker/));
+  const { converter } = begin();
+  await assert.rejects(
+    converter.convert({}, "progress"),
+    (error) => error instanceof SlicewalkError && error.kind === "invalid" && /progress is a function/.test(error.message),
+  );
+});
+
+test("an archive is named after the scan or model, not after a file beside it", () => {
+  const files = ["house.mtl", "wall.ktx2", "roof.DDS", "house.prj", "room.obj", "b.obj"].map((name) => new File(["x"], name));
+  const { converter, workers } = begin(files);
+  converter.preview();
+  const [{ name, inputs }] = workers[0].requests;
+  assert.equal(name, "room.slices");
+  assert.deepEqual(
+    inputs.map(({ beside }) => beside),
+    [true, true, true, true, false, false],
+  );
+  assert.deepEqual([mainOf(files).name, mainOf(files.slice(0, 2)).name, mainOf([])], ["room.obj", "house.mtl", undefined]);
 });

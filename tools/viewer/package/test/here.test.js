@@ -9,7 +9,7 @@ import { pathToFileURL } from "node:url";
 import { Worker as Thread } from "node:worker_threads";
 import { openArchiveHere } from "../dist/here.js";
 import { CLEAR, HIT, NOT_LOADED, openArchive, SlicewalkError } from "../dist/index.js";
-import { folder, numbers, read } from "./local.js";
+import { folder, gone, numbers, read, until } from "./local.js";
 
 const path = join(folder, "scene.slices");
 const file = pathToFileURL(path);
@@ -45,6 +45,7 @@ test("answers at once, like the native engine, what is in memory", async () => {
   assert.equal(now.moveAndSlide(body, [0, 0.3, -3], { iterations: 1 }).contacts.length, 1);
   assert.throws(() => now.overlaps(new Float64Array(7)), refuses("invalid", /rows of 6/));
   assert.throws(() => now.overlaps([0, 0, 0, 1, 1, 1]), refuses("invalid", /Float64Array, found Array/));
+  assert.throws(() => now.overlaps(gone()), refuses("invalid", /transferred/));
   assert.throws(() => now.overlapsSpheres(Float64Array.of(0, 0, 0, -1)), refuses("invalid", /^row 0: sphere/));
   assert.throws(() => now.moveAndSlide(body, [0, 0, Number.NaN]), refuses("invalid", /move/));
   assert.equal(archive.error, null);
@@ -78,6 +79,32 @@ test("steps a walker without a frame of delay, and draws", async () => {
   archive.close();
 });
 
+test("settings of a view hold for a camera at rest", async () => {
+  const archive = await openArchiveHere(file);
+  const pages = new Set();
+  const view = archive.view({ radius: 2, onPage: ({ id }) => pages.add(id), onDrop: () => undefined });
+  view.look([0, 0, 1]);
+  await until(() => pages.size >= 8);
+  view.set({ radius: 8 });
+  await until(() => pages.size > 40);
+  archive.close();
+
+  const other = await openArchiveHere(new URL("../../../../spec/samples/colours.slices", import.meta.url));
+  const { min, max } = other.info.bounds;
+  const levels = new Map();
+  const onPage = ({ id, key }) => levels.set(id, key.level);
+  const distant = other.view({ radius: 1, onPage, onDrop: (id) => levels.delete(id) });
+  const hasLevel = () => [...levels.values()].some((level) => level > 0);
+  distant.look([min[0], min[1], max[2] + 1]);
+  // With these answers the engine has the camera.
+  for (let n = 0; n < 2; n++) await other.pageBoxes();
+  for (const overview of [true, false, true]) {
+    distant.set({ overview });
+    await until(() => hasLevel() === overview);
+  }
+  other.close();
+});
+
 test("steps a crowd at once, and none of another archive", async () => {
   const [archive, other] = await Promise.all([openArchiveHere(file), openArchiveHere(file)]);
   const crowd = await archive.crowd({ at: Float64Array.of(-2, 2, 0.2, -3, 2, 0.2) });
@@ -90,6 +117,7 @@ test("steps a crowd at once, and none of another archive", async () => {
   assert.deepEqual((await crowd.step(0, wishes)).places, places);
   assert.throws(() => archive.now.stepCrowd(crowd, -1, wishes), refuses("invalid", /seconds/));
   assert.throws(() => archive.now.stepCrowd(crowd, 0, [...wishes]), refuses("invalid", /wishes/));
+  assert.throws(() => archive.now.stepCrowd(crowd, 0, gone()), refuses("invalid", /transferred/));
   const walker = await archive.walker({ at: [-2, 2, 0.2] });
   assert.throws(() => other.now.stepCrowd(crowd, 1 / 60, wishes), refuses("invalid", /crowd of the archive/));
   assert.throws(() => other.now.step(walker, 1 / 60, {}), refuses("invalid", /walker of the archive/));

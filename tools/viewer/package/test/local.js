@@ -1,5 +1,6 @@
 // An in-process worker and a host of files, for tests.
 
+import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { loadEngine } from "../dist/engine.js";
 import { Host } from "../dist/host.js";
@@ -14,6 +15,20 @@ export const read = (name) => {
   return new Uint8Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
 };
 export const numbers = (name) => new Float64Array(read(name).buffer);
+
+/** Rows whose buffer was transferred elsewhere. */
+export function gone() {
+  const rows = new Float64Array(6);
+  structuredClone(rows, { transfer: [rows.buffer] });
+  return rows;
+}
+
+export async function until(what, seconds = 10) {
+  for (let n = 0; !what(); n++) {
+    assert.ok(n < seconds * 200, `never: ${what}`);
+    await new Promise((resolve) => setTimeout(resolve, 5));
+  }
+}
 
 const bytes = readFileSync(new URL("../dist/wasm/engine_bg.wasm", import.meta.url));
 const compiled = new WebAssembly.Module(bytes);
@@ -62,7 +77,8 @@ export class FileHost {
   }
 
   fetch = async (_url, init) => {
-    const [, first, last] = /^bytes=(\d+)-(\d+)$/.exec(init.headers.Range);
+    const [, first, given] = /^bytes=(\d+)-(\d*)$/.exec(init.headers.Range);
+    const last = given || this.file.length - 1;
     this.asked.push([Number(first), Number(last) + 1]);
     await new Promise((resolve) => setTimeout(resolve, this.delay));
     if (init.signal.aborted) throw new DOMException("", "AbortError");

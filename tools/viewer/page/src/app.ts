@@ -59,6 +59,12 @@ const NO_STATS = {
   colours: { missing: 0, requests: 0, bytes: 0 },
 } satisfies Partial<Stats>;
 
+/** Places lie within this distance of zero along each axis (m), as the walker requires. */
+const FARTHEST_M = 1e9;
+
+/** Where a walk begins, as far as it is named; null: in the first view. */
+type Begin = Partial<Pick<Place, "at" | "look" | "mode">> | null;
+
 const overtaken = (): SlicewalkError => new SlicewalkError("aborted", "another archive was opened meanwhile");
 
 const blockedBy = (obstacle: Obstacle | null): string =>
@@ -90,7 +96,8 @@ export class App implements Stage {
   #opening: AbortController | null = null;
   /** Reads what an address holds, until something else is chosen. */
   #fetching: AbortController | null = null;
-  #last: Source | null = null;
+  /** What was opened last, and where. */
+  #last: { readonly source: Source; readonly place: Begin } | null = null;
   #mode: Mode = "walk";
   #ready = false;
   /** Whether a person waits for a place to walk in. */
@@ -137,7 +144,7 @@ export class App implements Stage {
       matter: (shown) => this.#overlays.showMatter(shown),
       align: (alignment) => this.#overlays.align(alignment),
       splatsFile: (file) => {
-        if (this.session === null) this.#take([file]);
+        if (this.session === null || this.#isKiosk) this.#take([file]);
         else this.#overlays.take(file, ALIGNED);
       },
     });
@@ -181,10 +188,9 @@ export class App implements Stage {
     });
     this.conversions = new Conversions(parent, this.shell.foot, this.#opener(), () => this.#choose());
     this.shell.messages.dismissed = () => {
-      // Without a scan there is nothing to act on but the choice.
-      if (this.session !== null) return;
-      if (this.#isKiosk) this.shell.messages.dialog.showModal();
-      else this.#choose();
+      // A kiosk offers no other way on; without a scan there is nothing to act on but the choice.
+      if (this.#isKiosk && this.#error !== null) this.shell.messages.dialog.showModal();
+      else if (this.session === null) this.#choose();
     };
     this.#watchTasks();
     let last = performance.now();
@@ -207,12 +213,12 @@ export class App implements Stage {
    * walk as it is. Resolves to null, or to the reason why it is not open, which the page shows unless another archive was
    * opened meanwhile.
    */
-  async open(source: Source, place: Partial<Pick<Place, "at" | "look" | "mode">> | null): Promise<SlicewalkError | null> {
+  async open(source: Source, place: Begin): Promise<SlicewalkError | null> {
     this.#opening?.abort();
     this.#fetching?.abort();
     const opening = new AbortController();
     this.#opening = opening;
-    if (this.session === null) this.#last = source;
+    if (this.session === null) this.#last = { source, place };
     this.shell.messages.clear();
     this.shell.messages.wait(texts.loading.opening(source.name));
     try {
@@ -221,7 +227,7 @@ export class App implements Stage {
         session.close();
         return overtaken();
       }
-      this.#last = source;
+      this.#last = { source, place };
       this.#leave();
       this.#enter(session, place ?? {});
       this.conversions.entered(source);
@@ -233,8 +239,9 @@ export class App implements Stage {
     }
   }
 
-  /** Opens or converts files that a person chose. */
+  /** Opens or converts files that a person chose; a kiosk shows one archive. */
   #take(files: readonly File[]): void {
+    if (this.#isKiosk) return;
     this.#fetching?.abort();
     this.shell.messages.wait(null);
     void this.conversions.take(files);
@@ -309,17 +316,21 @@ export class App implements Stage {
     };
   }
 
-  async goto({ at, look }: { at?: Vec3; look?: readonly [number, number] }): Promise<void> {
+  async goto({ at, look }: { at?: Vec3; look?: readonly [number, number] } = {}): Promise<void> {
     const { session } = this;
     if (session === null) throw new SlicewalkError("invalid", "no archive is open");
     if (look !== undefined && !isNumbers(look, 2)) {
       throw new SlicewalkError("invalid", `a look is two finite numbers, heading and pitch, found ${String(look)}`);
     }
+    if (at !== undefined && !isNumbers(at, 3, FARTHEST_M)) {
+      throw new SlicewalkError("invalid", `a place is three numbers within ±1e9 m, found ${String(at)}`);
+    }
     if (this.#first.shown) this.setMode("walk");
     if (look !== undefined) this.#look({ heading: look[0], pitch: look[1] });
     if (at === undefined) return;
-    await session.goto(at, this.settings);
-    this.cameras.orbit.target = at;
+    const to: Vec3 = [...at];
+    await session.goto(to, this.settings);
+    this.cameras.orbit.target = to;
   }
 
   /** Offers files beside the page, and the welcome if nothing opens at once. */
@@ -359,7 +370,7 @@ export class App implements Stage {
 
   // Archives ---------------------------------------------------------------------------------------------------------------------
 
-  #enter(session: Session, { at, look, mode }: Partial<Pick<Place, "at" | "look" | "mode">>): void {
+  #enter(session: Session, { at, look, mode }: NonNullable<Begin>): void {
     this.session = session;
     this.#error = null;
     this.#damage = null;
@@ -519,9 +530,10 @@ export class App implements Stage {
     this.#ready = false;
     this.pointer.release();
     this.shell.messages.wait(null);
-    const source = this.#last;
-    const place = this.#place();
-    const again = source === null ? [] : [{ label: texts.actions.again, act: () => void this.open(source, place) }];
+    const last = this.#last;
+    // A kiosk begins anew for its next visitor.
+    const place = this.session === null || this.#isKiosk ? (last?.place ?? null) : this.#place();
+    const again = last === null ? [] : [{ label: texts.actions.again, act: () => void this.open(last.source, place) }];
     this.shell.messages.trouble(kind, message, [...again, ...this.#others]);
   }
 
@@ -547,7 +559,7 @@ export class App implements Stage {
       KeyM: () => toggle("plan"),
       KeyO: () => (this.#first.shown ? void this.#walkIn(null) : toggle("orbit")),
       KeyF: () => this.#flight(),
-      KeyH: () => this.shell.help(),
+      KeyH: () => (this.#isKiosk ? undefined : this.shell.help()),
       KeyR: () => void this.#places.back(),
       Home: () => this.#home(),
       Enter: () => void this.#walkIn(null),
@@ -769,6 +781,9 @@ export class App implements Stage {
       open: (source) => page.open(source, null),
       fetch: (source) => page.#fetch(source),
       say: (text) => page.shell.messages.say(text),
+      get archive() {
+        return page.session?.archive ?? null;
+      },
       get source() {
         return page.session?.source ?? null;
       },

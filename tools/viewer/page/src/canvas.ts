@@ -49,6 +49,8 @@ export class Canvas {
   quality: Quality = "finished";
   /** Number of pictures drawn. */
   pictures = 0;
+  /** Whether the last one was drawn without a finish. */
+  #bare = false;
   /** What the last picture depends on. */
   #shown = "";
   #drawnAt = Number.NEGATIVE_INFINITY;
@@ -112,7 +114,12 @@ export class Canvas {
     document.addEventListener("visibilitychange", returned);
     window.addEventListener("pageshow", returned);
     new ResizeObserver(() => this.resize()).observe(element);
-    this.resize();
+    // Another screen may have other pixels, of which sizes in CSS pixels say nothing.
+    const follow = (): void => {
+      matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", follow, { once: true });
+      this.resize();
+    };
+    follow();
   }
 
   resize(): void {
@@ -212,6 +219,7 @@ export class Canvas {
     this.#pictureIn = this.#frames;
     this.#pictureAt = this.#drawnAt = now;
     this.pictures += 1;
+    this.#bare = bare;
     renderer.info.reset();
     if (this.headset.worn || bare || this.quality === "lowest") renderer.render(this.scene, camera);
     else this.#finish.render(renderer, this.scene, camera, this.quality === "smooth");
@@ -246,7 +254,7 @@ export class Canvas {
   /** The current picture. */
   picture(): Promise<Blob | null> {
     this.refresh();
-    this.render();
+    this.render(performance.now(), this.#bare);
     return new Promise((resolve) => this.element.toBlob(resolve, "image/png"));
   }
 }

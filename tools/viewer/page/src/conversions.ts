@@ -1,9 +1,10 @@
 // Files that a person drops or chooses, or that a program opens: archives are opened, scans and meshes are converted in this
 // browser first. Whatever fails, the open scene stays.
 
-import { SlicewalkError } from "slicewalk";
-import { ConversionError, Converter, type ConversionOptions, type Converted } from "slicewalk/convert";
+import { SlicewalkError, type Archive } from "slicewalk";
+import { ConversionError, Converter, mainOf, type ConversionOptions, type Converted } from "slicewalk/convert";
 import { chosenLanguage, texts } from "./languages";
+import { UPS } from "./scene/alignment";
 import { fromAddress, type Source } from "./session";
 import { saveAs } from "./share";
 import { h } from "./ui/dom";
@@ -29,14 +30,15 @@ export interface Opener {
   open(source: Source): Promise<SlicewalkError | null>;
   /** The scan at an address, null for an archive; fails with `aborted` if something else is chosen meanwhile. */
   fetch(source: Source): Promise<File | null>;
-  /** Source of the open archive. */
+  /** The open archive and its source. */
+  readonly archive: Archive | null;
   readonly source: Source | null;
   say(text: string): void;
 }
 
 type Units = "m" | "ft" | "us-ft" | "cm" | "mm";
 /** What the form asks for, as errors of the conversion name it. */
-const ASKED = ["PixelSize", "AutomaticPixelSize", "Units"];
+const ASKED = ["PixelSize", "AutomaticPixelSize", "Units", 'Other("up")'];
 const FACTORS: Readonly<Partial<Record<Units, number>>> = { cm: 0.01, mm: 0.001 };
 
 /** Stated facts of the files, as `sliceconv --dry-run --json` names them. */
@@ -52,7 +54,7 @@ interface Facts {
 
 const grouped = (number: number): string => number.toLocaleString(chosenLanguage());
 const size = (bytes: number): string => (bytes < 1e6 ? `${Math.ceil(bytes / 1e3)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
-const named = (files: readonly File[]): string => files[0]?.name ?? "";
+const named = (files: readonly File[]): string => mainOf(files)?.name ?? "";
 
 export class Conversions {
   readonly #bar = h("progress", { max: 1 });
@@ -95,9 +97,9 @@ export class Conversions {
     if (first === undefined) return;
     let takesArchive: boolean;
     try {
-      takesArchive = await isArchive(first);
-    } catch {
-      this.#trouble(texts.convert.failed, texts.convert.unreadable(first.name), null);
+      takesArchive = await holdArchive(files);
+    } catch (error) {
+      this.#trouble(texts.convert.failed, error instanceof Error ? error.message : String(error), null);
       return;
     }
     if (takesArchive) await this.opener.open({ archive: first, link: null, name: first.name });
@@ -113,24 +115,23 @@ export class Conversions {
       else await this.#convert([scan], options);
       return;
     }
-    const files = input instanceof Blob ? [input] : [...input];
+    // Programs may give anything.
+    const list: Iterable<File> = input instanceof Blob ? [input] : input;
+    const files: File[] = typeof list === "object" && list !== null && Symbol.iterator in list ? [...list] : [];
     const [first] = files;
     if (first === undefined || !files.every((file) => file instanceof Blob)) {
       throw new SlicewalkError("invalid", "expected a File, several files, or an address");
     }
     const name = first.name ?? "scan";
-    if (await isArchive(first)) await this.#walkIn({ archive: first, link: null, name });
+    if (await holdArchive(files)) await this.#walkIn({ archive: first, link: null, name });
     else await this.#convert(files, options);
   }
 
   /** The bytes of the open archive. */
   async save(): Promise<Blob> {
-    const source = this.opener.source;
-    if (source === null) throw new SlicewalkError("invalid", "no archive is open");
-    if (source.archive instanceof Blob) return source.archive;
-    const answer = await fetch(source.archive);
-    if (!answer.ok) throw new SlicewalkError("network", `the host answered ${answer.status}`);
-    return answer.blob();
+    const { source, archive } = this.opener;
+    if (source === null || archive === null) throw new SlicewalkError("invalid", "no archive is open");
+    return source.archive instanceof Blob ? source.archive : archive.file();
   }
 
   /** Saves the open archive as a file. */
@@ -273,7 +274,7 @@ export class Conversions {
       unit.append(h("option", { value }, words));
     }
     const up = h("select", { id: "conversion-up" });
-    up.append(h("option", { value: "z" }, "z"), h("option", { value: "y" }, "y"));
+    up.append(...UPS.map((axis) => h("option", { value: axis }, texts.overlays.ups[axis])));
     const pixel = h("input", {
       id: "conversion-pixel",
       type: "text",
@@ -368,6 +369,19 @@ export class Conversions {
     this.#dialog.replaceChildren(h("h2", { id: "conversion-title" }, title), ...content);
     if (!this.#dialog.open) this.#dialog.showModal();
   }
+}
+
+/** Whether files are an archive. Scans are converted together, but archives are opened one at a time. */
+async function holdArchive(files: readonly File[]): Promise<boolean> {
+  const { oneArchive, unreadable } = texts.convert;
+  for (const file of files) {
+    const is = await isArchive(file).catch((cause: unknown) => {
+      throw new SlicewalkError("invalid", unreadable(file.name), { cause });
+    });
+    if (is && files.length > 1) throw new SlicewalkError("invalid", oneArchive(file.name));
+    if (is) return true;
+  }
+  return false;
 }
 
 async function isArchive(file: Blob & { name?: string }): Promise<boolean> {

@@ -15,9 +15,12 @@ export interface Ray {
 
 const RADIANS = Math.PI / 180;
 
-/** Whether a value is a list of this many finite numbers: files and programs may give anything. */
-export const isNumbers = (value: unknown, count: number): boolean =>
-  Array.isArray(value) && value.length === count && value.every(Number.isFinite);
+/** Whether a value is an array of any kind, of this many numbers within ±`most`: files and programs may give anything. */
+export const isNumbers = (value: unknown, count: number, most = Number.MAX_VALUE): boolean => {
+  const isList = Array.isArray(value) || ArrayBuffer.isView(value);
+  const all: unknown[] = isList ? Array.from(value as unknown as ArrayLike<unknown>) : [];
+  return all.length === count && all.every((each) => typeof each === "number" && Math.abs(each) <= most);
+};
 
 export const clamp = (value: number, low: number, high: number): number => Math.min(high, Math.max(low, value));
 

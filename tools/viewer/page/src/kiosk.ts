@@ -140,9 +140,10 @@ export class Kiosk {
   readonly #hint = h("p", { class: "hint", hidden: true });
   readonly #held = nothing();
   readonly #modes = new Map<Mode, HTMLButtonElement>();
+  readonly #title: string;
   #touched = performance.now();
-  /** Whether it has returned since it was touched. */
-  #rests = false;
+  /** Whether nobody has touched it since it began or returned. */
+  #rests = true;
   #home: { at: Vec3; look: readonly [number, number]; mode: Mode; first: boolean } | null = null;
   #next = -1;
   #resume = 0;
@@ -154,13 +155,11 @@ export class Kiosk {
   ) {
     const { settings, seconds, tour } = options;
     const title = translated(settings.title);
+    this.#title = title;
     const text = translated(settings.text);
     if (title !== "" || text !== "") {
       const head = h("div", { class: "place-texts" });
-      if (title !== "") {
-        head.append(h("h1", {}, title));
-        document.title = title;
-      }
+      if (title !== "") head.append(h("h1", {}, title));
       if (text !== "") head.append(h("p", {}, text));
       parent.append(head);
     }
@@ -213,6 +212,7 @@ export class Kiosk {
   /** Called when an archive is open: remembers where the page begins, and starts the tour. */
   async opened(link: string | null): Promise<void> {
     if (link === null || link !== this.options.archive) return;
+    if (this.#title !== "") document.title = this.#title;
     const { start } = this.options.settings;
     const at = triple(start?.at);
     const look = start?.look;
@@ -299,7 +299,9 @@ export class Kiosk {
     const home = this.#home;
     if (home === null) return;
     this.driven.stop();
-    await this.driven.goto({ at: home.at, look: home.look }).catch(() => {});
+    // Who only turned the scan has not left its first view.
+    const isThere = home.first && this.driven.first;
+    if (!isThere) await this.driven.goto({ at: home.at, look: home.look }).catch(() => {});
     if (isIdle && !this.#rests) return;
     if (home.first) this.driven.frame();
     else this.driven.setMode(home.mode);

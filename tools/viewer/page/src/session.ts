@@ -1,7 +1,7 @@
 // An open archive with its pawn and the geometry around it.
 
 import { openArchive, SlicewalkError, type Archive, type Bounds, type Vec3, type View } from "slicewalk";
-import { isNumbers, standing, type Look } from "./geometry";
+import { standing, type Look } from "./geometry";
 import { Pawn } from "./pawn";
 import { contentBounds } from "./scene/framing";
 import { World } from "./scene/world";
@@ -105,7 +105,6 @@ export class Session {
 
   /** Moves the pawn elsewhere; resolves when the place is loaded. */
   async goto(at: Vec3, settings: Settings): Promise<void> {
-    if (!isNumbers(at, 3)) throw new SlicewalkError("invalid", `a place is three finite numbers, found ${String(at)}`);
     await this.pawn.place(at);
     await this.archive.load(around(at, settings));
     await this.#stands();

@@ -47,8 +47,8 @@ export async function savePlan({ session, shell }: Stage): Promise<void> {
     const name = `${source.name.replace(/\.slices$/, "")}-${texts.plan.name}.svg`;
     saveAs(new Blob([svg(drawing, { name: source.name, crs })], { type: "image/svg+xml" }), name);
     shell.messages.say(texts.news.saved(name));
-  } catch {
-    // A closed or failed archive is reported elsewhere.
+  } catch (error) {
+    shell.messages.say(error instanceof Error ? error.message : String(error));
   }
 }
 

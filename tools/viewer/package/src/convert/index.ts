@@ -4,7 +4,7 @@
  */
 
 import { absolute } from "../address.js";
-import { optional, shown } from "../check.js";
+import { callable, kindOf, optional, shown } from "../check.js";
 import { asError } from "../fault.js";
 import { SlicewalkError } from "../types.js";
 import type { ConversionAnswer } from "./module.js";
@@ -50,6 +50,16 @@ export class ConversionError extends SlicewalkError {
     super(kind, message);
     this.name = "ConversionError";
   }
+}
+
+/** Whether a file is read only where another one needs it: materials, buffers, textures, reference systems. */
+function isBeside({ name }: File): boolean {
+  return /\.(mtl|bin|prj|wkt|png|jpe?g|webp|bmp|gif|tga|tiff?|ktx2|dds)$/i.test(name);
+}
+
+/** The first of the files that is converted by itself: the archive is named after it. */
+export function mainOf(files: readonly File[]): File | undefined {
+  return files.find((file) => !isBeside(file)) ?? files[0];
 }
 
 /** Root of the folders of all conversions. */
@@ -116,7 +126,7 @@ async function claim(): Promise<{ name: string | null; release(): void }> {
 
 /** Converts files in a worker of its own, one request at a time. */
 export class Converter {
-  /** Scans or meshes, and files that meshes name, such as materials. */
+  /** Scans or meshes, and files that meshes name, such as materials; then no two of the files may have the same name. */
   readonly files: readonly File[];
   #worker: Worker | null = null;
   readonly #make: () => Worker;
@@ -130,6 +140,10 @@ export class Converter {
       throw new ConversionError("invalid", `files are a list, such as [file], found ${shown(files)}`);
     }
     this.files = [...files];
+    const other = this.files.findIndex((file) => !["File", "Blob"].includes(kindOf(file)));
+    if (other >= 0) {
+      throw new ConversionError("invalid", `files are of the class File, found ${shown(this.files[other])}`);
+    }
     this.#make = worker ?? (() => new Worker(new URL("./worker.js", import.meta.url), { type: "module" }));
     this.#wasm = absolute(wasm ?? new URL("../wasm/convert.wasm", import.meta.url));
   }
@@ -145,6 +159,7 @@ export class Converter {
   /** Converts the files; the archive has the bytes that `sliceconv` writes with these options. */
   convert(options: ConversionOptions = {}, progress: (now: ConversionProgress) => void = () => {}): Promise<Converted> {
     return this.#alone<Converted>(async (cancelled) => {
+      callable(progress, "progress");
       const folder = await claim();
       const warnings: string[] = [];
       try {
@@ -237,9 +252,7 @@ export class Converter {
           resolve(data);
         }
       };
-      const [first] = this.files;
-      const name = `${(first?.name ?? "scan").replace(/(\.copc)?\.[^.]*$/i, "") || "scan"}.slices`;
-      const isBeside = (file: File): boolean => /\.(mtl|bin|prj|wkt|png|jpe?g|webp|bmp|gif|tga|tiff?)$/i.test(file.name);
+      const name = `${(mainOf(this.files)?.name ?? "scan").replace(/(\.copc)?\.[^.]*$/i, "") || "scan"}.slices`;
       // Alone, such files are refused by their names.
       const isAlone = this.files.every(isBeside);
       const inputs = this.files.map((blob) => ({ name: blob.name, blob, beside: !isAlone && isBeside(blob) }));

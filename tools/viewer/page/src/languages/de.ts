@@ -230,6 +230,7 @@ export const de: Texts = {
     name: "grundriss",
     cutAt: (metres) => `Schnitt bei z = ${metres} m`,
     scale: (scale) => `1 : ${scale}`,
+    unknown: "schraffiert: nicht gelesen",
     saving: "Der Grundriss wird gezeichnet …",
   },
   minimap: {
@@ -327,6 +328,7 @@ export const de: Texts = {
     full: "Der Speicher des Browsers ist voll. Schaffen Sie Platz, schließen Sie andere Tabs oder nutzen Sie sliceconv.",
     failed: "Diese Datei lässt sich nicht umwandeln",
     unreadable: (name) => `${name} ist nicht lesbar: ein Ordner, oder die Datei wurde verschoben oder geändert.`,
+    oneArchive: (name) => `${name} ist ein Archiv. Öffnen Sie es allein, ohne andere Dateien.`,
     served: "Die Umwandlung ist gescheitert",
     gone: "Der Server läuft nicht mehr.",
     nothing: "Öffnen Sie zuerst eine Datei.",

@@ -222,6 +222,7 @@ export const en = {
     name: "plan",
     cutAt: (metres: string) => `cut at z = ${metres} m`,
     scale: (scale: number) => `1 : ${scale}`,
+    unknown: "hatched: not read",
     saving: "Drawing the plan …",
   },
   minimap: {
@@ -320,6 +321,7 @@ export const en = {
     full: "The browser's storage is full. Free some space, close other tabs, or convert with sliceconv.",
     failed: "This file cannot be converted",
     unreadable: (name: string) => `${name} cannot be read. It is a folder, or it was moved or changed.`,
+    oneArchive: (name: string) => `${name} is an archive. Open it alone, without other files.`,
     served: "The conversion failed",
     gone: "The server has stopped.",
     nothing: "Open or convert something first.",

@@ -227,6 +227,7 @@ export const es: Texts = {
     name: "plano",
     cutAt: (metres) => `corte en z = ${metres} m`,
     scale: (scale) => `1 : ${scale}`,
+    unknown: "rayado: no leído",
     saving: "Dibujando el plano …",
   },
   minimap: {
@@ -325,6 +326,7 @@ export const es: Texts = {
     full: "El almacenamiento del navegador está lleno. Libere espacio, cierre otras pestañas o use sliceconv.",
     failed: "Este archivo no se puede convertir",
     unreadable: (name) => `No se puede leer ${name}: es una carpeta, o el archivo se ha movido o modificado.`,
+    oneArchive: (name) => `${name} es un archivo de capas. Ábralo solo, sin otros archivos.`,
     served: "La conversión ha fallado",
     gone: "El servidor se ha detenido.",
     nothing: "Abra primero un archivo.",

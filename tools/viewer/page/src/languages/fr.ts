@@ -232,6 +232,7 @@ export const fr: Texts = {
     name: "plan",
     cutAt: (metres) => `coupe à z = ${metres} m`,
     scale: (scale) => `1 : ${scale}`,
+    unknown: "hachuré : non lu",
     saving: "Dessin du plan …",
   },
   minimap: {
@@ -330,6 +331,7 @@ export const fr: Texts = {
     full: "Le stockage du navigateur est plein. Libérez de la place, fermez d’autres onglets ou utilisez sliceconv.",
     failed: "Ce fichier ne peut pas être converti",
     unreadable: (name) => `${name} est illisible : c’est un dossier, ou le fichier a été déplacé ou modifié.`,
+    oneArchive: (name) => `${name} est une archive. Ouvrez-la seule, sans autres fichiers.`,
     served: "La conversion a échoué",
     gone: "Le serveur s’est arrêté.",
     nothing: "Ouvrez d’abord un fichier.",

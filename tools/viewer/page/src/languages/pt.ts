@@ -230,6 +230,7 @@ export const pt: Texts = {
     name: "planta",
     cutAt: (metres) => `corte em z = ${metres} m`,
     scale: (scale) => `1 : ${scale}`,
+    unknown: "tracejado: não lido",
     saving: "A desenhar a planta …",
   },
   minimap: {
@@ -328,6 +329,7 @@ export const pt: Texts = {
     full: "O armazenamento do navegador está cheio. Liberte espaço, feche outros separadores ou use o sliceconv.",
     failed: "Este ficheiro não pode ser convertido",
     unreadable: (name) => `Não é possível ler ${name}: é uma pasta, ou o ficheiro foi movido ou alterado.`,
+    oneArchive: (name) => `${name} é um arquivo de camadas. Abra-o sozinho, sem outros ficheiros.`,
     served: "A conversão falhou",
     gone: "O servidor parou.",
     nothing: "Abra primeiro um ficheiro.",

@@ -1,6 +1,6 @@
 // The drawing of a storey: solid that is cut, what lies below the cut, and floor, pixel by pixel.
 
-import type { Archive } from "slicewalk";
+import { SlicewalkError, type Archive } from "slicewalk";
 
 /** Height of the cut above the feet: above parapets, below lintels. */
 export const CUT_ABOVE_M = 1.2;
@@ -8,8 +8,8 @@ export const CUT_ABOVE_M = 1.2;
 const BELOW_M = 2;
 /** Solid is cut within this distance of the cut, so that sparse walls have no gaps. */
 const BAND_M = 0.1;
-/** Cells along the edge of a part that is loaded and drawn at a time. */
-const PART = 512;
+/** Cells along the edge of a part that is loaded and drawn at a time; of the smallest one, where memory is short. */
+const [PART, SMALL_PART] = [512, 32];
 /** The engine's cells begin this far (pixels) beside the archive's, so that rounding errors move none of them. */
 const ASIDE = 5e-4;
 
@@ -51,39 +51,50 @@ export async function draw(
   { area, floor, cells: most, load }: Wanted,
   signal: AbortSignal,
 ): Promise<Drawing> {
-  const [x0, y0, x1, y1] = area;
   const pixel = archive.info.pixelSize;
-  const cell = Math.max(pixel, Math.max(x1 - x0, y1 - y0) / most);
-  const min = [Math.floor(x0 / pixel) * pixel, Math.floor(y0 / pixel) * pixel] as const;
-  const count = (from: number, to: number): number => Math.max(1, Math.min(most, Math.ceil((to - from) / cell)));
-  const [width, height] = [count(min[0], x1), count(min[1], y1)];
+  // The pixels of the archive's grid that the area meets, both ends included; a quotient rounds otherwise than the grid.
+  const ends = area.map((at) => Math.floor(at * (1 / pixel))) as [number, number, number, number];
+  const [across, along] = [ends[2] - ends[0] + 1, ends[3] - ends[1] + 1];
+  const coarse = Math.max(1, Math.max(across, along) / most);
+  const cell = coarse * pixel;
+  const min = [ends[0] * pixel, ends[1] * pixel] as const;
+  const count = (pixels: number): number => Math.min(most, Math.ceil(pixels / coarse));
+  const [width, height] = [count(across), count(along)];
   const z = floor + CUT_ABOVE_M;
   const cells = new Uint8Array(width * height);
-  for (let row = 0; row < height; row += PART) {
-    for (let column = 0; column < width; column += PART) {
-      if (signal.aborted) throw signal.reason;
-      const [wide, high] = [Math.min(PART, width - column), Math.min(PART, height - row)];
-      const low = [min[0] + column * cell, min[1] + row * cell] as const;
-      const top = [low[0] + wide * cell, low[1] + high * cell] as const;
-      if (load) {
-        const box = { min: [...low, floor - BELOW_M], max: [...top, z + BAND_M] } as const;
-        // Cells whose pages do not fit into memory stay unknown.
-        await archive.load(box, { signal }).catch(() => {});
-      }
-      const corner = low.map((value) => value - ASIDE * pixel) as [number, number];
-      const end = [corner[0] + wide * cell, corner[1] + high * cell] as const;
-      const map = async (heights: readonly [number, number]): Promise<(x: number, y: number) => number> => {
-        const found = await archive.map({ min: corner, max: end }, heights, Math.max(wide, high));
-        return (x, y) => found.cells[(found.height - 1 - y) * found.width + x] ?? 0;
-      };
-      const [cut, below] = [await map([z - BAND_M, z + BAND_M]), await map([floor - BELOW_M, z - BAND_M])];
-      for (let y = 0; y < high; y++) {
-        for (let x = 0; x < wide; x++) {
-          const kind = kindOf(cut(x, y), below(x, y));
-          cells[(height - 1 - row - y) * width + column + x] = kind;
-        }
+  /** Draws a part from its lower left cell on. */
+  const part = async (column: number, row: number, size: number): Promise<void> => {
+    if (column >= width || row >= height) return;
+    if (signal.aborted) throw signal.reason;
+    const [wide, high] = [Math.min(size, width - column), Math.min(size, height - row)];
+    const low = [min[0] + column * cell, min[1] + row * cell] as const;
+    const top = [low[0] + wide * cell, low[1] + high * cell] as const;
+    if (load) {
+      const box = { min: [...low, floor - BELOW_M], max: [...top, z + BAND_M] } as const;
+      // Cells whose pages are damaged, or do not fit into memory in the smallest part, stay unknown.
+      const reason: unknown = await archive.load(box, { signal }).catch((error: unknown) => error);
+      if (reason instanceof SlicewalkError && reason.kind === "out-of-memory" && size > SMALL_PART) {
+        const half = size / 2;
+        for (const n of [0, 1, 2, 3]) await part(column + half * (n % 2), row + half * (n >> 1), half);
+        return;
       }
     }
+    const corner = low.map((value) => value - ASIDE * pixel) as [number, number];
+    const end = [corner[0] + wide * cell, corner[1] + high * cell] as const;
+    const map = async (heights: readonly [number, number]): Promise<(x: number, y: number) => number> => {
+      const found = await archive.map({ min: corner, max: end }, heights, Math.max(wide, high));
+      return (x, y) => found.cells[(found.height - 1 - y) * found.width + x] ?? 0;
+    };
+    const [cut, below] = [await map([z - BAND_M, z + BAND_M]), await map([floor - BELOW_M, z - BAND_M])];
+    for (let y = 0; y < high; y++) {
+      for (let x = 0; x < wide; x++) {
+        const kind = kindOf(cut(x, y), below(x, y));
+        cells[(height - 1 - row - y) * width + column + x] = kind;
+      }
+    }
+  };
+  for (let row = 0; row < height; row += PART) {
+    for (let column = 0; column < width; column += PART) await part(column, row, PART);
   }
   return { min, cell, width, height, z, cells };
 }

@@ -2,7 +2,7 @@
 
 import { metres } from "../geometry";
 import { texts } from "../languages";
-import { BELOW, CUT, type Drawing } from "./drawing";
+import { BELOW, CUT, UNKNOWN, type Drawing } from "./drawing";
 
 /** Room on a sheet of A3 in landscape, and the margin around (mm). */
 const [ROOM_X, ROOM_Y, MARGIN] = [390, 250, 15];
@@ -93,12 +93,18 @@ export function svg(drawing: Drawing, { name, crs }: Title): string {
   const [columns, rows] = [lines(min[0], min[0] + wide), lines(min[1], min[1] + high)];
   const { plan } = texts;
   const foot = bottom + 9;
+  const unknown = path(UNKNOWN);
+  const facts = [plan.cutAt(metres(z)), plan.scale(scale), crs, unknown === "" ? "" : plan.unknown];
   const sheet = [round(right + MARGIN), round(bottom + FOOT + MARGIN / 2)];
   return [
     `<svg xmlns="http://www.w3.org/2000/svg" width="${sheet[0]}mm" height="${sheet[1]}mm" viewBox="0 0 ${sheet.join(" ")}">`,
     `<title>${escaped(name)}</title>`,
     `<rect width="100%" height="100%" fill="#fff"/>`,
     `<path class="below" fill="#d4d4d4" fill-rule="evenodd" d="${path(BELOW)}"/>`,
+    `<pattern id="hatch" width="2" height="2" patternUnits="userSpaceOnUse">`,
+    `<path stroke="#9aa3ad" stroke-width=".2" d="M0 2L2 0"/>`,
+    `</pattern>`,
+    `<path class="unknown" fill="url(#hatch)" fill-rule="evenodd" d="${unknown}"/>`,
     `<g stroke="#9aa3ad" stroke-width=".1">`,
     ...columns.map((at) => `<path d="M${x(at)} ${round(MARGIN)}V${round(bottom)}"/>`),
     ...rows.map((at) => `<path d="M${round(MARGIN)} ${y(at)}H${round(right)}"/>`),
@@ -111,7 +117,7 @@ export function svg(drawing: Drawing, { name, crs }: Title): string {
     `<g font-family="sans-serif" font-size="3.2">`,
     `<text x="${MARGIN}" y="${round(foot)}">${escaped(name)}</text>`,
     `<text x="${MARGIN}" y="${round(foot + 4.5)}" fill="#555">`,
-    escaped([plan.cutAt(metres(z)), plan.scale(scale), ...(crs === "" ? [] : [crs])].join(" · ")),
+    escaped(facts.filter((fact) => fact !== "").join(" · ")),
     `</text>`,
     `<path d="M${round(right - step * mm)} ${round(foot - 1)}H${round(right)}v-1.200H${round(right - step * mm)}z"/>`,
     `<text x="${round(right)}" y="${round(foot + 3.5)}" text-anchor="end">${step} m</text>`,
