@@ -286,13 +286,15 @@ describe("wrong files and addresses", () => {
       await page.getByRole("button", { name: "Open", exact: true }).click();
     };
     // What a slow host answers comes too late once something else is chosen.
-    server.delayMs = 1500;
+    let answer;
+    server.until = new Promise((resolve) => (answer = resolve));
     await choose("slow.laz");
     while (server.of("slow.laz").length === 0) await page.waitForTimeout(20);
-    server.delayMs = 0;
+    server.until = null;
     await choose("other.slices");
     await page.getByRole("heading", { name: "other.slices", level: 1 }).waitFor();
     await page.waitForURL(/archive=other\.slices/);
+    answer();
     await page.waitForTimeout(1500);
     assert.equal(await page.getByRole("dialog").count(), 0);
     await page.goBack();

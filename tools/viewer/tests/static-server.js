@@ -27,6 +27,8 @@ export class StaticServer {
     Object.assign(this, { folder, files, requests: [], delayMs: 0, bytesPerSecond: Infinity, free: 0, port: 0 });
     /** Returns whether the answer to a range never comes, by its first and last byte. */
     this.holds = () => false;
+    /** What requests that come while it is set wait for before they are answered. */
+    this.until = null;
   }
 
   async start() {
@@ -62,6 +64,7 @@ export class StaticServer {
     const name = this.files[path] ?? join(this.folder, normalize(path === "/" ? "/index.html" : path));
     const note = { path, range: request.headers.range ?? null, at: Date.now(), bytes: 0, status: 404 };
     this.requests.push(note);
+    await this.until;
     if (this.delayMs > 0) await sleep(this.delayMs);
     const file = await open(name).catch(() => null);
     if (file === null) {

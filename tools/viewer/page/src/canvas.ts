@@ -49,6 +49,8 @@ export class Canvas {
   quality: Quality = "finished";
   /** Number of pictures drawn. */
   pictures = 0;
+  /** Pixels of the screen along a CSS pixel, at the last change of size. */
+  #ratio = 0;
   /** Whether the last one was drawn without a finish. */
   #bare = false;
   /** What the last picture depends on. */
@@ -114,18 +116,14 @@ export class Canvas {
     document.addEventListener("visibilitychange", returned);
     window.addEventListener("pageshow", returned);
     new ResizeObserver(() => this.resize()).observe(element);
-    // Another screen may have other pixels, of which sizes in CSS pixels say nothing.
-    const follow = (): void => {
-      matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", follow, { once: true });
-      this.resize();
-    };
-    follow();
+    this.resize();
   }
 
   resize(): void {
     const { clientWidth, clientHeight } = this.element;
     // A headset has its own size.
     if (clientWidth === 0 || clientHeight === 0 || this.headset.worn || this.renderer.xr.isPresenting) return;
+    this.#ratio = devicePixelRatio;
     this.renderer.setPixelRatio(this.quality === "lowest" ? 1 : Math.min(devicePixelRatio, MOST_PIXELS));
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
@@ -173,6 +171,8 @@ export class Canvas {
   loop(frame: (now: number) => void): void {
     this.renderer.setAnimationLoop((now: number) => {
       this.#frames += 1;
+      // Another screen may have other pixels, of which sizes in CSS pixels say nothing.
+      if (devicePixelRatio !== this.#ratio) this.resize();
       frame(now);
     });
   }
