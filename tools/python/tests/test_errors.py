@@ -199,7 +199,7 @@ def test_an_export_never_replaces_an_archive(room, tmp_path):
     shutil.copy(room.path, tmp_path / "a.pgm")
     before = copy.read_bytes()
     for export in (lambda: slicewalk.to_octomap(slicewalk.open(copy), copy), lambda: grid.save(tmp_path / "a")):
-        with pytest.raises(slicewalk.OutputError, match="is a slice archive, which .* never replaces"):
+        with pytest.raises(slicewalk.OutputError, match=r"is a slice archive, which .* never replaces"):
             export()
     assert copy.read_bytes() == (tmp_path / "a.pgm").read_bytes() == before
     assert sorted(os.listdir(tmp_path)) == ["a.pgm", "a.slices"]

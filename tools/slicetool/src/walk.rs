@@ -353,8 +353,8 @@ fn prepare(stream: &Stream, motion_hint: &MotionHint, frame: u64, frame_s: f64) 
     Ok(())
 }
 
-/// Advances a frame or a part of it; returns how many needed pages were not in memory, and what blocked the pawn. Missing pages are
-/// loaded at once and stay until they have been used.
+/// Advances a frame or a part of it; returns how many needed pages were not in memory, and what blocked the pawn. Missing
+/// pages are loaded at once and stay until they have been used.
 fn step(
     stream: &Stream,
     walker: &mut Walker,
