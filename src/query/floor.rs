@@ -229,6 +229,26 @@ mod tests {
     use nalgebra::Point3;
 
     #[test]
+    fn floor_at_a_pages_end_ends_there_if_the_page_above_begins_higher() {
+        let frame = Frame::new(0.0625, 255.0 / 1024.0).unwrap();
+        let page = |bottom: u32, top: u32| {
+            let mut page = PageBuilder::default();
+            for n in 0..64 * 64 {
+                assert!(page.set_column(n % 64, n / 64, &[Span::new(bottom, top, false).unwrap()]));
+            }
+            page.build()
+        };
+        let key = |layer: i32| PageKey { tx: 0, ty: 0, layer };
+        let end = PAGE_QUANTA as u32;
+        let store = Snapshot::from_pages(frame, [(key(0), page(end - 20, end)), (key(1), page(300, 310))]);
+        let shape = Cylinder::new(Point3::new(2.0, 2.0, 0.0), 0.5, 1.0).unwrap();
+        let height = f64::from(end) / 1024.0;
+        for set in [store.clone(), store.keep_loaded(|key| key.layer == 0)] {
+            assert_eq!(floor_under(&set, &shape, height, f64::INFINITY), Answer::Known(Some(height)));
+        }
+    }
+
+    #[test]
     fn the_floor_under_a_round_shape_is_that_of_the_pixels_that_it_touches() {
         // Pixels of 2⁻⁴ m and quanta of 2⁻¹⁰ m, so that all numbers are exact.
         let frame = Frame::new(0.0625, 255.0 / 1024.0).unwrap();

@@ -699,6 +699,19 @@ fn round_shapes_of_no_radius_land_and_begin_inside_like_boxes() {
     for motion in [Vector3::zeros(), Vector3::new(0.0, 0.0, -4.0), Vector3::new(1.0, 1.0, 1.0)] {
         assert!(hits(1.0, motion).iter().all(SweepHit::begins_inside), "{motion:?}");
     }
+    // What only touches the floor is stopped by it.
+    for hit in hits(2.0, Vector3::new(0.0, 0.0, -4.0)) {
+        assert_eq!((hit.fraction, hit.normal, hit.begins_inside()), (0.0, Vector3::z(), false));
+    }
+    let aslant = Vector3::new(1.0, 0.0, -4.0);
+    let [upright, thin, point] = hits(2.0, aslant);
+    assert_eq!([upright.normal, thin.normal, point.normal], [Vector3::z(), Vector3::z(), -aslant.normalize()]);
+    let stands = Cylinder::new(Point3::new(0.5, 0.5, 2.0), 0.25, 1.0).unwrap();
+    let round = sweep(&store, &stands, aslant).known().flatten().unwrap();
+    for hit in [upright, thin, point, round] {
+        assert_eq!((hit.fraction, hit.begins_inside()), (0.0, false));
+    }
+    assert_eq!(round.normal, Vector3::z());
 }
 
 /// The normal is that of the place of contact, not of the begin.

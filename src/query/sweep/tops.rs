@@ -179,6 +179,8 @@ mod tests {
             let part = scene.keep_loaded(|key| key.tx != missing);
             let top = top_under(&part, &shape(), metres(17000), metres(5000));
             assert_eq!(top, Answer::Known(Some(metres(16320))), "tile {missing} is missing");
+            let mean = mean_floor_under(&part, &shape(), metres(17000), metres(5000));
+            assert!(matches!(mean, Answer::NotLoaded(_)), "tile {missing} is missing: {mean:?}");
         }
         assert!(matches!(
             top_under(&scene.keep_loaded(|_| false), &shape(), metres(17000), metres(5000)),
