@@ -134,7 +134,8 @@ pub fn read_error(path: &Path, at: impl Into<String>, error: io::Error) -> Error
 struct Structure<'a> {
     column: Column,
     path: &'a Path,
-    /// Bytes of structure that may follow.
+    /// Bytes of structure that may be there in all, and that may follow.
+    most: u64,
     left: u64,
     in_string: bool,
     is_escaped: bool,
@@ -150,10 +151,11 @@ impl Read for Structure<'_> {
                 b'"' => self.in_string = !self.in_string,
                 _ if self.in_string || byte.is_ascii_whitespace() => {}
                 _ if self.left == 0 => {
-                    let reason = "its structure takes more than its share of the memory";
-                    return Err(io::Error::other(
-                        Error::input(self.path, "JSON", reason).with_suggestion(Parameter::Memory),
-                    ));
+                    // Not damage, which may be left out: an archive does not depend on the memory.
+                    let what = format!("{}: memory for the structure of its JSON", self.path.display());
+                    let most = slicewalk_base::text::memory_size(self.most);
+                    let error = Error::limit(what, format!("more than {most}"), most);
+                    return Err(io::Error::other(error.with_suggestion(Parameter::Memory)));
                 }
                 _ => self.left -= 1,
             }
@@ -176,8 +178,8 @@ pub fn json<T: serde::de::DeserializeOwned>(source: &Arc<dyn ByteSource>, path: 
     if start.starts_with(BYTE_ORDER_MARK) {
         reader.consume(BYTE_ORDER_MARK.len());
     }
-    let left = memory / STRUCTURE_SHARE;
-    let reader = Structure { column: reader, path, left, in_string: false, is_escaped: false };
+    let most = memory / STRUCTURE_SHARE;
+    let reader = Structure { column: reader, path, most, left: most, in_string: false, is_escaped: false };
     serde_json::from_reader(reader).map_err(|e| match e.is_io() {
         true => read_error(path, "JSON", e.into()),
         false => Error::input(path, "JSON", format!("{e}; fetch or write it again")),
@@ -267,6 +269,9 @@ mod tests {
         let error = of(text, len - 1).unwrap_err();
         assert!(error.starts_with("a.json: memory for its JSON") && error.contains("more memory"), "{error}");
         let error = of(r#"["a","b","c","d"]"#, 32).unwrap_err();
-        assert!(error.starts_with("a.json: JSON: its structure takes") && error.contains("more memory"), "{error}");
+        assert!(
+            error.starts_with("a.json: memory for the structure of its JSON") && error.contains("more memory"),
+            "{error}"
+        );
     }
 }

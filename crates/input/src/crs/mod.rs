@@ -42,6 +42,9 @@ const GROUND_AXES: &str = "x and y";
 const HEIGHTS: &str = "heights";
 /// Warning about a system whose axes start at the centre of the Earth.
 const GEOCENTRIC: &str = "its reference system is geocentric: its z axis does not point up";
+/// Warning about an E57 whose system has other units.
+const METRES: &str =
+    "its reference system is not in metres, but coordinates in E57 are, by its standard: metres are taken";
 /// Warning about coordinates of another kind than the system's.
 const LENGTHS_FOR_ANGLES: &str = "its coordinates are lengths, but its reference system has longitude and latitude";
 /// Warning about text that cannot be read to its end.
@@ -109,16 +112,14 @@ impl Georeference {
         let units = [self.horizontal, self.vertical];
         if self.degrees || units.into_iter().flatten().any(|unit| unit != 1.0) {
             self.drop_notes_of_units();
-            self.note(
-                "its reference system is not in metres, but coordinates in E57 are, by its standard: metres are taken",
-            );
+            self.note(METRES);
         }
         (self.horizontal, self.vertical, self.degrees) = (Some(1.0), Some(1.0), false);
     }
 
     /// Drops the warnings about units, where others count than the stated ones.
     pub(super) fn drop_notes_of_units(&mut self) {
-        self.notes.retain(|note| !note.contains("unit"));
+        self.notes.retain(|note| !note.contains("unit") && note != METRES);
     }
 
     /// Adds the unit of a vertical axis of a system that is named by code, negative if it points down.

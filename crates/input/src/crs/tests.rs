@@ -273,6 +273,12 @@ fn a_code_alone_gives_the_axes_of_its_system() {
     let mut of_metres = Georeference { horizontal: Some(1.0), ..Georeference::default() };
     assert_eq!(of_metres.complete(900_913), Ok(None));
     let text = |text: &str| Georeference::of_text(text.to_owned());
+    // Where --units counts, metres are not taken.
+    let mut feet = text("EPSG:2229");
+    feet.take_metres();
+    assert_eq!(feet.notes.len(), 1, "{:?}", feet.notes);
+    feet.drop_notes_of_units();
+    assert!(feet.notes.is_empty(), "{:?}", feet.notes);
     assert_eq!(text("EPSG:2229+5703").codes, [2229, 5703]);
     assert_eq!((text("EPSG:2229+5703").horizontal, text("EPSG:2229+5703").vertical), (Some(US_SURVEY_FOOT), Some(1.0)));
     assert!(text("urn:ogc:def:crs:EPSG::4674").degrees);

@@ -436,7 +436,13 @@ fn a_dry_run_shows_columns_and_first_points() {
     )
     .unwrap();
     fs::write(at.join("b.pts"), "2\n1 2 3 5 10 20 30\n4 5 6 5 10 20 30\n").unwrap();
-    let arguments = ["a.csv", "b.pts", "--dry-run", "--pixel", "0.5"];
+    // The first cloud has no returns.
+    let cloud = |x: u32, rows: &str| {
+        format!("1\n2\n{x} 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n{x} 0 0 1\n{rows}")
+    };
+    let clouds = [(1000, "0 0 0 0\n0 0 0 0\n"), (5000, "1 2 3 0.5 10 20 30\n4 5 6 0.5 10 20 30\n")];
+    fs::write(at.join("c.ptx"), clouds.map(|(x, rows)| cloud(x, rows)).concat()).unwrap();
+    let arguments = ["a.csv", "b.pts", "c.ptx", "--dry-run", "--pixel", "0.5"];
     let out = sliceconv(at, &arguments);
     let text = String::from_utf8(out.stdout).unwrap();
     for words in [
@@ -444,6 +450,7 @@ fn a_dry_run_shows_columns_and_first_points() {
         "first points: (1.25, 2, 3.5), (2, 3, 4.5), (6, 7, 5)\n",
         "x is column 1, y is column 2, z is column 3, intensity is column 4, red is column 5, green is column 6, blue is column 7",
         "first points: (1, 2, 3), (4, 5, 6)\n",
+        "first points: (5001, 2, 3), (5004, 5, 6)\n",
     ] {
         assert!(text.contains(words), "{words}: {text}");
     }

@@ -72,7 +72,8 @@ fn ptx_head(lines: &mut Lines<'_>, [columns, rows]: [u64; 2]) -> Result<PtxHead>
 pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let (mut lines, packing) = begin(opening)?;
     let (mut segments, mut stated, mut sample, mut decimal_comma) = (Vec::new(), 0u64, Vec::new(), false);
-    let (mut may_seek, mut number) = (false, 0);
+    // `sampled`: the cloud of the sample.
+    let (mut may_seek, mut number, mut sampled) = (false, 0, 0);
     loop {
         let size = match ptx_size(&mut lines, may_seek) {
             Err(Error::Input { at, reason, .. }) if opening.findings.allow_incomplete => {
@@ -110,7 +111,7 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
         segments.push((Segment { pose, station, ..Segment::plain(start, lines.position(), found) }, typical(&first)));
         // Rows without a return do not show decimal commas.
         if !first.is_empty() && sample.iter().all(|row: &Vec<u8>| is_absent(row)) {
-            sample = first;
+            (sample, sampled) = (first, segments.len() - 1);
         }
     }
     let mut layout = RowLayout::new(Custom::Ptx.places(7), Separator::Blanks, decimal_comma);
@@ -131,12 +132,13 @@ pub(in crate::cloud) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened
     let places = Custom::Ptx.places(7);
     let channels = Channels::new(Some(Kind::Custom), Some(Kind::Any));
     let rows = Rows { segments, zero_is_absent: true, stated, ..Rows::empty("PTX", packing, layout, channels) };
-    let first = rows.segments.iter().find(|segment| segment.rows > 0);
+    let first = rows.segments.get(sampled);
     let point = |row: &[u8]| {
         let (at, class) = rows.layout.parse(row, None).ok()?;
         rows.point(first?, (at, class, ())).map(|(at, _, ())| at)
     };
-    let shown = Places { rgb: places.rgb.filter(|_| first.is_some_and(|first| first.cells == Some(7))), ..places };
+    let has = |cells: usize| first.and_then(|first| first.cells).is_some_and(|found| found >= cells);
+    let shown = Places { rgb: places.rgb.filter(|_| has(7)), intensity: places.intensity.filter(|_| has(4)), ..places };
     let text = text_layout(&rows.layout, &shown, &[], &sample, point);
     let mut opened = Opened { text: Some(text), ..Opened::new(rows) };
     // By convention: Cyclone writes metres.
