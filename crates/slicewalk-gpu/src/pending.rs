@@ -6,8 +6,10 @@ use crate::kinds::{Found, Question, Reply};
 use crate::scene::Resident;
 use slicewalk::store::Snapshot;
 use std::future::poll_fn;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::task::{Poll, Waker};
+#[cfg(not(target_family = "wasm"))]
+use std::time::Duration;
 
 /// Questions that were sent to a device.
 #[must_use = "the answers are not collected"]
@@ -35,7 +37,7 @@ pub(crate) struct Piece {
     copy: wgpu::Buffer,
     #[cfg_attr(target_family = "wasm", allow(dead_code, reason = "browsers wake the task"))]
     submission: wgpu::SubmissionIndex,
-    mapped: Arc<Mutex<Mapped>>,
+    mapped: Arc<(Mutex<Mapped>, Condvar)>,
     /// Numbers of the questions that the device did not get.
     left_out: Vec<u32>,
 }
@@ -47,14 +49,20 @@ struct Mapped {
     waker: Option<Waker>,
 }
 
+/// Longest time until a thread that polls the device has told of what it found.
+#[cfg(not(target_family = "wasm"))]
+const TELLING: Duration = Duration::from_secs(60);
+
 impl Piece {
     /// Begins to map the answers in `copy`.
     pub fn new(copy: wgpu::Buffer, submission: wgpu::SubmissionIndex, left_out: Vec<u32>) -> Self {
-        let mapped = Arc::new(Mutex::new(Mapped::default()));
-        let state = mapped.clone();
+        let mapped = Arc::new((Mutex::new(Mapped::default()), Condvar::new()));
+        let told = mapped.clone();
         copy.slice(..).map_async(wgpu::MapMode::Read, move |result| {
+            let (state, arrival) = &*told;
             let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
             state.result = Some(result.map_err(|error| error.to_string()));
+            arrival.notify_all();
             if let Some(waker) = state.waker.take() {
                 waker.wake();
             }
@@ -66,7 +74,12 @@ impl Piece {
     #[cfg(not(target_family = "wasm"))]
     pub fn wait(&self, shared: &Shared) -> Result<()> {
         let until = wgpu::PollType::Wait { submission_index: Some(self.submission.clone()), timeout: None };
-        shared.device.poll(until).map(|_| ()).map_err(|error| shared.failure(error))
+        shared.device.poll(until).map_err(|error| shared.failure(error))?;
+        // Another thread may have polled first, and be about to tell of this piece.
+        let (state, arrival) = &*self.mapped;
+        let state = state.lock().unwrap_or_else(PoisonError::into_inner);
+        drop(arrival.wait_timeout_while(state, TELLING, |state| state.result.is_none()));
+        Ok(())
     }
 
     /// Passes the words of the answers to `take`. Fails if they are not mapped.
@@ -84,7 +97,7 @@ impl Piece {
     }
 
     fn result(&self, waker: Option<&Waker>) -> Option<Result<(), String>> {
-        let mut mapped = self.mapped.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut mapped = self.mapped.0.lock().unwrap_or_else(PoisonError::into_inner);
         if mapped.result.is_none() {
             mapped.waker = waker.cloned();
         }

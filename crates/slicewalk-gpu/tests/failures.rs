@@ -265,3 +265,19 @@ fn several_batches_may_be_in_flight() {
     let expected: Vec<Reply<bool>> = boxes.iter().map(|shape| overlaps(&pages, shape).into()).collect();
     assert!(first.answers == expected);
 }
+
+/// A driver tells of a finished batch to whichever thread asks it next, so that another thread may learn late of its own.
+#[test]
+fn threads_share_a_device() {
+    let Some(device) = device() else { return };
+    let pages = random_pages(3, 5e5).pages;
+    let scene = Scene::new(&device, &pages).unwrap();
+    let mut asker = Asker::new(&pages, 6);
+    let boxes: Vec<_> = (0..10).map(|_| asker.shape()).collect();
+    let expected: Vec<Reply<bool>> = boxes.iter().map(|shape| overlaps(&pages, shape).into()).collect();
+    std::thread::scope(|threads| {
+        for _ in 0..8 {
+            threads.spawn(|| (0..100).for_each(|_| assert!(answers(&scene, &boxes) == expected)));
+        }
+    });
+}
