@@ -181,9 +181,18 @@ impl Form {
                 return Err(Error::Interrupted);
             }
             number += 1;
-            let Some((_, line)) = lines.next_row()? else {
-                walk.wrong = Some(lines.error("the file ends"));
-                return Ok(walk);
+            let line = match lines.next_row() {
+                Ok(Some((_, line))) => line,
+                Ok(None) => {
+                    walk.wrong = Some(lines.error("the file ends"));
+                    return Ok(walk);
+                }
+                // A line that is too long.
+                Err(error @ Error::Input { .. }) => {
+                    walk.wrong = Some(error);
+                    return Ok(walk);
+                }
+                Err(error) => return Err(error),
             };
             match fold.add(line, self) {
                 Ok(true) => (walk.held, walk.end) = (walk.held + 1, lines.position()),
@@ -194,9 +203,13 @@ impl Form {
                 }
             }
         }
-        walk.wrong = match pass(&mut lines, tail, opening.monitor)? {
-            Err(reason) => Some(lines.error(reason)),
-            Ok(()) => lines.row()?.map(|_| lines.error("more lines follow")),
+        let after = pass(&mut lines, tail, opening.monitor).and_then(|passed| match passed {
+            Err(reason) => Ok(Some(lines.error(reason))),
+            Ok(()) => Ok(lines.row()?.map(|_| lines.error("more lines follow"))),
+        });
+        walk.wrong = match after {
+            Err(error @ Error::Input { .. }) => Some(error),
+            after => after?,
         };
         Ok(walk)
     }

@@ -653,6 +653,8 @@ fn rows_that_cannot_be_read_are_left_out_and_no_sample() {
         let said = read("a.ply", text.as_bytes()).unwrap_err().to_string();
         assert!(said.contains("; fetch or write it again"), "{said}");
     }
+    let fewer = format!("{}1 2 3\n4 5 6{long}\n7 8 9\n", header.replace("vertex 3", "vertex 4"));
+    is_incomplete("a.ply", fewer.as_bytes(), "the header states 4 points, 3 lines follow", 2, 2);
     for name in ["a.ply.gz", "a.las.gz", "a.laz.zst"] {
         let said = read(name, &gzip(b"ply\n")).unwrap_err().to_string();
         assert!(said.contains("only text is read compressed"), "{name}: {said}");
@@ -787,6 +789,12 @@ fn clouds_of_a_ptx_without_returns_do_not_show_decimal_commas() {
 fn a_cut_first_row_of_a_pts_does_not_take_the_others_with_it() {
     let text = b"4\n1 2 3 5\n4 5 6 5 1 2 3\n7 8 9 5 1 2 3\n1 1 1 5 1 2 3\n";
     is_incomplete("a.pts", text, "line 3: expected 4 columns, found 7", 3, 1);
+    // The same if the first row has the usual width.
+    let text = b"2\n1 2 3 5\n4 5 6 5\n4\n1 2 3 5\n4 5 6 5 1 2 3\n7 8 9 5 1 2 3\n1 1 1 5 1 2 3\n";
+    is_incomplete("a.pts", text, "line 6: expected 4 columns, found 7", 5, 1);
+    // Two rows that became one do not take the others with them.
+    let text = b"5\n1 2 3 5\n4 5 6 57 8 9 5\n1 1 1 5\n2 2 2 5\n";
+    is_incomplete("a.pts", text, "line 3: expected 4 columns, found 7", 2, 3);
     // One row of another width does not end a cloud that differs from the first one.
     let text = b"2\n1 2 3 5 1 2 3\n4 5 6 5 1 2 3\n4\n1 2 3 5\n4 5 6 5\n4 5 6 5 1 2 3\n7 8 9 5\n";
     is_incomplete("a.pts", text, "line 7: expected 4 columns, found 7", 5, 1);

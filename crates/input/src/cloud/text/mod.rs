@@ -308,7 +308,7 @@ impl Cloud for Rows {
         let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
         let mut tally = Tally::default();
         // Cells per row of the current cloud, if not those of the first; whether none of its rows has been read; and
-        // whether only the first has been, which had another width.
+        // whether its width was taken from the last one.
         let (mut width, mut is_first, mut is_new) = (None, self.count.is_some(), false);
         let done = self.each_row(piece, source, |at, part, next, lines| {
             taker.begin_cloud(part)?;
@@ -316,7 +316,7 @@ impl Cloud for Rows {
             let fault = match next {
                 Next::Row(row) => match reading.parse(row, width.or(segment.cells)) {
                     Ok(row) => {
-                        (is_first, is_new) = (false, false);
+                        (is_first, is_new) = (false, is_first);
                         tally.add_row();
                         match self.point(segment, row) {
                             Some((at, class, value)) => taker.push(at, class, value)?,
@@ -346,9 +346,12 @@ impl Cloud for Rows {
                                     return taker.push(at, class, value).map(|()| true);
                                 }
                                 _ => {
-                                    // The first row was cut, and the others have the usual width.
-                                    width = width.filter(|_| !is_new || reading.parse(row, segment.cells).is_err());
-                                    is_new = false;
+                                    // The first row was cut, and the others are wider or have the usual width.
+                                    let (usual, cells) = (segment.cells, self.other_width(segment, row));
+                                    let likelier = [usual, cells.filter(|_| cells > width.or(usual))];
+                                    let fits = |cells: &Option<usize>| is_new && reading.parse(row, *cells).is_ok();
+                                    let found = likelier.into_iter().find(fits);
+                                    (width, is_new) = (found.unwrap_or(width), found.is_some());
                                     fault
                                 }
                             }
