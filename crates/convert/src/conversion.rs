@@ -376,7 +376,8 @@ impl Conversion<'_> {
         }
         // A part that leaves files out cannot conclude that nothing in the whole is usable.
         let whole = reads_all(scope);
-        if whole {
+        let has_others = !(meshes.is_empty() && splats.is_empty() && cubes.inputs().next().is_none());
+        if whole && !(options.allow_incomplete && has_others) {
             refuse_unusable(scans, &read.counts)?;
         }
         scans.check_complete(monitor)?;
@@ -405,14 +406,15 @@ impl Conversion<'_> {
         if whole {
             far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         }
-        if whole && read.counts.read == 0 {
-            if !complete {
-                return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
-            }
-            monitor.warn(&"the input holds no points: the archive is empty".into());
-        }
         if whole {
             refuse_unusable_splats(splats, &of_splats.counts, read.counts.read)?;
+        }
+        let unusable = read.counts.not_finite + of_splats.counts.unusable;
+        if whole && !complete && read.counts.read == unusable {
+            return Err(Error::parameter("INPUT", "nothing of it can be used; fetch or write it again"));
+        }
+        if whole && read.counts.read == 0 {
+            monitor.warn(&"the input holds no points: the archive is empty".into());
         }
         Ok(AllRead {
             read,

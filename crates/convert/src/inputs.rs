@@ -93,7 +93,7 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
             (scans, chosen.splats.clone())
         }
     };
-    let mut splats = SplatSet::open(splats, options, monitor)?;
+    let has_others = !scans.files().is_empty() || cubes.inputs().next().is_some();
     let mesh_options = MeshOptions {
         units: options.reading.units,
         up: options.plan.up,
@@ -101,12 +101,18 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
         memory_bytes: options.resources.memory_bytes / 8,
         temp_dir: options.resources.temp_dir.clone(),
         allow_incomplete: options.allow_incomplete,
+        has_others: has_others || !splats.is_empty(),
         hash: options.shard.is_some(),
         // Set later.
         colours: false,
         texture_bytes: texture_bytes(options),
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
+    let has_others = has_others || !meshes.is_empty();
+    let mut splats = SplatSet::open(splats, has_others, options, monitor)?;
+    if let Some(error) = scans.take_left_out().filter(|_| !has_others && splats.is_empty()) {
+        return Err(error);
+    }
     scans.set_meshes(meshes.paths());
     if options.plan.remove_moving
         && let (MeshMode::Sampled { .. }, Some(mesh)) = (options.reading.mesh, meshes.paths().next())

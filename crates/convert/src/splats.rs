@@ -186,7 +186,13 @@ const VOLUME_STEPS: f64 = (1u64 << 50) as f64;
 
 impl SplatSet {
     /// Opens files of splats, each named once. If incomplete input is allowed, warns about each that cannot be opened.
-    pub fn open(paths: Vec<PathBuf>, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
+    /// If none is left, this is an error unless the run `has_others`, inputs of other kinds.
+    pub fn open(
+        paths: Vec<PathBuf>,
+        has_others: bool,
+        options: &ConvertOptions,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
         let (mut set, mut left_out) = (Self::default(), None);
         for path in paths {
             match SplatReader::open(&path, &reading(options)) {
@@ -203,7 +209,7 @@ impl SplatSet {
             }
         }
         set.is_partial = left_out.is_some();
-        if let Some(error) = left_out.filter(|_| set.is_empty()) {
+        if let Some(error) = left_out.filter(|_| set.is_empty() && !has_others) {
             return Err(error);
         }
         if let (Some(first), Units::Auto) = (set.paths.first(), options.reading.units) {

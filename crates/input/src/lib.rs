@@ -317,6 +317,7 @@ pub struct InputSet {
     /// Filters for records of the old and of the extended layout.
     filters: [Filter; 2],
     diagnostics: Diagnostics,
+    left_out: Option<Error>,
     /// Sum of the hashes of the decoded data, per file; empty unless requested.
     hashes: Mutex<Vec<u128>>,
     /// Decoded coordinates that are floats of 32 bits.
@@ -340,10 +341,11 @@ impl InputSet {
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
         let diagnostics = Diagnostics::default();
         let paths = expand::expand(inputs, options.allow_incomplete.then_some(&diagnostics), monitor)?;
-        Self::with(paths, diagnostics, options, monitor)
+        Self::with(paths, diagnostics, options, monitor)?.unless_all_are_left_out()
     }
 
-    /// Like [`open`](Self::open), but sets the files aside for which `is_apart` is true, and returns their paths.
+    /// Like [`open`](Self::open), but sets the files aside for which `is_apart` is true, and returns their paths. All
+    /// others may be [left out](Self::take_left_out).
     pub fn open_apart(
         inputs: &[PathBuf],
         is_apart: &dyn Fn(&Path) -> bool,
@@ -358,7 +360,14 @@ impl InputSet {
 
     /// Like [`open`](Self::open), but takes the files that [`expand_inputs`] found; there may be none.
     pub fn of_paths(paths: Vec<PathBuf>, options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
-        Self::with(paths, Diagnostics::default(), options, monitor)
+        Self::with(paths, Diagnostics::default(), options, monitor)?.unless_all_are_left_out()
+    }
+
+    fn unless_all_are_left_out(mut self) -> Result<Self> {
+        match self.left_out.take().filter(|_| self.files.is_empty() && self.meshes.is_empty()) {
+            Some(error) => Err(error),
+            None => Ok(self),
+        }
     }
 
     fn with(
@@ -440,9 +449,6 @@ impl InputSet {
         if count < paths.len() {
             return Err(Error::Interrupted);
         }
-        if let Some(error) = left_out.filter(|_| files.is_empty() && meshes.is_empty()) {
-            return Err(error);
-        }
         odd.iter().for_each(|(text, those)| those.tell(&files, text, None, monitor));
         no_unit.tell(&files, "no unit of length is stated; metres are assumed", Some(Parameter::Units), monitor);
         degrees.tell(
@@ -460,7 +466,14 @@ impl InputSet {
         files.shrink_to_fit();
         let chunk_memory = ChunkMemory::new(options.memory_bytes, options.threads);
         let singles = Mutex::default();
-        Ok(Self { files, meshes, options, crs, filters, diagnostics, hashes, singles, tag: None, chunk_memory })
+        let tag = None;
+        Ok(Self { files, meshes, options, crs, filters, diagnostics, left_out, hashes, singles, tag, chunk_memory })
+    }
+
+    /// Returns, once, the error of the last file that [`open_apart`](Self::open_apart) left out: the reason to fail if
+    /// no other input is left.
+    pub fn take_left_out(&mut self) -> Option<Error> {
+        self.left_out.take()
     }
 
     /// Replaces the reference system, for runs whose inputs are not only scans.

@@ -62,7 +62,8 @@ impl<'a> MeshFeed<'a> {
     ///
     /// At the end of each file, a warning reports how many triangles without area were left out. A file without a
     /// usable triangle is an error, because an empty archive would silently replace a good one. Broken faces and a file
-    /// that changed while it was read are errors too; with `allow_incomplete`, they are warnings to `monitor` instead.
+    /// that changed while it was read are errors too; with `allow_incomplete`, they are warnings to `monitor` instead,
+    /// and so is, beside other inputs, a file without a usable triangle.
     pub fn next(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
         let mut whole = MeshBatch { triangles: std::mem::take(batch), ..MeshBatch::default() };
         let more = self.next_painted(&mut whole, monitor);
@@ -151,18 +152,25 @@ impl<'a> MeshFeed<'a> {
         let file = &self.set.files[self.next];
         let OfFile { counts, far, broken, reason, digest } = std::mem::take(&mut self.of_file);
         let MeshCounts { read, left_out } = counts;
+        let mut lost = Vec::new();
         if read == left_out {
-            if let Some(error) = reason {
+            let error = reason.unwrap_or_else(|| {
+                let reason = if read == 0 {
+                    "it holds no triangles; of these formats only PLY is read as a cloud of points".into()
+                } else {
+                    format!("none of its {read} triangles has an area and finite corners within 1e12 m; write it again")
+                };
+                Error::input(&file.path, "triangles", reason)
+            });
+            let options = &self.set.options;
+            if !options.allow_incomplete || !options.has_others && self.set.files.len() == 1 {
                 return Err(error);
             }
-            let reason = if read == 0 {
-                "it holds no triangles; of these formats only PLY is read as a cloud of points".into()
-            } else {
-                format!("none of its {read} triangles has an area and finite corners within 1e12 m; write it again")
-            };
-            return Err(Error::input(&file.path, "triangles", reason));
+            monitor.warn(&format!("incomplete: left out: {error}").into());
+            self.complete = false;
+            self.close(counts, &digest);
+            return Ok(());
         }
-        let mut lost = Vec::new();
         if let Some(error) = reason {
             let text = match error {
                 Error::Input { at, reason, .. } => format!("{at}: {reason}"),
@@ -187,17 +195,25 @@ impl<'a> MeshFeed<'a> {
             let text = format!("{}: {flat} of {read} triangles left out: they have no area", file.path.display());
             monitor.warn(&text.into());
         }
+        self.close(counts, &digest);
+        Ok(())
+    }
+
+    fn close(&mut self, counts: MeshCounts, digest: &Digest) {
         self.total += counts;
         self.found[self.next].1 = digest.value();
         self.open = None;
         self.next += 1;
-        Ok(())
     }
 
-    /// Returns the files with the bounds of their usable triangles until now.
+    /// Returns the files that have usable triangles until now, with the bounds of these.
     pub fn scenes(&self) -> impl Iterator<Item = Scene<'a>> {
         let files = self.set.files.iter().zip(&self.found);
-        files.map(|(file, &((min, max), _))| Scene { path: &file.path, min, max })
+        files.filter(|(_, ((min, max), _))| min[0] <= max[0]).map(|(file, &((min, max), _))| Scene {
+            path: &file.path,
+            min,
+            max,
+        })
     }
 
     /// Warns once of files that store coordinates as floats of 32 bits, if some triangle read until now is at a

@@ -48,6 +48,8 @@ pub struct MeshOptions {
     pub temp_dir: PathBuf,
     /// If true, files with broken faces are read as far as possible, with warnings, instead of being refused.
     pub allow_incomplete: bool,
+    /// If true, there are inputs of other kinds, so that with `allow_incomplete` no mesh need be usable.
+    pub has_others: bool,
     /// If true, all bytes read are hashed, so that two runs can compare their input.
     pub hash: bool,
     /// If true, triangles get the colours that their files state.
@@ -65,6 +67,7 @@ impl Default for MeshOptions {
             memory_bytes: 64 << 20,
             temp_dir: slicewalk_base::disk::temp_dir(),
             allow_incomplete: false,
+            has_others: false,
             hash: false,
             colours: false,
             texture_bytes: 256 << 20,
@@ -197,7 +200,7 @@ impl MeshSet {
             }
         }
         let complete = left_out.is_none();
-        if let Some(error) = left_out.filter(|_| files.is_empty()) {
+        if let Some(error) = left_out.filter(|_| files.is_empty() && !options.has_others) {
             return Err(error);
         }
         let mut unknown = files.iter().filter(|file| options.units == Units::Auto && file.kind != MeshFormat::Gltf);

@@ -186,6 +186,46 @@ fn files_that_cannot_be_read() {
     }
 }
 
+/// Whatever the kinds of the others are.
+#[test]
+fn a_file_of_which_nothing_can_be_read_is_left_out_beside_others() {
+    let folder = folder();
+    let at = folder.path();
+    let laz = fs::read(at.join("scan.laz")).unwrap();
+    let mut broken = laz.clone();
+    broken[laz.len() / 3..].fill(0xA5);
+    for (name, bytes) in [
+        ("header.las", &b"LASF, and no header"[..]),
+        ("chunk.laz", &broken),
+        ("bad.spz", b"NGSP, and no header of splats"),
+        ("cut.stl", b"solid\nfacet"),
+        ("empty.obj", b"v 0 0 0\n"),
+        (
+            "flat.stl",
+            b"solid\nfacet\nouter loop\nvertex 0 0 0\nvertex 0 0 0\nvertex 0 0 0\nendloop\nendfacet\nendsolid",
+        ),
+        ("floor.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+    ] {
+        fs::write(at.join(name), bytes).unwrap();
+    }
+    let before = fs::read(at.join("a.slices")).unwrap();
+    let bad = ["header.las", "chunk.laz", "bad.spz", "cut.stl", "empty.obj", "flat.stl"];
+    for name in bad {
+        for sound in ["scan.las", "floor.obj"] {
+            refuses(at, &[&[sound, name], &OPTIONS[..], &["--force"]].concat(), 1);
+            let said = converts(at, &[&[sound, name], &OPTIONS[..], &["--force", "--allow-incomplete"]].concat());
+            assert!(said.contains("incomplete") && said.contains(name), "{sound}, {name}: {said}");
+        }
+        let options = ["--pixel", "auto", "--units", "m", "-o", "a.slices", "--force", "--allow-incomplete"];
+        converts(at, &[&["scan.las", name], &options[..]].concat());
+    }
+    fs::write(at.join("a.slices"), &before).unwrap();
+    for inputs in [&bad[..], &bad[..2], &bad[1..4], &bad[2..], &bad[3..], &bad[4..5]] {
+        refuses(at, &[inputs, &OPTIONS, &["--force", "--allow-incomplete"]].concat(), 1);
+        assert!(fs::read(at.join("a.slices")).unwrap() == before, "{inputs:?}");
+    }
+}
+
 #[test]
 fn broken_meshes() {
     let folder = folder();
@@ -511,7 +551,7 @@ fn a_scan_without_one_usable_point_is_refused_even_where_gaps_are_allowed() {
             &*far,
             "far.ply: points: no point has a finite position within 1e12 m; fetch or write the file again",
         ),
-        ("none.pts", "5\n", "INPUT: nothing of it can be read; fetch or write it again"),
+        ("none.pts", "5\n", "INPUT: nothing of it can be used; fetch or write it again"),
     ] {
         fs::write(folder.path().join(name), text).unwrap();
         let said = refuses(folder.path(), &[&[name, "--force", "--allow-incomplete"], &OPTIONS[..]].concat(), 1);
