@@ -137,7 +137,7 @@ impl Georeference {
             && (counts - other).abs() > ROUNDING * other
         {
             let (counts, other) = (number(counts), number(other));
-            self.note(&format!("it states two units for {axes}: {counts} m, which counts, and {other} m"));
+            self.note(&format!("two units are given for {axes}: {counts} m, which counts, and {other} m"));
         }
     }
 

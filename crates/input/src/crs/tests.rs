@@ -381,7 +381,7 @@ fn a_projection_of_the_files_own_is_not_named_by_the_geographic_system_below_it(
 
 #[test]
 fn statements_that_contradict_each_other_are_noted() {
-    let two = |axes, counts, other| format!("it states two units for {axes}: {counts} m, which counts, and {other} m");
+    let two = |axes, counts, other| format!("two units are given for {axes}: {counts} m, which counts, and {other} m");
     let metres = [[3072, 0, 1, 2992], [3076, 0, 1, 9001], [4096, 0, 1, 6360], [4099, 0, 1, 9001]];
     let found = keys(&metres, "", &[]);
     assert_eq!((found.horizontal, found.vertical), (Some(1.0), Some(1.0)));
