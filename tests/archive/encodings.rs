@@ -69,6 +69,31 @@ fn pages() -> impl Iterator<Item = Page> {
     terrains.into_iter().map(move |terrain| page(&terrain, &mut random))
 }
 
+/// Every third span of a page, if it is a floor.
+fn third(page: &Page) -> Inferred {
+    let (mut inferred, mut number) = (Inferred::new(), 0);
+    for (px, py, spans) in page.columns() {
+        let mut mask = 0;
+        for (at, span) in spans.iter().enumerate() {
+            number += 1;
+            mask |= u64::from(number % 3 == 0 && !span.is_obstacle()) << at;
+        }
+        assert!(inferred.push(px, py, mask));
+    }
+    inferred
+}
+
+/// The page with its lowest spans down to its floor, as where the border of a page cuts a solid.
+fn cut(page: &Page) -> Page {
+    let mut builder = PageBuilder::default();
+    for (px, py, spans) in page.columns() {
+        let mut spans = spans.to_vec();
+        spans[0] = Span::new(0, spans[0].top(), spans[0].is_obstacle()).unwrap();
+        assert!(builder.set_column(px, py, &spans));
+    }
+    builder.build()
+}
+
 /// Bytes, and their hash, of all pages as `encode` has them.
 fn of_all(mut encode: impl FnMut(&Page, &mut Vec<u8>)) -> (usize, u64) {
     let (mut hash, mut len, mut bytes) = (Xxh3::new(), 0, Vec::new());
@@ -97,6 +122,33 @@ fn pages_of_all_kinds_have_the_bytes_that_they_always_had() {
         ("exact", (326_960, 0x910354704a00b96c)),
         ("on steps of 91 quanta", (314_227, 0x25dbabef08dd9035)),
         ("30 quanta off", (225_743, 0xe7bbbf7bec485326)),
+    ];
+    assert_eq!(found, expected);
+}
+
+/// Which heights within the tolerance a writer takes is its own choice, but always the same one.
+#[test]
+fn pages_of_all_kinds_lose_what_they_always_lost() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let marked = |tolerance| {
+        let mut encoder = Encoder::new(frame, tolerance);
+        of_all(|page, out| drop(encoder.encode_lossy(page, &third(page), out)))
+    };
+    let of_cut = |tolerance| {
+        let mut encoder = Encoder::new(frame, tolerance);
+        of_all(|page, out| drop(encoder.encode_lossy(&cut(page), &Inferred::NONE, out)))
+    };
+    let found = [
+        ("inferred, 30 quanta off", marked(30)),
+        ("inferred, 3 quanta off", marked(3)),
+        ("cut, 30 quanta off", of_cut(30)),
+        ("cut, 255 quanta off", of_cut(255)),
+    ];
+    let expected = [
+        ("inferred, 30 quanta off", (299_954, 0xb6ea2ecea6cc8720)),
+        ("inferred, 3 quanta off", (396_381, 0xb188b1dd25e821f2)),
+        ("cut, 30 quanta off", (218_520, 0x424a7af5240c3657)),
+        ("cut, 255 quanta off", (148_903, 0xea5d5d5146c8d3b1)),
     ];
     assert_eq!(found, expected);
 }
