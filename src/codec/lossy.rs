@@ -147,7 +147,6 @@ impl Lossy {
             let bottom = follow(candidates.bottom, room.bottom);
             return with(bottom, follow(bottom as i32 + thickness, room.top));
         }
-        let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
         let mut best = (u32::MAX, span);
         let bottoms = Choices::of(&grid, End::Bottom, room.bottom, is_free.then_some(candidates.bottom));
         for bottom in bottoms.all() {
@@ -156,9 +155,9 @@ impl Lossy {
             if bottoms.len == 1 && tops.len == 1 {
                 return with(bottom.0, tops.list[0].0);
             }
-            let bottom_cost = estimate.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
+            let bottom_cost = estimate.cost(End::Bottom, candidates.bottom, bottom.2);
             for top in tops.all() {
-                let cost = bottom_cost + estimate.cost(End::Top, top_context, expected, top.2);
+                let cost = bottom_cost + estimate.cost(End::Top, expected, top.2);
                 if cost < best.0 {
                     best = (cost, with(bottom.0, top.0));
                 }

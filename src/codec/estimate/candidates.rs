@@ -2,15 +2,10 @@
 
 use super::Coded;
 
-/// Prediction of the next span from its candidates in the neighbours.
+/// Prediction of the next span from its candidates in the neighbours (steps).
 pub struct Candidates {
-    count: usize,
-    /// Expected step of the bottom, and expected thickness (steps).
     pub bottom: i32,
     pub thickness: i32,
-    /// Maximum less minimum among the candidates (steps).
-    bottom_spread: u32,
-    thickness_spread: u32,
 }
 
 /// Spans of the four neighbours coded before (west, north, north-west, north-east) that the current pixel has not
@@ -51,15 +46,7 @@ pub(super) fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Op
         (0, None, Some(last)) => (last.bottom_step.into(), last.thickness()),
         (0, None, None) => (0, 0),
     };
-    let spread = |values: [i32; 4]| {
-        let (mut least, mut greatest) = (values[0], values[0]);
-        for &value in values[..count].iter().skip(1) {
-            (least, greatest) = (least.min(value), greatest.max(value));
-        }
-        greatest.wrapping_sub(least) as u32
-    };
-    let (bottom_spread, thickness_spread) = (spread(bottoms), spread(thicknesses));
-    Candidates { count, bottom, thickness, bottom_spread, thickness_spread }
+    Candidates { bottom, thickness }
 }
 
 #[inline]
@@ -72,35 +59,6 @@ fn second_least([a, b, c, d]: [i32; 4]) -> i32 {
 #[inline]
 pub(super) fn bits(value: u32) -> u32 {
     u32::BITS - value.leading_zeros()
-}
-
-/// Returns the class of a size by its number of bits: 0 to 2, 3, 4, 5, 6, 7, 8 to 9, more.
-#[inline]
-fn class(size: u32) -> usize {
-    const CLASSES: [u8; 16] = [0, 0, 0, 1, 2, 3, 4, 5, 6, 6, 7, 7, 7, 7, 7, 7];
-    CLASSES[bits(size).min(15) as usize].into()
-}
-
-impl Candidates {
-    /// Returns the context of the bottom.
-    #[inline]
-    pub fn bottom_context(&self) -> usize {
-        match self.count {
-            0 | 1 => self.count,
-            2 => 2 + class(self.bottom_spread) / 2,
-            _ => 8 + class(self.bottom_spread),
-        }
-    }
-
-    /// Returns the context of the thickness.
-    #[inline]
-    pub fn thickness_context(&self) -> usize {
-        let agreement = match self.count {
-            0 | 1 => self.count,
-            _ => 2 + class(self.thickness_spread),
-        };
-        class(self.thickness.unsigned_abs()) * 10 + agreement
-    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! Estimated length of a page's heights on a step grid, by which lossy encoding (`lossy`) chooses among grids and heights.
 //!
 //! Lengths are in 1/64 bit. What no choice changes is left out: which pixels are occupied, by how many spans of which
-//! kind. The estimate has its own models, simpler than those of the page coding: each span is predicted from its
-//! neighbours in the west, north-west, north and north-east, and their agreement selects the model.
+//! kind. The estimate is simpler than the page coding: each span is predicted from its neighbours in the west, north-west,
+//! north and north-east, and one model learns the errors of bottoms, another those of thicknesses.
 
 mod candidates;
 
@@ -38,12 +38,12 @@ impl Coded {
 const BOUNDARY: u32 = 15;
 const SLICE_BITS: u32 = 7;
 
-/// Adaptive models of symbols, of bottoms and of thicknesses, by context.
-type Models = [[Nibble; 80]; 2];
+/// Adaptive models of symbols, of bottoms and of thicknesses.
+type Models = [Nibble; 2];
 
 /// Model at the start of each page: weights of the symbols, averaged over six scans.
 const RESIDUAL: Nibble = Nibble::new([60, 40, 60, 90, 130, 160, 160, 130, 90, 60, 40, 30, 30, 25, 10, 1]);
-const FRESH: Models = [const { [RESIDUAL; 80] }; 2];
+const FRESH: Models = [RESIDUAL; 2];
 
 /// Returns the symbol of a step, `None` for a slice boundary, if step `expected` is predicted.
 #[inline]
@@ -56,13 +56,13 @@ fn symbol(expected: i32, step: Option<u32>) -> u32 {
 pub struct Estimate {
     grid: StepGrid,
     cost: u64,
-    models: Box<Models>,
+    models: Models,
     spans: Vec<Coded>,
 }
 
 impl Default for Estimate {
     fn default() -> Self {
-        Self { grid: StepGrid::QUANTA, cost: 0, models: Box::new(FRESH), spans: Vec::new() }
+        Self { grid: StepGrid::QUANTA, cost: 0, models: FRESH, spans: Vec::new() }
     }
 }
 
@@ -80,7 +80,7 @@ impl Estimate {
     ) -> Option<u64> {
         self.grid = grid;
         self.cost = if grid.is_quanta() { 0 } else { u64::from(GRID_BITS * COST_BIT) };
-        *self.models = FRESH;
+        self.models = FRESH;
         self.spans.clear();
         for pixel in 0..PIXELS {
             if pixel % 64 == 0 && !goes_on(pixel / 64, self.cost) {
@@ -103,32 +103,31 @@ impl Estimate {
 
     fn add(&mut self, candidates: &Candidates, span: Span) -> Coded {
         let (bottom, top) = (span.bottom(), span.top());
-        let bottom_step = self.learn(End::Bottom, candidates.bottom_context(), candidates.bottom, bottom);
+        let bottom_step = self.learn(End::Bottom, candidates.bottom, bottom);
         let expected = bottom_step as i32 + candidates.thickness;
-        let top_step = self.learn(End::Top, candidates.thickness_context(), expected, top);
+        let top_step = self.learn(End::Top, expected, top);
         let [bottom, top, bottom_step, top_step] = [bottom, top, bottom_step, top_step].map(|value| value as u16);
         let coded = Coded { bottom, top, bottom_step, top_step };
         self.spans.push(coded);
         coded
     }
 
-    /// Returns the cost (1/64 bit) of a step of `end`, `None` for a slice boundary, with the models of `context`, if step
-    /// `expected` is predicted.
+    /// Returns the cost (1/64 bit) of a step of `end`, `None` for a slice boundary, if step `expected` is predicted.
     #[inline]
-    pub fn cost(&self, end: End, context: usize, expected: i32, step: Option<u32>) -> u32 {
+    pub fn cost(&self, end: End, expected: i32, step: Option<u32>) -> u32 {
         let symbol = symbol(expected, step);
         let rest = if symbol == BOUNDARY { SLICE_BITS } else { symbol.saturating_sub(1) };
-        self.models[end as usize][context].cost(symbol) + rest * COST_BIT
+        self.models[end as usize].cost(symbol) + rest * COST_BIT
     }
 
     /// Adds the cost of `height` to the sum and to the models what it shows. Returns its step, or the next one.
     #[inline]
-    fn learn(&mut self, end: End, context: usize, expected: i32, height: u32) -> u32 {
+    fn learn(&mut self, end: End, expected: i32, height: u32) -> u32 {
         let step = self.grid.index(height, end).map(|(step, _)| step);
         // All other heights have steps, or the grid is not one of this page.
         debug_assert!(step.is_some() || height.is_multiple_of(SLICE), "no step for {height} {end:?}");
-        self.cost += u64::from(self.cost(end, context, expected, step));
-        self.models[end as usize][context].learn(symbol(expected, step));
+        self.cost += u64::from(self.cost(end, expected, step));
+        self.models[end as usize].learn(symbol(expected, step));
         step.unwrap_or_else(|| self.grid.at_or_above(height))
     }
 }
