@@ -103,17 +103,16 @@ impl SeenWriter {
         self.entries.iter().for_each(|entry| put_varint(&mut self.raw, entry.len.into()));
         self.entries.iter().for_each(|entry| self.raw.extend(entry.crc.to_le_bytes()));
         self.stored.clear();
-        let table = self.packer.pack(&self.raw, &mut self.stored);
-        let table_crc = crc::crc32c(&self.stored);
-        let start = self.stored.len();
+        self.packer.pack(&self.raw, &mut self.stored);
+        let (table_len, table_crc) = (self.stored.len(), crc::crc32c(&self.stored));
         self.stored.extend(MAGIC);
-        let len = self.len + table as u64 + TRAILER;
+        let len = self.len + table_len as u64 + TRAILER;
         self.stored.extend(len.to_le_bytes());
         self.stored.extend(self.cells.to_le_bytes());
         self.stored.extend((self.entries.len() as u32).to_le_bytes());
-        self.stored.extend((table as u32).to_le_bytes());
+        self.stored.extend((table_len as u32).to_le_bytes());
         self.stored.extend(table_crc.to_le_bytes());
-        self.stored.extend(crc::crc32c(&self.stored[start..]).to_le_bytes());
+        self.stored.extend(crc::crc32c(&self.stored[table_len..]).to_le_bytes());
         give(&self.stored)?;
         Ok((self.cells, len))
     }

@@ -24,11 +24,9 @@ impl Packer {
         Self(Compressor::new())
     }
 
-    /// Appends the frame of `raw` to `out` and returns the frame's length.
-    pub fn pack(&mut self, raw: &[u8], out: &mut Vec<u8>) -> usize {
-        let start = out.len();
+    /// Appends the frame of `raw` to `out`.
+    pub fn pack(&mut self, raw: &[u8], out: &mut Vec<u8>) {
         self.0.compress(raw, out);
-        out.len() - start
     }
 }
 
@@ -180,6 +178,18 @@ mod tests {
         }
         assert_eq!(header(&[0x00, 0x58, 9]), Err("no content size"));
         assert_eq!(header(&[0x28, 9]), Err("a reserved bit"));
+    }
+
+    /// A skippable frame adds nothing to the content.
+    #[test]
+    fn a_frame_with_another_behind_it_is_refused() {
+        use crate::codec::{zstd_c, zstd_rust};
+        let (mut frame, mut raw) = (Vec::new(), [0; 40]);
+        Packer::new().pack(&[7; 40], &mut frame);
+        assert_eq!(zstd_c::Decompressor::new().decompress(&frame, &mut raw, "D2"), Ok(()));
+        frame.extend([0x50, 0x2A, 0x4D, 0x18, 0, 0, 0, 0]);
+        assert_eq!(zstd_c::Decompressor::new().decompress(&frame, &mut raw, "D2").unwrap_err().rule, "D2");
+        assert_eq!(zstd_rust::Decompressor::new().decompress(&frame, &mut raw, "D2").unwrap_err().rule, "D2");
     }
 
     proptest! {

@@ -618,6 +618,25 @@ mod tests {
     }
 
     #[test]
+    fn a_page_of_inferred_spans_alone_stays_one() {
+        let mut builder = PageBuilder::default();
+        let mut inferred = Inferred::new();
+        for pixel in 0..PIXELS as u32 {
+            let (px, py) = (pixel % 64, pixel / 64);
+            assert!(builder.set_column(px, py, &[Span::new(300 + px, 310 + px + py % 3, false).unwrap()]));
+            assert!(inferred.push(px, py, 1));
+        }
+        let page = builder.build();
+        let (loose, marks) = Encoder::new(frame(), 30).encode_lossy(&page, &inferred, &mut Vec::new());
+        assert_eq!(marks, inferred);
+        for (px, py, spans) in page.columns() {
+            let [found] = loose.column(px, py) else { panic!("one span") };
+            assert!(found.bottom() <= spans[0].bottom() && spans[0].top() <= found.top());
+            assert!(found.bottom() + 30 >= spans[0].bottom() && found.top() <= spans[0].top() + 30);
+        }
+    }
+
+    #[test]
     fn spans_of_two_kinds_in_one_slice_stay_apart() {
         let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
         let mut builder = PageBuilder::default();

@@ -208,7 +208,7 @@ impl RansEncoder {
     pub fn finish(&mut self, out: &mut Vec<u8>) {
         let Self { slots, words, .. } = self;
         let inverses = inverses();
-        words.resize(slots.len() + 1, 0);
+        words.resize(slots.len(), 0);
         let (mut state, mut length) = (LOW, 0);
         for &(start, count) in slots.iter().rev() {
             let slots = (u32::from(start), u32::from(count));

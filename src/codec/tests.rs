@@ -117,6 +117,12 @@ fn marks_have_one_form_that_the_page_holds() {
     let long = [&[MARKED, 2, 0][..], &[0x81, 0x80, 0x10], &body[1..]].concat();
     let violation = Decoder::default().decode(&long).unwrap_err();
     assert_eq!((violation.expected.as_str(), violation.found.as_str()), ("a run of 1 to 262144 spans", "262145"));
+    let most = [&[MARKED, 2, 0][..], &[0x80, 0x80, 0x10], &body[1..]].concat();
+    let violation = Decoder::default().decode(&most).unwrap_err();
+    assert_eq!(violation.expected, "runs of no more floor spans than the page has");
+    // More runs than memory holds.
+    let many = [&[MARKED, 0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F][..], &body[1..]].concat();
+    assert_eq!(Decoder::default().decode(&many).unwrap_err().rule, "P12");
 }
 
 proptest! {

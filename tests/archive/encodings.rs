@@ -69,6 +69,21 @@ fn pages() -> impl Iterator<Item = Page> {
     terrains.into_iter().map(move |terrain| page(&terrain, &mut random))
 }
 
+/// Spans close above each other, within the tolerance of most neighbours.
+fn crowded(random: &mut Random) -> Page {
+    let mut builder = PageBuilder::default();
+    for pixel in 0..64 * 64 {
+        let (mut spans, mut low) = (Vec::new(), 900 + random.below(40u32));
+        for _ in 0..=random.below(7u32) {
+            let top = low + random.below(40u32);
+            spans.extend(Span::new(low, top, random.chance(20)));
+            low = top + 2 + random.below(60u32);
+        }
+        assert!(builder.set_column(pixel % 64, pixel / 64, &spans));
+    }
+    builder.build()
+}
+
 /// Every third span of a page, if it is a floor.
 fn third(page: &Page) -> Inferred {
     let (mut inferred, mut number) = (Inferred::new(), 0);
@@ -138,17 +153,29 @@ fn pages_of_all_kinds_lose_what_they_always_lost() {
         let mut encoder = Encoder::new(frame, tolerance);
         of_all(|page, out| drop(encoder.encode_lossy(&cut(page), &Inferred::NONE, out)))
     };
+    let of_crowded = |tolerance| {
+        let (mut encoder, mut out, mut random) = (Encoder::new(frame, tolerance), Vec::new(), Random(9));
+        for _ in 0..3 {
+            let page = crowded(&mut random);
+            encoder.encode_lossy(&page, &third(&page), &mut out);
+        }
+        (out.len(), xxhash_rust::xxh3::xxh3_64(&out))
+    };
     let found = [
         ("inferred, 30 quanta off", marked(30)),
         ("inferred, 3 quanta off", marked(3)),
         ("cut, 30 quanta off", of_cut(30)),
         ("cut, 255 quanta off", of_cut(255)),
+        ("crowded, 20 quanta off", of_crowded(20)),
+        ("crowded, 85 quanta off", of_crowded(85)),
     ];
     let expected = [
         ("inferred, 30 quanta off", (299_954, 0xb6ea2ecea6cc8720)),
         ("inferred, 3 quanta off", (396_381, 0xb188b1dd25e821f2)),
         ("cut, 30 quanta off", (218_521, 0xcaf88d7eb25c7f8c)),
         ("cut, 255 quanta off", (148_941, 0x1e3c6540c58262a9)),
+        ("crowded, 20 quanta off", (101_115, 0x11f5f9355d04fb78)),
+        ("crowded, 85 quanta off", (63_065, 0x23ba2c1ef9dfc56b)),
     ];
     assert_eq!(found, expected);
 }

@@ -189,3 +189,32 @@ fn a_block_shorter_than_its_lead_is_refused() {
         assert_eq!(ColourBlock::decode(&lead[..len], &occupancy([])).unwrap_err().rule, "K5");
     }
 }
+
+#[test]
+fn models_steps_and_numbers_out_of_range_are_refused() {
+    let one = occupancy([((0, 0), (0, 10))]);
+    // The first luma is expected at 128, in steps: the same residual leads to other numbers with other steps.
+    let decode = |model: u8, step: u8, luma: i16| {
+        let coded = code(&mut ColourBlock { steps: [1; 3], values: vec![[luma, 0, 0]] }, &one);
+        let bytes = [&[model, step, 1, 1], &coded[LEAD..]].concat();
+        ColourBlock::decode(&bytes, &one).map(|block| block.values[0]).map_err(|violation| violation.rule)
+    };
+    for (step, most) in [(2, 128), (3, 85), (4, 64), (255, 1)] {
+        let luma = 128 - 128 / i16::from(step) + most;
+        assert_eq!(decode(MODEL, step, luma), Ok([most, 0, 0]), "{step}");
+        assert_eq!(decode(MODEL, step, luma + 1), Err("K7"), "{step}");
+    }
+    assert_eq!(decode(MODEL, 1, 0), Ok([0; 3]));
+    assert_eq!(decode(MODEL, 2, 63), Err("K7"));
+    assert_eq!(decode(MODEL + 1, 1, 0), Err("K5"));
+    assert_eq!(decode(MODEL, 0, 0), Err("K5"));
+}
+
+#[test]
+fn pieces_of_one_pair_of_steps_keep_their_numbers() {
+    let block = |steps, values: &[[i16; 3]]| ColourBlock { steps, values: values.to_vec() };
+    let (a, b) = (block([3, 4, 2], &[[5, 1, -1], [6, 0, 0]]), block([3, 4, 2], &[[7, 2, 1]]));
+    let pieced = |b| ColourBlock::pieced([Some(&a), Some(b)], [(0, Some(1)), (1, Some(0)), (0, None)].into_iter());
+    assert_eq!(pieced(&b), Some(block([3, 4, 2], &[[6, 0, 0], [7, 2, 1], [ABSENT, 0, 0]])));
+    assert_eq!(pieced(&block([1; 3], &[[7, 2, 1]])), Some(block([1; 3], &[[18, 0, 0], [7, 2, 1], [ABSENT, 0, 0]])));
+}

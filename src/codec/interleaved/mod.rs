@@ -164,7 +164,7 @@ impl<L: Lanes> InterleavedEncoder<L> {
     pub fn finish(&mut self, out: &mut Vec<u8>) {
         let Self { symbols, words, bytes, rest, rest_bits, .. } = self;
         let inverses = inverses();
-        words.resize(symbols.len() + 1, 0);
+        words.resize(symbols.len(), 0);
         let (mut states, mut length) = ([LOW; 2], 0);
         for &symbol in symbols.iter().rev() {
             let (start, strand, count) = (symbol & (SCALE - 1), symbol as usize >> 15 & 1, symbol >> 16);
@@ -276,13 +276,12 @@ impl<'a, L: Lanes> InterleavedDecoder<'a, L> {
         self.taken += word_bits;
     }
 
-    /// Returns 64 bits from bit `self.bits` on, of which up to 7 are missing.
+    /// Returns 64 bits from bit `self.bits` on, of which up to 7 are missing; 0 where raw bits would lie in the states.
     #[inline(always)]
     fn window(&self) -> u64 {
         let end = self.bytes.len().saturating_sub(self.bits / 8);
-        let before = &self.bytes[..end];
-        let bits = before.last_chunk().map(|last| u64::from_be_bytes(*last));
-        bits.unwrap_or_else(|| before.iter().fold(0, |bits, &byte| bits << 8 | u64::from(byte))) >> (self.bits % 8)
+        let bits = self.bytes[..end].last_chunk().map_or(0, |last| u64::from_be_bytes(*last));
+        bits >> (self.bits % 8)
     }
 }
 
