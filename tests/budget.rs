@@ -11,6 +11,9 @@ mod tower;
 use heap::measured;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::MemorySource;
+use slicewalk::codec::{Decoder, Encoder};
+use slicewalk::frame::Frame;
+use slicewalk::page::{Inferred, PageBuilder, Span};
 use slicewalk::store::{Loader, LoaderOptions, Next};
 use std::time::Duration;
 use tower::{Body, Random};
@@ -22,6 +25,35 @@ fn the_heap_never_holds_more_than_the_budget() {
     for (budget, fetches) in [(1 << 20, 1), (2 << 20, 4), (4 << 20, 8)] {
         stays_within(&bytes, budget, fetches);
     }
+    for most in [1, 9, 64] {
+        decodes_within(most);
+    }
+}
+
+/// Decodes a page with `most` spans in each pixel, some of them inferred, and takes these out.
+fn decodes_within(most: u32) {
+    let (mut builder, mut inferred, mut body) = (PageBuilder::default(), Inferred::new(), Vec::new());
+    for pixel in 0..64 * 64 {
+        let (px, py) = (pixel % 64, pixel / 64);
+        let span = |k| Span::new(255 * k + (px * 31 + py * 57) % 200, 255 * k + 200 + px % 50, false).unwrap();
+        assert!(builder.set_column(px, py, &(0..most).map(span).collect::<Vec<_>>()));
+        assert!(inferred.push(px, py, u64::from(pixel % 2)));
+    }
+    let page = builder.build();
+    Encoder::new(Frame::new(0.05, 0.15).unwrap(), 0).encode_inferred(&page, &inferred, &mut body);
+    let spans = page.span_count();
+    drop(builder);
+    let (rest, peak) = measured(|| {
+        let mut decoder = Decoder::for_spans(spans);
+        let page = decoder.decode(&body).unwrap();
+        let mut builder = PageBuilder::default();
+        builder.reserve(spans);
+        decoder.inferred().without(&page, &mut builder)
+    });
+    let scratch = Decoder::scratch_bytes(spans) + PageBuilder::scratch_bytes(spans);
+    let stated = scratch + page.weight_bytes() + rest.weight_bytes();
+    println!("{most} spans a pixel: {peak} bytes at most on the heap, {stated} stated");
+    assert!((stated * 2 / 3..=stated).contains(&peak), "{peak} of {stated} bytes");
 }
 
 /// Hints at places all over the tower, so that pages are loaded and evicted.

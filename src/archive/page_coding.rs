@@ -240,15 +240,20 @@ impl PageDecoder {
         Self::default()
     }
 
-    /// Creates a decoder for pages of up to this size, which needs at most [`scratch_bytes`](Self::scratch_bytes) of
-    /// memory.
-    pub fn for_size(size: PageSize) -> Self {
-        Self { decoder: Decoder::for_spans(size.words() as usize), ..Self::default() }
+    /// Creates a decoder for pages of up to this size, with or [without](Self::set_ignore_inferred) their inferred
+    /// spans. It needs at most [`scratch_bytes`](Self::scratch_bytes) of memory.
+    pub fn for_size(size: PageSize, ignore_inferred: bool) -> Self {
+        let (mut builder, spans) = (PageBuilder::default(), size.words() as usize);
+        if ignore_inferred {
+            builder.reserve(spans);
+        }
+        Self { decoder: Decoder::for_spans(spans), builder, ignore_inferred, ..Self::default() }
     }
 
     /// Returns the scratch memory of a decoder created by [`for_size`](Self::for_size) (bytes).
-    pub fn scratch_bytes(size: PageSize) -> usize {
-        Decoder::scratch_bytes(size.words() as usize) + PageBuilder::scratch_bytes(0)
+    pub fn scratch_bytes(size: PageSize, ignore_inferred: bool) -> usize {
+        let spans = size.words() as usize;
+        Decoder::scratch_bytes(spans) + PageBuilder::scratch_bytes(if ignore_inferred { spans } else { 0 })
     }
 
     /// Sets whether later pages come without their inferred spans. They then differ from the slices and size of their
@@ -283,7 +288,7 @@ impl PageDecoder {
         };
         check_entry(entry, page.slices(), page.size())?;
         if self.ignore_inferred && self.is_marked && !self.decoder.inferred().is_empty() {
-            return Ok(self.decoder.scanned(&page));
+            return Ok(self.decoder.inferred().without(&page, &mut self.builder));
         }
         Ok(page)
     }

@@ -6,7 +6,7 @@ use super::Violation;
 pub const MAX_VARINT: usize = 10;
 
 /// Reads numbers from the front of a byte string. Missing bytes break the rule that it was created with.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct ByteReader<'a> {
     rest: &'a [u8],
     rule: &'static str,

@@ -175,7 +175,6 @@ pub struct Decoder {
     /// Allocated with the first page that is not uniform.
     scratch: Option<Box<page::Scratch>>,
     rows: RowBuilder,
-    builder: PageBuilder,
     inferred: Inferred,
 }
 
@@ -185,13 +184,12 @@ impl Decoder {
     pub fn for_spans(spans: usize) -> Self {
         let mut decoder = Self::default();
         decoder.rows.reserve(spans);
-        decoder.builder.reserve(spans);
         decoder
     }
 
     /// Returns the scratch memory of a decoder created by [`for_spans`](Self::for_spans) (bytes).
     pub fn scratch_bytes(spans: usize) -> usize {
-        page::Scratch::decoding_bytes() + RowBuilder::own_bytes(spans) + PageBuilder::scratch_bytes(spans)
+        page::Scratch::decoding_bytes() + RowBuilder::scratch_bytes(spans) + Inferred::most_bytes(spans)
     }
 
     /// Decodes the page of `body` (rules P5 to P8 and P12). Time: linear in the length of `body` and the number of
@@ -218,16 +216,17 @@ impl Decoder {
         if count < 2 || count % 2 == 1 || count > reader.len() as u64 {
             return Err(Violation::new("P12", "an even number of runs, 2 or more, inside the page", count));
         }
-        let mut runs = Vec::with_capacity(count as usize);
+        let mut runs = reader.clone();
         for number in 0..count {
             let run = reader.varint()?;
             if run > MAX_PAGE_SPANS as u64 || run == 0 && number > 0 {
                 return Err(Violation::new("P12", format!("a run of 1 to {MAX_PAGE_SPANS} spans"), run));
             }
-            runs.push(run as u32);
         }
         let page = self.decode_spans(reader.take(reader.len())?)?;
-        if !self.inferred.set_runs(&page, &runs) {
+        // Read again, because there may be more of them than the page has spans.
+        let runs = (0..count).map_while(|_| Some(runs.varint().ok()? as u32));
+        if !self.inferred.set_runs(&page, runs) {
             self.inferred.clear();
             return Err(Violation::new("P12", "runs of no more floor spans than the page has", "more"));
         }
@@ -237,11 +236,6 @@ impl Decoder {
     /// Returns which spans of the last decoded page are inferred.
     pub fn inferred(&self) -> &Inferred {
         &self.inferred
-    }
-
-    /// Returns `page`, which was decoded last, without its inferred spans.
-    pub fn scanned(&mut self, page: &Page) -> Page {
-        self.inferred.without(page, &mut self.builder)
     }
 }
 

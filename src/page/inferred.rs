@@ -2,6 +2,9 @@
 
 use super::span::Span;
 use super::spans::{Page, PageBuilder};
+use crate::frame::TILE_PIXELS;
+
+const PIXELS: usize = (TILE_PIXELS * TILE_PIXELS) as usize;
 
 /// Inferred spans of a page, by pixel; all of them are floor. Memory: 16 bytes per pixel that has one.
 ///
@@ -20,6 +23,11 @@ impl Inferred {
     /// Creates a set without inferred spans.
     pub fn new() -> Self {
         Self::NONE
+    }
+
+    /// Returns the most memory for marks of a page of `spans` spans (bytes).
+    pub(crate) fn most_bytes(spans: usize) -> usize {
+        size_of::<(u16, u64)>() * spans.min(PIXELS)
     }
 
     /// Returns whether no span is inferred.
@@ -111,16 +119,16 @@ impl Inferred {
     }
 
     /// Sets the inferred spans from [`runs`](Self::runs) of `page`; returns `false` if the runs exceed its floor spans.
-    pub(crate) fn set_runs(&mut self, page: &Page, runs: &[u32]) -> bool {
+    pub(crate) fn set_runs(&mut self, page: &Page, mut runs: impl Iterator<Item = u32>) -> bool {
         self.pixels.clear();
-        let mut runs = runs.iter();
-        let (mut left, mut inferred) = (runs.next().copied().unwrap_or(u32::MAX), false);
+        self.pixels.reserve_exact(page.span_count().min(PIXELS));
+        let (mut left, mut inferred) = (runs.next().unwrap_or(u32::MAX), false);
         for (px, py, spans) in page.columns() {
             let mut mask = 0;
             for (at, _) in spans.iter().enumerate().filter(|(_, span)| !span.is_obstacle()) {
                 while left == 0 {
                     // After the last run, all spans are scanned.
-                    (left, inferred) = (runs.next().copied().unwrap_or(u32::MAX), !inferred);
+                    (left, inferred) = (runs.next().unwrap_or(u32::MAX), !inferred);
                 }
                 left -= 1;
                 mask |= u64::from(inferred) << (at & 63);
@@ -129,7 +137,7 @@ impl Inferred {
                 self.pixels.push(((py << 6 | px) as u16, mask));
             }
         }
-        runs.as_slice().is_empty() && (left == 0 || !inferred)
+        runs.next().is_none() && (left == 0 || !inferred)
     }
 }
 
@@ -170,10 +178,11 @@ mod tests {
             prop_assert_eq!(runs.is_empty(), inferred.is_empty());
             prop_assert!(runs.len().is_multiple_of(2) && runs.iter().skip(1).all(|&run| run > 0));
             let mut again = Inferred::new();
-            prop_assert!(again.set_runs(&page, &runs));
+            prop_assert!(again.set_runs(&page, runs.into_iter()));
             prop_assert_eq!(&again, &inferred);
             let floors = page.columns().flat_map(|(_, _, spans)| spans).filter(|span| !span.is_obstacle()).count() as u32;
-            prop_assert!(!again.set_runs(&page, &[0, floors + 1]) && !again.set_runs(&page, &[floors, 1]));
+            let mut refuses = |runs: [u32; 2]| !again.set_runs(&page, runs.into_iter());
+            prop_assert!(refuses([0, floors + 1]) && refuses([floors, 1]));
             let scanned = inferred.without(&page, &mut PageBuilder::default());
             let (all, obstacle) = page.voxel_counts();
             prop_assert_eq!(scanned.voxel_counts(), (all - inferred.voxel_count(&page), obstacle));

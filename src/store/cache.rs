@@ -266,8 +266,9 @@ impl Cache {
     fn need(&self, bytes: &Range<u64>, contents: &[(u32, u32)]) -> usize {
         let entries = || contents.iter().map(|&(content, _)| self.snapshots.index.entry(content));
         // To drop its inferred spans, a page is built a second time.
-        let whole = |entry: &PageEntry| if self.snapshots.index.ignores_inferred() { entry.weight_bytes() } else { 0 };
-        let decoding = |entry: &PageEntry| PageDecoder::scratch_bytes(entry.size);
+        let ignores_inferred = self.snapshots.index.ignores_inferred();
+        let whole = |entry: &PageEntry| if ignores_inferred { entry.weight_bytes() } else { 0 };
+        let decoding = |entry: &PageEntry| PageDecoder::scratch_bytes(entry.size, ignores_inferred);
         let scratch = entries().map(|entry| decoding(entry) + whole(entry)).max().unwrap_or(0);
         (bytes.end - bytes.start) as usize + scratch + entries().map(|entry| entry.weight_bytes()).sum::<usize>()
     }

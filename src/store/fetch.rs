@@ -177,8 +177,7 @@ impl Decode {
             Work::Pages(index, start, pages) => {
                 let sizes = pages.iter().map(|page| index.entry(*page).size);
                 let largest = sizes.max_by_key(|size| size.words()).unwrap_or(PageSize::UNIFORM);
-                let mut decoder = PageDecoder::for_size(largest);
-                decoder.set_ignore_inferred(index.ignores_inferred());
+                let mut decoder = PageDecoder::for_size(largest, index.ignores_inferred());
                 let decode = |page: &u32| {
                     let (entry, own) = (index.entry(*page), index.entry(*page).bytes());
                     let from = own.start.saturating_sub(start) as usize;

@@ -24,12 +24,8 @@ impl PageBuilder {
     /// Returns the scratch memory (bytes, without the page itself) for building a page of `spans` spans, if that number
     /// was [reserved](Self::reserve).
     pub fn scratch_bytes(spans: usize) -> usize {
-        // All spans, two lists of one block's spans, and the page's own list if it outgrows its estimate.
-        let lists = spans + 2 * spans.min(64 * 64) + 2 * spans;
-        size_of::<(u32, u32)>() * (TILE_PIXELS * TILE_PIXELS) as usize
-            + size_of::<Block>() * (BLOCKS + 1)
-            + size_of::<UnionFinder>()
-            + size_of::<Span>() * lists
+        let ranges = size_of::<(u32, u32)>() * (TILE_PIXELS * TILE_PIXELS) as usize;
+        ranges + size_of::<Span>() * spans + Blocks::scratch_bytes(spans)
     }
 
     /// Reserves memory for `spans` spans.
@@ -111,10 +107,10 @@ impl Default for RowBuilder {
 }
 
 impl RowBuilder {
-    /// Returns the bytes of the builder itself with memory [reserved](Self::reserve) for `spans` spans.
-    /// [`build`](Self::build) needs no more scratch memory than a [`PageBuilder`].
-    pub fn own_bytes(spans: usize) -> usize {
-        size_of::<Self>() + size_of::<[u32; 8 * 64]>() + size_of::<Span>() * spans
+    /// Returns the scratch memory (bytes, without the page itself) for building a page of `spans` spans, if that number
+    /// was [reserved](Self::reserve).
+    pub fn scratch_bytes(spans: usize) -> usize {
+        size_of::<Self>() + size_of::<[u32; 8 * 64]>() + size_of::<Span>() * spans + Blocks::scratch_bytes(spans)
     }
 
     /// Reserves memory for `spans` spans.
@@ -188,6 +184,13 @@ struct Blocks {
 }
 
 impl Blocks {
+    /// Returns the scratch memory for the blocks of `spans` spans (bytes, without the page itself).
+    fn scratch_bytes(spans: usize) -> usize {
+        // Two lists of one block's spans, and the page's own list if it outgrows its estimate.
+        let lists = 2 * spans.min(64 * 64) + 2 * spans;
+        size_of::<Block>() * (BLOCKS + 1) + size_of::<UnionFinder>() + size_of::<Span>() * lists
+    }
+
     /// Allocates for `count` blocks and `spans` spans, at most `most` of them in one block.
     fn with_capacity(count: usize, spans: usize, most: usize) -> Self {
         Self {
