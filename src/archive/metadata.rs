@@ -182,11 +182,21 @@ mod tests {
         let units =
             |numbers: &[f64]| record(b"UNIT", &numbers.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<_>>());
         assert_eq!(read(&units(&[0.3048, 1.0, 1.0, 1.0])).map(|found| found.units.len()), Ok(2));
-        for wrong in
-            [&[][..], &[1.0], &[1.0, 0.0], &[f64::NAN, 1.0], &[1.0, -1.0], &[1.0, 1.0, 1.0, 1.0], &[2.0, 1.0, 1.0, 1.0]]
-        {
+        for wrong in [
+            &[][..],
+            &[1.0],
+            &[1.0, 0.0],
+            &[f64::NAN, 1.0],
+            &[1.0, -1.0],
+            &[1.0, 1.0, 1.0, 1.0],
+            &[2.0, 1.0, 1.0, 1.0],
+            &[1.0, 1.0, 2.0],
+        ] {
             assert_eq!(read(&units(wrong)), Err("M5"), "{wrong:?}");
         }
+        let many = |count: u32| units(&(1..=count).flat_map(|n| [f64::from(n), 1.0]).collect::<Vec<_>>());
+        assert_eq!(read(&many(256)).map(|found| found.units.len()), Ok(MAX_UNITS));
+        assert_eq!(read(&many(257)), Err("M5"));
         assert_eq!(read(&record(b"READ", b"")), Err("M6"));
         let noise = |numbers: [f64; 3]| record(b"NOIS", numbers.map(f64::to_le_bytes).as_flattened());
         assert!(read(&noise([0.003, 0.0, 0.25])).is_ok());

@@ -351,13 +351,11 @@ impl Rescue<'_> {
             dropped.extend(self.seen_space(archive)?);
         }
         dropped.extend(header.and_then(beyond_this_version));
-        let totals = match header {
-            Some(header) => {
-                let bounds = self.writer.fit(header.bounds);
-                Totals { bounds, crs, units, noise, ..Totals::of_points(header) }
-            }
-            None => Totals { crs, units, noise, ..Totals::default() },
-        };
+        // Metadata are found by the head.
+        let totals = header.map_or_else(Totals::default, |header| {
+            let bounds = self.writer.fit(header.bounds);
+            Totals { bounds, crs, units, noise, ..Totals::of_points(header) }
+        });
         let new = self.writer.finish(totals)?;
         let mut say = |broken: bool, what: String| mended.extend(broken.then_some(what));
         let pages = |count| if count == 1 { "1 page".to_owned() } else { format!("{count} pages") };

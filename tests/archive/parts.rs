@@ -651,6 +651,13 @@ fn edits_of_too_many_pages_and_beyond_all_tiles_are_refused() {
     edits.remove(Prism::of_box([0.5, 0.5, 0.5], [1.0, 1.0, 1.0]).unwrap()).unwrap();
     let said = refused(giant(&archive(&two_pixels()), 1), edits);
     assert!(said.contains("pages that edits change") && said.contains("65537 is beyond the limit of 65536"), "{said}");
+    // New pages, in three layers of 200 by 120 tile columns.
+    let (tile, layer) = (64.0 * plan().frame.pixel_m(), 64.0 * plan().frame.slice_m());
+    let high = [199.5 * tile, 119.5 * tile, 2.5 * layer];
+    let mut edits = Edits::default();
+    edits.add(Prism::of_box([0.5 * tile, 0.5 * tile, 0.5 * layer], high).unwrap(), true).unwrap();
+    let said = refused(archive(&two_pixels()), edits);
+    assert!(said.contains("72000 is beyond the limit of 65536"), "{said}");
     // Pixels of a millimetre, 64 in a tile.
     let fine = archive_of(&Plan { frame: Frame::new(0.001, 0.3).unwrap(), ..plan() }, &Default::default(), None);
     for (x, tile) in [(9e8 + 0.5, "14062500007"), (-9e8 - 0.5, "14062500008")] {
@@ -659,6 +666,80 @@ fn edits_of_too_many_pages_and_beyond_all_tiles_are_refused() {
         let said = refused(fine.clone(), edits);
         assert!(said.contains(&format!("tile of an edit: {tile} is beyond the limit of 2147483647")), "{said}");
     }
+}
+
+#[test]
+fn edits_of_an_archive_whose_heights_are_slice_boundaries_are_exact() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("e.slices");
+    let slab = page([((0, 0), vec![Span::new(0, 510, true).unwrap()])]);
+    let frame = plan().frame;
+    let whole = archive(&(Pages::from([(key(0, 0, 0), slab)]), Totals::default()));
+    let mut edits = Edits::default();
+    let (pixel, quantum) = (frame.pixel_m(), frame.slice_m() / 255.0);
+    edits.remove(Prism::of_box([-pixel, -pixel, 100.0 * quantum], [pixel, pixel, 1.0]).unwrap()).unwrap();
+    let edited = Archive::from_bytes(whole).unwrap().with_edits(edits);
+    let everything: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    extract(&edited, &everything, &target, false, &NoMonitor).unwrap();
+    let pages = read_all(&verified(&target)).unwrap();
+    let [span] = pages[&key(0, 0, 0)].column(0, 0) else { panic!("one span") };
+    assert!(span.bottom() == 0 && (100..=101).contains(&span.top()), "{span:?}");
+}
+
+/// A block in this group of layers with cells of one page, and of one page all.
+fn seen_block(tx: i32, group: i32) -> SeenBlock {
+    let (mut block, mut some) = (SeenBlock::new(key(tx, 0, group)), SeenPage::NOTHING);
+    some.mark([[2, 5], [0, 3], [1, 3]]);
+    block.push(0, &some);
+    block.push(1, &SeenPage::ALL);
+    block
+}
+
+#[test]
+fn seen_space_has_a_limit_of_memory_and_its_sound_blocks_are_recovered() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, target] = ["a.slices", "e.slices"].map(|name| folder.path().join(name));
+    let mut writer = ArchiveWriter::create(&whole, &plan(), false).unwrap();
+    writer.set_seen();
+    (0..300).for_each(|tx| writer.put_seen(&seen_block(tx, 1)).unwrap());
+    writer.finish(totals(1)).unwrap();
+    let archive = verified(&whole);
+    // A page seen in part takes 16 by 16 by 64 bits, a block 64 bytes more.
+    let memory = 300 * (16 * 16 * 64 / 8 + 64);
+    assert_eq!(archive.seen_space(memory).unwrap().unwrap().pages().count(), 600);
+    let said = archive.seen_space(memory - 1).unwrap_err().to_string();
+    assert!(said.contains(&format!("{memory} is beyond the limit of {}", memory - 1)), "{said}");
+    // Above the first 64 layers, too.
+    let height = 64.0 * 64.0 * plan().frame.slice_m();
+    extract(&archive, &([0.0, 0.0, height + 0.1], [6.0, 6.0, height + 30.0]), &target, false, &NoMonitor).unwrap();
+    assert_eq!(verified(&target).seen_space(1 << 30).unwrap().unwrap().pages().count(), 2);
+
+    let start = archive.header().pages_offset() as usize;
+    let mut bytes = fs::read(&whole).unwrap();
+    bytes[start] ^= 1;
+    fs::write(&target, bytes).unwrap();
+    let recovered = recover(&target, None, &folder.path().join("r.slices"), false, &NoMonitor).unwrap();
+    // The page of all cells, and 4 by 4 by 3 of the other.
+    let lost = 16 * 16 * 64 + 48;
+    let all = 300 * lost;
+    let expected = format!("{lost} of {all} cells of seen space (damaged)");
+    assert!(recovered.dropped.contains(&expected), "{:?}", recovered.dropped);
+    let space = verified(&folder.path().join("r.slices")).seen_space(1 << 30).unwrap().unwrap();
+    assert_eq!(space.pages().count(), 598);
+}
+
+#[test]
+fn an_archive_without_pages_is_recovered_and_one_that_lost_all_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let (done, pages) = recovered(folder.path(), &archive(&Default::default()));
+    assert!(done.is_complete() && pages.is_empty());
+    let mut bytes = archive(&two_pixels());
+    let header = Archive::from_bytes(bytes.clone()).unwrap().header().clone();
+    bytes[header.pages_offset() as usize..header.directory_offset() as usize].fill(0);
+    let [from, to] = ["bad.slices", "c.slices"].map(|name| folder.path().join(name));
+    fs::write(&from, bytes).unwrap();
+    let error = recover(&from, None, &to, false, &NoMonitor).unwrap_err().to_string();
+    assert!(error.contains("no sound page is left"), "{error}");
 }
 
 #[test]

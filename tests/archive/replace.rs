@@ -565,7 +565,10 @@ fn all_or_nothing_of_an_archive_gives_its_bytes() {
     let mut made = common::scene();
     made.1.points_read = 0;
     (made.1.points_kept, made.1.points_withheld, made.1.points_excluded) = (0, 0, 0);
+    // Points lie within their voxels.
     made.1.bounds = None;
+    let (min, max) = Archive::from_bytes(common::archive(&made)).unwrap().header().bounds.unwrap();
+    made.1.bounds = Some((min.map(|at| at + 1e-4), max.map(|at| at - 1e-4)));
     let other = archive_coloured_by_place(
         &(Pages::new(), Totals { crs: "a made-up place".into(), ..Totals::default() }),
         0,
