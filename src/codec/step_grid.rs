@@ -380,6 +380,29 @@ mod tests {
     }
 
     #[test]
+    fn as_many_heights_as_needed_and_a_single_phase_suffice() {
+        let of = HeightsOf::Scan(Frame::new(0.05, 0.15).unwrap());
+        let heights: Vec<_> = (0..32).map(|k| (1 + 17 * k, End::Bottom)).collect();
+        assert!(StepGrid::find(&of, &[], &heights).is_some());
+        assert!(StepGrid::find(&of, &[], &heights[1..]).is_none());
+        // The second height is a step less a quantum above the first, but for the least fraction.
+        let grid = StepGrid::new(17 * ONE as u64 + 1, 0).unwrap();
+        let phases = |second: u32| grid.phases_of(&[(0, End::Bottom), (second, End::Bottom)], (0, -1));
+        assert_eq!(phases(18), Some((ONE - 1, ONE - 1)));
+        assert_eq!(phases(19), None);
+    }
+
+    #[test]
+    fn levels_take_pages_with_both_ends_on_their_steps() {
+        let admits = |bottom: u32, top: u32| {
+            let mut builder = crate::page::PageBuilder::default();
+            assert!(builder.set_column(0, 0, &[crate::page::Span::new(bottom, top, false).unwrap()]));
+            HeightsOf::Level.admits(&builder.build())
+        };
+        assert!(admits(85, 170) && !admits(85, 171) && !admits(84, 170));
+    }
+
+    #[test]
     fn noise_has_no_steps() {
         let mut random = 1u64;
         let mut next = || {
