@@ -729,6 +729,24 @@ fn seen_space_has_a_limit_of_memory_and_its_sound_blocks_are_recovered() {
 }
 
 #[test]
+fn a_page_that_states_more_bytes_than_any_has_costs_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = archive(&two_pixels());
+    let header = Archive::from_bytes(good.clone()).unwrap().header().clone();
+    let (start, end) = (header.pages_offset() as usize, header.directory_offset() as usize);
+    // Magic, key, length of the body and checksum, and room for the body.
+    let mut long = good[start..start + 16].to_vec();
+    long.extend(30_000_000u32.to_le_bytes());
+    long.extend([0; 4]);
+    long.resize(32_000_000, 0);
+    let [from, to] = ["bad.slices", "c.slices"].map(|name| folder.path().join(name));
+    fs::write(&from, [&long, &good[start..end]].concat()).unwrap();
+    let recovered = recover(&from, Some(&plan()), &to, false, &NoMonitor).unwrap();
+    assert_eq!(recovered.found.total(), 1);
+    assert_eq!(read_all(&verified(&to)).unwrap(), two_pixels().0);
+}
+
+#[test]
 fn an_archive_without_pages_is_recovered_and_one_that_lost_all_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let (done, pages) = recovered(folder.path(), &archive(&Default::default()));
