@@ -109,6 +109,16 @@ fn cut(page: &Page) -> Page {
     builder.build()
 }
 
+/// The pixels of the page in a disc around one of them: full blocks, cut ones and empty ones side by side.
+fn disc(page: &Page, (x, y): (u32, u32)) -> Page {
+    let mut builder = PageBuilder::default();
+    for (px, py, spans) in page.columns() {
+        let is_in = px.abs_diff(x).pow(2) + py.abs_diff(y).pow(2) < 500;
+        assert!(!is_in || builder.set_column(px, py, spans));
+    }
+    builder.build()
+}
+
 /// Bytes, and their hash, of all pages as `encode` has them.
 fn of_all(mut encode: impl FnMut(&Page, &mut Vec<u8>)) -> (usize, u64) {
     let (mut hash, mut len, mut bytes) = (Xxh3::new(), 0, Vec::new());
@@ -132,8 +142,21 @@ fn pages_of_all_kinds_have_the_bytes_that_they_always_had() {
         let mut encoder = Encoder::new(frame, tolerance);
         of_all(|page, out| drop(encoder.encode_lossy(page, &Inferred::NONE, out)))
     };
-    let found = [("exact", exact(0)), ("on steps of 91 quanta", exact(90)), ("30 quanta off", lossy(30))];
+    let of_discs = || {
+        let (mut encoder, mut out) = (Encoder::new(frame, 0), Vec::new());
+        for (number, page) in pages().enumerate().filter(|(number, _)| number % 3 == 0) {
+            encoder.encode(&disc(&page, ([9, 30, 50][number / 3 % 3], 4 * number as u32)), &mut out);
+        }
+        (out.len(), xxhash_rust::xxh3::xxh3_64(&out))
+    };
+    let found = [
+        ("discs", of_discs()),
+        ("exact", exact(0)),
+        ("on steps of 91 quanta", exact(90)),
+        ("30 quanta off", lossy(30)),
+    ];
     let expected = [
+        ("discs", (10_708, 0xe4d99a078a6c50e8)),
         ("exact", (326_960, 0x910354704a00b96c)),
         ("on steps of 91 quanta", (314_227, 0x25dbabef08dd9035)),
         ("30 quanta off", (225_743, 0xe7bbbf7bec485326)),
