@@ -49,17 +49,17 @@ struct Mapped {
     waker: Option<Waker>,
 }
 
-/// Longest time until a thread that polls the device has told of what it found.
+/// Longest time until a thread that polls the device has reported what it found.
 #[cfg(not(target_family = "wasm"))]
-const TELLING: Duration = Duration::from_secs(60);
+const REPORTING: Duration = Duration::from_secs(60);
 
 impl Piece {
     /// Begins to map the answers in `copy`.
     pub fn new(copy: wgpu::Buffer, submission: wgpu::SubmissionIndex, left_out: Vec<u32>) -> Self {
         let mapped = Arc::new((Mutex::new(Mapped::default()), Condvar::new()));
-        let told = mapped.clone();
+        let reported = mapped.clone();
         copy.slice(..).map_async(wgpu::MapMode::Read, move |result| {
-            let (state, arrival) = &*told;
+            let (state, arrival) = &*reported;
             let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
             state.result = Some(result.map_err(|error| error.to_string()));
             arrival.notify_all();
@@ -75,10 +75,10 @@ impl Piece {
     pub fn wait(&self, shared: &Shared) -> Result<()> {
         let until = wgpu::PollType::Wait { submission_index: Some(self.submission.clone()), timeout: None };
         shared.device.poll(until).map_err(|error| shared.failure(error))?;
-        // Another thread may have polled first, and be about to tell of this piece.
+        // Another thread may have polled first, and be about to report this piece.
         let (state, arrival) = &*self.mapped;
         let state = state.lock().unwrap_or_else(PoisonError::into_inner);
-        drop(arrival.wait_timeout_while(state, TELLING, |state| state.result.is_none()));
+        drop(arrival.wait_timeout_while(state, REPORTING, |state| state.result.is_none()));
         Ok(())
     }
 

@@ -266,7 +266,7 @@ fn several_batches_may_be_in_flight() {
     assert!(first.answers == expected);
 }
 
-/// A driver tells of a finished batch to whichever thread asks it next, so that another thread may learn late of its own.
+/// A finished batch is reported to whichever thread polls next, so the thread that waits for it may hear of it late.
 #[test]
 fn threads_share_a_device() {
     let Some(device) = device() else { return };

@@ -789,7 +789,7 @@ fn clouds_of_a_ptx_without_returns_do_not_show_decimal_commas() {
 fn a_cut_first_row_of_a_pts_does_not_take_the_others_with_it() {
     let text = b"4\n1 2 3 5\n4 5 6 5 1 2 3\n7 8 9 5 1 2 3\n1 1 1 5 1 2 3\n";
     is_incomplete("a.pts", text, "line 3: expected 4 columns, found 7", 3, 1);
-    // The same if the first row has the usual width.
+    // Nor if it has the usual width.
     let text = b"2\n1 2 3 5\n4 5 6 5\n4\n1 2 3 5\n4 5 6 5 1 2 3\n7 8 9 5 1 2 3\n1 1 1 5 1 2 3\n";
     is_incomplete("a.pts", text, "line 6: expected 4 columns, found 7", 5, 1);
     // Two rows that became one do not take the others with them.
