@@ -389,14 +389,14 @@ impl Conversion<'_> {
         let of_meshes = read_meshes(pass, meshes, colouring.filter(|_| meshes.has_paint()))?;
         let of_splats = read_splats(pass, splats, colouring.filter(|_| splats.has_paint()))?;
         let of_cubes = read_cubes(pass, cubes)?;
-        let cubes = of_cubes.read.counts.read;
+        let cube_count = of_cubes.read.counts.read;
         if let Some(scope) = scope {
             let of_scans = scans.files().iter().enumerate().map(|(number, file)| (file.path(), scans.hash(number)));
             let meshes = scans.meshes().iter().map(PathBuf::as_path).zip(of_meshes.source.hashes.iter().copied());
             let splats = splats.paths().zip(of_splats.source.hashes.iter().copied());
             writer.set_read(scope.inputs_read(of_scans.chain(meshes).chain(splats)));
         }
-        let mut complete = scans.is_complete() && meshes.is_complete() && splats.is_complete();
+        let mut complete = scans.is_complete() && meshes.is_complete() && splats.is_complete() && cubes.is_complete();
         let mut scenes: Vec<Scene> = points::scenes(scans, &of_files).collect();
         for source in [of_meshes.source, of_splats.source, of_cubes] {
             read.merge(&source.read);
@@ -421,7 +421,7 @@ impl Conversion<'_> {
             mesh_counts: of_meshes.triangles,
             points_made: of_meshes.points_made,
             splat_counts: of_splats.counts,
-            cubes,
+            cubes: cube_count,
             points_not_finite,
             points_missing: scans.points_missing().saturating_add(missing).saturating_add(of_splats.counts.missing),
             complete,

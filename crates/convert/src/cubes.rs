@@ -6,7 +6,7 @@ use super::work::{FirstPass, SourceRead, StopFlag};
 use crate::bytes::{is_file_at, open_named};
 use crate::disk::Files;
 use crate::input::scenes::Scene;
-use crate::input::{Units, each_once};
+use crate::input::{Units, each_once, is_of_input};
 use crate::plan::{Plan, Up};
 use crate::text::grouped;
 use crate::unit::LengthUnit;
@@ -20,7 +20,7 @@ use std::sync::Mutex;
 const VOXEL_BYTES: f64 = 9.0;
 
 /// Files of cubes among the inputs.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct CubeSet {
     paths: Vec<PathBuf>,
     /// Files that belong to those in `paths`.
@@ -28,6 +28,9 @@ pub(crate) struct CubeSet {
     bytes: u64,
     /// Least size of a cube (m).
     finest_m: Option<f64>,
+    /// True if a file was left out.
+    is_partial: bool,
+    left_out: Option<Error>,
 }
 
 /// Returns the format of the cubes at `path`, by name and content; `None` for any other file, and for one that cannot
@@ -78,7 +81,9 @@ impl Placed {
 }
 
 impl CubeSet {
-    /// Sets the files of cubes among the inputs aside. Returns them and the paths of all other inputs.
+    /// Sets the files of cubes among the inputs aside. Returns them and the paths of all other inputs. If incomplete
+    /// input is allowed, reads them all, warns about each that is damaged, and [leaves it out](Self::take_left_out):
+    /// cubes that are converted cannot be taken back.
     pub fn among(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<(Self, Vec<PathBuf>)> {
         let (paths, rest): (Vec<_>, Vec<_>) =
             options.inputs.iter().cloned().partition(|path| format_of(path).is_some());
@@ -96,9 +101,16 @@ impl CubeSet {
             let reason = format!("{}: cubes are converted in one run, without a plan", first.display());
             return Err(Error::parameter(parameter, reason));
         }
-        let (mut beside, mut bytes, mut finest_m) = (Vec::new(), 0, None::<f64>);
-        for path in &paths {
-            let Placed { grid, .. } = Placed::open(path, options)?;
+        let mut set = Self::default();
+        for path in paths {
+            let grid = match grid_of(&path, options, monitor) {
+                Err(error) if options.allow_incomplete && is_of_input(&error) => {
+                    monitor.warn(&format!("incomplete: left out: {error}").into());
+                    (set.is_partial, set.left_out) = (true, Some(error));
+                    continue;
+                }
+                grid => grid?,
+            };
             if grid.origin_m != [0.0; 3] {
                 let text = format!(
                     "{}: its cubes do not lie on a grid from the origin, as pixels do; they grow to whole pixels",
@@ -106,13 +118,22 @@ impl CubeSet {
                 );
                 monitor.warn(&text.into());
             }
-            finest_m = Some(finest_m.map_or(grid.size_m, |size| size.min(grid.size_m)));
-            beside.extend(binary_of(path));
+            set.finest_m = Some(set.finest_m.map_or(grid.size_m, |size| size.min(grid.size_m)));
+            set.beside.extend(binary_of(&path));
+            set.paths.push(path);
         }
-        for path in paths.iter().chain(&beside) {
-            bytes += path.metadata().map_or(0, |about| about.len());
-        }
-        Ok((Self { paths, beside, bytes, finest_m }, rest))
+        set.bytes = set.paths().map(|path| path.metadata().map_or(0, |about| about.len())).sum();
+        Ok((set, rest))
+    }
+
+    /// Returns, once, the error of the last file that was left out: the reason to fail if no other input is left.
+    pub fn take_left_out(&mut self) -> Option<Error> {
+        self.left_out.take()
+    }
+
+    /// Returns true if no file was left out.
+    pub fn is_complete(&self) -> bool {
+        !self.is_partial
     }
 
     /// Returns the paths of the files that are read, those beside the inputs included.
@@ -196,6 +217,18 @@ impl CubeSet {
         }
         Ok(())
     }
+}
+
+/// Opens a file of cubes, and reads it to its end if incomplete input is allowed.
+fn grid_of(path: &Path, options: &ConvertOptions, monitor: &dyn Monitor) -> Result<CubeGrid> {
+    let mut file = Placed::open(path, options)?;
+    let mut batch = Vec::new();
+    while options.allow_incomplete && file.next_batch(&mut batch)? {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+    }
+    Ok(file.grid)
 }
 
 /// Returns whether this is the second file of a voxel octree.

@@ -110,7 +110,8 @@ pub(super) fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, moni
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     let has_others = has_others || !meshes.is_empty();
     let mut splats = SplatSet::open(splats, has_others, options, monitor)?;
-    if let Some(error) = scans.take_left_out().filter(|_| !has_others && splats.is_empty()) {
+    let left_out = scans.take_left_out().or(cubes.take_left_out());
+    if let Some(error) = left_out.filter(|_| !has_others && splats.is_empty()) {
         return Err(error);
     }
     scans.set_meshes(meshes.paths());

@@ -193,6 +193,24 @@ fn every_place_in_a_cube_is_solid_and_nothing_farther_than_a_pixel_and_a_slice()
 }
 
 #[test]
+fn a_damaged_file_of_cubes_is_left_out_beside_others_if_incomplete_input_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    write_tree(&at.join("a.bt"), &leaves(40), 0.05);
+    let expected = archive(at, "a.bt", &[]);
+    write_tree(&at.join("cut.bt"), &leaves(400), 0.05);
+    let bytes = fs::read(at.join("cut.bt")).unwrap();
+    fs::write(at.join("cut.bt"), &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let both = ["a.bt", "cut.bt", "-o", "out.slices", "--force"];
+    assert!(refuses(at, &both, 1).contains("cut.bt"));
+    let said = converts(at, &[&both[..], &["--allow-incomplete"]].concat());
+    assert!(said.contains("warning: incomplete: left out: cut.bt: "), "{said}");
+    assert!(fs::read(at.join("out.slices")).unwrap() == expected);
+    refuses(at, &["cut.bt", "-o", "out.slices", "--force", "--allow-incomplete"], 1);
+    assert!(fs::read(at.join("out.slices")).unwrap() == expected);
+}
+
+#[test]
 fn cubes_come_with_scans_units_and_a_preview() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
