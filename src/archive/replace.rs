@@ -637,6 +637,7 @@ mod tests {
             (floor(200, 210), floor(296, 300), vec![floor(200, 210), floor(296, 300)]),
             (obstacle(3, 5), obstacle(500, 509), vec![obstacle(3, 509)]),
             (floor(200, 210), obstacle(290, 300), vec![floor(200, 255), obstacle(255, 300)]),
+            (floor(200, 210), obstacle(296, 300), vec![floor(200, 210), obstacle(296, 300)]),
             (floor(200, 210), floor(255, 255), vec![floor(200, 255)]),
             (floor(200, 255), obstacle(255, 255), vec![floor(200, 255), obstacle(255, 255)]),
             // Not in adjacent slices.
@@ -647,10 +648,58 @@ mod tests {
             (floor(254, 255), inferred(255, 255), vec![floor(254, 255)]),
             (inferred(254, 255), inferred(255, 256), vec![inferred(254, 256)]),
             (obstacle(3, 255), inferred(255, 256), vec![obstacle(3, 255), inferred(255, 256)]),
+            (obstacle(3, 250), inferred(256, 300), vec![obstacle(3, 250), inferred(256, 300)]),
         ] {
             let mut found = vec![lower];
             let highest = join(&mut found, Some(lower.slices().1), [upper], 255);
             assert_eq!((found, highest), (expected, Some(upper.slices().1)));
         }
+    }
+
+    #[test]
+    fn what_ends_on_a_seam_belongs_above_it_unless_something_begins_there() {
+        let run = |bottom, top, inferred| Run { bottom, top, obstacle: false, inferred };
+        let touch = run(255, 255, false);
+        for (runs, expected) in [
+            (vec![run(200, 255, false)], vec![touch]),
+            (vec![run(200, 255, false), run(300, 400, false)], vec![touch, run(300, 400, false)]),
+            (vec![run(200, 255, false), run(255, 400, false)], vec![run(255, 400, false)]),
+            (vec![touch], vec![touch]),
+            (vec![run(200, 254, false)], vec![]),
+            (vec![run(200, 255, true)], vec![]),
+            (vec![run(200, 300, false)], vec![run(255, 300, false)]),
+        ] {
+            assert_eq!(above_seam(&runs, (1, 9)).collect::<Vec<_>>(), expected, "{runs:?}");
+        }
+    }
+
+    #[test]
+    fn a_page_is_whole_if_the_region_holds_its_pixels_and_the_slices_beyond() {
+        let key = PageKey { tx: 1, ty: -1, layer: 2 };
+        let of = |i, j, slices| {
+            let place = Place::of(&Region { i, j, slices }, key)?;
+            Some((place.is_whole(), place.has_seams()))
+        };
+        // Pixels 64 to 127 and -64 to -1, slices 128 to 191.
+        let (i, j) = ((64, 127), (-64, -1));
+        for (slices, expected) in [
+            ((-9, 999), Some((true, [false, false]))),
+            ((127, 192), Some((true, [false, false]))),
+            ((128, 192), Some((false, [true, false]))),
+            ((127, 191), Some((false, [false, true]))),
+            ((129, 190), Some((false, [false, false]))),
+            // On the other side of a seam.
+            ((-9, 127), Some((false, [true, false]))),
+            ((192, 999), Some((false, [false, true]))),
+            // Beyond.
+            ((-9, 126), None),
+            ((193, 999), None),
+        ] {
+            assert_eq!(of(i, j, slices), expected, "{slices:?}");
+        }
+        for (i, j) in [((65, 127), j), ((64, 126), j), (i, (-63, -1)), (i, (-64, -2))] {
+            assert_eq!(of(i, j, (-9, 999)), Some((false, [false, false])), "{i:?} {j:?}");
+        }
+        assert_eq!(of((128, 999), j, (-9, 999)), None);
     }
 }

@@ -50,8 +50,8 @@ impl Matter {
         let edges = |i: i64, j: i64, height: f64| [frame.edge_of_pixel(i), frame.edge_of_pixel(j), height];
         let min = edges(min[0], min[1], frame.bottom_height(min[2]));
         let max = edges(max[0] + 1, max[1] + 1, frame.top_height(max[2]));
-        // Adding zero turns −0 into 0.
-        Some((min.map(|v| v + 0.0), max.map(|v| v + 0.0)))
+        // Adding zero turns −0, the bottom at quantum 0, into 0.
+        Some((min.map(|v| v + 0.0), max))
     }
 
     /// Checks rule T6 for the `bounds` of an archive of `plan`; `is_part` if it holds one part of a conversion.
@@ -239,6 +239,73 @@ mod tests {
         assert!(none.check(&plan, false, Some(&([-1e300; 3], [1e9; 3]))).is_err());
         assert_eq!(none.fit(&plan, false, Some(([0.0; 3], [1.0; 3]))), Some(([0.0; 3], [1.0; 3])));
         assert_eq!(none.fit(&plan, false, Some(([0.0; 3], [1e300; 3]))), None);
+    }
+
+    #[test]
+    fn bounds_at_the_origin_have_no_sign() {
+        let bounds = |at: i32, place: [u32; 3]| {
+            let mut matter = Matter::default();
+            matter.add(key(at, at, at), &PageBounds { min: place, max: place });
+            let (min, max) = matter.bounds(&plan().frame).unwrap();
+            [min.map(f64::to_bits), max.map(f64::to_bits)]
+        };
+        assert_eq!(bounds(0, [0; 3])[0], [0; 3]);
+        assert_eq!(bounds(-1, [63, 63, 16320])[1], [0; 3]);
+    }
+
+    #[test]
+    fn joined_bounds_are_the_smallest_around_both() {
+        let (a, b) = (([0.0, 1.0, 2.0], [3.0, 4.0, 5.0]), ([-1.0, 1.5, 2.0], [2.0, 9.0, 5.0]));
+        assert_eq!(joined(Some(a), Some(b)), Some(([-1.0, 1.0, 2.0], [3.0, 9.0, 5.0])));
+        assert_eq!((joined(Some(a), None), joined(None, Some(b)), joined(None, None)), (Some(a), Some(b), None));
+    }
+
+    #[test]
+    fn only_faces_beyond_the_outermost_cells_are_moved_to_the_matter() {
+        // Pixels 197 to 201 and 6 to 8, quanta 700 to 900.
+        let plan = Plan::new(Frame::new(0.5, 1.0).unwrap());
+        let mut matter = Matter::default();
+        matter.add(key(3, 0, 0), &PageBounds { min: [5, 6, 700], max: [9, 8, 900] });
+        let around = matter.bounds(&plan.frame).unwrap();
+        assert_eq!([around.0[0], around.0[1], around.1[0], around.1[1]], [98.5, 3.0, 101.0, 4.5]);
+        let inside = ([98.6, 3.1, 700.5 / 255.0], [100.9, 4.4, 899.5 / 255.0]);
+        let beyond = ([97.9, 2.9, 2.0], [101.1, 4.6, 4.0]);
+        assert_eq!(matter.shrink(&plan, Some(inside)), Some(inside));
+        assert_eq!(matter.shrink(&plan, Some(beyond)), Some(around));
+        assert_eq!(matter.shrink(&plan, None), Some(around));
+        assert_eq!(Matter::default().shrink(&plan, Some(inside)), None);
+        for axis in 0..3 {
+            let (mut given, mut expected) = (inside, inside);
+            (given.0[axis], expected.0[axis]) = (beyond.0[axis], around.0[axis]);
+            assert_eq!(matter.shrink(&plan, Some(given)), Some(expected));
+            let (mut given, mut expected) = (inside, inside);
+            (given.1[axis], expected.1[axis]) = (beyond.1[axis], around.1[axis]);
+            assert_eq!(matter.shrink(&plan, Some(given)), Some(expected));
+        }
+    }
+
+    #[test]
+    fn bounds_of_a_part_may_lie_anywhere_on_the_grid() {
+        let plan = Plan::new(Frame::new(0.5, 1.0).unwrap());
+        let closing = Plan { options: PlanOptions { fill_holes: 3, ..PlanOptions::default() }, ..plan.clone() };
+        // Matter on one side of the origin, the end of the grid on the other.
+        for (at, side) in [(3, -1.0), (-3, 1.0)] {
+            let mut matter = Matter::default();
+            matter.add(key(at, at, at), &PageBounds { min: [5, 6, 700], max: [9, 8, 900] });
+            let end = [1u64 << 35, 1 << 35, 1 << 36].map(|end| side * end as f64);
+            let around = matter.bounds(&plan.frame).unwrap();
+            for (axis, place) in end.into_iter().enumerate() {
+                let holds = |place: f64| {
+                    let mut bounds = around;
+                    let face = if side < 0.0 { &mut bounds.0 } else { &mut bounds.1 };
+                    face[axis] = place;
+                    matter.check(&plan, true, Some(&bounds)).is_ok()
+                };
+                assert!(holds(place) && !holds(place + side), "axis {axis}, {side}");
+            }
+            assert_eq!(matter.check(&closing, true, Some(&(end, end))), Ok(()));
+            assert!(matter.check(&plan, true, Some(&(end, end))).is_err());
+        }
     }
 
     proptest! {

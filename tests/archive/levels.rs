@@ -440,8 +440,10 @@ fn colours_on_a_boundary_may_belong_to_no_voxel_of_a_level() {
     let bytes = archive_in_colour(&plan(), &made, colours, true, None, |_, key, occupancy| {
         occupancy.voxels().map(|(_, slice)| (key.tx == 0 && slice == 4).then_some([9000; 3])).collect()
     });
-    assert_eq!(rules(bytes.clone()), [""; 0]);
-    let archive = Archive::from_bytes(bytes).unwrap();
+    let archive = Archive::from_bytes(bytes.clone()).unwrap();
+    let summary = archive.verify(&NoMonitor, &mut |finding| panic!("{finding}")).unwrap();
+    // Those of colours of levels, too.
+    assert_eq!(summary.bytes, bytes.len() as u64);
     assert_eq!(colours_of(&archive), BTreeMap::from([([1, 0, 4], [35; 3])]));
     assert_eq!(colours_of(&archive.level(1).unwrap()), BTreeMap::new());
 }

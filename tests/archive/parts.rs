@@ -8,13 +8,13 @@ use common::{Pages, archive_coloured_by_place, archive_of, key, page, plan, read
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Bounds, ColourReader, PageEncoder, PageReader, Recovered, Shard, Storage, Totals, extract,
-    merge, recover,
+    Archive, ArchiveWriter, Bounds, ColourReader, PageDecoder, PageEncoder, PageReader, Recovered, Shard, Storage,
+    Totals, extract, merge, recover,
 };
 use slicewalk::edit::{Edits, Prism};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::page::{Page, Span};
-use slicewalk::plan::Plan;
+use slicewalk::page::{Inferred, Page, Span};
+use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
 use slicewalk::seen::{SeenBlock, SeenPage};
 use slicewalk::stats::Stats;
@@ -816,4 +816,26 @@ fn shared_bytes_are_read_once() {
     });
     assert_eq!(extracted, 3);
     assert!(fs::read(folder.path().join("a.slices")).unwrap() == bytes);
+}
+
+#[test]
+fn pages_come_with_their_inferred_spans_or_without_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let floor = |bottom| Span::new(bottom, bottom + 4, false).unwrap();
+    let whole = page([((1, 1), vec![floor(10), floor(900)]), ((2, 1), vec![floor(10)])]);
+    let mut inferred = Inferred::new();
+    assert!(inferred.push(1, 1, 0b01) && inferred.push(2, 1, 0b1));
+    let plan = Plan { options: PlanOptions { fill_holes: 3, ..plan().options }, ..plan() };
+    let mut writer = ArchiveWriter::create(&folder.path().join("a.slices"), &plan, false).unwrap();
+    let at = key(0, 0, 0);
+    writer.put(at, PageEncoder::of_plan(&plan).encode_inferred(at, &whole, &inferred)).unwrap();
+    assert_eq!(writer.finish(totals(1)).unwrap().voxels.inferred, 2);
+    let archive = verified(&folder.path().join("a.slices"));
+    let entry = archive.entries().next().unwrap().unwrap();
+    let mut decoder = PageDecoder::new();
+    assert_eq!(archive.page_with(&entry, &mut decoder).unwrap(), whole);
+    assert_eq!(decoder.inferred(), &inferred);
+    let scanned = archive.ignoring_inferred();
+    assert_eq!(scanned.page_with(&entry, &mut decoder).unwrap(), page([((1, 1), vec![floor(900)])]));
+    assert!(decoder.inferred().is_empty());
 }

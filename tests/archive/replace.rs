@@ -585,3 +585,23 @@ fn all_or_nothing_of_an_archive_gives_its_bytes() {
     let (made, archive) = folder.replaced(&whole, &other, &everything).unwrap();
     assert!(made.is_cleared && archive.header().pages.total() == 0 && archive.header().bounds.is_none());
 }
+
+#[test]
+fn bounds_stay_as_tight_as_those_of_the_points() {
+    let folder = Folder::new();
+    let archive = |pixel, span, bounds| {
+        let columns = Columns::from([(pixel, vec![span])]);
+        archive_of(&plan(), &(pages(&columns), Totals { bounds: Some(bounds), ..totals(1) }), None)
+    };
+    // Inside the outermost pixels and quanta.
+    let height = |quanta: f64| quanta / 255.0;
+    let old = archive((3, 3), (-40, 10, false), ([1.6, 1.7, height(-39.5)], [1.9, 1.8, height(9.5)]));
+    let new = archive((9, 3), (-31, 4, false), ([4.6, 1.55, height(-30.5)], [4.8, 1.9, height(3.5)]));
+    let (made, _) = folder.replaced(&old, &new, &([4.0, -9.0, -9.0], [9.0; 3])).unwrap();
+    assert_eq!(made.header.bounds, Some(([1.6, 1.55, height(-39.5)], [4.8, 1.9, height(9.5)])));
+    // The face of what is replaced goes to the edge of the pixel that remains.
+    let empty = archive_of(&plan(), &(Pages::new(), totals(1)), None);
+    let both = fs::read(folder.path("c.slices")).unwrap();
+    let (made, _) = folder.replaced(&both, &empty, &([4.0, -9.0, -9.0], [9.0; 3])).unwrap();
+    assert_eq!(made.header.bounds, Some(([1.6, 1.55, height(-39.5)], [2.0, 1.9, height(9.5)])));
+}
