@@ -206,7 +206,7 @@ mod tests {
         };
         // All are kept up to the last one, which takes more than there is room for.
         let last = COARSE_KEPT / SPANS;
-        let contents = (0..last).chain([0, last, 0, last, 0]);
+        let contents = (0..last).chain([0, 1, last, 0, last, 0]);
         let made = made(&mut Copier::new(), contents, content);
         assert_eq!((made[&0], made[&1], made[&last]), (2, 1, 1));
     }

@@ -196,7 +196,7 @@ fn join(
 
 /// Returns the part of a coarser division that reaches from `first` to `last`.
 fn coarser((index, count): (u32, u32), first: &OpenShard<'_>, last: &OpenShard<'_>) -> Result<Shard> {
-    let shard = Shard { index, count, first: first.shard.first, last: last.shard.last, ..first.shard };
+    let shard = Shard { index, count, last: last.shard.last, ..first.shard };
     if shard.is_sound() {
         return Ok(shard);
     }

@@ -205,8 +205,10 @@ mod tests {
         }
         assert_eq!(read(&record(b"NOIS", &[0; 23])), Err("M7"));
         assert_eq!(read(&record(b"NOIS", &[0; 25])), Err("M7"));
-        let long = Metadata { crs: "x".repeat(1 << 20), ..Metadata::default() };
-        assert!(matches!(long.encode(), Err(Error::Limit { .. })));
+        // With its tag and its length, 1 MiB.
+        let long = |more: usize| Metadata { crs: "x".repeat((1 << 20) - 8 + more), ..Metadata::default() };
+        assert_eq!(long(0).encode().unwrap().len(), 1 << 20);
+        assert!(matches!(long(1).encode(), Err(Error::Limit { .. })));
     }
 
     proptest! {

@@ -217,6 +217,19 @@ mod tests {
     }
 
     #[test]
+    fn bounds_are_cut_at_the_outer_edges_of_the_region() {
+        let frame = Frame::new(0.5, 1.0).unwrap();
+        let region = Region { i: (2, 3), j: (-3, 1), slices: (4, 6) };
+        let cut = |min, max| region.bounds(&frame, &(min, max));
+        let all = Some(([1.0, -1.5, 4.0], [2.0, 1.0, 7.0]));
+        assert_eq!(cut([-90.0; 3], [90.0; 3]), all);
+        let inside = ([1.25, -1.0, 4.5], [1.75, 0.5, 6.5]);
+        assert_eq!(cut(inside.0, inside.1), Some(inside));
+        assert_eq!(cut([2.0, 1.0, 7.0], [90.0; 3]), Some(([2.0, 1.0, 7.0], [2.0, 1.0, 7.0])));
+        assert_eq!(cut([-90.0; 3], [90.0, 90.0, 3.5]), None);
+    }
+
+    #[test]
     fn cells_that_a_part_meets_are_more_than_those_inside() {
         let part = PagePart { px: (3, 8), py: (4, 63), slices: (2, 5) };
         assert_eq!((part.cells(false).cells(), part.cells(true).cells()), (3 * 15 * 4, 15 * 4));

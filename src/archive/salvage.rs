@@ -281,6 +281,21 @@ mod tests {
         assert!(matches!(find(&*Strike::at(2)), Err(Error::Interrupted)));
     }
 
+    #[test]
+    fn a_page_across_the_end_of_the_bytes_held_at_once_is_found() {
+        let (key, mut builder) = (PageKey { tx: 0, ty: 0, layer: 7 }, PageBuilder::default());
+        assert!(builder.set_column(9, 9, &[Span::new(5, 300, true).unwrap()]));
+        let page = PageEncoder::new(Frame::new(0.1, 0.3).unwrap()).encode(key, &builder.build()).bytes;
+        // The search begins within the file, and the bytes that it first holds end with the page's leader.
+        let start = 1000;
+        let offset = start + CHUNK - page_coding::LEADER;
+        let mut bytes = vec![0; offset];
+        bytes.extend(&page);
+        let range = start as u64..bytes.len() as u64;
+        let found = find_pages(&MemorySource::new(bytes), range, |_| true, false, &NoMonitor).unwrap();
+        assert_eq!(found, [Found { key, offset: offset as u64, len: page.len() }]);
+    }
+
     /// `find_pages` asserts the bound on its work where it ends.
     #[test]
     fn forged_leaders_take_work_linear_in_their_bytes() {

@@ -4,16 +4,21 @@ use crate::common;
 
 use common::forge::{Parts, giant, put};
 use common::random::Random;
-use common::{Pages, archive_coloured_by_place, archive_of, key, page, plan, read_all, render, scene, two_pixels};
+use common::{
+    Pages, archive_coloured_by_place, archive_of, archive_with_levels, key, page, plan, read_all, render, scene,
+    two_pixels,
+};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Bounds, ColourReader, PageDecoder, PageEncoder, PageReader, Recovered, Shard, Storage,
-    Totals, extract, merge, recover,
+    Archive, ArchiveWriter, Bounds, ColourReader, EncodedColours, PageDecoder, PageEncoder, PageReader, Recovered,
+    Shard, Storage, Totals, extract, merge, recover,
 };
+use slicewalk::codec::ColourEncoder;
+use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::edit::{Edits, Prism};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::page::{Inferred, Page, Span};
+use slicewalk::page::{Inferred, Occupancy, Page, Span};
 use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
 use slicewalk::seen::{SeenBlock, SeenPage};
@@ -309,14 +314,23 @@ fn pages_in_metadata_are_no_matter() {
     // Neither head nor directory state where pages end, but a leaf follows them.
     let mut headless = good.clone();
     headless[100] ^= 1;
-    let stored: Pages =
+    let mut stored: Pages =
         scene().0.into_iter().filter(|(key, _)| ![(0, 1), (1, 0)].contains(&(key.tx, key.layer))).collect();
     assert_eq!(recovered(folder.path(), &headless).1, stored);
     let mut leafless = good.clone();
-    let leaf = Archive::from_bytes(good).unwrap().header().directory_offset() as usize;
+    let leaf = Archive::from_bytes(good.clone()).unwrap().header().directory_offset() as usize;
     leafless[leaf + 20] ^= 1;
     let (found, pages) = recovered(folder.path(), &leafless);
     assert!(pages == stored && !found.is_complete() && found.leaves == Some((0, 1)));
+    // Neither leaf nor metadata are where the head has them.
+    let start = parts.head.len();
+    let (found, pages) = recovered(folder.path(), &[&good[..start], b"\x89", &good[start..]].concat());
+    assert!(pages == stored && found.metadata_lost && found.leaves == Some((0, 1)));
+    // Metadata are, so pages end where the head says, though the last one is damaged.
+    leafless[leaf - 1] ^= 1;
+    stored.pop_last();
+    let (found, pages) = recovered(folder.path(), &leafless);
+    assert!(pages == stored && !found.metadata_lost && found.leaves == Some((0, 1)));
 }
 
 #[test]
@@ -330,6 +344,7 @@ fn pages_that_are_not_where_their_leaf_has_them_are_found() {
     assert!(found.found.stored == 5 && found.found.uniform == 1);
     // With their colours, which have no leaders.
     let good = archive_coloured_by_place(&scene(), 0, false, None);
+    assert!(recovered(folder.path(), &good).0.identical);
     let mut parts = Parts::of(&good);
     parts.pages.insert(0, 0x89);
     let (found, pages) = recovered(folder.path(), &parts.build(|_| ()));
@@ -337,6 +352,10 @@ fn pages_that_are_not_where_their_leaf_has_them_are_found() {
     let left = colours_of(&Archive::open(folder.path().join("to.slices")).unwrap());
     assert!(pages.len() == 6 && left.keys().eq(pages.keys()) && left.iter().all(|(key, own)| all[key] == *own));
     assert!(left.values().all(|own| own.iter().any(|colour| colour[3] > 0)), "{found:?}");
+    // The page that shared the bytes of another one is lost.
+    let coloured = |pages: &BTreeMap<PageKey, Vec<[u8; 4]>>| pages.values().flatten().filter(|own| own[3] > 0).count();
+    let (all, left) = (coloured(&all), coloured(&left));
+    assert_eq!(found.dropped, [format!("colours of {} of {all} voxels (damaged)", all - left)]);
 }
 
 /// The colours of the voxels of each page.
@@ -360,7 +379,7 @@ fn pages_of_a_lost_leaf_are_found_before_those_of_the_next_one() {
     assert!(found.leaves == Some((1, 2)) && found.is_complete(), "{found:?}");
     // The last page of the lost leaf has the key of a page of the next leaf, or of none.
     let extent = whole.leaf(0).unwrap()[4095].extent().unwrap();
-    for layer in [4097, 5000] {
+    for layer in [4096, 5000] {
         let page = &mut bad[extent.offset as usize..][..extent.len as usize];
         put(page, 12, layer, 4);
         let crc = crc32c::crc32c_append(crc32c::crc32c(&page[..20]), &page[24..]);
@@ -382,9 +401,12 @@ fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
     };
     let (found, _) = recovered(folder.path(), &shard(2, 1, u64::MAX - 1));
     assert!(found.identical, "{found:?}");
-    let (found, pages) = recovered(folder.path(), &shard(1, 0, 9));
-    assert!(!found.is_complete() && pages == scene().0);
-    assert!(found.dropped[0].contains("part 1 of 3") && found.lost.unwrap().total() == 0, "{found:?}");
+    // All pages, and some of them, lie outside.
+    for last in [9, key(0, 0, 0).column() - 1] {
+        let (found, pages) = recovered(folder.path(), &shard(1, 0, last));
+        assert!(!found.is_complete() && pages == scene().0);
+        assert!(found.dropped[0].contains("part 1 of 3") && found.lost.unwrap().total() == 0, "{found:?}");
+    }
     let bounds = parts.build(|head| put(head, 184, 0, 8));
     let (found, _) = recovered(folder.path(), &bounds);
     assert!(found.is_complete() && !found.identical && found.mended == ["bounds in the head (rule T6)"], "{found:?}");
@@ -394,6 +416,15 @@ fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
     let newer = parts.build(|head| put(head, 10, 7, 2));
     let (found, _) = recovered(folder.path(), &newer);
     assert!(!found.is_complete() && found.dropped == ["what format 1.7 adds to the head"], "{found:?}");
+    // The directory has another slice, or another block, than the page.
+    let parts = Parts::of(&archive(&two_pixels()));
+    for (at, value) in [(4, 2), (17, 1)] {
+        let mut wrong = parts.clone();
+        wrong.leaf[at] = value;
+        let (found, pages) = recovered(folder.path(), &wrong.build(|_| ()));
+        assert_eq!(found.mended, ["directory entries of 1 page (rules P9, P11)"]);
+        assert!(found.is_complete() && !found.identical && pages == two_pixels().0, "{found:?}");
+    }
     // Heights in centimetres, coded in quanta: the content is sound, but its encoding is not canonical.
     let columns = (0..64).map(|px| ((px, 0), vec![Span::new(51 * px, 51 * px + 1, false).unwrap()]));
     let steps = page(columns);
@@ -651,11 +682,11 @@ fn edits_of_too_many_pages_and_beyond_all_tiles_are_refused() {
     edits.remove(Prism::of_box([0.5, 0.5, 0.5], [1.0, 1.0, 1.0]).unwrap()).unwrap();
     let said = refused(giant(&archive(&two_pixels()), 1), edits);
     assert!(said.contains("pages that edits change") && said.contains("65537 is beyond the limit of 65536"), "{said}");
-    // New pages, in three layers of 200 by 120 tile columns.
+    // New pages, in three layers of 200 by 120 tile columns, none of them at the origin.
     let (tile, layer) = (64.0 * plan().frame.pixel_m(), 64.0 * plan().frame.slice_m());
-    let high = [199.5 * tile, 119.5 * tile, 2.5 * layer];
+    let (low, high) = ([3.5 * tile, 7.5 * tile, 1.5 * layer], [202.5 * tile, 126.5 * tile, 3.5 * layer]);
     let mut edits = Edits::default();
-    edits.add(Prism::of_box([0.5 * tile, 0.5 * tile, 0.5 * layer], high).unwrap(), true).unwrap();
+    edits.add(Prism::of_box(low, high).unwrap(), true).unwrap();
     let said = refused(archive(&two_pixels()), edits);
     assert!(said.contains("72000 is beyond the limit of 65536"), "{said}");
     // Pixels of a millimetre, 64 in a tile.
@@ -709,10 +740,13 @@ fn seen_space_has_a_limit_of_memory_and_its_sound_blocks_are_recovered() {
     assert_eq!(archive.seen_space(memory).unwrap().unwrap().pages().count(), 600);
     let said = archive.seen_space(memory - 1).unwrap_err().to_string();
     assert!(said.contains(&format!("{memory} is beyond the limit of {}", memory - 1)), "{said}");
-    // Above the first 64 layers, too.
+    // Above the first 64 layers, too: both pages of a block, or only the upper one, slices above the block's floor.
     let height = 64.0 * 64.0 * plan().frame.slice_m();
-    extract(&archive, &([0.0, 0.0, height + 0.1], [6.0, 6.0, height + 30.0]), &target, false, &NoMonitor).unwrap();
-    assert_eq!(verified(&target).seen_space(1 << 30).unwrap().unwrap().pages().count(), 2);
+    for (from, pages) in [(0.1, 2), (20.0, 1)] {
+        let region = ([0.0, 0.0, height + from], [6.0, 6.0, height + 30.0]);
+        extract(&archive, &region, &target, true, &NoMonitor).unwrap();
+        assert_eq!(verified(&target).seen_space(1 << 30).unwrap().unwrap().pages().count(), pages);
+    }
 
     let start = archive.header().pages_offset() as usize;
     let mut bytes = fs::read(&whole).unwrap();
@@ -751,6 +785,10 @@ fn an_archive_without_pages_is_recovered_and_one_that_lost_all_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let (done, pages) = recovered(folder.path(), &archive(&Default::default()));
     assert!(done.is_complete() && pages.is_empty());
+    // Without its footer it ends with its head.
+    let mut bytes = archive(&Default::default());
+    bytes.truncate(Archive::from_bytes(bytes.clone()).unwrap().header().bytes.head as usize);
+    assert!(recovered(folder.path(), &bytes).0.identical);
     let mut bytes = archive(&two_pixels());
     let header = Archive::from_bytes(bytes.clone()).unwrap().header().clone();
     bytes[header.pages_offset() as usize..header.directory_offset() as usize].fill(0);
@@ -838,4 +876,72 @@ fn pages_come_with_their_inferred_spans_or_without_them() {
     let scanned = archive.ignoring_inferred();
     assert_eq!(scanned.page_with(&entry, &mut decoder).unwrap(), page([((1, 1), vec![floor(900)])]));
     assert!(decoder.inferred().is_empty());
+}
+
+#[test]
+fn levels_have_no_seen_space_and_no_section_of_it_is_longer_than_the_pages() {
+    let folder = tempfile::tempdir().unwrap();
+    let written = |levels: bool| {
+        let target = folder.path().join("a.slices");
+        let mut writer = ArchiveWriter::create(&target, &plan(), true).unwrap();
+        if levels {
+            writer.set_levels();
+        }
+        writer.set_seen();
+        let mut encoder = PageEncoder::of_plan(&plan());
+        for at in [key(0, 0, 0), key(20, 0, 0)] {
+            writer.put(at, encoder.encode(at, &content(1))).unwrap();
+        }
+        writer.put_seen(&seen_block(0, 0)).unwrap();
+        writer.finish(totals(1)).unwrap();
+        fs::read(target).unwrap()
+    };
+    let archive = Archive::from_bytes(written(true)).unwrap();
+    assert!(archive.seen_table().unwrap().is_some());
+    assert!(archive.level(1).unwrap().seen_table().unwrap().is_none());
+    let none = Archive::from_bytes(archive_with_levels(&plan(), &Default::default(), None)).unwrap();
+    assert!(none.header().levels.is_some() && none.catalog().levels_range().is_none());
+    // Its trailer states one byte more than all pages have.
+    let mut parts = Parts::of(&written(false));
+    let (len, trailer) = (parts.pages.len() as u64, parts.pages.len() - 40);
+    put(&mut parts.pages, trailer + 8, len + 1, 8);
+    let crc = crc32c::crc32c(&parts.pages[trailer..trailer + 36]);
+    put(&mut parts.pages, trailer + 36, crc.into(), 4);
+    let said = Archive::from_bytes(parts.build(|_| ())).unwrap().seen_table().unwrap_err().to_string();
+    assert!(said.starts_with("rule V1: trailer of seen space"), "{said}");
+}
+
+#[test]
+fn what_edits_leave_keeps_its_colours_and_inferred_spans() {
+    let folder = tempfile::tempdir().unwrap();
+    let [from, to] = ["a.slices", "e.slices"].map(|name| folder.path().join(name));
+    let floor = |bottom| Span::new(bottom, bottom + 4, false).unwrap();
+    // The lower floor of the first pixel is inferred, and has no colour.
+    let stays = ((1, 1), vec![floor(10), floor(900)]);
+    let whole = page([stays.clone(), ((40, 1), vec![floor(10)])]);
+    let mut inferred = Inferred::new();
+    assert!(inferred.push(1, 1, 0b01));
+    let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
+    let values = [None, Some([9000, 30_000, 50_000]), Some([60_000, 100, 7000])];
+    let made = EncodedColours::new(&colours, &Occupancy::of(&whole), &values, &mut ColourEncoder::default());
+    let plan = Plan { options: PlanOptions { fill_holes: 3, ..plan().options }, ..plan() };
+    let mut writer = ArchiveWriter::create(&from, &plan, false).unwrap();
+    writer.set_colours(colours);
+    let at = key(0, 0, 0);
+    writer.put(at, PageEncoder::of_plan(&plan).encode_inferred(at, &whole, &inferred).with_colours(made)).unwrap();
+    writer.finish(totals(1)).unwrap();
+    let archive = verified(&from);
+    let before = colours_of(&archive)[&at].clone();
+    assert!(before.len() == 3 && before[0][3] == 0 && before[1][3] > 0, "{before:?}");
+    // All of the other pixel, which is that from 4 to 4.1 m.
+    let mut edits = Edits::default();
+    edits.remove(Prism::of_box([3.95, 0.05, -1.0], [4.15, 0.25, 1.0]).unwrap()).unwrap();
+    let everything: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    extract(&archive.with_edits(edits), &everything, &to, false, &NoMonitor).unwrap();
+    let extracted = verified(&to);
+    let entry = extracted.entries().next().unwrap().unwrap();
+    let mut decoder = PageDecoder::new();
+    assert_eq!(extracted.page_with(&entry, &mut decoder).unwrap(), page([stays]));
+    assert_eq!(decoder.inferred(), &inferred);
+    assert_eq!(colours_of(&extracted)[&at], before[..2]);
 }
