@@ -204,7 +204,7 @@ fn sector(heading: usize, radius: i64) -> Vec<Pair> {
     };
     let cross = |a: [i64; 2], b: [i64; 2]| a[0] * b[1] - a[1] * b[0];
     let squared = |[x, y]: [i64; 2]| i128::from(x * x + y * y);
-    let most = radius / PARTS + 1;
+    let most = radius / PARTS;
     let meets = |at: &[i64; 2]| {
         let [i, j] = *at;
         let is_between = cross([i + 1, j], high) > 0 && cross(low, [i, j + 1]) > 0;
@@ -232,32 +232,150 @@ mod tests {
     use crate::walk::Body;
     use nalgebra::Point3;
 
-    /// Returns whether a square fits: two corners lie at one height, the third 0.34 m higher, and the fourth, opposite to
-    /// the first, has floors at these heights (quanta).
-    fn fits(opposite: &[i32]) -> bool {
+    const DISC: Body = Body::Cylinder { radius: 0.05, height: 0.6 };
+
+    /// Returns whether a square fits whose corners have floors at these heights (quanta).
+    fn fits(corners: [&[i32]; 4], pawn: Pawn) -> bool {
         let mut builder = PageBuilder::default();
         let floor = |top: &i32| Span::new((2547 + top) as u32, (2550 + top) as u32, false).unwrap();
-        for ([px, py], tops) in [([0, 0], &[0][..]), ([1, 0], &[0][..]), ([0, 1], &[289][..]), ([1, 1], opposite)] {
+        for ([px, py], tops) in [[0, 0], [1, 0], [0, 1], [1, 1]].into_iter().zip(corners) {
             let spans: Vec<Span> = tops.iter().map(floor).collect();
             assert!(builder.set_column(px, py, &spans));
         }
         let key = PageKey { tx: 0, ty: 0, layer: 0 };
         let set = Snapshot::from_pages(Frame::new(0.1, 0.3).unwrap(), [(key, builder.build())]);
-        let pawn = Pawn::new(Body::Cylinder { radius: 0.05, height: 0.6 });
         let mut standing = StandingPlaces::new(&set, pawn).unwrap();
         let Answer::Known(mut flood) = Flood::everywhere(&mut standing, &set).unwrap() else { panic!("all is loaded") };
         assert_eq!(flood.grow(&mut standing, &set, &NoMonitor).unwrap(), Answer::Known(()));
         let region = flood.region(&standing);
-        let Answer::Known(Some(first)) = standing.spot(&set, Point3::new(0.05, 0.05, 3.0)).unwrap() else {
-            panic!("it is floor")
-        };
+        let first = Point3::new(0.05, 0.05, 3.0 + f64::from(corners[0][0]) / 850.0);
+        let Answer::Known(Some(first)) = standing.spot(&set, first).unwrap() else { panic!("it is floor") };
         Mask::new(square([0, 0])).follow(&region, region.number(&first).unwrap(), &mut Vec::new())
     }
 
     #[test]
     fn a_square_fits_only_if_both_ways_round_lead_to_the_same_place() {
-        assert!(fits(&[289]));
+        let opposite = |tops: &[i32]| fits([&[0], &[0], &[289], tops], Pawn::new(DISC));
+        assert!(opposite(&[289]));
         // 0.34 m down from one corner beside it, and 0.34 m up from the other.
-        assert!(!fits(&[-289, 578]));
+        assert!(!opposite(&[-289, 578]));
+    }
+
+    #[test]
+    fn a_square_fits_only_if_steps_from_corner_to_corner_are_no_higher_than_those_along_its_sides() {
+        // Sides rise by 0.12 and 0.14 m, diagonals by 0.26 and 0.02 m.
+        for (climb, max_drop, expected) in
+            [(0.25, 0.25, false), (0.35, 0.25, false), (0.25, 0.35, false), (0.35, 0.35, true)]
+        {
+            let pawn = Pawn { climb, max_drop, ..Pawn::new(DISC) };
+            for corners in [[0, 102, 119, 221], [221, 119, 102, 0], [102, 0, 221, 119]] {
+                let tops = corners.each_ref().map(std::slice::from_ref);
+                assert_eq!(fits(tops, pawn), expected, "{climb} m up, {max_drop} m down, {corners:?}");
+            }
+        }
+    }
+
+    type Point = [f64; 2];
+
+    fn cross(a: Point, b: Point) -> f64 {
+        a[0] * b[1] - a[1] * b[0]
+    }
+
+    /// Returns the part of a convex polygon at whose points `side` is not negative; it is linear.
+    fn clipped(polygon: &[Point], side: impl Fn(Point) -> f64) -> Vec<Point> {
+        let mut part = Vec::new();
+        for (n, &a) in polygon.iter().enumerate() {
+            let b = polygon[(n + 1) % polygon.len()];
+            let (own, next) = (side(a), side(b));
+            if own >= 0.0 {
+                part.push(a);
+            }
+            if own * next < 0.0 {
+                part.push([0, 1].map(|axis| a[axis] + (b[axis] - a[axis]) * own / (own - next)));
+            }
+        }
+        part
+    }
+
+    fn area(polygon: &[Point]) -> f64 {
+        (0..polygon.len()).map(|n| cross(polygon[n], polygon[(n + 1) % polygon.len()])).sum::<f64>() / 2.0
+    }
+
+    /// Returns how far a convex polygon is from the origin, which is not inside.
+    fn distance(polygon: &[Point]) -> f64 {
+        let far = |n: usize| {
+            let (a, b) = (polygon[n], polygon[(n + 1) % polygon.len()]);
+            let by = [b[0] - a[0], b[1] - a[1]];
+            let square = by[0] * by[0] + by[1] * by[1];
+            let share = if square > 0.0 { (-(a[0] * by[0] + a[1] * by[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
+            (a[0] + share * by[0]).hypot(a[1] + share * by[1])
+        };
+        (0..polygon.len()).map(far).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Returns the sides and diagonals of all squares of which `meets` says that they count, given their corners.
+    fn of_squares(meets: impl Fn(&[Point]) -> bool) -> BTreeSet<Pair> {
+        let all = (-12..12).flat_map(|i| (-12..12).map(move |j| [i, j]));
+        let corners = |[i, j]: [i32; 2]| [[i, j], [i + 1, j], [i + 1, j + 1], [i, j + 1]].map(|at| at.map(f64::from));
+        sorted(all.filter(|at| meets(&corners(*at))).flat_map(square))
+    }
+
+    fn sorted(pairs: impl IntoIterator<Item = Pair>) -> BTreeSet<Pair> {
+        pairs.into_iter().map(|[a, b]| [a.min(b), a.max(b)]).collect()
+    }
+
+    /// Lengths (parts), some of which end at corners of squares.
+    const LENGTHS: [i64; 9] = [1, 410, 1024, 1229, 1536, 2048, 2355, 3789, 5120];
+
+    #[test]
+    fn a_turn_meets_the_squares_of_its_sector() {
+        for (heading, radius) in (0..HEADINGS).flat_map(|heading| LENGTHS.map(|radius| (heading, radius))) {
+            let low = DIRECTIONS[heading].map(f64::from);
+            let high = if heading + 1 == HEADINGS { [-1.0, 0.0] } else { DIRECTIONS[heading + 1].map(f64::from) };
+            let expected = of_squares(|corners| {
+                let part = clipped(&clipped(corners, |at| cross(low, at)), |at| cross(at, high));
+                area(&part) > 1e-9 && distance(&part) < radius as f64 / PARTS as f64 - 1e-9
+            });
+            assert_eq!(sorted(sector(heading, radius)), expected, "heading {heading}, radius {radius}");
+        }
+    }
+
+    #[test]
+    fn a_drive_meets_the_squares_of_its_line() {
+        for (heading, length) in (0..HEADINGS).flat_map(|heading| LENGTHS.map(|length| (heading, length))) {
+            let direction = DIRECTIONS[heading].map(f64::from);
+            let ends = length as f64 / PARTS as f64;
+            let expected = if heading % 4 == 0 {
+                let along = (0..8).filter(|n| f64::from(*n) < ends);
+                sorted(along.map(|n| [n, n + 1].map(|n| DIRECTIONS[heading].map(|by| by * n))))
+            } else {
+                of_squares(|corners| {
+                    let share = [0, 1].map(|axis| {
+                        let [a, b] = [corners[0], corners[2]].map(|corner| corner[axis] / direction[axis]);
+                        [a.min(b), a.max(b)]
+                    });
+                    share[0][1].min(share[1][1]).min(ends) - share[0][0].max(share[1][0]).max(0.0) > 1e-9
+                })
+            };
+            assert_eq!(sorted(line(heading, length)), expected, "heading {heading}, length {length}");
+        }
+    }
+
+    #[test]
+    fn a_mask_numbers_its_pixels_and_counts_their_memory() {
+        let mask = Mask::new(line(1, 3 * PARTS));
+        assert_eq!((mask.pixels[0], mask.extent), ([0; 2], 6));
+        assert!((0..mask.pixels.len()).all(|n| mask.number(mask.pixels[n]) == Some(n)));
+        assert_eq!(mask.number([-1, 0]), None);
+        assert_eq!(mask.memory_bytes(), 8 * mask.pixels.len() + 12 * mask.links.len() + 8 * mask.diagonals.len());
+        let footprints = Footprints::new(2.5);
+        let masks = || footprints.stand.iter().chain(&footprints.turn).chain(footprints.drive.iter().flatten());
+        assert_eq!(footprints.memory_bytes(), masks().map(Mask::memory_bytes).sum::<usize>());
+        assert_eq!(Some(footprints.extent()), masks().map(|mask| mask.extent).max());
+        for (heading, [a, b]) in (0..HEADINGS).map(|heading| (heading, [heading, (heading + 1) % HEADINGS])) {
+            let [a, b] = [a, b].map(|heading| DIRECTIONS[heading].map(f64::from));
+            let angle = cross(a, b).abs().atan2((a[0] * b[0] + a[1] * b[1]).abs());
+            assert!((ANGLES[kind_of_turn(heading)] - angle).abs() < 1e-15, "heading {heading}");
+        }
     }
 }

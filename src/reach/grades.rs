@@ -21,7 +21,7 @@ const SLACK: f64 = 0.02;
 const NARROW_M: f64 = 0.3;
 
 /// Sums over places, of their offsets (pixels) and heights (quanta). All are whole and exact.
-#[derive(Debug, Default, Clone, Copy)]
+#[derive(Debug, Default, Clone, Copy, PartialEq)]
 struct Sums {
     count: i64,
     x: i64,
@@ -145,5 +145,52 @@ impl Region {
         let landings: Vec<End> = landings.map(|place| End { place, offset: [0; 2], is_open: false }).collect();
         let far = self.pawn().max_ramp / 2.0;
         clearances(&self.grid, &self.links, &landings).into_iter().map(|distance| f64::from(distance) > far).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Sums over places at these offsets and heights.
+    fn summed(places: &[[i64; 3]]) -> Sums {
+        let sum = |of: fn(&[i64; 3]) -> i64| places.iter().map(of).sum();
+        Sums {
+            count: places.len() as i64,
+            x: sum(|[x, ..]| *x),
+            y: sum(|[_, y, _]| *y),
+            z: sum(|[.., z]| *z),
+            xx: sum(|[x, ..]| x * x),
+            xy: sum(|[x, y, _]| x * y),
+            yy: sum(|[_, y, _]| y * y),
+            xz: sum(|[x, _, z]| x * z),
+            yz: sum(|[_, y, z]| y * z),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn sums_of_moved_places_are_those_at_their_new_offsets(
+            own in prop::collection::vec([-9..9i64, -9..9i64, -99..99i64], 0..9),
+            moved in prop::collection::vec([-9..9i64, -9..9i64, -99..99i64], 0..9),
+            by in [-9..9i64, -9..9i64],
+        ) {
+            let mut sums = summed(&own);
+            sums.add(&summed(&moved), by);
+            let all: Vec<_> = own.into_iter().chain(moved.iter().map(|[x, y, z]| [x + by[0], y + by[1], *z])).collect();
+            prop_assert_eq!(sums, summed(&all));
+        }
+
+        #[test]
+        fn the_slope_is_that_of_the_plane_or_along_a_strip(rise in [-9..9i64, -9..9i64], [a, b] in [-5..=5i64, 1..=5i64]) {
+            let z = |[x, y]: [i64; 2]| [x, y, rise[0] * x + rise[1] * y];
+            let square = (-3..4).flat_map(|x| (-3..4).map(move |y| [x, y]));
+            let plane = summed(&square.map(z).collect::<Vec<_>>()).slope(3.0);
+            prop_assert!((plane - (rise[0] as f64).hypot(rise[1] as f64)).abs() < 1e-9, "{plane}");
+            let strip = summed(&(-4..5).map(|n| z([a * n, b * n])).collect::<Vec<_>>()).slope(3.0);
+            let along = (rise[0] * a + rise[1] * b).abs() as f64 / (a as f64).hypot(b as f64);
+            prop_assert!((strip - along).abs() < 1e-9, "{strip} beside {along}");
+        }
     }
 }

@@ -268,3 +268,72 @@ fn join(a: &[Interval], b: &[Interval], least: i32, to: &mut Vec<Interval>) {
         push(to, own, *next, least);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const LEAST: i32 = 4;
+
+    /// Lists of a rectangle, with gaps closed as [`Lists::read`] does.
+    fn lists(width: usize, cells: &[Vec<Interval>]) -> Lists {
+        let mut lists = Lists::with_room(width, cells.len() / width, 0);
+        for cell in cells {
+            let own = lists.items.len();
+            united(cell.clone()).into_iter().for_each(|next| push(&mut lists.items, own, next, LEAST));
+            lists.end_cell();
+        }
+        lists
+    }
+
+    /// Returns intervals from below, those together that leave no gap of `LEAST` between them.
+    fn united(mut all: Vec<Interval>) -> Vec<Interval> {
+        all.sort_by_key(|own| own.bottom);
+        let mut united: Vec<Interval> = Vec::new();
+        for own in all {
+            match united.last_mut() {
+                Some(last) if own.bottom < last.top + LEAST => {
+                    *last =
+                        Interval { top: last.top.max(own.top), floor: last.floor.max(own.floor), bottom: last.bottom };
+                }
+                _ => united.push(own),
+            }
+        }
+        united
+    }
+
+    prop_compose! {
+        fn interval()(bottom in 0..60i32, thick in 1..6i32, is_floor in any::<bool>()) -> Interval {
+            Interval { bottom, top: bottom + thick, floor: if is_floor { bottom + thick } else { NONE } }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_union_under_a_footprint_holds_the_intervals_of_all_its_pixels(
+            cells in prop::collection::vec(prop::collection::vec(interval(), 0..4), 9 * 12),
+            empty in prop::collection::vec(any::<bool>(), 12),
+            rects in prop::collection::vec([0..4i32, 0..4i32], 1..4),
+        ) {
+            let (width, mut cells) = (9, cells);
+            for (y, _) in empty.iter().enumerate().filter(|(_, is_empty)| **is_empty) {
+                cells[y * width..][..width].fill(Vec::new());
+            }
+            let half = [0, 1].map(|axis| rects.iter().map(|rect| rect[axis]).max().unwrap());
+            let all = lists(width, &cells);
+            prop_assert_eq!(all.is_empty(), cells.iter().all(Vec::is_empty));
+            let union = all.under(&rects, half, LEAST);
+            prop_assert_eq!((union.width, union.height), (width - 2 * half[0] as usize, 12 - 2 * half[1] as usize));
+            for (x, y) in (0..union.width).flat_map(|x| (0..union.height).map(move |y| (x, y))) {
+                let under = |[kx, ky]: &[i32; 2]| {
+                    let [from_x, from_y] = [x as i32 + half[0] - kx, y as i32 + half[1] - ky];
+                    let to = [from_x + 2 * kx, from_y + 2 * ky];
+                    (from_y..=to[1]).flat_map(move |j| (from_x..=to[0]).map(move |i| j as usize * width + i as usize))
+                };
+                let own = rects.iter().flat_map(under).flat_map(|cell| cells[cell].iter().copied()).collect();
+                prop_assert_eq!(union.at(x, y), united(own), "at {}, {}", x, y);
+            }
+        }
+    }
+}
