@@ -473,3 +473,293 @@ impl Coarse {
         at == to
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoMonitor;
+    use crate::frame::{Frame, PageKey};
+    use crate::page::{PageBuilder, Span};
+    use crate::walk::Body;
+
+    /// Quanta in a metre of height, and the layer of all pages.
+    const METRE: f64 = 850.0;
+    const LAYER: i32 = 3;
+    /// Height of a plain floor (quanta); spans are 3 high, and heights have no common divisor.
+    const FLOOR: u32 = 1000;
+
+    /// Cost of 0.4 m of doubt, as far as a detour of 16 m: 159,999.99 in floats.
+    const LACKS: u32 = 159_999;
+
+    /// A pawn that climbs 300 quanta, steps down 200 and is 1445 high, all rounded up; five pixels of 0.1 m wide.
+    fn pawn() -> Pawn {
+        let metres = |quanta: f64| (quanta - 0.7) / METRE;
+        let body = Body::Box { x: 0.5001, y: 0.5001, height: metres(1445.0) };
+        Pawn { climb: metres(300.0), max_drop: metres(200.0), ..Pawn::new(body) }
+    }
+
+    type Spans = Vec<(u32, u32, bool)>;
+
+    /// One page of pixels of `pixel_m` metres with these spans: bottom, top, and whether it is an obstacle.
+    fn level(pixel_m: f64, spans: impl Fn(u32, u32) -> Spans) -> Snapshot {
+        let mut builder = PageBuilder::default();
+        for (px, py) in (0..64).flat_map(|px| (0..64).map(move |py| (px, py))) {
+            let own =
+                spans(px, py).into_iter().map(|(bottom, top, obstacle)| Span::new(bottom, top, obstacle).unwrap());
+            assert!(builder.set_column(px, py, &own.collect::<Vec<_>>()));
+        }
+        let key = PageKey { tx: 0, ty: 0, layer: LAYER };
+        Snapshot::from_pages(Frame::new(pixel_m, 0.3).unwrap(), [(key, builder.build())])
+    }
+
+    fn at([i, j]: [u32; 2], top: u32) -> Point3<f64> {
+        let z = f64::from(LAYER) * 19.2 + f64::from(top) / METRE;
+        Point3::new((f64::from(i) + 0.5) * 0.1, (f64::from(j) + 0.5) * 0.1, z)
+    }
+
+    fn floor(top: u32) -> Spans {
+        vec![(top - 3, top, false)]
+    }
+
+    /// A planner that has finished, and what it found.
+    fn finished(set: &Snapshot, ends: [Point3<f64>; 2], guide: Option<&Route>) -> (Coarse, Result<Route, Refusal>) {
+        let mut planner = Coarse::new(set, pawn(), ends[0], ends[1]).unwrap();
+        if let Some(guide) = guide {
+            planner = planner.near(guide, 0.05);
+        }
+        match planner.advance(set, usize::MAX, &NoMonitor).unwrap() {
+            Planned::Done(found) => (planner, found),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// The cost of the way between pixels of plain floor; `None` if there is none.
+    fn cost(ends: [[u32; 2]; 2], spans: impl Fn(u32, u32) -> Spans) -> Option<u32> {
+        let (planner, found) = finished(&level(0.1, spans), ends.map(|end| at(end, FLOOR)), None);
+        assert!(planner.is_fine());
+        found.ok().map(|_| planner.nodes[planner.goal.unwrap() as usize].cost)
+    }
+
+    fn node(bottom: i32, top: i32, room: i32, unit: i32, obstacle: bool) -> Node {
+        Node { pixel: [0; 2], bottom, top, ceiling: top + room, unit, obstacle, cost: 0, from: NO_NODE }
+    }
+
+    /// Checks the doubt and the cost of steps (quanta).
+    fn steps(planner: &Coarse, table: &[(Node, Node, Option<[i32; 2]>)]) {
+        for (from, to, expected) in table {
+            let found = planner.step(from, to).map(|step| [step.doubt, step.cost]);
+            assert_eq!(found, *expected, "from {from:?} to {to:?}");
+        }
+    }
+
+    #[test]
+    fn a_step_costs_what_only_rounding_explains() {
+        let set = level(0.1, |_, _| floor(FLOOR));
+        let planner = Coarse::new(&set, pawn(), at([1, 1], FLOOR), at([2, 2], FLOOR)).unwrap();
+        assert_eq!((planner.pixel, planner.width, planner.grid.height), (85, 425, 1445));
+        let thin = |top: i32| node(top - 10, top, 9000, 10, false);
+        let lower = |room: i32, unit: i32| node(990, 1000, room, unit, true);
+        let own = thin(1000);
+        steps(
+            &planner,
+            &[
+                (own, thin(1000), Some([0, 0])),
+                (own, thin(1300), Some([0, 0])),
+                (own, thin(1301), Some([1, 1])),
+                // Twice the climb height from the top of one to the bottom of the other.
+                (own, thin(1610), Some([310, 310])),
+                (own, thin(1611), None),
+                (own, thin(800), Some([0, 0])),
+                (own, thin(799), Some([1, 1])),
+                (own, thin(390), Some([410, 410])),
+                (own, thin(389), None),
+                // Heights in wider units.
+                (node(500, 1000, 9000, 500, false), thin(1450), Some([0, 150])),
+                (own, node(950, 1450, 9000, 500, false), Some([0, 150])),
+                (own, lower(1445, 10), Some([0, 0])),
+                (own, lower(1444, 10), Some([1, 1])),
+                (own, lower(1425, 10), Some([20, 20])),
+                (own, lower(1424, 10), None),
+                (own, lower(1385, 30), Some([60, 60])),
+                (own, lower(1384, 30), None),
+            ],
+        );
+        let deep = Pawn { max_drop: 399.3 / METRE, ..pawn() };
+        let planner = Coarse::new(&set, deep, at([1, 1], FLOOR), at([2, 2], FLOOR)).unwrap();
+        steps(&planner, &[(own, thin(290), Some([310, 310])), (own, thin(289), None)]);
+        // A pixel's width is as much as 40 pixels, rounded down.
+        let costs = [0, 85, 425, 2124, 2126, 9000].map(|quanta| planner.cost(quanta));
+        assert_eq!(costs, [0, 39_999, 199_999, 999_529, 1_000_000, 1_000_000]);
+    }
+
+    #[test]
+    fn on_wide_pixels_the_feet_stand_anywhere_in_a_span() {
+        let set = level(0.3, |_, _| floor(FLOOR));
+        let planner = Coarse::new(&set, pawn(), at([1, 1], FLOOR), at([2, 2], FLOOR)).unwrap();
+        assert!(!planner.is_fine() && planner.pixel == 255);
+        let own = node(990, 1000, 9000, 10, false);
+        let spans = |bottom: i32, top: i32, obstacle: bool| node(bottom, top, 9000, 10, obstacle);
+        steps(
+            &planner,
+            &[
+                (own, spans(990, 1000, false), Some([0, 0])),
+                (own, spans(990, 1000, true), Some([0, 63])),
+                // Two units and a pixel, and a unit, need no explanation.
+                (own, spans(900, 1175, false), Some([0, 265])),
+                (own, spans(900, 1176, false), Some([1, 266])),
+                (own, spans(1600, 1610, false), Some([310, 310])),
+                (own, spans(1601, 1611, false), None),
+                (own, spans(380, 390, false), Some([410, 410])),
+                (own, spans(380, 389, false), None),
+                (own, node(990, 1000, 445, 10, false), Some([1000, 1000])),
+            ],
+        );
+    }
+
+    #[test]
+    fn what_is_drawn_over_the_border_of_pages_is_one_span_with_the_wider_unit() {
+        let page = |spans: &[(u32, u32, bool)]| {
+            let mut builder = PageBuilder::default();
+            let spans: Vec<Span> = spans.iter().map(|own| Span::new(own.0, own.1, own.2).unwrap()).collect();
+            assert!(builder.set_column(5, 5, &spans));
+            builder.build()
+        };
+        for [below, above] in [[true, false], [false, true]] {
+            let pages = [
+                (LAYER, page(&[(16_000, 16_100, false), (16_200, 16_320, below)])),
+                (LAYER + 1, page(&[(0, 255, above), (510, 765, false)])),
+            ];
+            let pages = pages.map(|(layer, page)| (PageKey { tx: 0, ty: 0, layer }, page));
+            let set = Snapshot::from_pages(Frame::new(0.1, 0.3).unwrap(), pages);
+            let mut planner = Coarse::new(&set, pawn(), at([5, 5], FLOOR), at([5, 5], FLOOR)).unwrap();
+            let ControlFlow::Continue((first, last)) = planner.column(&set, [64 + 5; 2]) else {
+                panic!("all is loaded")
+            };
+            let found = planner.nodes[first as usize..last as usize]
+                .iter()
+                .map(|own| ([own.bottom, own.top, own.ceiling, own.unit], own.obstacle));
+            let expected = [
+                ([16_000, 16_100, 16_200, 5], false),
+                ([16_200, 16_575, 16_830, 255], true),
+                ([16_830, 17_085, i32::MAX, 255], false),
+            ];
+            assert_eq!(found.collect::<Vec<_>>(), expected);
+        }
+    }
+
+    #[test]
+    fn steps_beside_walls_cost_a_quarter_more_and_narrow_ones_what_the_body_lacks() {
+        let room = |width: u32, depth: u32| {
+            move |i: u32, j: u32| {
+                let is_inside = (10..10 + width).contains(&i) && (10..10 + depth).contains(&j);
+                if is_inside { floor(FLOOR) } else { Vec::new() }
+            }
+        };
+        assert_eq!(cost([[10, 12], [14, 12]], room(5, 5)), Some(1250 + 3 * 1000));
+        assert_eq!(cost([[12, 14], [12, 10]], room(5, 5)), Some(1250 + 3 * 1000));
+        assert_eq!(cost([[10, 10], [14, 14]], room(5, 5)), Some(1414 + 353 + 3 * 1414));
+        // A body of five pixels in a corridor of one: 0.4 m, each as much as 40 m.
+        assert_eq!(cost([[10, 10], [14, 10]], room(5, 1)), Some(4 * (1250 + LACKS)));
+        assert_eq!(cost([[10, 14], [10, 10]], room(1, 5)), Some(4 * (1250 + LACKS)));
+        // Open to one side along each axis: beside a wall, but not narrow.
+        assert_eq!(cost([[10, 10], [11, 10]], room(2, 2)), Some(1250));
+    }
+
+    #[test]
+    fn a_diagonal_step_passes_over_a_pixel_beside_it() {
+        for (way, by) in AROUND.into_iter().enumerate().filter(|(way, _)| way % 2 == 1) {
+            let to = [20 + by[0], 20 + by[1]].map(|v| v as u32);
+            let place = |offset: [i32; 2]| [20 + offset[0], 20 + offset[1]].map(|v| v as u32);
+            let only = |over: Option<([u32; 2], u32)>| {
+                move |i: u32, j: u32| match over {
+                    _ if [i, j] == [20; 2] || [i, j] == to => floor(FLOOR),
+                    Some((pixel, top)) if [i, j] == pixel => floor(top),
+                    _ => Vec::new(),
+                }
+            };
+            assert_eq!(cost([[20; 2], to], only(None)), None);
+            for over in [(way + 7) % 8, (way + 1) % 8].map(|way| place(AROUND[way])) {
+                let length = 1414 + 353;
+                assert_eq!(cost([[20; 2], to], only(Some((over, FLOOR)))), Some(length + LACKS), "{by:?} by {over:?}");
+                // From it no step leads back up.
+                assert_eq!(cost([[20; 2], to], only(Some((over, FLOOR - 650)))), None, "{by:?} by {over:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn gaps_up_to_a_pixel_more_than_the_body_are_bridged_unless_something_is_in_the_way() {
+        for (number, by) in AROUND.into_iter().enumerate().filter(|(number, _)| number % 2 == 0) {
+            // Two places, and what is drawn in the middle between them.
+            let scene = |pixels: i32, between: Spans| {
+                let to = [30 + pixels * by[0], 30 + pixels * by[1]].map(|v| v as u32);
+                let middle = [30 + pixels / 2 * by[0], 30 + pixels / 2 * by[1]].map(|v| v as u32);
+                cost([[30; 2], to], move |i, j| match [i, j] {
+                    own if own == [30; 2] || own == to => floor(FLOOR),
+                    own if own == middle => between.clone(),
+                    _ => Vec::new(),
+                })
+            };
+            for pixels in 2..=6 {
+                assert_eq!(scene(pixels, Vec::new()), Some(3000 * pixels as u32), "way {number}, {pixels} pixels");
+            }
+            assert_eq!(scene(7, Vec::new()), None);
+            // Far below, above the head, and just below it. The head ends 1445 above the bottom of the unit of 1.
+            assert_eq!(scene(4, floor(FLOOR - 700)), Some(12_000));
+            assert_eq!(scene(4, vec![(FLOOR + 1443, FLOOR + 1600, true)]), Some(12_000));
+            assert_eq!(scene(4, vec![(FLOOR + 1442, FLOOR + 1600, true)]), None);
+            // As high as the knees, and below.
+            assert_eq!(scene(4, vec![(FLOOR - 5, FLOOR + 602, true)]), None);
+        }
+    }
+
+    #[test]
+    fn a_corridor_holds_the_pixels_near_its_line() {
+        let set = level(0.1, |i, j| if i < 9 && j < 9 { floor(FLOOR) } else { Vec::new() });
+        for ends in [[[0, 4], [8, 4]], [[4, 0], [4, 8]], [[8, 4], [0, 4]], [[4, 8], [4, 0]]] {
+            let ends = ends.map(|end| at(end, FLOOR));
+            let guide = Route::along(ends.to_vec(), Vec::new());
+            let (planner, found) = finished(&set, ends, Some(&guide));
+            assert_eq!((found.unwrap().length_m * 10.0).round(), 8.0);
+            let offered = planner.nodes.iter().filter(|node| node.cost < u32::MAX).count();
+            assert_eq!((offered, planner.looked_at()), (9, 8));
+        }
+    }
+
+    #[test]
+    fn the_floor_beside_a_place_without_one_counts() {
+        for by in AROUND {
+            let own = [40 + by[0], 40 + by[1]].map(|v| v as u32);
+            let set = level(0.1, |i, j| if [i, j] == own { floor(FLOOR) } else { Vec::new() });
+            let (planner, found) = finished(&set, [at([40, 40], FLOOR); 2], None);
+            assert!(found.is_ok(), "{by:?}");
+            assert_eq!(planner.nodes[planner.goal.unwrap() as usize].pixel, own.map(|v| v as i32 + 64));
+        }
+    }
+
+    #[test]
+    fn each_span_is_expanded_once_and_a_turn_ends_after_as_many_as_asked_for() {
+        // Steps of very different costs, so that many spans are offered more than once.
+        let height = |i: u32, j: u32| FLOOR + (i * 7 + j * 11) % 5 * 120;
+        let is_goal = |i: u32, j: u32| (i, j) == (40, 40);
+        let set = level(0.1, |i, j| if i < 16 && j < 16 || is_goal(i, j) { floor(height(i, j)) } else { Vec::new() });
+        let ends = [at([0, 0], height(0, 0)), at([40, 40], height(40, 40))];
+        let (planner, found) = finished(&set, ends, None);
+        assert_eq!((found, planner.looked_at()), (Err(Refusal::NotConnected), 256));
+        let mut planner = Coarse::new(&set, pawn(), ends[0], ends[1]).unwrap();
+        for turn in 1..=25 {
+            assert_eq!(planner.advance(&set, 10, &NoMonitor).unwrap(), Planned::Unfinished);
+            assert_eq!(planner.looked_at(), 10 * turn);
+        }
+        assert_eq!(planner.advance(&set, 10, &NoMonitor).unwrap(), Planned::Done(Err(Refusal::NotConnected)));
+    }
+
+    #[test]
+    fn the_doubt_of_a_route_is_that_of_its_steps() {
+        let set = level(0.1, |i, j| if j < 9 { floor(FLOOR + i / 4 % 2 * 345) } else { Vec::new() });
+        let (planner, found) = finished(&set, [at([0, 4], FLOOR), at([13, 4], FLOOR + 345)], None);
+        assert!(found.is_ok());
+        // Up twice and down once: 45 and 145 quanta more than it climbs and steps down.
+        assert!((planner.doubt_m() - f64::from(2 * 45 + 145) / METRE).abs() < 1e-12, "{}", planner.doubt_m());
+    }
+}
