@@ -97,6 +97,56 @@ fn a_hole_over_ground_of_two_depths_is_divided() {
     assert!(found[0].drop.is_some_and(|drop| (drop - 1.0).abs() < 0.01) && found[1].drop.is_none(), "{found:?}");
 }
 
+/// A floor with a hole of 42 × 14 pixels, below which the ground lies as deep (m) as `depth` says.
+fn hole_over(depth: impl Fn(usize, usize) -> f64) -> Snapshot {
+    let quanta = |metres: f64| ((FLOOR + metres) / 0.3 * SLICE_QUANTA as f64).round() as i64;
+    let mut columns = Columns::new();
+    for (i, j) in (0..80).flat_map(|i| (0..60).map(move |j| (i, j))) {
+        let is_wall = [0, 79].contains(&i) || [0, 59].contains(&j);
+        let top = if (20..62).contains(&i) && (20..34).contains(&j) { -depth(i, j) } else { 0.0 };
+        let high = quanta(if is_wall { 5.0 } else { top });
+        columns.insert((i as i64, j as i64), vec![(quanta(top) - 3, high, is_wall)]);
+    }
+    layers(Frame::new(T, 0.3).unwrap(), &columns)
+}
+
+#[test]
+fn stretches_of_a_rim_are_one_hole_if_their_depths_are_within_the_climb_height() {
+    // Around 3 m in the middle, 1 m on the left and another depth on the right. The pawn climbs 0.35 m.
+    for (right, expected) in [(1.0, 2), (1.3, 2), (0.7, 2), (1.4, 3), (0.6, 3)] {
+        let found = leaks(&hole_over(|i, _| {
+            if i < 34 {
+                1.0
+            } else if i < 48 {
+                3.0
+            } else {
+                right
+            }
+        }));
+        assert_eq!(found.len(), expected, "{right}: {found:?}");
+        // Both sides together are as wide as the hole. The feet have support a pixel to each side of their middle.
+        let widest = found.iter().map(|leak| leak.width).fold(0.0, f64::max);
+        assert!((widest - if expected == 2 { 4.2 } else { 1.4 }).abs() < 2.5 * T, "{right}: {found:?}");
+    }
+}
+
+#[test]
+fn a_hole_reaches_as_far_as_ground_within_the_climb_height_of_its_rim() {
+    // 1 m below the left half, 2 m below the right one, and strips of about the other half's ground.
+    let store = hole_over(|i, j| match (i < 41, j) {
+        (false, 25..27) if i < 56 => 1.3,
+        (false, 28..29) if i < 56 => 1.4,
+        (false, _) => 2.0,
+        (true, 28..32) if i >= 26 => 1.7,
+        (true, 23..24) if i >= 26 => 1.6,
+        _ => 1.0,
+    });
+    let mut found = leaks(&store);
+    found.sort_by(|a, b| a.drop.unwrap().total_cmp(&b.drop.unwrap()));
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found.iter().all(|leak| (leak.width - 3.6).abs() < 2.5 * T), "{found:?}");
+}
+
 #[test]
 fn holes_above_one_another_are_as_many_if_their_floors_are_a_storey_apart() {
     let quanta = |metres: f64| (metres / 0.3 * SLICE_QUANTA as f64).round() as i64;
