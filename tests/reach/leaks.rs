@@ -7,7 +7,7 @@ use crate::common::random::Random;
 use slicewalk::NoMonitor;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::query::Answer;
-use slicewalk::reach::{Flood, Leak, LeakKind, LeakSearch, Pawn, Region, StandingPlaces};
+use slicewalk::reach::{Flood, Leak, LeakKind, LeakSearch, Passage, Pawn, Region, StandingPlaces};
 use slicewalk::store::Snapshot;
 use slicewalk::walk::Body;
 use std::collections::BTreeMap;
@@ -386,5 +386,71 @@ fn a_wall_that_stands_free_makes_a_passage_where_it_is_long_beside_the_gap() {
         let expected: Vec<f64> = if is_passage { vec![gap as f64 * T] } else { Vec::new() };
         assert_eq!(narrow.len(), expected.len(), "{gap}, {length}: {narrow:?}");
         assert!(narrow.iter().zip(&expected).all(|(a, b)| is_near(*a, *b)), "{gap}, {length}: {narrow:?}");
+    }
+}
+
+/// The passages between places of a pawn as wide as a pixel.
+fn passages(store: &Snapshot) -> Vec<Passage> {
+    everywhere(store, Pawn::new(Body::Box { x: T, y: T, height: 1.8 })).1.passages()
+}
+
+#[test]
+fn a_bay_is_a_room_if_it_is_clearly_wider_than_its_mouth() {
+    // A quarter wider, and two pixels to each side.
+    for (mouth, bay, is_room) in [(10, 14, false), (10, 19, true), (4, 6, false), (4, 11, true)] {
+        let (first, end) = (25 - mouth / 2, 25 + mouth / 2);
+        let is_mouth = |i: usize, j: usize| i == 40 && (first..end).contains(&j);
+        let is_bay =
+            |i: usize, j: usize| (41..41 + bay).contains(&i) && (25 - bay / 2..25 + bay.div_ceil(2)).contains(&j);
+        let store = room(64, 50, |i, j| (i >= 40 && !is_mouth(i, j) && !is_bay(i, j)).then_some(b'#'));
+        let found = passages(&store);
+        assert_eq!(found.len(), usize::from(is_room), "{mouth}, {bay}: {found:?}");
+        assert!(found.iter().all(|passage| is_near(passage.width, mouth as f64 * T)), "{mouth}, {bay}: {found:?}");
+    }
+    // A corridor is as wide as its mouth, however long it is.
+    let store = room(120, 50, |i, j| (i >= 40 && !(20..30).contains(&j)).then_some(b'#'));
+    assert_eq!(passages(&store), []);
+}
+
+#[test]
+fn a_corridor_between_rooms_is_a_passage_in_its_middle() {
+    for (first, end, turned) in [(40, 61, false), (40, 61, true), (33, 70, false)] {
+        let is_solid = |i: usize, j: usize| (first..end).contains(&i) && !(20..27).contains(&j);
+        let store = room(110, 110, |i, j| {
+            let (along, across) = if turned { (j, i) } else { (i, j) };
+            (is_solid(along, across) || across > 50).then_some(b'#')
+        });
+        let found = passages(&store);
+        assert!(found.len() == 1 && is_near(found[0].width, 0.7), "{found:?}");
+        let [along, across] = if turned { [found[0].at.y, found[0].at.x] } else { [found[0].at.x, found[0].at.y] };
+        assert!(is_near(along, (first + end) as f64 / 2.0 * T) && is_near(across, 2.35), "{found:?}");
+    }
+}
+
+#[test]
+fn a_door_in_a_wall_that_stands_askew_is_as_wide_as_it_is_straight_across() {
+    for way in [[1.0, 1.0], [1.0, -1.0], [2.0, 1.0], [1.0, 2.0], [2.0, -1.0], [1.0, -2.0]] {
+        let length = f64::hypot(way[0], way[1]);
+        // How far a pixel is beside the wall's middle line, and from the door's middle along it.
+        let place = |i: usize, j: usize| {
+            let [x, y] = [i, j].map(|v| v as f64 - 59.5);
+            [(x * way[1] - y * way[0]) / length, (x * way[0] + y * way[1]) / length]
+        };
+        let store = room(120, 120, |i, j| {
+            let [beside, along] = place(i, j);
+            (beside.abs() < 1.0 && along.abs() > 12.0).then_some(b'#')
+        });
+        let found = passages(&store);
+        assert_eq!(found.len(), 1, "{way:?}: {found:?}");
+        assert!((found[0].width - 2.4).abs() < 1.6 * T, "{way:?}: {found:?}");
+    }
+}
+
+#[test]
+fn a_pit_makes_a_passage_where_it_is_long_beside_the_gap() {
+    for (gap, length, is_passage) in [(4, 20, true), (4, 5, false), (8, 20, true), (8, 12, false)] {
+        let is_pit = |i: usize, j: usize| (43..48).contains(&i) && (1 + gap..1 + gap + length).contains(&j);
+        let found = passages(&room(90, 46, |i, j| is_pit(i, j).then_some(b' ')));
+        assert_eq!(found.iter().any(|passage| passage.at.y < 1.5), is_passage, "{gap}, {length}: {found:?}");
     }
 }
