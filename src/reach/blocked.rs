@@ -861,6 +861,36 @@ mod tests {
 
     const ENDS: [Point3<f64>; 2] = [Point3::new(10.0, 20.0, 0.0), Point3::new(90.0, 40.0, 1.0)];
 
+    #[test]
+    fn a_change_leads_from_the_measure_of_the_pawn_to_the_furthest_that_is_tried() {
+        const PIXEL_M: f64 = 0.1;
+        let oblong = Body::Box { x: 0.4, y: 0.8, height: 1.8 };
+        let ranges = |pawn: &Pawn| Change::ALL.map(|change| change.range(pawn, PIXEL_M));
+        let pawn = Pawn::new(oblong);
+        // A pixel for the longer side, 0.05 m above the climb height, and for steps 0.05 m below the height.
+        assert_eq!(ranges(&pawn), [[0.4, 0.05], [1.8, 0.35 + 0.05], [0.35, 1.8 - 0.05], [0.0; 2], [0.0; 2]]);
+        let sloped = Pawn { max_grade: 0.06, max_ramp: 6.0, climb: 0.1, ..pawn };
+        assert_eq!(ranges(&sloped)[1..], [[1.8, 0.3], [0.1, 1.75], [0.06, 2.0], [6.0, 1000.0]]);
+        let tall = Pawn::new(Body::Cylinder { radius: 0.02, height: 4.0 });
+        assert_eq!(ranges(&tall)[..3], [[0.04, 0.04], [4.0, 0.4], [0.35, 3.0]]);
+        let low = Pawn { climb: 0.02, ..Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 0.1 }) };
+        assert_eq!(ranges(&low)[1..3], [[0.1, 0.02 + 0.05], [0.02, 0.1 - 0.05]]);
+
+        let narrow = Body::Box { x: 0.2, y: 0.4, height: 1.8 };
+        assert_eq!(Change::Width.apply(&pawn, 0.2), Pawn { body: narrow, ..pawn });
+        assert_eq!(Change::Slope.apply(&pawn, 0.2), Pawn { max_grade: 0.2, ..pawn });
+        assert_eq!(Change::Ramp.apply(&pawn, 9.0), Pawn { max_ramp: 9.0, ..pawn });
+        let share = |change: Change, value: f64| change.share(&pawn, value, PIXEL_M);
+        assert_eq!([share(Change::Width, 0.3), share(Change::Step, 0.7)], [(0.4 - 0.3) / 0.4, 1.0]);
+        // Of nothing, a centimetre is all.
+        assert_eq!(Change::Step.share(&Pawn { climb: 0.0, ..pawn }, 0.02, PIXEL_M), 2.0);
+
+        let reasons = Change::ALL.map(|change| change.reason().name());
+        assert_eq!(reasons, ["width", "headroom", "step", "slope", "ramp"]);
+        let others = [Reason::Length, Reason::Gap, Reason::Unseen].map(Reason::name);
+        assert_eq!(others, ["length", "gap", "unseen"]);
+    }
+
     struct Stops;
 
     impl Monitor for Stops {

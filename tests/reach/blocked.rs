@@ -215,28 +215,84 @@ fn a_door_narrow_and_low() {
     assert_eq!(sought(&Case { pawn: low, ..case }, Memory::All).0, None, "{found:?}");
 }
 
-/// Checks what is found whatever pages are in memory, and that a pawn changed by what it needs gets there.
+/// One measure leads past the first wall, another one past the second: the first one counts.
+#[test]
+fn a_low_door_before_a_narrow_one() {
+    let store = scene(HALL, |i, j| match i {
+        60 if (30..42).contains(&j) => Over::Beam(1.5),
+        110 if (30..33).contains(&j) => PLAIN,
+        60 | 110 => Over::Wall,
+        _ => PLAIN,
+    });
+    let found = same_in_any_memory(&case(store, 0.0, Reason::Headroom, 1.5, 0.03)).unwrap();
+    assert!((found.at.x - 60.0 * T).abs() < 0.5, "{found:?}");
+}
+
+/// From place to place it rises by 0.32 m, but walkers sink behind the sill, and climb 0.38 m.
+#[test]
+fn a_step_that_only_walkers_meet() {
+    let height = |i: i64| if i == MIDDLE { 0.06 } else { 0.38 * f64::from(u8::from(i > MIDDLE + 2)) };
+    let pawn = Pawn::new(Body::Cylinder { radius: 0.083, height: 0.8 });
+    let store = scene(HALL, |i, _| Over::Floor(height(i)));
+    let found = same_in_any_memory(&Case { pawn, ..case(store, 0.38, Reason::Step, 0.37, 0.021) }).unwrap();
+    assert!((found.at.x - MIDDLE as f64 * T).abs() < 0.5, "{found:?}");
+}
+
+/// Two corridors beside each other with a narrow door, and a wider one beyond: that one counts if the sum of its distances
+/// from both ends is at most twice the straight line and 30 m, to within a tile.
+#[test]
+fn a_way_around_counts_if_it_is_not_much_longer_than_the_straight_line() {
+    for (apart, beyond, counts) in [(0, 150, true), (0, 230, false), (200, 235, true), (200, 320, false)] {
+        let (narrow, wide) = (5 + apart / 2, 5 + apart + beyond);
+        let store = scene([23, wide + 20], |i, j| {
+            let is_door = (narrow - 1..=narrow + 1).contains(&j) || (wide - 2..=wide + 2).contains(&j);
+            if i == 11 && !is_door { Over::Wall } else { PLAIN }
+        });
+        let ends = [at([5, 5], 0.0), at([17, 5 + apart], 0.0)];
+        let pawn = Pawn::new(Body::Box { x: 0.7, y: 0.7, height: 1.8 });
+        let found = sought(&Case { pawn, ends, ..case(store, 0.0, Reason::Width, 0.0, 0.0) }, Memory::All).0.unwrap();
+        let is_wide = found.needs > 0.4;
+        assert!(found.reason == Reason::Width && is_wide == counts, "{apart}, {beyond}: {found:?}");
+    }
+}
+
+/// Checks what is found whatever pages are in memory, that a pawn changed by what it needs gets there, and that one
+/// changed by a little less does not.
 fn holds(case: &Case) {
     let Some(found) = same_in_any_memory(case) else { return };
-    let (body, needs) = (case.pawn.body, found.needs);
+    let (precision, own) = match found.reason {
+        Reason::Width => (T / 2.0, 2.0 * case.pawn.body.half().min()),
+        Reason::Length => (T / 2.0, case.length.unwrap()),
+        Reason::Headroom => (0.01, case.pawn.body.height()),
+        Reason::Step => (0.01, case.pawn.climb),
+        Reason::Slope => (0.001, case.pawn.max_grade),
+        Reason::Ramp => (0.1, case.pawn.max_ramp),
+        _ => return,
+    };
+    assert_eq!(sought(&changed(case, found, found.needs), Memory::All).0, None, "{found:?}");
+    let less = found.needs + (own - found.needs).signum() * 1.01 * precision;
+    assert!(sought(&changed(case, found, less), Memory::All).0.is_some(), "{less} m is enough: {found:?}");
+}
+
+/// The case with the measure that was found too large, or too small, as `needs` says.
+fn changed(case: &Case, found: Obstruction, needs: f64) -> Case {
+    let body = case.pawn.body;
     let share = needs / (2.0 * body.half().min());
-    let changed = |body| Pawn { body, ..case.pawn };
+    let other = |body| Pawn { body, ..case.pawn };
     let pawn = match (found.reason, body) {
-        (Reason::Width, Body::Box { x, y, height }) => changed(Body::Box { x: x * share, y: y * share, height }),
-        (Reason::Width, Body::Cylinder { height, .. }) => changed(Body::Cylinder { radius: needs / 2.0, height }),
-        (Reason::Headroom, Body::Box { x, y, .. }) => changed(Body::Box { x, y, height: needs }),
-        (Reason::Headroom, Body::Cylinder { radius, .. }) => changed(Body::Cylinder { radius, height: needs }),
+        (Reason::Width, Body::Box { x, y, height }) => other(Body::Box { x: x * share, y: y * share, height }),
+        (Reason::Width, Body::Cylinder { height, .. }) => other(Body::Cylinder { radius: needs / 2.0, height }),
+        (Reason::Headroom, Body::Box { x, y, .. }) => other(Body::Box { x, y, height: needs }),
+        (Reason::Headroom, Body::Cylinder { radius, .. }) => other(Body::Cylinder { radius, height: needs }),
         (Reason::Step, _) if case.pawn.max_drop == case.pawn.climb => {
             Pawn { climb: needs, max_drop: needs, ..case.pawn }
         }
         (Reason::Step, _) => Pawn { climb: needs, ..case.pawn },
         (Reason::Ramp, _) => Pawn { max_ramp: needs, ..case.pawn },
         (Reason::Slope, _) => Pawn { max_grade: needs, ..case.pawn },
-        (Reason::Length, _) => case.pawn,
-        _ => return,
+        _ => case.pawn,
     };
-    let changed = Case { pawn, length: case.length.map(|_| needs), store: case.store.clone(), ..*case };
-    assert_eq!(sought(&changed, Memory::All).0, None, "{found:?}");
+    Case { pawn, length: case.length.map(|_| needs), store: case.store.clone(), ..*case }
 }
 
 /// Returns what is found, which is what the case expects and the same with few pages in memory.

@@ -137,4 +137,11 @@ fn unseen_space_blocks_a_way() {
     assert_eq!(found.reason, Reason::Unseen);
     assert!((found.at - at(27, 4)).norm() < 1.5 * T, "{found:?}");
     assert!((found.needs - 0.5).abs() < 1.5 * T, "{found:?}");
+    // It is as wide as on the way, and not as where it is narrowest.
+    let (store, _) = half_seen(7, 10);
+    let is_seen = |[x, y]: [i64; 2]| !(7..if y < 5 { 10 } else { 8 }).contains(&x);
+    let seen = space(*store.frame(), 1, |at| is_seen(at).then_some([0, 63]));
+    let found = blocked((store, Some(Arc::new(seen)))).unwrap();
+    assert!(found.reason == Reason::Unseen && (found.at - at(27, 4)).norm() < 1.5 * T, "{found:?}");
+    assert!((found.needs - 1.3).abs() < 1.5 * T, "{found:?}");
 }
