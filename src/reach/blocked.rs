@@ -868,11 +868,11 @@ mod tests {
         let ranges = |pawn: &Pawn| Change::ALL.map(|change| change.range(pawn, PIXEL_M));
         let pawn = Pawn::new(oblong);
         // A pixel for the longer side, 0.05 m above the climb height, and for steps 0.05 m below the height.
-        assert_eq!(ranges(&pawn), [[0.4, 0.05], [1.8, 0.35 + 0.05], [0.35, 1.8 - 0.05], [0.0; 2], [0.0; 2]]);
+        assert_eq!(ranges(&pawn), [[0.4, 0.1 * 0.2 / 0.4], [1.8, 0.35 + 0.05], [0.35, 1.8 - 0.05], [0.0; 2], [0.0; 2]]);
         let sloped = Pawn { max_grade: 0.06, max_ramp: 6.0, climb: 0.1, ..pawn };
         assert_eq!(ranges(&sloped)[1..], [[1.8, 0.3], [0.1, 1.75], [0.06, 2.0], [6.0, 1000.0]]);
         let tall = Pawn::new(Body::Cylinder { radius: 0.02, height: 4.0 });
-        assert_eq!(ranges(&tall)[..3], [[0.04, 0.04], [4.0, 0.4], [0.35, 3.0]]);
+        assert_eq!(ranges(&tall)[..3], [[0.04, 0.04], [4.0, 0.35 + 0.05], [0.35, 3.0]]);
         let low = Pawn { climb: 0.02, ..Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 0.1 }) };
         assert_eq!(ranges(&low)[1..3], [[0.1, 0.02 + 0.05], [0.02, 0.1 - 0.05]]);
 
@@ -931,6 +931,21 @@ mod tests {
         let nothing = ground([]);
         assert_eq!(own.nearest(&nothing, &ENDS, &NoMonitor).unwrap(), None);
         assert_eq!(nothing.nearest(&own, &ENDS, &NoMonitor).unwrap(), None);
+    }
+
+    #[test]
+    fn nearer_ground_in_cells_farther_off_and_shorter_ways_in_cells_looked_at_later_count() {
+        // In the next cell at 1.9 m, and two cells on at 1.06 m.
+        let own = ground([[0.05, 0.5, 0.0]]);
+        let (_, found) =
+            own.nearest(&ground([[1.95, 0.5, 0.0], [-1.01, 0.5, 0.0]]), &ENDS, &NoMonitor).unwrap().unwrap();
+        assert!((found - 1.06).abs() < 1e-9, "{found}");
+        // The bounds of the first cell reach nearest to the ends, but none of its places does.
+        let places = [[0.05, 0.95, 0.0], [0.95, 0.05, 0.0], [-0.5, 0.05, 0.0]];
+        let above = places.map(|[x, y, _]| [x, y, 2.0]);
+        let ends = [Point3::origin(); 2];
+        let (found, _) = ground(places).nearest(&ground(above), &ends, &NoMonitor).unwrap().unwrap();
+        assert_eq!(found, [[-0.5, 0.05, 0.0], [-0.5, 0.05, 2.0]].map(Point3::from));
     }
 
     proptest! {

@@ -668,21 +668,25 @@ mod tests {
     #[test]
     fn a_diagonal_step_passes_over_a_pixel_beside_it() {
         for (way, by) in AROUND.into_iter().enumerate().filter(|(way, _)| way % 2 == 1) {
-            let to = [20 + by[0], 20 + by[1]].map(|v| v as u32);
             let place = |offset: [i32; 2]| [20 + offset[0], 20 + offset[1]].map(|v| v as u32);
-            let only = |over: Option<([u32; 2], u32)>| {
-                move |i: u32, j: u32| match over {
-                    _ if [i, j] == [20; 2] || [i, j] == to => floor(FLOOR),
-                    Some((pixel, top)) if [i, j] == pixel => floor(top),
+            let to = place(by);
+            // The cost of a step to a height, past a pixel of another height.
+            let past = |pixel: [u32; 2], height: Option<u32>, end: u32| {
+                let set = level(0.1, |i, j| match [i, j] {
+                    own if own == [20; 2] => floor(FLOOR),
+                    own if own == to => floor(end),
+                    own if own == pixel => height.map_or(Vec::new(), floor),
                     _ => Vec::new(),
-                }
+                });
+                let (planner, found) = finished(&set, [at([20; 2], FLOOR), at(to, end)], None);
+                found.ok().map(|_| planner.nodes[planner.goal.unwrap() as usize].cost)
             };
-            assert_eq!(cost([[20; 2], to], only(None)), None);
             for over in [(way + 7) % 8, (way + 1) % 8].map(|way| place(AROUND[way])) {
-                let length = 1414 + 353;
-                assert_eq!(cost([[20; 2], to], only(Some((over, FLOOR)))), Some(length + LACKS), "{by:?} by {over:?}");
-                // From it no step leads back up.
-                assert_eq!(cost([[20; 2], to], only(Some((over, FLOOR - 650)))), None, "{by:?} by {over:?}");
+                assert_eq!(past(over, None, FLOOR), None);
+                assert_eq!(past(over, Some(FLOOR), FLOOR), Some(1414 + 353 + LACKS), "{by:?} by {over:?}");
+                // No step leads to it, or none from it.
+                assert_eq!(past(over, Some(FLOOR - 610), FLOOR - 120), None, "{by:?} by {over:?}");
+                assert_eq!(past(over, Some(FLOOR - 500), FLOOR + 110), None, "{by:?} by {over:?}");
             }
         }
     }
@@ -708,8 +712,11 @@ mod tests {
             assert_eq!(scene(4, floor(FLOOR - 700)), Some(12_000));
             assert_eq!(scene(4, vec![(FLOOR + 1443, FLOOR + 1600, true)]), Some(12_000));
             assert_eq!(scene(4, vec![(FLOOR + 1442, FLOOR + 1600, true)]), None);
-            // As high as the knees, and below.
-            assert_eq!(scene(4, vec![(FLOOR - 5, FLOOR + 602, true)]), None);
+            // As high as the knees, which are 600 above the feet, and higher; no step leads onto what has no headroom.
+            let ceiling = (FLOOR + 1443, FLOOR + 1600, true);
+            assert_eq!(scene(4, vec![(FLOOR - 5, FLOOR + 400, true), ceiling]), Some(12_000));
+            assert_eq!(scene(4, vec![(FLOOR - 5, FLOOR + 601, true), ceiling]), Some(12_000));
+            assert_eq!(scene(4, vec![(FLOOR - 5, FLOOR + 602, true), ceiling]), None);
         }
     }
 
@@ -734,6 +741,14 @@ mod tests {
             let (planner, found) = finished(&set, [at([40, 40], FLOOR); 2], None);
             assert!(found.is_ok(), "{by:?}");
             assert_eq!(planner.nodes[planner.goal.unwrap() as usize].pixel, own.map(|v| v as i32 + 64));
+        }
+        // Of several, the one ahead along x counts first, then along y.
+        for (axis, by) in [[1, 0], [0, 1]].into_iter().enumerate() {
+            let set =
+                level(0.1, |i, j| if [i, j][1 - axis] == 40 && [i, j][axis] != 40 { floor(FLOOR) } else { Vec::new() });
+            let (planner, _) = finished(&set, [at([40, 40], FLOOR); 2], None);
+            let found = planner.nodes[planner.goal.unwrap() as usize].pixel;
+            assert_eq!(found, [64 + 40 + by[0], 64 + 40 + by[1]]);
         }
     }
 

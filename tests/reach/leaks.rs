@@ -215,6 +215,34 @@ fn a_gap_narrower_than_half_of_the_pawn_is_none() {
 }
 
 #[test]
+fn a_slit_is_as_wide_as_on_average() {
+    // Half of the pawn is 4.5 pixels wide.
+    for (width, expected) in [(4, 0), (5, 1)] {
+        let store = room(60, 60, |i, j| ((30..30 + width).contains(&i) && (15..45).contains(&j)).then_some(b' '));
+        let found = leaks_with(&store, Pawn::new(Body::Box { x: 0.9, y: 0.9, height: 1.8 })).1;
+        assert_eq!(found.len(), expected, "{width}: {found:?}");
+    }
+}
+
+#[test]
+fn a_leak_lies_as_high_as_the_middle_of_its_rim() {
+    // The floor rises by a centimetre in each pixel along the door.
+    let quanta = |metres: f64| ((FLOOR + metres) / 0.3 * SLICE_QUANTA as f64).round() as i64;
+    let mut columns = Columns::new();
+    for (i, j) in (0..60).flat_map(|i| (0..50).map(move |j| (i, j))) {
+        let is_wall = i == 0 || i == 59 || j == 0 || j == 49;
+        let own = if is_wall { (quanta(0.0) - 3, quanta(4.0), true) } else { (0, quanta(j as f64 * 0.01), false) };
+        if i < 59 || !(20..29).contains(&j) {
+            columns.insert((i, j), vec![own]);
+        }
+    }
+    let found = leaks(&layers(Frame::new(T, 0.3).unwrap(), &columns));
+    assert!(found.len() == 1 && found[0].kind == LeakKind::Edge, "{found:?}");
+    // The feet rest on the highest ground under the body, two pixels on.
+    assert!((found[0].at.z - FLOOR - 0.26).abs() < 0.015, "{found:?}");
+}
+
+#[test]
 fn a_door_to_where_nothing_was_scanned_is_an_edge_of_its_width() {
     let store = room(60, 50, |i, j| (i == 59 && (20..29).contains(&j)).then_some(b'.'));
     let found = leaks(&store);

@@ -81,6 +81,13 @@ fn ramps_at_77_degrees_need_landings() {
 }
 
 #[test]
+fn ground_is_too_steep_if_it_exceeds_the_steepest_grade_by_more_than_a_fiftieth() {
+    // 6 % are allowed.
+    let connects = |grade: f64| connects(&[(5.0, grade)], 0.0, f64::INFINITY);
+    assert_eq!([0.058, 0.0605, 0.063].map(connects), [true, true, false]);
+}
+
+#[test]
 fn the_grade_of_a_plane_is_exact_beside_the_end_of_the_region_too() {
     for direction in [0.0, 17.0, 45.0, 68.0, 90.0] {
         let heading = f64::to_radians(direction);
