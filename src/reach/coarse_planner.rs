@@ -533,7 +533,7 @@ mod tests {
         }
     }
 
-    /// The cost of the way between pixels of plain floor; `None` if there is none.
+    /// The cost of the way between pixels of plain floor, or `None` without a way.
     fn cost(ends: [[u32; 2]; 2], spans: impl Fn(u32, u32) -> Spans) -> Option<u32> {
         let (planner, found) = finished(&level(0.1, spans), ends.map(|end| at(end, FLOOR)), None);
         assert!(planner.is_fine());

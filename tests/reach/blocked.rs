@@ -81,7 +81,7 @@ fn case(store: Snapshot, z: f64, reason: Reason, needs: f64, within: f64) -> Cas
     Case { store, pawn: Pawn::new(BODY), length: None, ends, expected: Some((reason, needs, within)) }
 }
 
-/// What stands from pixel `from` to before pixel `to` of the wall.
+/// Puts `over` in place of the wall from pixel `from` to before pixel `to`.
 fn door(from: i64, to: i64, over: Over) -> impl Fn(i64) -> Option<Over> {
     move |j| (from..to).contains(&j).then_some(over)
 }
