@@ -98,10 +98,6 @@ fn pit(below: Over) -> Snapshot {
     scene(HALL, |i, _| if (MIDDLE..MIDDLE + 15).contains(&i) { below } else { PLAIN })
 }
 
-fn climbing(climb: f64, max_drop: f64) -> Pawn {
-    Pawn { climb, max_drop, ..Pawn::new(BODY) }
-}
-
 /// A test for each case.
 macro_rules! cases {
     ($($(#[$about:meta])* $name:ident: $case:expr;)*) => {
@@ -141,8 +137,10 @@ cases! {
             0.8,
         )
     };
-    a_step_down_of_who_takes_drops_as_deep_as_steps:
-        Case { pawn: climbing(0.2, 0.2), ..case(edge(-0.6), -0.6, Reason::Step, 0.6, 0.02) };
+    a_step_down_of_who_takes_drops_as_deep_as_steps: Case {
+        pawn: Pawn { climb: 0.2, max_drop: 0.2, ..Pawn::new(BODY) },
+        ..case(edge(-0.6), -0.6, Reason::Step, 0.6, 0.02)
+    };
     /// A pawn that climbs higher takes no deeper drops.
     a_step_down: Case { pawn: Pawn { climb: 0.2, ..Pawn::new(BODY) }, ..case(edge(-0.6), -0.6, Reason::Gap, 0.6, 0.05) };
     a_pit: case(pit(Over::Floor(-2.0)), 0.0, Reason::Gap, 1.5, 0.4);
